@@ -15,6 +15,7 @@ from collections.abc import Iterator
 import csv
 from dataclasses import dataclass
 import math
+from pathlib import Path
 import random
 import sys
 from typing import Any
@@ -94,9 +95,9 @@ def drive(seed: int = 0) -> Iterator[Moment]:
         before = speed
 
 
-def write_table(path: str, minutes: float, seed: int) -> None:
+def write_table(path: Path, minutes: float, seed: int) -> None:
     """Write a drive as a table that `evpinn replay` reads."""
-    with open(path, "w", newline="", encoding="utf-8") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(("t_s", "speed_mps", "voltage_v", "current_a", "soc_pct"))
         for now in drive(seed):
@@ -149,7 +150,7 @@ def run_node(seed: int, arguments: list[str]) -> None:
 def main() -> int:
     """Write a table or publish; gives the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--csv", help="table to write, instead of publishing")
+    parser.add_argument("--csv", type=Path, help="table to write, instead of publishing")
     parser.add_argument("--minutes", type=float, default=10.0, help="length of the table")
     parser.add_argument("--seed", type=int, default=0, help="of chance")
     given, others = parser.parse_known_args()

@@ -300,11 +300,10 @@ def _between(values: np.ndarray, nodes: np.ndarray) -> list[tuple[np.ndarray, np
 def _prior(equation: Equation) -> np.ndarray:
     """Rows per metre of simulated drives, shape (*SHAPE, SIZE).
 
-    They are of cars in traffic: a vehicle that is slower than the slowest node drives evenly
-    until it has shown otherwise.
+    They are of cars in traffic: what is slower drives evenly until it has shown otherwise.
     """
     metres, rows = np.zeros(SHAPE), np.zeros((*SHAPE, SIZE))
-    if equation.vehicle.nominal_speed < MIDDLES[0]:
+    if not equation.vehicle.in_traffic:
         return rows
     for line in bundled_lines(REFERENCE):
         drive = _drive_of(np.array(line.split(","), float), equation.vehicle.air_density)

@@ -53,6 +53,7 @@ OPTIONAL_CONSTANTS = {
 EXTENSIVE = ("mass", "p_aux")  # parameters that go with the size of a vehicle
 LEAST_EIGENVALUE = 1e-3  # of correlations: with less, one is certain by the others
 FEW, LIKENESS = 8, 0.6  # names that an error lists, and how like they must be
+SLOWEST_TRAFFIC = 2.0  # m/s, of cars on roads; what drives slower is a robot, on floors and paths
 LEAST_FACTOR = 1e-3  # all but p_aux is learned as a logarithm, which zero has not
 
 
@@ -110,6 +111,11 @@ class Vehicle:
         if not self.paper_start:
             return self
         return replace(self, priors=self.paper_start, correlations={}, paper_start={})
+
+    @property
+    def in_traffic(self) -> bool:
+        """False of a robot, whose usual speed no traffic has: roads and drivers say nothing."""
+        return not self.nominal_speed < SLOWEST_TRAFFIC
 
     @property
     def similar_car(self) -> Vehicle:

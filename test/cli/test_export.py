@@ -5,7 +5,7 @@ import yaml
 
 from test.robots import learned, robot
 
-# What `parse_robot_config` and its like read of a fleet adapter's config.yaml, all of them numbers.
+# What a fleet adapter reads of its config.yaml, all of them numbers.
 KEYS = {
     "battery_system": {"voltage", "capacity", "charging_current"},
     "mechanical_system": {"mass", "moment_of_inertia", "friction_coefficient"},
@@ -41,8 +41,9 @@ def test_the_learned_robot_for_a_fleet_adapter(evpinn, folder):
 
 def test_what_is_not_known_of_the_battery_is_asked_for(evpinn, folder):
     done = evpinn("export", "rmf", "robot.json", cwd=folder)
-    assert done.returncode == 1 and done.stdout == ""
-    assert "what the battery of mobile_robot holds is not known: --capacity gives it" in done.stderr
+    assert (done.returncode, done.stdout) == (1, "")
+    asked = "what the battery of mobile_robot holds is not known: --capacity gives it"
+    assert asked in done.stderr
 
 
 def test_a_state_of_another_vehicle_is_refused(evpinn, folder):

@@ -14,7 +14,8 @@ from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.signals.readings import AuxiliaryReading, BatteryReading
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.files import EXTENSIVE, Vehicle, load_vehicle
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 from test.robots import learned, moments, robot, true_energy
 
 SIZE = 1 / 32  # whose products with floats are exact
@@ -70,7 +71,8 @@ def test_a_vehicle_of_a_part_of_a_car_s_size_is_learned_as_that_car(vehicle, dri
         else:
             assert isinstance(other, ParameterSet) and one.stamp_ns == other.stamp_ns
     ours, theirs = car.parameters(), robot.parameters()
-    for name, scale in {"eta": 1, "mu": 1, "mass": SIZE, "c_rr": 1, "c_d": 1, "p_aux": SIZE}.items():
+    for name in PARAMETER_NAMES:
+        scale = SIZE if name in EXTENSIVE else 1.0
         one, other = ours.parameters[name], theirs.parameters[name]
         assert scale * one.value == pytest.approx(other.value)
         assert scale * one.std == pytest.approx(other.std)
@@ -108,9 +110,7 @@ def test_what_a_robot_teaches_in_ten_minutes(seed):
         line = np.array([0.0, metres / 2, metres])
         plan = plan_from_path(line, 0.0 * line, 0.0 * line, nominal_speed=1.0)
         truth = true_energy(plan)
-        before, after = (
-            forecast_plan(plan, each, Weather(1.2), 0.0) for each in (never, known)
-        )
+        before, after = (forecast_plan(plan, each, Weather(1.2), 0.0) for each in (never, known))
         assert abs(after.energy[-1] - truth) < min(3.0 * after.sigma[-1], 0.2 * truth)
         assert after.sigma[-1] < 0.25 * truth < 0.5 * before.sigma[-1]
         assert abs(before.energy[-1] - truth) < 2.0 * before.sigma[-1]
