@@ -116,7 +116,7 @@ def run_node(seed: int, arguments: list[str]) -> None:
     from rclpy.node import Node
     from sensor_msgs.msg import BatteryState
 
-    class Robot(Node):  # type: ignore[misc]
+    class Robot(Node):
         def __init__(self) -> None:
             super().__init__("simulated_robot")
             self._moments = drive(seed)

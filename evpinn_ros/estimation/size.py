@@ -11,7 +11,7 @@ Speeds and accelerations stay as they are.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeVar
+from typing import overload
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from evpinn_ros.vehicle.identifiable import Identifiable
 
 PURE = ("1", "1/(10 K)")  # units of states that are the same of all sizes
 EXTENSIVE_SUMS = ("mass_over_eta", "drag_area_over_eta", "p_aux")
-Estimate = TypeVar("Estimate", PowerEstimate, ParameterSet)
 
 
 class Similarity:
@@ -60,7 +59,13 @@ class Similarity:
                 return replace(reading, torque=more * reading.torque)
         return reading
 
-    def estimate(self, found: Estimate) -> Estimate:
+    @overload
+    def estimate(self, found: PowerEstimate) -> PowerEstimate: ...
+
+    @overload
+    def estimate(self, found: ParameterSet) -> ParameterSet: ...
+
+    def estimate(self, found: PowerEstimate | ParameterSet) -> PowerEstimate | ParameterSet:
         """An estimate of the car as one of the vehicle."""
         if self.size == 1.0:
             return found
