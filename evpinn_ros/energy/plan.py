@@ -25,7 +25,8 @@ COMFORT_ACCELERATION = 1.0  # m/s^2, gentle for a person standing in a bus as we
 COMFORT_LATERAL = 2.0  # m/s^2, what drivers take in a bend without hurry
 SLOWEST = 1.0  # m/s through the sharpest bend
 BEND = 10.0  # m before and after a point, over which the bend of the path is taken
-NOMINAL_STEP = 25.0  # m between points of a nominal profile, where the path has fewer
+# Most m, and s, between points of a nominal profile, where the path has fewer.
+NOMINAL_STEP, NOMINAL_SECONDS = 25.0, 2.0
 UNITS_APART = 3.0  # speeds in km/h make 3.6 times the distance, one in km a thousandth of it
 LEAST_LENGTH = 50.0  # m of a profile from which that can be seen
 SLOWEST_TRIP = 0.1  # m/s while it moves: no jam is slower, but lengths in km are
@@ -365,7 +366,8 @@ def _nominal_plan(
         raise PlanError(f"cannot drive {nominal_speed:g} m/s")
     ramp = min(nominal_speed**2 / (2 * COMFORT_ACCELERATION), length / 2)
     # The ends of both ramps become points, so that every leg has one constant acceleration.
-    steps = np.linspace(0.0, length, 2 + min(int(length / NOMINAL_STEP), MAX_POINTS))
+    step = min(NOMINAL_STEP, NOMINAL_SECONDS * nominal_speed)
+    steps = np.linspace(0.0, length, 2 + min(int(length / step), MAX_POINTS))
     s = np.concatenate((distance, steps, [ramp, length - ramp]))
     s = np.unique(s.round(6))  # no leg is as short as rounding
     squared = np.minimum(nominal_speed, _bend_speed(s, distance, points)) ** 2

@@ -330,8 +330,13 @@ def _between(values: np.ndarray, nodes: np.ndarray) -> list[tuple[np.ndarray, np
 
 @lru_cache(maxsize=8)
 def _prior(equation: Equation) -> np.ndarray:
-    """Rows per metre of simulated drives, shape (*SHAPE, SIZE)."""
+    """Rows per metre of simulated drives, shape (*SHAPE, SIZE).
+
+    They are of cars in traffic: what is slower drives evenly until it has shown otherwise.
+    """
     metres, rows = np.zeros(SHAPE), np.zeros((*SHAPE, SIZE))
+    if not equation.vehicle.in_traffic:
+        return rows
     for line in bundled_lines(REFERENCE):
         drive = _drive_of(np.array(line.split(","), float), equation.vehicle.air_density)
         _add_drive(metres, rows, equation, drive, _moving(equation, drive))

@@ -17,6 +17,7 @@ from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.replays.chain import ChainOutput
 from evpinn_ros.signals.readings import (
+    DRIVE_START_NS,
     NANOSECONDS,
     AltitudeReading,
     BatteryReading,
@@ -28,6 +29,8 @@ from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
+DAY_NS = 86_400 * NANOSECONDS
+FIRST_STAMP_NS = 631_152_000 * NANOSECONDS  # 1990: a log that begins before counts from its zero
 JUMP_GAP = 60 * NANOSECONDS  # between the times before and after a jump: nothing is joined across
 MODEL_STEP = 300.0  # s between two models kept: what a forecast would have known then
 SERIES = dict.fromkeys(("speed", "altitude", "charge", "temperature", "jumps"), 2)
@@ -124,6 +127,12 @@ class Drive:
     model: CarModel | None = None
     jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     breakdown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def dated(self) -> bool:
+        """True if the log knows its day."""
+        without_day = 0 <= self.start_ns - DRIVE_START_NS < DAY_NS
+        return self.start_ns >= FIRST_STAMP_NS and not without_day
 
 
 class History:
