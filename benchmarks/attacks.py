@@ -186,7 +186,7 @@ class _Forked:
     """A parser of `common.apart` that is forked, not started; limits and end are its own."""
 
     def __init__(self, command: Sequence[str], **_: object) -> None:
-        *_, function, path, out = command
+        function, path, out = command[-3:]
         self._errors, theirs = os.pipe()
         self._process = os.fork()
         if self._process == 0:
@@ -201,7 +201,7 @@ class _Forked:
     def __exit__(self, *_: object) -> None:
         os.close(self._errors)
 
-    def communicate(self, timeout: float) -> tuple[None, str]:
+    def communicate(self, *, timeout: float) -> tuple[None, str]:
         """Its end and what it said; `subprocess.TimeoutExpired` if it hangs."""
         if not select.select([self._errors], [], [], timeout)[0]:
             raise subprocess.TimeoutExpired("parser", timeout)
@@ -218,7 +218,7 @@ class _Forked:
 
 def _be_the_reader(path: Path, pipe: int) -> None:
     if path.suffix in SHEET_SUFFIXES:
-        apart.subprocess.Popen = _Forked  # type: ignore[assignment,misc]
+        subprocess.Popen = _Forked  # type: ignore[assignment,misc]
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CPU, (RUNAWAY, RUNAWAY))
     nowhere = os.open(os.devnull, os.O_RDWR)
