@@ -19,9 +19,9 @@ class Interruption:
     """Notes the first signal to stop while entered, for work that stops between two readings.
 
     What the work then writes is whole, up to there; the command ends with 130, or 128 and the
-    signal's number. A second Ctrl-C does not wait; other signals come more than once by themselves:
-    that of a closed terminal from its shell and from the kernel. Where one is ignored, as Ctrl-C
-    in the background of a script, it stays so.
+    signal's number. A second Ctrl-C does not wait. Other signals come more than once by
+    themselves, as that of a closed terminal from its shell and from the kernel. Where one is
+    ignored, as Ctrl-C in the background of a script, it stays so.
 
     Attributes:
         asked: whether to stop.
