@@ -18,9 +18,17 @@ from benchmarks.unseen.protocols import run_car
 from benchmarks.unseen.summary import summary
 from benchmarks.variants import ConstantPlace, Variant, replaced
 from evpinn_ros.estimation.gaussian import replace_states
-from evpinn_ros.estimation.posterior import BANK, LOAD_STDS, NETWORK_STDS, CarState, begin_drive
+from evpinn_ros.estimation.posterior import (
+    BANK,
+    LOAD_STDS,
+    NETWORK_STDS,
+    CarState,
+    begin_drive,
+    noise_of,
+)
 from evpinn_ros.estimation.states import OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import Equation, Warmth, standing_powers
+from evpinn_ros.signals.interval import Steps
 from evpinn_ros.signals.road import Conditions
 
 CARS = ("model3", "i3", "i3_speed", "e208", "changchun", "simulated")
@@ -61,6 +69,11 @@ def _unseen(state: CarState, *_: Any) -> CarState:
 def _fixed(growth: float) -> dict[ConstantPlace, Any]:
     """Unseen hills of one size, m^2 per m, instead of a learned one."""
     return {ConstantPlace("bands", "GROWTHS"): np.full(3, growth)}
+
+
+def _one_noise(steps: Steps) -> np.ndarray:
+    """Noise of which standing and moving are one kind."""
+    return np.array((0.0, float(noise_of(steps).sum()), 0.0))
 
 
 STARTS = (State.COLD_START, State.HOT_START)
@@ -104,6 +117,7 @@ VARIANTS = (
         "noise not scaled",
         {ConstantPlace("posterior", key): 1.0 for key in ("LEAST_SCALE", "MOST_SCALE")},
     ),
+    Variant("one noise standing and moving", {ConstantPlace("posterior", "noise_of"): _one_noise}),
     Variant("a car does not change", {ConstantPlace("posterior", "DRIFT"): 0.0}),
 )
 

@@ -8,7 +8,7 @@ Beside it stand that energy over what the last 10 km cost, and over what the las
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
@@ -100,8 +100,7 @@ def _piece(driven: Stretch, log: TripLog, learned: LearnedCar) -> Kilometre:
         each.energy / each.distance
         for each in (log.windows[LAST_10].total, log.windows[LAST_100].total)
     )
-    model = replace(learned.state.model(learned.equation), unevenness=learned.unevenness)
-    usual = usual_cost(model)
+    usual = usual_cost(learned.model())
     expected = long if math.isnan(usual) else (long + usual) / 2.0
     spread = cost_spread(log.windows[LAST_100].whole)
     return Kilometre(driven, Cost(recent, expected, spread), recent, long)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 import math
 
 import numpy as np
@@ -103,8 +104,7 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
             continue
         totals = tuple(driven.sum(0).tolist())
         if before and totals[1] >= LEAST_DISTANCE:
-            model = learned.state.model(learned.equation)
-            yield from forecasts(replace(model, unevenness=learned.unevenness), done, before)
+            yield from forecasts(learned.model(), done, before)
         learned = learned.after(intervals)
         before.append((totals[0], totals[1], totals[2]))
 
@@ -194,13 +194,17 @@ def _by_distance(
 
 @dataclass(frozen=True, slots=True)
 class _Steps:
-    """Steps of a drive as columns: s, m, m^2/s^2, m; whether height is known, 0 where not."""
+    """Steps of a drive as columns: s, m, m^2/s^2, m; whether height is known, 0 where not.
+
+    `piece` numbers the pieces of the drive without a gap.
+    """
 
     duration: np.ndarray
     distance: np.ndarray
     kinetic: np.ndarray
     climb: np.ndarray
     known: np.ndarray
+    piece: np.ndarray
 
     @classmethod
     def of(cls, done: list[Interval]) -> _Steps:
@@ -210,7 +214,9 @@ class _Steps:
         )
         counts = [len(each.steps.duration) for each in done]
         known = np.repeat([float(each.height_known) for each in done], counts)
-        return cls(duration, np.abs(distance), kinetic, climb, known)
+        gaps = [before.end_ns != after.start_ns for before, after in pairwise(done)]
+        piece = np.repeat(np.cumsum([0, *gaps]), counts)
+        return cls(duration, np.abs(distance), kinetic, climb, known, piece)
 
     def plan(self, resolution: str) -> Plan | Legs:
         """The plan of one of `RESOLUTIONS`."""
@@ -237,13 +243,20 @@ class _Steps:
             np.concatenate(([0.0], np.cumsum(each)))
             for each in (self.duration, self.distance, self.climb)
         )
-        mean = self.distance / self.duration
-        half = np.where(mean > 0.1, self.kinetic / np.maximum(mean, 0.1) / 2.0, 0.0)
-        starts, ends = np.maximum(mean - half, 0.0), np.maximum(mean + half, 0.0)
-        speed = np.concatenate((starts[:1], (starts[1:] + ends[:-1]) / 2.0, ends[-1:]))
+        speed = self._speeds(self.piece == 0)
+        for number in range(1, int(self.piece[-1]) + 1):
+            after = self._speeds(self.piece == number)
+            speed = np.concatenate((speed[:-1], (speed[-1:] + after[:1]) / 2.0, after[1:]))
         steep = np.clip(np.diff(height), -self.distance, self.distance)
         height = np.concatenate(([0.0], np.cumsum(steep)))
         return plan_from_speed_profile(time, distance, speed, height)
+
+    def _speeds(self, own: np.ndarray) -> np.ndarray:
+        """Speeds at the ends of the steps of a piece, by their kinetic energy and mean speeds."""
+        square = np.concatenate(([0.0], 2.0 * np.cumsum(self.kinetic[own])))
+        mean = self.distance[own] / self.duration[own]
+        start = max(float(np.mean(mean**2 - (square[1:] + square[:-1]) / 2.0)), -square.min())
+        return np.asarray(np.sqrt(np.maximum(start + square, 0.0)))
 
 
 def _score(car: str, rows: list[PlannedDrive]) -> PlanScore:

@@ -22,6 +22,7 @@ __all__ = [
     "forecast",
     "load_vehicle",
     "replay",
+    "replay_trips",
 ]
 
 

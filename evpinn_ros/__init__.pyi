@@ -9,5 +9,6 @@ from evpinn_ros.api import find_vehicles as find_vehicles
 from evpinn_ros.api import forecast as forecast
 from evpinn_ros.api import load_vehicle as load_vehicle
 from evpinn_ros.api import replay as replay
+from evpinn_ros.api import replay_trips as replay_trips
 
 __version__: str

@@ -3,7 +3,7 @@
 from evpinn_ros.api.edges import EdgeEnergies, edge_energies
 from evpinn_ros.api.estimator import Estimate, Estimator
 from evpinn_ros.api.plan import forecast
-from evpinn_ros.api.recordings import replay
+from evpinn_ros.api.recordings import replay, replay_trips
 from evpinn_ros.api.result import Result
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle
@@ -20,4 +20,5 @@ __all__ = [
     "forecast",
     "load_vehicle",
     "replay",
+    "replay_trips",
 ]

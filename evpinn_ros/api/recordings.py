@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from copy import deepcopy
 import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from evpinn_ros.api.result import Result
 from evpinn_ros.common.arguments import (
@@ -16,6 +18,9 @@ from evpinn_ros.common.arguments import (
     sequence_of,
     text_of,
 )
+from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.terrain import Terrain
+from evpinn_ros.drives.trips import split
 from evpinn_ros.replays.car import CarReplay, mode_of
 from evpinn_ros.replays.run import WARM_UP, ReplayOptions
 from evpinn_ros.vehicle.files import Vehicle
@@ -38,6 +43,7 @@ def replay(
     can_profile: str | None = None,
     trust_profile: bool = False,
     columns: Sequence[str] = (),
+    elevation: str | os.PathLike[str] | None = None,
 ) -> Result:
     """Replay a recorded drive through the chain, as `evpinn replay` does: to the bit.
 
@@ -47,7 +53,8 @@ def replay(
         >>> result.power[["measured_w", "smoothed_w"]].plot()  # doctest: +SKIP
 
     Args:
-        drive: bag, CAN log or table; or a pandas DataFrame, whose columns are those of a table.
+        drive: bag, CAN log or table; or a pandas DataFrame, whose columns are those of a table. An
+            index that has a name, or holds dates, is one of them.
         vehicle: name, file, or what `load_vehicle` gave.
         mode: `hybrid` or `paper`; that of `params`, else hybrid, if not given.
         params: parameter file of the nodes.
@@ -60,18 +67,85 @@ def replay(
         can_profile: of a CAN log, the vehicle's own if not given.
         trust_profile: use it even if the traffic contradicts it.
         columns: of a table, as `speed=NAME` or `speed=NAME:km/h`.
+        elevation: folder of SRTM tiles (`N48E011.hgt`), whose heights at the places of the drive
+            are taken.
 
     Raises:
         InputError: the drive, the vehicle or a file cannot be used; the text says why.
     """
-    written = None if state is None else path_of("state", state)
-    options = ReplayOptions(
+    with _opened(
+        drive,
+        vehicle,
+        ReplayOptions(
+            finite_or_none("withhold_battery_after", withhold_battery_after),
+            finite("warm_up", warm_up),
+            None,
+            finite("start", start),
+            finite_or_none("duration", duration),
+        ),
+        mode=mode,
+        params=params,
+        state=state,
+        can_profile=can_profile,
+        trust_profile=trust_profile,
+        columns=columns,
+        elevation=elevation,
+    ) as (car, source):
+        return _result(car, source)
+
+
+def replay_trips(
+    drive: str | os.PathLike[str] | DataFrame,
+    vehicle: str | Path | Vehicle = "generic",
+    *,
+    withhold_battery_after: float | None = None,
+    warm_up: float = WARM_UP,
+    **options: Any,
+) -> list[Result]:
+    """Replay each trip of a log, as `evpinn replay` splits it: what one teaches, the next knows.
+
+    A trip ends where the car is parked for ten minutes or charged.
+
+    Example:
+        >>> import evpinn_ros as ev
+        >>> for trip in ev.replay_trips("day.csv", vehicle="bmw_i3"):  # doctest: +SKIP
+        ...     print(trip)
+
+    Args:
+        drive: as `replay` takes it.
+        vehicle: the same.
+        withhold_battery_after: s of each trip from which on the battery is hidden.
+        warm_up: s at the start of each trip that are not scored.
+        options: `mode`, `params`, `state`, `can_profile`, `trust_profile`, `columns`, `elevation`
+            of `replay`.
+
+    Raises:
+        InputError: the drive, the vehicle or a file cannot be used; the text says why.
+    """
+    scored = ReplayOptions(
         finite_or_none("withhold_battery_after", withhold_battery_after),
         finite("warm_up", warm_up),
-        None,
-        finite("start", start),
-        finite_or_none("duration", duration),
     )
+    with _opened(drive, vehicle, scored, **options) as (car, source):
+        return [_result(car, trip) for trip in split(source)[0]]
+
+
+@contextmanager
+def _opened(
+    drive: str | os.PathLike[str] | DataFrame,
+    vehicle: str | Path | Vehicle,
+    options: ReplayOptions,
+    *,
+    mode: str | None = None,
+    params: str | os.PathLike[str] | None = None,
+    state: str | os.PathLike[str] | None = None,
+    can_profile: str | None = None,
+    trust_profile: bool = False,
+    columns: Sequence[str] = (),
+    elevation: str | os.PathLike[str] | None = None,
+) -> Iterator[tuple[CarReplay, Source]]:
+    """The car and its drive; what was learned is written when nothing went wrong."""
+    written = None if state is None else path_of("state", state)
     car = CarReplay(
         vehicle,
         options,
@@ -82,20 +156,31 @@ def replay(
     if can_profile is not None:
         text_of("can_profile", can_profile)
     columns = [text_of("columns", each) for each in sequence_of("columns", columns)]
+    terrain = None if elevation is None else Terrain(path_of("elevation", elevation))
     with TemporaryDirectory() as folder:
         path = _path_of(drive, Path(folder))
-        source = car.open(path, can_profile, trust_profile=trust_profile, columns=columns)
-        found = car.replay(source)
+        yield (
+            car,
+            car.open(
+                path, can_profile, trust_profile=trust_profile, columns=columns, terrain=terrain
+            ),
+        )
     if written is not None:
         car.write_state(written)
-    learned = car.chain.estimator.model()
-    return Result(found, car.vehicle, car.options, learned, car.chain.account)
+
+
+def _result(car: CarReplay, source: Source) -> Result:
+    """The next drive of a car, with what is known of the car after it."""
+    found = car.replay(source)
+    learned, account = car.chain.estimator.model(), deepcopy(car.chain.account)
+    return Result(found, car.vehicle, car.options, learned, account)
 
 
 def _path_of(drive: str | os.PathLike[str] | DataFrame, folder: Path) -> Path:
     """Path of a drive; a DataFrame is written as a table into the folder first."""
     if not hasattr(drive, "to_csv"):
         return path_of("drive", drive)
-    path = folder / "drive.csv"
-    drive.to_csv(path, index=False)
+    path, table = folder / "drive.csv", cast("DataFrame", drive)
+    named = table.index.name is not None or table.index.dtype.kind not in "iu"
+    table.to_csv(path, index=named, index_label=table.index.name or "time")
     return path

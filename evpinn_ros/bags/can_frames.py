@@ -13,6 +13,7 @@ import struct
 from typing import Any, TypeAlias
 
 from evpinn_ros.bags.metadata import stated_seconds
+from evpinn_ros.bags.names import is_bag
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import CDR_LITTLE_ENDIAN, FRAME_TYPE
 from evpinn_ros.can.frame import CanFrame, FirstBus
@@ -23,7 +24,6 @@ from evpinn_ros.signals.readings import NANOSECONDS
 FRAMES_TOPIC = "can/frames"
 """Topic of a recording's raw frames, relative to the namespace."""
 
-BAG_SUFFIXES = (".mcap", ".db3")
 _SENT = "to_can_bus"  # the topic by which ros2_socketcan sends frames
 _CLASSIC = 8  # bytes of data that the message can hold
 
@@ -101,11 +101,6 @@ def open_can_log(path: Path) -> CanLog:
         InputError: it is neither; the text has the file and the reason.
     """
     return BagFrames(path) if is_bag(path) else LogFile(path)
-
-
-def is_bag(path: Path) -> bool:
-    """True if a path is a bag's by its looks."""
-    return path.is_dir() or path.suffix in BAG_SUFFIXES
 
 
 def holds_frames(path: Path) -> bool:

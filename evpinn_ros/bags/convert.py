@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-import math
-from operator import attrgetter
-from typing import TypeVar
+from collections.abc import Iterable, Iterator
 
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError, near_names
-from evpinn_ros.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics import NAMESPACE, Topic, topic_of
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.readings import READING_TOPICS, Rotation, reading_messages, to_reading
 
 NOT_A_MESSAGE = "not_finite_or_out_of_range"
-Item = TypeVar("Item")
 
 
 def write_readings(
@@ -40,24 +36,6 @@ def write_readings(
         for topic, message in messages:
             writer.write(topic.under(namespace), message, reading.stamp_ns)
     return dropped
-
-
-def reported(
-    items: Iterable[Item],
-    progress: Callable[[float], None] | None,
-    stamp_of: Callable[[Item], int] = attrgetter("stamp_ns"),
-) -> Iterator[Item]:
-    """The same items; `progress` takes the seconds since the first, about every second."""
-    first_ns: int | None = None
-    reported = -math.inf
-    for item in items:
-        stamp_ns = stamp_of(item)
-        first_ns = stamp_ns if first_ns is None else first_ns
-        done = (stamp_ns - first_ns) / NANOSECONDS
-        if progress is not None and done - reported >= 1.0:
-            progress(done)
-            reported = done
-        yield item
 
 
 class BagReadings:

@@ -11,11 +11,11 @@ from typing import Any
 
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from evpinn_ros.bags.convert import reported
 from evpinn_ros.bags.metadata import VERSION
 from evpinn_ros.bags.rosbags_file import READ_ERRORS
 from evpinn_ros.bags.types import typestore
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.signals.progress import reported
 
 
 class Storage(str, Enum):
@@ -74,7 +74,7 @@ def _copy(
 
 
 def _connect(writer: Writer, connection: Any) -> Any:
-    """The same topic in the new bag; the definition of its type from the bag, if it has it."""
+    """Add a topic to the new bag, with the definition of its type if the old one has it."""
     definition = connection.msgdef.data
     described: dict[str, Any] = {"typestore": typestore()}
     if definition and connection.digest:

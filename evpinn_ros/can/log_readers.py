@@ -17,7 +17,6 @@ import zlib
 
 import can
 
-GVRET_HEADER = "Time Stamp,ID,Extended"
 MICROSECOND = 1e-6
 
 # Bytes of a log that are read or kept at once. Vector's and python-can's containers hold 128 KB;

@@ -17,7 +17,8 @@ import can
 from can.io import mf4
 
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
-from evpinn_ros.can.log_readers import GVRET_HEADER, BlfReader, gvret_messages
+from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES, MF4
+from evpinn_ros.can.log_readers import BlfReader, gvret_messages
 from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.common.opener import LONGEST_LINE, open_file, open_unpacked
@@ -32,8 +33,6 @@ _READERS: dict[str, Callable[..., Any]] = {
     ".trc": can.TRCReader,
     ".csv": lambda file: _csv_reader(file),
 }
-_MF4 = ".mf4"
-LOG_SUFFIXES = (*_READERS, _MF4)
 LAST_ID, LAST_EXTENDED_ID, LONGEST_DATA = 0x7FF, 0x1FFFFFFF, 64
 LAST_TIME = 2.0**33  # s since 1970: the year 2242
 END = 64 << 10  # bytes at either end of a log that tell how long it is
@@ -70,7 +69,7 @@ class LogFile:
         if self._suffix not in LOG_SUFFIXES:
             known = ", ".join(LOG_SUFFIXES)
             raise InputError(f"{self.path}: not a CAN log; known are {known}, also as .gz")
-        if self._suffix == _MF4 and mf4.asammdf is None:
+        if self._suffix == MF4 and mf4.asammdf is None:
             raise InputError(f"{self.path}: .mf4 needs asammdf; pip install 'evpinn_ros[mf4]'")
         with as_input_error(self.path):
             empty = self.path.stat().st_size == 0
@@ -83,7 +82,7 @@ class LogFile:
 
         What is packed shows its end only when all before is unpacked.
         """
-        if self._gzipped or self._suffix == _MF4:
+        if self._gzipped or self._suffix == MF4:
             return None
         ends = LogFile(self.path)  # which counts what it skips beside what is read of the whole
         try:
@@ -104,7 +103,7 @@ class LogFile:
         Raises:
             InputError: the file cannot be opened, or there is no frame in it.
         """
-        for frame in self._converted() if self._suffix == _MF4 else self._until_broken():
+        for frame in self._converted() if self._suffix == MF4 else self._until_broken():
             self.count += 1
             yield frame
         if self.count == 0:

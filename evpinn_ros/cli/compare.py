@@ -11,6 +11,7 @@ from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, 
 from evpinn_ros.cli.options import (
     CanProfileOption,
     ColumnOption,
+    ElevationOption,
     JsonOption,
     ParamsOption,
     StartOption,
@@ -22,6 +23,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
+from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.comparison import compare as compare_drives
@@ -47,6 +49,7 @@ def compare(
     ] = None,
     params: ParamsOption = None,
     column: ColumnOption = None,
+    elevation: ElevationOption = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
     json_file: JsonOption = None,
@@ -65,8 +68,15 @@ def compare(
         raise InputError(f"{state}: no such file")
     options = ReplayOptions(start=start, duration=duration)
     car = CarReplay(vehicle, options, params=params, state=state, keep_drives=True)
+    terrain = None if elevation is None else Terrain(elevation)
     sources = [
-        car.open(path, can_profile, trust_profile=trust_profile, columns=column or ())
+        car.open(
+            path,
+            can_profile,
+            trust_profile=trust_profile,
+            columns=column or (),
+            terrain=terrain,
+        )
         for path in drives
     ]
     for source in sources:

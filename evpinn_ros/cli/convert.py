@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.bags.convert import reported, write_readings
+from evpinn_ros.bags.convert import write_readings
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
@@ -20,6 +20,7 @@ from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.quantities import QUANTITIES
 from evpinn_ros.drives.sources import Source, open_source
+from evpinn_ros.signals.progress import reported
 from evpinn_ros.vehicle.files import load_vehicle
 
 

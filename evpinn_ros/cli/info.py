@@ -18,6 +18,8 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.drives.contents import Contents, contents
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, Span
+from evpinn_ros.drives.unused import by_reason
+from evpinn_ros.replays.dropped_text import dropped_text
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_SPANS = 10  # on the terminal; --json has them all
@@ -65,8 +67,8 @@ def _lines(found: Contents) -> Iterator[str]:
     for column in found.columns:
         shown = f", {column.unit}, {column.why}" if column.why else ""
         yield f"  {column.quantity}: column {column.name!r}{shown}"
-    if found.unused:
-        yield f"  columns not used: {shorter(found.unused)}"
+    for why, names in by_reason(found.unused).items():
+        yield f"  not used, {why}: {shorter(names)}"
     if found.frames:
         fits = f"profile {found.profile}" if found.profile else "no profile that is known"
         yield f"  CAN frames: {fits} fits"
@@ -74,8 +76,8 @@ def _lines(found: Contents) -> Iterator[str]:
         yield f"  may be of: --vehicle {' or '.join(found.vehicles)}"
     if found.drive is not None:
         yield from _drive_lines(found.drive, begin)
-    for reason, count in sorted((found.dropped or {}).items()):
-        yield f"  {count} not used: {reason}"
+    if lost := dropped_text(found.dropped or {}):
+        yield f"  lost: {lost}"
     for text in found.notes:
         yield f"  {text}"
 
@@ -85,7 +87,7 @@ def _start(found: Contents, begin_ns: int) -> str:
     if found.dated == "":
         return ", undated"
     day = ", the day by the file's name" if found.dated == "name" else ""
-    zone = " UTC" if found.zoned else ""
+    zone = " UTC" if found.zoned else ", local time"
     return f" from {moment(begin_ns)}{zone}{day}"
 
 
@@ -130,6 +132,7 @@ def _as_json(found: Contents) -> dict[str, Any]:
         ],
         "columns": [asdict(column) for column in found.columns],
         "columns_not_used": list(found.unused),
+        "columns_not_used_why": by_reason(found.unused),
         "can_profile": found.profile,
         "vehicles": list(found.vehicles),
         "readings": {k: _flow_json(flow) for k, flow in (drive.flows if drive else {}).items()},

@@ -40,7 +40,7 @@ def mqtt(
         str, typer.Option(help="teslamate, ovms, or a mapping file of topics.")
     ] = "teslamate",
     namespace: Annotated[
-        str, typer.Option(help="TeslaMate's MQTT_NAMESPACE, or OVMS's topic.prefix.")
+        str, typer.Option(help="MQTT_NAMESPACE of TeslaMate, topic.prefix of OVMS.")
     ] = "",
     broker: Annotated[str, typer.Option(help="HOST or HOST:PORT.")] = "localhost",
     user: Annotated[str | None, typer.Option(help="Else EVPINN_MQTT_USER.")] = None,

@@ -52,6 +52,13 @@ ColumnOption = Annotated[
     list[str] | None,
     typer.Option(help="What a column holds: speed=NAME:km/h; more in evpinn convert."),
 ]
+ElevationOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Folder of SRTM tiles (N48E011.hgt), for heights of a log that has places.",
+    ),
+]
 StartOption = Annotated[float, typer.Option(min=0.0, help="Skip the first N seconds.")]
 Elm327Option = Annotated[
     str | None,

@@ -12,12 +12,13 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.can.logs import LOG_SUFFIXES
+from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
     CanProfileOption,
     ColumnOption,
+    ElevationOption,
     MetricsOption,
     ParamsOption,
     StartOption,
@@ -29,9 +30,10 @@ from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
-from evpinn_ros.drives.formats import TABLE_SUFFIXES, is_drive_table, suffix_of
+from evpinn_ros.drives.formats import TABLE_SUFFIXES, suffix_of
 from evpinn_ros.drives.sources import Source
-from evpinn_ros.drives.trips import split
+from evpinn_ros.drives.terrain import Terrain
+from evpinn_ros.drives.trips import joined, split
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.breakdown_text import breakdown_lines
@@ -99,9 +101,10 @@ def replay(
         int, typer.Option(min=1, max=1000, help="Replay all inputs so many times.")
     ] = 1,
     whole: Annotated[
-        bool, typer.Option("--whole", help="Do not split a log into its trips.")
+        bool, typer.Option("--whole", help="Take each file as one drive: split and join none.")
     ] = False,
     column: ColumnOption = None,
+    elevation: ElevationOption = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
 ) -> None:
@@ -127,13 +130,19 @@ def replay(
     elif state is not None and not state.exists():
         note(f"evpinn: {state} is not there yet: the car begins as its vehicle file says")
     open_input = partial(
-        car.open, can_profile=can_profile, trust_profile=trust_profile, columns=column or ()
+        car.open,
+        can_profile=can_profile,
+        trust_profile=trust_profile,
+        columns=column or (),
+        terrain=None if elevation is None else Terrain(elevation),
     )
     first, unreadable = _opened(open_input, inputs, whole)
     again = (one for _ in range(loop - 1) for one in _opened(open_input, inputs, whole)[0])
     with Interruption() as interruption:
         try:
-            folders = output_folders(out, [source.path for source in first] * loop)
+            paths = [source.path for source in first] * loop
+            several = len(inputs) > 1 or len(paths) > 1  # though all of them be one drive
+            folders = output_folders(out, paths, several=several)
             for source, folder in zip(chain(first, again), folders, strict=True):
                 if interruption.asked:
                     break
@@ -141,7 +150,7 @@ def replay(
                 _show(found, source, car.vehicle, warm_up, len(folders) > 1, units.units)
         finally:
             # Whatever ends a later drive, the results of those before it are kept.
-            written = _write(car, (metrics, report, state), units.units)
+            written = _write(car, (metrics, report, state), units.units, len(inputs) > 1)
     if len(car.done) > 1:
         rows = [(each.drive, each.metrics) for each in car.done]
         show(drives_table(rows, units.units), at_least=WIDE)
@@ -161,15 +170,23 @@ def _opened(
     Raises:
         InputError: none can be read.
     """
+    logs: list[Source] = []
     found: list[Source] = []
     unreadable: list[str] = []
     for path in chain.from_iterable(map(_files, inputs)):
         try:
-            log = open_input(path)
-            explain_columns(log)
-            if whole or not is_drive_table(path):
-                found.append(log)
-                continue
+            logs.append(open_input(path))
+            explain_columns(logs[-1])
+        except InputError as error:
+            unreadable.append(str(error))
+    drives = logs if whole else joined(logs)
+    if len(drives) < len(logs):
+        note(f"{len(logs)} files are {len(drives)} logs: some continue the file before")
+    for log in drives:
+        if whole or not log.rules:  # which a table has
+            found.append(log)
+            continue
+        try:
             trips, charged = split(log)
         except InputError as error:
             unreadable.append(str(error))
@@ -177,7 +194,7 @@ def _opened(
         found += trips
         if len(trips) > 1:
             kwh = f"; charged while parked: {charged / JOULES_PER_KWH:.1f} kWh" if charged else ""
-            note(f"{path}: {len(trips)} trips{kwh}")
+            note(f"{log.path}: {len(trips)} trips{kwh}")
     if not found:
         raise InputError("; ".join(unreadable) or "no recording in this folder")
     return found, unreadable
@@ -241,14 +258,17 @@ def _show(
 
 
 def _write(
-    car: CarReplay, files: tuple[Path | None, Path | None, Path | None], units: Units
+    car: CarReplay,
+    files: tuple[Path | None, Path | None, Path | None],
+    units: Units,
+    several: bool,
 ) -> bool:
     """Write all that was asked for; one file that cannot be written does not cost the others."""
     if not car.done:
         return True
     metrics, report, state = files
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
-        (metrics, lambda path: _write_metrics(path, car.done)),
+        (metrics, lambda path: _write_metrics(path, car.done, several)),
         (report, lambda path: _write_report(path, car, units)),
         (state, car.write_state),
     ]
@@ -264,9 +284,9 @@ def _write(
     return problems == 0
 
 
-def _write_metrics(path: Path, done: list[Replayed]) -> None:
+def _write_metrics(path: Path, done: list[Replayed], several: bool) -> None:
     found: list[dict[str, Any]] = [result.metrics for result in done]
-    write_json(path, found if len(found) > 1 else found[0])
+    write_json(path, found if several or len(found) > 1 else found[0])
 
 
 def _write_report(path: Path, car: CarReplay, units: Units) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from evpinn_ros.cli.console import note
-from evpinn_ros.drives.column import Column
-from evpinn_ros.drives.sources import Source
+
+if TYPE_CHECKING:
+    from evpinn_ros.drives.column import Column
+    from evpinn_ros.drives.sources import Source
 
 
 def explain_columns(source: Source) -> None:
@@ -29,7 +32,7 @@ def explain_notes(source: Source) -> None:
         note(text if text.startswith(str(source.path)) else f"{source.path}: {text}")
 
 
-def shorter(names: Sequence[str]) -> str:
+def shorter(names: Iterable[str]) -> str:
     """Names in a list, those that differ by a number alone as the first and the last of them."""
     runs: list[list[str]] = []
     for name in names:

@@ -39,15 +39,15 @@ class Column:
         return self.name == QUANTITIES[self.quantity].column
 
     def measured_in(self, text: str, unit: Unit, why: str) -> Column:
-        """The same column, its unit known."""
+        """Column whose unit is known."""
         return replace(self, factor=unit.factor, offset=unit.offset, unit=text, why=why)
 
     def turned(self) -> Column:
-        """The same column with the other sign."""
+        """Column with the other sign."""
         return replace(self, factor=-self.factor, offset=-self.offset, unit=f"-{self.unit}")
 
     def in_unit(self, text: str, why: str) -> Column:
-        """The same column in a unit of its quantity, as `QUANTITIES` spells it."""
+        """Column in a unit of its quantity, as `QUANTITIES` spells it."""
         return self.measured_in(text, QUANTITIES[self.quantity].units[text], why)
 
 
@@ -82,7 +82,7 @@ def columns_by_name(
             continue
         if quantity == "time":
             names = [i for i in range(len(header)) if score(quantity, header[i]) > 0]
-            found += [_by_name(quantity, header, i) for i in names if i not in taken]
+            found += [column_of(quantity, header, i) for i in names if i not in taken]
             continue
         # Power is voltage times current: of a stranger's file it is not needed then.
         if quantity == "power" and {"voltage", "current"} <= known:
@@ -92,7 +92,7 @@ def columns_by_name(
         scores |= {i: most for i, most in _of_app(quantity, header).items() if i not in empty}
         best = max(scores, key=lambda i: scores[i], default=None)
         if best is not None and scores[best] > 0:
-            found.append(_by_name(quantity, header, best))
+            found.append(column_of(quantity, header, best))
             known.add(quantity)
             taken.add(best)
     return found
@@ -152,8 +152,12 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
     return column.turned() if unit.startswith("-") else column
 
 
-def _by_name(quantity: str, header: Sequence[str], place: int) -> Column:
-    """A column with the unit that its name tells, or none."""
+def column_of(quantity: str, header: Sequence[str], place: int) -> Column:
+    """A column for a quantity with the unit that its name tells, or none.
+
+    Raises:
+        InputError: its name has a unit that is not known.
+    """
     name = header[place]
     text, unit = unit_of(quantity, name)
     column = Column(quantity, name, place=place)

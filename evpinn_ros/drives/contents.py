@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass, replace
-from itertools import islice
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, is_bag, open_can_log
-from evpinn_ros.bags.convert import reported
-from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.can.inspection import Inspection
-from evpinn_ros.can.profile import bundled_profiles
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, data_coverage
 from evpinn_ros.drives.formats import is_drive_table
 from evpinn_ros.drives.sources import Source, open_source
-from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
+from evpinn_ros.signals.progress import reported
+from evpinn_ros.vehicle.files import load_vehicle
 
-BITRATE = 500_000  # bit/s; the load of the bus is not known here
-INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
 GENERIC = "generic"
 
 Bar = Callable[[float | None], AbstractContextManager[Callable[[float], None] | None]]
@@ -45,7 +38,7 @@ class Contents:
     kind: str  # `bag`, `CAN log` or `table`
     topics: tuple[TopicContents, ...] = ()  # of a bag
     columns: tuple[Column, ...] = ()  # of a table that are used
-    unused: tuple[str, ...] = ()  # names of those that are not
+    unused: Mapping[str, str] = field(default_factory=dict)  # those that are not, and why
     # what tells the day of a table, see `Source`; None of what has stamps
     dated: str | None = None
     zoned: bool = True  # whether its clock is UTC or names its zone
@@ -82,48 +75,14 @@ def contents(
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
-        return _with_drive(Contents(path, "table"), None, columns, bar)
-    if not is_bag(path):
-        found = Contents(path, "CAN log")
-        return _with_frames(found, open_can_log(path), bar)
-    found = Contents(path, "bag", topics=_topics(path))
-    if holds_frames(path):
-        return _with_frames(found, BagFrames(path), bar)
-    return _with_drive(found, None, columns, bar)
+        return with_drive(Contents(path, "table"), None, columns, bar)
+    # What reads buses takes half a second to import: who opens a table does not wait for it.
+    from evpinn_ros.drives.bus_contents import bus_contents
+
+    return bus_contents(path, bar)
 
 
-def _topics(path: Path) -> tuple[TopicContents, ...]:
-    with BagReader(path) as reader:
-        flows = {name: ReadingFlow() for name in reader.topics}
-        for name, log_time_ns in reader.log_times():
-            flows[name].add(log_time_ns)
-        return tuple(
-            TopicContents(name, info.type_name, flows[name])
-            for name, info in reader.topics.items()
-        )
-
-
-def _with_frames(found: Contents, log: CanLog, bar: Bar) -> Contents:
-    """Add the profile that fits, and what the drive is by it."""
-    inspection = Inspection(bundled_profiles(), BITRATE)
-    for frame in islice(log.frames(), INSPECTED):
-        inspection.add_frame(frame)
-    report = inspection.report()
-    profile = report.best.fit.profile if report.best is not None else None
-    names = tuple(
-        car.key
-        for car in map(load_vehicle, vehicle_names())
-        if profile and car.can_profile == profile
-    )
-    found = replace(found, frames=report.frames, profile=profile, vehicles=names)
-    if profile is None and found.kind != "bag":
-        return replace(found, notes=("no known CAN profile fits: evpinn can inspect says why",))
-    return _with_drive(found, profile, (), bar)
-
-
-def _with_drive(
-    found: Contents, profile: str | None, columns: Sequence[str], bar: Bar
-) -> Contents:
+def with_drive(found: Contents, profile: str | None, columns: Sequence[str], bar: Bar) -> Contents:
     """Add what the estimator can use."""
     try:
         source = _source(found, profile, columns)

@@ -113,11 +113,11 @@ def _road(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> float:
     return float(np.quantile(ratios, 0.25))
 
 
-def _mass(speed: Signal, power: Signal) -> float:
-    """Power over speed times acceleration in the file's units of speed; NaN where they differ.
+def pull(speed: Signal, power: Signal) -> float:
+    """Power over speed times acceleration in these units; NaN where they are not alike.
 
-    The change of kinetic energy is most of a car's power, so this is its mass, kg, where the
-    speed is in m/s, and a thirteenth of it where it is in km/h.
+    The change of kinetic energy is most of a car's power, so this is its mass, kg, where speed is
+    in m/s, a thirteenth of it where it is in km/h, and below zero for a power of the other sign.
     """
     times, change = accelerations(speed)
     kinetic = change * at_times(speed, times)
@@ -128,7 +128,7 @@ def _mass(speed: Signal, power: Signal) -> float:
     spread = np.cov(kinetic[known], drawn[known])
     if abs(spread[0, 1]) < LIKE * np.sqrt(spread[0, 0] * spread[1, 1]):
         return np.nan
-    return float(abs(spread[0, 1]) / spread[0, 0])
+    return float(spread[0, 1] / spread[0, 0])
 
 
 def _power_of(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> Signal | None:
@@ -158,7 +158,7 @@ def _speed_unit(
         text = "mph" if odometer.unit.startswith("mi") else "km/h"
         return column.in_unit(text, "as the unit of the odometer")
     power = _power_of(found, cells)
-    mass = _mass(signal, power) if power is not None else np.nan
+    mass = abs(pull(signal, power)) if power is not None else np.nan
     if mass > 0:
         masses = {text: mass / units[text].factor ** 2 for text in ("km/h", "m/s")}
         text = min(masses, key=lambda each: abs(np.log(masses[each] / USUAL_MASS)))

@@ -8,9 +8,8 @@ import os
 from pathlib import Path
 import zlib
 
-from evpinn_ros.bags.can_frames import BAG_SUFFIXES
-from evpinn_ros.can.log_readers import GVRET_HEADER
-from evpinn_ros.can.logs import LOG_SUFFIXES
+from evpinn_ros.bags.names import BAG_SUFFIXES
+from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import open_unpacked
 from evpinn_ros.drives.text_table import ConvertedTable

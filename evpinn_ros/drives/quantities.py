@@ -196,7 +196,8 @@ def words_of(name: str) -> tuple[str, tuple[str, ...]]:
     rest = re.sub(r"^\s*\[[^\]]*\]", "", name)
     brackets = re.findall(r"[\[(]([^\])]*)[\])]", rest)
     bare = re.sub(r"[\[(][^\])]*[\])]?", " ", rest)
-    bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
+    bare = bare.replace("_", " ")
+    bare = re.sub(r"(?<=[a-z])(?<!\bk)(?<!\bm)(?=[A-Z])", " ", bare)  # kW and mV are one word
     words = re.findall(r"[^\W_]+", bare.lower())
     return f" {' '.join(words)} ", tuple(text.strip().lower() for text in brackets)
 
@@ -222,6 +223,12 @@ def score(quantity: str, name: str) -> float:
     return 1.0 + has(known.better) - 0.5 * min(1, has(known.worse))
 
 
+def speaks_of(quantity: str, name: str) -> bool:
+    """True if a name has a word of the quantity, of whatever part of the car it is."""
+    words, _ = words_of(name)
+    return any(f" {phrase} " in words for phrase in _phrases(QUANTITIES[quantity].words))
+
+
 def may_be_of_use(name: str) -> bool:
     """True if a signal of this name may hold a quantity beside the time."""
     return any(score(quantity, name) > 0 for quantity in QUANTITIES if quantity != "time")
@@ -243,7 +250,7 @@ def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
         # A name of one word is the name: "t" is no ton, and "h" no hour.
         if len(parts) > 1 and text in units:
             return text, units[text]
-        if len(parts) == 1 and quantity == "speed" and text in units:
+        if len(parts) == 1 and quantity in ("speed", "power") and text in units:
             return text, units[text]
     unknown = brackets and brackets[-1] and brackets[-1] not in QUALIFIERS
     return (brackets[-1], None) if unknown else ("", None)

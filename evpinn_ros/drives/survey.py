@@ -10,6 +10,7 @@ from itertools import islice
 from typing import Protocol
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.app_layouts import layout_of
 from evpinn_ros.drives.quantities import QUANTITIES, known_unit, score
 
 # The columns of a table with one value a row.
@@ -52,13 +53,20 @@ class Head:
 def find_head(table: Table) -> Head:
     """The first row whose cells are names of ours, a row of units below it joined in.
 
+    A log without header that a known app wrote has that of the app.
+
     Raises:
         InputError: the table is empty or cannot be read.
     """
     rows = list(islice(table.rows(), HEADER_WITHIN))
     if not rows:
         raise InputError("the file is empty")
-    place = next((i for i, (_, row) in enumerate(rows) if _names_some(row)), 0)
+    place = next((i for i, (_, row) in enumerate(rows) if _names_some(row)), None)
+    if place is None:
+        layouts = (layout_of(row) for _, row in rows)
+        if names := next(filter(None, layouts), None):
+            return Head(names, rows[0][0] - 1)
+        place = 0
     number, row = rows[place]
     names = [name.strip().strip("\ufeff") for name in row]
     comments = [",".join(cells) for _, cells in rows[:place]]
@@ -119,6 +127,7 @@ class Survey:
     cells: dict[int, list[str]]  # of each wanted column, in the order of the file, thinned evenly
     widths: Counter[int]  # how many rows have so many cells
     width: int  # of the header
+    empty: frozenset[int] = frozenset()  # places of columns without a cell in the rows looked at
 
     def is_whole(self, width: int) -> bool:
         """True if a row of so many cells is one of this table and not torn."""
@@ -144,16 +153,19 @@ def look_through(
     kept: list[tuple[str, ...]] = []
     most = max(1000, MOST_CELLS // max(1, len(wanted)))
     stride = 1
+    empty = set(range(len(head.names)))
 
     def seen() -> Survey:
         columns = list(zip(*kept, strict=True)) if kept else [()] * len(wanted)
         cells = {place: list(column) for place, column in zip(wanted, columns, strict=True)}
-        return Survey(cells, widths, len(head.names))
+        return Survey(cells, widths, len(head.names), frozenset(empty))
 
     looked = islice(data_rows(table, head), limit)
     for index, (_, row) in enumerate(_until_broken(looked)):
         width = len(row)
         widths[width] += 1
+        if empty:
+            empty -= {place for place in empty if place < width and row[place].strip()}
         if index == ROWS_THAT_TELL:
             early(seen())
         if index % stride:

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.clock_choice import choose_clock
+from evpinn_ros.drives.clock_choice import choose_clock, start_by_date
 from evpinn_ros.drives.column import Column, check_columns, columns_by_name
+from evpinn_ros.drives.contradictions import contradictions, power_beside
 from evpinn_ros.drives.evidence import Signal, seconds, stands_still, with_units
 from evpinn_ros.drives.long_form import LongTable
 from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
-from evpinn_ros.drives.quantities import QUANTITIES, Unit
+from evpinn_ros.drives.quantities import PLACES, QUANTITIES, Unit
 from evpinn_ros.drives.rows_to_readings import MOST, RowOrder, RowReadings
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.drives.survey import (
@@ -30,18 +31,22 @@ from evpinn_ros.drives.survey import (
     long_form,
     look_through,
 )
+from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.drives.times import (
     LAST_TIME_NS,
     NONE,
     RELATIVE_BELOW_S,
     Clock,
     date_of_name,
+    days_of_name,
     is_newest_first,
     start_of_comments,
 )
+from evpinn_ros.drives.unused import NO_USE, unused_columns
 from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS, Reading
 
 BATCH, BATCH_CELLS = 16_384, 500_000  # rows, and cells of them, converted at once
+NEEDED = {"time", "speed", "voltage", "current", "power"}
 FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed
 
 Stamps = NDArray[np.int64]
@@ -69,18 +74,20 @@ class TableDrive(Source):
         chosen: Sequence[str] = (),
         *,
         battery: bool = True,
+        terrain: Terrain | None = None,
     ) -> None:
         """Look through the table.
 
         The path is for messages, and a date in its name. Power alone becomes current at
         `nominal_voltage`, V; `chosen` are columns that are given, see `column.columns_by_name`;
-        without `battery` none of its columns is needed.
+        without `battery` none of its columns is needed. Heights are those of the `terrain` at its
+        places, if given.
 
         Raises:
             InputError: empty, columns are missing, a choice is wrong or a unit is not known.
         """
         super().__init__(path)
-        self._table = table
+        self._table, self._terrain = table, terrain
         self._nominal_voltage = nominal_voltage
         self._at_nominal_voltage = 0
         self._no_speed = False  # zero throughout while the odometer goes on, so it is not used
@@ -94,6 +101,7 @@ class TableDrive(Source):
             header = self._head.names
             found = columns_by_name(header, chosen)
             check_columns(found, header, battery=battery)
+            self._beside = power_beside(header, found)
         except InputError as error:
             text = str(error)
             raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
@@ -114,13 +122,12 @@ class TableDrive(Source):
             stamps = stamps[::-1]
             for cells in survey.cells.values():
                 cells.reverse()
+        self._contradictions: tuple[str, ...] = ()
         self.rules = self._ruled(found, own, stamps)
-        used = {*(rule.place for rule in self.rules), *self.clock.columns}
-        self.ignored = (
-            *(name for i, name in enumerate(header) if i not in used and name),
-            *(self._table.others if isinstance(self._table, LongTable) else ()),
-        )
-        self._start_ns, self.dated = self._start(stamps)
+        self.ignored = unused_columns(header, self.rules, self.clock.columns, survey.empty)
+        if isinstance(self._table, LongTable):
+            self.ignored |= dict.fromkeys(self._table.others, NO_USE)
+        self._start_ns, self.dated = self._start(found, stamps)
 
     @property
     def seconds(self) -> float | None:
@@ -139,7 +146,7 @@ class TableDrive(Source):
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for a person on how it was read; complete once exhausted."""
-        notes = []
+        notes = [*self._contradictions]
         if self._no_speed:
             notes.append("speed is 0 throughout while the odometer goes on, so it is not used")
         if self._at_nominal_voltage:
@@ -199,14 +206,15 @@ class TableDrive(Source):
         return look_through(
             self._table,
             self._head,
-            sorted({column.place for column in found}),
+            sorted({column.place for column in (*found, *filter(None, [self._beside]))}),
             early=partial(self._chosen_clock, found),
             limit=limit,
         )
 
     def _chosen_clock(self, found: Sequence[Column], survey: Survey) -> Clock:
         """The clock of the table; InputError when no column of time can be read."""
-        clock = choose_clock(found, survey, _styles(survey), self._head.names)
+        days = days_of_name(self.path.name)
+        clock = choose_clock(found, survey, _styles(survey), self._head.names, days)
         if clock is None:
             raise InputError(f"{self.path}: {_no_time(found, survey)}")
         return clock
@@ -260,11 +268,14 @@ class TableDrive(Source):
     def _values(self, batch: Batch, stamps: Stamps) -> Numbers:
         """SI values of the quantities that are used; cells without a time are counted."""
         self._count_times(batch, stamps)
-        return {
+        values = {
             rule.quantity: self._numbers(batch, rule)
             for rule in self.rules
             if rule.quantity not in ("time", "odometer")
         }
+        if self._terrain is not None and values.keys() >= set(PLACES):
+            values["elevation"] = _heights(self._terrain, *(values[each] for each in PLACES))
+        return values
 
     def _until_broken(self, broken: list[InputError]) -> Iterator[Row]:
         """Rows that are whole; the error that ends the file goes to `broken`."""
@@ -321,23 +332,30 @@ class TableDrive(Source):
             why = "as given" if given else clock.why or "by its cells"
             time = time.measured_in(clock.unit or clock.kind, meant, why)
         used = {column.quantity: column for column in found if column.quantity != "time"}
+        times = _seconds(clock.running().add(stamps))
+        beside = {"power": self._beside} if self._beside else {}
+        signals = {name: self._signal(each, times) for name, each in {**used, **beside}.items()}
         if not own:
-            times = _seconds(clock.running().add(stamps))
-            cells, styles = self._survey.cells, self._styles
-            signals = {
-                name: Signal(times, to_floats(cells[each.place], styles[each.place]))
-                for name, each in used.items()
-            }
             used = with_units(used, signals, frozenset(header))
             self._no_speed = stands_still(used, signals)
+        self._contradictions = tuple(contradictions({**used, **beside}, signals))
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))
 
-    def _start(self, stamps: Stamps) -> tuple[int, str]:
+    def _signal(self, column: Column, times: NDArray[np.float64]) -> Signal:
+        """The cells of a column that were looked at, in the file's unit."""
+        cells, style = self._survey.cells[column.place], self._styles[column.place]
+        return Signal(times, to_floats(cells, style))
+
+    def _start(self, found: Sequence[Column], stamps: Stamps) -> tuple[int, str]:
         """Offset to add to the times of the clock, ns, and the source of the date."""
         clock, known = self.clock, stamps[stamps != NONE]
         first = int(known[0]) if known.size else NONE
         if clock.dated or first >= RELATIVE_BELOW_S * NANOSECONDS:
             return 0, "log"
+        days = days_of_name(self.path.name)
+        if dated := start_by_date(clock, found, self._survey, self._styles, days):
+            self.zoned = dated[1].zoned
+            return dated[0], "log"
         # A time of day, or seconds since midnight as Car Scanner's long form has them.
         day = date_of_name(self.path.name, first, certain=clock.kind == "time of day")
         if day is not None:
@@ -351,7 +369,10 @@ class TableDrive(Source):
 def _filled(
     found: list[Column], survey: Survey, header: Sequence[str], chosen: Sequence[str]
 ) -> list[Column]:
-    """The columns, a guessed one without any cell in place of another of its quantity, if any."""
+    """The columns without guessed ones that have no cell; others of their quantity come instead.
+
+    What a drive needs stays, for it is missed by name later.
+    """
     empty = {
         column.place
         for column in found
@@ -360,8 +381,25 @@ def _filled(
         and not any(cell.strip() for cell in survey.cells[column.place])
     }
     others = columns_by_name(header, chosen, empty) if empty else found
-    known = {column.quantity for column in found if column.place not in empty}
-    return others if known < {column.quantity for column in others} else found
+    lost = {column.quantity for column in found} - {column.quantity for column in others}
+    return found if lost & NEEDED else others
+
+
+def _heights(
+    terrain: Terrain, latitude: NDArray[np.float64], longitude: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Heights of the ground where the place is new, m; of a place in two rows at the second."""
+    new = np.isfinite(latitude) | np.isfinite(longitude)
+    place = [_held(each)[new] for each in (latitude, longitude)]
+    heights = np.full(latitude.shape, np.nan)
+    heights[new] = terrain.heights(*place)
+    return heights
+
+
+def _held(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each value until the next."""
+    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))
+    return np.asarray(values[last])
 
 
 def _batches(rows: Iterator[Row]) -> Iterator[Batch]:

@@ -6,7 +6,8 @@ and jumps least. polars reads the cells by it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from itertools import product
@@ -208,8 +209,13 @@ def _begins_anew(times: NDArray[np.float64], day: float) -> bool:
     return bool(inside and (np.diff(times) < -0.9 * day).any())
 
 
-def clock_of_text(columns: tuple[int, ...], cells: Sequence[Sequence[str]]) -> Clock | None:
-    """The clock of columns of dates or times of day; None where most cells are neither."""
+def clock_of_text(
+    columns: tuple[int, ...], cells: Sequence[Sequence[str]], days: Collection[int] = ()
+) -> Clock | None:
+    """The clock of columns of dates or times of day; None where most cells are neither.
+
+    `days` since 1970 may be the first one: they decide where a date can be read in two ways.
+    """
     text = _joined(cells)
     text = text.filter(text.str.contains(r"\d\D\d|\d{8}"))
     filled = max(sum(bool(cell.strip()) for cell in column) for column in cells)
@@ -235,7 +241,11 @@ def clock_of_text(columns: tuple[int, ...], cells: Sequence[Sequence[str]]) -> C
             )
         long = float(np.sum(np.abs(steps) > DAY_NS)) if with_date else 0.0
         span = float(np.ptp(stamps)) if with_date else 0.0
-        merit = (-float(stamps.size), float(backwards), long, span, float(rank))
+        named = with_date and int(stamps[0]) // DAY_NS in days
+        merit = (
+            *(-float(stamps.size), float(backwards), long, span),
+            *(-float(named), float(rank)),
+        )
         kind = "date" if with_date else "time of day"
         clock = Clock(columns, kind, pattern, "", "%z" in pattern, order, twelve)
         found.append((merit, clock))
@@ -247,7 +257,7 @@ def _best(found: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
         return None
     found.sort(key=lambda each: each[0])
     merit, clock = found[0]
-    rivals = [other for m, other in found[1:] if m[:4] == merit[:4] and other.why != clock.why]
+    rivals = [other for m, other in found[1:] if m[:5] == merit[:5] and other.why != clock.why]
     if rivals and clock.why:
         doubt = f"{clock.why}; could be {rivals[0].why} as well"
         clock = replace(clock, why=doubt)
@@ -320,6 +330,17 @@ def start_of_comments(comments: Sequence[str]) -> int | None:
             if clock is not None and clock.kind == "date":
                 return int(clock.stamps({0: cells})[0])
     return None
+
+
+def days_of_name(name: str) -> frozenset[int]:
+    """Days since 1970 that a file's name may hold, as 20181101 or 181101."""
+    found = set()
+    for match in re.finditer(r"(?<!\d)(?:20)?(\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?!\d)", name):
+        year, month, day = (int(part) for part in match.groups())
+        with suppress(ValueError):
+            moment = datetime(2000 + year, month, day, tzinfo=timezone.utc)
+            found.add(int(moment.timestamp()) * NANOSECONDS // DAY_NS)
+    return frozenset(found)
 
 
 def date_of_name(stem: str, first_ns: int, *, certain: bool) -> int | None:

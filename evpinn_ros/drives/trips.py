@@ -1,4 +1,6 @@
-"""A log of a day into its trips: they end where the car is parked or charges.
+"""Logs into trips: those torn into several files are joined, those of a day are split.
+
+A file that begins within `LONGEST_PAUSE` of the end of the one before continues its drive.
 
 An app that logs from morning to evening writes one file. A trip of it ends where no speed comes
 for `LONGEST_PAUSE`, where the car stands as long, and where it charges: it stands for
@@ -8,12 +10,14 @@ for `LONGEST_PAUSE`, where the car stands as long, and where it charges: it stan
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from itertools import pairwise, takewhile
 import math
 from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
@@ -38,6 +42,72 @@ class Trips(NamedTuple):
 
     found: tuple[Trip, ...]
     charged: float
+
+
+class JoinedLog(Source):
+    """Files that an app wrote of one drive, one after another."""
+
+    def __init__(self, files: Sequence[Source]) -> None:
+        """The files in order; the first has the name and the columns that are shown."""
+        first = files[0]
+        super().__init__(first.path)
+        self.rules, self.ignored, self.dated, self.zoned = (
+            first.rules, first.ignored, first.dated, first.zoned,
+        )  # fmt: skip
+        self._files = files
+
+    @property
+    def seconds(self) -> float | None:
+        """Length of all files together, without the pauses between them, s."""
+        lengths = [each.seconds for each in self._files]
+        return sum(filter(None, lengths)) if all(lengths) else None
+
+    @property
+    def problem(self) -> str | None:
+        """Unreadable parts of the files."""
+        return "; ".join(each.problem for each in self._files if each.problem) or None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes of all files, each once."""
+        return tuple(dict.fromkeys(note for each in self._files for note in each.notes))
+
+    def readings(self) -> Iterator[Reading]:
+        """The readings of all files in order."""
+        for each in self._files:
+            yield from each.readings()
+        self.dropped.clear()
+        for each in self._files:
+            self.dropped.update(each.dropped)
+
+
+def joined(logs: Sequence[Source]) -> list[Source]:
+    """The logs, those that continue the one before joined with it.
+
+    Files continue each other if their dates are known and the pause between them ends no trip.
+    """
+    groups: list[list[Source]] = []
+    end_ns = None
+    for log in logs:
+        span = _span(log)
+        pause = (span[0] - end_ns) / NANOSECONDS if span and end_ns is not None else math.inf
+        if groups and 0.0 <= pause <= LONGEST_PAUSE:
+            groups[-1].append(log)
+        else:
+            groups.append([log])
+        end_ns = span[1] if span else None
+    return [group[0] if len(group) == 1 else JoinedLog(group) for group in groups]
+
+
+def _span(log: Source) -> tuple[int, int] | None:
+    """First and last stamp of a table whose day is known, ns; None of any other log."""
+    seconds = log.seconds
+    if not log.rules or not log.dated or seconds is None:
+        return None
+    with suppress(InputError):
+        if (first := next(log.readings(), None)) is not None:
+            return first.stamp_ns, first.stamp_ns + round(seconds * NANOSECONDS)
+    return None
 
 
 class TripSource(Source):

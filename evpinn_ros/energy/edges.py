@@ -8,7 +8,7 @@ of routes are added up by `Edges.route`, and compared by the sigma of their diff
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
 
@@ -17,13 +17,13 @@ import numpy as np
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.plan import Legs
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.estimation.posterior import standing
 from evpinn_ros.estimation.states import SIZE
-from evpinn_ros.estimation.terms import WARM
-from evpinn_ros.estimation.unevenness import Path
+from evpinn_ros.estimation.unevenness import Path, per_leg
 
 JUDGED = 2000  # edges by which directions are chosen
 LEAST_SHARE = 1e-4  # of the variance of these; a direction with less is left out
-CHUNK = 2048  # edges computed together, so that what they need stays in the cache
+CHUNK = 4096  # edges computed together, so that what they need stays in the cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,23 +80,25 @@ def edge_energies(
         weather: on the way.
         head_wind: against the car on every edge, m/s.
     """
-    car, warm = model.car, weather._replace(start=WARM)
-    count = len(legs.length)
+    car, count = model.car, len(legs.length)
     some = np.arange(count)[:: max(1, count // JUDGED)]
-    rows = _onto(legs, some, model, warm, head_wind, np.eye(SIZE))[0]
-    onto = np.column_stack((car.mean, _directions(rows, car.covariance)))
-    parts = [
-        _onto(legs, slice(begin, begin + CHUNK), model, warm, head_wind, onto)
-        for begin in range(0, count, CHUNK)
-    ]
-    found, uneven = (np.concatenate(each) for each in zip(*parts, strict=True))
-    own = model.noise(legs.duration, legs.length**2 / legs.duration)
+    rows = _projected(model, weather, head_wind, np.eye(SIZE))(legs, some)[:, :-1]
+    unknown = math.sqrt(car.trust) * _directions(rows, model.covariance)
+    onto = np.column_stack((car.mean, unknown))
+    projected = _projected(model, weather, head_wind, onto)
+    energy, uneven = np.empty(count), np.empty(count)
+    directions = np.empty((count, unknown.shape[1]), np.float32)  # memory is what takes time
+    for begin in range(0, count, CHUNK):
+        part = slice(begin, begin + CHUNK)
+        found = projected(legs, part)
+        energy[part], directions[part], uneven[part] = found[:, 0], found[:, 1:-1], found[:, -1]
+    stood = standing(legs.duration, legs.length)
+    own = model.noise(legs.duration, stood, legs.length**2 / legs.duration)
     own += car.load_variance * legs.duration**2
     own += car.growth * car.weight_over_eta**2 * legs.length * ~legs.height_known
-    trust = math.sqrt(car.trust)
     return Edges(
-        energy=found[:, 0],
-        directions=trust * found[:, 1:],
+        energy=energy,
+        directions=directions,
         own=car.trust * own,
         uneven=car.unevenness.share * np.abs(uneven),
     )
@@ -111,22 +113,24 @@ def _directions(rows: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.asarray(root @ turned[:, size > LEAST_SHARE * size.sum()])
 
 
-def _onto(
-    legs: Legs,
-    part: slice | np.ndarray,
-    model: PowerModel,
-    weather: Weather,
-    head_wind: float,
-    onto: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of some edges times `onto`, (n, k), and the energy of uneven speed in them, J."""
-    duration, length, climb = legs.duration[part], legs.length[part], legs.climb[part]
-    zero, flow = np.zeros_like(duration), length / duration + head_wind
-    columns = duration, length, flow * np.abs(flow) * length, zero, climb
-    found = model.steps_onto(Motion(*(each[:, None] for each in columns)), weather, onto)
-    density = np.full_like(duration, weather.air_density)
-    path = Path(duration, length, zero, zero, climb, density, zero)
+def _projected(
+    model: PowerModel, weather: Weather, head_wind: float, onto: np.ndarray
+) -> Callable[[Legs, slice | np.ndarray], np.ndarray]:
+    """Function of some edges that gives their rows times `onto`, shape (n, k + 1).
+
+    The last column is the energy of uneven speed in them, J.
+    """
     car = model.car
-    with_mean = np.column_stack((onto, car.mean))
-    beyond = car.unevenness.of_legs(car.equation, path, with_mean)
-    return found + beyond[:, :-1], beyond[:, -1]
+    even = model.projected(weather, onto)
+    uneven = car.unevenness.per_metre(car.equation) @ np.column_stack((onto, car.mean))
+
+    def of_edges(legs: Legs, part: slice | np.ndarray) -> np.ndarray:
+        duration, length, climb = legs.duration[part], legs.length[part], legs.climb[part]
+        zero, flow = np.zeros_like(duration), length / duration + head_wind
+        path = Path(duration, length, zero, zero, climb, weather.air_density + zero, zero)
+        found = per_leg(path, uneven)
+        air = flow * np.abs(flow) * length
+        found[:, :-1] += even(Motion(duration, length, air, zero, climb))
+        return found
+
+    return of_edges

@@ -20,6 +20,7 @@ from evpinn_ros.common.arrays import namespace
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.plan import Legs, Plan, PlanError, points_of
 from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, Weather, vehicle_model
+from evpinn_ros.estimation.posterior import standing
 from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.estimation.unevenness import Path
@@ -152,23 +153,23 @@ def forecast_plan(
     if _is_coarse(points):
         path = _path(points, weather.air_density, wind)
         steps, beyond = model.leg_rows(path, weather)
-        uneven = _accumulated(beyond @ model.car.mean, axis=-1)
+        uneven = _accumulated(np.abs(beyond @ model.car.mean), axis=-1)
     else:
         steps = model.rows(motion_of(points, wind), weather)
     rows = _accumulated(steps, axis=-2)
     elapsed = points.time - points.time[..., :1]
-    square = _accumulated(length**2 / duration, axis=-1)
+    stood, square = standing(duration, length), length**2 / duration
+    noise = model.noise(elapsed, *(_accumulated(each, axis=-1) for each in (stood, square)))
     unseen = _accumulated(unknown, axis=-1)
-    energy, sigma = model.predicted(rows, elapsed, square, unseen, uneven)
+    energy, sigma = model.predicted(rows, elapsed, noise, unseen, uneven)
     power = np.diff(energy) / duration
     power = np.concatenate((power, power[..., -1:]), axis=-1)
     if not np.isfinite(energy + power + sigma).all():
         raise PlanError("by the model of the car its energy is not finite")
     end = UNKNOWN_END
     if energy.ndim == 1:
-        noise = float(model.noise(elapsed[-1], square[-1]))
-        sums = (float(each[-1]) for each in (elapsed, along))
-        end = PlanEnd._make((rows[-1], *sums, noise, float(unseen[-1]), float(uneven[-1])))
+        sums = (float(each[-1]) for each in (elapsed, along, noise, unseen, uneven))
+        end = PlanEnd(rows[-1], *sums)
     return Forecast(time=points.time, energy=energy, power=power, sigma=sigma, end=end)
 
 
@@ -196,7 +197,7 @@ def plan_parts(
     rows[Part.STANDING, State.LOAD] = found.end.row[State.LOAD]
     rows[-1] = found.end.row - rows[WHOLE].sum(0)
     car = model.car
-    variance = car.trust * np.einsum("ij,jk,ik->i", rows, car.covariance, rows)
+    variance = car.trust * np.einsum("ij,jk,ik->i", rows, model.covariance, rows)
     variance[-1] += (car.unevenness.share * found.end.uneven) ** 2
     return Parts(rows @ car.mean, np.sqrt(np.maximum(variance, 0.0)))
 
@@ -274,7 +275,7 @@ def battery_after(result: Forecast, charge: Uncertain, capacity: Uncertain) -> U
 
 
 def battery_along(result: Forecast, charge: Uncertain, capacity: Uncertain) -> np.ndarray:
-    """The same at each point, shape (2, n): NaN where unknown, and below 0 it is empty."""
+    """Charge at each point and its 1-sigma, 0..1, shape (2, n); NaN unknown, below 0 empty."""
     share = result.energy / capacity.value
     parts = charge.sigma, result.sigma / capacity.value, share * capacity.sigma / capacity.value
     return np.stack([charge.value - share, np.sqrt(sum(part**2 for part in parts))])
@@ -286,25 +287,27 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     duration = xp.diff(time)
     if not bool((duration > 0).all()):
         raise PlanError("time does not rise")
-    if not bool((xp.isfinite(speed) & (speed >= 0)).all()):
+    if not bool(((speed >= 0) & (speed < math.inf)).all()):
         raise PlanError("speed is negative or not finite")
-    duration = xp.broadcast_to(duration, (speed.shape[0], speed.shape[1] - 1))
-    start, end = speed[:, :-1], speed[:, 1:]
-    length = 0.5 * (start + end) * duration
+    duration = duration.reshape(-1, duration.shape[-1])  # of all trips, or one each
+    twice, square = speed[:, :-1] + speed[:, 1:], speed**2
+    length = twice * (0.5 * duration)
     climb = xp.zeros_like(length)
     if elevation is not None:
         climb = climb + xp.diff(elevation)
         if not bool(xp.isfinite(climb).all()):
             raise PlanError("elevation is not finite")
     # The integral of v^3 where speed is linear; (a + b)(a^2 + b^2) / 4 is exact.
-    air = 0.25 * (start + end) * (start**2 + end**2) * duration
-    motion = Motion(duration, length, air, 0.5 * (end**2 - start**2), climb)
+    air = 0.5 * length * (square[:, :-1] + square[:, 1:])
+    motion = Motion(duration, length, air, 0.5 * xp.diff(square), climb)
     weather = Weather(density)
     numpy = xp is np  # a table serves many trips, and has no gradient
     rows = model.summed_rows(motion, weather) if numpy else model.rows(motion, weather).sum(-2)
     unseen = length.sum(-1) * (elevation is None)
-    square = (length**2 / duration).sum(-1)
-    return Energies(*model.predicted(rows, duration.sum(-1), square, unseen))
+    steps = duration, standing(duration, length), length**2 / duration
+    elapsed, stood, square = (each.sum(-1) for each in steps)
+    noise = model.noise(elapsed, stood, square)
+    return Energies(*model.predicted(rows, elapsed, noise, unseen))
 
 
 def _rows(array: Any, rows: slice) -> Any:

@@ -6,6 +6,7 @@ intervals of driving. So the forecast of a driven speed is the replay of it with
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
@@ -15,28 +16,31 @@ import numpy as np
 
 from evpinn_ros.common.arrays import like, namespace, within
 from evpinn_ros.estimation.posterior import (
-    FORCE_NOISE,
     LOAD_TIME,
-    NOISE_TIME,
-    STANDING_NOISE,
     CarModel,
-    initial_state,
+    unexplained,
     wandered,
 )
-from evpinn_ros.estimation.states import PHYSICS, WEIGHTS, State
+from evpinn_ros.estimation.size import model_of_file
+from evpinn_ros.estimation.states import PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import (
+    EXPLAINED,
     STANDING,
+    WARM,
     Warmth,
     Wheels,
     climate_powers,
     coldness,
-    equation_of,
 )
 from evpinn_ros.estimation.unevenness import Path, even_rows
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
 
 SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
+CLIMATE_SHARE = 0.4  # 1-sigma of the heating or cooling of a drive over what is likely (e-208)
+CLIMATE_SHOWN = 300.0  # s of a drive within which a third of that is left
+LEAST_TRUST = 1e-3  # lower is none that was learned
+CLIMATE_LIKELY = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]
 # Where the network is looked up for many trips, m/s and m/s^2; between them it is linear.
 GRID_SPEED, GRID_FORCE = np.arange(0.0, 101.0, 1.0), np.linspace(-4.0, 4.0, 33)
 
@@ -85,7 +89,7 @@ class PlanEnd(NamedTuple):
         distance: m.
         noise: variance of what no state explains, J^2.
         unseen: m of road whose height is not known.
-        uneven: energy expected of uneven speed, J.
+        uneven: size of the energy expected of uneven speed, J, leg by leg.
     """
 
     row: np.ndarray
@@ -147,65 +151,76 @@ class PowerModel:
 
     def summed_rows(self, motion: Motion, weather: Weather) -> np.ndarray:
         """Rows of whole trips, shape (batch, SIZE); the network by a table, for it is many."""
-        wheels = self.car.equation.wheels(*motion, weather.air_density)
-        rows = self._summed(wheels, motion.duration, weather)
-        rows[:, WEIGHTS] += _looked_up(wheels, motion.distance, self._table)
-        return rows
-
-    def steps_onto(self, motion: Motion, weather: Weather, onto: np.ndarray) -> np.ndarray:
-        """Rows of steps, each a trip of its own, times `onto`; the network by the same table.
-
-        Args:
-            motion: columns of shape (n, 1).
-            weather: on the way.
-            onto: combinations of the states, shape (SIZE, k).
-
-        Returns:
-            Shape (n, k). The rows themselves would be five times as much to compute.
-        """
-        wheels = self.car.equation.wheels(*motion, weather.air_density)
-        found = self._summed(wheels, motion.duration, weather) @ onto
-        table = (self._table @ onto[WEIGHTS]).reshape(-1, onto.shape[1])
-        cell, shares = _nodes(wheels)
-        way = np.abs(motion.distance)
-        for shift, share in shares:
-            found += table[cell[:, 0] + shift] * (share * way)
-        return np.asarray(found)
-
-    def _summed(self, wheels: Wheels, duration: np.ndarray, weather: Weather) -> np.ndarray:
-        """Rows of whole trips without the force of the network, shape (batch, SIZE)."""
+        equation, duration = self.car.equation, motion.duration
+        wheels = equation.wheels(*motion, weather.air_density)
         celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
-        rows = self.car.equation.moving_sums(wheels, duration, coldness(celsius), warmth.tyres)
+        moving = equation.moving_columns(wheels, duration, coldness(celsius), warmth.tyres)
+        rows = np.zeros((len(motion.distance), SIZE))
+        for state, column in moving.items():
+            rows[:, state] = column.sum(-1)
+        rows[:, WEIGHTS] = _looked_up(wheels, motion.distance, self._table)
+        rows[:, EXPLAINED] -= rows[:, PHYSICS] @ equation.explained
         for state, power in self._loads(weather.heating, celsius, warmth).items():
             rows[:, state] = (power * duration).sum(-1)
         return rows
 
+    def projected(self, weather: Weather, onto: np.ndarray) -> Callable[[Motion], np.ndarray]:
+        """Function of steps, tyres and cabin warm, that gives their rows times `onto`.
+
+        The network is by the same table. The rows themselves would be five times as much to
+        compute.
+
+        Args:
+            weather: on the way.
+            onto: combinations of the states, shape (SIZE, k).
+
+        Returns:
+            Of columns of shape (n,) it makes an array of shape (n, k).
+        """
+        equation, celsius = self.car.equation, self._celsius(weather)
+        network = (self._table @ onto[WEIGHTS]).reshape(-1, onto.shape[1])
+        loads = self._loads(weather.heating, celsius, WARM)
+        power = np.array(list(loads.values())) @ onto[list(loads)]
+        rest = onto.copy()
+        rest[PHYSICS] -= equation.explained @ onto[EXPLAINED]
+
+        def of_steps(motion: Motion) -> np.ndarray:
+            wheels = equation.wheels(*motion, weather.air_density)
+            moving = equation.moving_columns(wheels, motion.duration, coldness(celsius), 0.0)
+            columns = np.stack([motion.duration, *moving.values()])
+            found = columns.T @ np.stack([power, *rest[list(moving)]])
+            node, shares = _nodes(wheels, motion.distance)
+            for shift, share in shares:
+                found += network[node + shift] * share[:, None]
+            return np.asarray(found)
+
+        return of_steps
+
     def predicted(
-        self, rows: Any, elapsed: Any, square: Any, unseen: Any, uneven: Any = 0.0
+        self, rows: Any, elapsed: Any, noise: Any, unseen: Any, uneven: Any = 0.0
     ) -> tuple[Any, Any]:
         """Energy, J, and its 1-sigma, J, of journeys of any shape (...).
 
         Args:
             rows: summed, shape (..., SIZE); changed here.
             elapsed: s since the start.
-            square: integral of speed squared, m^2/s.
+            noise: variance of what no state explains, J^2.
             unseen: m of road whose height is not known.
-            uneven: energy expected of uneven speed, J.
+            uneven: size of the energy expected of uneven speed, J.
         """
         car, xp = self.car, namespace(rows)
         _, rows[..., State.LOAD], rest = wandered(elapsed)
-        mean, covariance = like(car.mean, rows), like(car.covariance, rows)
+        mean, covariance = like(car.mean, rows), like(self.covariance, rows)
         variance = ((rows @ covariance) * rows).sum(-1) + car.load_variance * rest
-        variance = variance + self.noise(elapsed, square)
+        variance = variance + noise
         variance = car.trust * (variance + car.growth * car.weight_over_eta**2 * unseen)
         variance = variance + (car.unevenness.share * uneven) ** 2  # which is judged by itself
         return rows @ mean, xp.sqrt(within(variance, 0.0, math.inf))
 
-    def noise(self, elapsed: Any, square: Any) -> Any:
-        """Variance of energy that no state explains, J^2; arguments as in `predicted`."""
-        standing, moving = self.car.noise[0], self.car.noise[1]
-        own = standing * STANDING_NOISE**2 * elapsed + moving * FORCE_NOISE**2 * square
-        return NOISE_TIME * own
+    def noise(self, elapsed: Any, stood: Any, square: Any) -> Any:
+        """Variance of energy that no state explains, J^2; arguments as `unexplained` has them."""
+        still, moving = unexplained(elapsed, stood, square)
+        return self.car.noise[0] * still + self.car.noise[1] * moving
 
     def difference(self, one: PlanEnd, other: PlanEnd) -> tuple[float, float]:
         """Energy that one plan takes more than another, J, and the 1-sigma of that, J.
@@ -219,7 +234,7 @@ class PowerModel:
         _, alone, rest = wandered(abs(one.elapsed - other.elapsed))
         shorter = min(one.elapsed, other.elapsed)
         begun = -math.expm1(-2.0 * shorter / LOAD_TIME) * alone**2
-        variance = float(row @ car.covariance @ row) + car.load_variance * (begun + rest)
+        variance = float(row @ self.covariance @ row) + car.load_variance * (begun + rest)
         variance += one.noise + other.noise
         if abs(one.distance - other.distance) > SAME_LENGTH:
             variance += car.growth * car.weight_over_eta**2 * (one.unseen + other.unseen)
@@ -249,6 +264,18 @@ class PowerModel:
         mean[State.MASS] += payload / eta
         mean[State.ROLLING] += c_rr * payload / eta
         return PowerModel(replace(self.car, mean=mean))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the states, shape (SIZE, SIZE), with heating that strays from the usual.
+
+        Before a drive it is unknown how much of what its temperature makes likely will be on; the
+        loads of its first minutes show it.
+        """
+        car, strays = self.car, np.zeros(SIZE)
+        share = CLIMATE_SHARE * math.exp(-car.seconds / CLIMATE_SHOWN)
+        strays[CLIMATE_LIKELY] = share * car.mean[CLIMATE_LIKELY]
+        return np.asarray(car.covariance + np.outer(strays, strays) / max(car.trust, LEAST_TRUST))
 
     @property
     def _now(self) -> Warmth:
@@ -283,8 +310,7 @@ class PowerModel:
 
 def vehicle_model(vehicle: Vehicle, seed: int = 0) -> PowerModel:
     """The car of a vehicle file, of which nothing was learned yet."""
-    equation = equation_of(vehicle, seed)
-    return PowerModel(initial_state(equation).model(equation))
+    return PowerModel(model_of_file(vehicle, seed))
 
 
 def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicle) -> PowerModel:
@@ -315,19 +341,16 @@ def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicl
     return PowerModel(replace(car, mean=mean, covariance=covariance))
 
 
-def _nodes(wheels: Wheels) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
-    """Numbers of the lower nodes of the grid below steps; shifts and shares of all four about."""
+def _nodes(wheels: Wheels, way: np.ndarray) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
+    """Numbers of the lower nodes of the grid below steps; shifts of all four, and m to each."""
     forces = len(GRID_FORCE)
     x = np.minimum(wheels.speed * (1.0 / GRID_SPEED[1]), len(GRID_SPEED) - 1.001)
     y = (wheels.force - GRID_FORCE[0]) * (1.0 / (GRID_FORCE[1] - GRID_FORCE[0]))
-    i, j = x.astype(np.int32), np.minimum(y, forces - 1.001).astype(np.int32)
-    x, y = x - i, y - j
-    shares = [
-        (0, (1 - x) * (1 - y)),
-        (1, (1 - x) * y),
-        (forces, x * (1 - y)),
-        (forces + 1, x * y),
-    ]
+    i, j = x.astype(np.intp), np.minimum(y, forces - 1.001).astype(np.intp)
+    above, y = (x - i) * way, y - j
+    below = way - above
+    stronger, faster = below * y, above * y
+    shares = [(0, below - stronger), (1, stronger), (forces, above - faster), (forces + 1, faster)]
     return i * forces + j, shares
 
 
@@ -336,11 +359,11 @@ def _looked_up(wheels: Wheels, distance: np.ndarray, table: np.ndarray) -> np.nd
 
     Steps are spread over the four nodes around them by weights, so a trip is one row of weights.
     """
-    batch, way = len(distance), np.abs(distance)
-    node, shares = _nodes(wheels)
+    batch = len(distance)
+    node, shares = _nodes(wheels, np.abs(distance))
     most = (int(node.max()) // len(GRID_FORCE) + 2) * len(GRID_FORCE)
-    cell = np.arange(batch, dtype=np.int32)[:, None] * most + node
+    cell = (np.arange(batch)[:, None] * most + node).ravel()
     weights = np.zeros(batch * most)
     for shift, share in shares:
-        weights += np.bincount((cell + shift).ravel(), (share * way).ravel(), len(weights))
+        weights[shift:] += np.bincount(cell, share.ravel(), len(weights))[: len(weights) - shift]
     return np.asarray(weights.reshape(batch, -1) @ table.reshape(-1, table.shape[2])[:most])

@@ -39,9 +39,11 @@ STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
 # 1-sigma, once a drive is longer than `HILL`, m. By drives of an i3 and a Leaf whose heights were
 # taken out (`evpinn bench breakdown --heights`): what a climb took is booked elsewhere then, as
 # braking and losses of the drivetrain on a steep short drive, as tyres and air on a long one.
-NET_CLIMB, HILL = 122.0, 1000.0
+# The ends of a drive whose heights begin late are shorter: no road climbs more than `STEEP` there.
+NET_CLIMB, HILL, STEEP = 122.0, 1000.0, 0.05
 CLIMB_AS_BRAKES, CLIMB_AS_STANDING = 0.43, 0.04  # of the climb
 CLIMB_AS_FRICTION, MOST_AS_FRICTION = 1.4e-5, 0.5  # tyres and air, by the distance in m; at most
+MOSTLY_UNSEEN = 0.5  # of the way without heights, from here on worth saying
 # Between drives: efficiency changes by this much for each e-fold of power, and a constant one
 # has air, the part that grows with speed most, account for it.
 MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
@@ -210,7 +212,7 @@ class Breakdowns:
         )
 
     def joined(self, owners: Sequence[int]) -> Breakdowns:
-        """The same where some belong together, as those before and after a long stop.
+        """Breakdowns of which some belong together, as those before and after a long stop.
 
         Args:
             owners: number of the whole that each belongs to; all from 0 on.
@@ -248,7 +250,7 @@ class DriveParts:
         return DriveParts(self.rows + own, self.totals.plus(interval))
 
     def ended(self, state: CarState) -> EndedDrive:
-        """The same as a function of the states of the car alone."""
+        """Parts as functions of the states of the car alone."""
         mean, covariance = state.mixture()
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-12))
         within = np.ix_(LASTING, LASTING)
@@ -292,27 +294,53 @@ def breakdowns(
     energy = rows @ mean[LASTING] + np.concatenate([each.offset for each in drives])
     whole = rows @ covariance[np.ix_(LASTING, LASTING)] @ rows.T
     weight = GRAVITY * equation.eta * float(mean[State.MASS])
+    growth = math.nan if equation.vehicle.in_traffic else state.bands.growth
     for number, each in enumerate(drives):
         span = slice(number * COUNT, (number + 1) * COUNT)
-        own = each.own + _beside(energy[span], each.totals, weight)
+        own = each.own + _beside(energy[span], each.totals, weight, growth)
         whole[span, span] += own
     shape = len(drives), COUNT
     totals = tuple(each.totals for each in drives)
     return Breakdowns(energy.reshape(shape), whole.reshape(shape + shape), totals)
 
 
-def _beside(energy: np.ndarray, totals: Totals, weight: float) -> np.ndarray:
-    """Covariance that no state holds, J^2: heights that stray, edges, and maps of losses."""
+def _beside(energy: np.ndarray, totals: Totals, weight: float, growth: float) -> np.ndarray:
+    """Covariance that no state holds, J^2: heights that stray, edges, and maps of losses.
+
+    Args:
+        energy: of the parts, J.
+        totals: what they are of.
+        weight: of the car, N.
+        growth: variance of the unseen climb per length of floors, m; NaN for roads.
+    """
     own = np.zeros((COUNT, COUNT))
     if totals.unseen < totals.distance:
         own += 2.0 * (weight * HEIGHT_STRAYS) ** 2 * np.outer(STRAYED_HILL, STRAYED_HILL)
     if totals.unseen > 0.0:
         climbed = _unseen_climb(energy, totals.unseen)
-        own += (weight * NET_CLIMB) ** 2 * np.outer(climbed, climbed)
+        climb = net_climb(totals.unseen) ** 2
+        climb = climb if math.isnan(growth) else growth * totals.unseen
+        own += weight**2 * climb * np.outer(climbed, climbed)
     own[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * energy[Part.REGAINED]) ** 2
     # (m v dv)^2 at both ends
     own[Part.SPEED, Part.SPEED] += 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])
     return own
+
+
+def climb_as_rolling(unseen: float) -> float:
+    """C_rr that an unseen net climb over so many m looks like, 1-sigma."""
+    if unseen <= 0.0:
+        return 0.0
+    return net_climb(unseen) * _as_friction(unseen) / unseen
+
+
+def _as_friction(unseen: float) -> float:
+    return min(MOST_AS_FRICTION, CLIMB_AS_FRICTION * unseen)
+
+
+def net_climb(unseen: float) -> float:
+    """Net climb of so many m of road whose height is not known, m, 1-sigma."""
+    return min(STEEP * unseen, NET_CLIMB * math.sqrt(1.0 - math.exp(-unseen / HILL)))
 
 
 def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
@@ -322,11 +350,11 @@ def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
         energy: of the parts, J.
         unseen: m without height.
     """
-    friction = min(MOST_AS_FRICTION, CLIMB_AS_FRICTION * unseen)
+    friction = _as_friction(unseen)
     air, tyres = np.maximum(energy[[Part.AIR, Part.TYRES]], 0.0) + 1.0
     found = np.zeros(COUNT)
     found[Part.SLOPE] = 1.0
     found[[Part.AIR, Part.TYRES]] = -friction * np.array([air, tyres]) / (air + tyres)
     found[[Part.BRAKES, Part.STANDING]] = -CLIMB_AS_BRAKES, -CLIMB_AS_STANDING
     found[Part.DRIVETRAIN] = -found[WHOLE].sum()
-    return found * math.sqrt(1.0 - math.exp(-unseen / HILL))
+    return found

@@ -15,11 +15,13 @@ import numpy as np
 
 from evpinn_ros.estimation.breakdown import Breakdowns, DriveParts, EndedDrive, breakdowns
 from evpinn_ros.estimation.grade_detector import GradeDetector
+from evpinn_ros.estimation.hills import Hills
 from evpinn_ros.estimation.journey import NOWHERE, Journey
 from evpinn_ros.estimation.learner import gate_interval
 from evpinn_ros.estimation.learning import learn, passed
 from evpinn_ros.estimation.payload import PayloadDetector
 from evpinn_ros.estimation.posterior import (
+    CarModel,
     CarState,
     advance,
     begin_drive,
@@ -42,7 +44,7 @@ KEPT_WHEN_COMPARED = 0.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedCar:
-    """See the module's text.
+    """Everything learned of a car (see the text of the module).
 
     Attributes:
         equation: of the car.
@@ -56,7 +58,8 @@ class LearnedCar:
         payload: changes of payload.
         grade: sign of the reported grade.
         unevenness: what uneven speed takes beyond even, by the drives that ended.
-        steps: of this drive, to learn that from.
+        hills: of their roads.
+        steps: of this drive, to learn both from.
         dropout: what was driven since the battery was last measured.
         end_ns: end of the last interval.
         known_ns: up to where the battery was measured: before `end_ns` in a dropout.
@@ -74,6 +77,7 @@ class LearnedCar:
     payload: PayloadDetector = field(default_factory=PayloadDetector)
     grade: GradeDetector = field(default_factory=GradeDetector)
     unevenness: Unevenness = field(default_factory=Unevenness.none)
+    hills: Hills = field(default_factory=Hills)
     steps: tuple[Path, ...] = ()
     dropout: Journey = NOWHERE
     end_ns: int = 0
@@ -103,6 +107,12 @@ class LearnedCar:
             else:
                 car = car._with(interval)
         return car
+
+    def model(self) -> CarModel:
+        """The car as predictions from here on take it, by the drives that ended."""
+        model = self.state.model(self.equation)
+        growth = max(model.growth, self.hills.growth)
+        return replace(model, growth=growth, unevenness=self.unevenness)
 
     def breakdowns(self) -> Breakdowns:
         """Energy of this drive, and of those kept before it, by where it went."""
@@ -146,6 +156,7 @@ class LearnedCar:
             state=state,
             driven=self.driven.next_drive(),
             unevenness=self.uneven(),
+            hills=self.hills.next_drive(),
             steps=(),
             rehearsals=Rehearsals(Rehearsal(state)),
             parts=DriveParts.none(),
@@ -155,7 +166,7 @@ class LearnedCar:
 
     def uneven(self) -> Unevenness:
         """Energy of uneven speed, by this drive too."""
-        drive = Path(*map(np.concatenate, zip(*self.steps, strict=True))) if self.steps else None
+        drive = self._drive
         if drive is None:
             return self.unevenness
         mean = self.state.weights @ self.state.mean
@@ -166,6 +177,11 @@ class LearnedCar:
         mean, covariance = self.state.gaussian
         return bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
 
+    @property
+    def _drive(self) -> Path | None:
+        """All steps of this drive; None before the first."""
+        return Path(*map(np.concatenate, zip(*self.steps, strict=True))) if self.steps else None
+
     def _without(self, interval: Interval) -> LearnedCar:
         """The car after an interval whose battery was not measured."""
         seconds = self.state.seconds + self.dropout.seconds
@@ -173,6 +189,7 @@ class LearnedCar:
             self,
             dropout=self.dropout.plus(passed(self.equation, interval, seconds).journey),
             steps=self._steps(interval),
+            hills=self._hills(interval),
             rehearsals=replace(self.rehearsals, dropouts={}),
             known_ns=interval.start_ns if self.measured else self.known_ns,
             end_ns=interval.end_ns,
@@ -200,6 +217,7 @@ class LearnedCar:
             grade=self.grade.after(interval, learned.residual, _weight(state)),
             dropout=NOWHERE,
             steps=self._steps(interval),
+            hills=self._hills(interval),
             end_ns=interval.end_ns,
             known_ns=interval.end_ns,
         )
@@ -210,6 +228,11 @@ class LearnedCar:
         moved = steps.duration, steps.distance, steps.air, steps.kinetic, steps.climb
         path = Path(*moved, interval.conditions.air_density * one, 0.0 * one)
         return (*self.steps, path)[-MOST_INTERVALS:]
+
+    def _hills(self, interval: Interval) -> Hills:
+        if not interval.height_known:
+            return self.hills
+        return self.hills.plus(abs(interval.distance), float(interval.steps.climb.sum()))
 
     def _after_dropout(self) -> CarState:
         """The state once a dropout is over: time has passed, its energy is in no sum."""

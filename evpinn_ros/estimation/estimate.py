@@ -38,6 +38,8 @@ class ParameterEstimate:
         upper: the same.
         state: how far to trust it.
         progress: percent of the way to a combination that the data determine.
+        possible: False where the value cannot be trusted however much was learned: no car has
+            such a one, or the heights are unknown that it needs.
     """
 
     value: float
@@ -47,6 +49,7 @@ class ParameterEstimate:
     upper: float
     state: Trust
     progress: float = 0.0
+    possible: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +73,7 @@ class ParameterSet:
     identifiable_states: Mapping[str, Trust] = field(default_factory=dict)
 
     def stale(self) -> ParameterSet:
-        """The same when nothing was measured for long."""
+        """Parameters whose trust says that nothing was measured for long."""
         states = {Trust.VALID: Trust.STALE}
         return replace(
             self,

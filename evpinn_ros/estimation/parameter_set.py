@@ -49,7 +49,9 @@ INTERVAL = (0.025, 0.975)  # of the posterior of what cannot exceed 1
 STAYS_BELOW = 1.6  # times the limit of a share, until which a state that holds goes on holding
 IMPOSSIBLE_BEYOND = 6.0  # prior sigmas, then the value is no car's of this model
 POSSIBLE_WITHIN = 5.0  # where a value that was impossible counts as possible again
-TYRES = Limits(0.004, 0.02)  # C_rr of tyres on roads; outside it is never valid
+TYRES = Limits(0.004, 0.02)  # C_rr of tyres on roads
+# Values that cars have; outside a parameter is never valid.
+POSSIBLE = {"c_rr": TYRES, "c_d": Limits(0.15, 1.0), "eta": Limits(0.0, 0.995)}
 RELIABLE_NEEDS = ("mass_over_eta", "regeneration")
 NORMAL = NormalDist()
 
@@ -72,14 +74,16 @@ def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
         value, std, limits = _value(name, index, source)
         bounds = _bounds(name, limits, combined, source.frontal_area)
         rests = combined[RESTS_ON[name]].share
+        possible = _possible(name, value, hills_seen=source.hills_seen)
         parameters[name] = ParameterEstimate(
             value=float(np.clip(value, bounds.lower, bounds.upper)),
             std=std,
             prior_share=share,
             lower=bounds.lower,
             upper=bounds.upper,
-            state=_state(name, value, rests, share),
+            state=_state(rests, share, possible=possible),
             progress=_progress(rests),
+            possible=possible,
         )
     reliable = all(combined[name].share < VALID_BELOW for name in RELIABLE_NEEDS)
     return ParameterSet(
@@ -144,7 +148,7 @@ class StateHysteresis:
         if suspected or abs(away) > limit:
             return Trust.INVALID
         stays = now.progress >= _progress(VALID_BELOW * STAYS_BELOW)
-        stays = stays and now.prior_share <= OWN_VALID_BELOW * 1.1 and _possible(name, now.value)
+        stays = stays and now.prior_share <= OWN_VALID_BELOW * 1.1 and now.possible
         if before is Trust.VALID and stays:
             return Trust.VALID
         if now.state is Trust.UNESTIMATED and before in (Trust.VALID, Trust.ESTIMATING):
@@ -218,11 +222,11 @@ def _bounds(name: str, limits: Limits, combined: Mapping[str, _Combined], area: 
     return Limits(*(float(end) for end in np.clip(ends, *limits)))
 
 
-def _state(name: str, value: float, combined_share: float, own_share: float) -> Trust:
+def _state(combined_share: float, own_share: float, *, possible: bool) -> Trust:
     if combined_share > ESTIMATING_BELOW or own_share > UNOBSERVABLE_ABOVE:
         return Trust.UNESTIMATED
     valid = combined_share < VALID_BELOW and own_share <= OWN_VALID_BELOW
-    return Trust.VALID if valid and _possible(name, value) else Trust.ESTIMATING
+    return Trust.VALID if valid and possible else Trust.ESTIMATING
 
 
 def _combination_state(one: _Combined) -> Trust:
@@ -231,8 +235,12 @@ def _combination_state(one: _Combined) -> Trust:
     return Trust.VALID if one.share < VALID_BELOW else Trust.ESTIMATING
 
 
-def _possible(name: str, value: float) -> bool:
-    return name != "c_rr" or TYRES.lower <= value <= TYRES.upper
+def _possible(name: str, value: float, *, hills_seen: bool) -> bool:
+    """False for a value that no car has, and for C_rr where a climb would look like it."""
+    if name == "c_rr" and not hills_seen:
+        return False
+    limits = POSSIBLE.get(name)
+    return limits is None or limits.lower <= value <= limits.upper
 
 
 def _progress(combined_share: float) -> float:

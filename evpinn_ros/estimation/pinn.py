@@ -8,7 +8,7 @@ same estimate as a solve over the window of all intervals with the prior as its 
 
 Published power has a trim beside it (`estimation.trim`): what the last seconds had beyond the
 car. During a battery dropout the trim fades, and the energy since the battery was last measured is
-that of the posterior, with its exact variance.
+that of the posterior, with its exact variance, and what the trim gave until it had faded.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from dataclasses import dataclass, replace
 import math
 from typing import Annotated
 
-from evpinn_ros.common.saved_fields import Range, Saveable
+from evpinn_ros.common.saved_fields import ADDED, Range, Saveable
 from evpinn_ros.estimation.breakdown import Breakdowns
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.grade_detector import GRADE_SIGN, GradeDetector
+from evpinn_ros.estimation.hills import Hills
 from evpinn_ros.estimation.journey import Journey
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
 from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
 from evpinn_ros.estimation.payload import PayloadDetector, SavedPayload, Stamp
-from evpinn_ros.estimation.posterior import FORCE_NOISE, STANDING_NOISE, CarModel, wandered
+from evpinn_ros.estimation.posterior import FORCE_NOISE, POWER_NOISE, CarModel, wandered
 from evpinn_ros.estimation.published import Driven, evidence_of, published
 from evpinn_ros.estimation.rehearsal import Rehearsal, Rehearsals
 from evpinn_ros.estimation.saved_car import SavedState, saved_state, state_of
@@ -67,10 +68,11 @@ class SavedPinn:
     trim: Annotated[float, Range(-MOST_EVIDENCE, MOST_EVIDENCE)]
     seen_ns: Stamp | None
     persistence: Persistence
+    hills: Annotated[Hills | None, ADDED] = None
 
 
 class PinnLearner(Saveable[SavedPinn]):
-    """See the module's text."""
+    """Learner of `mode: hybrid`."""
 
     def __init__(self, vehicle: Vehicle, *, seed: int = 0, keep_drives: bool = False) -> None:
         """Start at the vehicle's priors, with a network whose output is zero."""
@@ -82,10 +84,12 @@ class PinnLearner(Saveable[SavedPinn]):
         self._waiting: list[Interval] = []
         self._last_ns: int | None = None  # of what was learned from
         self._seen_ns: int | None = None  # of what was predicted
+        self._passed = 0.0  # s that the newest predicted sample stands for
         self._powers: deque[tuple[Sample, float]] = deque(maxlen=POWERS_KEPT)
         self.gated: Counter[str] = Counter()
         self._tail = Tail(self._equation)
         self._measured_ns: int | None = None  # newest measured sample
+        self._trimmed = 0.0  # J that the trim gave since then
         self._before: Journey | None = None  # from the last interval measured to that sample
         self._use(LearnedCar.new(self._equation))
 
@@ -103,7 +107,8 @@ class PinnLearner(Saveable[SavedPinn]):
         elif passed < 0.0:
             self._begin_tail()
             self._use(self._car.forget_road())
-        self._trim.advance(min(max(passed, 0.0), PARKED))
+        self._passed = min(max(passed, 0.0), PARKED)
+        self._trim.advance(self._passed)
 
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power of car and trim, W, and the energy since the battery was last measured, J."""
@@ -115,17 +120,20 @@ class PinnLearner(Saveable[SavedPinn]):
         correction = self._trim.correct(sample)
         variance = float(row @ model.covariance @ row) + (1.0 - left**2) * model.load_variance
         noise = FORCE_NOISE * math.sqrt(model.noise[1]) * sample.speed
-        sigma = math.hypot(math.sqrt(max(variance, 0.0)), noise, STANDING_NOISE, correction.sigma)
+        sigma = math.hypot(math.sqrt(max(variance, 0.0)), noise, POWER_NOISE, correction.sigma)
         if sample.newest:
             return PowerPrediction(power + correction.power, sigma)
         self._powers.append((sample, power))
         self._tail.add(sample)
+        if self._measured_ns is not None and sample.stamp_ns > self._measured_ns:
+            since = (sample.stamp_ns - self._measured_ns) / NANOSECONDS
+            self._trimmed += correction.power * min(self._passed, since, MAX_STEP)
         energy = self._energy_since_battery(sample.stamp_ns)
         return PowerPrediction(power + correction.power, sigma, *energy)
 
     def battery_measured(self, stamp_ns: int) -> None:
         """Count the energy of a dropout from here on."""
-        self._measured_ns, self._before = stamp_ns, None
+        self._measured_ns, self._before, self._trimmed = stamp_ns, None, 0.0
 
     def observe(self, sample: Sample, power: float) -> None:
         """Let the trim learn from a measured sample."""
@@ -178,8 +186,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """The car as forecasts take it; after a restart they are of another drive."""
         car = self._car
         if self._last_ns is None and car.state.intervals:
-            car = car.begin_drive()
-            return replace(car.state.model(self._equation), unevenness=car.unevenness)
+            return car.begin_drive().model()
         return self._model
 
     def evidence(self) -> Evidence:
@@ -213,6 +220,7 @@ class PinnLearner(Saveable[SavedPinn]):
         return SavedPinn(
             car=saved_state(self._car.state),
             unevenness=saved_unevenness(self._car.uneven()),
+            hills=self._car.hills.next_drive(),
             driven=self._car.driven,
             payload=self._car.payload.saved(),
             grade=self._car.grade,
@@ -229,6 +237,7 @@ class PinnLearner(Saveable[SavedPinn]):
             LearnedCar.new(self._equation),
             state=state,
             unevenness=unevenness_of(saved.unevenness, self._equation),
+            hills=saved.hills or Hills(),
             driven=saved.driven,
             rehearsals=Rehearsals(Rehearsal(state)),
             payload=PayloadDetector.of(saved.payload),
@@ -241,14 +250,14 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def _use(self, car: LearnedCar) -> None:
         """Use this car from now on."""
-        model = car.state.model(self._equation)
-        self._car, self._model = car, replace(model, unevenness=car.unevenness)
+        self._car, self._model = car, car.model()
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
         self._powers.clear()
 
     def _begin_tail(self) -> None:
         """Join nothing to the samples before."""
-        self._tail, self._measured_ns, self._before = Tail(self._equation), None, None
+        self._tail, self._trimmed = Tail(self._equation), 0.0
+        self._measured_ns, self._before = None, None
 
     def _energy_since_battery(self, stamp_ns: int) -> tuple[float, float]:
         """Energy since the battery was last measured or a drive began, J, and its 1-sigma.
@@ -259,12 +268,14 @@ class PinnLearner(Saveable[SavedPinn]):
         if begin_ns is not None and stamp_ns - begin_ns < SILENT_NS:
             return math.nan, math.nan
         if car.measured:
-            return self._model.predicted(self._driven(begin_ns or 0, stamp_ns))
-        # Intervals begin where the battery was last known, a little before its last sample.
-        before = self._before or self._driven(car.known_ns, begin_ns or 0)
-        self._before = before
-        since = self._driven(car.end_ns, stamp_ns)
-        return self._model.predicted(car.dropout.plus(since).less(before))
+            driven = self._driven(begin_ns or 0, stamp_ns)
+        else:
+            # Intervals begin where the battery was last known, a little before its last sample.
+            before = self._before or self._driven(car.known_ns, begin_ns or 0)
+            self._before = before
+            driven = car.dropout.plus(self._driven(car.end_ns, stamp_ns)).less(before)
+        energy, sigma = self._model.predicted(driven)
+        return energy + self._trimmed, sigma
 
     def _driven(self, start_ns: int, end_ns: int) -> Journey:
         """Journey of the newest samples between two stamps."""

@@ -37,8 +37,8 @@ from evpinn_ros.estimation.journey import Journey, Learned
 from evpinn_ros.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import Equation, Warmth
 from evpinn_ros.estimation.unevenness import Unevenness
-from evpinn_ros.signals.interval import Interval
-from evpinn_ros.vehicle.physics import GRAVITY
+from evpinn_ros.signals.interval import Interval, Steps
+from evpinn_ros.vehicle.physics import GRAVITY, STANDSTILL_SPEED
 
 # The hypotheses: 1-sigma of a weight of the network, N, and of the wandering load, W.
 NETWORK_STDS, LOAD_STDS = (20.0, 150.0), (30.0, 150.0)
@@ -47,8 +47,8 @@ LARGE_NETWORK_ODDS = 7.0  # of logarithm, against a large network at first: firs
 LOAD_TIME = 300.0  # s in which the wandering load forgets itself
 EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
-# Energy that no state explains, which forgets itself in `NOISE_TIME`: standing, W, moving, N.
-NOISE_TIME, STANDING_NOISE, FORCE_NOISE, TORQUE_NOISE = 1.5, 150.0, 40.0, 30.0
+# Energy that no state explains, which forgets itself in `NOISE_TIME`: W, and N while moving.
+NOISE_TIME, POWER_NOISE, FORCE_NOISE, TORQUE_NOISE = 1.5, 150.0, 40.0, 30.0
 SCALE_INTERVALS = 30.0  # over which a scale of the noise is learned
 LEAST_SCALE, MOST_SCALE = 0.05, 2000.0
 OUTLIER = 2.5  # sigmas
@@ -68,7 +68,7 @@ class CarModel:
         equation: of the car.
         mean: of the states over all hypotheses, shape (SIZE,).
         covariance: shape (SIZE, SIZE).
-        noise: scales of what no state explains, by its kinds, shape (3,).
+        noise: scales of what no state explains, by its kinds (`noise_of`), shape (3,).
         load_variance: of the wandering load, W^2.
         growth: variance of unseen height per length of road, m.
         trust: factor of the variance of energy, by rehearsals: of whole drives before anything
@@ -221,24 +221,46 @@ def initial_state(equation: Equation) -> CarState:
 
 def journey_of(interval: Interval, row: np.ndarray) -> Journey:
     """One interval as a journey, with its row of `Equation.rows`, summed, shape (SIZE,)."""
-    steps = interval.steps
-    square = float(steps.distance**2 @ (1.0 / steps.duration))  # integral of v^2, m^2/s
     unseen = 0.0 if interval.height_known else abs(interval.distance)
-    noise = unexplained(interval.duration, square, motor=steps.motor_known)
-    return Journey(row, interval.duration, noise, unseen)
+    return Journey(row, interval.duration, noise_of(interval.steps), unseen)
 
 
-def unexplained(seconds: float, square: float, *, motor: bool = False) -> np.ndarray:
-    """Variance of energy that no state explains, by its kinds at scale 1, J^2, shape (3,).
+def standing(duration: Any, distance: Any) -> Any:
+    """Seconds of each step in which the car stands; any shape, numpy or torch."""
+    return duration * (abs(distance) < STANDSTILL_SPEED * duration)
+
+
+def speed_squared(steps: Steps) -> float:
+    """Integral of speed squared over all steps, m^2/s."""
+    return float(steps.distance**2 @ (1.0 / steps.duration))
+
+
+def unexplained(
+    seconds: Any, stood: Any, square: Any, *, force: float = FORCE_NOISE
+) -> tuple[Any, Any]:
+    """Variance of energy that no state explains, at scale 1, J^2, while standing and moving.
+
+    They are kinds of their own, for how well the equation holds while driving, or the clocks of
+    speed and battery agree, says nothing about a car that stands.
 
     Args:
-        seconds: s.
+        seconds: s, any shape, numpy or torch.
+        stood: how many of them the car stands.
         square: integral of speed squared, m^2/s.
-        motor: whether the motor's torque is known.
+        force: 1-sigma while moving, N.
     """
-    moving = (0.0, TORQUE_NOISE**2) if motor else (FORCE_NOISE**2, 0.0)
-    kinds = STANDING_NOISE**2 * seconds, moving[0] * square, moving[1] * square
-    return NOISE_TIME * np.array(kinds)
+    moving = POWER_NOISE**2 * (seconds - stood) + force**2 * square
+    return NOISE_TIME * POWER_NOISE**2 * stood, NOISE_TIME * moving
+
+
+def noise_of(steps: Steps) -> np.ndarray:
+    """`unexplained` of steps together, J^2, shape (3,): standing, moving, moving with torque."""
+    stood = float(standing(steps.duration, steps.distance).sum())
+    sums = float(steps.duration.sum()), stood, speed_squared(steps)
+    if steps.motor_known:
+        still, moving = unexplained(*sums, force=TORQUE_NOISE)
+        return np.array((still, 0.0, moving))
+    return np.array((*unexplained(*sums), 0.0))
 
 
 def wandered(seconds: Any) -> tuple[Any, Any, Any]:
@@ -303,15 +325,14 @@ def condition(
     return replace(state, intervals=state.intervals + 1), Learned(mean, math.sqrt(variance))
 
 
-def see_motor(state: CarState, rows: np.ndarray, journey: Journey) -> CarState:
+def see_motor(state: CarState, rows: np.ndarray, square: float) -> CarState:
     """Learn from the motor's energy what the wheels take, whatever the battery gave.
 
     Args:
         state: before it.
         rows: of `Equation.motor_rows`, shape (2, SIZE).
-        journey: what was driven.
+        square: integral of speed squared, m^2/s.
     """
-    square = journey.noise[2] / (NOISE_TIME * TORQUE_NOISE**2)
     base = state.scale[:, 1] * NOISE_TIME * FORCE_NOISE**2 * square
     for row, share in zip(rows, (0.03, BRAKING_SHARE), strict=True):
         size = share * np.abs(row[State.MOTOR_DRIVE] - row[State.MOTOR_BRAKE])

@@ -6,7 +6,9 @@ the learned energy function over the driving of this car so far. `project` is th
 for the truth of a simulated car. Where the driving does not determine a parameter (C_d in town)
 the projection leaves it at its state.
 
-C_rr is that of this drive, with its cold and its tyres; p_aux is the standing load.
+C_rr is that of this drive, with its cold and its tyres; p_aux is the standing load. Over road
+without heights a climb looks like rolling resistance and drag, so these are unsure by the climb
+that such a road may have, and at worst as unsure as before any drive.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.common.saved_fields import ADDED, Range
+from evpinn_ros.estimation.breakdown import MOSTLY_UNSEEN, climb_as_rolling
 from evpinn_ros.estimation.evidence import Evidence, evidence, file_prior
 from evpinn_ros.estimation.gaussian import Gaussian
 from evpinn_ros.estimation.posterior import CarState, initial_state
@@ -30,10 +33,12 @@ DRIVING_MEMORY = 36_000.0  # s over which driving is remembered
 # Power that no state explains, as density, W^2 s: with less the projection is not determined.
 NOISE_DENSITY = 2.7e5
 SHARE_RANGE = (0.3, 3.0)  # of braking energy found over that of the prior; no car leaves it
+FIRST_METRES = 1000.0  # of a drive that are judged with the road of the drive before
 BRAKED_FLOOR = 5e4  # J: less braking is no base for a share
 # An efficiency is a map, and one number for it depends on the road: 1-sigma of the logarithm that
 # is left however much is learned. By likelihood of 72 simulated drives that no benchmark scores.
 MAP_STD = (0.003, 0.015)  # of eta, mu
+CLIMB_AS_DRAG = 0.005  # rolling resistance that an e-fold of drag looks like, in town
 ETA, MU, MASS, C_RR, C_D, P_AUX = range(6)
 LOGARITHMIC = [ETA, MU, MASS, C_D]
 
@@ -49,6 +54,8 @@ class Driven:
         distance: of this drive, m.
         cold_tyres: integral of the coldness of the tyres over it, m.
         load_known: whether the car reports its heating.
+        unseen: share of the distance where no height was known; until a drive begins to move,
+            that of the drive before.
     """
 
     gram: Annotated[np.ndarray, Range(-1e30, 1e30)]
@@ -57,6 +64,7 @@ class Driven:
     distance: Annotated[float, Range(0.0, 1e12)] = 0.0
     cold_tyres: Annotated[float, Range(0.0, 1e12)] = 0.0
     load_known: bool = False
+    unseen: Annotated[float | None, Range(0.0, 1.0), ADDED] = None
 
     @classmethod
     def nowhere(cls) -> Driven:
@@ -69,28 +77,38 @@ class Driven:
         """With one more interval.
 
         Args:
-            interval: to add; one with motor torque adds nothing, for its rows are the motor's.
+            interval: to add; of one with motor torque only the way counts, for its rows are the
+                motor's.
             rows: of `Equation.rows`, shape (n, SIZE).
             equation: of the car.
             tyres: coldness of the tyres.
         """
+        distance = abs(interval.distance)
+        now = self._farther(distance, tyres, unseen=0.0 if interval.height_known else distance)
         if interval.steps.motor_known:
-            return self
+            return now
         keep = math.exp(-interval.duration / DRIVING_MEMORY)
         terms = rows[:, PHYSICS]
         over = (terms / interval.steps.duration[:, None]).T
         wheels = equation.of_steps(interval.steps, interval.conditions)
         braking = 1.0 - wheels.driving
         moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
-        distance = abs(interval.distance)
-        return Driven(
-            keep * self.gram + over @ terms,
-            keep * self.cross + over @ rows[:, BESIDE],
-            keep * self.braked + np.array([float(braking @ each) for each in moved]),
-            self.distance + distance,
-            self.cold_tyres + distance * tyres,
-            interval.conditions.load_known,
+        return replace(
+            now,
+            gram=keep * self.gram + over @ terms,
+            cross=keep * self.cross + over @ rows[:, BESIDE],
+            braked=keep * self.braked + np.array([float(braking @ each) for each in moved]),
+            load_known=interval.conditions.load_known,
         )
+
+    def _farther(self, distance: float, tyres: float, unseen: float) -> Driven:
+        whole = self.distance + distance
+        if whole == 0.0:
+            return self
+        before = 0.0 if self.unseen is None else max(self.distance, FIRST_METRES)
+        share = ((self.unseen or 0.0) * before + unseen) / (before + distance)
+        cold = self.cold_tyres + distance * tyres
+        return replace(self, distance=whole, cold_tyres=cold, unseen=share)
 
     def next_drive(self) -> Driven:
         """On another drive, with other tyres and weather."""
@@ -135,11 +153,13 @@ class Published(NamedTuple):
         now: mean, shape (6,), and covariance, shape (6, 6).
         prior: the same, before any drive.
         frontal_area: m^2.
+        hills_seen: whether the heights of most of the road are known.
     """
 
     now: Gaussian
     prior: Gaussian
     frontal_area: float
+    hills_seen: bool = True
 
 
 def published(state: CarState, equation: Equation, driven: Driven) -> Published:
@@ -149,7 +169,12 @@ def published(state: CarState, equation: Equation, driven: Driven) -> Published:
     before = _pushed(_prior(state, equation), equation, driven, celsius)
     for index, std in enumerate(MAP_STD):
         now.covariance[index, index] += std**2
-    return Published(now, before, equation.vehicle.frontal_area)
+    share = driven.unseen or 0.0
+    climb = share * climb_as_rolling(share * driven.distance)  # C_rr is of the whole drive
+    for index, std in ((C_RR, climb), (C_D, climb / CLIMB_AS_DRAG)):
+        own, widest = (float(each.covariance[index, index]) for each in (now, before))
+        now.covariance[index, index] = max(own, min(own + std**2, widest))
+    return Published(now, before, equation.vehicle.frontal_area, hills_seen=share <= MOSTLY_UNSEEN)
 
 
 def _prior(state: CarState, equation: Equation) -> Gaussian:

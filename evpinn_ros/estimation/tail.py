@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from evpinn_ros.estimation.journey import NOWHERE, Journey
-from evpinn_ros.estimation.posterior import unexplained
+from evpinn_ros.estimation.posterior import noise_of
 from evpinn_ros.estimation.terms import Equation, Warmth, conditions_of
 from evpinn_ros.signals.interval import Steps
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -83,8 +83,7 @@ class Tail:
         steps = Steps._make((*(np.array([each]) for each in moved), end.motor_scaled))
         rows = self._equation.rows(steps, conditions_of(end), warmth)
         unseen = 0.0 if end.grade else way
-        noise = unexplained(seconds, speed**2 * seconds, motor=steps.motor_known)
-        return Journey(rows[0], seconds, noise, unseen)
+        return Journey(rows[0], seconds, noise_of(steps), unseen)
 
     def _until(self, stamp_ns: int) -> Journey:
         """The sum up to a stamp, with its share of the step that spans it."""

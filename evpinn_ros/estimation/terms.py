@@ -57,6 +57,7 @@ CLIMATE = [
     State.COLD, State.HOT, State.COLD_START, State.HOT_START,
     State.REPORTED, State.DOUBTED, State.CLIMATE_DRIVE,
 ]  # fmt: skip
+EXPLAINED = [State.FORCE_SQUARED, *range(WEIGHTS.start, WEIGHTS.stop)]  # beside eq. 21
 STANDING = [State.P_AUX, State.LOAD_DRIVE, State.LOAD]
 
 
@@ -106,10 +107,14 @@ class Wheels(NamedTuple):
     @property
     def terms(self) -> Any:
         """The terms of eq. 21 in the order of `states.PHYSICS`, shape (..., n, 4)."""
+        return namespace(self.energy).stack(self.columns, -1)
+
+    @property
+    def columns(self) -> tuple[Any, ...]:
+        """Terms of eq. 21 one by one, as `states.PHYSICS` has them."""
         gain, braking = self.gain, 1.0 - self.driving
         mass = (self.inertia + self.climb) * gain
-        columns = (self.drag * gain, self.rolling * gain, mass, self.energy * braking)
-        return namespace(self.energy).stack(columns, -1)
+        return self.drag * gain, self.rolling * gain, mass, self.energy * braking
 
 
 class Warmth(NamedTuple):
@@ -150,6 +155,7 @@ class Equation:
         eta: efficiency of the prior, between battery and wheels.
         back: eta mu of the prior.
         network: of the car.
+        explained: what the terms of eq. 21 explain of `EXPLAINED`, shape (4, len(EXPLAINED)).
     """
 
     def __init__(self, vehicle: Vehicle, seed: int = 0) -> None:
@@ -175,7 +181,9 @@ class Equation:
         terms = wheels.terms
         self.network = orthogonal_network(seed, driving, wheels.force, terms)
         squared = wheels.force[:, None] ** 2 * (speed > CREEPING)[:, None]
-        self._squared = share_of_terms(driving, terms, squared)[:, 0]
+        self.explained = np.hstack(
+            (share_of_terms(driving, terms, squared), self.network.explained)
+        )
 
     def wheels(
         self, duration: Any, distance: Any, air: Any, kinetic: Any, climb: Any, density: Any
@@ -231,36 +239,26 @@ class Equation:
         """
         terms = wheels.terms
         rows = zeros((*terms.shape[:-1], SIZE), terms)
-        rows[..., : len(PHYSICS)] = terms
-        for state, column in self._columns(wheels, terms, duration, cold, tyres).items():
+        for state, column in self.moving_columns(wheels, duration, cold, tyres).items():
             rows[..., state] = column
         force = self.network.force(wheels.speed, wheels.force)
-        way = wheels.rolling * (1.0 / GRAVITY)
-        rows[..., WEIGHTS] = way[..., None] * force - terms @ like(self.network.explained, terms)
+        rows[..., WEIGHTS] = (wheels.rolling * (1.0 / GRAVITY))[..., None] * force
+        rows[..., EXPLAINED] -= terms @ like(self.explained, terms)
         return rows
 
-    def moving_sums(self, wheels: Wheels, duration: Any, cold: Any, tyres: Any) -> np.ndarray:
-        """Sums of `moving_rows` over the steps, shape (batch, SIZE), numpy alone.
-
-        The force of the network is left out, not so what the terms of eq. 21 explain of it: it
-        is the most to compute, and who has many trips has a table of it.
-        """
-        terms = wheels.terms
-        rows = np.zeros((len(terms), SIZE))
-        whole = rows[:, : len(PHYSICS)] = terms.sum(-2)
-        for state, column in self._columns(wheels, terms, duration, cold, tyres).items():
-            rows[:, state] = column.sum(-1)
-        rows[:, WEIGHTS] = -whole @ self.network.explained
-        return rows
-
-    def _columns(
-        self, wheels: Wheels, terms: Any, duration: Any, cold: Any, tyres: Any
+    def moving_columns(
+        self, wheels: Wheels, duration: Any, cold: Any, tyres: Any
     ) -> dict[State, Any]:
-        """States beside those of eq. 21 and the network in `moving_rows`, of the steps' shape."""
+        """Columns of `moving_rows` by state, but for the network, of the steps' shape.
+
+        What the terms of eq. 21 explain of `EXPLAINED` is not taken away yet: that is these terms
+        times `explained`, also once they are summed up.
+        """
         turns = (wheels.speed > CREEPING) * duration
-        prior = float(self.mean[State.ROLLING]) * terms[..., State.ROLLING]
-        return {
-            State.FORCE_SQUARED: wheels.force**2 * turns - terms @ like(self._squared, terms),
+        columns = dict(zip(PHYSICS, wheels.columns, strict=True))
+        prior = float(self.mean[State.ROLLING]) * columns[State.ROLLING]
+        return columns | {
+            State.FORCE_SQUARED: wheels.force**2 * turns,
             State.TURNING: turns * (0.5 + (0.5 / TURNING_SPEED) * wheels.speed),
             State.ROLLING_COLD: prior * cold,
             State.ROLLING_START: prior * tyres,

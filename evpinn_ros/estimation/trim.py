@@ -20,6 +20,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.estimation.posterior import FORCE_NOISE, POWER_NOISE
 from evpinn_ros.signals.kinematics import PROFILE
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
@@ -32,9 +33,7 @@ SPREAD = np.array([1.2, 1.2, *([0.7] * PROFILE)])  # 1-sigma of the first input 
 REACH = 1000.0  # N, 1-sigma of the force that the trim may add
 MEMORY = 10.0  # s of driving in which weights return to the prior
 WEIGHT_STD = 0.5  # of input weights about where they start
-STANDING_NOISE = 150.0  # W, 1-sigma of a sample's power that nothing explains
-FORCE_NOISE = 60.0  # N, the same while moving
-CORRELATED = 5.0  # samples of 10 Hz that count as one
+CORRELATED = 2.0  # samples of 10 Hz that count as one
 EVIDENCE_TIME = 300.0  # s of driving over which the trim is judged
 TEMPERATURE = 9.0  # by which the evidence of one sample is blunted: heavy tails
 MOST_LOSS = 20.0
@@ -149,7 +148,7 @@ class Trim:
         self._compare(sample, residual / v)
         force, gradient = self._output(sample, self._weights)
         error = residual - v * force
-        noise = STANDING_NOISE**2 + (FORCE_NOISE * v) ** 2
+        noise = POWER_NOISE**2 + (FORCE_NOISE * v) ** 2
         with_it, without = (
             min(0.5 * each**2 / (noise * TEMPERATURE), MOST_LOSS) for each in (error, residual)
         )

@@ -83,7 +83,7 @@ class Unevenness:
         metres: driven in legs about each node of speed and duration, shape `SHAPE`.
         rows: sum of the differences by state, J per unit, shape (*SHAPE, SIZE).
         squares: sum of squared energy by which drives strayed from what was expected, J^2.
-        expected: the same of what was expected.
+        expected: the same of the sizes of what was expected of their legs.
     """
 
     metres: np.ndarray
@@ -101,25 +101,19 @@ class Unevenness:
         """1-sigma of a trip's unevenness over what is expected of it."""
         return float(np.sqrt(self.squares / self.expected))
 
-    def of_legs(
-        self, equation: Equation, legs: Path, onto: np.ndarray | None = None
-    ) -> np.ndarray:
+    def of_legs(self, equation: Equation, legs: Path) -> np.ndarray:
         """Expected rows of legs beyond those at even speed, J per unit, shape (n, SIZE).
 
         Args:
             equation: of the car.
             legs: n of them.
-            onto: combinations of the states, shape (SIZE, k); these of the rows instead, (n, k).
         """
+        return per_leg(legs, self.per_metre(equation))
+
+    def per_metre(self, equation: Equation) -> np.ndarray:
+        """Expected rows per metre at each node of speed and duration, shape (*SHAPE, SIZE)."""
         table = self.rows + PRIOR_METRES * _prior(equation)
-        table = table / (self.metres + PRIOR_METRES)[..., None]
-        if onto is not None:
-            table = table @ onto
-        way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
-        found = np.zeros((len(way), table.shape[-1]))
-        for speed, duration, share in _nodes(legs):
-            found += table[speed, duration] * (share * way)[:, None]
-        return found
+        return np.asarray(table / (self.metres + PRIOR_METRES)[..., None])
 
     def after(self, equation: Equation, mean: np.ndarray, drive: Path) -> Unevenness:
         """With one more drive.
@@ -145,12 +139,13 @@ class Unevenness:
         if np.abs(drive.distance).sum() < LEAST_DRIVE:
             return self
         legs = drive.legs(_cut(np.abs(drive.distance), JUDGED_METRES))
-        expected = float(self.of_legs(equation, legs).sum(0) @ mean)
+        each = self.of_legs(equation, legs) @ mean
         found = float((driven.sum(0) - even_rows(equation, legs).sum(0)) @ mean)
+        # By their sizes, for what legs take and give back may cancel, but not its scatter.
         return replace(
             self,
-            squares=SPREAD_KEPT * self.squares + (found - expected) ** 2,
-            expected=SPREAD_KEPT * self.expected + expected**2,
+            squares=SPREAD_KEPT * self.squares + (found - float(each.sum())) ** 2,
+            expected=SPREAD_KEPT * self.expected + float(np.abs(each).sum()) ** 2,
         )
 
 
@@ -163,6 +158,15 @@ class SavedUnevenness:
     rows: Numbers
     squares: Annotated[float, Range(0.0, 1e30)]
     expected: Annotated[float, Range(1.0, 1e30)]
+
+
+def per_leg(legs: Path, table: np.ndarray) -> np.ndarray:
+    """Numbers of n legs, (n, k), from such per metre at each node, shape (*SHAPE, k)."""
+    way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
+    found = np.zeros((len(way), table.shape[-1]))
+    for speed, duration, share in _nodes(legs):
+        found += table[speed, duration] * (share * way)[:, None]
+    return found
 
 
 def saved_unevenness(found: Unevenness) -> SavedUnevenness:
@@ -298,8 +302,13 @@ def _between(values: np.ndarray, nodes: np.ndarray) -> list[tuple[np.ndarray, np
 
 @lru_cache(maxsize=8)
 def _prior(equation: Equation) -> np.ndarray:
-    """Rows per metre of simulated drives, shape (*SHAPE, SIZE)."""
+    """Rows per metre of simulated drives, shape (*SHAPE, SIZE).
+
+    They are of cars in traffic: what is slower drives evenly until it has shown otherwise.
+    """
     metres, rows = np.zeros(SHAPE), np.zeros((*SHAPE, SIZE))
+    if not equation.vehicle.in_traffic:
+        return rows
     for line in bundled_lines(REFERENCE):
         drive = _drive_of(np.array(line.split(","), float), equation.vehicle.air_density)
         _add_drive(metres, rows, equation, drive, _moving(equation, drive))

@@ -8,8 +8,8 @@ import zlib
 
 import numpy as np
 
-from evpinn_ros.bags.can_frames import is_bag
-from evpinn_ros.can.logs import LOG_SUFFIXES
+from evpinn_ros.bags.names import is_bag
+from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.common.errors import InputError, as_input_error, with_kind
 from evpinn_ros.common.opener import open_unpacked
 from evpinn_ros.drives.formats import TABLE_SUFFIXES, TEXT_SUFFIXES, suffix_of

@@ -11,6 +11,7 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.drives.sources import Source, open_source
+from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.rknn import load_rknn
@@ -80,6 +81,7 @@ class CarReplay:
         *,
         trust_profile: bool = False,
         columns: Sequence[str] = (),
+        terrain: Terrain | None = None,
     ) -> Source:
         """A drive to replay, as `open_source` opens it."""
         return open_source(
@@ -89,6 +91,7 @@ class CarReplay:
             trust_profile=trust_profile,
             columns=columns,
             mounting=self._mounting,
+            terrain=terrain,
         )
 
     def replay(

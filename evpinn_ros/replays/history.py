@@ -17,6 +17,7 @@ from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.replays.chain import ChainOutput
 from evpinn_ros.signals.readings import (
+    DRIVE_START_NS,
     NANOSECONDS,
     AltitudeReading,
     BatteryReading,
@@ -28,6 +29,8 @@ from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
+DAY_NS = 86_400 * NANOSECONDS
+FIRST_STAMP_NS = 631_152_000 * NANOSECONDS  # 1990: a log that begins before counts from its zero
 JUMP_GAP = 60 * NANOSECONDS  # between the times before and after a jump: nothing is joined across
 MODEL_STEP = 300.0  # s between two models kept: what a forecast would have known then
 SERIES = dict.fromkeys(("speed", "altitude", "charge", "temperature", "jumps"), 2)
@@ -91,6 +94,7 @@ class Drive:
         parameters: for each name time, value, 1-sigma and prior share, shape (n, 4).
         final: the last parameters, None if there never were any.
         start_ns: stamp of the first reading.
+        zoned: whether its times are UTC; else they are local ones.
         altitude: time and m, shape (n, 2).
         position: time, latitude and longitude, degrees, shape (n, 3).
         charge: time and state of charge, 0..1, shape (n, 2).
@@ -112,6 +116,7 @@ class Drive:
     parameters: Mapping[str, np.ndarray]
     final: ParameterSet | None
     start_ns: int = 0
+    zoned: bool = True
     altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     charge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
@@ -122,6 +127,12 @@ class Drive:
     model: CarModel | None = None
     jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     breakdown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def dated(self) -> bool:
+        """True if the log knows its day."""
+        without_day = 0 <= self.start_ns - DRIVE_START_NS < DAY_NS
+        return self.start_ns >= FIRST_STAMP_NS and not without_day
 
 
 class History:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 import math
 from pathlib import Path
@@ -107,7 +107,7 @@ def replay(
                 _record(writer, item, outputs, history.moment(item.stamp_ns), chain)
             )
     wall = time.perf_counter() - started
-    drive = history.drive(chain.estimator.model())
+    drive = replace(history.drive(chain.estimator.model()), zoned=source.zoned)
     where = "" if options.start == 0 and options.duration is None else " in that span"
     if len(drive.speed) == 0:
         why = next((text for text in source.notes if "speed" in text), "")
@@ -229,11 +229,11 @@ def has_battery(drive: Drive) -> bool:
     return len(drive.measured) > 0
 
 
-def output_folders(out: Path | None, paths: Sequence[Path]) -> list[Path | None]:
-    """Folder of each drive's bag: `out` itself for one, a folder in it for each of several."""
+def output_folders(out: Path | None, paths: Sequence[Path], *, several: bool) -> list[Path | None]:
+    """Folder of each drive's bag: `out` itself, or a folder in it for each of several inputs."""
     if out is None:
         return [None] * len(paths)
-    if len(paths) == 1:
+    if not several:
         return [out]
     return [out / f"{index:03d}_{_stem(path)}" for index, path in enumerate(paths, start=1)]
 

@@ -46,16 +46,24 @@ def _mass_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
         yield f"mass over eta is {value:.0f} kg ({expected:.0f} +- {spread:.0f} expected)"
 
 
-def _capacity_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
-    """By the energy that a fall of the state of charge gave, of a drive without charging."""
-    unknown = not math.isfinite(vehicle.battery_capacity)
-    if unknown or len(drive.charge) < 2 or charged(drive):
-        return
+def capacity_by_charge(drive: Drive) -> float | None:
+    """Capacity by the energy that a fall of the state of charge gave, J.
+
+    None of a drive that was charged, took too little, or was not measured all along.
+    """
+    if len(drive.charge) < 2 or charged(drive):
+        return None
     used = float(drive.charge[0, 1] - drive.charge[-1, 1])
     steps = measured_steps(drive)
     if used < LEAST_DISCHARGE or steps.seconds.sum() < LEAST_MEASURED * drive.duration:
+        return None
+    return float(steps.energy.sum()) / used
+
+
+def _capacity_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
+    capacity = capacity_by_charge(drive)
+    if capacity is None or not math.isfinite(vehicle.battery_capacity):
         return
-    capacity = float(steps.energy.sum()) / used
     low, high = (share * vehicle.battery_capacity for share in USUAL_CAPACITY)
     if not low <= capacity <= high:
         kwh, expected = capacity / JOULES_PER_KWH, vehicle.battery_capacity / JOULES_PER_KWH

@@ -8,7 +8,7 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.common.units import METRIC, Units, counted
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import DrivenSteps, measured_steps, travelled
 from evpinn_ros.replays.dropped_text import dropped_text
@@ -27,6 +27,7 @@ from evpinn_ros.replays.tables import (
     signed_percent,
     watts,
 )
+from evpinn_ros.replays.trends import Trend, trends
 from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.report import drive_charts, drive_maps
 from evpinn_ros.report.breakdown_bar import breakdown_values
@@ -34,7 +35,8 @@ from evpinn_ros.report.drive_energy import running_totals, speed_energy_chart
 from evpinn_ros.report.drive_knowledge import knowledge
 from evpinn_ros.report.drive_tiles import clock, drive_tiles
 from evpinn_ros.report.html import write_page
-from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS
+from evpinn_ros.report.intervals import IntervalRow, interval_rows
+from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
@@ -44,8 +46,6 @@ LEAST_POINTS = 2_000  # of a curve of one of many drives
 SMALL = 4  # times fewer points for parameters, which come once a second and change slowly
 MOST_EVENTS = 200  # shown
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
-FIRST_STAMP = 631_152_000 * NANOSECONDS  # 1990: a log that begins before counts from its own zero
-DAY = 86_400 * NANOSECONDS
 LAST_STAMP = 253_402_300_799 * NANOSECONDS  # the end of the year 9999: a calendar has no more
 
 
@@ -117,13 +117,26 @@ def write_drives(
         drives=[values for values, _ in found],
         index_columns=("drive", "began", *drives_columns(units)[1:]),
         index=[
-            (row[0], _date(each.drive.start_ns), *row[1:])
-            for row, each in zip(rows, drives, strict=True)
+            (row[0], _date(each.drive), *row[1:]) for row, each in zip(rows, drives, strict=True)
         ],
+        trends=[_trend(trend, units) for trend in trends([each.drive for each in drives], units)],
         score_columns=SCORE_COLUMNS,
         parameter_titles=drive_charts.TITLES,
         most_events=MOST_EVENTS,
     )
+
+
+def _trend(trend: Trend, units: Units) -> tuple[str, list[dict[str, Any]]]:
+    """Title and rows of a trend, with the spread of single drives as the interval."""
+    rows = []
+    for one in trend.rows:
+        text = f"{one.mean:.{trend.digits}f}"
+        if one.drives > 1:
+            text += f" (single drives ± {one.spread:.{trend.digits}f})"
+        distance = f"{one.distance / units.metres:.0f} {units.distance}"
+        text += f"; {counted(one.drives, 'drive')}, {distance}"
+        rows.append(IntervalRow(one.name, text, one.mean, one.spread))
+    return trend.title, interval_rows(rows)
 
 
 def _drive(
@@ -143,7 +156,7 @@ def _drive(
     minutes = drive_maps.driven_minutes(moments)
     values = {
         "name": name,
-        "about": f"{reported.vehicle.name}, {_date(drive.start_ns)}",
+        "about": f"{reported.vehicle.name}, {_date(drive)}",
         "doubt": vehicle_doubt(reported.vehicle, drive),
         "record": _record(found),
         "breakdown": breakdown_values(found["breakdown"], units),
@@ -239,9 +252,12 @@ def _score_tiles(reported: ReportedDrive) -> Iterator[tuple[str, str]]:
     yield "-" if covered is None else f"{100 * covered:.1f} %", "of power in its 90 % band"
 
 
-def _date(stamp_ns: int) -> str:
+def _date(drive: Drive) -> str:
+    """Date and time at which a drive began, by the clock of its log."""
+    stamp_ns, zone = drive.start_ns, " UTC" if drive.zoned else ", local time"
     if not 0 <= stamp_ns <= LAST_STAMP:
         return "at an impossible time"
-    if stamp_ns < FIRST_STAMP or 0 <= stamp_ns - DRIVE_START_NS < DAY:
+    if not drive.dated:
         return "undated"
-    return (EPOCH + timedelta(seconds=stamp_ns // NANOSECONDS)).strftime("%Y-%m-%d %H:%M:%S UTC")
+    begin = EPOCH + timedelta(seconds=stamp_ns // NANOSECONDS)
+    return f"{begin:%Y-%m-%d %H:%M:%S}{zone}"

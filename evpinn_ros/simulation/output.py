@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from evpinn_ros.bags.convert import reported, write_readings
+from evpinn_ros.bags.convert import write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.signals.progress import reported
 from evpinn_ros.signals.readings import MotorReading
 from evpinn_ros.simulation.simulate import SimulatedDrive
 from evpinn_ros.simulation.truth import DEFINITIONS

@@ -285,6 +285,32 @@ def test_a_learner_without_a_model_answers_by_its_parameters(result):
     assert by_file.mean[State.MASS] == pytest.approx(car.initial.mass / car.initial.eta)
 
 
+def test_trips_of_a_day_are_results_that_learn_from_each_other(table, tmp_path):
+    minute = pd.read_csv(table)
+    later = minute.assign(t_s=minute["t_s"] + 1800.0)
+    first, second = ev.replay_trips(pd.concat([minute, later]), warm_up=10.0)
+    assert [len(each.power) > 100 for each in (first, second)] == [True, True]
+    alone = ev.replay(table, warm_up=10.0)
+    assert first.parameters.equals(alone.parameters)
+    begins = [each.learning["mass", "value"].iloc[0] for each in (first, second)]
+    assert begins[0] != begins[1], "the second begins with what the first taught"
+    assert first.account is not second.account
+    with pytest.raises(ev.InputError):
+        ev.replay_trips(table, mode="none")
+
+
+def test_a_table_indexed_by_its_time_is_a_drive(table):
+    frame = pd.read_csv(table)
+    found = ev.replay(frame.set_index("t_s"), warm_up=10.0)
+    assert without_path(found) == without_path(ev.replay(frame, warm_up=10.0))
+
+
+def without_path(result: ev.Result) -> dict:
+    found = without_timing(result.metrics)
+    del found["input"]["path"]
+    return found
+
+
 def test_a_report_is_written(result, tmp_path):
     result.write_report(tmp_path / "drive.html")
     assert "<!doctype html>" in (tmp_path / "drive.html").read_text()[:100].lower()

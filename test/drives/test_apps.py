@@ -229,6 +229,11 @@ def test_dates_that_can_be_read_in_two_ways_are_told(tmp_path):
     later = [row.replace("05/03", "03/25") for row in rows]
     drive = small(tmp_path, "date,speed_mps,power_w", *(f"{row},1" for row in later))
     assert drive.clock.why == "month, day, year"
+    drive = small(tmp_path, "date,speed_mps,power_w", *(f"{row},1" for row in rows))
+    for name, order in (("Log_240503_1", "month, day, year"), ("20240305", "day, month, year")):
+        again = (tmp_path / "drive.csv").rename(tmp_path / f"{name}.csv")
+        assert open_drive(again).clock.why == order, "the name of the file decides"
+        again.rename(tmp_path / "drive.csv")
     over = ["31/12/2023 23:59:59,1,1", "01/01/2024 00:00:00,1,1", "01/01/2024 00:00:01,1,1"]
     assert times(small(tmp_path, "date,speed_mps,power_w", *over)) == [0, 1, 2]
 

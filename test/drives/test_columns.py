@@ -68,7 +68,7 @@ def test_semicolons_brackets_decimal_commas_and_a_degree_sign(tmp_path):
     )
     readings = {type(reading).__name__ for reading in drive.readings()}
     assert "TemperatureReading" in readings
-    assert drive.ignored == ("max. Battery Temperature [°C]",)
+    assert tuple(drive.ignored) == ("max. Battery Temperature [°C]",)
     units = {rule.quantity: (rule.unit, rule.why) for rule in drive.rules}
     assert units["speed"] == ("km/h", "by its name")
     assert units["current"][0] == "-a" and "as accelerating shows" in units["current"][1]
@@ -82,7 +82,28 @@ def test_no_units_at_all_and_milliseconds(tmp_path):
     why = {rule.quantity: (rule.unit, rule.why) for rule in drive.rules}
     assert why["time"] == ("ms", "by the step between rows")
     assert why["speed"] == ("km/h", "by the power that accelerating takes")
-    assert drive.ignored == ("rpm",)
+    assert tuple(drive.ignored) == ("rpm",)
+
+
+@pytest.mark.parametrize("name", ["kW", "Battery Power kW", "hvPower_kW"])
+def test_a_power_named_by_its_unit_alone(tmp_path, name):
+    lines = (f"{t:.1f},{3.6 * v:.4f},{u * i / 1000:.6f}" for t, v, u, i in rows())
+    drive = drive_of(tmp_path, f"time,Speed (km/h),{name}", lines)
+    assert {rule.quantity: rule.unit for rule in drive.rules}["power"] == "kw"
+    powers = [r.power for r in drive.readings() if isinstance(r, BatteryReading)]
+    assert powers == pytest.approx([u * i for _, _, u, i in rows()], abs=2.0)
+
+
+def test_the_date_may_stand_beside_a_better_clock(tmp_path):
+    """The second column has whole seconds, later and later; the first has none of the date."""
+    lines = (
+        f"{t:.1f},2023-04-19 09:19:{44 + int(t / 30)},{3.6 * v:.4f},{u},{i:.4f}"
+        for t, v, u, i in rows()
+    )
+    drive = drive_of(tmp_path, "PhaseTime,Time,DAActualSpeed,REESSVoltage,REESSCurrent", lines)
+    assert (drive.dated, drive.zoned) == ("log", False)
+    first = next(drive.readings()).stamp_ns
+    assert first == 1_681_895_984 * 10**9  # 2023-04-19 09:19:44
 
 
 def test_dates_and_power_in_kilowatts(tmp_path):

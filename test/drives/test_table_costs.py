@@ -122,3 +122,17 @@ def test_a_table_newest_first_is_not_held_as_text(tmp_path):
     tracemalloc.stop()
     assert stamps == sorted(stamps) and stamps[0] == 1_700_000_001 * 10**9
     assert peak < 3 * path.stat().st_size
+
+
+def test_a_table_is_looked_at_without_importing_what_reads_buses(tmp_path):
+    """Half a second of `evpinn info drive.csv`, and of all that a table goes through."""
+    (tmp_path / "drive.csv").write_text("t_s,speed_mps,power_w\n0,1,2\n1,2,3\n")
+    code = (
+        "import sys; from evpinn_ros.cli.main import main\n"
+        "sys.argv = ['evpinn', 'info', 'drive.csv']\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "print(sorted({'can', 'rosbags', 'cantools', 'torch', 'pandas'} & set(sys.modules)))"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "2 readings" in done.stdout and done.stdout.strip().endswith("[]"), done.stdout

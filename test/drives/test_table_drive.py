@@ -42,7 +42,7 @@ def test_all_columns(tmp_path):
         kinds.MotorReading(stamp, -20.0, 270.0),
     ]
     assert list(map(repr, drive.readings())) == list(map(repr, expected))  # NaN is not equal NaN
-    assert drive.ignored == ("x",) and not drive.dropped
+    assert tuple(drive.ignored) == ("x",) and not drive.dropped
 
 
 def test_a_torque_needs_no_motor_speed_and_a_speed_alone_is_no_reading(tmp_path):

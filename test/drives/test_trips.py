@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.drives.sources import open_drive
-from evpinn_ros.drives.trips import split, trips_of
+from evpinn_ros.drives.trips import joined, split, trips_of
 from evpinn_ros.signals.readings import SpeedReading
 
 HEADER = "t_s,speed_mps,voltage_v,current_a\n"
@@ -49,3 +49,35 @@ def test_red_lights_and_manoeuvres_are_no_trips(tmp_path: Path) -> None:
     text += rows(800, 900, 0.0, 2.0) + rows(1700, 20, 2.0, 5.0)
     path.write_text(HEADER + text)
     assert len(trips_of(open_drive(path).readings()).found) == 1
+
+
+def torn(folder: Path, *begins: int, header: str = "time") -> list[Path]:
+    """Files of 100 s each, which begin at these s of a day."""
+    paths = []
+    for number, begin in enumerate(begins):
+        path = folder / f"part{number}.csv"
+        clock = 1_700_000_000 if header == "time" else 0
+        path.write_text(HEADER.replace("t_s", header) + rows(clock + begin, 100, 10.0, 20.0))
+        paths.append(path)
+    return paths
+
+
+def test_a_drive_torn_into_files_is_one_again(tmp_path: Path) -> None:
+    paths = torn(tmp_path, 0, 103, 300, 2000)
+    logs = joined([open_drive(path) for path in paths])
+    assert [log.path for log in logs] == [paths[0], paths[3]], "the last begins after half an hour"
+    assert logs[0].seconds == pytest.approx(3 * 99.0)
+    alone = [reading for path in paths[:3] for reading in open_drive(path).readings()]
+    assert repr(list(logs[0].readings())) == repr(alone)
+    trips, _ = split(logs[0])
+    assert trips == [logs[0]]
+
+
+def test_files_of_unknown_days_are_not_joined(tmp_path: Path) -> None:
+    paths = torn(tmp_path, 0, 103, header="t_s")
+    assert [log.path for log in joined([open_drive(path) for path in paths])] == paths
+
+
+def test_a_file_that_begins_before_the_last_one_ended_is_another_drive(tmp_path: Path) -> None:
+    paths = torn(tmp_path, 0, 50)
+    assert len(joined([open_drive(path) for path in paths])) == 2

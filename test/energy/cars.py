@@ -37,4 +37,4 @@ def taught(seconds: float = 400.0) -> PowerModel:
     for reading in simulate(DriveKind.URBAN, CAR, seconds, 4).readings:
         chain.add_reading(reading)
     car = chain.car.begin_drive()
-    return PowerModel(replace(car.state.model(car.equation), unevenness=car.unevenness))
+    return PowerModel(car.model())

@@ -11,7 +11,7 @@ from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.forecaster import Forecaster
 from evpinn_ros.energy.plan import PlanConditions, plan_from_speed_profile
-from evpinn_ros.energy.power_model import vehicle_model
+from evpinn_ros.energy.power_model import CLIMATE_SHARE, vehicle_model
 from evpinn_ros.signals.readings import TemperatureReading
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.plans import read_conditions
@@ -43,6 +43,24 @@ def test_cold_wind_and_payload_cost_and_a_tail_wind_gives():
     assert energy(heating=4000.0) > energy(heating=0.0) + 0.99 * 600 * 4000.0
     assert energy(head_wind=10.0) > plain > energy(head_wind=-10.0)
     assert energy(payload=300.0) > plain
+
+
+def test_heating_that_nobody_gives_strays_from_what_cold_makes_likely():
+    """By two fifths before a drive; once the drive has shown its heating, no more."""
+    car = vehicle_model(CAR).car
+    sure = replace(car, covariance=np.zeros_like(car.covariance), load_variance=0.0)
+
+    def sigma(seconds: float, **given: float) -> float:
+        forecaster = Forecaster(CAR)
+        forecaster.set_model(replace(sure, seconds=seconds))
+        forecaster.set_conditions(PlanConditions(**given))
+        return float(answer(forecaster).forecast.sigma[-1])
+
+    least = sigma(0.0, temperature=-10.0, heating=2000.0)
+    heating = energy(temperature=-10.0) - energy(temperature=-10.0, heating=0.0)
+    unknown = math.hypot(least, CLIMATE_SHARE * heating)
+    assert sigma(0.0, temperature=-10.0) == pytest.approx(unknown, rel=1e-3)
+    assert sigma(7200.0, temperature=-10.0) == pytest.approx(least, rel=1e-3)
 
 
 def test_a_car_that_stood_is_cold_again_and_a_prewarmed_cabin_saves():

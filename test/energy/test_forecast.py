@@ -178,6 +178,7 @@ def test_contradicting_speeds_stay_finite():
     assert math.isfinite(energy(plan))
 
 
+@settings(deadline=None)  # the first coarse plan waits for the prior of uneven speed
 @given(st.floats(2, 40), st.floats(1.1, 4))
 def test_the_same_way_more_slowly(speed, slower):
     """Rolling costs as before, drag less by the square of speed, auxiliaries more by the time."""

@@ -10,6 +10,7 @@ import pytest
 from benchmarks.truth import CarChain
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.journey import NOWHERE
+from evpinn_ros.estimation.posterior import noise_of
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import WARM, Warmth
 from evpinn_ros.simulation.drive import DriveKind
@@ -44,17 +45,17 @@ def test_the_forecast_of_a_driven_speed_is_the_drive_without_its_battery():
     """Energy and sigma: the same rows, the same posterior."""
     model, car, intervals = withheld()
     predicted, sigma = car.state.model(car.equation).predicted(car.dropout)
-    rows, square, unseen = [], 0.0, 0.0
+    rows, noise, unseen = [], 0.0, 0.0
     weather = Weather(intervals[0].conditions.air_density, intervals[0].conditions.celsius)
     for each in intervals:
         steps = each.steps
         motion = Motion(steps.duration, steps.distance, steps.air, steps.kinetic, steps.climb)
         now = replace(model, seconds=sum(e.duration for e in intervals[: len(rows)]))
         rows.append(PowerModel(now).rows(motion, weather).sum(0))
-        square += float(steps.distance**2 @ (1.0 / steps.duration))
+        noise += float(model.noise @ noise_of(steps))
         unseen += 0.0 if each.height_known else abs(each.distance)
     elapsed = sum(each.duration for each in intervals)
-    energy, spread = PowerModel(model).predicted(np.sum(rows, 0), elapsed, square, unseen)
+    energy, spread = PowerModel(model).predicted(np.sum(rows, 0), elapsed, noise, unseen)
     gross = float(np.nansum([abs(each.energy) for each in intervals]))
     assert energy == pytest.approx(predicted, abs=0.005 * gross)
     assert spread == pytest.approx(sigma, rel=0.01)

@@ -1,12 +1,11 @@
 """Where the energy of a drive went: parts of the one equation, summed."""
 
 from dataclasses import replace
-import math
 
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.breakdown import HILL, NET_CLIMB
+from evpinn_ros.estimation.breakdown import NET_CLIMB, climb_as_rolling, net_climb
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.states import State
@@ -125,10 +124,30 @@ def test_without_heights_the_net_climb_is_as_unknown_as_roads_make_it(town):
         for known in (True, False)
     )
     assert (seen.unseen, unseen.unseen) == (0.0, pytest.approx(unseen.distance))
-    climb = NET_CLIMB * (1.0 - math.exp(-unseen.distance / HILL)) ** 0.5
+    climb = net_climb(unseen.distance)
     assert unseen.of(Part.SLOPE).sigma_kwh * 3.6e6 >= 0.9 * climb * 9.81 * EQUATION.mean[2]
     assert seen.of(Part.SLOPE).sigma_kwh < 0.1 * unseen.of(Part.SLOPE).sigma_kwh
     for part in (Part.BRAKES, Part.DRIVETRAIN):
         assert unseen.of(part).sigma_kwh > seen.of(part).sigma_kwh
     whole = list(Part)[WHOLE]
     assert unseen.of(*whole).sigma_kwh < 1.5 * seen.of(*whole).sigma_kwh
+
+
+def test_an_unseen_climb_is_no_steeper_than_roads_and_no_higher_than_their_net_climbs():
+    assert net_climb(200.0) == pytest.approx(10.0)
+    assert net_climb(1e5) == pytest.approx(NET_CLIMB)
+    lengths = [100.0, 1000.0, 3000.0, 1e4, 1e5]
+    assert sorted(map(net_climb, lengths)) == [net_climb(each) for each in lengths]
+    assert climb_as_rolling(0.0) == 0.0 and climb_as_rolling(1e4) > climb_as_rolling(1e5)
+
+
+def test_the_ends_of_a_drive_without_heights_widen_the_climb_by_little(town):
+    """A profile of heights begins some metres late, and the net climb is known all the same."""
+    seen = [replace(one, height_known=True) for one in town]
+    ends = [replace(seen[0], height_known=False), *seen[1:]]
+    all_seen, but_ends = (
+        LearnedCar.new(EQUATION).after(drive).breakdowns().of(-1) for drive in (seen, ends)
+    )
+    weight = 9.81 * EQUATION.mean[2] * EQUATION.eta / 3.6e6
+    wider = but_ends.of(Part.SLOPE).sigma_kwh - all_seen.of(Part.SLOPE).sigma_kwh
+    assert 0.0 <= wider < 0.06 * but_ends.unseen * weight

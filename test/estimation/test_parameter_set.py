@@ -89,6 +89,25 @@ def test_rolling_resistance_that_no_tyre_has_is_never_valid(prior, c_rr):
     assert later.parameters["c_rr"].state is ESTIMATING, "not even where it was valid before"
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("c_d", math.log(1.34)), ("c_d", math.log(0.08)), ("eta", math.log(1.2))]
+)
+def test_values_that_no_car_has_are_never_valid(prior, name, value):
+    found = parameter_set(0, learned(prior, 0.001, **{name: value})).parameters[name]
+    assert found.state is ESTIMATING and not found.possible
+
+
+def test_rolling_resistance_is_not_valid_where_a_climb_looks_like_it(prior):
+    judge = StateHysteresis()
+    seen = learned(prior, 0.01, c_rr=0.01)
+    good = judge.judge(parameter_set(0, seen), CALM, suspected=False)
+    unseen = parameter_set(0, seen._replace(hills_seen=False))
+    later = judge.judge(unseen, CALM, suspected=False)
+    assert good.parameters["c_rr"].state is VALID
+    assert later.parameters["c_rr"].state is ESTIMATING, "not even where it was valid before"
+    assert later.parameters["mass"].state is VALID and later.reliable
+
+
 def test_an_efficiency_at_its_bound_is_published_as_an_interval(prior):
     """A normal logarithm cut off at 1, of 3 % sigma about 1.05."""
     source = learned(prior, 0.2, eta=math.log(1.05))

@@ -202,6 +202,22 @@ def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town):
     assert model.predicted(NOWHERE) == (0.0, 0.0)
 
 
+def test_what_is_wrong_while_driving_says_nothing_of_a_car_that_stands(town):
+    """Where clocks of speed and battery differ, starts and stops are wrong, and nothing else."""
+    town = [replace(one, height_known=True) for one in town]  # no hill takes the blame
+    way = [abs(one.distance) / one.duration for one in town]
+    assert min(way) < 0.1, "it stands at times"
+    wrong = [
+        replace(one, energy=one.energy + (-1) ** i * 2000.0 * one.duration * (0.2 < speed < 5.0))
+        for i, (one, speed) in enumerate(zip(town, way, strict=True))
+    ]
+    right, spoilt = (learned(8 * each).model(EQUATION) for each in (town, wrong))
+    journeys = [passed(EQUATION, one, 600.0).journey for one in town]
+    still, fast = (journeys[way.index(found)] for found in (min(way), max(way)))
+    assert spoilt.predicted(fast)[1] > 2.0 * right.predicted(fast)[1]
+    assert spoilt.predicted(still)[1] < 1.3 * right.predicted(still)[1]
+
+
 def test_warmth_goes_from_one_to_nothing():
     assert Warmth.after(0.0) == (1.0, 1.0)
     assert max(Warmth.after(1e6)) < 1e-9

@@ -1,19 +1,24 @@
 """What is published is the projection of what was learned, as `simulation.truth` defines it."""
 
+from dataclasses import replace
 import math
 
 import numpy as np
 import pytest
 
 from benchmarks.truth import PROFILE, VEHICLES, CarChain, compare, true_so_far
+from evpinn_ros.estimation.breakdown import climb_as_rolling
 from evpinn_ros.estimation.car import LearnedCar
+from evpinn_ros.estimation.estimate import Trust
+from evpinn_ros.estimation.parameter_set import parameter_set
 from evpinn_ros.estimation.posterior import initial_state
-from evpinn_ros.estimation.published import Driven, mass_over_eta, project, published
+from evpinn_ros.estimation.published import C_D, C_RR, Driven, mass_over_eta, project, published
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
+from test.estimation.test_breakdown import measured
 from test.signals.test_interval import polled
 
 
@@ -116,3 +121,56 @@ def test_motor_torque_tells_the_mass_in_kilograms(name, most):
     assert shares[True] < most and shares[True] < 0.7 * shares[False]
     assert mass.state.value == "valid"
     assert abs(mass.value - drive.truth.parameters.mass) < 2.0 * mass.std
+
+
+def test_rolling_resistance_without_heights_is_as_unsure_as_the_climb(vehicle, intervals):
+    """Its sigma holds the climb that such a road may have, and it is never valid."""
+    drive = measured(intervals((DriveKind.MIXED, 600.0, 3), begin_ns=0))
+    found = {}
+    for seen in (True, False):
+        car = LearnedCar.new(equation_of(vehicle))
+        car = car.after(replace(one, height_known=seen) for one in drive)
+        found[seen] = published(car.state, car.equation, car.driven)
+        distance = car.driven.distance
+    std = {seen: math.sqrt(each.now.covariance[C_RR, C_RR]) for seen, each in found.items()}
+    climb = climb_as_rolling(distance)
+    assert std[False] >= min(climb, math.sqrt(found[False].prior.covariance[C_RR, C_RR]))
+    assert std[False] > std[True]
+    assert (found[True].hills_seen, found[False].hills_seen) == (True, False)
+    assert parameter_set(0, found[False]).parameters["c_rr"].state is not Trust.VALID
+
+
+def test_the_road_of_a_drive_that_begins_is_as_the_last_one(vehicle, intervals):
+    drive = measured(intervals((DriveKind.URBAN, 120.0, 0), begin_ns=0))
+    car = LearnedCar.new(equation_of(vehicle)).after(
+        replace(one, height_known=False) for one in drive
+    )
+    car = car.begin_drive()
+    assert not published(car.state, car.equation, car.driven).hills_seen
+    car = car.after(replace(one, height_known=True) for one in drive)
+    assert published(car.state, car.equation, car.driven).hills_seen
+
+
+def test_heights_that_begin_late_leave_what_is_known_of_the_road(vehicle, intervals):
+    """The first hundred metres of a drive are not the road of the car."""
+    drive = measured(intervals((DriveKind.URBAN, 120.0, 0), begin_ns=0))
+    car = LearnedCar.new(equation_of(vehicle)).after(
+        replace(one, height_known=True) for one in drive
+    )
+    car = car.begin_drive().after(replace(one, height_known=False) for one in drive[:15])
+    assert published(car.state, car.equation, car.driven).hills_seen
+
+
+def test_a_short_stretch_without_heights_takes_little_of_what_is_known(vehicle, intervals):
+    """The climb of 5 % of the road is off by what it is to the whole."""
+    drive = measured(intervals((DriveKind.MIXED, 600.0, 3), begin_ns=0))
+    stds = {}
+    for gaps in (0, len(drive) // 20, len(drive)):
+        car = LearnedCar.new(equation_of(vehicle)).after(
+            replace(one, height_known=number >= gaps) for number, one in enumerate(drive)
+        )
+        found = published(car.state, car.equation, car.driven).now
+        stds[gaps] = [math.sqrt(found.covariance[index, index]) for index in (C_RR, C_D)]
+    all_seen, some, none = stds.values()
+    for seen, most, unseen in zip(all_seen, some, none, strict=True):
+        assert most - seen < 0.2 * (unseen - seen)

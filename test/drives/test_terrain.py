@@ -1,0 +1,90 @@
+"""Heights by place from tiles of elevation, between their samples and over their edges."""
+
+import gzip
+import math
+
+import numpy as np
+import pytest
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.sources import open_drive
+from evpinn_ros.drives.terrain import Terrain
+from evpinn_ros.signals.readings import AltitudeReading
+
+SIDE = 1201
+
+
+def plane(latitude, longitude):
+    """Ground that rises to the north and the east, m."""
+    return 100.0 + 900.0 * (latitude - 48.0) + 300.0 * (longitude - 11.0)
+
+
+@pytest.fixture
+def tiles(tmp_path):
+    """Two tiles beside each other, one of them packed; a void in the first."""
+    folder = tmp_path / "tiles"
+    folder.mkdir()
+    for west in (11, 12):
+        north_first = np.linspace(49.0, 48.0, SIDE)[:, None]
+        heights = np.rint(plane(north_first, np.linspace(west, west + 1, SIDE))).astype(">i2")
+        if west == 11:
+            heights[0, 0] = -32768
+            (folder / "N48E011.hgt").write_bytes(heights.tobytes())
+        else:
+            (folder / "n48e012.hgt.gz").write_bytes(gzip.compress(heights.tobytes(), 1))
+    return folder
+
+
+def test_heights_lie_between_the_samples_of_a_tile(tiles):
+    rng = np.random.default_rng(0)
+    latitude, longitude = 48.0 + 0.99 * rng.random(500), 11.0 + 2 * rng.random(500)
+    heights = Terrain(tiles).heights(latitude, longitude)
+    assert heights == pytest.approx(plane(latitude, longitude), abs=0.8)  # whole metres
+
+
+def test_where_no_tile_has_a_height_there_is_none(tiles):
+    places = np.array([48.9999, 49.5, 48.5, np.nan]), np.array([11.0001, 11.5, -11.5, 11.5])
+    assert np.isnan(Terrain(tiles).heights(*places)).all(), "a void, and beyond the tiles"
+
+
+def test_a_log_with_places_alone_gets_heights(tmp_path, tiles):
+    rows = [f"{i},10,1000,{48.2 + 1e-4 * i:.6f},11.5" for i in range(60)]
+    header = "t_s,speed_mps,power_w,latitude,longitude"
+    (tmp_path / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
+    found = {}
+    for terrain in (None, Terrain(tiles)):
+        readings = open_drive(tmp_path / "drive.csv", terrain=terrain).readings()
+        found[terrain] = [each for each in readings if isinstance(each, AltitudeReading)]
+    without, heights = found.values()
+    assert not without and len(heights) == 60
+    climb = heights[-1].altitude - heights[0].altitude
+    assert climb == pytest.approx(900.0 * 59e-4, abs=1.0)
+
+
+def test_a_place_may_come_in_two_rows_as_apps_write_one_signal_a_row(tmp_path, tiles):
+    rows = []
+    for i in range(60):
+        rows += [f"{i},10,1000,,", f"{i}.3,,,{48.2 + 1e-4 * i:.6f},", f"{i}.6,,,,11.5"]
+    header = "t_s,speed_mps,power_w,latitude,longitude"
+    (tmp_path / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
+    readings = open_drive(tmp_path / "drive.csv", terrain=Terrain(tiles)).readings()
+    heights = [each.altitude for each in readings if isinstance(each, AltitudeReading)]
+    assert len(heights) > 100 and not any(map(math.isnan, heights))
+    assert heights[-1] - heights[0] == pytest.approx(900.0 * 59e-4, abs=1.5)
+
+
+def test_recorded_altitudes_give_way_to_the_ground(tiles):
+    reading = AltitudeReading(1, 5.0, 48.5, 11.5)
+    beyond = AltitudeReading(2, 5.0, 50.5, 11.5)
+    found = list(Terrain(tiles).on(iter([reading, beyond])))
+    assert [each.altitude for each in found] == [pytest.approx(700.0, abs=1.0), 5.0]
+
+
+def test_folders_without_tiles_and_broken_tiles_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no tile of elevation"):
+        Terrain(tmp_path)
+    with pytest.raises(InputError):
+        Terrain(tmp_path / "nowhere")
+    (tmp_path / "N48E011.hgt").write_bytes(b"\0" * 1000)
+    with pytest.raises(InputError, match="no tile of 1201"):
+        Terrain(tmp_path).heights(np.array([48.5]), np.array([11.5]))
