@@ -27,7 +27,7 @@ import traceback
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from benchmarks.attack_seeds import SEEDS
-from evpinn_ros.bags.can_frames import BAG_SUFFIXES
+from evpinn_ros.bags.names import BAG_SUFFIXES
 from evpinn_ros.common import apart
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives import sheets  # noqa: F401 (imported before the fork)
