@@ -39,7 +39,7 @@ from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.breakdown_text import breakdown_lines
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.dropped_text import dropped_text
-from evpinn_ros.replays.owner_text import owner_line
+from evpinn_ros.replays.owner_text import owner_line, sparse_note
 from evpinn_ros.replays.run import (
     WARM_UP,
     Replayed,
@@ -241,7 +241,7 @@ def _show(
     if dropped := dropped_text(found["input"]["dropped"]):
         say(f"Not used: {dropped}")
     say(owner_line(result.drive, found, units))
-    if doubt := vehicle_doubt(vehicle, result.drive):
+    for doubt in filter(None, (vehicle_doubt(vehicle, result.drive), sparse_note(result.drive))):
         say(doubt)
     if briefly:
         return
