@@ -57,7 +57,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         *shared_files("config", "launch", "bags"),
         # Where `ros2 run` looks. Not as `scripts`: the first line of those is left to pip.
-        (f"lib/{NAME}", ["examples/eco_speed_planner.py"]),
+        (f"lib/{NAME}", ["examples/eco_speed_planner.py", "examples/simulated_robot.py"]),
     ],
     zip_safe=False,
     python_requires=">=3.10",

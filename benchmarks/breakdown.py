@@ -70,7 +70,7 @@ class SpanChain(CarChain):
 
     @property
     def seconds(self) -> float:
-        """Of all intervals in the breakdown."""
+        """Length of all intervals in the breakdown."""
         return self.car.parts.totals.seconds
 
     @property

@@ -22,7 +22,7 @@ from evpinn_ros.reproduction.problem import PhysicsInputs, Problem
 
 
 def deepxde_version() -> str | None:
-    """Of the installed DeepXDE, None if there is none."""
+    """Version of the installed DeepXDE, None if there is none."""
     try:
         return version("deepxde")
     except PackageNotFoundError:

@@ -35,7 +35,7 @@ class FastsimRun(NamedTuple):
 
 
 def fastsim_version() -> str | None:
-    """Of the installed fastsim, None if there is none."""
+    """Version of the installed fastsim, None if there is none."""
     try:
         return version("fastsim")
     except PackageNotFoundError:

@@ -201,7 +201,7 @@ def _bag(folder: Path, vehicle: Vehicle, seconds: float, seed: int, day: int) ->
 
 
 def _cpu_s() -> float:
-    """Of the processor, of the workers that have ended."""
+    """Processor time of the workers that have ended."""
     used = getrusage(RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 

@@ -59,7 +59,7 @@ def has_height(intervals: Sequence[Interval]) -> bool:
 
 
 def without_height(interval: Interval) -> Interval:
-    """The same interval of a log that has no heights."""
+    """Interval as of a log that has no heights."""
     flat = interval.steps._replace(climb=np.zeros_like(interval.steps.climb))
     return replace(interval, steps=flat, height_known=False)
 

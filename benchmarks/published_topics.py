@@ -67,7 +67,7 @@ def _changed(sets: Iterator[tuple[int, dict[str, str]]]) -> Iterator[tuple[int, 
 
 
 def as_teslamate(car: str = "1", **of: object) -> Iterator[tuple[int, dict[str, str]]]:
-    """Of each second the topics that changed: whole km/h and kW. The place always changes."""
+    """Each second's topics that changed: whole km/h and kW. The place always changes."""
     base = f"teslamate/cars/{car}"
 
     def sets() -> Iterator[tuple[int, dict[str, str]]]:
@@ -89,7 +89,7 @@ def as_teslamate(car: str = "1", **of: object) -> Iterator[tuple[int, dict[str, 
 
 
 def as_ovms(car: str = "CAR", **of: object) -> Iterator[tuple[int, dict[str, str]]]:
-    """Of each second the metrics that were modified, as OVMS writes floats."""
+    """Each second's metrics that were modified, as OVMS writes floats."""
     base = f"ovms/me/{car}/metric"
 
     def sets() -> Iterator[tuple[int, dict[str, str]]]:

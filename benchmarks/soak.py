@@ -37,7 +37,7 @@ class Hour(NamedTuple):
 
     @property
     def energy_kwh(self) -> float:
-        """The same in kWh."""
+        """Energy counted since the first hour, kWh."""
         return self.energy / 3.6e6
 
 
@@ -73,7 +73,7 @@ def soak(
 
 
 def _simulate(sending: Connection, hours: int, duration: float) -> None:
-    """The same car for hours, with a pause after each: pieces of readings, an empty one to end."""
+    """Send one car for hours, with a pause after each: pieces of readings, an empty one to end."""
     vehicle, car = load_vehicle(VEHICLE), None
     for hour, kind in zip(range(hours), cycle(DriveKind), strict=False):
         start_ns = EPOCH_NS + round(hour * (duration + PAUSE) * NANOSECONDS)

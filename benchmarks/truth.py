@@ -115,7 +115,7 @@ class TruthCheck:
 
     @property
     def error_percent(self) -> float:
-        """Of the truth."""
+        """Error in percent of the truth."""
         return 100.0 * (self.value / self.truth - 1.0)
 
     @property

@@ -229,8 +229,9 @@ def test_installed_command_runs(installed: Path) -> None:
     assert "replay" in in_workspace(installed, "evpinn_ros/lib/evpinn_ros/evpinn", "--help")
 
 
-def test_installed_example_is_what_one_reads(installed: Path) -> None:
-    example = installed / "evpinn_ros" / "lib" / "evpinn_ros" / "eco_speed_planner.py"
+@pytest.mark.parametrize("name", ["eco_speed_planner.py", "simulated_robot.py"])
+def test_installed_example_is_what_one_reads(installed: Path, name: str) -> None:
+    example = installed / "evpinn_ros" / "lib" / "evpinn_ros" / name
     assert example.read_bytes() == (ROOT / "examples" / example.name).read_bytes()
     assert os.access(example, os.X_OK)
 

@@ -17,8 +17,10 @@ FILES = {
     for path in sorted(folder.rglob("*.py"))
 }
 
-QUESTIONS = re.compile(r"(What|Whether|How|Which|Who|Why|Where|When|All that)\b")
-"""Beginnings of a docstring that does not name its thing: a noun or a verb phrase does."""
+QUESTIONS = re.compile(
+    r"(What|Whether|How|Which|Who|Why|Where|When|All that|Of|The same|Likewise|See the module)\b"
+)
+"""Beginnings of docstrings that do not name their thing: a noun or a verb phrase does."""
 
 GONE = {
     "adopt", "adopted", "belief", "beliefs", "believe", "believed", "believes", "flicker",

@@ -29,7 +29,7 @@ LONGEST = 15.0  # s in which a fault must be named
 
 
 def bus_arguments() -> tuple[str, ...]:
-    """Of `evpinn run`: a bus that stays on this machine, and on which nothing happens."""
+    """Arguments of `evpinn run`: a bus of this machine, on which nothing happens."""
     options = " ".join(f"{name}={value}" for name, value in bus_options(own_port()).items())
     fixed = ("--can-interface", INTERFACE, "--can-channel", GROUP, "--bitrate", "0")
     return (*fixed, "--bus-options", options, "--can-profile", PROFILE)

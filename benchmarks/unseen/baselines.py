@@ -70,7 +70,7 @@ class PriorAlone(StepMethod):
         return Prediction(step.middle_ns, self.power(step))
 
     def power(self, step: DrivingStep) -> float:
-        """Likewise."""
+        """Power of the prior car over a step, W."""
         return self._prior.predict(_sample(step)).power
 
 

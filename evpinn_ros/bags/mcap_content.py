@@ -152,7 +152,7 @@ def parsed(opcode: int, body: bytes) -> Any:
 
 
 def parsed_from(opcode: int, stream: Any, length: int) -> Any:
-    """The same, of a stream that holds so many bytes; reads no more of it than it takes."""
+    """Record of a stream that holds `length` bytes; reads no more of it than it takes."""
     kind = _PARSED.get(Opcode(opcode)) if opcode in OPCODES else None
     with suppress(*PARSE_ERRORS):
         record = kind.read(ReadDataStream(stream)) if kind is not None else None
@@ -200,7 +200,7 @@ def records_in(
 
 
 def indexed_records(data: bytes, index: MessageIndex, definitions: Definitions) -> Records | None:
-    """The same by the message indexes that follow a chunk; None where they do not say it all.
+    """Records by the message indexes that follow a chunk; None where these do not say it all.
 
     A message of 40 bytes takes 1 us to find by going there, this way a twentieth.
     """

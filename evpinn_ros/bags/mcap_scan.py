@@ -180,7 +180,7 @@ class McapScan:
         return opcode == Opcode.MESSAGE and near and self._definitions.knows(channel)
 
     def _knows(self, position: int) -> bool:
-        """Of the channel of a message; any is plausible where none is known."""
+        """True where the channel of a message is known; any is plausible where none is."""
         data = self._file.read(position, MESSAGE_HEAD.size)
         if len(data) < MESSAGE_HEAD.size:
             return False

@@ -98,7 +98,7 @@ class BagReader:
                 self.dropped["undecodable"] += 1
 
     def raw_records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
-        """The same as bytes, those that cannot be decoded too."""
+        """Records whose messages are still bytes, those that cannot be decoded too."""
         self.dropped.clear()
         streams = [self._raw(file, topics) for file in self._files]
         for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):

@@ -162,7 +162,7 @@ def broken_files(source: Path) -> list[Path]:
 
 
 def _number(path: Path) -> int:
-    """Of a file of several: drive_10.mcap comes after drive_9.mcap."""
+    """Number of one file of a bag: drive_10.mcap comes after drive_9.mcap."""
     digits = path.stem.rpartition("_")[2]
     return int(digits) if digits.isascii() and digits.isdigit() else -1
 

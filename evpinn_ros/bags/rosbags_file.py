@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator
 from contextlib import closing
+from itertools import accumulate, islice
 from pathlib import Path
 import re
 import sqlite3
+from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
 from rosbags.rosbag2 import Reader
@@ -17,6 +19,13 @@ from evpinn_ros.common.opener import check_file
 
 # What a damaged file makes rosbags raise is listed nowhere: errors of its own, of apsw, of zstd.
 READ_ERRORS = (Exception,)
+FREE_STEPS, STEPS_A_BYTE = 1_000_000, 4
+"""Steps of SQLite's machine; to look through a bag of small messages takes half a step a byte."""
+PERIOD = 1000  # steps
+# Text, of which no message is, would be read to know its length; of what was cut nothing is left.
+MESSAGE_BYTES = """SELECT total(
+    CASE typeof(data) WHEN 'blob' THEN length(data) WHEN 'text' THEN 1e18 ELSE 0 END
+) FROM messages NOT INDEXED"""
 COMPUTING = re.compile(r"\b(VIRTUAL|GENERATED|AS)\b", re.I)  # in the definition of a table
 
 
@@ -35,14 +44,18 @@ class RosbagsFile:
         Raises:
             InputError: it is not there, rosbags can not read it, or it is more than tables.
         """
-        check_file(path)
-        _refuse_programs(path)
+        _check_database(path, check_file(path))
         self.path = path
         self.problem: str | None = None
-        self._reader = Reader(path)
+        self._folder = TemporaryDirectory(prefix="evpinn-")
+        # rosbags takes the path as an address, in which #, ? and % are no letters.
+        link = Path(self._folder.name, "bag.db3")
+        link.symlink_to(path.resolve())
+        self._reader = Reader(link)
         try:
             self._reader.open()
         except READ_ERRORS as error:
+            self._folder.cleanup()
             raise InputError(f"{path}: {self._reason(error)}") from error
         self._connections = {connection.id: connection for connection in self._reader.connections}
         self.channels = {
@@ -67,20 +80,54 @@ class RosbagsFile:
     def close(self) -> None:
         """Close the file."""
         self._reader.close()
+        self._folder.cleanup()
 
     def _reason(self, error: Exception) -> str:
         """In one line, without the path that rosbags puts in some."""
         return " ".join(str(error).replace(str(self._reader.path), "").split())
 
 
-def _refuse_programs(path: Path) -> None:
-    """Refuse a database that computes: a view in place of a table can run for ever."""
+def _check_database(path: Path, size: int) -> None:
+    """Refuse a database that computes, or whose tables hold more than its file.
+
+    A view in place of a table can run for ever. So can pages that lead to one another, and many
+    rows may share the pages of one: SQLite follows both. Damage is reported when it is read.
+    """
     address = f"file:{quote(str(path))}?immutable=1"
+    periods = iter(range((FREE_STEPS + STEPS_A_BYTE * size) // PERIOD))
     with (
         as_input_error(f"{path}: Cannot open database", *READ_ERRORS),
         closing(sqlite3.connect(address, uri=True)) as database,
     ):
-        entries = database.execute("SELECT type, sql FROM sqlite_master").fetchall()
-    for kind, sql in entries:
-        if kind not in ("table", "index") or COMPUTING.search(str(sql)):
-            raise InputError(f"{path}: no bag: its database has a {kind} that computes")
+        database.set_progress_handler(lambda: next(periods, None) is None, PERIOD)
+        entries = list(islice(database.execute("SELECT type, name, sql FROM sqlite_master"), 100))
+        fault = next(filter(None, (_fault(database, each, size) for each in entries)), None)
+    if fault is not None:
+        raise InputError(f"{path}: no bag: its database {fault}")
+
+
+def _fault(database: sqlite3.Connection, entry: tuple[str, str, str], size: int) -> str | None:
+    kind, name, sql = entry
+    if kind not in ("table", "index") or COMPUTING.search(str(sql)):
+        return f"has a {kind} that computes"
+    return "holds more than its file" if _holds_more(database, kind, name, size) else None
+
+
+def _holds_more(database: sqlite3.Connection, kind: str, name: str, size: int) -> bool:
+    """True if a table holds more than so many bytes, or an index or a table does not end."""
+    quoted = '"' + name.replace('"', '""') + '"'
+    try:
+        if kind == "index":
+            database.execute(f"SELECT count(*) FROM messages INDEXED BY {quoted}").fetchone()
+            return False
+        if name == "messages":  # of a blob its length is known without reading it
+            (held,) = database.execute(MESSAGE_BYTES).fetchone()
+            return bool(held > size)
+        rows = database.execute(f"SELECT * FROM {quoted} NOT INDEXED")
+        return any(held > size for held in accumulate(sum(map(_size, row)) for row in rows))
+    except sqlite3.DatabaseError as error:
+        return str(error) == "interrupted"
+
+
+def _size(value: object) -> int:
+    return len(value) if isinstance(value, str | bytes) else 0

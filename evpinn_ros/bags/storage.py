@@ -74,7 +74,7 @@ def _copy(
 
 
 def _connect(writer: Writer, connection: Any) -> Any:
-    """The same topic in the new bag; the definition of its type from the bag, if it has it."""
+    """Add a topic to the new bag, with the definition of its type if the old one has it."""
     definition = connection.msgdef.data
     described: dict[str, Any] = {"typestore": typestore()}
     if definition and connection.digest:

@@ -79,7 +79,7 @@ class MessageFit:
 
     @property
     def share(self) -> float:
-        """Of good frames, 0..1."""
+        """Share of good frames, 0..1."""
         total = self.good + self.bad.total()
         if not total:
             return 0.5 if self.frames else 0.0

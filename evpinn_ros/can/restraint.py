@@ -19,7 +19,7 @@ UNANSWERED_S = 30.0
 """Pause of every control unit after which the car is taken to be asleep."""
 
 WOKEN_UNANSWERED_S = 5.0
-"""The same after a stop: control units of a car that woke answer within a second."""
+"""Pause of every control unit after a stop: those of a car that woke answer in a second."""
 
 QUIET_S = 10.0
 """Pause of the whole bus after which its traffic can show that the car woke."""

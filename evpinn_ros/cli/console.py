@@ -102,7 +102,7 @@ class RateColumn(ProgressColumn):
     """Speed of the work: times real time for seconds of a drive, else so many a second."""
 
     def __init__(self, unit: str) -> None:
-        """Of what is counted."""
+        """Show the rate of what is counted."""
         super().__init__()
         self._unit = unit
 
@@ -155,7 +155,7 @@ def progress_lines(title: str, total: float | None, amount: Callable[[float], st
 
 
 def bytes_bar(title: str, total: int) -> AbstractContextManager[Report]:
-    """The same for a file: takes bytes done, shows the rate and the time left."""
+    """Progress through a file: takes bytes done, shows the rate and the time left."""
     columns = (DownloadColumn(), TransferSpeedColumn())
     return _bar(title, total, columns, lambda done: f"{done / 1e6:.0f} MB")
 

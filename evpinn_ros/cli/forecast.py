@@ -11,7 +11,7 @@ import typer
 from evpinn_ros.cli.console import command_line, note, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.common.units import JOULES_PER_KWH, kwh_digits
 from evpinn_ros.common.writer import check_outputs
 
 COLUMNS = ("plan", "km", "min", "km/h", "kWh", "1-sigma", "kWh/100 km", "charge after")
@@ -180,14 +180,15 @@ def _texts(row: dict[str, Any]) -> list[str]:
     charge = f"{row['charge_pct']:.1f} +- {row['charge_sigma_pct']:.1f} %"
     if row["empty_at_m"] is not None:
         charge = f"empty at {row['empty_at_m'] / 1e3:.1f} km"
+    digits = kwh_digits(kwh, 3)
     return [
         Path(row["plan"]).stem,
         f"{km:.2f}",
         f"{60 * hours:.1f}",
         f"{km / hours:.0f}",
-        f"{kwh:.3f}",
-        f"{sigma:.3f}",
+        f"{kwh:.{digits}f}",
+        f"{sigma:.{digits}f}",
         f"{100 * kwh / km:.1f}" if km else "-",
         charge if math.isfinite(row["charge_pct"]) else "-",
-        f"{more:+.3f} +- {more_sigma:.3f}" if math.isfinite(more) else "",
+        f"{more:+.{digits}f} +- {more_sigma:.{digits}f}" if math.isfinite(more) else "",
     ]

@@ -27,6 +27,7 @@ class Commands(LazyCommands):
             "replay",
             "compare",
             "forecast",
+            "export",
             "run",
             "mqtt",
             "vss",

@@ -74,5 +74,5 @@ def near_names(name: str, known: Iterable[str]) -> str:
 
 
 def known_names(name: str, known: Collection[str]) -> str:
-    """The same, and all that is known."""
+    """Names near to a wrong one, then all that are known."""
     return f"{near_names(name, known)}; known are {', '.join(known)}"

@@ -9,6 +9,14 @@ from typing import NamedTuple
 JOULES_PER_KWH = 3.6e6
 
 
+SMALL_KWH = 0.1  # of a robot's hour or a car's half kilometre: two more digits are worth showing
+
+
+def kwh_digits(kwh: float, usual: int) -> int:
+    """Digits of energies in a table whose largest is this one, kWh."""
+    return usual + 2 if abs(kwh) < SMALL_KWH else usual
+
+
 def counted(number: int, word: str) -> str:
     """Number of things with their word: `1 car`, `2 cars`."""
     return f"{number} {word}{'' if number == 1 else 's'}"

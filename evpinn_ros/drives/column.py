@@ -39,15 +39,15 @@ class Column:
         return self.name == QUANTITIES[self.quantity].column
 
     def measured_in(self, text: str, unit: Unit, why: str) -> Column:
-        """The same column, its unit known."""
+        """Column whose unit is known."""
         return replace(self, factor=unit.factor, offset=unit.offset, unit=text, why=why)
 
     def turned(self) -> Column:
-        """The same column with the other sign."""
+        """Column with the other sign."""
         return replace(self, factor=-self.factor, offset=-self.offset, unit=f"-{self.unit}")
 
     def in_unit(self, text: str, why: str) -> Column:
-        """The same column in a unit of its quantity, as `QUANTITIES` spells it."""
+        """Column in a unit of its quantity, as `QUANTITIES` spells it."""
         return self.measured_in(text, QUANTITIES[self.quantity].units[text], why)
 
 

@@ -95,7 +95,7 @@ class DataCoverage:
 
     @property
     def seconds(self) -> float:
-        """Of all spans."""
+        """Length of all spans, s."""
         return _seconds(self.spans)
 
     @property

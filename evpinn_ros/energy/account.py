@@ -66,7 +66,7 @@ class EnergyTotals(NamedTuple):
         return EnergyTotals(*(a + b for a, b in zip(self, other, strict=True)))
 
     def not_below(self, before: EnergyTotals) -> EnergyTotals:
-        """The same net energy, with as much drawn and regenerated as before at least.
+        """Give totals of this net energy, with at least as much drawn and regenerated as before.
 
         What a prediction counted between two words of the battery is put right by the second:
         for some seconds less may have been drawn than was shown.
@@ -191,7 +191,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.gauge.begin_anew()
 
     def begin_next_trip(self) -> None:
-        """Likewise, and count the trip from zero; the lifetime goes on."""
+        """Begin as after a jump of time, and count the trip from zero; the lifetime goes on."""
         self.begin_after_jump()
         self.reset_trip()
 

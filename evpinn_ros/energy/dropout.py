@@ -24,7 +24,7 @@ class Bridge(NamedTuple):
 
     @classmethod
     def of_parts(cls, drawn: float, regenerated: float) -> Bridge:
-        """Of drawn and regenerated energy, J, over a time that is counted elsewhere."""
+        """Make one of drawn and regenerated energy, J, over a time that is counted elsewhere."""
         return cls(drawn - regenerated, regenerated, drawn + regenerated)
 
     def plus(self, other: Bridge) -> Bridge:

@@ -275,7 +275,7 @@ def battery_after(result: Forecast, charge: Uncertain, capacity: Uncertain) -> U
 
 
 def battery_along(result: Forecast, charge: Uncertain, capacity: Uncertain) -> np.ndarray:
-    """The same at each point, shape (2, n): NaN where unknown, and below 0 it is empty."""
+    """Charge at each point and its 1-sigma, 0..1, shape (2, n); NaN unknown, below 0 empty."""
     share = result.energy / capacity.value
     parts = charge.sigma, result.sigma / capacity.value, share * capacity.sigma / capacity.value
     return np.stack([charge.value - share, np.sqrt(sum(part**2 for part in parts))])

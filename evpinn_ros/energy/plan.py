@@ -25,7 +25,8 @@ COMFORT_ACCELERATION = 1.0  # m/s^2, gentle for a person standing in a bus as we
 COMFORT_LATERAL = 2.0  # m/s^2, what drivers take in a bend without hurry
 SLOWEST = 1.0  # m/s through the sharpest bend
 BEND = 10.0  # m before and after a point, over which the bend of the path is taken
-NOMINAL_STEP = 25.0  # m between points of a nominal profile, where the path has fewer
+# Most m, and s, between points of a nominal profile, where the path has fewer.
+NOMINAL_STEP, NOMINAL_SECONDS = 25.0, 2.0
 UNITS_APART = 3.0  # speeds in km/h make 3.6 times the distance, one in km a thousandth of it
 LEAST_LENGTH = 50.0  # m of a profile from which that can be seen
 SLOWEST_TRIP = 0.1  # m/s while it moves: no jam is slower, but lengths in km are
@@ -78,7 +79,7 @@ class Plan:
         _refuse(np.abs(climb) > length + CLIMB_TOLERANCE, "climbs more than it travels")
 
     def quicker(self, factor: float) -> Plan:
-        """The same road with all speeds times a factor; where it stands it does so as long.
+        """Plan along this road with all speeds times a factor; it stands as long as before.
 
         Raises:
             PlanError: that is too fast.
@@ -133,7 +134,7 @@ class Legs:
             _refuse(wrong, f"{name} is not between 0 and {MAX_SPEED:g} m/s", "leg")
 
     def quicker(self, factor: float) -> Legs:
-        """The same road with all speeds times a factor; stops last as long.
+        """Legs of this road with all speeds times a factor; stops last as long.
 
         Raises:
             PlanError: that is too fast.
@@ -365,7 +366,8 @@ def _nominal_plan(
         raise PlanError(f"cannot drive {nominal_speed:g} m/s")
     ramp = min(nominal_speed**2 / (2 * COMFORT_ACCELERATION), length / 2)
     # The ends of both ramps become points, so that every leg has one constant acceleration.
-    steps = np.linspace(0.0, length, 2 + min(int(length / NOMINAL_STEP), MAX_POINTS))
+    step = min(NOMINAL_STEP, NOMINAL_SECONDS * nominal_speed)
+    steps = np.linspace(0.0, length, 2 + min(int(length / step), MAX_POINTS))
     s = np.concatenate((distance, steps, [ramp, length - ramp]))
     s = np.unique(s.round(6))  # no leg is as short as rounding
     squared = np.minimum(nominal_speed, _bend_speed(s, distance, points)) ** 2

@@ -18,10 +18,10 @@ from evpinn_ros.common.arrays import like, namespace, within
 from evpinn_ros.estimation.posterior import (
     LOAD_TIME,
     CarModel,
-    initial_state,
     unexplained,
     wandered,
 )
+from evpinn_ros.estimation.size import model_of_file
 from evpinn_ros.estimation.states import PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import (
     EXPLAINED,
@@ -31,7 +31,6 @@ from evpinn_ros.estimation.terms import (
     Wheels,
     climate_powers,
     coldness,
-    equation_of,
 )
 from evpinn_ros.estimation.unevenness import Path, even_rows
 from evpinn_ros.vehicle.files import Vehicle
@@ -267,10 +266,10 @@ class PowerModel:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of the states, shape (SIZE, SIZE), with heating that strays from what is usual.
+        """Covariance of the states, shape (SIZE, SIZE), with heating that strays from the usual.
 
-        Before a drive nobody knows how much of what its temperature makes likely will be on; once
-        it has begun, its loads tell.
+        Before a drive it is unknown how much of what its temperature makes likely will be on; once
+        it has begun, its loads show it.
         """
         car, strays = self.car, np.zeros(SIZE)
         if car.seconds > 0.0:
@@ -311,8 +310,7 @@ class PowerModel:
 
 def vehicle_model(vehicle: Vehicle, seed: int = 0) -> PowerModel:
     """The car of a vehicle file, of which nothing was learned yet."""
-    equation = equation_of(vehicle, seed)
-    return PowerModel(initial_state(equation).model(equation))
+    return PowerModel(model_of_file(vehicle, seed))
 
 
 def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicle) -> PowerModel:

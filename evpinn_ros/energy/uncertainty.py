@@ -42,7 +42,7 @@ def walked(elapsed: Any, memory: float) -> Any:
 
 
 class CorrelatedError:
-    """The same for a sigma that changes from step to step.
+    """Error of an integral whose sigma changes from step to step.
 
     Keeps the variance of the energy and its covariance with u. A sigma of NaN makes the result
     NaN from there on: an integral with an unknown part is unknown.

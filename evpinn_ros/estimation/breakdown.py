@@ -212,7 +212,7 @@ class Breakdowns:
         )
 
     def joined(self, owners: Sequence[int]) -> Breakdowns:
-        """The same where some belong together, as those before and after a long stop.
+        """Breakdowns of which some belong together, as those before and after a long stop.
 
         Args:
             owners: number of the whole that each belongs to; all from 0 on.
@@ -250,7 +250,7 @@ class DriveParts:
         return DriveParts(self.rows + own, self.totals.plus(interval))
 
     def ended(self, state: CarState) -> EndedDrive:
-        """The same as a function of the states of the car alone."""
+        """Parts as functions of the states of the car alone."""
         mean, covariance = state.mixture()
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-12))
         within = np.ix_(LASTING, LASTING)
@@ -294,23 +294,33 @@ def breakdowns(
     energy = rows @ mean[LASTING] + np.concatenate([each.offset for each in drives])
     whole = rows @ covariance[np.ix_(LASTING, LASTING)] @ rows.T
     weight = GRAVITY * equation.eta * float(mean[State.MASS])
+    growth = math.nan if equation.vehicle.in_traffic else state.bands.growth
     for number, each in enumerate(drives):
         span = slice(number * COUNT, (number + 1) * COUNT)
-        own = each.own + _beside(energy[span], each.totals, weight)
+        own = each.own + _beside(energy[span], each.totals, weight, growth)
         whole[span, span] += own
     shape = len(drives), COUNT
     totals = tuple(each.totals for each in drives)
     return Breakdowns(energy.reshape(shape), whole.reshape(shape + shape), totals)
 
 
-def _beside(energy: np.ndarray, totals: Totals, weight: float) -> np.ndarray:
-    """Covariance that no state holds, J^2: heights that stray, edges, and maps of losses."""
+def _beside(energy: np.ndarray, totals: Totals, weight: float, growth: float) -> np.ndarray:
+    """Covariance that no state holds, J^2: heights that stray, edges, and maps of losses.
+
+    Args:
+        energy: of the parts, J.
+        totals: what they are of.
+        weight: of the car, N.
+        growth: variance of the unseen climb per length of floors, m; NaN for roads.
+    """
     own = np.zeros((COUNT, COUNT))
     if totals.unseen < totals.distance:
         own += 2.0 * (weight * HEIGHT_STRAYS) ** 2 * np.outer(STRAYED_HILL, STRAYED_HILL)
     if totals.unseen > 0.0:
         climbed = _unseen_climb(energy, totals.unseen)
-        own += (weight * net_climb(totals.unseen)) ** 2 * np.outer(climbed, climbed)
+        climb = net_climb(totals.unseen) ** 2
+        climb = climb if math.isnan(growth) else growth * totals.unseen
+        own += weight**2 * climb * np.outer(climbed, climbed)
     own[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * energy[Part.REGAINED]) ** 2
     # (m v dv)^2 at both ends
     own[Part.SPEED, Part.SPEED] += 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])

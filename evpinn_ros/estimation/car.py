@@ -44,7 +44,7 @@ KEPT_WHEN_COMPARED = 0.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedCar:
-    """See the module's text.
+    """Everything learned of a car (see the text of the module).
 
     Attributes:
         equation: of the car.

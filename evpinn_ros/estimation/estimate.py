@@ -73,7 +73,7 @@ class ParameterSet:
     identifiable_states: Mapping[str, Trust] = field(default_factory=dict)
 
     def stale(self) -> ParameterSet:
-        """The same when nothing was measured for long."""
+        """Parameters whose trust says that nothing was measured for long."""
         states = {Trust.VALID: Trust.STALE}
         return replace(
             self,

@@ -30,6 +30,7 @@ from evpinn_ros.estimation.learner import (
 from evpinn_ros.estimation.operating_range import OperatingRange
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.posterior import CarModel
+from evpinn_ros.estimation.size import Similarity
 from evpinn_ros.estimation.worker import InlineWorker, Worker
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -146,6 +147,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     def __init__(self, vehicle: Vehicle, settings: EstimatorSettings, worker: Worker) -> None:
         """Start from the vehicle's priors; the worker computes the updates."""
         self._vehicle, self._settings, self._worker = vehicle, settings, worker
+        self._similarity = Similarity(vehicle)
         self._accepted = 0
         self._updates = 0
         self._rejected: Counter[str] = Counter()
@@ -155,7 +157,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     def reset(self) -> None:
         """Forget all that was learned; counters are kept."""
         self._worker.cancel()
-        self._learner = self._settings.new_learner(self._vehicle)
+        self._learner = self._settings.new_learner(self._similarity.car)
         self._stream = SampleStream(
             self._settings.stream, self._vehicle.air_density, self._vehicle.motor_ratio
         )
@@ -194,6 +196,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def add_reading(self, reading: Reading) -> Iterator[Output]:
         """Take one reading; give the predictions and parameters it leads to, in order."""
+        for found in self._outputs(self._similarity.reading(reading)):
+            yield self._similarity.estimate(found)
+
+    def _outputs(self, reading: Reading) -> Iterator[Output]:
+        """Outputs of the similar car after one of its readings."""
         before = self._stream.dropped.total()
         events = list(self._stream.add_reading(reading))
         taken = self._stream.dropped.total() == before
@@ -215,12 +222,17 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
+        return self._similarity.estimate(self._parameters())
+
+    def _parameters(self) -> ParameterSet:
+        """Parameters of the similar car."""
         found = self._learner.parameters()
         return found.stale() if self._silent_for(STALE_AFTER_NS) else found
 
     def model(self) -> CarModel | None:
         """The car as forecasts of plans take it; None in the paper's mode."""
-        return self._learner.model()
+        found = self._learner.model()
+        return None if found is None else self._similarity.model(found)
 
     def breakdown(self) -> Breakdown | None:
         """Energy of this drive by where it went; None in the paper's mode, and before any."""
@@ -229,7 +241,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def breakdowns(self) -> Breakdowns | None:
         """Those of all drives that were kept, the present one last."""
-        return self._learner.breakdowns()
+        found = self._learner.breakdowns()
+        return None if found is None else self._similarity.breakdowns(found)
 
     def evidence(self) -> Evidence:
         """Likelihood of the parameters without their prior (see `estimation.evidence`)."""
@@ -237,7 +250,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def detections(self) -> LearnerReport:
         """Changes of payload and suspicions."""
-        return self._learner.report()
+        return self._similarity.report(self._learner.report())
 
     def status(self) -> EstimatorStatus:
         """Counters and activity."""
@@ -252,7 +265,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             durations=tuple(self._worker.durations),
             newest_ns=self._stream.newest_ns,
             unknown=self._stream.unknown,
-            report=self._learner.report(),
+            report=self.detections(),
             progress={name: p.progress for name, p in parameters.items()},
             states={name: p.state for name, p in parameters.items()},
             seen=self._seen.counts(),
@@ -268,7 +281,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def take(self, saved: SavedEstimator) -> None:
         """Go on from a saved state; when that raises nothing is changed."""
-        learner = self._settings.new_learner(self._vehicle)
+        learner = self._settings.new_learner(self._similarity.car)
         learner.gated = self._learner.gated
         learner.take(saved.learner)
         self.handle_time_jump()
@@ -332,7 +345,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         if self._news and not self._waiting and self._activity() is not Activity.PAUSED:
             self._news = False
             self._begin_update()
-        yield replace(self.parameters(), stamp_ns=stamp_ns)
+        yield replace(self._parameters(), stamp_ns=stamp_ns)
 
     def _collect(self) -> None:
         try:

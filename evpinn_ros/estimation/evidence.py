@@ -38,7 +38,7 @@ class Evidence:
     information: np.ndarray
 
     def about(self, mean: np.ndarray, scale: np.ndarray) -> Evidence:
-        """The same likelihood as a function of (z - mean) / scale, shape (6,) each."""
+        """Likelihood as a function of (z - mean) / scale, shape (6,) each."""
         information = scale * (self.information - self.precision @ mean)
         return Evidence(self.precision * np.outer(scale, scale), information)
 

@@ -112,7 +112,7 @@ class SavedPayload:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PayloadDetector:
-    """See the module's text; a value that `after` replaces.
+    """Detector of changed payload; a value that `after` replaces.
 
     Attributes:
         change: the last change of payload, None when none was found or it was withdrawn.

@@ -72,7 +72,7 @@ class SavedPinn:
 
 
 class PinnLearner(Saveable[SavedPinn]):
-    """See the module's text."""
+    """Learner of `mode: hybrid`."""
 
     def __init__(self, vehicle: Vehicle, *, seed: int = 0, keep_drives: bool = False) -> None:
         """Start at the vehicle's priors, with a network whose output is zero."""

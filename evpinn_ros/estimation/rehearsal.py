@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+
 from evpinn_ros.estimation.bands import Bands, PredictedEnergy
 from evpinn_ros.estimation.journey import NOWHERE, Journey
 from evpinn_ros.estimation.posterior import CarState
@@ -19,6 +21,7 @@ from evpinn_ros.estimation.terms import Equation
 
 LENGTHS = (60.0, 200.0)  # s of a rehearsed dropout; the longer ones scale the band
 LEAST_WAY = 2.5  # m for each second of it; a car that stands proves nothing
+LEAST_SHARE = 0.25  # of its nominal speed, which is less for a robot
 LEAST_DRIVE = 500.0  # m of a whole drive that is compared
 
 
@@ -61,11 +64,12 @@ class Rehearsals:
             drawn: its energy, J.
         """
         running, bands = {}, state.bands
+        least_way = np.fmin(LEAST_WAY, LEAST_SHARE * equation.vehicle.nominal_speed)
         for length in LENGTHS:
             rehearsal = self.dropouts.get(length, Rehearsal(state)).plus(journey, way, drawn)
             if rehearsal.journey.seconds < length:
                 running[length] = rehearsal
-            elif rehearsal.way >= LEAST_WAY * length:
+            elif rehearsal.way >= least_way * length:
                 energy, long = rehearsal.predicted(equation), length == max(LENGTHS)
                 bands = bands.after_dropout(energy, rehearsal.drawn, long=long)
         return Rehearsals(self.drive.plus(journey, way, drawn), running), bands

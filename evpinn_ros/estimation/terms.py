@@ -111,7 +111,7 @@ class Wheels(NamedTuple):
 
     @property
     def columns(self) -> tuple[Any, ...]:
-        """The same, one by one."""
+        """Terms of eq. 21 one by one, as `states.PHYSICS` has them."""
         gain, braking = self.gain, 1.0 - self.driving
         mass = (self.inertia + self.climb) * gain
         return self.drag * gain, self.rolling * gain, mass, self.energy * braking

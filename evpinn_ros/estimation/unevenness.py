@@ -111,7 +111,7 @@ class Unevenness:
         return per_leg(legs, self.per_metre(equation))
 
     def per_metre(self, equation: Equation) -> np.ndarray:
-        """The same per metre of legs at each node of speed and duration, shape (*SHAPE, SIZE)."""
+        """Expected rows per metre at each node of speed and duration, shape (*SHAPE, SIZE)."""
         table = self.rows + PRIOR_METRES * _prior(equation)
         return np.asarray(table / (self.metres + PRIOR_METRES)[..., None])
 
@@ -302,8 +302,13 @@ def _between(values: np.ndarray, nodes: np.ndarray) -> list[tuple[np.ndarray, np
 
 @lru_cache(maxsize=8)
 def _prior(equation: Equation) -> np.ndarray:
-    """Rows per metre of simulated drives, shape (*SHAPE, SIZE)."""
+    """Rows per metre of simulated drives, shape (*SHAPE, SIZE).
+
+    They are of cars in traffic: what is slower drives evenly until it has shown otherwise.
+    """
     metres, rows = np.zeros(SHAPE), np.zeros((*SHAPE, SIZE))
+    if not equation.vehicle.in_traffic:
+        return rows
     for line in bundled_lines(REFERENCE):
         drive = _drive_of(np.array(line.split(","), float), equation.vehicle.air_density)
         _add_drive(metres, rows, equation, drive, _moving(equation, drive))

@@ -225,7 +225,7 @@ def _first_stamp(path: Path, vehicle: Vehicle) -> int:
 
 
 def _fingerprint(path: Path) -> str:
-    """Of the names, sizes and times of a drive's files."""
+    """Fingerprint of the names, sizes and times of a drive's files."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     stats = [(file.name, file.stat()) for file in files if file.is_file()]
     return _digest([str(path), *(f"{n} {s.st_size} {s.st_mtime_ns}" for n, s in stats)])

@@ -22,8 +22,8 @@ import math
 import numpy as np
 
 from evpinn_ros.estimation.evidence import LINEAR, NO_EVIDENCE, SIZE, Evidence, file_prior
-from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Prior
+from evpinn_ros.vehicle.files import Vehicle, limits_of
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Prior
 
 FILE_SHARE = 0.5  # of the vehicle file's variance that is doubt of the mean, the rest spread
 FILE_CARS = 0.25  # cars that the file's word on the spread is worth
@@ -103,7 +103,8 @@ class Population:
         return replace(self.vehicle, priors=priors, correlations={}, paper_start={})
 
     def _new_prior(self, name: str, source: str) -> Prior:
-        found, limits = self.value(name), LIMITS[name]
+        found = self.value(name)
+        limits = limits_of(name, self.vehicle.relative_size)
         value = found.mean if name == LINEAR else math.exp(found.mean)
         value = min(max(value, limits.lower), limits.upper)
         std = found.new_car_std * (1.0 if name == LINEAR else value)

@@ -37,7 +37,7 @@ class CallLimits(NamedTuple):
 SERVICE = CallLimits(100, 2_000_000)
 """Some seconds of work, of which the caller does not see how far it is."""
 BATCH = CallLimits(1000, 20_000_000)
-"""Of a goal of the action, which tells how far it is and can be cancelled."""
+"""Limits of a goal of the action, which says how far it is and can be cancelled."""
 
 
 class PlanCall:

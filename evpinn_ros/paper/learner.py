@@ -116,7 +116,7 @@ class SavedPaper:
 
 
 class PaperLearner(Learner, Saveable[SavedPaper]):
-    """See the module's text."""
+    """Learner of `mode: paper`."""
 
     def __init__(
         self,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
-from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.common.units import METRIC, Units, kwh_digits
 from evpinn_ros.estimation.breakdown import (
     MOSTLY_UNSEEN,
     REGAINED,
@@ -121,7 +121,8 @@ def breakdown_rows(found: Mapping[str, Any], units: Units = METRIC) -> list[tupl
     if found["unknown"] is not None:
         return []
     beside = [(MEANINGS[name], found[name]) for name in ("measured", REGAINED)]
-    return [_row(name, amount, units) for name, amount in (*shown(found), *beside)]
+    digits = kwh_digits(found["measured"]["kwh"], 3)
+    return [_row(name, amount, units, digits) for name, amount in (*shown(found), *beside)]
 
 
 def breakdown_lines(found: Mapping[str, Any], units: Units = METRIC) -> list[str]:
@@ -203,7 +204,7 @@ def _took(name: str) -> str:
 
 def _amount(kwh: float, sigma_kwh: float) -> str:
     half = GAUSSIAN_QUANTILE * sigma_kwh
-    digits = 1 if half >= 0.495 else 2 if half >= 0.0095 else 3
+    digits = next((i for i, least in enumerate((0.495, 0.0095, 0.00095), 1) if half >= least), 4)
     low, high = (f"{round(each, digits) + 0.0:.{digits}f}" for each in (kwh - half, kwh + half))
     return f"{low} to {high} kWh (9 times in 10)"
 
@@ -225,17 +226,19 @@ def name_of(parts: Iterable[Part]) -> str:
     return TOGETHER.join(MEANINGS[part.name.lower()] for part in parts)
 
 
-def _row(name: str, amount: Mapping[str, float | None], units: Units) -> tuple[str, ...]:
-    def text(value: float | None, digits: int) -> str:
+def _row(
+    name: str, amount: Mapping[str, float | None], units: Units, digits: int
+) -> tuple[str, ...]:
+    def text(value: float | None, places: int) -> str:
         """To so many digits; of what rounds to nothing no sign."""
-        return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"
+        return "-" if value is None else f"{round(value, places) + 0.0:.{places}f}"
 
     share, rate = amount["share"], amount["kwh_per_100km"]
     rate = None if rate is None else rate * METRIC.rate_joules / units.rate_joules
     return (
         name,
-        text(amount["kwh"], 3),
-        text(amount["sigma_kwh"], 3),
+        text(amount["kwh"], digits),
+        text(amount["sigma_kwh"], digits),
         text(rate, 2 if units is METRIC else 1),
         text(None if share is None else 100 * share, 1) + (" %" if share is not None else ""),
     )

@@ -54,7 +54,7 @@ class Chain:
 
     @property
     def meter(self) -> EnergyMeter:
-        """Of the account."""
+        """Meter of the account."""
         return self.account.meter
 
     @property

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, kwh_digits
 from evpinn_ros.estimation.breakdown import LEAST_DISTANCE
 from evpinn_ros.replays.breakdown_text import LEFT_OUT, SHORT, TOGETHER, known_parts
 from evpinn_ros.replays.driven import charged, measured_steps, travelled
@@ -75,10 +75,11 @@ def _figures(drive: Drive, found: Mapping[str, Any], units: Units) -> tuple[str,
     predicted = found["energy"]["predicted_j"]
     if found["energy"]["measured_j"] is None:
         known, joules = metres, predicted
+    kwh = None if joules is None else joules / JOULES_PER_KWH
     return (
         f"{metres / units.metres:.1f}",
         f"{drive.duration / 60:.0f}",
-        "-" if joules is None else f"{joules / JOULES_PER_KWH:.2f}",
+        "-" if kwh is None else f"{kwh:.{kwh_digits(kwh, 2)}f}",
         "-" if joules is None or known < LEAST_DISTANCE else units.consumption(joules, known),
     )
 

@@ -72,7 +72,7 @@ def _templates() -> Environment:
 
 
 def _in_print(value: Any) -> Any:
-    """The same with the sign that a terminal may lack; what is marked as safe stays as it is."""
+    """Text with the sign ±, which a terminal may lack; what is marked as safe stays as it is."""
     return value.replace("+- ", "± ") if type(value) is str else value
 
 

@@ -184,7 +184,7 @@ class Problem:
 
     @torch.no_grad()
     def losses(self, samples: Samples, network: Network, log_scale: torch.Tensor) -> Losses:
-        """The same as numbers."""
+        """Data and physics term of eq. 22 as numbers."""
         data, physics = (float(term) for term in self.terms(samples, network, log_scale))
         return Losses(data + physics, data, physics)
 

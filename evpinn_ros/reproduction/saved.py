@@ -28,7 +28,7 @@ LEAST_RELATIVE_STD = 0.005  # of a prior written: no car is the same from one da
 
 @torch.no_grad()
 def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
-    """The same function in the units of `paper.learner`, float32.
+    """Network of the same function in the units of `paper.learner`, float32.
 
     There speed comes over `SPEED_SCALE`, time as -age / `WINDOW` before the newest sample (here
     the end of the log), and power leaves over `POWER_SCALE`. All three are affine, so the first

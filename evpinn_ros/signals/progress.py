@@ -17,7 +17,7 @@ def reported(
     progress: Callable[[float], None] | None,
     stamp_of: Callable[[Item], int] = attrgetter("stamp_ns"),
 ) -> Iterator[Item]:
-    """The same items; `progress` takes the seconds since the first, about every second."""
+    """Give the items on; `progress` takes the seconds since the first, about every second."""
     first_ns: int | None = None
     reported = -math.inf
     for item in items:

@@ -126,12 +126,12 @@ class _Repeats:
 
     @property
     def swing(self) -> float:
-        """Of the other value while this one stood still; 0 until that is long enough."""
+        """Range of the other value while this one stood still; 0 until that is long enough."""
         return self._found
 
     @property
     def rise(self) -> float:
-        """The same, upwards alone."""
+        """Range of the other value, upwards alone."""
         return self._risen
 
     @property

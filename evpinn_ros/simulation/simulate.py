@@ -90,9 +90,11 @@ def simulate(
             names parameters.
 
     Raises:
-        InputError: an argument is out of range, the vehicle file names no CAN profile and none
-            was given, or the profile cannot show the values.
+        InputError: an argument is out of range, the vehicle is no passenger car, its file names
+            no CAN profile and none was given, or the profile cannot show the values.
     """
+    if vehicle.relative_size != 1.0:
+        raise InputError(f"vehicle '{vehicle.key}' is no passenger car, which is all that drives")
     profile_name = can_profile or vehicle.can_profile
     if profile_name is None:
         raise InputError(f"vehicle '{vehicle.key}' has no CAN profile: name one (--can-profile)")

@@ -227,16 +227,17 @@ def read_energy(message: Any) -> EnergyState:
 def read_parameters(parameters: Any, combined: Any, bounds: Any) -> ParameterSet:
     """Parameters, combinations and bounds published together; states are not on the topics."""
     live, limits = read_named_vector(parameters), read_named_vector(bounds).values
+    values = _all(live.values, PARAMETER_NAMES)
     estimates = {
-        name: ParameterEstimate(
-            value=value,
-            std=live.sigmas.get(name, math.nan),
-            **bounds_of(limits, name),
-            state=Trust.ESTIMATING,
-        )
-        for name, value in zip(PARAMETER_NAMES, _all(live.values, PARAMETER_NAMES), strict=True)
+        name: _estimate(value, live.sigmas.get(name, math.nan), bounds_of(limits, name))
+        for name, value in zip(PARAMETER_NAMES, values, strict=True)
     }
     return ParameterSet(live.stamp_ns, estimates, *read_identifiable(combined), reliable=False)
+
+
+def _estimate(value: float, std: float, bounds: Mapping[str, float]) -> ParameterEstimate:
+    lower, upper, prior_share = (bounds[name] for name in BOUNDS)
+    return ParameterEstimate(value, std, prior_share, lower, upper, Trust.ESTIMATING)
 
 
 def bounds_of(limits: Mapping[str, float], name: str) -> dict[str, float]:

@@ -6,7 +6,7 @@ A wrong file is refused with its path, the line and the reason; nothing is guess
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from difflib import get_close_matches
 from itertools import combinations
 import math
@@ -20,7 +20,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.common.yaml_section import Section, compose
 from evpinn_ros.vehicle.certified import FRONTAL_AREA, certified_cars, words_of
-from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters, Prior
+from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits, Parameters, Prior
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
 
@@ -41,11 +41,19 @@ CONSTANTS: Mapping[str, Constant] = {
     "battery_capacity": Constant(1e6, 5e9, "J"),
     "nominal_speed": Constant(0.1, 100.0, "m/s"),
     "motor_ratio": Constant(1.0, 200.0, "rad/m"),
+    "relative_size": Constant(0.005, 50.0, "1"),
 }
 KEYS = ("name", "can_profile", "parameters", "correlations", "paper_start")
-OPTIONAL_CONSTANTS = ("battery_capacity", "motor_ratio", "nominal_speed")
+OPTIONAL_CONSTANTS = {
+    "battery_capacity": math.nan,
+    "motor_ratio": math.nan,
+    "nominal_speed": math.nan,
+    "relative_size": 1.0,
+}
+EXTENSIVE = ("mass", "p_aux")  # parameters that go with the size of a vehicle
 LEAST_EIGENVALUE = 1e-3  # of correlations: with less, one is certain by the others
 FEW, LIKENESS = 8, 0.6  # names that an error lists, and how like they must be
+SLOWEST_TRAFFIC = 2.0  # m/s, of cars on roads; what drives slower is a robot, on floors and paths
 LEAST_FACTOR = 1e-3  # all but p_aux is learned as a logarithm, which zero has not
 
 
@@ -66,6 +74,8 @@ class Vehicle:
         motor_ratio: rad that the motor turns per m of road, NaN if unknown; used where a bus
             tells its torque and not its speed.
         priors: one `Prior` for each of `PARAMETER_NAMES`.
+        nominal_speed: m/s, of a path without times, NaN if unknown.
+        relative_size: mass over that of a passenger car (`similar_car`).
         correlations: of two of them, in their order; 0 where a pair is not given.
         paper_start: what the EV-PINN paper starts from, likewise (eq. 24, 25); empty: `priors`.
     """
@@ -82,6 +92,7 @@ class Vehicle:
     motor_ratio: float
     priors: Mapping[str, Prior]
     nominal_speed: float = math.nan
+    relative_size: float = 1.0
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
     paper_start: Mapping[str, Prior] = field(default_factory=dict)
 
@@ -102,8 +113,37 @@ class Vehicle:
         return replace(self, priors=self.paper_start, correlations={}, paper_start={})
 
     @property
+    def in_traffic(self) -> bool:
+        """False of a robot, whose usual speed no traffic has: roads and drivers say nothing."""
+        return not self.nominal_speed < SLOWEST_TRAFFIC
+
+    @property
+    def similar_car(self) -> Vehicle:
+        """The passenger car that this vehicle is learned as (`estimation.size`).
+
+        At the same speeds all its energies are those of this one over `relative_size`.
+        """
+        if self.relative_size == 1.0:
+            return self
+        return replace(
+            self,
+            relative_size=1.0,
+            frontal_area=self.frontal_area / self.relative_size,
+            battery_capacity=self.battery_capacity / self.relative_size,
+            priors=self._similar(self.priors),
+            paper_start=self._similar(self.paper_start),
+        )
+
+    def _similar(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
+        found = dict(priors)
+        for name in EXTENSIVE if found else ():
+            value, std, source = astuple(found[name])
+            found[name] = Prior(value / self.relative_size, std / self.relative_size, source)
+        return found
+
+    @property
     def correlation(self) -> np.ndarray:
-        """Of all parameters, in the order of `PARAMETER_NAMES`, shape (6, 6)."""
+        """Correlation of all parameters, in the order of `PARAMETER_NAMES`, shape (6, 6)."""
         return _matrix(self.correlations)
 
     def power(
@@ -221,35 +261,42 @@ def _vehicle_directory() -> Path:
 def _parse(path: Path) -> Vehicle:
     root = compose(path, "vehicle file")
     constants = {key: _constant(root.section(key), key) for key in CONSTANTS if root.has(key)}
-    priors = _priors(root.section("parameters"))
     root.refuse_unknown((*KEYS, *CONSTANTS))
     for key in CONSTANTS:
         if key not in constants and key not in OPTIONAL_CONSTANTS:
             raise root.error(f"'{key}' is missing")
-    for key in OPTIONAL_CONSTANTS:
-        constants.setdefault(key, math.nan)
+    constants = {**OPTIONAL_CONSTANTS, **constants}
+    size = constants["relative_size"]
     return Vehicle(
         key=path.stem,
         name=root.text("name"),
         can_profile=_can_profile(root) if root.has("can_profile") else None,
-        priors=priors,
+        priors=_priors(root.section("parameters"), size),
         correlations=_correlations(root.section("correlations"))
         if root.has("correlations")
         else {},
-        paper_start=_priors(root.section("paper_start")) if root.has("paper_start") else {},
+        paper_start=_priors(root.section("paper_start"), size) if root.has("paper_start") else {},
         **constants,
     )
 
 
-def _priors(section: Section) -> dict[str, Prior]:
+def limits_of(name: str, size: float) -> Limits:
+    """Possible range of a parameter of a vehicle of this size."""
+    return Limits(*(size * limit for limit in LIMITS[name])) if name in EXTENSIVE else LIMITS[name]
+
+
+def _priors(section: Section, size: float) -> dict[str, Prior]:
     """One for each of `PARAMETER_NAMES`."""
-    priors = {name: _prior(section.section(name), name) for name in PARAMETER_NAMES}
+    priors = {
+        name: _prior(section.section(name), name, limits_of(name, size))
+        for name in PARAMETER_NAMES
+    }
     section.refuse_unknown(PARAMETER_NAMES)
     return priors
 
 
 def _correlations(section: Section) -> dict[tuple[str, str], float]:
-    """Of pairs: under the one that comes first in `PARAMETER_NAMES`, the other and a number."""
+    """Correlations of pairs, under the one that comes first in `PARAMETER_NAMES`."""
     section.refuse_unknown(("source", *PARAMETER_NAMES))
     section.text("source")
     given = {name: section.section(name) for name in PARAMETER_NAMES if section.has(name)}
@@ -288,9 +335,8 @@ def _constant(section: Section, name: str) -> float:
     return section.number("value", CONSTANTS[name].lower, CONSTANTS[name].upper)
 
 
-def _prior(section: Section, name: str) -> Prior:
+def _prior(section: Section, name: str, limits: Limits) -> Prior:
     section.refuse_unknown(("value", "std", "source"))
-    limits = LIMITS[name]
     least = limits.lower if name == "p_aux" else max(limits.lower, LEAST_FACTOR)
     value = section.number("value", least, limits.upper)
     std = section.number("std", 1e-9, limits.upper)

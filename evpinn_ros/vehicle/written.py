@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from evpinn_ros.common.writer import replaced
-from evpinn_ros.vehicle.files import CONSTANTS, Vehicle, load_vehicle
+from evpinn_ros.vehicle.files import CONSTANTS, OPTIONAL_CONSTANTS, Vehicle, load_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Prior
 
 
@@ -27,7 +27,7 @@ def write_vehicle(path: Path, vehicle: Vehicle) -> None:
         document["can_profile"] = _profile(vehicle.can_profile)
     for name in CONSTANTS:
         value = getattr(vehicle, name)
-        if math.isfinite(value):
+        if math.isfinite(value) and value != OPTIONAL_CONSTANTS.get(name):
             document[name] = {"value": value, "source": f"vehicle {vehicle.key}"}
     document["parameters"] = _parameters(vehicle.priors)
     if vehicle.correlations:

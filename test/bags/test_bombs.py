@@ -1,5 +1,6 @@
 """Small files that would become large: each is refused, counted or reported, in little memory."""
 
+from contextlib import closing
 import gzip
 import sqlite3
 import struct
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 import zstandard
 
+from benchmarks.fuzz_seeds import database
 from evpinn_ros.bags import mcap_file, mcap_summary, salvage
 from evpinn_ros.bags.limits import most_messages
 from evpinn_ros.bags.mcap_content import HEAD, MAGIC
@@ -233,6 +235,63 @@ def test_a_database_that_computes_for_ever_is_refused(tmp_path):
         )
     with pytest.raises(InputError, match=r"a\.db3: no bag: its database has a view"):
         BagReader(path)
+
+
+def test_a_database_whose_pages_lead_to_one_another_is_refused(tmp_path):
+    """SQLite counts 300 ** 6 rows of a page in a file of 60 kB."""
+    path = tmp_path / "a.db3"
+    path.write_bytes(database()[0])
+    with closing(sqlite3.connect(path)) as bag:
+        ((root,),) = bag.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'")
+        ((size,),) = bag.execute("PRAGMA page_size")
+    pages = [path.read_bytes()[at : at + size] for at in range(0, path.stat().st_size, size)]
+    below = pages[root - 1]
+    for _ in range(6):
+        pages.append(below)  # as the last page, to which 300 cells of the next lead
+        cells = struct.pack(">IB", len(pages), 1) * 300
+        begin = size - len(cells)
+        places = b"".join(struct.pack(">H", begin + 5 * each) for each in range(300))
+        head = struct.pack(">BHHHBI", 5, 0, 300, begin, 0, len(pages)) + places
+        below = head + bytes(begin - len(head)) + cells
+    pages[root - 1] = below
+    content = bytearray(b"".join(pages))
+    content[28:32] = struct.pack(">I", len(pages))
+    path.write_bytes(content)
+    with pytest.raises(
+        InputError, match=r"a\.db3: no bag: its database holds more than its file$"
+    ):
+        BagReader(path)
+
+
+def test_a_database_whose_messages_share_their_pages_is_refused(tmp_path):
+    """Rows that state the payload of another: 3 MB became 3.6 GB, in 52 s and 830 MB."""
+    path = tmp_path / "a.db3"
+    with closing(sqlite3.connect(path)) as bag, bag:
+        bag.executescript(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT);"
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data BLOB);"
+        )
+        rows = [(1, 1, bytes(100_000)), (1, 2, bytes(100_000))]
+        bag.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
+    content = bytearray(path.read_bytes())
+    with closing(sqlite3.connect(path)) as bag:
+        ((root,),) = bag.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'")
+        ((size,),) = bag.execute("PRAGMA page_size")
+    page = (root - 1) * size
+    (first,) = struct.unpack_from(">H", content, page + 8)  # the cell of the first row
+    count = 200  # rows that are that cell
+    content[page + 3 : page + 5] = struct.pack(">H", count)
+    content[page + 8 : page + 8 + 2 * count] = struct.pack(">H", first) * count
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="its database holds more than its file"):
+        BagReader(path)
+
+
+@pytest.mark.parametrize("name", ["a#1.db3", "a?mode=rw.db3", "a%41.db3", "50% [1].db3"])
+def test_a_database_of_any_name_is_read(tmp_path, name):
+    (tmp_path / name).write_bytes(database()[0])
+    with BagReader(tmp_path / name) as reader:
+        assert reader.problem is None and sum(1 for _ in reader.records()) == 40
 
 
 @pytest.mark.parametrize("name", ["a.log.gz", "a.asc.gz", "a.trc.gz", "drive.csv.gz"])

@@ -10,10 +10,11 @@ from evpinn_ros.vehicle.files import (
     CONSTANTS,
     OPTIONAL_CONSTANTS,
     Vehicle,
+    limits_of,
     load_vehicle,
     vehicle_names,
 )
-from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
+from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Parameters
 from evpinn_ros.vehicle.written import write_vehicle
 
 NAMES = [
@@ -22,6 +23,7 @@ NAMES = [
     "chevrolet_bolt",
     "generic",
     "hyundai_ioniq_6",
+    "mobile_robot",
     "nissan_leaf",
     "tesla_model_3_lr",
     "tesla_model_s",
@@ -64,7 +66,8 @@ def test_every_file_of_the_package_loads(name):
     vehicle = load_vehicle(name)
     assert vehicle.key == name and vehicle.name
     for parameter in PARAMETER_NAMES:
-        prior, limits = vehicle.priors[parameter], LIMITS[parameter]
+        prior = vehicle.priors[parameter]
+        limits = limits_of(parameter, vehicle.relative_size)
         assert limits.lower < prior.value < limits.upper and prior.std > 0 and prior.source
     for constant, limits in CONSTANTS.items():
         value = getattr(vehicle, constant)
@@ -103,6 +106,19 @@ def test_a_file_by_its_path(car):
     with_pack = load_vehicle(car(GOOD + 'battery_capacity: {value: 2e8, source: "a sheet"}\n'))
     assert with_pack.battery_capacity == 2e8
     assert load_vehicle(str(car(GOOD + "can_profile: nissan_leaf\n"))).can_profile == "nissan_leaf"
+
+
+def test_limits_of_a_robot_are_those_of_a_car_by_its_size(car):
+    robot = GOOD.replace("1800, std: 100", "60, std: 20").replace("600, std: 400", "30, std: 20")
+    with pytest.raises(InputError, match="value = 60 is outside"):
+        load_vehicle(car(robot))
+    vehicle = load_vehicle(car(robot + 'relative_size: {value: 0.03, source: "60 kg"}\n'))
+    assert vehicle.priors["mass"].value == 60.0
+    similar = vehicle.similar_car
+    assert similar.priors["mass"].value == pytest.approx(2000.0)
+    assert similar.priors["p_aux"].std == pytest.approx(20.0 / 0.03)
+    assert similar.frontal_area == pytest.approx(2.2 / 0.03)
+    assert similar.priors["c_rr"] == vehicle.priors["c_rr"]
 
 
 WRONG = [

@@ -1,0 +1,95 @@
+"""`evpinn export`: what was learned, in the files of other programs."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.cli.console import say
+from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
+from evpinn_ros.cli.options import VehicleOption
+from evpinn_ros.common.errors import InputError
+
+CHARGED_IN = 4.0  # hours, where no charging current is given
+RADIUS = 0.3  # m
+
+export = typer.Typer(cls=ReadableGroup, no_args_is_help=True)
+
+
+@export.callback()
+def group() -> None:
+    """Write what was learned in the files of other programs.
+
+    Example: evpinn export rmf robot.json --vehicle mobile_robot
+    """
+
+
+@export.command(cls=ReadableCommand)
+def rmf(
+    state: Annotated[Path, typer.Argument(help="What replays or a run learned of the vehicle.")],
+    vehicle: VehicleOption = "mobile_robot",
+    speed: Annotated[
+        float | None,
+        typer.Option(min=0.05, max=50.0, help="Usual speed, m/s; else of the vehicle file."),
+    ] = None,
+    capacity: Annotated[
+        float | None,
+        typer.Option(min=0.1, max=1e4, help="Of the battery, A h; else as learned or its file."),
+    ] = None,
+    charging_current: Annotated[
+        float | None, typer.Option(min=0.01, max=1e4, help="A; else full within 4 hours.")
+    ] = None,
+    radius: Annotated[
+        float, typer.Option(min=0.01, max=10.0, help="Of the footprint, m: for turning.")
+    ] = RADIUS,
+    tool: Annotated[
+        float, typer.Option(min=0.0, max=1e5, help="Power of the tool while it works, W.")
+    ] = 0.0,
+) -> None:
+    """Print battery, mechanics and loads for the fleet adapter of Open-RMF.
+
+    The lines go under `rmf_fleet` in its config.yaml. RMF knows neither efficiency nor
+    recuperation: mass and friction are those with which it finds the energy of this vehicle.
+
+    Example: evpinn export rmf robot.json --vehicle mobile_robot > rmf_energy.yaml
+    """
+    # Here, for these import what takes longer than all else together.
+    from evpinn_ros.api.estimator import Estimator
+    from evpinn_ros.energy.charge import Uncertain
+    from evpinn_ros.energy.rmf import rmf_energy
+
+    car = Estimator(vehicle, state=state)
+    gauge = car.account.gauge
+    found = rmf_energy(car.model, car.vehicle, gauge.capacity, speed)
+    holds, known = found.capacity, "as its drives showed" if gauge.learned else "its vehicle file"
+    if capacity is not None:
+        holds, known = Uncertain(capacity, math.nan), "given"
+    if not math.isfinite(holds.value):
+        raise InputError(
+            f"what the battery of {vehicle} holds is not known: --capacity gives it, or "
+            "battery_capacity in its vehicle file, or a drive that takes ten percent"
+        )
+    current = holds.value / CHARGED_IN if charging_current is None else charging_current
+    inertia = found.mass * radius**2 / 2.0
+    trip = f"{found.trip_metres:.0f} m at {found.speed:g} m/s take {found.trip.value:.0f}"
+    spread = f" +- {holds.sigma:.2g}" if math.isfinite(holds.sigma) else ""
+    text = f"""\
+# {vehicle}, as learned in {state}: {trip} +- {found.trip.sigma:.0f} J.
+rmf_fleet:
+  battery_system:
+    voltage: {found.voltage:.1f}  # V, nominal, of the vehicle file
+    capacity: {holds.value:.2f}  # A h{spread}, {known}
+    charging_current: {current:.2f}  # A, {"given" if charging_current else "not learned"}
+  mechanical_system:
+    mass: {found.mass:.3f}  # kg, of RMF's energy, not of the scales
+    moment_of_inertia: {inertia:.4f}  # kg m^2, not learned: a disc of radius {radius:g} m
+    friction_coefficient: {found.friction:.5f}  # at {found.speed:g} m/s
+  ambient_system:
+    power: {found.ambient:.2f}  # W, learned
+  tool_system:
+    power: {tool:.2f}  # W, {"given" if tool else "not learned"}"""
+    for line in text.splitlines():
+        say(line)

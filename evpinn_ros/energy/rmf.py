@@ -1,0 +1,114 @@
+"""The learned vehicle in the terms of Open-RMF (rmf_battery), which plans charging for fleets.
+
+RMF counts the energy of motion as mass |a| v + friction mass 9.81 v, so braking costs as much as
+speeding up and no efficiency is between wheels and battery; beside that there is a constant
+power. Its `mass` and `friction_coefficient` are therefore not those of the scales: given here are
+those with which RMF finds what this vehicle draws from its battery, for a trip from rest to rest
+at its usual speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.forecast import Forecast, forecast_plan
+from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan
+from evpinn_ros.energy.power_model import PowerModel, Weather
+from evpinn_ros.vehicle.files import Vehicle
+
+RMF_GRAVITY = 9.81  # m/s^2, that of rmf_battery
+RAMP = 2.0  # s in which the speed is reached; energies hardly depend on it
+CRUISES = 50.0, 100.0  # s at that speed, of the two trips that are compared
+STANDING = 100.0  # s
+SECONDS_PER_HOUR = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class RmfEnergy:
+    """What an RMF fleet adapter wants to know of the energy of a vehicle.
+
+    Attributes:
+        voltage: of the battery, V.
+        capacity: A h that it holds at this voltage, and 1-sigma; NaN where not known.
+        mass: kg; see the module's text.
+        friction: coefficient.
+        ambient: power whether it moves or not, W.
+        speed: at which these hold, m/s.
+        trip: energy of the longer trip that they were found by, J, and its 1-sigma.
+        trip_metres: length of that trip, m.
+    """
+
+    voltage: float
+    capacity: Uncertain
+    mass: float
+    friction: float
+    ambient: float
+    speed: float
+    trip: Uncertain
+    trip_metres: float
+
+
+def rmf_energy(
+    model: PowerModel, vehicle: Vehicle, capacity: Uncertain, speed: float | None = None
+) -> RmfEnergy:
+    """The parameters with which RMF comes to the forecasts of a vehicle.
+
+    Args:
+        model: of the vehicle.
+        vehicle: its file.
+        capacity: of its battery, J.
+        speed: m/s, None for `nominal_speed` of the file.
+
+    Raises:
+        InputError: by what is known now it costs nothing to speed up or to roll.
+    """
+    if speed is None:
+        speed = NOMINAL_SPEED if math.isnan(vehicle.nominal_speed) else vehicle.nominal_speed
+    weather = Weather(vehicle.air_density, heating=0.0)
+    short, long = (_trip(each, speed) for each in CRUISES)
+    less, more = (forecast_plan(each, model, weather) for each in (short, long))
+    rest = _energy(forecast_plan(_standing(), model, weather))
+    ambient = max(rest.value / STANDING, 0.0)
+    duration, length = long.time[-1] - short.time[-1], long.distance[-1] - short.distance[-1]
+    force = ((_energy(more).value - _energy(less).value) - ambient * duration) / length
+    rolled = _energy(more).value - ambient * long.time[-1] - force * long.distance[-1]
+    mass = rolled / speed**2
+    if not (mass > 0.0 and force > 0.0):
+        raise InputError(
+            f"by what is known of {vehicle.key} now it costs nothing to drive: let it learn on"
+        )
+    charge = vehicle.nominal_voltage * SECONDS_PER_HOUR
+    return RmfEnergy(
+        voltage=vehicle.nominal_voltage,
+        capacity=Uncertain(capacity.value / charge, capacity.sigma / charge),
+        mass=mass,
+        friction=force / (mass * RMF_GRAVITY),
+        ambient=ambient,
+        speed=speed,
+        trip=_energy(more),
+        trip_metres=float(long.distance[-1]),
+    )
+
+
+def _trip(cruise: float, speed: float) -> Plan:
+    """From rest to rest, with so many s at a speed, a point each second or less."""
+    ends = np.array([0.0, RAMP, RAMP + cruise, 2.0 * RAMP + cruise])
+    time = np.unique(np.concatenate((np.arange(0.0, ends[-1], 1.0), ends)))
+    speeds = np.interp(time, ends, [0.0, speed, speed, 0.0])
+    steps = np.diff(time) * (speeds[1:] + speeds[:-1]) / 2.0
+    distance = np.concatenate(([0.0], np.cumsum(steps)))
+    return Plan(time, distance, speeds, np.zeros_like(time))
+
+
+def _standing() -> Plan:
+    time = np.arange(0.0, STANDING + 1.0)
+    return Plan(time, *np.zeros((3, len(time))))
+
+
+def _energy(found: Forecast) -> Uncertain:
+    return Uncertain(float(found.energy[-1]), float(found.sigma[-1]))
