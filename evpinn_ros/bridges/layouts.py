@@ -141,8 +141,8 @@ class Layout:
             with suppress(ValueError, RecursionError):
                 fields = json.loads(text)
         fields = fields if isinstance(fields, dict) else {}
-        found = {rule.quantity: rule.value(fields.get(name)) for name, rule in rules.items()}
-        known = {quantity: each for quantity, each in found.items() if not math.isnan(each.value)}
+        found = [(rule.quantity, rule.value(fields.get(name))) for name, rule in rules.items()]
+        known = {quantity: each for quantity, each in found if not math.isnan(each.value)}
         return Parsed(car, known, _stamp_ns(fields.get(self._stamp)))
 
 

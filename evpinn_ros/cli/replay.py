@@ -135,7 +135,9 @@ def replay(
     again = (one for _ in range(loop - 1) for one in _opened(open_input, inputs, whole)[0])
     with Interruption() as interruption:
         try:
-            folders = output_folders(out, [source.path for source in first] * loop)
+            paths = [source.path for source in first] * loop
+            several = len(inputs) > 1 or len(paths) > 1  # though all of them be one drive
+            folders = output_folders(out, paths, several=several)
             for source, folder in zip(chain(first, again), folders, strict=True):
                 if interruption.asked:
                     break
@@ -143,7 +145,7 @@ def replay(
                 _show(found, source, car.vehicle, warm_up, len(folders) > 1, units.units)
         finally:
             # Whatever ends a later drive, the results of those before it are kept.
-            written = _write(car, (metrics, report, state), units.units)
+            written = _write(car, (metrics, report, state), units.units, len(inputs) > 1)
     if len(car.done) > 1:
         rows = [(each.drive, each.metrics) for each in car.done]
         show(drives_table(rows, units.units), at_least=WIDE)
@@ -244,14 +246,17 @@ def _show(
 
 
 def _write(
-    car: CarReplay, files: tuple[Path | None, Path | None, Path | None], units: Units
+    car: CarReplay,
+    files: tuple[Path | None, Path | None, Path | None],
+    units: Units,
+    several: bool,
 ) -> bool:
     """Write all that was asked for; one file that cannot be written does not cost the others."""
     if not car.done:
         return True
     metrics, report, state = files
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
-        (metrics, lambda path: _write_metrics(path, car.done)),
+        (metrics, lambda path: _write_metrics(path, car.done, several)),
         (report, lambda path: _write_report(path, car, units)),
         (state, car.write_state),
     ]
@@ -267,9 +272,9 @@ def _write(
     return problems == 0
 
 
-def _write_metrics(path: Path, done: list[Replayed]) -> None:
+def _write_metrics(path: Path, done: list[Replayed], several: bool) -> None:
     found: list[dict[str, Any]] = [result.metrics for result in done]
-    write_json(path, found if len(found) > 1 else found[0])
+    write_json(path, found if several or len(found) > 1 else found[0])
 
 
 def _write_report(path: Path, car: CarReplay, units: Units) -> None:

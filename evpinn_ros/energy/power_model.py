@@ -38,6 +38,7 @@ from evpinn_ros.vehicle.identifiable import Identifiable
 
 SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
 CLIMATE_SHARE = 0.4  # 1-sigma of the heating or cooling of a drive over what is likely (e-208)
+CLIMATE_SHOWN = 300.0  # s of a drive within which a third of that is left
 LEAST_TRUST = 1e-3  # lower is none that was learned
 CLIMATE_LIKELY = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]
 # Where the network is looked up for many trips, m/s and m/s^2; between them it is linear.
@@ -268,13 +269,12 @@ class PowerModel:
     def covariance(self) -> np.ndarray:
         """Covariance of the states, shape (SIZE, SIZE), with heating that strays from the usual.
 
-        Before a drive it is unknown how much of what its temperature makes likely will be on; once
-        it has begun, its loads show it.
+        Before a drive it is unknown how much of what its temperature makes likely will be on; the
+        loads of its first minutes show it.
         """
         car, strays = self.car, np.zeros(SIZE)
-        if car.seconds > 0.0:
-            return car.covariance
-        strays[CLIMATE_LIKELY] = CLIMATE_SHARE * car.mean[CLIMATE_LIKELY]
+        share = CLIMATE_SHARE * math.exp(-car.seconds / CLIMATE_SHOWN)
+        strays[CLIMATE_LIKELY] = share * car.mean[CLIMATE_LIKELY]
         return np.asarray(car.covariance + np.outer(strays, strays) / max(car.trust, LEAST_TRUST))
 
     @property

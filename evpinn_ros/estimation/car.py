@@ -156,7 +156,7 @@ class LearnedCar:
             state=state,
             driven=self.driven.next_drive(),
             unevenness=self.uneven(),
-            hills=self.hilly(),
+            hills=self.hills.next_drive(),
             steps=(),
             rehearsals=Rehearsals(Rehearsal(state)),
             parts=DriveParts.none(),
@@ -171,10 +171,6 @@ class LearnedCar:
             return self.unevenness
         mean = self.state.weights @ self.state.mean
         return self.unevenness.after(self.equation, mean, drive)
-
-    def hilly(self) -> Hills:
-        """Hills of the roads, of this drive too."""
-        return self.hills if self._drive is None else self.hills.after(self._drive)
 
     def is_finite(self) -> bool:
         """True if every number is finite."""
@@ -193,6 +189,7 @@ class LearnedCar:
             self,
             dropout=self.dropout.plus(passed(self.equation, interval, seconds).journey),
             steps=self._steps(interval),
+            hills=self._hills(interval),
             rehearsals=replace(self.rehearsals, dropouts={}),
             known_ns=interval.start_ns if self.measured else self.known_ns,
             end_ns=interval.end_ns,
@@ -220,6 +217,7 @@ class LearnedCar:
             grade=self.grade.after(interval, learned.residual, _weight(state)),
             dropout=NOWHERE,
             steps=self._steps(interval),
+            hills=self._hills(interval),
             end_ns=interval.end_ns,
             known_ns=interval.end_ns,
         )
@@ -230,6 +228,11 @@ class LearnedCar:
         moved = steps.duration, steps.distance, steps.air, steps.kinetic, steps.climb
         path = Path(*moved, interval.conditions.air_density * one, 0.0 * one)
         return (*self.steps, path)[-MOST_INTERVALS:]
+
+    def _hills(self, interval: Interval) -> Hills:
+        if not interval.height_known:
+            return self.hills
+        return self.hills.plus(abs(interval.distance), float(interval.steps.climb.sum()))
 
     def _after_dropout(self) -> CarState:
         """The state once a dropout is over: time has passed, its energy is in no sum."""

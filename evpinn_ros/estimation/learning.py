@@ -15,6 +15,7 @@ from evpinn_ros.estimation.posterior import (
     journey_of,
     see_motor,
     see_reported_climate,
+    speed_squared,
 )
 from evpinn_ros.estimation.states import SIZE
 from evpinn_ros.estimation.terms import Equation, Warmth, climate_powers
@@ -54,7 +55,8 @@ def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[Ca
         reports=state.reports or conditions.load > 0.0,
     )
     if interval.steps.motor_known:
-        state = see_motor(state, equation.motor_rows(interval.steps, conditions, warmth), journey)
+        seen = equation.motor_rows(interval.steps, conditions, warmth)
+        state = see_motor(state, seen, speed_squared(interval.steps))
     if state.reports and conditions.load_known:
         row = np.zeros(SIZE)
         for each, power in climate_powers(conditions.celsius, warmth).items():

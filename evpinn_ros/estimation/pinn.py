@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Annotated
 
-from evpinn_ros.common.saved_fields import Range, Saveable
+from evpinn_ros.common.saved_fields import ADDED, Range, Saveable
 from evpinn_ros.estimation.breakdown import Breakdowns
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.estimate import ParameterSet
@@ -61,7 +61,6 @@ class SavedPinn:
 
     car: SavedState
     unevenness: SavedUnevenness
-    hills: Hills
     driven: Driven
     payload: SavedPayload
     grade: GradeDetector
@@ -69,6 +68,7 @@ class SavedPinn:
     trim: Annotated[float, Range(-MOST_EVIDENCE, MOST_EVIDENCE)]
     seen_ns: Stamp | None
     persistence: Persistence
+    hills: Annotated[Hills | None, ADDED] = None
 
 
 class PinnLearner(Saveable[SavedPinn]):
@@ -126,7 +126,8 @@ class PinnLearner(Saveable[SavedPinn]):
         self._powers.append((sample, power))
         self._tail.add(sample)
         if self._measured_ns is not None and sample.stamp_ns > self._measured_ns:
-            self._trimmed += correction.power * min(self._passed, MAX_STEP)
+            since = (sample.stamp_ns - self._measured_ns) / NANOSECONDS
+            self._trimmed += correction.power * min(self._passed, since, MAX_STEP)
         energy = self._energy_since_battery(sample.stamp_ns)
         return PowerPrediction(power + correction.power, sigma, *energy)
 
@@ -219,7 +220,7 @@ class PinnLearner(Saveable[SavedPinn]):
         return SavedPinn(
             car=saved_state(self._car.state),
             unevenness=saved_unevenness(self._car.uneven()),
-            hills=self._car.hilly(),
+            hills=self._car.hills.next_drive(),
             driven=self._car.driven,
             payload=self._car.payload.saved(),
             grade=self._car.grade,
@@ -236,7 +237,7 @@ class PinnLearner(Saveable[SavedPinn]):
             LearnedCar.new(self._equation),
             state=state,
             unevenness=unevenness_of(saved.unevenness, self._equation),
-            hills=saved.hills,
+            hills=saved.hills or Hills(),
             driven=saved.driven,
             rehearsals=Rehearsals(Rehearsal(state)),
             payload=PayloadDetector.of(saved.payload),

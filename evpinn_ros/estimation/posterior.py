@@ -230,6 +230,11 @@ def standing(duration: Any, distance: Any) -> Any:
     return duration * (abs(distance) < STANDSTILL_SPEED * duration)
 
 
+def speed_squared(steps: Steps) -> float:
+    """Integral of speed squared over all steps, m^2/s."""
+    return float(steps.distance**2 @ (1.0 / steps.duration))
+
+
 def unexplained(
     seconds: Any, stood: Any, square: Any, *, force: float = FORCE_NOISE
 ) -> tuple[Any, Any]:
@@ -251,8 +256,7 @@ def unexplained(
 def noise_of(steps: Steps) -> np.ndarray:
     """`unexplained` of steps together, J^2, shape (3,): standing, moving, moving with torque."""
     stood = float(standing(steps.duration, steps.distance).sum())
-    square = float(steps.distance**2 @ (1.0 / steps.duration))
-    sums = float(steps.duration.sum()), stood, square
+    sums = float(steps.duration.sum()), stood, speed_squared(steps)
     if steps.motor_known:
         still, moving = unexplained(*sums, force=TORQUE_NOISE)
         return np.array((still, 0.0, moving))
@@ -321,15 +325,15 @@ def condition(
     return replace(state, intervals=state.intervals + 1), Learned(mean, math.sqrt(variance))
 
 
-def see_motor(state: CarState, rows: np.ndarray, journey: Journey) -> CarState:
+def see_motor(state: CarState, rows: np.ndarray, square: float) -> CarState:
     """Learn from the motor's energy what the wheels take, whatever the battery gave.
 
     Args:
         state: before it.
         rows: of `Equation.motor_rows`, shape (2, SIZE).
-        journey: what was driven.
+        square: integral of speed squared, m^2/s.
     """
-    base = state.scale[:, 1] * journey.noise[2] * (FORCE_NOISE / TORQUE_NOISE) ** 2
+    base = state.scale[:, 1] * NOISE_TIME * FORCE_NOISE**2 * square
     for row, share in zip(rows, (0.03, BRAKING_SHARE), strict=True):
         size = share * np.abs(row[State.MOTOR_DRIVE] - row[State.MOTOR_BRAKE])
         state, _ = _see(state, row, -(state.mean @ row), base + size**2 + 1.0)

@@ -8,7 +8,7 @@ the projection leaves it at its state.
 
 C_rr is that of this drive, with its cold and its tyres; p_aux is the standing load. Over road
 without heights a climb looks like rolling resistance and drag, so these are unsure by the climb
-that such a road may have, and no surer than before the drive at worst.
+that such a road may have, and at worst as unsure as before any drive.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ DRIVING_MEMORY = 36_000.0  # s over which driving is remembered
 # Power that no state explains, as density, W^2 s: with less the projection is not determined.
 NOISE_DENSITY = 2.7e5
 SHARE_RANGE = (0.3, 3.0)  # of braking energy found over that of the prior; no car leaves it
+FIRST_METRES = 1000.0  # of a drive that are judged with the road of the drive before
 BRAKED_FLOOR = 5e4  # J: less braking is no base for a share
 # An efficiency is a map, and one number for it depends on the road: 1-sigma of the logarithm that
 # is left however much is learned. By likelihood of 72 simulated drives that no benchmark scores.
@@ -104,7 +105,8 @@ class Driven:
         whole = self.distance + distance
         if whole == 0.0:
             return self
-        share = ((self.unseen or 0.0) * self.distance + unseen) / whole
+        before = 0.0 if self.unseen is None else max(self.distance, FIRST_METRES)
+        share = ((self.unseen or 0.0) * before + unseen) / (before + distance)
         cold = self.cold_tyres + distance * tyres
         return replace(self, distance=whole, cold_tyres=cold, unseen=share)
 
@@ -168,7 +170,7 @@ def published(state: CarState, equation: Equation, driven: Driven) -> Published:
     for index, std in enumerate(MAP_STD):
         now.covariance[index, index] += std**2
     share = driven.unseen or 0.0
-    climb = climb_as_rolling(share * driven.distance)
+    climb = share * climb_as_rolling(share * driven.distance)  # C_rr is of the whole drive
     for index, std in ((C_RR, climb), (C_D, climb / CLIMB_AS_DRAG)):
         own, widest = (float(each.covariance[index, index]) for each in (now, before))
         now.covariance[index, index] = max(own, min(own + std**2, widest))

@@ -229,11 +229,11 @@ def has_battery(drive: Drive) -> bool:
     return len(drive.measured) > 0
 
 
-def output_folders(out: Path | None, paths: Sequence[Path]) -> list[Path | None]:
-    """Folder of each drive's bag: `out` itself for one, a folder in it for each of several."""
+def output_folders(out: Path | None, paths: Sequence[Path], *, several: bool) -> list[Path | None]:
+    """Folder of each drive's bag: `out` itself, or a folder in it for each of several inputs."""
     if out is None:
         return [None] * len(paths)
-    if len(paths) == 1:
+    if not several:
         return [out]
     return [out / f"{index:03d}_{_stem(path)}" for index, path in enumerate(paths, start=1)]
 

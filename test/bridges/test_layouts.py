@@ -101,6 +101,13 @@ def test_a_mapping_file_reads_plain_payloads_and_fields_of_json(tmp_path: Path) 
     assert layout.parse("garage/zoe/other", b"1") is None
 
 
+def test_a_field_that_is_missing_hides_no_other_of_its_quantity(tmp_path: Path) -> None:
+    path = tmp_path / "topics.yaml"
+    fields = "{v: {quantity: speed, unit: km/h}, gps: {quantity: speed, unit: km/h}}"
+    path.write_text(f"topics:\n  a/state: {{fields: {fields}}}\n")
+    assert only(read_layout(str(path)), "a/state", '{"v": 36}')[2] == 10.0
+
+
 def test_a_mapping_file_names_units_of_any_country(tmp_path: Path) -> None:
     path = tmp_path / "topics.yaml"
     path.write_text(

@@ -233,3 +233,16 @@ def test_vehicles_are_listed_found_and_shown(evpinn, folder):
     assert checked.stdout == "mine.yaml: a valid vehicle file\n"
     assert_fails_in_one_line(evpinn("vehicles", "search", "zeppelin", cwd=folder), "zeppelin")
     assert_fails_in_one_line(evpinn("vehicles", "show", "model 3", cwd=folder), "model_3_rwd_2022")
+
+
+def test_several_inputs_give_a_list_and_a_folder_though_they_are_one_drive(evpinn, tmp_path):
+    row = "{},10,350,20\n"
+    for name, begin in (("a", 0), ("b", 103)):
+        lines = [row.format(1_700_000_000 + begin + each) for each in range(100)]
+        (tmp_path / f"{name}.csv").write_text(
+            "time,speed_mps,voltage_v,current_a\n" + "".join(lines)
+        )
+    done = evpinn("replay", "a.csv", "b.csv", "--metrics", "m.json", "--out", "o", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(json.loads((tmp_path / "m.json").read_text())) == 1
+    assert [each.name for each in (tmp_path / "o").iterdir()] == ["001_a"]

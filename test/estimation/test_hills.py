@@ -2,33 +2,38 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.hills import LEAST_METRES, Hills
 from evpinn_ros.estimation.terms import equation_of
-from evpinn_ros.estimation.unevenness import Path
+from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.vehicle.files import load_vehicle
-
-
-def drive(climb: float, metres: float = 4000.0) -> Path:
-    one = np.ones(400)
-    step = metres / 400.0 * one
-    return Path(one, step, step**3, 0.0 * one, climb / 400.0 * one, 1.2 * one, 0.0 * one)
 
 
 def test_up_and_down_a_town_on_a_slope_tells_how_hilly_it_is():
     """Each drive ends 160 m above or below its start, 4 km away: 6.4 m^2 per m."""
     hills = Hills()
     for number in range(12):
-        hills = hills.after(drive(160.0 * (-1) ** number))
+        hills = hills.plus(2000.0, 100.0 * (-1) ** number).plus(2000.0, 60.0 * (-1) ** number)
+        hills = hills.next_drive()
     assert hills.growth == pytest.approx(6.4, rel=0.02)
 
 
-def test_roads_without_heights_and_few_with_them_tell_nothing():
-    assert Hills().after(drive(0.0)) == Hills()
-    assert Hills().after(drive(160.0, LEAST_METRES - 1.0)).growth == 0.0
+def test_few_roads_with_heights_tell_nothing_and_level_ones_that_all_is_level():
+    assert Hills().plus(LEAST_METRES - 1.0, 160.0).next_drive().growth == 0.0
+    hills = Hills().plus(20e3, 400.0).next_drive()
+    assert hills.plus(20e3, 0.0).next_drive().growth < 0.6 * hills.growth
+
+
+def test_a_road_without_heights_is_none_of_them(vehicle, intervals):
+    car = LearnedCar.new(equation_of(vehicle))
+    found = intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0)
+    unknown = [replace(one, height_known=False) for one in found]
+    assert car.after(unknown).hills == Hills()
+    level = [replace(one, height_known=True) for one in found]
+    way = sum(abs(one.distance) for one in found)
+    assert car.after(level).hills.way == pytest.approx(way)
 
 
 def test_a_car_of_hilly_roads_is_less_sure_of_a_road_without_heights():

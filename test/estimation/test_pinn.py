@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.estimation.estimate import Trust
+from evpinn_ros.estimation.learner import PowerPrediction
 from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.pinn import PARKED, PinnLearner
 from evpinn_ros.estimation.states import NAMES, State
@@ -165,20 +166,36 @@ def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(lea
     assert math.isnan(learner.predict(sample(9001)).energy)
 
 
-def test_a_dropout_begins_with_what_the_last_seconds_had_beyond_the_car(learner):
-    """Energy of its first seconds is the integral of the power that is published."""
-    alone, powers = learner.predict(sample(0)).power, []
+def draws_3_kw_more(learner) -> float:
+    """For a minute, to its tick 600; power of the car alone, W."""
+    alone = learner.predict(sample(0)).power
     for tick in range(1, 600):
         learner.advance(sample(tick))
         learner.predict(sample(tick))
         learner.battery_measured(sample(tick).stamp_ns)
         learner.observe(sample(tick), alone + 3000.0)
-    for tick in range(600, 630):
-        learner.advance(sample(tick))
-        found = learner.predict(sample(tick))
-        powers.append(found.power)
-    assert powers[0] - alone > 1000.0
-    assert found.energy == pytest.approx(0.1 * sum(powers), rel=0.03)
+    return alone
+
+
+def predicted(learner, tick: int) -> PowerPrediction:
+    learner.advance(sample(tick))
+    return learner.predict(sample(tick))
+
+
+def test_a_dropout_begins_with_what_the_last_seconds_had_beyond_the_car(learner):
+    """Energy of its first seconds is the integral of the power that is published."""
+    alone = draws_3_kw_more(learner)
+    found = [predicted(learner, tick) for tick in range(600, 630)]
+    assert found[0].power - alone > 1000.0
+    assert found[-1].energy == pytest.approx(0.1 * sum(each.power for each in found), rel=0.03)
+
+
+def test_of_a_step_that_the_battery_saw_in_part_the_rest_counts(learner):
+    draws_3_kw_more(learner)
+    predicted(learner, 610)
+    learner.battery_measured(sample(619).stamp_ns)
+    first, second = predicted(learner, 620), predicted(learner, 630)
+    assert second.energy == pytest.approx(0.1 * first.power + second.power, rel=0.03)
 
 
 def test_the_newest_sample_is_predicted_and_nothing_follows_it(learner):
@@ -215,6 +232,14 @@ def test_a_state_is_kept_and_what_does_not_fit_is_refused(learner, vehicle):
         with pytest.raises((KeyError, TypeError, ValueError)):
             fresh.restore({**saved, **wrong})
     assert saved_car(fresh)["car"] == before["car"]
+
+
+def test_a_car_saved_before_hills_were_known_goes_on(learner, vehicle):
+    saved = saved_car(learner)
+    del saved["hills"]
+    other = PinnLearner(vehicle)
+    other.restore(saved)
+    assert other.parameters().identifiable == learner.parameters().identifiable
 
 
 def test_a_saved_car_that_lacks_a_state_begins_it_at_its_prior(learner, vehicle):

@@ -12,7 +12,7 @@ from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.parameter_set import parameter_set
 from evpinn_ros.estimation.posterior import initial_state
-from evpinn_ros.estimation.published import C_RR, Driven, mass_over_eta, project, published
+from evpinn_ros.estimation.published import C_D, C_RR, Driven, mass_over_eta, project, published
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
@@ -149,3 +149,28 @@ def test_the_road_of_a_drive_that_begins_is_as_the_last_one(vehicle, intervals):
     assert not published(car.state, car.equation, car.driven).hills_seen
     car = car.after(replace(one, height_known=True) for one in drive)
     assert published(car.state, car.equation, car.driven).hills_seen
+
+
+def test_heights_that_begin_late_leave_what_is_known_of_the_road(vehicle, intervals):
+    """The first hundred metres of a drive are not the road of the car."""
+    drive = measured(intervals((DriveKind.URBAN, 120.0, 0), begin_ns=0))
+    car = LearnedCar.new(equation_of(vehicle)).after(
+        replace(one, height_known=True) for one in drive
+    )
+    car = car.begin_drive().after(replace(one, height_known=False) for one in drive[:15])
+    assert published(car.state, car.equation, car.driven).hills_seen
+
+
+def test_a_short_stretch_without_heights_takes_little_of_what_is_known(vehicle, intervals):
+    """The climb of 5 % of the road is off by what it is to the whole."""
+    drive = measured(intervals((DriveKind.MIXED, 600.0, 3), begin_ns=0))
+    stds = {}
+    for gaps in (0, len(drive) // 20, len(drive)):
+        car = LearnedCar.new(equation_of(vehicle)).after(
+            replace(one, height_known=number >= gaps) for number, one in enumerate(drive)
+        )
+        found = published(car.state, car.equation, car.driven).now
+        stds[gaps] = [math.sqrt(found.covariance[index, index]) for index in (C_RR, C_D)]
+    all_seen, some, none = stds.values()
+    for seen, most, unseen in zip(all_seen, some, none, strict=True):
+        assert most - seen < 0.2 * (unseen - seen)

@@ -248,12 +248,11 @@ def test_paper_mode_runs_and_learns(readings, vehicle, tmp_path):
 
 def test_each_of_several_drives_has_a_folder(tmp_path):
     paths = [tmp_path / "a.csv.gz", tmp_path / "b"]
-    assert output_folders(tmp_path / "out", paths) == [
-        tmp_path / "out" / "001_a",
-        tmp_path / "out" / "002_b",
-    ]
-    assert output_folders(tmp_path / "out", paths[:1]) == [tmp_path / "out"]
-    assert output_folders(None, paths) == [None, None]
+    folders = [tmp_path / "out" / "001_a", tmp_path / "out" / "002_b"]
+    assert output_folders(tmp_path / "out", paths, several=True) == folders
+    assert output_folders(tmp_path / "out", paths[:1], several=False) == [tmp_path / "out"]
+    assert output_folders(tmp_path / "out", paths[:1], several=True) == folders[:1]
+    assert output_folders(None, paths, several=True) == [None, None]
 
 
 def test_energy_state_carries_sigma_that_grows_while_withheld(withheld):
