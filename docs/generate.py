@@ -65,8 +65,9 @@ READING = """\
 input that is one drive, else a list. A part in <> stands for any name. What cannot be known is
 `null`: nothing measured, or too short. Every score of power and energy is predict-then-update;
 `power` is of `power/smoothed` and `power_now` of `power/predicted`, both after `--warm-up`.
-`withheld` is there with `--withhold-battery-after` alone, and then `power`, `power_now` and `energy` outside
-of it are of the part before. How to read them: [read the uncertainty](../guides/uncertainty.md).
+`withheld` is there with `--withhold-battery-after` alone, and then `power`, `power_now` and
+`energy` outside of it are of the part before. How to read them:
+[read the uncertainty](../guides/uncertainty.md).
 """
 
 
