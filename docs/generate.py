@@ -61,13 +61,12 @@ the tables; `-`: on stdout, tables on stderr |
 | `simulate` | `truth.yaml` in the bag |
 """
 READING = """\
-`evpinn replay ... --metrics FILE` writes these scores as JSON: an object for one
-input that is one drive, else a list. A part in <> stands for any name. What cannot be known is
-`null`: nothing measured, or too short. Every score of power and energy is predict-then-update;
-`power` is of `power/smoothed` and `power_now` of `power/predicted`, both after `--warm-up`.
-`withheld` is there with `--withhold-battery-after` alone, and then `power`, `power_now` and
-`energy` outside of it are of the part before. How to read them:
-[read the uncertainty](../guides/uncertainty.md).
+`evpinn replay ... --metrics FILE` writes these scores as JSON: an object for one input that is
+one drive, else a list. A part in <> stands for any name. What cannot be known is `null`: nothing
+measured, or too short. Every score of power and energy is predict-then-update; `power` is of
+`power/smoothed` and `power_now` of `power/predicted`, both after `--warm-up`. `withheld` is
+there with `--withhold-battery-after` alone, and then `power`, `power_now` and `energy` outside
+of it are of the part before. How to read them: [read the uncertainty](../guides/uncertainty.md).
 """
 
 
