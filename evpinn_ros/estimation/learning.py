@@ -16,6 +16,7 @@ from evpinn_ros.estimation.posterior import (
     see_motor,
     see_reported_climate,
     speed_squared,
+    unseen_of,
 )
 from evpinn_ros.estimation.states import SIZE
 from evpinn_ros.estimation.terms import Equation, Warmth, climate_powers
@@ -50,7 +51,7 @@ def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[Ca
     interval, _, journey, warmth = done
     conditions = interval.conditions
     state = replace(
-        advance(state, interval.duration, journey.unseen),
+        advance(state, interval.duration, unseen_of(interval)),
         celsius=conditions.celsius,
         reports=state.reports or conditions.load > 0.0,
     )

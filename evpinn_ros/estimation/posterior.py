@@ -221,8 +221,13 @@ def initial_state(equation: Equation) -> CarState:
 
 def journey_of(interval: Interval, row: np.ndarray) -> Journey:
     """One interval as a journey, with its row of `Equation.rows`, summed, shape (SIZE,)."""
-    unseen = 0.0 if interval.height_known else abs(interval.distance)
+    unseen = 0.0 if interval.steps.motor_known else unseen_of(interval)
     return Journey(row, interval.duration, noise_of(interval.steps), unseen)
+
+
+def unseen_of(interval: Interval) -> float:
+    """Road of an interval whose height is not known, m."""
+    return 0.0 if interval.height_known else abs(interval.distance)
 
 
 def standing(duration: Any, distance: Any) -> Any:
@@ -314,7 +319,9 @@ def condition(
         sampling: variance of that, due to the rate of its readings, J^2.
     """
     row = journey.row.copy()
-    row[State.LOAD], row[State.LOAD_ENERGY], row[State.CLIMB] = 0.0, 1.0, 1.0
+    # The motor's energy holds the climb already, where it is known.
+    climbs = 0.0 if journey.noise[2] else 1.0
+    row[State.LOAD], row[State.LOAD_ENERGY], row[State.CLIMB] = 0.0, 1.0, climbs
     own = state.scale * journey.noise
     noise = own.sum(1) + sampling
     state, seen = _see(state, row, energy - state.mean @ row, noise)

@@ -82,7 +82,7 @@ class Tail:
         )
         steps = Steps._make((*(np.array([each]) for each in moved), end.motor_scaled))
         rows = self._equation.rows(steps, conditions_of(end), warmth)
-        unseen = 0.0 if end.grade else way
+        unseen = 0.0 if end.grade or motor_known else way
         return Journey(rows[0], seconds, noise_of(steps), unseen)
 
     def _until(self, stamp_ns: int) -> Journey:

@@ -325,6 +325,8 @@ class Equation:
         by_motor = found.copy()
         self._by_motor(by_motor, steps, wheels)
         apart = found - by_motor
+        # A climb that no height shows is work of the wheels too, all along the way.
+        apart[:, State.CLIMB] = np.abs(steps.distance) / max(np.abs(steps.distance).sum(), 1e-9)
         return np.stack((wheels.driving @ apart, (1.0 - wheels.driving) @ apart))
 
     def row_of(self, sample: Sample, warmth: Warmth) -> np.ndarray:

@@ -14,7 +14,7 @@ from evpinn_ros.estimation.parameter_set import parameter_set
 from evpinn_ros.estimation.posterior import initial_state
 from evpinn_ros.estimation.published import C_D, C_RR, Driven, mass_over_eta, project, published
 from evpinn_ros.estimation.terms import equation_of
-from evpinn_ros.signals.readings import NANOSECONDS, SpeedReading
+from evpinn_ros.signals.readings import NANOSECONDS, AltitudeReading, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
@@ -174,3 +174,21 @@ def test_a_short_stretch_without_heights_takes_little_of_what_is_known(vehicle, 
     all_seen, some, none = stds.values()
     for seen, most, unseen in zip(all_seen, some, none, strict=True):
         assert most - seen < 0.2 * (unseen - seen)
+
+
+@pytest.mark.slow
+def test_motor_torque_without_heights_tells_the_same_car():
+    """What an unseen climb takes is in the motor's energy, and no higher efficiency."""
+    model = load_vehicle("nissan_leaf")
+    hilly = {"rms_grade": 0.04, "motor_torque": True, "can_profile": PROFILE}
+    drive = simulate(DriveKind.MIXED, model, 900.0, 4, **hilly)
+    found = {}
+    for seen in (True, False):
+        chain = CarChain(model)
+        for reading in drive.readings:
+            if seen or not isinstance(reading, AltitudeReading):
+                chain.add_reading(reading)
+        found[seen] = chain.parameters().parameters["eta"]
+    assert found[True].state.value == "valid"
+    assert abs(found[False].value - drive.truth.parameters.eta) < 2.0 * found[False].std
+    assert found[False].std < 2.0 * found[True].std
