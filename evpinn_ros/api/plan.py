@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 import pandas as pd
 
-from evpinn_ros.common.arguments import finite_or_none, path_of, shown
+from evpinn_ros.common.arguments import finite_or_none, path_of, shown, truth_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, ChargeGauge, Uncertain
@@ -106,7 +106,7 @@ def forecast(
         finite_or_none("payload_kg", payload_kg),
         None if charge_pct is None else charge_pct / 100,
         None if stood_h is None else 3600.0 * stood_h,
-        float(bool(prewarmed)),
+        float(truth_of("prewarmed", prewarmed)),
     )
     _, _, trip, found, charge, *_ = planned_energy(plan, car, given, air_density)
     columns = {

@@ -17,6 +17,7 @@ from evpinn_ros.common.arguments import (
     path_of,
     sequence_of,
     text_of,
+    truth_of,
 )
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.drives.terrain import Terrain
@@ -87,7 +88,7 @@ def replay(
         params=params,
         state=state,
         can_profile=can_profile,
-        trust_profile=trust_profile,
+        trust_profile=truth_of("trust_profile", trust_profile),
         columns=columns,
         elevation=elevation,
     ) as (car, source):

@@ -19,8 +19,9 @@ class Interruption:
     """Notes the first signal to stop while entered, for work that stops between two readings.
 
     What the work then writes is whole, up to there; the command ends with 130, or 128 and the
-    signal's number. A second one does not wait. Where one is ignored, as Ctrl-C in the background
-    of a script, it stays so.
+    signal's number. A second Ctrl-C does not wait. Other signals come more than once by
+    themselves, as that of a closed terminal from its shell and from the kernel. Where one is
+    ignored, as Ctrl-C in the background of a script, it stays so.
 
     Attributes:
         asked: whether to stop.
@@ -54,7 +55,9 @@ class Interruption:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.asked:
-            signal.default_int_handler(number, frame)
+            if number == signal.SIGINT:
+                signal.default_int_handler(number, frame)
+            return
         if number == signal.SIGHUP:
             leave_terminal()
         self.asked, self._code = True, 128 + number

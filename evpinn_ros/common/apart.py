@@ -102,7 +102,7 @@ def _limit(limits: ParserLimits) -> None:
         resource.setrlimit(which, (limit, limit))
 
 
-def _main(function: str, path: Path, out: Path) -> NoReturn:
+def be_the_parser(function: str, path: Path, out: Path) -> NoReturn:
     """Be the other process: end with 0, or 1 and a line."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     code = 1
@@ -120,4 +120,4 @@ def _main(function: str, path: Path, out: Path) -> NoReturn:
 
 
 if __name__ == "__main__":
-    _main(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]))
+    be_the_parser(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]))

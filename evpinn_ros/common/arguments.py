@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from evpinn_ros.common.errors import InputError
 
 LONGEST_SHOWN = 40  # characters of a value in an error
@@ -73,6 +75,17 @@ def text_of(name: str, value: Any) -> str:
     if not isinstance(value, str):
         raise InputError(f"{name} is {shown(value)}, not text")
     return value
+
+
+def truth_of(name: str, value: Any) -> bool:
+    """True or False, of numpy too.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{name} is {shown(value)}, not True or False")
+    return bool(value)
 
 
 def sequence_of(name: str, value: Any) -> Sequence[Any]:

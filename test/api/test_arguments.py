@@ -42,11 +42,27 @@ CALLS: dict[str, Callable[[Any], Any]] = {
 }
 CALLS |= {
     name: lambda x, name=name: ev.forecast(PLAN, **{name: x})
-    for name in ("charge_pct", "temperature_c", "heating_w", "payload_kg", "air_density")
+    for name in (
+        "charge_pct",
+        "temperature_c",
+        "heating_w",
+        "payload_kg",
+        "air_density",
+        "stood_h",
+    )
 }
+CALLS["prewarmed"] = lambda x: ev.forecast(PLAN, prewarmed=x)
 CALLS |= {
     name: lambda x, name=name: ev.replay("no.csv", **{name: x})
-    for name in ("params", "withhold_battery_after", "warm_up", "start", "duration", "columns")
+    for name in (
+        "params",
+        "withhold_battery_after",
+        "warm_up",
+        "start",
+        "duration",
+        "columns",
+        "trust_profile",
+    )
 }
 SAMPLE = ("voltage_v", "current_a", "soc_pct", "ambient_c", "heating_w", "aircon_w")
 CALLS |= {

@@ -39,6 +39,17 @@ def test_a_service_manager_and_a_closed_terminal_wait_for_results_too(number):
     assert signal.getsignal(number) is signal.SIG_DFL
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_what_a_shell_and_the_kernel_both_send_interrupts_no_saving(number):
+    saved = []
+    with pytest.raises(typer.Exit) as ended, Interruption():
+        for _ in range(3):
+            signal.raise_signal(number)
+        signal.raise_signal(signal.SIGTERM)
+        saved.append("state")
+    assert saved and ended.value.exit_code == 128 + number
+
+
 def test_without_ctrl_c_nothing_happens():
     with Interruption():
         pass
