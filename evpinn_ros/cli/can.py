@@ -68,7 +68,9 @@ def inspect(
     ] = "",
     seconds: Annotated[
         float | None,
-        typer.Option(help=f"Look no longer; {LISTEN:g} for a live bus, all of a recorded one."),
+        typer.Option(
+            help=f"Stop after N seconds; {LISTEN:g} for a live bus, all of a recorded one."
+        ),
     ] = None,
     can_profile: Annotated[
         str | None,

@@ -56,8 +56,8 @@ def compare(
 ) -> None:
     """Compare drives of one car: where energy went, and what explains a difference.
 
-    The same road with other tyres, in another season, with another driver. One model of the car
-    learns from all drives; what is not known of the car is common to all and leaves differences.
+    For example the same road with other tyres, in another season or with another driver. One model
+    of the car learns from all drives, so what is unknown of the car cancels in the differences.
 
     Example: evpinn compare bags/urban bags/highway --vehicle tesla_model_3_lr
     """

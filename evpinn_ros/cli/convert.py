@@ -49,12 +49,12 @@ def convert(
     ] = None,
     storage: Annotated[
         Storage | None,
-        typer.Option(help="Change the storage of a bag alone, and keep every topic."),
+        typer.Option(help="Only change the storage of a bag, and keep every topic."),
     ] = None,
 ) -> None:
     """Convert a recorded drive into a rosbag2 bag of our topics.
 
-    Columns of a table are found by their names and values; what was taken for what is shown.
+    Columns of a table are found by their names and values; the choice is shown.
     The names t_s, speed_mps, voltage_v, current_a (positive = discharge) or power_w, and
     optionally elevation_m, latitude, longitude, ambient_c, heating_w, aircon_w, soc_pct,
     motor_torque_nm and motor_speed_rad_s are taken as they are.

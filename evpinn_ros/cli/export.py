@@ -37,13 +37,18 @@ def rmf(
     ] = None,
     capacity: Annotated[
         float | None,
-        typer.Option(min=0.1, max=1e4, help="Of the battery, A h; else as learned or its file."),
+        typer.Option(
+            min=0.1, max=1e4, help="Capacity of the battery, A h; else as learned, or by its file."
+        ),
     ] = None,
     charging_current: Annotated[
-        float | None, typer.Option(min=0.01, max=1e4, help="A; else full within 4 hours.")
+        float | None,
+        typer.Option(
+            min=0.01, max=1e4, help="Charging current, A; full within 4 hours if not given."
+        ),
     ] = None,
     radius: Annotated[
-        float, typer.Option(min=0.01, max=10.0, help="Of the footprint, m: for turning.")
+        float, typer.Option(min=0.01, max=10.0, help="Radius of the footprint, m, for turning.")
     ] = RADIUS,
     tool: Annotated[
         float, typer.Option(min=0.0, max=1e5, help="Power of the tool while it works, W.")

@@ -69,9 +69,9 @@ def forecast(
 ) -> None:
     """Forecast the energy of plans, and the charge after each.
 
-    A plan is a file of any kind that planners have, found by what is in it; the page of inputs in
-    the documents lists them. Of several each is compared with the first: what both share cancels,
-    the mass of the car before all, and of equally long plans (to 1 m) the road.
+    A plan may be any file that planners use; the page of inputs in the documents lists them. Each
+    plan is compared with the first one: common errors cancel, above all the mass of the car, and
+    the unknown road if both are equally long (to 1 m).
 
     Example: evpinn forecast route.json --vehicle tesla_model_3_lr --state car.json --charge 80
     """
@@ -137,8 +137,8 @@ def _battery(gauge: Any) -> str:
     """Words on the energy of the full battery, which the charge after a plan rests on."""
     if not gauge.capacity.known:
         return (
-            "How much its battery holds is not known, so no charge: battery_capacity in its "
-            "vehicle file tells it, or a drive that takes ten percent."
+            "The charge after a plan is unknown, because the capacity of the battery is: write "
+            "battery_capacity into a vehicle file, or replay a drive that uses 10 % of the charge."
         )
     kwh, sigma = (each / JOULES_PER_KWH for each in gauge.capacity)
     how = "as its drives showed" if gauge.learned else "by its vehicle file"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
+from itertools import chain
 import math
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +19,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.drives.contents import Contents, contents
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, Span
+from evpinn_ros.drives.formats import files_of
 from evpinn_ros.drives.unused import by_reason
 from evpinn_ros.replays.dropped_text import dropped_text
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -26,7 +28,9 @@ MOST_SPANS = 10  # on the terminal; --json has them all
 
 
 def info(
-    inputs: Annotated[list[Path], typer.Argument(help="Bags, CAN logs or tables (CSV, xlsx...).")],
+    inputs: Annotated[
+        list[Path], typer.Argument(help="Bags, CAN logs, tables, or a folder of them.")
+    ],
     column: ColumnOption = None,
     as_json_text: JsonTextOption = False,
 ) -> None:
@@ -36,7 +40,7 @@ def info(
     """
     found: list[Contents] = []
     problems = 0
-    for path in inputs:
+    for path in chain.from_iterable(map(files_of, inputs)):
         try:
             found.append(contents(path, column or (), partial(progress_bar, path.name)))
         except InputError as error:

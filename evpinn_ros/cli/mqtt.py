@@ -43,14 +43,15 @@ def mqtt(
         str, typer.Option(help="MQTT_NAMESPACE of TeslaMate, topic.prefix of OVMS.")
     ] = "",
     broker: Annotated[str, typer.Option(help="HOST or HOST:PORT.")] = "localhost",
-    user: Annotated[str | None, typer.Option(help="Else EVPINN_MQTT_USER.")] = None,
+    user: Annotated[str | None, typer.Option(help="User name; else EVPINN_MQTT_USER.")] = None,
     password_file: Annotated[
-        Path | None, typer.Option(help="It holds the password; else EVPINN_MQTT_PASSWORD has it.")
+        Path | None,
+        typer.Option(help="File with the password; EVPINN_MQTT_PASSWORD if not given."),
     ] = None,
     tls: Annotated[bool, typer.Option("--tls", help="Encrypt; port 8883 if none is given.")] = (
         False
     ),
-    ca: Annotated[str | None, typer.Option(help="Authorities to trust.")] = None,
+    ca: Annotated[str | None, typer.Option(help="Certificate authorities to trust.")] = None,
     cert: Annotated[str | None, typer.Option(help="Certificate of this client.")] = None,
     key: Annotated[str | None, typer.Option(help="Key of that certificate.")] = None,
     base: Annotated[str, typer.Option(help="Topic below which to publish.")] = "evpinn",

@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
@@ -30,7 +29,7 @@ from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
-from evpinn_ros.drives.formats import TABLE_SUFFIXES, suffix_of
+from evpinn_ros.drives.formats import files_of
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.drives.trips import joined, split
@@ -39,7 +38,7 @@ from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.breakdown_text import breakdown_lines
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.dropped_text import dropped_text
-from evpinn_ros.replays.owner_text import owner_line
+from evpinn_ros.replays.owner_text import owner_line, sparse_note
 from evpinn_ros.replays.run import (
     WARM_UP,
     Replayed,
@@ -52,8 +51,6 @@ from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import Vehicle
 
-RECORDINGS = (*TABLE_SUFFIXES, *LOG_SUFFIXES)  # that a folder of drives may hold
-BAG_FILES = (".mcap", ".db3", ".yaml", ".zstd")  # of a folder that is a bag
 WIDE = 110  # characters of the table of drives
 
 
@@ -100,9 +97,7 @@ def replay(
     loop: Annotated[
         int, typer.Option(min=1, max=1000, help="Replay all inputs so many times.")
     ] = 1,
-    whole: Annotated[
-        bool, typer.Option("--whole", help="Take each file as one drive: split and join none.")
-    ] = False,
+    whole: Annotated[bool, typer.Option("--whole", help="Each file is a drive.")] = False,
     column: ColumnOption = None,
     elevation: ElevationOption = None,
     can_profile: CanProfileOption = None,
@@ -173,7 +168,7 @@ def _opened(
     logs: list[Source] = []
     found: list[Source] = []
     unreadable: list[str] = []
-    for path in chain.from_iterable(map(_files, inputs)):
+    for path in chain.from_iterable(map(files_of, inputs)):
         try:
             logs.append(open_input(path))
             explain_columns(logs[-1])
@@ -198,13 +193,6 @@ def _opened(
     if not found:
         raise InputError("; ".join(unreadable) or "no recording in this folder")
     return found, unreadable
-
-
-def _files(path: Path) -> list[Path]:
-    """The path itself, or the recordings in a folder that is no bag, in order of their names."""
-    if not path.is_dir() or any(each.suffix in BAG_FILES for each in path.iterdir()):
-        return [path]
-    return sorted(each for each in path.iterdir() if suffix_of(each) in RECORDINGS) or [path]
 
 
 def _one(
@@ -243,7 +231,7 @@ def _show(
     if dropped := dropped_text(found["input"]["dropped"]):
         say(f"Not used: {dropped}")
     say(owner_line(result.drive, found, units))
-    if doubt := vehicle_doubt(vehicle, result.drive):
+    for doubt in filter(None, (vehicle_doubt(vehicle, result.drive), sparse_note(result.drive))):
         say(doubt)
     if briefly:
         return

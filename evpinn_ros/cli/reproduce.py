@@ -81,7 +81,7 @@ def reproduce(
         bool,
         typer.Option(
             "--quick",
-            help="A first look in two minutes: by a faster training than the paper's.",
+            help="Take a first look in two minutes, with a faster training than the paper's.",
         ),
     ] = False,
     out: Annotated[

@@ -105,7 +105,9 @@ def run(
         bool, typer.Option("--no-view", help="Print logs, and no view, on a terminal.")
     ] = False,
     foxglove: Annotated[bool, typer.Option("--foxglove", help="Let Foxglove connect.")] = False,
-    foxglove_host: Annotated[str, typer.Option(help="For Foxglove to connect to.")] = LOOPBACK,
+    foxglove_host: Annotated[
+        str, typer.Option(help="Address for Foxglove to connect to.")
+    ] = LOOPBACK,
     foxglove_port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port of the Foxglove server, 0 for any.")
     ] = PORT,

@@ -25,8 +25,8 @@ def view(
     rate: Annotated[
         float, typer.Option(min=0.01, max=1000.0, help="Speed, times real time.")
     ] = 1.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Again and again.")] = False,
-    host: Annotated[str, typer.Option(help="To listen on.")] = LOOPBACK,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = LOOPBACK,
     port: Annotated[int, typer.Option(min=0, max=65535, help="0 for any.")] = PORT,
     foxglove_origin: OriginOption = None,
 ) -> None:

@@ -11,7 +11,9 @@ from evpinn_ros.topics import NAMESPACE
 
 def watch(
     namespace: Annotated[str, typer.Option(help="Namespace of the topics.")] = NAMESPACE,
-    plain: Annotated[bool, typer.Option("--plain", help="Lines, as without a terminal.")] = False,
+    plain: Annotated[
+        bool, typer.Option("--plain", help="Print lines, as without a terminal.")
+    ] = False,
     for_scripts: Annotated[
         bool, typer.Option("--json", help="Print a JSON object a second, each in a line.")
     ] = False,

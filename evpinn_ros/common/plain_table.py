@@ -41,7 +41,11 @@ class PlainTable(Table):
         for column in columns:
             left = column in (columns[0], *words)
             self.add_column(
-                _plain(column), justify="left" if left else "right", no_wrap=column in unbroken
+                _plain(column),
+                justify="left" if left else "right",
+                no_wrap=column in unbroken,
+                # The end of a name may be all that tells two rows apart.
+                overflow="fold" if column == columns[0] else "ellipsis",
             )
         for row in rows:
             self.add_row(*row)

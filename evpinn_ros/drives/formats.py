@@ -24,6 +24,8 @@ CONVERTERS = {  # what writes a table that is no text as one, in a process of it
     **dict.fromkeys(PARQUET_SUFFIXES, "evpinn_ros.drives.parquet:write_parquet"),
     MEASUREMENT_SUFFIX: "evpinn_ros.drives.measurement:write_signals",
 }
+_DRIVES = (*TABLE_SUFFIXES, *LOG_SUFFIXES)  # that a folder of drives may hold
+_BAG_FILES = (*BAG_SUFFIXES, ".yaml", ".zstd")  # of a folder that is a bag
 FRAME_COLUMNS = (b"arbitration_id", GVRET_HEADER.encode())  # tell a CAN log's CSV from a drive's
 
 
@@ -57,6 +59,13 @@ def _holds_signals(path: Path) -> bool:
     except InputError:
         return False
     return True
+
+
+def files_of(path: Path) -> list[Path]:
+    """The path itself, or the drives in a folder that is no bag, in order of their names."""
+    if not path.is_dir() or any(each.suffix in _BAG_FILES for each in path.iterdir()):
+        return [path]
+    return sorted(each for each in path.iterdir() if suffix_of(each) in _DRIVES) or [path]
 
 
 def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:

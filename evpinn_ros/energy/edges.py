@@ -18,8 +18,8 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.plan import Legs
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
 from evpinn_ros.estimation.posterior import standing
-from evpinn_ros.estimation.states import SIZE
-from evpinn_ros.estimation.unevenness import Path, per_leg
+from evpinn_ros.estimation.states import SIZE, State
+from evpinn_ros.estimation.unevenness import OF_LEGS, Path, per_leg
 
 JUDGED = 2000  # edges by which directions are chosen
 LEAST_SHARE = 1e-4  # of the variance of these; a direction with less is left out
@@ -35,7 +35,8 @@ class Edges:
         directions: what is not known of the car, one sigma each, J, shape (n, k): the same
             direction is off in the same sense on every edge.
         own: variance that is of an edge alone, J^2, shape (n,).
-        uneven: 1-sigma of the energy of uneven speed, J, shape (n,): off in the same sense too.
+        uneven: 1-sigma of what a driver's habit makes of uneven speed, J, shape (n,): off in the
+            same sense too.
     """
 
     energy: np.ndarray
@@ -96,11 +97,13 @@ def edge_energies(
     own = model.noise(legs.duration, stood, legs.length**2 / legs.duration)
     own += car.load_variance * legs.duration**2
     own += car.growth * car.weight_over_eta**2 * legs.length * ~legs.height_known
+    uneven, share = np.abs(uneven), car.unevenness.share
+    by_chance = 0.5 * car.mean[State.MASS] * (legs.length / legs.duration) ** 2 * uneven
     return Edges(
         energy=energy,
         directions=directions,
-        own=car.trust * own,
-        uneven=car.unevenness.share * np.abs(uneven),
+        own=car.trust * own + share**2 * OF_LEGS * by_chance,
+        uneven=share * uneven,
     )
 
 

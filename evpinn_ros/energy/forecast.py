@@ -23,7 +23,7 @@ from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, Weather, 
 from evpinn_ros.estimation.posterior import standing
 from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.terms import WHOLE, Part
-from evpinn_ros.estimation.unevenness import Path
+from evpinn_ros.estimation.unevenness import Path, size_of, stops_of
 from evpinn_ros.vehicle.files import Vehicle
 
 DIRECTION_LENGTH = 5e3  # m within which a trip turns away from where the car now points
@@ -153,7 +153,7 @@ def forecast_plan(
     if _is_coarse(points):
         path = _path(points, weather.air_density, wind)
         steps, beyond = model.leg_rows(path, weather)
-        uneven = _accumulated(np.abs(beyond @ model.car.mean), axis=-1)
+        uneven[1:] = size_of(np.abs(beyond @ model.car.mean), stops_of(path, model.car.mean))
     else:
         steps = model.rows(motion_of(points, wind), weather)
     rows = _accumulated(steps, axis=-2)

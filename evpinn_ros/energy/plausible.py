@@ -74,11 +74,11 @@ def car_is_possible(car: CarModel) -> bool:
 
 def _is_possible(uneven: Unevenness, car: CarModel) -> bool:
     """True if no leg's uneven speed takes more power than a car has."""
-    scatter = uneven.squares, uneven.expected
+    scatter = uneven.squares, uneven.drives
     numbers = np.concatenate((uneven.metres.ravel(), uneven.rows.ravel(), scatter))
     if not (np.abs(numbers) <= MOST_NUMBER).all() or min(uneven.metres.min(), *scatter) < 0.0:
         return False
-    if uneven.expected <= 0.0 or uneven.share > MOST_SHARE:
+    if uneven.drives <= 0.0 or uneven.share > MOST_SHARE:
         return False
     speed, duration = map(np.ravel, np.meshgrid(MIDDLES, DURATIONS))
     zero = np.zeros_like(speed)

@@ -95,12 +95,7 @@ class Similarity:
             covariance=np.outer(self._states, self._states) * found.covariance,
             noise=square * found.noise,
             load_variance=square * found.load_variance,
-            unevenness=replace(
-                uneven,
-                rows=self.size / self._states * uneven.rows,
-                squares=square * uneven.squares,
-                expected=square * uneven.expected,
-            ),
+            unevenness=replace(uneven, rows=self.size / self._states * uneven.rows),
         )
 
     def breakdowns(self, found: Breakdowns) -> Breakdowns:

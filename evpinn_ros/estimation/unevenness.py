@@ -36,9 +36,13 @@ JUDGED_METRES = 500.0  # legs by which the scatter from drive to drive is judged
 PRIOR_METRES = 2000.0  # that the simulated drives count for at each node
 LEAST_METRES = 200.0  # of them at a node, else its neighbour stands in
 MEMORY = 150e3  # m of driving within which what was before is forgotten to a third
-PRIOR_SHARE, PRIOR_ENERGY = 0.35, 1e6  # scatter before any drive; J of unevenness it counts for
+PRIOR_SHARE, PRIOR_DRIVES = 0.25, 4.0  # scatter before any drive, and how many it counts for
+OF_LEGS = 2.8  # variance that legs have of their own, of their energy times that of a stop
+MOST_RATIO = 9.0  # of a drive's variance over the size of what was expected: an odd one
 MOST_SHARE = 100.0  # of that scatter, whatever a file claims
 SPREAD_KEPT = 0.97  # of the scatter's sums, from drive to drive
+MOST_DRIVES = 1.0 / (1.0 - SPREAD_KEPT) + 1.0  # that these sums can hold
+MOST_SQUARES = MOST_DRIVES * MOST_RATIO
 LEAST_DRIVE = 1000.0  # m of a drive that scatter is judged by
 SHAPE = (len(MIDDLES), len(DURATIONS))
 Numbers: TypeAlias = tuple[Annotated[float, Range(-1e18, 1e18)], ...]
@@ -82,14 +86,15 @@ class Unevenness:
     Attributes:
         metres: driven in legs about each node of speed and duration, shape `SHAPE`.
         rows: sum of the differences by state, J per unit, shape (*SHAPE, SIZE).
-        squares: sum of squared energy by which drives strayed from what was expected, J^2.
-        expected: the same of the sizes of what was expected of their legs.
+        squares: sum over drives of squared energy by which they strayed from what was expected,
+            over the squared size of that (`size_of`).
+        drives: how many these are.
     """
 
     metres: np.ndarray
     rows: np.ndarray
-    squares: float = PRIOR_SHARE**2 * PRIOR_ENERGY**2
-    expected: float = PRIOR_ENERGY**2
+    squares: float = PRIOR_SHARE**2 * PRIOR_DRIVES
+    drives: float = PRIOR_DRIVES
 
     @classmethod
     def none(cls) -> Unevenness:
@@ -98,8 +103,8 @@ class Unevenness:
 
     @property
     def share(self) -> float:
-        """1-sigma of a trip's unevenness over what is expected of it."""
-        return float(np.sqrt(self.squares / self.expected))
+        """1-sigma of a trip's unevenness over the size of what is expected of it."""
+        return float(np.sqrt(self.squares / self.drives))
 
     def of_legs(self, equation: Equation, legs: Path) -> np.ndarray:
         """Expected rows of legs beyond those at even speed, J per unit, shape (n, SIZE).
@@ -141,12 +146,35 @@ class Unevenness:
         legs = drive.legs(_cut(np.abs(drive.distance), JUDGED_METRES))
         each = self.of_legs(equation, legs) @ mean
         found = float((driven.sum(0) - even_rows(equation, legs).sum(0)) @ mean)
-        # By their sizes, for what legs take and give back may cancel, but not its scatter.
+        size = float(size_of(np.abs(each), stops_of(legs, mean))[-1])
+        if size == 0.0:
+            return self
+        ratio = min(((found - float(each.sum())) / size) ** 2, MOST_RATIO)
         return replace(
             self,
-            squares=SPREAD_KEPT * self.squares + (found - float(each.sum())) ** 2,
-            expected=SPREAD_KEPT * self.expected + float(np.abs(each).sum()) ** 2,
+            squares=SPREAD_KEPT * self.squares + ratio,
+            drives=SPREAD_KEPT * self.drives + 1.0,
         )
+
+
+def stops_of(legs: Path, mean: np.ndarray) -> np.ndarray:
+    """Energy of speeding up once to the mean speed of each leg, J, shape (n,)."""
+    return np.asarray(0.5 * mean[State.MASS] * (legs.distance / legs.duration) ** 2)
+
+
+def size_of(energy: np.ndarray, stops: np.ndarray) -> np.ndarray:
+    """Size of unevenness that scatter goes by, J, up to the end of each leg, shape (n,).
+
+    A driver's habit is off in the same sense on all legs. Beyond that, how often a leg makes one
+    speed up is a matter of chance: where so many events of one size come by chance, the variance
+    of their sum is the sum times the size of one.
+
+    Args:
+        energy: size of what is expected of each leg, J, shape (n,): what legs take and give
+            back may cancel, but not its scatter.
+        stops: energy of one event, J, shape (n,).
+    """
+    return np.sqrt(np.cumsum(energy) ** 2 + OF_LEGS * np.cumsum(energy * stops))
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,8 +184,8 @@ class SavedUnevenness:
     names: tuple[str, ...]
     metres: Annotated[np.ndarray, Range(0.0, 1e12)]
     rows: Numbers
-    squares: Annotated[float, Range(0.0, 1e30)]
-    expected: Annotated[float, Range(1.0, 1e30)]
+    squares: Annotated[float, Range(0.0, MOST_SQUARES)]
+    drives: Annotated[float, Range(1.0, MOST_DRIVES)]
 
 
 def per_leg(legs: Path, table: np.ndarray) -> np.ndarray:
@@ -172,7 +200,7 @@ def per_leg(legs: Path, table: np.ndarray) -> np.ndarray:
 def saved_unevenness(found: Unevenness) -> SavedUnevenness:
     """Form that is saved."""
     rows = tuple(found.rows.ravel().tolist())
-    return SavedUnevenness(NAMES, found.metres, rows, found.squares, found.expected)
+    return SavedUnevenness(NAMES, found.metres, rows, found.squares, found.drives)
 
 
 def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
@@ -191,7 +219,7 @@ def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
     lacked = [index for index, name in enumerate(NAMES) if name not in saved.names]
     if lacked:
         rows[..., lacked] = saved.metres[..., None] * _prior(equation)[..., lacked]
-    found = Unevenness(saved.metres, rows, saved.squares, saved.expected)
+    found = Unevenness(saved.metres, rows, saved.squares, saved.drives)
     if found.share > MOST_SHARE:
         raise ValueError("the scatter of the unevenness is out of range")
     return found

@@ -1,7 +1,8 @@
 """Ends a process whose last step hangs, by timers of the C library.
 
 A call into the middleware that never returns keeps the interpreter, so neither a thread of Python
-nor a handler of signals would get a turn; these timers need neither.
+nor a handler of signals would get a turn; these timers need neither. What hangs, and why
+no timer of Python's own will do: docs/project/upstream.md.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from evpinn_ros.nodes.supervision import tell, watchdog_period
 SWITCH_INTERVAL = 5e-4
 """s that a thread may keep the interpreter from one that wants it: the bridge's after each system
 call, the callbacks' while an update is computed. At Python's own 5 ms, beside the learner, one
-frame in a hundred came 12 ms late, now 4."""
+frame in a hundred came 12 ms late, now 4 (docs/project/upstream.md)."""
 
 START = 30.0
 """s for the nodes to be made: 0.3 on free cores. Only what hangs takes longer."""

@@ -86,7 +86,7 @@ def _point(drive: Drive, units: Units) -> _Point | None:
         f"consumption, {units.rate}": float(steps.energy.sum()) / distance / units.rate_joules
     }
     rolling = drive.final.parameters["c_rr"] if drive.final else None
-    if rolling is not None and rolling.progress > 0.0:
+    if rolling is not None and rolling.progress > 0.0 and rolling.possible:
         values[ROLLING] = rolling.value
     if (capacity := capacity_by_charge(drive)) is not None:
         values[CAPACITY] = capacity / JOULES_PER_KWH

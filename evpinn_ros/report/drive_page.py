@@ -15,7 +15,7 @@ from evpinn_ros.replays.dropped_text import dropped_text
 from evpinn_ros.replays.events import drive_events
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.owner_text import drives_columns, drives_rows
+from evpinn_ros.replays.owner_text import drives_columns, drives_rows, sparse_note
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import Span, baseline_scores
 from evpinn_ros.replays.tables import (
@@ -157,7 +157,7 @@ def _drive(
     values = {
         "name": name,
         "about": f"{reported.vehicle.name}, {_date(drive)}",
-        "doubt": vehicle_doubt(reported.vehicle, drive),
+        "doubts": [*filter(None, (vehicle_doubt(reported.vehicle, drive), sparse_note(drive)))],
         "record": _record(found),
         "breakdown": breakdown_values(found["breakdown"], units),
         "tiles": list(drive_tiles(drive, *steps, units)),

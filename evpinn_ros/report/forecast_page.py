@@ -11,6 +11,7 @@ import numpy as np
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import plan_parts
+from evpinn_ros.energy.plan import Legs
 from evpinn_ros.energy.planned import Change, PlannedEnergy
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.terms import Part
@@ -94,19 +95,35 @@ def _curves(planned: PlannedEnergy) -> Any:
     energy, sigma = found.energy[every] / JOULES_PER_KWH, found.sigma[every] / JOULES_PER_KWH
     known = np.isfinite(charge).any()
     lines = [
-        ("Charge of the battery, %", charge, charge_sigma, False)
+        ("Charge of the battery, %", along, charge, charge_sigma, False)
         if known
-        else ("Energy since the start, kWh", energy, sigma, True),
-        ("Speed, km/h", 3.6 * trip.speed[every], None, True),
-        ("Height, m", trip.elevation[every], None, False),
+        else ("Energy since the start, kWh", along, energy, sigma, True),
+        ("Speed, km/h", *speed_along(planned, every), None, True),
+        ("Height, m", along, trip.elevation[every], None, False),
     ]
-    for title, values, spread, from_zero in lines:
+    for title, where, values, spread, from_zero in lines:
         if title.startswith("Height") and not np.ptp(values):
             continue
         half = None if spread is None else GAUSSIAN_QUANTILE * spread
-        found_curve = curve(title, [Curve(along, values, half)], from_zero=from_zero)
+        found_curve = curve(title, [Curve(where, values, half)], from_zero=from_zero)
         if found_curve is not None:
             yield found_curve
+
+
+def speed_along(planned: PlannedEnergy, every: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Kilometres, and km/h there: of legs their means, in steps.
+
+    Args:
+        planned: with n points.
+        every: numbers of the points to show.
+    """
+    trip = planned.trip
+    along = (trip.distance - trip.distance[0]) / 1e3
+    if not isinstance(planned.given, Legs):
+        return along[every], 3.6 * trip.speed[every]
+    legs = np.minimum(every[:-1], len(planned.given.length) - 1)
+    mean = 3.6 * (planned.given.length / planned.given.duration)[legs]
+    return np.repeat(along[every], 2)[1:-1], np.repeat(mean, 2)
 
 
 def _parts(planned: PlannedEnergy, head_wind: float) -> list[dict[str, Any]]:

@@ -38,7 +38,7 @@ def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
         "covariance": car.covariance.ravel(),
         "uneven_metres": uneven.metres.ravel(),
         "uneven_rows": uneven.rows.ravel(),
-        "uneven_scatter": np.array([uneven.squares, uneven.expected]),
+        "uneven_scatter": np.array([uneven.squares, uneven.drives]),
     }
     data = [finite(number) for number in np.concatenate(list(parts.values())).tolist()]
     sizes = {f"{vehicle}/{MODEL_VERSION}": len(data)}

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import math
 from typing import TypeAlias
 
-from evpinn_ros.can.bus import INTERFACES
-from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.vehicle.files import load_vehicle
 
@@ -74,7 +72,16 @@ class Parameter:
         return None
 
 
+def _known_profile(name: str) -> None:
+    # Here, for cantools takes long to import, and who has no bus needs none of it.
+    from evpinn_ros.can.profile import load_profile
+
+    load_profile(name)
+
+
 def _known_interface(name: str) -> None:
+    from evpinn_ros.can.bus import INTERFACES  # here, for python-can takes long as well
+
     if name != FRAMES and name not in INTERFACES:
         raise InputError(f"known are {', '.join(sorted({FRAMES, *INTERFACES}))}")
 
@@ -227,7 +234,7 @@ CAN_BRIDGE = (
         "can_profile",
         "",
         "CAN profile by its name in config/can, or the path of its file. Empty: the vehicle's.",
-        verify=load_profile,
+        verify=_known_profile,
     ),
     Parameter("trust_profile", False, "Publish also what the traffic of the bus contradicts."),
     Parameter(

@@ -96,7 +96,7 @@ def test_the_battery_is_that_of_the_state_once_drives_have_shown_it(evpinn, tmp_
     assert held < 50.0
     assert f"Battery: {held:.1f} +- " in done.stdout and "as its drives showed" in done.stdout
     unknown = evpinn("forecast", "slow.csv", "--vehicle", "generic", "--charge", 80, cwd=tmp_path)
-    assert "How much its battery holds is not known" in unknown.stdout
+    assert "the capacity of the battery" in unknown.stdout
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from evpinn_ros.drives.formats import files_of
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.vehicle.files import load_vehicle
 
@@ -40,3 +41,12 @@ def write(path: Path) -> None:
                 for row in (DRIVE.columns, *DRIVE.rows()):
                     book.active.append(row)
                 book.save(file)
+
+
+def test_a_folder_of_drives_is_its_files_in_order_and_a_bag_is_itself(tmp_path):
+    for name in ("b.csv", "a.csv.gz", "c.log", "notes.md"):
+        (tmp_path / name).write_text("t_s,speed_mps,power_w\n0,1,2\n")
+    assert [each.name for each in files_of(tmp_path)] == ["a.csv.gz", "b.csv", "c.log"]
+    assert files_of(tmp_path / "b.csv") == [tmp_path / "b.csv"]
+    (tmp_path / "metadata.yaml").write_text("")
+    assert files_of(tmp_path) == [tmp_path]

@@ -7,11 +7,13 @@ from evpinn_ros.estimation.states import PHYSICS, SIZE, State
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.estimation.unevenness import (
     DURATIONS,
+    OF_LEGS,
     PRIOR_SHARE,
     Path,
     Unevenness,
     even_rows,
     saved_unevenness,
+    size_of,
     unevenness_of,
 )
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed
@@ -131,3 +133,11 @@ def test_it_is_saved_by_the_names_of_states():
         )
     with pytest.raises(ValueError, match="out of range"):
         unevenness_of(saved.__class__(saved.names, saved.metres, saved.rows, 1e9, 1.0), EQUATION)
+
+
+def test_chance_counts_less_over_many_legs_and_habit_as_much():
+    """Of one leg of a tenth of a stop chance rules, of a hundred such habit."""
+    size = size_of(np.full(100, 1e5), np.full(100, 1e6)) / np.cumsum(np.full(100, 1e5))
+    assert size[0] == pytest.approx(np.sqrt(1.0 + OF_LEGS * 10.0))
+    assert size[-1] == pytest.approx(np.sqrt(1.0 + OF_LEGS * 0.1))
+    assert not size_of(np.zeros(3), np.full(3, 1e6)).any()

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+import evpinn_ros as ev
 from evpinn_ros import topics
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.reader import BagReader
@@ -161,3 +162,24 @@ def test_a_bag_with_odometry_alone_has_a_speed(tmp_path):
         with BagReader(tmp_path / name) as bag:
             speeds = [reading.speed for reading in BagReadings(bag)]
         assert speeds == 10 * [8.0 if both else 7.0]
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_recorded_bag_of_autoware_replays_with_its_speed(tmp_path, beside):
+    """Alone it is speed, and drives the odometer; beside odometry that is taken."""
+    with BagWriter(tmp_path / "drive") as bag:
+        for tenth in range(300):
+            head = header(bag_message, stamp(tenth), "base_link")
+            report = bag_message(
+                topics.VELOCITY_REPORT_TYPE, header=head, longitudinal_velocity=8.0
+            )
+            bag.write("/vehicle/status/velocity_status", report, stamp(tenth))
+            battery = BatteryReading(stamp(tenth), 350.0, -30.0)
+            bag.write("/ev/battery/state", battery_message(bag_message, battery), stamp(tenth))
+            if beside:
+                bag.write("/odom", odometry(tenth, 7.0, bag_message), stamp(tenth))
+    with BagReader(tmp_path / "drive") as bag:
+        found = [r.speed for r in BagReadings(bag) if isinstance(r, SpeedReading)]
+    assert found == 300 * [7.0 if beside else 8.0]
+    car = ev.replay(tmp_path / "drive", vehicle=VEHICLE)
+    assert car.metrics["breakdown"]["distance_m"] == pytest.approx(30 * found[0], rel=0.4)

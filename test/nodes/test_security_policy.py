@@ -5,9 +5,11 @@ from xml.etree import ElementTree
 
 import pytest
 
+from evpinn_ros import topics
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.typed import TYPED, TYPED_FORECAST
 from evpinn_ros.topics import NAMESPACE
 
 POLICIES = Path(__file__).resolve().parents[2] / "config" / "security"
@@ -15,6 +17,11 @@ NODES = {
     "can_bridge": (CanBridgeNode, {"interface": "virtual", "channel": "policy", "bitrate": 0}),
     "estimator": (EstimatorNode, {}),
     "energy": (EnergyNode, {}),
+}
+# Of what is in the graph only where the messages are installed (`typed_check.py` has them all).
+OPTIONAL = {
+    "estimator": {"vehicle/status/velocity_status"},
+    "energy": {"vehicle/status/velocity_status", "plan/trajectory", "energy/estimate_plan"},
 }
 ATTRIBUTES = {"publish", "subscribe", "reply", "request", "call", "execute"}
 
@@ -27,7 +34,7 @@ def allowed(name):
     assert enclave.get("path") == f"{NAMESPACE}/{name}"
     (profile,) = enclave.findall("profiles/profile")
     assert (profile.get("ns"), profile.get("node")) == (NAMESPACE, name)
-    found = {kind: set() for kind in ATTRIBUTES}
+    found: dict[str, set[str]] = {kind: set() for kind in ATTRIBUTES}
     for rule in profile:
         assert (
             rule.attrib and {*rule.attrib} <= ATTRIBUTES and {*rule.attrib.values()} == {"ALLOW"}
@@ -35,6 +42,17 @@ def allowed(name):
         for kind in rule.attrib:
             found[kind] |= {full_name(entry.text, name) for entry in rule}
     return found
+
+
+def without_messages(name):
+    """The same where no messages of other packages are installed."""
+    beside = {f"{NAMESPACE}/{each}" for each in OPTIONAL.get(name, ())}
+    typed = f"{NAMESPACE}/{topics.TYPED}/"
+    found = {
+        kind: {each for each in names - beside if not each.startswith(typed)}
+        for kind, names in allowed(name).items()
+    }
+    return {**found, "execute": set()}
 
 
 def full_name(text, node):
@@ -67,4 +85,16 @@ def test_a_policy_allows_what_the_node_has_and_nothing_else(bench, name):
         }
 
     bench.pump(lambda: "/clock" in in_the_graph()["subscribe"])
-    assert in_the_graph() == allowed(name)
+    assert in_the_graph() == without_messages(name)
+
+
+def test_the_typed_interface_and_the_messages_of_others_are_allowed():
+    node, energy = allowed("estimator"), allowed("energy")
+    typed = {f"{NAMESPACE}/{each.name}" for each in (*TYPED.values(), TYPED_FORECAST)}
+    published = node["publish"] | energy["publish"]
+    assert {each for each in published if f"/{topics.TYPED}/" in each} == typed
+    for topic in (topics.VELOCITY_REPORT, topics.TRAJECTORY):
+        assert f"{NAMESPACE}/{topic.name}" in energy["subscribe"]
+    assert f"{NAMESPACE}/{topics.VELOCITY_REPORT.name}" in node["subscribe"]
+    assert f"{NAMESPACE}/energy/estimate_plan" in energy["reply"]
+    assert energy["execute"] == {f"{NAMESPACE}/energy/estimate_plans"}

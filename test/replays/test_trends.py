@@ -8,6 +8,7 @@ import pytest
 from evpinn_ros.common.units import US
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.replays.history import Drive, PowerSeries
+from evpinn_ros.replays.owner_text import sparse_note
 from evpinn_ros.replays.trends import CAPACITY, ROLLING, trends
 from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.vehicle.identifiable import Identifiable
@@ -56,6 +57,22 @@ def test_drives_are_weighted_by_their_distance():
     assert warm[0].mean == pytest.approx((10 * 0.012 + 30 * 0.010) / 40)
     capacity = found[f"{CAPACITY} by week"].rows
     assert capacity[1].mean == pytest.approx(10.0 / 6.0 / 0.2)
+
+
+def test_a_rolling_resistance_that_cannot_be_trusted_is_left_out():
+    doubted = [replace(each, final=_doubted(each.final)) for each in DRIVES]
+    assert not any(ROLLING in trend.title for trend in trends(doubted))
+
+
+def _doubted(found: ParameterSet) -> ParameterSet:
+    return replace(found, parameters={"c_rr": replace(found.parameters["c_rr"], possible=False)})
+
+
+def test_speeds_far_apart_are_said_to_be_rough():
+    dense = DRIVES[0]
+    assert sparse_note(dense) is None
+    assert "every 5.0 s" in sparse_note(replace(dense, speed=dense.speed[::5]))
+    assert sparse_note(replace(dense, speed=dense.speed[:1])) is None
 
 
 def test_units_are_those_of_the_reader():

@@ -10,6 +10,7 @@ from evpinn_ros.energy.forecast import plan_parts
 from evpinn_ros.energy.plan import PlanConditions, PlanError, legs_of_trip, plan_from_speed_profile
 from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.replays.breakdown_text import MEANINGS
+from evpinn_ros.report.forecast_page import speed_along
 
 TIME = np.arange(0.0, 601.0, 2.0)
 SPEED = np.minimum(20.0, np.minimum(TIME, 600.0 - TIME)) * (1.0 + 0.1 * np.sin(TIME / 20.0))
@@ -50,6 +51,14 @@ def test_a_stop_lasts_as_long_however_fast_one_drives():
     assert FINE.quicker(1.25).distance[-1] == FINE.distance[-1]
     with pytest.raises(PlanError):
         FINE.quicker(20.0)
+
+
+def test_the_speed_of_legs_is_their_mean_from_end_to_end_and_stops_are_seen():
+    """10 m/s, a stop, 20 m/s, in steps."""
+    planned = planned_energy(COARSE, "bmw_i3", COLD)
+    along, speed = speed_along(planned, np.arange(4))
+    assert along.tolist() == pytest.approx([0.0, 0.6, 0.6, 0.6, 0.6, 7.6])
+    assert speed.tolist() == pytest.approx([36.0, 36.0, 0.0, 0.0, 72.0, 72.0])
 
 
 def test_the_page_tells_the_whole_without_a_script(tmp_path):
