@@ -202,13 +202,13 @@ class _Forked:
         os.close(self._errors)
 
     def communicate(self, *, timeout: float) -> tuple[None, str]:
-        """Its end and what it said; `subprocess.TimeoutExpired` if it hangs."""
+        """Its end and its errors; `subprocess.TimeoutExpired` if it hangs."""
         if not select.select([self._errors], [], [], timeout)[0]:
             raise subprocess.TimeoutExpired("parser", timeout)
         with os.fdopen(os.dup(self._errors), errors="replace") as pipe:
-            said = pipe.read()
+            errors = pipe.read()
         self.returncode = os.waitstatus_to_exitcode(os.waitpid(self._process, 0)[1])
-        return None, said
+        return None, errors
 
     def kill(self) -> None:
         """End it."""

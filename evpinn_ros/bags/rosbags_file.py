@@ -11,6 +11,7 @@ import sqlite3
 from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
 from evpinn_ros.bags.mcap_file import Channel, RawMessage
@@ -57,7 +58,11 @@ class RosbagsFile:
         except READ_ERRORS as error:
             self._folder.cleanup()
             raise InputError(f"{path}: {self._reason(error)}") from error
-        self._connections = {connection.id: connection for connection in self._reader.connections}
+        # A damaged row has nothing or a number where a name stands.
+        named = [each for each in self._reader.connections if _is_named(each)]
+        if len(named) < len(self._reader.connections):
+            self.problem = f"{path}: a topic without a name is not read"
+        self._connections = {connection.id: connection for connection in named}
         self.channels = {
             id_: Channel(connection.topic, connection.msgtype, connection.ext.serialization_format)
             for id_, connection in self._connections.items()
@@ -85,6 +90,11 @@ class RosbagsFile:
     def _reason(self, error: Exception) -> str:
         """In one line, without the path that rosbags puts in some."""
         return " ".join(str(error).replace(str(self._reader.path), "").split())
+
+
+def _is_named(connection: Connection) -> bool:
+    texts = (connection.topic, connection.msgtype, connection.ext.serialization_format)
+    return all(isinstance(text, str) for text in texts)
 
 
 def _check_database(path: Path, size: int) -> None:

@@ -287,6 +287,20 @@ def test_a_database_whose_messages_share_their_pages_is_refused(tmp_path):
         BagReader(path)
 
 
+def test_a_topic_without_a_name_costs_the_others_nothing(tmp_path):
+    path = tmp_path / "a.db3"
+    path.write_bytes(database()[0])
+    with closing(sqlite3.connect(path)) as bag, bag:
+        bag.executescript(
+            "CREATE TABLE t AS SELECT * FROM topics; UPDATE t SET name = NULL WHERE id = 2;"
+            "DROP TABLE topics; ALTER TABLE t RENAME TO topics"
+        )
+    with BagReader(path) as reader:
+        assert [*reader.topics] == ["/ev/vehicle/speed"]
+        assert sum(1 for _ in reader.records()) == 20
+        assert "a topic without a name is not read" in reader.problem
+
+
 @pytest.mark.parametrize("name", ["a#1.db3", "a?mode=rw.db3", "a%41.db3", "50% [1].db3"])
 def test_a_database_of_any_name_is_read(tmp_path, name):
     (tmp_path / name).write_bytes(database()[0])
