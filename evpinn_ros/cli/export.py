@@ -59,7 +59,7 @@ def rmf(
     The lines go under `rmf_fleet` in its config.yaml. RMF knows neither efficiency nor
     recuperation: mass and friction are those with which it finds the energy of this vehicle.
 
-    Example: evpinn export rmf robot.json --vehicle mobile_robot > rmf_energy.yaml
+    Example: evpinn export rmf robot.json --vehicle mobile_robot --capacity 25
     """
     # Here, for these import what takes longer than all else together.
     from evpinn_ros.api.estimator import Estimator

@@ -30,7 +30,7 @@ SECONDS_PER_HOUR = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class RmfEnergy:
-    """What an RMF fleet adapter wants to know of the energy of a vehicle.
+    """Parameters of energy that a fleet adapter of RMF takes.
 
     Attributes:
         voltage: of the battery, V.
@@ -96,7 +96,7 @@ def rmf_energy(
 
 
 def _trip(cruise: float, speed: float) -> Plan:
-    """From rest to rest, with so many s at a speed, a point each second or less."""
+    """Plan from rest to rest, with so many s at a speed, a point each second or less."""
     ends = np.array([0.0, RAMP, RAMP + cruise, 2.0 * RAMP + cruise])
     time = np.unique(np.concatenate((np.arange(0.0, ends[-1], 1.0), ends)))
     speeds = np.interp(time, ends, [0.0, speed, speed, 0.0])

@@ -30,7 +30,7 @@ EXTENSIVE_SUMS = ("mass_over_eta", "drag_area_over_eta", "p_aux")
 
 
 class Similarity:
-    """From a vehicle to the car that it is learned as, and back.
+    """Way from a vehicle to the car that it is learned as, and back.
 
     Attributes:
         car: the similar car.
