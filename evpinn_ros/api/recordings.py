@@ -55,7 +55,7 @@ def replay(
 
     Args:
         drive: bag, CAN log or table; or a pandas DataFrame, whose columns are those of a table. An
-            index that has a name, or holds dates, is one of them.
+            index that has a name, or is no count of rows, is one of them.
         vehicle: name, file, or what `load_vehicle` gave.
         mode: `hybrid` or `paper`; that of `params`, else hybrid, if not given.
         params: parameter file of the nodes.
@@ -182,6 +182,8 @@ def _path_of(drive: str | os.PathLike[str] | DataFrame, folder: Path) -> Path:
     if not hasattr(drive, "to_csv"):
         return path_of("drive", drive)
     path, table = folder / "drive.csv", cast("DataFrame", drive)
+    if table.index.dtype.kind == "m":
+        table = table.set_axis(table.index.total_seconds().rename("time"))
     named = table.index.name is not None or table.index.dtype.kind not in "iu"
     table.to_csv(path, index=named, index_label=table.index.name or "time")
     return path

@@ -274,7 +274,9 @@ class TableDrive(Source):
             if rule.quantity not in ("time", "odometer")
         }
         if self._terrain is not None and values.keys() >= set(PLACES):
-            values["elevation"] = _heights(self._terrain, *(values[each] for each in PLACES))
+            heights = _heights(self._terrain, *(values[each] for each in PLACES))
+            recorded = values.get("elevation", heights)  # which stay where no tile knows better
+            values["elevation"] = np.where(np.isnan(heights), recorded, heights)
         return values
 
     def _until_broken(self, broken: list[InputError]) -> Iterator[Row]:

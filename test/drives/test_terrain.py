@@ -88,3 +88,13 @@ def test_folders_without_tiles_and_broken_tiles_are_refused(tmp_path):
     (tmp_path / "N48E011.hgt").write_bytes(b"\0" * 1000)
     with pytest.raises(InputError, match="no tile of 1201"):
         Terrain(tmp_path).heights(np.array([48.5]), np.array([11.5]))
+
+
+def test_heights_of_a_log_stay_where_no_tile_has_one(tmp_path, tiles):
+    rows = [f"{i},10,1000,{lat},11.5,123" for i, lat in enumerate([48.5] * 30 + [50.5] * 30)]
+    header = "t_s,speed_mps,power_w,latitude,longitude,elevation_m"
+    (tmp_path / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
+    readings = open_drive(tmp_path / "drive.csv", terrain=Terrain(tiles)).readings()
+    heights = [each.altitude for each in readings if isinstance(each, AltitudeReading)]
+    assert len(heights) == 60 and set(heights[31:]) == {123.0}
+    assert heights[0] == pytest.approx(700.0, abs=1.0)
