@@ -31,7 +31,7 @@ class Hills:
     squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
     metres: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
     way: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
-    climb: Annotated[float, Range(-MOST_SUM, MOST_SUM)] = 0.0
+    climb: Annotated[float, Range(-1e5, 1e5)] = 0.0
 
     @property
     def growth(self) -> float:
@@ -45,4 +45,5 @@ class Hills:
     def next_drive(self) -> Hills:
         """At the start of another drive."""
         kept = math.exp(-self.way / MEMORY)
-        return Hills(kept * self.squares + self.climb**2, kept * self.metres + self.way)
+        squares, metres = kept * self.squares + self.climb**2, kept * self.metres + self.way
+        return Hills(min(squares, MOST_SUM), min(metres, MOST_SUM))

@@ -261,17 +261,18 @@ def _vehicle_directory() -> Path:
 def _parse(path: Path) -> Vehicle:
     root = compose(path, "vehicle file")
     constants = {key: _constant(root.section(key), key) for key in CONSTANTS if root.has(key)}
+    size = constants.get("relative_size", OPTIONAL_CONSTANTS["relative_size"])
+    priors = _priors(root.section("parameters"), size)
     root.refuse_unknown((*KEYS, *CONSTANTS))
     for key in CONSTANTS:
         if key not in constants and key not in OPTIONAL_CONSTANTS:
             raise root.error(f"'{key}' is missing")
     constants = {**OPTIONAL_CONSTANTS, **constants}
-    size = constants["relative_size"]
     return Vehicle(
         key=path.stem,
         name=root.text("name"),
         can_profile=_can_profile(root) if root.has("can_profile") else None,
-        priors=_priors(root.section("parameters"), size),
+        priors=priors,
         correlations=_correlations(root.section("correlations"))
         if root.has("correlations")
         else {},

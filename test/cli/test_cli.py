@@ -165,7 +165,8 @@ def test_results_before_a_bad_input_are_kept(evpinn, folder):
     (folder / "wrong.csv").write_text("t_s,speed_mps,power_w\n0,,700\n")
     done = evpinn("replay", "drive", "wrong.csv", "--metrics", "kept_metrics.json", cwd=folder)
     assert_fails_in_one_line(done, "wrong.csv")
-    assert json.loads((folder / "kept_metrics.json").read_text())["input"]["path"] == "drive"
+    (kept,) = json.loads((folder / "kept_metrics.json").read_text())
+    assert kept["input"]["path"] == "drive"
 
 
 def test_one_output_that_cannot_be_written_does_not_cost_the_others(evpinn, folder):

@@ -9,6 +9,7 @@ from typing import Annotated, get_args, get_origin, get_type_hints
 import numpy as np
 import pytest
 
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.estimation.estimator import Mode, OnlineEstimator
 from evpinn_ros.estimation.pinn import SavedPinn
 from evpinn_ros.estimation.worker import InlineWorker
@@ -35,10 +36,12 @@ FOUND = {
 def leaves(declared, prefix=()):
     """Every place that is declared, with what is declared there and whether it may be None."""
     for name, inner in get_type_hints(declared, include_extras=True).items():
+        bare = get_args(inner)[0] if get_origin(inner) is Annotated else inner
+        part = get_args(bare)[0] if NoneType in get_args(bare) else bare
         maybe = NoneType in get_args(inner)
         kind = get_args(inner)[0] if maybe else inner
-        if is_dataclass(kind):
-            yield from leaves(kind, (*prefix, name))
+        if is_dataclass(part):
+            yield from leaves(part, (*prefix, name))
         elif hasattr(kind, "_fields"):  # numbers of one range
             first = get_type_hints(kind, include_extras=True)[kind._fields[0]]
             yield (*prefix, name), first, maybe
@@ -50,8 +53,9 @@ def range_of(declared):
     """Range of a number, and whether it is whole; None of what is none."""
     if get_origin(declared) is not Annotated or get_args(declared)[0] is str:
         return None
-    kind, bounds = get_args(declared)
-    return bounds.least, bounds.most, kind is int
+    kind, *notes = get_args(declared)
+    bounds = [note for note in notes if isinstance(note, Range)]
+    return (bounds[0].least, bounds[0].most, kind is int) if bounds else None
 
 
 PLACES = [

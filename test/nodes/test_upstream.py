@@ -18,6 +18,7 @@ from evpinn_ros.nodes.running import SWITCH_INTERVAL
 
 HANGS_IN = "3.2.3"  # Fast DDS
 CALLS = 15
+ATTEMPTS = 20
 HOLDS_THE_INTERPRETER = """
 import ctypes, faulthandler
 faulthandler.dump_traceback_later(0.2, exit=True)
@@ -64,8 +65,12 @@ def returning(interval: float) -> float:
 
 
 def test_a_thread_that_computes_keeps_the_interpreter_for_its_interval():
-    usual, ours = returning(5e-3), returning(SWITCH_INTERVAL)
-    assert usual > 4e-3 and usual > 1.5 * ours
+    # On a busy machine the thread that computes may itself not run for a while.
+    for _ in range(ATTEMPTS):
+        usual, ours = returning(5e-3), returning(SWITCH_INTERVAL)
+        if usual > 4e-3 and usual > 1.5 * ours:
+            return
+    pytest.fail(f"never kept: {usual:.2g} s, {ours:.2g} s; see docs/project/upstream.md")
 
 
 @pytest.mark.nightly
