@@ -109,7 +109,7 @@ def write_table(path: Path, minutes: float, seed: int) -> None:
 
 
 def run_node(seed: int, arguments: list[str]) -> None:
-    """Publish the drive until told to stop, at the speed of time."""
+    """Publish the drive in real time until a signal ends it."""
     from nav_msgs.msg import Odometry
     import rclpy
     from rclpy.executors import ExternalShutdownException

@@ -43,7 +43,7 @@ class Way(NamedTuple):
 
 
 def height(x: float, y: float) -> float:
-    """Of a crossing, m: a ridge between west and east, and the pass."""
+    """Height of a crossing, m: a ridge between west and east, and the pass."""
     ridge = math.exp(-(((x - (SIDE - 1) / 2) / 4.5) ** 2))
     return RIDGE * ridge * (1.0 - math.exp(-((y - PASS) ** 2)))
 

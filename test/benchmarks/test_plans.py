@@ -45,7 +45,7 @@ def learned_half(path: Path, vehicle: str) -> tuple[CarModel, list[Interval]]:
 
 
 def as_planned(done: list[Interval]) -> list[Interval]:
-    """The same with what the plan is given: its temperature and load, and no torque.
+    """Intervals with what the plan is given: its temperature and load, and no torque.
 
     A plan that is flat all along is one whose heights are not known.
     """

@@ -17,6 +17,7 @@ from evpinn_ros.estimation.posterior import (
     condition,
     forget_road,
     initial_state,
+    noise_of,
     see_reported_climate,
     wandered,
 )
@@ -216,6 +217,17 @@ def test_what_is_wrong_while_driving_says_nothing_of_a_car_that_stands(town):
     still, fast = (journeys[way.index(found)] for found in (min(way), max(way)))
     assert spoilt.predicted(fast)[1] > 2.0 * right.predicted(fast)[1]
     assert spoilt.predicted(still)[1] < 1.3 * right.predicted(still)[1]
+
+
+def test_noise_is_of_the_kind_of_what_the_car_did(town):
+    """150 W while it stands, with 40 N more while it moves; over ten seconds, at scale 1."""
+    steps, ten = town[0].steps, np.full(10, 1.0)
+    unknown = {name: np.nan * ten for name in ("motor_drive", "motor_brake")}
+    still = steps._replace(duration=ten, distance=0.0 * ten, **unknown)
+    assert noise_of(still) == pytest.approx([1.5 * 10 * 150**2, 0, 0])
+    fast = still._replace(distance=20.0 * ten)
+    moving = 1.5 * 10 * (150**2 + (40 * 20) ** 2)
+    assert noise_of(fast) == pytest.approx([0, moving, 0])
 
 
 def test_warmth_goes_from_one_to_nothing():

@@ -136,7 +136,7 @@ def test_it_is_saved_by_the_names_of_states():
 
 
 def test_chance_counts_less_over_many_legs_and_habit_as_much():
-    """Of one leg of a tenth of a stop chance rules, of a hundred such habit."""
+    """Chance decides whether one short leg has a stop; a hundred legs show the habit."""
     size = size_of(np.full(100, 1e5), np.full(100, 1e6)) / np.cumsum(np.full(100, 1e5))
     assert size[0] == pytest.approx(np.sqrt(1.0 + OF_LEGS * 10.0))
     assert size[-1] == pytest.approx(np.sqrt(1.0 + OF_LEGS * 0.1))

@@ -45,7 +45,7 @@ def allowed(name):
 
 
 def without_messages(name):
-    """The same where no messages of other packages are installed."""
+    """Topics of the nodes where no messages of other packages are installed."""
     beside = {f"{NAMESPACE}/{each}" for each in OPTIONAL.get(name, ())}
     typed = f"{NAMESPACE}/{topics.TYPED}/"
     found = {
