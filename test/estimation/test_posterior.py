@@ -222,8 +222,10 @@ def test_what_is_wrong_while_driving_says_nothing_of_a_car_that_stands(town):
 def test_noise_is_of_the_kind_of_what_the_car_did(town):
     """150 W while it stands, with 40 N more while it moves; over ten seconds, at scale 1."""
     steps, ten = town[0].steps, np.full(10, 1.0)
-    unknown = {name: np.nan * ten for name in ("motor_drive", "motor_brake")}
-    still = steps._replace(duration=ten, distance=0.0 * ten, **unknown)
+    unknown = np.nan * ten
+    still = steps._replace(
+        duration=ten, distance=0.0 * ten, motor_drive=unknown, motor_brake=unknown
+    )
     assert noise_of(still) == pytest.approx([1.5 * 10 * 150**2, 0, 0])
     fast = still._replace(distance=20.0 * ten)
     moving = 1.5 * 10 * (150**2 + (40 * 20) ** 2)
