@@ -183,6 +183,10 @@ class PlanConditions:
         """Names of those that are given."""
         return tuple(name for name in CONDITION_RANGES if getattr(self, name) is not None)
 
+    def or_else(self, others: PlanConditions) -> PlanConditions:
+        """These, and those of others that are not given here."""
+        return replace(others, **{name: getattr(self, name) for name in self.given})
+
 
 class Question(NamedTuple):
     """A plan's name, and what it has in common with those asked together with it; or None."""
@@ -192,6 +196,7 @@ class Question(NamedTuple):
 
 
 UNNAMED = Question("")
+UNSAID = PlanConditions()
 
 
 def plan_from_path(

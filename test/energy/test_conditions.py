@@ -119,3 +119,23 @@ def test_a_named_vector_gives_what_it_names():
 def test_what_no_trip_has_is_refused(given, reason):
     with pytest.raises(BadMessage, match=reason):
         read_conditions(given)
+
+
+def test_conditions_of_one_plan_go_before_those_of_all_and_the_answer_has_both():
+    forecaster = Forecaster(CAR)
+    forecaster.set_air(TemperatureReading(0, 8.0), 0)
+    forecaster.set_conditions(PlanConditions(payload=150.0, heating=500.0))
+    capacity = Uncertain(CAR.battery_capacity, 1e6)
+
+    def ask(**given: float):
+        asked = TRIP, UNKNOWN, capacity, 0, BatteryModel(CAR.battery_capacity)
+        return forecaster.answer(*asked, conditions=PlanConditions(**given))
+
+    usual, own = ask(), ask(heating=0.0, charge=0.5)
+    assert usual.conditions == ("heating", "payload")
+    assert own.conditions == ("heating", "payload", "charge")
+    taken = {"temperature": 8.0, "heating": 500.0, "payload": 150.0}
+    assert usual.assumed == taken | {"head_wind": 0.0, "prewarmed": 0.0}
+    assert own.assumed == usual.assumed | {"heating": 0.0, "charge": 0.5}
+    assert own.charge.known and not usual.charge.known
+    assert ask().forecast.energy[-1] == usual.forecast.energy[-1] > own.forecast.energy[-1]
