@@ -188,7 +188,6 @@ class Forecaster:
         now_ns: int,
         battery: BatteryModel,
         asked: Question = UNNAMED,
-        conditions: PlanConditions = UNSAID,
     ) -> PlanAnswer:
         """The energy a plan takes, and what it leaves in the battery.
 
@@ -198,13 +197,12 @@ class Forecaster:
             capacity: energy of the full battery, J.
             now_ns: by the clock of `set_air`.
             battery: tells its end better than capacity once enough is known of it.
-            asked: what the plan is called, and with which others.
-            conditions: of this plan; what they leave out is as `set_conditions` has it.
+            asked: what of it; conditions that it leaves out are as `set_conditions` has them.
 
         Raises:
             PlanError: there is no finite answer.
         """
-        air, given = self.air(now_ns), conditions.or_else(self._conditions)
+        air, given = self.air(now_ns), asked.conditions.or_else(self._conditions)
         payload, prewarmed = given.payload or 0.0, given.prewarmed or 0.0
         model = self._with_payload(payload)
         celsius = air.celsius if given.temperature is None else given.temperature
@@ -214,7 +212,7 @@ class Forecaster:
         basis = PlanBasis(model, Weather(density, celsius, given.heating, start), wind)
         if given.charge is not None:
             charge = Uncertain(given.charge, FIRST_STEP / math.sqrt(12))  # as a display rounds
-        result = forecast_plan(plan, *basis)
+        result = forecast_plan(plan, *basis, along=asked.along)
         differences = self._compare(asked, plan, result.end, basis)
         end = battery.after(result, charge)
         if end is None:
@@ -250,7 +248,7 @@ class Forecaster:
         if basis != self._compared_with:  # the others were answered with the car of before
             self._compared_with = basis
             for name, (other, _) in self._others.items():
-                self._others[name] = other, forecast_plan(other, *basis).end
+                self._others[name] = other, forecast_plan(other, *basis, along=False).end
         differences = {
             name: difference(basis.model, end, other)
             for name, (_, other) in self._others.items()

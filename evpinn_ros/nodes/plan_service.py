@@ -80,8 +80,9 @@ class PlanCall:
         result = new_message(PLAN_RESULT, name=asked.name, **UNKNOWN)
         try:
             self._refuse_too_many(asked)
-            named = Question(str(index), self._together), given_conditions(self._given)
-            self._fill(result, index, forecaster.answer(_plan(asked), *moment, *named))
+            given = given_conditions(self._given)
+            question = Question(str(index), self._together, given, along=False)
+            self._fill(result, index, forecaster.answer(_plan(asked), *moment, question))
         except PlanError as error:
             result.refusal = str(error)
             self._log.refuse(result.refusal)

@@ -10,7 +10,7 @@ import pytest
 from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.forecaster import Forecaster
-from evpinn_ros.energy.plan import PlanConditions, plan_from_speed_profile
+from evpinn_ros.energy.plan import PlanConditions, Question, plan_from_speed_profile
 from evpinn_ros.energy.power_model import CLIMATE_SHARE, vehicle_model
 from evpinn_ros.signals.readings import TemperatureReading
 from evpinn_ros.topics.messages import BadMessage
@@ -129,7 +129,8 @@ def test_conditions_of_one_plan_go_before_those_of_all_and_the_answer_has_both()
 
     def ask(**given: float):
         asked = TRIP, UNKNOWN, capacity, 0, BatteryModel(CAR.battery_capacity)
-        return forecaster.answer(*asked, conditions=PlanConditions(**given))
+        question = Question("", conditions=PlanConditions(**given))
+        return forecaster.answer(*asked, question)
 
     usual, own = ask(), ask(heating=0.0, charge=0.5)
     assert usual.conditions == ("heating", "payload")
