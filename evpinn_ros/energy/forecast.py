@@ -309,11 +309,9 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     duration = duration.reshape(-1, duration.shape[-1])  # of all trips, or one each
     twice, square = speed[:, :-1] + speed[:, 1:], speed**2
     length = twice * (0.5 * duration)
-    climb = xp.zeros_like(length)
-    if elevation is not None:
-        climb = climb + xp.diff(elevation)
-        if not bool(xp.isfinite(climb).all()):
-            raise PlanError("elevation is not finite")
+    climb = 0.0 if elevation is None else xp.diff(elevation)
+    if elevation is not None and not bool(xp.isfinite(climb).all()):
+        raise PlanError("elevation is not finite")
     # The integral of v^3 where speed is linear; (a + b)(a^2 + b^2) / 4 is exact.
     air = 0.5 * length * (square[:, :-1] + square[:, 1:])
     motion = Motion(duration, length, air, 0.5 * xp.diff(square), climb)
@@ -321,7 +319,7 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     numpy = xp is np  # a table serves many trips, and has no gradient
     rows = model.summed_rows(motion, weather) if numpy else model.rows(motion, weather).sum(-2)
     unseen = length.sum(-1) * (elevation is None)
-    steps = duration, standing(duration, length), length**2 / duration
+    steps = duration, standing(duration, length), 0.5 * twice * length
     elapsed, stood, square = (each.sum(-1) for each in steps)
     noise = model.noise(elapsed, stood, square)
     return Energies(*model.predicted(rows, elapsed, noise, unseen))
