@@ -438,6 +438,6 @@ def _looked_up(wheels: Wheels, distance: np.ndarray, table: np.ndarray) -> np.nd
     weights = np.zeros(batch * most)
     for shift, share in shares:
         weights[shift:] += np.bincount(cell, share.ravel(), len(weights))[: len(weights) - shift]
-    weights = weights.reshape(batch, -1)
-    used = np.flatnonzero(weights.any(0))  # a tenth: at a speed there are few forces
-    return np.asarray(weights[:, used] @ table.reshape(-1, table.shape[2])[used])
+    each = weights.reshape(batch, -1)
+    used = np.flatnonzero(each.any(0))  # a tenth: at a speed there are few forces
+    return np.asarray(each[:, used] @ table.reshape(-1, table.shape[2])[used])
