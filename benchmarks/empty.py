@@ -100,10 +100,9 @@ def _piece(driven: Stretch, log: TripLog, learned: LearnedCar) -> Kilometre:
         each.energy / each.distance
         for each in (log.windows[LAST_10].total, log.windows[LAST_100].total)
     )
-    usual = usual_cost(learned.model())
-    expected = long if math.isnan(usual) else (long + usual) / 2.0
     spread = cost_spread(log.windows[LAST_100].whole)
-    return Kilometre(driven, Cost(recent, expected, spread), recent, long)
+    cost = Cost.ahead(recent, long, usual_cost(learned.model()), spread)
+    return Kilometre(driven, cost, recent, long)
 
 
 def _errors(pieces: list[Kilometre], horizon: float) -> Iterator[tuple[float, float, float, bool]]:

@@ -288,9 +288,10 @@ def _range_rows(name: str, drives: Sequence[Sequence[Reading]]) -> Iterator[Inte
             if not log.windows[1].known or end is None:
                 continue
             recent, long = log.windows[1].total, log.windows[2].total
-            cost = Cost(
+            cost = Cost.ahead(
                 recent.energy / recent.distance,
                 long.energy / long.distance,
+                math.nan,  # no car is learned here
                 cost_spread(log.windows[2].whole),
             )
             left = Uncertain(energies[end] - energies[index + 1], 0.0)

@@ -1,11 +1,10 @@
 """Distance to empty with the energy in the battery.
 
-What a metre costs ahead begins between what it was lately and what is to be expected, and returns
-to what is to be expected over `MEMORY`. Expected is the mean of the last 100 km and of the car's
-usual legs at the temperature and with the loads of now (`energy.usual`). So the energy of the next
-d metres is
+What the next metres cost is what the learned car's usual legs do at the temperature and with the
+loads of now (`energy.usual`): what the last kilometres taught is in its states. Over `MEMORY` that
+returns to the mean of the last 100 km. So the energy of the next d metres is
 
-    E(d) = c_expected d + RECENT (c_recent - c_expected) L (1 - exp(-d / L)),    L = MEMORY
+    E(d) = c_long d + (c_near - c_long) L (1 - exp(-d / L)),    L = MEMORY
 
 and the distance to empty is where it is the energy left. The error of the cost is taken as a
 process over distance with the same memory, whose 1-sigma is the spread of 5 km pieces of road
@@ -24,7 +23,7 @@ from evpinn_ros.energy.trip import Stretch
 from evpinn_ros.energy.uncertainty import relaxed, walked
 
 MEMORY = 10e3  # m
-RECENT = 0.5  # of the last 10 km, by which the next begin to differ from what is expected
+RECENT = 0.5  # of the last 10 km in the next metres, where no usual legs are known
 FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
 FARTHEST = 2.0**21  # m; what is beyond is no answer
 HALVINGS = 21  # down to a metre
@@ -41,20 +40,32 @@ class Remaining(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """Energy per distance, J/m: lately, as is to be expected, and its relative 1-sigma."""
+    """Energy per distance, J/m: of the next metres, in the long run, and its relative 1-sigma."""
 
-    recent: float
-    expected: float
+    near: float
+    long: float
     spread: float
+
+    @classmethod
+    def ahead(cls, recent: float, long: float, usual: float, spread: float) -> Cost:
+        """Cost of the road ahead by what is known.
+
+        Args:
+            recent: of the last 10 km, J/m.
+            long: of the last 100 km, J/m.
+            usual: of the car's usual legs now, J/m; NaN while none are known.
+            spread: relative 1-sigma of pieces of road.
+        """
+        near = RECENT * recent + (1.0 - RECENT) * long if math.isnan(usual) else usual
+        return cls(near, long, spread)
 
     def energy(self, distance: float) -> float:
         """Energy of the metres ahead, J."""
-        begins = RECENT * (self.recent - self.expected)
-        return self.expected * distance + begins * float(relaxed(distance, MEMORY))
+        return self.long * distance + (self.near - self.long) * float(relaxed(distance, MEMORY))
 
     def sigma(self, distance: float) -> float:
         """1-sigma of that, J."""
-        level = self.spread * max(self.recent, self.expected)
+        level = self.spread * max(self.near, self.long)
         return level * math.sqrt(max(walked(distance, MEMORY), 0.0))
 
 
@@ -78,7 +89,7 @@ def remaining(usable: Uncertain, cost: Cost) -> Remaining | None:
         cost: of the road ahead.
     """
     numbers = (usable.value, usable.sigma, *cost)
-    if not all(map(math.isfinite, numbers)) or min(cost.recent, cost.expected) <= 0:
+    if not all(map(math.isfinite, numbers)) or min(cost.near, cost.long) <= 0:
         return None
 
     def over(quantile: float) -> Callable[[float], float]:

@@ -34,24 +34,27 @@ def test_without_any_doubt_the_band_is_the_value():
 
 
 @given(costs, costs, st.floats(1e5, 4e8), st.floats(0.0, 0.3), st.floats(0.0, 0.4))
-def test_the_energy_of_the_distance_is_what_is_left(recent, long, usable, doubt, spread):
-    cost = Cost(recent, long, spread)
+def test_the_energy_of_the_distance_is_what_is_left(near, long, usable, doubt, spread):
+    cost = Cost(near, long, spread)
     found = remaining(Uncertain(usable, doubt * usable), cost)
     if found is None:  # so much that its upper end is beyond what is given
         assert usable * (1 + 3 * doubt) > 200.0 * 3e5
         return
     assert 0.0 <= found.lower <= found.distance <= found.upper
-    assert cost.energy(found.distance) == pytest.approx(usable, abs=2 * max(recent, long))
-    low, high = sorted((recent, long))
+    assert cost.energy(found.distance) == pytest.approx(usable, abs=2 * max(near, long))
+    low, high = sorted((near, long))
     assert usable / high - 2.0 <= found.distance <= usable / low + 2.0
 
 
-def test_what_is_recent_counts_near_and_the_long_run_far():
-    cost = Cost(1000.0, 500.0, 0.2)
+def test_what_is_usual_now_counts_near_and_the_long_run_far():
+    cost = Cost.ahead(recent=300.0, long=500.0, usual=1000.0, spread=0.2)
+    assert cost == (1000.0, 500.0, 0.2)
     near = remaining(Uncertain(2e6, 0.0), cost).distance
     far = remaining(Uncertain(300e6, 0.0), cost).distance
-    assert near == pytest.approx(2e6 / (500.0 + RECENT * 500.0), rel=0.05)
-    assert far == pytest.approx((300e6 - RECENT * 500.0 * MEMORY) / 500.0, rel=0.02)
+    assert near == pytest.approx(2e6 / 1000.0, rel=0.06)
+    assert far == pytest.approx((300e6 - 500.0 * MEMORY) / 500.0, rel=0.02)
+    unlearned = Cost.ahead(recent=300.0, long=500.0, usual=math.nan, spread=0.2)
+    assert unlearned.near == RECENT * 300.0 + (1.0 - RECENT) * 500.0
 
 
 def test_an_empty_battery_goes_nowhere():
