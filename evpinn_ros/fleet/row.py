@@ -47,7 +47,7 @@ def failed_row(problem: str) -> dict[str, Any]:
 
 
 def point_of(row: Mapping[str, Any]) -> DrivePoint | None:
-    """What trends take of a drive, by its row; None of a short or failed one."""
+    """Point of a drive in trends, by its row; None of a short or failed one."""
     return None if row["distance_m"] is None else DrivePoint(*(row[name] for name in POINT))
 
 

@@ -71,7 +71,7 @@ class DrivePoint(NamedTuple):
     capacity_j: float | None
 
     def quantities(self, units: Units) -> dict[str, float]:
-        """What is known, by the titles of the trends."""
+        """Known quantities by the titles of their trends."""
         consumption = self.distance_energy_j / self.distance_m / units.rate_joules
         found = {f"consumption, {units.rate}": consumption}
         if self.rolling is not None:
