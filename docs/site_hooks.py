@@ -40,7 +40,7 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: Any, files: Files) -> str:
-    """Have links lead to where pages are on the site; of one to what is not there keep its text."""
+    """Have links lead to pages of the site; of a link to anything else keep the text."""
     here = page.file.src_uri
     source = {moved: source for source, moved in MOVED.items()}.get(here, here)
 
