@@ -13,7 +13,7 @@ from evpinn_ros.energy.power_model import vehicle_model
 from evpinn_ros.vehicle.files import Vehicle
 
 BATCH, POINTS = 1000, 600
-REPEATS = 5
+REPEATS = 3
 
 
 class ForecastThroughput(NamedTuple):
