@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from io import TextIOWrapper
+from collections.abc import Mapping
+from io import StringIO, TextIOWrapper
 from itertools import combinations
 from pathlib import Path
 import re
@@ -21,29 +21,41 @@ _SPEED_UNITS: Mapping[str, str] = {
     **dict.fromkeys(("m/s", "mps"), "m/s"),
 }
 
-LARGEST_FILE = 5_000_000  # characters; cantools takes 15 s and up to 1 GB for so much
+LARGEST_FILE = 5_000_000  # characters
+# Of one message, of which cantools lays out every bit and page:
+LARGEST_MESSAGE = 500_000  # characters
 LAST_BIT = 20_000  # J1939 carries 1785 bytes
-MOST_SIGNALS = 2_000  # of one message: cantools compares each with each
+MOST_SIGNALS = 2_000  # cantools compares each with each
 MOST_PAGES = 5_000_000  # of multiplexed signals, which cantools lists one by one
-MOST_BITS = 20_000_000  # of all messages or signals: those of 40 000 full frames of CAN FD
+MOST_BITS = 20_000_000  # of all signals together
 
-_COMMENT = re.compile(r"//[^\n]*\n?")
-_MESSAGE = re.compile(r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)")
-_BLOCK = re.compile(r"\bBO_\s")
+_CLOSING = {'"': re.compile(r'(?<!\\)"'), "//": re.compile(r"$", re.M)}
+_OPENING = re.compile('"|//')
+_MESSAGE = re.compile(r"\bBO_\s+(\d+)\s+(\w+)\s*:\s*(\d+)")
+_STATEMENT = re.compile(
+    r"\b(?:BO_|BO_TX_BU_|BU_|BU_SG_REL_|BU_EV_REL_|BU_BO_REL_|BA_|BA_DEF_|BA_DEF_DEF_|BA_REL_|"
+    r"BA_DEF_REL_|BA_DEF_DEF_REL_|CM_|EV_|ENVVAR_DATA_|SGTYPE_|SIG_GROUP_|SIG_TYPE_REF_|"
+    r"SIG_VALTYPE_|SG_MUL_VAL_|VAL_|VAL_TABLE_)\b"
+)
 _SIGNAL = re.compile(r"\bSG_\s")
 _PLACE = re.compile(r":\s*(\d+)\s*\|\s*(\d+)")
+_PAGED = re.compile(r"\bSG_\s+\w+\s+m\d+\s*:")
 _PAGES = re.compile(r"\bSG_MUL_VAL_\s+\d+([^;]*)")
 _NUMBER = re.compile(r"\b\d+")
 
 
 class DbcFile:
-    """The DBC file that a profile names; not strict, because public files overlap and overhang."""
+    """The DBC file that a profile names; not strict, because public files overlap and overhang.
+
+    cantools gets the text of a message that the profile names and nothing else: a whole file of
+    5 MB would take it 10 s and 700 MB.
+    """
 
     def __init__(self, root: Section, path: Path) -> None:
         """Read it.
 
         Raises:
-            InputError: no such file, or not one that cantools can read.
+            InputError: no such file, or none that has a message.
         """
         try:
             with TextIOWrapper(open_file(path), "cp1252", "replace") as file:
@@ -52,29 +64,31 @@ class DbcFile:
             raise root.error_at("dbc", f"{path}: {error.strerror}") from error
         if len(self._text) > LARGEST_FILE:
             raise root.error_at("dbc", f"{path}: larger than {LARGEST_FILE} bytes")
-        if reason := _excess(self._text):
-            raise root.error_at("dbc", f"{path}: not read: {reason}")
-        try:
-            database = cantools.database.load_string(
-                self._text, database_format="dbc", strict=False
-            )
-        except Exception as error:
-            # Errors of its own, of the parser, and whatever a broken file makes it stumble over.
-            raise root.error_at("dbc", f"{path}: not a DBC file: {error}") from error
-        self._messages = {str(message.name): message for message in database.messages}
+        self._path, self._bare = path, _bare(self._text)
+        self._messages = {match[2]: match for match in _MESSAGE.finditer(self._bare)}
+        if not self._messages:
+            raise root.error_at("dbc", f"{path}: not a DBC file: it has no message")
 
     def message(self, section: Section) -> Any:
         """The `cantools.database.Message` that a section names.
 
         Raises:
-            InputError: there is none, or its pages cannot be distinguished.
+            InputError: there is none, cantools cannot read it, or its pages cannot be told apart.
         """
         name = section.text("message")
         if name not in self._messages:
             reason = f"the DBC file has no message '{name}'{near_names(name, self._messages)}"
             raise section.error_at("message", reason)
-        message = self._messages[name]
-        if not message.is_multiplexed() and self._has_pages(name):
+        text, bare = self._cut(self._messages[name])
+        if excess := _excess(text) or _excess(bare):
+            raise section.error_at("message", f"'{name}' is not read: {excess}")
+        try:
+            (message,) = cantools.database.load_string(text, "dbc", strict=False).messages
+        except Exception as error:
+            # Errors of its own, of the parser, and whatever a broken file makes it stumble over.
+            reason = f"{self._path}: message '{name}' cannot be read: {error}"
+            raise section.error_at("message", reason) from error
+        if not message.is_multiplexed() and _PAGED.search(bare):
             # cantools then reads every page as if it were the only one.
             reason = f"message '{name}' is multiplexed, but no signal of it is the multiplexer 'M'"
             raise section.error_at("message", reason)
@@ -82,14 +96,25 @@ class DbcFile:
             raise section.error_at("message", f"{fault}; mend the DBC file")
         return message
 
-    def _has_pages(self, name: str) -> bool:
-        """True if a signal of a message is marked as one of a page: `SG_ Name m3 :`."""
-        block = re.search(
-            rf"^[ \t]*BO_\s+\d+\s+{re.escape(name)}\s*:.*\n((?:[ \t]*(?:SG_ .*)?\n)*)",
-            f"{self._text}\n",
-            re.M,
-        )
-        return bool(block and re.search(r"^[ \t]*SG_\s+\w+\s+m\d+\s*:", block[1], re.M))
+    def _cut(self, start: re.Match[str]) -> tuple[str, str]:
+        """All that the file says of one message's layout, as it stands and without its strings."""
+        after = _STATEMENT.search(self._bare, start.end())
+        parts = [slice(start.start(), after.start() if after else None)]
+        of_message = rf"\b(?:SG_MUL_VAL_|SIG_VALTYPE_)\s+{start[1]}\b[^;]*;"
+        parts += [slice(*match.span()) for match in re.finditer(of_message, self._bare)]
+        return "\n".join(self._text[p] for p in parts), "\n".join(self._bare[p] for p in parts)
+
+
+def _bare(text: str) -> str:
+    """A DBC file's text with blanks for its strings and comments, of the same length."""
+    bare, place = StringIO(), 0
+    while begin := _OPENING.search(text, place):
+        end = _CLOSING[begin[0]].search(text, begin.end())
+        bare.write(text[place : begin.start()])
+        place = end.end() if end else len(text)
+        bare.write(" " * (place - begin.start()))
+    bare.write(text[place:])
+    return bare.getvalue()
 
 
 def find_signal(section: Section, key: str, message: Any) -> Any:
@@ -164,27 +189,20 @@ def place_of(signal: Any) -> Place:
 
 
 def _excess(text: str) -> str | None:
-    """The too large part in the text of a DBC file; None when nothing is.
-
-    cantools lays out every bit and page that it claims.
-    """
-    # What looks like a comment may be the inside of a string, and the other way round.
-    return next(_excesses(text), None) or next(_excesses(_COMMENT.sub(" ", text)), None)
-
-
-def _excesses(text: str) -> Iterator[str]:
+    """The too large part in the text of a message; None when nothing is."""
+    if len(text) > LARGEST_MESSAGE:
+        return f"it has more than {LARGEST_MESSAGE} characters"
     places = [_whole(number) for match in _PLACE.finditer(text) for number in match.groups()]
     if max(places, default=0) > LAST_BIT or sum(places) > MOST_BITS:
-        yield f"a signal lies beyond bit {LAST_BIT}, or too many are long"
-    lengths = [8 * _whole(match[1]) for match in _MESSAGE.finditer(text)]
-    if max(lengths, default=0) > LAST_BIT or sum(lengths) > MOST_BITS:
-        yield "a message, or all of them, are too long"
-    signals = (sum(1 for _ in _SIGNAL.finditer(block)) for block in _BLOCK.split(text))
-    if max(signals) > MOST_SIGNALS:
-        yield f"a message has more than {MOST_SIGNALS} signals"
+        return f"a signal lies beyond bit {LAST_BIT}, or too many are long"
+    if any(8 * _whole(match[3]) > LAST_BIT for match in _MESSAGE.finditer(text)):
+        return "it is too long"
+    if sum(1 for _ in _SIGNAL.finditer(text)) > MOST_SIGNALS:
+        return f"it has more than {MOST_SIGNALS} signals"
     statements = (match[1] for match in _PAGES.finditer(text))
     if sum(_whole(n[0]) for each in statements for n in _NUMBER.finditer(each)) > MOST_PAGES:
-        yield "its multiplexed signals have too many pages"
+        return "its multiplexed signals have too many pages"
+    return None
 
 
 def _whole(digits: str) -> int:

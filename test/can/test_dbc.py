@@ -1,13 +1,19 @@
 """Users' own DBC files: what works, and what each mistake is told as."""
 
+import tracemalloc
+
+import cantools
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
+import yaml
 
+from evpinn_ros.can.dbc import place_of
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
 # As people's files are: overlapping and overhanging signals, values without a use, odd units.
@@ -173,14 +179,14 @@ def test_a_broken_dbc_file_is_one_line(write, dbc):
         ("7|16@", "7|1000000000@", "a signal lies beyond bit 20000"),
         ("7|16@", "7 | 1000000000 @", "a signal lies beyond bit 20000"),
         ("7|16@", "7// a comment\n|1000000000@", "a signal lies beyond bit 20000"),
-        ("Speed: 8 ", "Speed: 1000000000 ", "a message, or all of them, are too long"),
+        ("Speed: 8 ", "Speed: 1000000000 ", "is not read: it is too long"),
         ("BU_: Car", "BU_: Car\n\nSG_MUL_VAL_ 512 S Page 0-3000000000;", "too many pages"),
     ],
 )
 def test_a_file_that_would_fill_the_memory_is_refused(tmp_path, old, new, reason):
     assert old in DBC
     (tmp_path / "my.dbc").write_text(DBC.replace(old, new, 1))
-    (tmp_path / "my.yaml").write_text(HEAD)
+    (tmp_path / "my.yaml").write_text(HEAD + SPEED + BATTERY)
     with pytest.raises(InputError, match=reason):
         load_profile(tmp_path / "my.yaml")
 
@@ -192,9 +198,48 @@ def test_a_file_elsewhere_is_not_read(tmp_path, name):
         load_profile(tmp_path / "my.yaml")
 
 
-def test_a_message_of_very_many_signals_is_refused(tmp_path):
+def test_a_message_of_very_many_signals_is_refused(write):
     signal = ' SG_ S : 7|16@0+ (1,0) [0|0] "" Car\n'
-    (tmp_path / "my.dbc").write_text(DBC + "\nBO_ 99 Many: 8 Car\n" + 2001 * signal)
-    (tmp_path / "my.yaml").write_text(HEAD)
-    with pytest.raises(InputError, match="a message has more than 2000 signals"):
-        load_profile(tmp_path / "my.yaml")
+    many = DBC + "\nBO_ 99 Many: 8 Car\n" + 2001 * signal
+    assert load_profile(write(HEAD + SPEED, many)).messages
+    with pytest.raises(InputError, match="'Many' is not read: it has more than 2000 signals"):
+        load_profile(write(HEAD + SPEED.replace("MotorSpeed", "Many"), many))
+
+
+def test_what_no_profile_names_costs_next_to_nothing(write):
+    names = " ".join(f"Node{i}" for i in range(400_000))
+    path = write(HEAD + SPEED, DBC.replace("BU_: Car", f"BU_: Car {names}"))
+    tracemalloc.start()
+    try:
+        load_profile(path)
+        assert tracemalloc.get_traced_memory()[1] < 60_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_statements_in_strings_and_comments_are_none(write):
+    other = "BO_ 9 MotorSpeed: 1 Car"
+    said = f'CM_ "a \\" b\n{other}";\n// "\n// {other}\n'
+    for dbc in (f"{DBC}\n{said}", DBC.replace("BU_: Car", f"BU_: Car\n\n{said}")):
+        rule = load_profile(write(HEAD + SPEED, dbc)).messages["speed"]
+        assert (rule.message.frame_id, rule.message.length) == (256, 8)
+
+
+@pytest.mark.parametrize(
+    "path", [*(share_directory() / "config" / "can").glob("*.yaml")], ids=lambda path: path.stem
+)
+def test_a_message_is_what_cantools_finds_in_the_whole_file(path):
+    rules = load_profile(path).messages.values()
+    name = yaml.safe_load(path.read_text(encoding="utf-8")).get("dbc")
+    assert bool(rules) == bool(name)
+    whole = cantools.database.load_file(path.with_name(name), strict=False) if name else None
+    for message in (rule.message for rule in rules):
+        assert _layout(message) == _layout(whole.get_message_by_name(message.name))
+
+
+def _layout(message):
+    signals = [
+        (each.name, place_of(each), each.is_signed, each.is_float, each.scale, each.offset,
+         each.unit, each.is_multiplexer) for each in message.signals
+    ]  # fmt: skip
+    return message.name, message.frame_id, message.is_extended_frame, message.length, signals

@@ -78,7 +78,7 @@ def test_source_is_required(broken):
 
 
 def test_profile_of_nothing_is_refused(tmp_path):
-    (tmp_path / "a.dbc").write_text('VERSION ""\nBU_: X\n')
+    (tmp_path / "a.dbc").write_text('VERSION ""\nBU_: X\nBO_ 1 Empty: 8 X\n')
     (tmp_path / "a.yaml").write_text("name: a\nsource: b\nverified_by: c\ndbc: a.dbc\n")
     with pytest.raises(InputError, match="'speed' or 'battery' is missing"):
         load_profile(tmp_path / "a.yaml")
