@@ -101,11 +101,13 @@ setup(
         # `evpinn fleet`: Parquet, and Dask for a cluster.
         "fleet": ["dask[distributed]", "pyarrow"],
         # Peers of `evpinn bench`.
-        "bench": ["deepxde", "eclipse-sumo", "libsumo"],
+        "bench": ["eclipse-sumo", "libsumo"],
         # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
         "fuzz": ["atheris"],
         # Reads spreadsheets of drives.
         "tables": ["openpyxl"],
+        # Reads GeoTIFF tiles of `--elevation`.
+        "elevation": ["rasterio"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
         # `evpinn mqtt`, and the feeder of a KUKSA databroker.
