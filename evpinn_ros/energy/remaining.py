@@ -1,8 +1,8 @@
 """Distance to empty with the energy in the battery.
 
-What the next metres cost is what the learned car's usual legs do at the temperature and with the
-loads of now (`energy.usual`): what the last kilometres taught is in its states. Over `MEMORY` that
-returns to the mean of the last 100 km. So the energy of the next d metres is
+What the next metres cost is mostly what the learned car's usual legs do at the temperature and
+with the loads of now (`energy.usual`): what the last kilometres taught is in its states. Over
+`MEMORY` that returns to the mean of the last 100 km. So the energy of the next d metres is
 
     E(d) = c_long d + (c_near - c_long) L (1 - exp(-d / L)),    L = MEMORY
 
@@ -23,7 +23,9 @@ from evpinn_ros.energy.trip import Stretch
 from evpinn_ros.energy.uncertainty import relaxed, walked
 
 MEMORY = 10e3  # m
-RECENT = 0.5  # of the last 10 km in the next metres, where no usual legs are known
+# Share of the usual legs in the next metres, beside the long run (chosen on the e-208, the Leaf and
+# the Changchun sedan); where none are known, that of the last 10 km.
+USUAL, RECENT = 0.75, 0.5
 FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
 FARTHEST = 2.0**21  # m; what is beyond is no answer
 HALVINGS = 21  # down to a metre
@@ -56,8 +58,8 @@ class Cost(NamedTuple):
             usual: of the car's usual legs now, J/m; NaN while none are known.
             spread: relative 1-sigma of pieces of road.
         """
-        near = RECENT * recent + (1.0 - RECENT) * long if math.isnan(usual) else usual
-        return cls(near, long, spread)
+        share, other = (RECENT, recent) if math.isnan(usual) else (USUAL, usual)
+        return cls(long + share * (other - long), long, spread)
 
     def energy(self, distance: float) -> float:
         """Energy of the metres ahead, J."""

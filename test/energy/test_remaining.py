@@ -9,6 +9,7 @@ from evpinn_ros.energy.remaining import (
     FIRST_SPREAD,
     MEMORY,
     RECENT,
+    USUAL,
     Cost,
     cost_spread,
     remaining,
@@ -48,11 +49,11 @@ def test_the_energy_of_the_distance_is_what_is_left(near, long, usable, doubt, s
 
 def test_what_is_usual_now_counts_near_and_the_long_run_far():
     cost = Cost.ahead(recent=300.0, long=500.0, usual=1000.0, spread=0.2)
-    assert cost == (1000.0, 500.0, 0.2)
+    assert cost == (500.0 + USUAL * 500.0, 500.0, 0.2)
     near = remaining(Uncertain(2e6, 0.0), cost).distance
     far = remaining(Uncertain(300e6, 0.0), cost).distance
-    assert near == pytest.approx(2e6 / 1000.0, rel=0.06)
-    assert far == pytest.approx((300e6 - 500.0 * MEMORY) / 500.0, rel=0.02)
+    assert near == pytest.approx(2e6 / cost.near, rel=0.06)
+    assert far == pytest.approx((300e6 - USUAL * 500.0 * MEMORY) / 500.0, rel=0.02)
     unlearned = Cost.ahead(recent=300.0, long=500.0, usual=math.nan, spread=0.2)
     assert unlearned.near == RECENT * 300.0 + (1.0 - RECENT) * 500.0
 
