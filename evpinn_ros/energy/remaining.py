@@ -23,8 +23,8 @@ from evpinn_ros.energy.trip import Stretch
 from evpinn_ros.energy.uncertainty import relaxed, walked
 
 MEMORY = 10e3  # m
-# Share of the usual legs in the next metres, beside the long run (chosen on the e-208, the Leaf and
-# the Changchun sedan); where none are known, that of the last 10 km.
+# Share of the usual legs in the next metres, beside the long run, chosen on the e-208, the Leaf
+# and the Changchun sedan; where none are known, that of the last 10 km.
 USUAL, RECENT = 0.75, 0.5
 FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
 FARTHEST = 2.0**21  # m; what is beyond is no answer
