@@ -73,7 +73,7 @@ class DbcFile:
         """The `cantools.database.Message` that a section names.
 
         Raises:
-            InputError: there is none, cantools cannot read it, or its pages cannot be distinguished.
+            InputError: there is none, cantools cannot read it, or its pages are ambiguous.
         """
         name = section.text("message")
         if name not in self._messages:

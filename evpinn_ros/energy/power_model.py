@@ -166,9 +166,7 @@ class PowerModel:
             np.matmul(network.outer.T, units, out=weights[:, part])
         rows[WEIGHTS] *= way
         np.cumsum(rows, axis=-1, out=rows)
-        terms = rows[PHYSICS]
-        for state, share in zip(EXPLAINED, equation.explained.T, strict=True):
-            rows[state] -= np.tensordot(share, terms, 1)
+        rows[EXPLAINED] -= np.tensordot(equation.explained.T, rows[PHYSICS], 1)
         return np.moveaxis(rows, 0, -1)
 
     def whole_row(self, motion: Motion, weather: Weather) -> tuple[np.ndarray, np.ndarray]:

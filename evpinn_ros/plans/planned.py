@@ -1,4 +1,4 @@
-"""The plan of a planner that was recorded: the newest that a bag holds, where no drive is."""
+"""The plan of a planner in a bag that holds no drive: the newest one."""
 
 from __future__ import annotations
 
