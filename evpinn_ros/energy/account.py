@@ -339,6 +339,8 @@ class EnergyAccount(Saveable[SavedAccount]):
         """It needs what the last 10 km cost; the long run is 100 km, or before them all."""
         recent = consumption.get("10", math.nan)
         long = consumption.get("100", consumption.get("lifetime", math.nan))
+        if math.isnan(recent):  # the long run is too short as well
+            return None
         spread = cost_spread(self.trip.windows[-1].whole)
         return remaining(usable, Cost.ahead(recent, long, self.usual, spread))
 

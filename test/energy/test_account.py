@@ -123,6 +123,18 @@ def test_the_charge_is_projected_while_the_battery_is_silent():
     assert summary.charge.sigma > heard.sigma
 
 
+def test_usual_legs_alone_tell_no_distance_to_empty():
+    """Before 10 km are driven there is no long run to return to."""
+    counted = account()
+    counted.usual = 500.0
+    drive(counted, range(300))
+    summary = counted.summary()
+    assert summary.consumption["lifetime"] > 0.0 and "10" not in summary.consumption
+    assert summary.remaining is None
+    drive(counted, range(300, 1800))
+    assert counted.summary().remaining is not None
+
+
 def test_saved_and_restored_the_totals_are_the_same_and_go_on():
     first = drive(account(), range(900), silent=range(300, 500))
     first.reset_trip()
