@@ -101,7 +101,7 @@ setup(
         # `evpinn fleet`: Parquet, and Dask for a cluster.
         "fleet": ["dask[distributed]", "pyarrow"],
         # Peers of `evpinn bench`.
-        "bench": ["deepxde", "eclipse-sumo", "libsumo"],
+        "bench": ["eclipse-sumo", "libsumo"],
         # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
         "fuzz": ["atheris"],
         # Reads spreadsheets of drives.

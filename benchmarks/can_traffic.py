@@ -10,7 +10,6 @@ from itertools import cycle, islice
 import multiprocessing
 from multiprocessing.connection import Connection
 import os
-from pathlib import Path
 import random
 import threading
 import time
@@ -21,7 +20,6 @@ import can
 from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
@@ -103,17 +101,6 @@ def send_traffic(port: int, seconds: float) -> list[int]:
                 times.append(time.time_ns())
             _send(bus, frame)
     return times
-
-
-def send_log(port: int, path: Path) -> int:
-    """Send the frames of a log as a full bus; gives how many."""
-    frames = LogFile(path).frames()
-    count = 0
-    with open_bus(port) as bus:
-        for frame in paced(iter(lambda: list(islice(frames, FRAMES_PER_TICK)), [])):
-            _send(bus, frame)
-            count += 1
-    return count
 
 
 def paced(batches: Iterable[Iterable[CanFrame]]) -> Iterator[CanFrame]:

@@ -1,4 +1,4 @@
-"""FASTSim 3 (NREL; `fastsim` on PyPI), a simulator of whole vehicles, on drive cycles.
+"""FASTSim 3 (NREL; `fastsim` on PyPI), a simulator of whole vehicles, and the cycles it drives.
 
 Optional, and no extra of this package: fastsim 3.1 wants msgpack 1.2.1 or newer, python-can's
 multicast bus wants 1.1. It runs with 1.1 too: `pip install --no-deps fastsim pandas plotly polars
@@ -11,27 +11,16 @@ charge; cabin and battery temperatures with a heat pump. Ours has what was learn
 
 from __future__ import annotations
 
+import csv
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from evpinn_ros.vehicle.identifiable import Identifiable
-
-MODEL_3 = "2022 Tesla Model 3 RWD thrml.yaml"  # comes with fastsim
-EFFICIENCY = 0.9 * 0.98  # of its motor, 0.84 to 0.95 by load, and of its gearbox
-AIR_DENSITY = 1.2  # kg/m^3, its default
-
-
-class FastsimRun(NamedTuple):
-    """Energy at the battery's terminals, J, and seconds of the processor for each step."""
-
-    energy_j: float
-    seconds_per_step: float
+from evpinn_ros.common.errors import InputError
 
 
 def fastsim_version() -> str | None:
@@ -42,40 +31,6 @@ def fastsim_version() -> str | None:
         return None
 
 
-def fastsim_combined() -> Identifiable:
-    """Its Model 3 as one of ours, with one efficiency both ways."""
-    fastsim = import_module("fastsim")
-    found = fastsim.Vehicle.from_resource(MODEL_3).to_dict()
-    chassis, mass = found["chassis"], found["mass_kilograms"]
-    drag_area = chassis["drag_coef"] * chassis["frontal_area_square_meters"]
-    return Identifiable(
-        mass / EFFICIENCY,
-        drag_area / EFFICIENCY,
-        chassis["wheel_rr_coef"],
-        EFFICIENCY**2,
-        found["pwr_aux_base_watts"],
-    )
-
-
-def run_fastsim(time_s: np.ndarray, speed: np.ndarray, repeats: int) -> FastsimRun:
-    """Drive its Model 3 over a flat cycle; speed in m/s. The quickest of some repeats is timed.
-
-    No history is kept, for that is quicker.
-    """
-    fastsim = import_module("fastsim")
-    vehicle = fastsim.Vehicle.from_resource(MODEL_3)
-    vehicle.set_save_interval(None)
-    cycle = fastsim_cycle(time_s, speed, np.zeros_like(speed))
-    seconds = []
-    for _ in range(repeats):
-        drive = fastsim.SimDrive(vehicle, cycle)
-        begin = time.thread_time()
-        drive.run()
-        seconds.append(time.thread_time() - begin)
-    battery = drive.to_dict()["veh"]["pt_type"]["BEV"]["res"]["state"]
-    return FastsimRun(battery["energy_out_electrical_joules"], min(seconds) / (len(time_s) - 1))
-
-
 def fastsim_cycle(time_s: np.ndarray, speed: np.ndarray, slope: np.ndarray) -> Any:
     """A cycle of its own: speeds in m/s, and the slope of the road up to each."""
     with TemporaryDirectory() as folder:
@@ -84,3 +39,20 @@ def fastsim_cycle(time_s: np.ndarray, speed: np.ndarray, slope: np.ndarray) -> A
         names = "time_seconds,speed_meters_per_second,grade"
         np.savetxt(file, rows, delimiter=",", header=names, comments="")
         return import_module("fastsim").Cycle.from_file(str(file))
+
+
+def read_cycle(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Time, s, and speed, m/s, of a drive cycle with the columns cycSecs and cycMps.
+
+    Raises:
+        InputError: no such file, or no such columns.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = [(float(row["cycSecs"]), float(row["cycMps"])) for row in csv.DictReader(file)]
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{path}: no drive cycle with columns cycSecs and cycMps") from error
+    time_s, speed = np.array(rows).T
+    return time_s, speed

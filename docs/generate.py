@@ -21,6 +21,7 @@ import typer
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # this folder and the benchmarks lie beside the package
 
+from docs import one_interval
 from docs.metric_table import METRICS
 from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
 from evpinn_ros.cli.main import app
@@ -310,6 +311,7 @@ def _default(value: Any) -> str:
 
 
 PAGES = {
+    "explanation/one_interval.md": lambda: f"{MADE}\n{one_interval.page()}",
     "reference/topics.md": topics_page,
     "reference/parameters.md": parameters_page,
     "reference/vehicles.md": vehicles_page,

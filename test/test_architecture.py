@@ -4,6 +4,7 @@ import ast
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
+import re
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -139,6 +140,11 @@ def below(part: str) -> set[str]:
 
 ROOMS = [part for layer in LAYERS for part in layer if (PACKAGE / part).is_dir() and part]
 ROOMS.append("benchmarks")
+
+
+def test_the_picture_names_rooms_that_are_there() -> None:
+    named = re.findall(r'class="room"[^>]*>(\w+)/<', (ROOT / "docs/data_flow.svg").read_text())
+    assert {"signals", "estimation", "energy"} <= {*named} <= {*ROOMS}
 
 
 def test_the_page_shows_who_imports_whom() -> None:

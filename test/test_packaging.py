@@ -34,7 +34,6 @@ NAMES = {
     "atheris": ("atheris", None),
     "can": ("python-can", "python3-can"),
     "cantools": ("cantools", "python3-cantools-pip"),
-    "deepxde": ("deepxde", None),
     "distributed": ("dask", None),
     "foxglove": ("foxglove-sdk", None),
     "isotp": ("can-isotp", None),

@@ -1,4 +1,4 @@
-"""`evpinn bench can`: the CAN bridge under a full bus, and its decoding against captures."""
+"""`evpinn bench can`: the CAN bridge under a full bus, and how quick a log is decoded."""
 
 from __future__ import annotations
 
@@ -6,24 +6,15 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from importlib.util import find_spec
 import os
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from benchmarks.can_decoding import (
-    CAPTURES,
-    Agreement,
-    Throughput,
-    compare,
-    equal_live,
-    measure_throughput,
-)
+from benchmarks.can_decoding import Throughput, measure_throughput
 from benchmarks.can_traffic import Idle, measure_idle
-from benchmarks.cli.output import figures_table, json_at_the_end, number
+from benchmarks.cli.output import figures_table, json_at_the_end
 from evpinn_ros.cli.console import note, progress_bar, show
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.common.plain_table import PlainTable
 
 BUSY = 0.3  # load of other programs from which the figures are not those of the bridge alone
 
@@ -32,23 +23,22 @@ def can(
     minutes: Annotated[
         float, typer.Option(min=0.05, help="How long the bus is full; the goal is for 10.")
     ] = 1.0,
-    data: Annotated[Path | None, typer.Option(help="Folder of captures with tables.")] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Load the CAN bridge with a full bus, time the decoder, compare with captures.
+    """Load the CAN bridge with a full bus, and time the decoder.
 
     The bus is UDP multicast on this machine: 4000 frames a second from one process, the bridge's
     executable in another, a subscriber in a third. It is read once more without decoding and
     publishing, and what that takes is python-can's own share.
 
-    Example: evpinn bench can --minutes 10 --data captures/ --json out/can.json
+    Example: evpinn bench can --minutes 10 --json out/can.json
     """
     found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
     with json_at_the_end(json_file, lambda: found):
-        _measure(found, minutes, data)
+        _measure(found, minutes)
 
 
-def _measure(found: dict[str, Any], minutes: float, data: Path | None) -> None:
+def _measure(found: dict[str, Any], minutes: float) -> None:
     if found["load_average"] > BUSY:
         note(f"other programs take {found['load_average']:.1f} cores: expect worse figures")
     throughput = measure_throughput()
@@ -58,10 +48,6 @@ def _measure(found: dict[str, Any], minutes: float, data: Path | None) -> None:
         note("rclpy is not installed: the bridge itself is left out")
     else:
         found["live"] = _measure_live(60 * minutes)
-    if data is not None:
-        agreements = [(compare(each, data), equal_live(each, data)) for each in CAPTURES]
-        found["captures"] = [asdict(each) | {"live_equal": live} for each, live in agreements]
-        _show_captures(agreements)
 
 
 def _measure_live(seconds: float) -> dict[str, Any]:
@@ -94,24 +80,3 @@ def _offline_rows(throughput: Throughput) -> Iterator[tuple[str, str, str]]:
     yield "frames in memory to readings", f"{throughput.decoding:,.0f} a second", ""
     yield "  of the profile's ids alone", f"{throughput.decoding_known:,.0f} a second", ""
     yield "candump file to readings", f"{throughput.whole_file:,.0f} a second", "100,000 a second"
-
-
-def _show_captures(agreements: list[tuple[Agreement, bool]]) -> None:
-    title = "Captures: battery frames and table rows that are equal, live to offline"
-    columns = ("log", "frames", "battery", "rows", "wheel speed", "within 2 %", "live")
-    table = PlainTable(title, columns, unbroken=("log",))
-    for each, live in agreements:
-        table.add_row(
-            each.log.rpartition("/")[2].partition(".")[0],
-            str(each.frames),
-            _all_of(each.battery_equal, each.battery_frames),
-            _all_of(each.rows_equal, each.rows),
-            number(each.wheel_speed, ".3f"),
-            number(each.wheel_speed_within_2_percent, ".1%"),
-            "equal" if live else "differs",
-        )
-    show(table)
-
-
-def _all_of(count: int, total: int) -> str:
-    return f"all {total}" if count == total else f"{count} of {total}"

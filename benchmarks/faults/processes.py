@@ -25,12 +25,14 @@ from benchmarks.faults.drive import learned_state
 from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.files import file_of
 from benchmarks.faults.rig import OUTPUTS, Rig
+from benchmarks.soak import resident_mb
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.state_file import Half, read_half, read_state
 
-STOP, WARM_START = 2.0, 1.0  # s, goals
+STOP, WARM_START, START = 2.0, 1.0, 1.5  # s, goals
+SETTLE = 30.0  # s until the first intervals are learned
 MOST_LOST = 1.0  # s of a recording
 LONGEST_LIFE = 3.0  # s of a process that is killed at random, from its first report on
 UNNAMED = "nothing to name"
@@ -45,6 +47,8 @@ def process_faults(chain: NodeChain, kills: int) -> Iterator[Fault]:
         yield Fault(name, f"{order[0]} first, driving all the while", none, _Order(order))
     warm = "from exec to the first output of a learned car"
     yield Fault("warm_start", warm, none, _warm_start, WARM_START)
+    together = "from exec of all three nodes at once to the first energy/state"
+    yield Fault("start_together", together, none, _start_together, START)
     yield Fault("sigint", "SIGINT to `evpinn run`", none, _Stop(signal.SIGINT), STOP)
     yield Fault("sigterm", "SIGTERM to `evpinn run`", none, _Stop(signal.SIGTERM), STOP)
     yield Fault("sigterm_saving", "SIGTERM while it saves", none, _stop_saving, STOP)
@@ -102,6 +106,18 @@ def _warm_start(rig: Rig) -> FaultEffect:
     with running(estimator):
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(begin, wanted) < math.inf)
     return FaultEffect("nothing", True, rig.recovered(begin, wanted), UNNAMED)
+
+
+def _start_together(rig: Rig) -> FaultEffect:
+    begin = time.monotonic()
+    nodes = [start_node(rig, name) for name in (*LEADING, "can_bridge")]
+    with running(*nodes):
+        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(begin) < math.inf)
+        rig.drive(SETTLE)
+        memory = sum(resident_mb(node.pid) for node in nodes)
+    predicted = rig.recovered(begin, (topics.POWER_PREDICTED,))
+    found = f"first prediction after {predicted:.2f} s; {memory:.0f} MB resident"
+    return FaultEffect(found, True, rig.recovered(begin), UNNAMED)
 
 
 @dataclass(frozen=True)

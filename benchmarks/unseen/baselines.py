@@ -8,14 +8,14 @@ import math
 
 import numpy as np
 
-from benchmarks.kalman import FAST, FiveStateFilter
-from benchmarks.methods import PriorOnly
+from benchmarks.unseen.kalman import FiveStateFilter
 from benchmarks.unseen.method import Estimate, Factory, Prediction
 from benchmarks.unseen.steps import DrivingStep, StepStream
 from benchmarks.unseen.weak_form import WeakFormLeastSquares
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.identifiable import combined_power, identifiable
 from evpinn_ros.vehicle.physics import GRAVITY
 
 LEAST_DISTANCE = 1000.0  # m, before which the prior tells better what a kilometre costs
@@ -60,7 +60,8 @@ class PriorAlone(StepMethod):
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
-        self._prior = PriorOnly(vehicle)
+        self._combined = identifiable(vehicle.initial, vehicle.frontal_area)
+        self._rotating_mass_factor = vehicle.rotating_mass_factor
 
     def learn(self, step: DrivingStep) -> None:
         """Keep the prior."""
@@ -71,7 +72,16 @@ class PriorAlone(StepMethod):
 
     def power(self, step: DrivingStep) -> float:
         """Power of the prior car over a step, W."""
-        return self._prior.predict(_sample(step)).power
+        sample = _sample(step)
+        power = combined_power(
+            sample.speed,
+            sample.acceleration,
+            self._combined,
+            air_density=sample.air_density,
+            grade=sample.grade,
+            rotating_mass_factor=self._rotating_mass_factor,
+        )
+        return float(power) + sample.known_auxiliary
 
 
 class EnergyPerKilometre(PriorAlone):
@@ -122,7 +132,6 @@ class LeastSquaresBaseline(PriorAlone):
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
-        self._rotating_mass_factor = vehicle.rotating_mass_factor
         self._normal, self._target, self._count = np.zeros((7, 7)), np.zeros(7), 0
         self._solved: np.ndarray | None = None
 
@@ -162,11 +171,11 @@ class LeastSquaresBaseline(PriorAlone):
 
 
 class FastKalman(StepMethod):
-    """The extended Kalman filter of `benchmarks.kalman`, whose states wander fast."""
+    """The extended Kalman filter of `benchmarks.unseen.kalman`, whose states wander fast."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
-        self._filter = FiveStateFilter(vehicle, pace=FAST)
+        self._filter = FiveStateFilter(vehicle)
         self._unmeasured = np.zeros(2)  # energy's 1-sigma by a lasting error, J, and its variance
 
     def begin_next_drive(self) -> None:

@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.energy_library import read_cycle
-from benchmarks.fastsim_peer import fastsim_cycle, fastsim_version
+from benchmarks.fastsim_peer import fastsim_cycle, fastsim_version, read_cycle
 from benchmarks.unseen.noise_free import Moved, noise_free_truth
 from evpinn_ros.signals.readings import (
     NANOSECONDS,

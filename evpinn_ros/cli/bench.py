@@ -17,8 +17,6 @@ from evpinn_ros.common.errors import InputError
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 COMMANDS = (
-    "training",
-    "online",
     "unseen",
     "ablation",
     "settings",
@@ -26,16 +24,13 @@ COMMANDS = (
     "truth",
     "breakdown",
     "can",
-    "energy",
+    "speed",
     "soak",
-    "fleet",
     "fuzz",
     "attacks",
     "mqtt",
     "report",
     "recover",
-    "logs",
-    "vehicles",
     "faults",
 )
 
@@ -71,5 +66,5 @@ bench = typer.Typer(
 def about() -> None:
     """Measure this project against its peers.
 
-    Example: evpinn bench online bags/urban --vehicle tesla_model_3_lr
+    Example: evpinn bench unseen bags=tesla_model_3_lr --methods prior,core
     """

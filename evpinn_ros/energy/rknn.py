@@ -15,9 +15,10 @@ three hidden layers of 32 tanh units. Three choices the paper leaves open:
   the middle is known: `energy.power_interpolation` passes it; `along` takes two pieces of a
   series at a time.
 
-`benchmarks/rknn_training.py` makes the shipped weights. With them the network differs from
-the quadrature of the same power by less than 0.01 % of the net energy of real drives. Without a
-state in dE/dt a Runge-Kutta step *is* Simpson's rule, so it gains where the midpoint is known.
+The shipped weights were made by the training that docs/project/benchmark_history.md names. With
+them the network differs from the quadrature of the same power by less than 0.01 % of the net
+energy of real drives. Without a state in dE/dt a Runge-Kutta step *is* Simpson's rule, so it gains
+where the midpoint is known.
 """
 
 from __future__ import annotations

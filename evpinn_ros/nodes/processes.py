@@ -16,6 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.nodes.discovery import announce_often
 from evpinn_ros.nodes.recorder import RecorderNode
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE
@@ -68,6 +69,7 @@ def own_network() -> None:
 
     A simulated car must never reach the nodes of a real one.
     """
+    announce_often()
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ["ROS_DOMAIN_ID"] = str(FIRST_DOMAIN + os.getpid() % DOMAINS)
 

@@ -25,6 +25,7 @@ from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.common.stopping import at_stop, leave_terminal
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.deadline import deadline
+from evpinn_ros.nodes.discovery import announce_often
 from evpinn_ros.nodes.supervision import tell, watchdog_period
 
 SWITCH_INTERVAL = 5e-4
@@ -87,6 +88,7 @@ def _at_signals(act: Callable[[int], object]) -> None:
 
 def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[int]) -> int:
     sys.setswitchinterval(SWITCH_INTERVAL)
+    announce_often()
     # In Jazzy `rclpy.init` is no context manager yet.
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)

@@ -23,6 +23,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import encode
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.discovery import announce_often
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.topics import DIAGNOSTICS, NAMESPACE, Topic, topic_of
@@ -44,6 +45,7 @@ def _own_domain() -> int:
 # All of this is read when ROS starts or the first message class is loaded, later than here.
 os.environ["ROS_DOMAIN_ID"] = str(_own_domain())
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+announce_often()
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,6 +14,7 @@ import time
 
 import pytest
 
+from evpinn_ros.nodes.discovery import PROFILES, announce_often
 from evpinn_ros.nodes.running import SWITCH_INTERVAL
 
 HANGS_IN = "3.2.3"  # Fast DDS
@@ -25,6 +26,28 @@ faulthandler.dump_traceback_later(0.2, exit=True)
 lock, lib = ctypes.create_string_buffer(64), ctypes.PyDLL(None)
 lib.pthread_mutex_lock(lock)
 lib.pthread_mutex_lock(lock)
+"""
+STARTS, SOON = 12, 1.5  # s
+SPEAKS = """
+import rclpy
+from std_msgs.msg import Float64
+rclpy.init()
+node = rclpy.create_node("early")
+here = node.create_publisher(Float64, "/here", 10)
+node.create_timer(0.05, lambda: here.publish(Float64()))
+print(flush=True)
+rclpy.spin(node)
+"""
+LISTENS = """
+import time, rclpy
+from std_msgs.msg import Float64
+rclpy.init()
+node, got = rclpy.create_node("late"), []
+node.create_subscription(Float64, "/here", got.append, 10)
+begin = time.monotonic()
+while not got:
+    rclpy.spin_once(node)
+print(time.monotonic() - begin)
 """
 LOADS_TORCH = "import time, torch; print(time.process_time(), flush=True)"
 
@@ -83,3 +106,29 @@ def test_a_process_that_loaded_torch_takes_long_to_end():
     whole = usage.ru_utime + usage.ru_stime
     assert child.returncode == 0 and whole - at_the_end > 0.05
     print(f"torch: {whole - at_the_end:.2f} s of the processor to end, {at_the_end:.2f} s before")
+
+
+@pytest.mark.nightly
+def test_fast_dds_is_found_late_at_its_own_rate_of_announcements(monkeypatch):
+    """Else `nodes/discovery.py` may go. One start in three was late; ours never were."""
+    monkeypatch.setenv(PROFILES, "")
+    usual = _longest_discovery(STARTS)
+    monkeypatch.delenv(PROFILES)
+    announce_often()
+    ours = _longest_discovery(STARTS)
+    print(f"the longest of {STARTS} discoveries: {usual:.2f} s; with our profile {ours:.2f} s")
+    assert ours < SOON < usual
+
+
+def _longest_discovery(starts):
+    """Longest time until nodes that start hear one that speaks, s; all by the present profile."""
+    with subprocess.Popen([sys.executable, "-c", SPEAKS], stdout=subprocess.PIPE) as speaker:
+        try:
+            speaker.stdout.readline()
+            listen = [sys.executable, "-c", LISTENS]
+            found = (
+                subprocess.run(listen, capture_output=True, timeout=60) for _ in range(starts)
+            )
+            return max(float(each.stdout) for each in found)
+        finally:
+            speaker.kill()

@@ -6,10 +6,9 @@ State: k_a = A C_d / eta (m^2), k_r = C_rr m / eta (kg), k_m = m / eta (kg), q =
     P = s w + P_aux + known,  w = v [rho k_a v |v| / 2 + g k_r cos(th) + k_m (g sin(th) + k a)]
 
 with s = 1 where w > 0, else q, and k the factor of rotating mass. Mean and covariance before
-driving follow from the priors of the vehicle file. Each state may wander; noise is what the
-learner's own filter takes it for. How fast the states wander is the one choice there is: the
-faster, the more they follow the last residuals, and the less they are parameters of the car. That
-lowers the score at 10 Hz as holding the last value does, and is worth nothing to a forecast.
+driving follow from the priors of the vehicle file. How fast the states wander is the one choice
+there is: here so fast that they follow the last residuals, and are less parameters of the car.
+That lowers the score at 10 Hz as holding the last value does, and is worth nothing to a forecast.
 """
 
 from __future__ import annotations
@@ -35,21 +34,19 @@ COMBINATIONS = np.array(
         [1.0, 1.0, 0.0, 0.0, 0.0],
     ]
 )
-HOUR = 3600.0
-WANDER_TIME = np.array([100 * HOUR, 10 * HOUR, 100 * HOUR, 100 * HOUR, HOUR / 6])
+WANDER_TIME = np.array([3600.0, 360.0, 3600.0, 3600.0, 6.0])
 # s in which a state may wander by one sigma of its prior: k_a, k_r, k_m, q, P_aux
-FAST = 100.0  # times faster: `ekf5_fast`
-LONGEST_STEP = HOUR  # s; longer gaps are parking
+LONGEST_STEP = 3600.0  # s; longer gaps are parking
 CORRELATION_TIME = 0.5  # s within which residuals say the same
 POWER_NOISE = 300.0  # W, 1-sigma of the residual
 FORCE_NOISE = 100.0  # N, likewise while moving
 
 
 class FiveStateFilter:
-    """The filter of the module's text."""
+    """Extended Kalman filter of drag, rolling resistance, mass, regeneration and standing load."""
 
-    def __init__(self, vehicle: Vehicle, *, pace: float = 1.0) -> None:
-        """Start at the vehicle's priors; the states wander `pace` times as fast."""
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Start at the vehicle's priors."""
         self._rotating_mass_factor = vehicle.rotating_mass_factor
         combined = identifiable(vehicle.initial, vehicle.frontal_area)
         self.mean = np.array(
@@ -67,7 +64,7 @@ class FiveStateFilter:
         self.covariance = np.zeros((5, 5))
         self.covariance[:4, :4] = relative * np.outer(self.mean[:4], self.mean[:4])
         self.covariance[4, 4] = vehicle.priors["p_aux"].std ** 2
-        self._wander = pace * np.diag(self.covariance) / WANDER_TIME
+        self._wander = np.diag(self.covariance) / WANDER_TIME
         self._last_ns: int | None = None
 
     def predict(self, sample: Sample) -> PowerPrediction:

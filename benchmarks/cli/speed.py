@@ -1,0 +1,82 @@
+"""`evpinn bench speed`: how quick forecasts are, in the library and over DDS."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+import os
+from typing import Annotated, Any
+
+import typer
+
+from benchmarks.cli.output import figures_table, json_at_the_end
+from benchmarks.forecast_speed import BATCH, POINTS, measure_throughput
+from evpinn_ros.cli.console import note, progress_bar, show
+from evpinn_ros.cli.options import JsonOption
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.vehicle.files import load_vehicle
+
+TOGETHER = 12  # plans
+CAR = "tesla_model_3_lr"
+
+
+def speed(
+    plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
+    json_file: JsonOption = None,
+) -> None:
+    """Time forecasts: many profiles at once, and plans asked of the node `energy`.
+
+    Of the library it is the processor's time, in numpy and torch; of the node the delay from a
+    plan to its answer, of one plan at a time and of twelve together with all their differences.
+    How good forecasts are: `evpinn bench plans`.
+
+    Example: evpinn bench speed --plans 300
+    """
+    limit_blas_threads()
+    found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
+    with json_at_the_end(json_file, lambda: found):
+        found["library"] = _library()
+        if find_spec("rclpy") is None:
+            note("rclpy is not installed: plans over DDS are left out")
+        else:
+            found["plans"] = _plans(plans)
+
+
+def _library() -> dict[str, float]:
+    found = measure_throughput(load_vehicle(CAR))
+    rows = [
+        ("vehicle file, numpy", f"{found.vehicle_file_ms:.0f} ms", "100 ms"),
+        ("learned model, numpy", f"{found.learned_ms:.0f} ms", "100 ms"),
+        ("learned model, torch", f"{found.torch_ms:.0f} ms", ""),
+        ("  with the gradient", f"{found.torch_gradient_ms:.0f} ms", ""),
+    ]
+    show(figures_table(f"{BATCH} profiles of {POINTS} points, one core", rows))
+    return found._asdict()
+
+
+def _plans(plans: int) -> dict[str, Any]:
+    # Imported here: the rest works where no ROS is.
+    from benchmarks.plan_load import measure_plans, measure_rounds
+
+    with progress_bar("plans", total=plans, unit="plans") as progress:
+        load = measure_plans(plans, POINTS, progress)
+    rows = [
+        ("p50", f"{load.p50_ms:.1f} ms", ""),
+        ("p99", f"{load.p99_ms:.1f} ms", "20 ms"),
+        ("largest", f"{load.largest_ms:.1f} ms", ""),
+        ("the node's processor", f"{load.node_ms:.1f} ms", ""),
+    ]
+    show(
+        figures_table(
+            f"A plan of {POINTS} points, request to answer over DDS, {plans} times", rows
+        )
+    )
+    with progress_bar("rounds", total=plans // 10, unit="rounds") as progress:
+        rounds = measure_rounds(max(plans // 10, 1), TOGETHER, POINTS, progress)
+    rows = [
+        (f"{TOGETHER} plans, p50", f"{rounds.p50_ms:.1f} ms", ""),
+        (f"{TOGETHER} plans, p99", f"{rounds.p99_ms:.1f} ms", "60 ms"),
+        ("a refusal, p50", f"{rounds.refusal_p50_ms:.1f} ms", ""),
+        ("a refusal, p99", f"{rounds.refusal_p99_ms:.1f} ms", "100 ms"),
+    ]
+    show(figures_table(f"Plans asked together, with all differences, {rounds.rounds} times", rows))
+    return {**load._asdict(), "together": rounds._asdict()}

@@ -1,0 +1,182 @@
+"""One interval in numbers: from readings to coefficients, for `docs/explanation/one_interval.md`.
+
+`python docs/generate.py` writes the page, and a test fails when it is not what the core gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+import math
+
+from evpinn_ros.estimation.learning import learn, passed
+from evpinn_ros.estimation.posterior import initial_state
+from evpinn_ros.estimation.states import State
+from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.signals.interval import Interval
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+)
+from evpinn_ros.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.physics import RegenForm
+
+HEAVIER = 1.15  # times the mass of the vehicle file: what the car of this page weighs
+VOLTS = 360.0
+SECONDS, HERTZ = 600, 10
+SHOWN = (State.DRAG, State.ROLLING, State.MASS, State.P_AUX, State.FORCE_SQUARED, State.TURNING)
+
+PAGE = """\
+# One interval, in numbers
+
+What the core does once in ten seconds of driving, from readings to coefficients. The car is the
+BMW i3 of its vehicle file, but {heavier:.0f} % heavier, on a flat road; it speeds up. Every number
+is computed by the functions that are named (`docs/one_interval.py`), so this page is what the code
+does today. How the parts belong together: [architecture](architecture.md).
+
+## Numbers in
+
+Readings (`signals/readings.py`), ten a second; here a row each two seconds. Current is negative
+when the battery is discharged.
+
+| s | speed, m/s | voltage, V | current, A |
+|---|---|---|---|
+{readings}
+
+## The interval
+
+`IntervalBuilder` (`signals/interval.py`) cuts the interval into {count} steps and integrates. No
+acceleration is needed, for the integral of v a is the difference of v^2 / 2.
+
+| what | sum over the steps |
+|---|---|
+| duration | {interval.duration:.1f} s |
+| distance | {interval.distance:.1f} m |
+| integral of v^3, without wind | {air:.0f} m^3/s^2 |
+| difference of v^2 / 2 | {kinetic:.1f} J/kg |
+| **energy of the battery, the integral of -V I** | **{measured:.2f} kJ** |
+
+## The row of the equation
+
+`Equation.rows` (`estimation/terms.py`) says what the energy would be for one unit of each state.
+Times the prior (`estimation/states.py`) that is the prediction, made before the battery is looked
+at. Some of them:
+
+| state | J per unit | prior | product, kJ |
+|---|---|---|---|
+{row}
+| all others | | | {others:.2f} |
+| **together** | | | **{predicted:.2f}** |
+
+## What the battery adds
+
+`learn` (`estimation/learning.py`) lets the time of the interval pass (`advance`) and corrects the
+states by what was not predicted (`condition`). Measured less predicted is {residual:+.2f} kJ, with
+a 1-sigma of {sigma:.2f} kJ. Nearly all of that is of the states: noise has {noise:.2f} kJ. Each
+state moves by its covariance with the prediction, over the variance, times {residual:+.2f} kJ.
+
+## Coefficients out
+
+The mixture of the hypotheses, each number with its 1-sigma. One interval says little of each state
+and much of their sum. The drive of ten minutes is {driven} intervals, and begins to tell the
+states apart; m/eta of the car is {truth:.0f} kg.
+
+| state | before | after this interval | after the whole drive |
+|---|---|---|---|
+{coefficients}
+"""
+
+
+def page() -> str:
+    """The page, in Markdown."""
+    vehicle = load_vehicle("bmw_i3")
+    given = [*readings(vehicle)]
+    driven = intervals(given, vehicle)
+    interval = max(driven, key=lambda one: float(one.steps.kinetic.sum()))
+    equation = Equation(vehicle)
+    done = passed(equation, interval, 0.0)
+    row, before = done.journey.row, initial_state(equation)
+    after, innovation = learn(before, equation, done)
+    whole = before
+    for one in driven:
+        whole, _ = learn(whole, equation, passed(equation, one, whole.seconds))
+    products = {state: row[state] * equation.mean[state] for state in SHOWN}
+    predicted = float(row @ equation.mean)
+    mixtures = [state.mixture() for state in (before, after, whole)]
+    return PAGE.format(
+        heavier=100 * (HEAVIER - 1),
+        readings="\n".join(_reading_rows(given, interval)),
+        count=len(interval.steps.duration),
+        interval=interval,
+        air=interval.steps.air.sum(),
+        kinetic=interval.steps.kinetic.sum(),
+        measured=interval.energy / 1e3,
+        row="\n".join(
+            _line(_named(s), _digits(row[s]), _digits(equation.mean[s]), f"{joules / 1e3:.2f}")
+            for s, joules in products.items()
+        ),
+        others=(predicted - sum(products.values())) / 1e3,
+        predicted=predicted / 1e3,
+        residual=innovation.residual / 1e3,
+        sigma=innovation.sigma / 1e3,
+        noise=math.sqrt(done.journey.noise.sum()) / 1e3,
+        driven=len(driven),
+        truth=HEAVIER * vehicle.initial.mass / vehicle.initial.eta,
+        coefficients="\n".join(
+            _line(
+                _named(s),
+                *(f"{_digits(m[s])} +- {_digits(math.sqrt(c[s, s]))}" for m, c in mixtures),
+            )
+            for s in SHOWN
+        ),
+    )
+
+
+def readings(vehicle: Vehicle) -> Iterator[Reading]:
+    """Speed, height and battery of the heavier car, in order of time."""
+    car = vehicle.initial._replace(mass=HEAVIER * vehicle.initial.mass)
+    for number in range(SECONDS * HERTZ):
+        seconds, stamp_ns = number / HERTZ, NANOSECONDS + number * NANOSECONDS // HERTZ
+        # Waves within a minute, on others within some.
+        speed = 12.0 + 5.0 * math.sin(seconds / 10.0) + 4.0 * math.sin(seconds / 70.0)
+        acceleration = 0.5 * math.cos(seconds / 10.0) + 4.0 / 70.0 * math.cos(seconds / 70.0)
+        power = vehicle.power(speed, acceleration, car, RegenForm.WHEEL_POWER)
+        yield SpeedReading(stamp_ns, speed)
+        yield AltitudeReading(stamp_ns, 120.0)
+        yield BatteryReading(stamp_ns, VOLTS, -float(power) / VOLTS)
+
+
+def intervals(given: Iterable[Reading], vehicle: Vehicle) -> list[Interval]:
+    """The intervals of a drive, as the estimator gets them."""
+    stream = SampleStream(StreamSettings(), vehicle.air_density)
+    events = [event for reading in given for event in stream.add_reading(reading)]
+    return [event for event in events if isinstance(event, Interval)]
+
+
+def _reading_rows(given: Iterable[Reading], interval: Interval) -> Iterator[str]:
+    speed = 0.0
+    for reading in given:
+        seconds = (reading.stamp_ns - interval.start_ns) / NANOSECONDS
+        if not 0.0 <= seconds <= interval.duration or seconds % 2:
+            continue
+        if isinstance(reading, SpeedReading):
+            speed = reading.speed
+        elif isinstance(reading, BatteryReading):
+            numbers = f"{speed:.2f}", f"{reading.voltage:.0f}", f"{reading.current:.1f}"
+            yield _line(f"{seconds:.0f}", *numbers)
+
+
+def _line(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _named(state: State) -> str:
+    return f"`{state.name}`, {state.unit}"
+
+
+def _digits(value: float) -> str:
+    """A number with three digits, none of them an exponent."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
