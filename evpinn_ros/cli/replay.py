@@ -38,7 +38,7 @@ from evpinn_ros.paper.settings import PaperOptimizer
 from evpinn_ros.replays.breakdown_text import breakdown_lines
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.dropped_text import dropped_text
-from evpinn_ros.replays.owner_text import owner_line, sparse_note
+from evpinn_ros.replays.owner_text import owner_line, owner_notes
 from evpinn_ros.replays.run import (
     WARM_UP,
     Replayed,
@@ -47,7 +47,6 @@ from evpinn_ros.replays.run import (
     output_folders,
 )
 from evpinn_ros.replays.tables import energy_lines
-from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import Vehicle
 
@@ -231,8 +230,8 @@ def _show(
     if dropped := dropped_text(found["input"]["dropped"]):
         say(f"Not used: {dropped}")
     say(owner_line(result.drive, found, units))
-    for doubt in filter(None, (vehicle_doubt(vehicle, result.drive), sparse_note(result.drive))):
-        say(doubt)
+    for line in owner_notes(vehicle, result.drive, found):
+        say(line)
     if briefly:
         return
     if found["breakdown"]["unknown"] is None:

@@ -16,6 +16,7 @@ from evpinn_ros.drives.clock_choice import choose_clock, start_by_date
 from evpinn_ros.drives.column import Column, check_columns, columns_by_name
 from evpinn_ros.drives.contradictions import contradictions, power_beside
 from evpinn_ros.drives.evidence import Signal, seconds, stands_still, with_units
+from evpinn_ros.drives.held import HeldSignals, held_columns
 from evpinn_ros.drives.long_form import LongTable
 from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
 from evpinn_ros.drives.quantities import PLACES, QUANTITIES, Unit
@@ -147,6 +148,9 @@ class TableDrive(Source):
     def notes(self) -> tuple[str, ...]:
         """Notes for a person on how it was read; complete once exhausted."""
         notes = [*self._contradictions]
+        if self._held:
+            names = " and ".join(sorted(self._held))
+            notes.append(f"{names}: cells that repeat the last value are not used")
         if self._no_speed:
             notes.append("speed is 0 throughout while the odometer goes on, so it is not used")
         if self._at_nominal_voltage:
@@ -225,6 +229,7 @@ class TableDrive(Source):
         self.first_bad = None
         order = RowOrder()
         makers = RowReadings(self.rules, self._nominal_voltage, self.dropped)
+        held = HeldSignals(self._held)
         for stamps, values in self._blocks(self._values):
             there = stamps != NONE
             stamps = np.where(there, stamps, 0) + self._start_ns
@@ -233,8 +238,9 @@ class TableDrive(Source):
             if self._no_speed:
                 self.dropped["speed_stands_still"] += int(np.isfinite(values["speed"]).sum())
                 values["speed"][:] = math.nan
-            rows = np.flatnonzero(there & ~late)
-            yield from makers.readings(stamps, values, order.sorted(stamps, rows))
+            rows = order.sorted(stamps, np.flatnonzero(there & ~late))
+            held.drop_repeats(stamps, values, rows)
+            yield from makers.readings(stamps, values, rows)
         self.used, self._at_nominal_voltage = makers.used, makers.at_nominal_voltage
         self.rows += self._table.torn
         self.dropped["time_not_increasing"] += order.dropped
@@ -340,6 +346,7 @@ class TableDrive(Source):
         if not own:
             used = with_units(used, signals, frozenset(header))
             self._no_speed = stands_still(used, signals)
+        self._held = held_columns(signals)
         self._contradictions = tuple(contradictions({**used, **beside}, signals))
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))
 

@@ -6,7 +6,8 @@ of before, and nothing is added up twice. When a drive ends, what is of it alone
 loads that wandered, the unseen climb) is kept as what the states of the car say of it, so that
 drives can be compared by all that was learned (a smoother of Rauch, Tung and Striebel).
 
-The parts need not add up to what was measured: what is left is shown as unexplained. Parts that
+The parts need not add up to what was measured: what is left is shown as unexplained, as unsure as
+the noise that was found on the way, outliers (a brake that friction does, say) with it. Parts that
 the data tell apart worse than they tell their sum are to be read together (`together`).
 """
 
@@ -74,6 +75,7 @@ class Breakdown:
         distance: m.
         seconds: s.
         unseen: m of the distance where no height was known.
+        noise: variance of the energy that no state of the car is expected to explain, J^2.
     """
 
     energy: np.ndarray
@@ -83,12 +85,13 @@ class Breakdown:
     distance: float
     seconds: float
     unseen: float = 0.0
+    noise: float = 0.0
 
     def amounts(self) -> dict[str, Amount]:
         """The parts, what they leave unexplained, and what braking brought back beside them."""
         found = {part.name.lower(): self.of(part) for part in list(Part)[WHOLE]}
         explained = float(self.energy[WHOLE].sum())
-        unsure = float(self.covariance[WHOLE, WHOLE].sum()) + self.measured_variance
+        unsure = float(self.covariance[WHOLE, WHOLE].sum()) + self.measured_variance + self.noise
         found[UNEXPLAINED] = self._amount(self.measured - explained, unsure)
         found[REGAINED] = self.of(Part.REGAINED)
         return found
@@ -143,6 +146,7 @@ class Totals:
         distance: m.
         seconds: s.
         unseen: m of it where no height was known.
+        noise: variance of its energy that no state explains, as learned on the way, J^2.
     """
 
     measured: float = 0.0
@@ -150,9 +154,10 @@ class Totals:
     distance: float = 0.0
     seconds: float = 0.0
     unseen: float = 0.0
+    noise: float = 0.0
 
-    def plus(self, interval: Interval) -> Totals:
-        """With one more interval."""
+    def plus(self, interval: Interval, noise: float) -> Totals:
+        """With one more interval and the variance of its noise, J^2."""
         distance = abs(interval.distance)
         return Totals(
             measured=self.measured + interval.energy,
@@ -160,6 +165,7 @@ class Totals:
             distance=self.distance + distance,
             seconds=self.seconds + interval.duration,
             unseen=self.unseen + (0.0 if interval.height_known else distance),
+            noise=self.noise + noise,
         )
 
 
@@ -209,6 +215,7 @@ class Breakdowns:
             distance=DISTANCE,
             seconds=0.0,
             unseen=DISTANCE * max(each.unseen / each.distance for each in (more, less)),
+            noise=float(scale**2 @ [more.noise, less.noise]),
         )
 
     def joined(self, owners: Sequence[int]) -> Breakdowns:
@@ -243,11 +250,11 @@ class DriveParts:
         rows[Part.SLOPE, [State.CLIMBED, State.CLIMB]] = 1.0
         return cls(rows)
 
-    def plus(self, interval: Interval, parts: np.ndarray) -> DriveParts:
-        """With one more interval and its `Equation.parts`, shape (COUNT, SIZE)."""
+    def plus(self, interval: Interval, parts: np.ndarray, noise: float) -> DriveParts:
+        """With one more interval, its `Equation.parts`, (COUNT, SIZE), and its noise, J^2."""
         own = parts.copy()
         own[:, State.LOAD] = 0.0  # WANDERED and LOAD_ENERGY have what it gave
-        return DriveParts(self.rows + own, self.totals.plus(interval))
+        return DriveParts(self.rows + own, self.totals.plus(interval, noise))
 
     def ended(self, state: CarState) -> EndedDrive:
         """Parts as functions of the states of the car alone."""

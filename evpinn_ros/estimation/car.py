@@ -21,6 +21,7 @@ from evpinn_ros.estimation.learner import gate_interval
 from evpinn_ros.estimation.learning import learn, passed
 from evpinn_ros.estimation.payload import PayloadDetector
 from evpinn_ros.estimation.posterior import (
+    OUTLIER,
     CarModel,
     CarState,
     advance,
@@ -207,12 +208,14 @@ class LearnedCar:
         driven = self.driven.plus(interval, done.rows, equation, float(done.warmth.tyres))
         payload, state = self.payload.after(before, state, learned, equation, driven, done)
         parts = equation.parts(interval.steps, interval.conditions, done.warmth)
+        noise = float(state.weights @ state.scale @ done.journey.noise)
+        noise += max(0.0, (learned.residual / OUTLIER) ** 2 - learned.sigma**2)  # an outlier
         return replace(
             self,
             state=state,
             driven=driven,
             rehearsals=rehearsals,
-            parts=self.parts.plus(interval, parts),
+            parts=self.parts.plus(interval, parts, noise),
             payload=payload,
             grade=self.grade.after(interval, learned.residual, _weight(state)),
             dropout=NOWHERE,

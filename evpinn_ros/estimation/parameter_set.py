@@ -52,6 +52,7 @@ POSSIBLE_WITHIN = 5.0  # where a value that was impossible counts as possible ag
 TYRES = Limits(0.004, 0.02)  # C_rr of tyres on roads
 # Values that cars have; outside a parameter is never valid.
 POSSIBLE = {"c_rr": TYRES, "c_d": Limits(0.15, 1.0), "eta": Limits(0.0, 0.995)}
+MOST_UNSURE = 0.25  # of the value, 1-sigma, beyond which it is never valid
 RELIABLE_NEEDS = ("mass_over_eta", "regeneration")
 NORMAL = NormalDist()
 
@@ -75,6 +76,7 @@ def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
         bounds = _bounds(name, limits, combined, source.frontal_area)
         rests = combined[RESTS_ON[name]].share
         possible = _possible(name, value, hills_seen=source.hills_seen)
+        possible = possible and (index == P_AUX or std <= MOST_UNSURE * value)  # which may be 0
         parameters[name] = ParameterEstimate(
             value=float(np.clip(value, bounds.lower, bounds.upper)),
             std=std,

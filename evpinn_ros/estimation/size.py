@@ -126,8 +126,12 @@ class Similarity:
         return found._replace(**scaled)
 
     def _totals(self, totals: Totals) -> Totals:
-        measured, variance = self.size * totals.measured, self.size**2 * totals.measured_variance
-        return replace(totals, measured=measured, measured_variance=variance)
+        return replace(
+            totals,
+            measured=self.size * totals.measured,
+            measured_variance=self.size**2 * totals.measured_variance,
+            noise=self.size**2 * totals.noise,
+        )
 
 
 def model_of_file(vehicle: Vehicle, seed: int = 0) -> CarModel:

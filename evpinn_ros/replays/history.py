@@ -20,6 +20,7 @@ from evpinn_ros.signals.readings import (
     DRIVE_START_NS,
     NANOSECONDS,
     AltitudeReading,
+    AuxiliaryReading,
     BatteryReading,
     Reading,
     SpeedReading,
@@ -33,7 +34,7 @@ DAY_NS = 86_400 * NANOSECONDS
 FIRST_STAMP_NS = 631_152_000 * NANOSECONDS  # 1990: a log that begins before counts from its zero
 JUMP_GAP = 60 * NANOSECONDS  # between the times before and after a jump: nothing is joined across
 MODEL_STEP = 300.0  # s between two models kept: what a forecast would have known then
-SERIES = dict.fromkeys(("speed", "altitude", "charge", "temperature", "jumps"), 2)
+SERIES = dict.fromkeys(("speed", "altitude", "charge", "temperature", "heating", "jumps"), 2)
 SERIES |= {"position": 3, "energy": 4}
 """Series of a `Drive` that are kept as they come, and their columns."""
 
@@ -99,6 +100,7 @@ class Drive:
         position: time, latitude and longitude, degrees, shape (n, 3).
         charge: time and state of charge, 0..1, shape (n, 2).
         temperature: time and degrees Celsius of the air outside, shape (n, 2).
+        heating: time and W of heating that the car reports, shape (n, 2).
         combinations: for each identifiable combination time, value, 1-sigma, shape (n, 3).
         detections: those of the learner, whenever they changed.
         models: the car as known at the start and about every `MODEL_STEP`; empty without replay.
@@ -121,6 +123,7 @@ class Drive:
     position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     charge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     temperature: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    heating: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     combinations: Mapping[str, np.ndarray] = field(default_factory=dict)
     detections: tuple[Detection, ...] = ()
     models: tuple[KnownModel, ...] = ()
@@ -190,6 +193,8 @@ class History:
                 self._series["position"].add(time, reading.latitude, reading.longitude)
         elif isinstance(reading, TemperatureReading) and math.isfinite(reading.celsius):
             self._series["temperature"].add(time, reading.celsius)
+        elif isinstance(reading, AuxiliaryReading) and math.isfinite(reading.heating):
+            self._series["heating"].add(time, reading.heating)
 
     def add_output(self, output: ChainOutput) -> None:
         """Take the outputs of the chain for the last reading."""

@@ -9,15 +9,25 @@ import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, kwh_digits
 from evpinn_ros.estimation.breakdown import LEAST_DISTANCE
-from evpinn_ros.replays.breakdown_text import LEFT_OUT, SHORT, TOGETHER, known_parts
+from evpinn_ros.replays.breakdown_text import (
+    CONTRADICTED,
+    LEFT_OUT,
+    SHORT,
+    TOGETHER,
+    known_parts,
+)
 from evpinn_ros.replays.driven import charged, measured_steps, travelled
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.tables import signed_percent, watts
+from evpinn_ros.replays.vehicle_fit import vehicle_doubt
+from evpinn_ros.signals.road import HEATED_BELOW
+from evpinn_ros.vehicle.files import Vehicle
 
 NEARLY_WHOLE = 0.99  # of the distance, from here on the battery was measured all along
 # s between speeds, from here on worth saying: over 40 trips of a Leaf with one every 2 to 6 s,
 # energy was predicted 11 % too low.
 SPARSE = 2.0
+LEAST_HEATING = 300.0  # W that a car reports, worth saying
 LEAST_CHARGED = 0.05 * JOULES_PER_KWH  # J that a charger gave, worth saying
 
 
@@ -39,6 +49,33 @@ def owner_line(drive: Drive, found: Mapping[str, Any], units: Units = METRIC) ->
     plugged = f" Charged while it stood: {taken / JOULES_PER_KWH:.2f} kWh, not included above."
     line = f"{far} {units.distance} in {minutes} min: {kwh} kWh {how}{per_distance}."
     return line + (plugged if taken >= LEAST_CHARGED else "")
+
+
+def owner_notes(vehicle: Vehicle, drive: Drive, found: Mapping[str, Any]) -> list[str]:
+    """Sentences on what to doubt in a drive and its metrics."""
+    notes = (
+        vehicle_doubt(vehicle, drive),
+        sparse_note(drive),
+        heating_note(drive, found["breakdown"]),
+    )
+    return [note for note in notes if note]
+
+
+def heating_note(drive: Drive, breakdown: Mapping[str, Any]) -> str | None:
+    """Sentence on heating that is reported on a warm day and that the battery does not show."""
+    if breakdown["unknown"] is not None or not (len(drive.heating) and len(drive.temperature)):
+        return None
+    power, celsius = (float(np.mean(each[:, 1])) for each in (drive.heating, drive.temperature))
+    reported = power * breakdown["duration_s"] / JOULES_PER_KWH
+    climate = breakdown["climate"]
+    if celsius < HEATED_BELOW or power < LEAST_HEATING:
+        return None
+    if climate["kwh"] + CONTRADICTED * climate["sigma_kwh"] > reported:
+        return None
+    return (
+        f"The car reports {power / 1e3:.1f} kW of heating at {celsius:.0f} °C outside, which the "
+        "battery does not show. It is not counted as heating."
+    )
 
 
 def sparse_note(drive: Drive) -> str | None:

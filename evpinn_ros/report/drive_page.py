@@ -15,7 +15,7 @@ from evpinn_ros.replays.dropped_text import dropped_text
 from evpinn_ros.replays.events import drive_events
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.owner_text import drives_columns, drives_rows, sparse_note
+from evpinn_ros.replays.owner_text import drives_columns, drives_rows, owner_notes
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import Span, baseline_scores
 from evpinn_ros.replays.tables import (
@@ -28,7 +28,6 @@ from evpinn_ros.replays.tables import (
     watts,
 )
 from evpinn_ros.replays.trends import drive_point
-from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.report import drive_charts, drive_maps
 from evpinn_ros.report.breakdown_bar import breakdown_values
 from evpinn_ros.report.drive_energy import running_totals, speed_energy_chart
@@ -144,7 +143,7 @@ def _drive(
     values = {
         "name": name,
         "about": f"{reported.vehicle.name}, {_date(drive)}",
-        "doubts": [*filter(None, (vehicle_doubt(reported.vehicle, drive), sparse_note(drive)))],
+        "doubts": owner_notes(reported.vehicle, drive, found),
         "record": _record(found),
         "breakdown": breakdown_values(found["breakdown"], units),
         "tiles": list(drive_tiles(drive, *steps, units)),

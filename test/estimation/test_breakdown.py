@@ -151,3 +151,14 @@ def test_the_ends_of_a_drive_without_heights_widen_the_climb_by_little(town):
     weight = 9.81 * EQUATION.mean[2] * EQUATION.eta / 3.6e6
     wider = but_ends.of(Part.SLOPE).sigma_kwh - all_seen.of(Part.SLOPE).sigma_kwh
     assert 0.0 <= wider < 0.06 * but_ends.unseen * weight
+
+
+def test_what_one_hard_braking_leaves_unexplained_is_no_reason_to_doubt_the_model(learned, town):
+    energies = [one.energy for one in town]
+    hard = [*town[:-1], replace(town[-1], energy=energies[-1] + 5e5)]  # friction took it
+    calm, braked = (
+        LearnedCar.new(EQUATION).after(one).breakdowns().of(-1).amounts()["unexplained"]
+        for one in (town, hard)
+    )
+    assert abs(calm.kwh) < 3.0 * calm.sigma_kwh
+    assert braked.kwh > 0.08 and braked.kwh < 3.0 * braked.sigma_kwh

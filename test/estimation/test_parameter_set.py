@@ -189,3 +189,17 @@ def test_what_is_stale_was_valid(prior):
     assert set(stale.identifiable_states.values()) == {Trust.STALE} and not stale.reliable
     one = replace(found.parameters["mass"], state=ESTIMATING)
     assert replace(found, parameters={"mass": one}).stale().parameters["mass"].state is ESTIMATING
+
+
+@pytest.mark.parametrize(("std", "state"), [(0.2, VALID), (0.3, ESTIMATING)])
+def test_a_value_that_is_unsure_by_a_quarter_is_not_valid_however_wide_its_prior(
+    prior, std, state
+):
+    """C_d of 0.9 +- 0.36 was, of a car without heights whose prior was wider still."""
+    source = learned(prior, 0.01)
+    c_d = PARAMETER_NAMES.index("c_d")
+    source.now.covariance[c_d, c_d] = std**2
+    wide = source.prior._replace(covariance=100.0 * source.prior.covariance)
+    wide.covariance[c_d, c_d] = 10.0
+    found = parameter_set(0, source._replace(prior=wide)).parameters["c_d"]
+    assert found.state is state

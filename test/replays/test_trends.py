@@ -8,7 +8,7 @@ import pytest
 from evpinn_ros.common.units import US
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.replays.history import Drive, PowerSeries
-from evpinn_ros.replays.owner_text import sparse_note
+from evpinn_ros.replays.owner_text import heating_note, sparse_note
 from evpinn_ros.replays.trends import CAPACITY, ROLLING, drive_point, trends
 from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.vehicle.identifiable import Identifiable
@@ -80,6 +80,21 @@ def test_speeds_far_apart_are_said_to_be_rough():
     assert sparse_note(dense) is None
     assert "every 5.0 s" in sparse_note(replace(dense, speed=dense.speed[::5]))
     assert sparse_note(replace(dense, speed=dense.speed[:1])) is None
+
+
+def test_heating_that_the_battery_does_not_show_is_said():
+    heated = replace(
+        DRIVES[0], temperature=np.array([[0.0, 25.0]]), heating=np.array([[0.0, 1600.0]])
+    )
+    found = {
+        "unknown": None,
+        "duration_s": 1800.0,
+        "climate": {"kwh": 0.1, "sigma_kwh": 0.1},
+    }
+    assert heating_note(heated, found).startswith("The car reports 1.6 kW of heating at 25 °C")
+    assert heating_note(heated, found | {"climate": {"kwh": 0.75, "sigma_kwh": 0.1}}) is None
+    assert heating_note(replace(heated, temperature=np.array([[0.0, 5.0]])), found) is None
+    assert heating_note(DRIVES[0], found) is None
 
 
 def test_units_are_those_of_the_reader():

@@ -1,0 +1,52 @@
+"""Logs whose rows repeat what was last known, as the Vehicle Energy Dataset has them."""
+
+import numpy as np
+import pytest
+
+from evpinn_ros.drives.evidence import Signal
+from evpinn_ros.drives.held import held_columns
+from evpinn_ros.drives.sources import open_drive
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+
+
+def speed_at(time):
+    """Speed in town, km/h."""
+    return 27.0 - 27.0 * np.cos(time / 7.0)
+
+
+def write_log(path, *, held: bool):
+    """Write a speed each second and a voltage in between; the rest filled forward, or empty."""
+    lines, last = ["time,Speed (km/h),HV Voltage (V),HV Current (A)"], ""
+    for second in range(600):
+        last = f"{speed_at(second):.4f}"
+        current = f"{40.0 * np.sin(second / 7.0) + 20.0:.3f}"
+        lines.append(f"{second:.2f},{last},360,{current}")
+        lines.append(f"{second + 0.8:.2f},{last if held else ''},361,{current if held else ''}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_speed_that_was_filled_forward_is_taken_once(tmp_path):
+    found = []
+    for held in (True, False):
+        drive = open_drive(write_log(tmp_path / f"{held}.csv", held=held))
+        readings = list(drive.readings())
+        speeds = [(r.stamp_ns, r.speed) for r in readings if isinstance(r, SpeedReading)]
+        amps = [r.current for r in readings if isinstance(r, BatteryReading)]
+        found.append((speeds, [each for each in amps if each == each]))
+        assert ("repeat the last value" in " ".join(drive.notes)) == held
+    assert found[0] == found[1] and len(found[0][0]) == 600
+
+
+@pytest.mark.parametrize("step", [0.1, 1.0])
+def test_an_even_log_keeps_its_repeats(step):
+    time = np.arange(0.0, 300.0, step)
+    held = speed_at(np.floor(time / (2 * step)) * 2 * step)
+    assert not held_columns({"speed": Signal(time, held)})
+
+
+def test_whole_kilometres_an_hour_repeat_by_themselves():
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.choice([0.1, 0.8, 1.1], 800))
+    assert held_columns({"speed": Signal(time, np.repeat(speed_at(time[::2]), 2))})
+    assert not held_columns({"speed": Signal(time, np.repeat(speed_at(time[::2]).round(), 2))})
