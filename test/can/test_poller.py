@@ -270,8 +270,7 @@ def test_a_dead_car_is_asked_a_hundred_times_and_no_more(every_s, frames):
     next_s = 0.0
     while now[0] < 3600.0:
         now[0] += 0.25
-        for unit in poller._units.values():
-            unit.step(now[0], poller._may_ask(now[0]))
+        poller.step()
         if now[0] >= next_s:
             next_s += every_s
             for can_id, data in frames:
@@ -290,8 +289,7 @@ def test_an_id_on_which_somebody_else_sends_is_left_alone(seconds):
     def ask(until_s):
         while now[0] < until_s:
             now[0] += 0.1
-            for unit in poller._units.values():
-                unit.step(now[0], poller._may_ask(now[0]))
+            poller.step()
 
     ask(seconds)
     for frame in sent:  # an adapter may echo what we sent
