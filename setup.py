@@ -106,6 +106,8 @@ setup(
         "fuzz": ["atheris"],
         # Reads spreadsheets of drives.
         "tables": ["openpyxl"],
+        # Reads GeoTIFF tiles of `--elevation`.
+        "elevation": ["rasterio"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
         "mf4": ["asammdf"],
         # `evpinn mqtt`, and the feeder of a KUKSA databroker.

@@ -49,6 +49,7 @@ NAMES = {
     "pandas": ("pandas", "python3-pandas"),
     "polars": ("polars", None),
     "pyarrow": ("pyarrow", None),
+    "rasterio": ("rasterio", None),
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),

@@ -30,6 +30,11 @@ def test_it_is_built_strictly_and_has_every_public_name(tmp_path):
     page = (tmp_path / "reference" / "api" / "index.html").read_text()
     anchors = set(re.findall(r'id="evpinn_ros\.api\.(\w+)"', page))
     assert anchors == set(evpinn_ros.__all__) - {"__version__"}
+    first = (tmp_path / "index.html").read_text()
+    assert 'src="report.png"' in first and 'href="guides/plan/"' in first
+    assert {"default", "slate"} <= set(re.findall(r'data-md-color-scheme="(\w+)"', first))
+    documents = (tmp_path / "documents" / "index.html").read_text()
+    assert 'href="../guides/replay/"' in documents and 'href="../">README' in documents
     for page in tmp_path.rglob("*.html"):
         fetched = re.findall(
             r'<(?:script|link|img)[^>]+(?:src|href)="https?://[^"]+', page.read_text()

@@ -116,8 +116,8 @@ def _start_together(rig: Rig) -> FaultEffect:
         rig.drive(SETTLE)
         memory = sum(resident_mb(node.pid) for node in nodes)
     predicted = rig.recovered(begin, (topics.POWER_PREDICTED,))
-    said = f"first prediction after {predicted:.2f} s; {memory:.0f} MB resident"
-    return FaultEffect(said, True, rig.recovered(begin), UNNAMED)
+    found = f"first prediction after {predicted:.2f} s; {memory:.0f} MB resident"
+    return FaultEffect(found, True, rig.recovered(begin), UNNAMED)
 
 
 @dataclass(frozen=True)

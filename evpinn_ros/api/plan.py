@@ -18,7 +18,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, ChargeGauge, Uncertain
 from evpinn_ros.energy.forecast import battery_along, difference, forecast_plan
-from evpinn_ros.energy.plan import Legs, Plan, PlanConditions, PlanError, points_of
+from evpinn_ros.energy.plan import UNSAID, Legs, Plan, PlanConditions, PlanError, points_of
 from evpinn_ros.energy.planned import Change, PlannedEnergy
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.terms import MILD_CELSIUS
@@ -26,7 +26,6 @@ from evpinn_ros.signals.road import density_of_air
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
-UNSAID = PlanConditions()
 
 
 class KnownCar(Protocol):

@@ -68,8 +68,8 @@ def replay(
         can_profile: of a CAN log, the vehicle's own if not given.
         trust_profile: use it even if the traffic contradicts it.
         columns: of a table, as `speed=NAME` or `speed=NAME:km/h`.
-        elevation: folder of SRTM tiles (`N48E011.hgt`), whose heights at the places of the drive
-            are taken.
+        elevation: folder of SRTM (`N48E011.hgt`) or GeoTIFF tiles, whose heights at the places of
+            the drive are taken.
 
     Raises:
         InputError: the drive, the vehicle or a file cannot be used; the text says why.

@@ -73,7 +73,7 @@ class DbcFile:
         """The `cantools.database.Message` that a section names.
 
         Raises:
-            InputError: there is none, cantools cannot read it, or its pages cannot be told apart.
+            InputError: there is none, cantools cannot read it, or its pages are ambiguous.
         """
         name = section.text("message")
         if name not in self._messages:
@@ -97,7 +97,7 @@ class DbcFile:
         return message
 
     def _cut(self, start: re.Match[str]) -> tuple[str, str]:
-        """All that the file says of one message's layout, as it stands and without its strings."""
+        """Layout of one message in the file, as it stands and without its strings."""
         after = _STATEMENT.search(self._bare, start.end())
         parts = [slice(start.start(), after.start() if after else None)]
         of_message = rf"\b(?:SG_MUL_VAL_|SIG_VALTYPE_)\s+{start[1]}\b[^;]*;"

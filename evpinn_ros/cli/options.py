@@ -56,7 +56,7 @@ ElevationOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FOLDER",
-        help="Folder of SRTM tiles (N48E011.hgt), for heights of a log that has places.",
+        help="Folder of SRTM or GeoTIFF tiles, for heights of a log that has places.",
     ),
 ]
 StartOption = Annotated[float, typer.Option(min=0.0, help="Skip the first N seconds.")]

@@ -31,6 +31,10 @@ LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
 LARGEST = 1e19  # of a number that is a time: ns since 1970 to the end of 64 bits
 RELATIVE_BELOW_S = 1e8  # a first time below this (3 years) counts from the start of something
 SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is smaller
+# Spreadsheets store a moment as days since 30 December 1899, and a time of day as a part of one.
+SERIAL_ZERO_NS = -25_569 * DAY_NS
+SERIALS = (39_448.0, 50_424.0)  # days, from 2008 to the end of ROS time
+SERIAL_STEP = 60.0 / 86_400.0  # days: less is no step between rows in seconds
 MOSTLY = 0.8  # of the steps between rows
 ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
 
@@ -68,6 +72,7 @@ _MONTHS = {
 }
 
 _NS = {name: 1e9 * unit.factor for name, unit in QUANTITIES["time"].units.items()}
+_NS["day"] = float(DAY_NS)  # of spreadsheets alone
 _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s"))
 
 
@@ -84,6 +89,7 @@ class Clock:
     twelve: bool = False  # hours are counted to twelve
     style: Style = POINT  # of numbers
     daily: bool = False  # numbers begin anew at midnight
+    zero_ns: int = 0  # moment that numbers count from, ns since 1970
 
     @property
     def period_ns(self) -> int:
@@ -99,7 +105,7 @@ class Clock:
     @property
     def dated(self) -> bool:
         """True if the cells hold the date."""
-        return self.kind == "date" or (self.kind == "number" and self.zoned)
+        return self.kind == "date" or (self.kind == "number" and (self.zoned or self.zero_ns != 0))
 
     def stamps(self, cells: Mapping[int, Sequence[str]]) -> NDArray[np.int64]:
         """Times of n rows, ns since 1970, midnight or the start; `NONE` where there is none.
@@ -116,7 +122,7 @@ class Clock:
         # Apart from the whole ones, for a float of ns since 1970 is 256 ns coarse.
         whole = np.floor(values)
         rest: NDArray[np.int64] = np.rint((values - whole) * factor).astype(np.int64)
-        return np.where(bad, NONE, whole.astype(np.int64) * int(factor) + rest)
+        return np.where(bad, NONE, whole.astype(np.int64) * int(factor) + rest + self.zero_ns)
 
 
 def _joined(cells: Sequence[Sequence[str]]) -> pl.Series:
@@ -183,6 +189,8 @@ def clock_of_numbers(
         return None  # 20240305070809 is a date
     known = _forward(known)
     steps = np.diff(known)
+    if unit is None and (serial := _serial_clock(column, known, style)):
+        return serial
     size = float(np.median(np.abs(known)))
     since_1970 = next((name for least, name in _SINCE_1970 if size >= least), None)
     if since_1970 is not None and (unit is None or size * _NS[unit] / 1e9 >= RELATIVE_BELOW_S):
@@ -193,6 +201,21 @@ def clock_of_numbers(
     why = "by its name" if unit else "by the step between rows"
     daily = _begins_anew(known, DAY_NS / _NS[name])
     return Clock((column,), "number", unit=name, why=why, style=style, daily=daily)
+
+
+def _serial_clock(column: int, known: NDArray[np.float64], style: Style) -> Clock | None:
+    """The clock of a column of a spreadsheet's serial dates, or times of day; None of others."""
+    forward = np.diff(known)
+    forward = forward[forward > 0]
+    if not forward.size or np.median(forward) > SERIAL_STEP:
+        return None
+    if SERIALS[0] <= known.min() and known.max() <= SERIALS[1]:
+        why = "serial dates of a spreadsheet, by their size"
+        return Clock((column,), "number", unit="day", why=why, style=style, zero_ns=SERIAL_ZERO_NS)
+    if known.min() >= 0.0 and known.max() < 1.0:
+        why = "parts of a day, by their size"
+        return Clock((column,), "number", unit="day", why=why, style=style, daily=True)
+    return None
 
 
 def _unit_of_steps(steps: NDArray[np.float64]) -> str:

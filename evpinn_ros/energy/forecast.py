@@ -20,7 +20,7 @@ from evpinn_ros.common.arrays import namespace
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.plan import Legs, Plan, PlanError, points_of
 from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, Weather, vehicle_model
-from evpinn_ros.estimation.posterior import standing
+from evpinn_ros.estimation.posterior import standing, wandered
 from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.estimation.unevenness import Path, size_of, stops_of
@@ -125,7 +125,12 @@ def forecast(
 
 
 def forecast_plan(
-    plan: Plan | Legs, model: PowerModel, weather: Weather, head_wind: float = 0.0
+    plan: Plan | Legs,
+    model: PowerModel,
+    weather: Weather,
+    head_wind: float = 0.0,
+    *,
+    along: bool = True,
 ) -> Forecast:
     """Energy, power and 1-sigma along a plan.
 
@@ -138,38 +143,50 @@ def forecast_plan(
         weather: on the way.
         head_wind: against the car at the start, m/s over ground. Few plans say where they lead,
             so less and less of it is expected along the way.
+        along: whether sigma is wanted at every point of one trip; without it may be NaN at all
+            but the last, which takes half the time.
 
     Raises:
         PlanError: the model gives no finite energy.
     """
     points = points_of(plan) if isinstance(plan, Legs) else plan
-    along, wind = points.distance - points.distance[..., :1], _wind(points, head_wind)
+    wind, elapsed = _wind(points, head_wind), points.time - points.time[..., :1]
     duration, length = np.diff(points.time), np.diff(points.distance)
     if isinstance(plan, Legs):
         unknown = plan.length * ~plan.height_known
     else:
         unknown = length * (np.ptp(plan.elevation, axis=-1, keepdims=True) == 0.0)
-    uneven = np.zeros_like(points.time)
+    uneven = np.zeros_like(length)
+    steps = standing(duration, length), length**2 / duration, unknown
+    stood, square, unseen = (np.cumsum(each, axis=-1) for each in steps)
+    noise = model.noise(elapsed[..., 1:], stood, square)
+    energies = None
     if _is_coarse(points):
         path = _path(points, weather.air_density, wind)
-        steps, beyond = model.leg_rows(path, weather)
-        uneven[1:] = size_of(np.abs(beyond @ model.car.mean), stops_of(path, model.car.mean))
+        legs, beyond = model.leg_rows(path, weather)
+        uneven = size_of(np.abs(beyond @ model.car.mean), stops_of(path, model.car.mean))
+        rows = np.cumsum(legs, axis=0)
+    elif along or duration.ndim > 1:
+        rows = model.rows_along(motion_of(points, wind), weather)
     else:
-        steps = model.rows(motion_of(points, wind), weather)
-    rows = _accumulated(steps, axis=-2)
-    elapsed = points.time - points.time[..., :1]
-    stood, square = standing(duration, length), length**2 / duration
-    noise = model.noise(elapsed, *(_accumulated(each, axis=-1) for each in (stood, square)))
-    unseen = _accumulated(unknown, axis=-1)
-    energy, sigma = model.predicted(rows, elapsed, noise, unseen, uneven)
+        row, energies = model.whole_row(motion_of(points, wind), weather)
+        rows = row[None]
+    sums = elapsed[..., 1:], noise, unseen, uneven
+    energy, sigma = model.predicted(rows, *(each[..., -rows.shape[-2] :] for each in sums))
+    possible = np.isfinite(sigma).all()
+    if energies is not None:
+        energy = np.cumsum(energies) + model.car.mean[State.LOAD] * wandered(elapsed[1:])[1]
+        sigma = np.concatenate((np.full(len(energy) - 1, math.nan), sigma))
+    zero = np.zeros_like(elapsed[..., :1])
+    energy, sigma = (np.concatenate((zero, each), axis=-1) for each in (energy, sigma))
     power = np.diff(energy) / duration
     power = np.concatenate((power, power[..., -1:]), axis=-1)
-    if not np.isfinite(energy + power + sigma).all():
+    if not (possible and np.isfinite(energy + power).all()):
         raise PlanError("by the model of the car its energy is not finite")
     end = UNKNOWN_END
     if energy.ndim == 1:
-        sums = (float(each[-1]) for each in (elapsed, along, noise, unseen, uneven))
-        end = PlanEnd(rows[-1], *sums)
+        whole = elapsed, points.distance - points.distance[0], noise, unseen, uneven
+        end = PlanEnd(rows[-1], *(float(each[-1]) for each in whole))
     return Forecast(time=points.time, energy=energy, power=power, sigma=sigma, end=end)
 
 
@@ -292,11 +309,9 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     duration = duration.reshape(-1, duration.shape[-1])  # of all trips, or one each
     twice, square = speed[:, :-1] + speed[:, 1:], speed**2
     length = twice * (0.5 * duration)
-    climb = xp.zeros_like(length)
-    if elevation is not None:
-        climb = climb + xp.diff(elevation)
-        if not bool(xp.isfinite(climb).all()):
-            raise PlanError("elevation is not finite")
+    climb = 0.0 if elevation is None else xp.diff(elevation)
+    if elevation is not None and not bool(xp.isfinite(climb).all()):
+        raise PlanError("elevation is not finite")
     # The integral of v^3 where speed is linear; (a + b)(a^2 + b^2) / 4 is exact.
     air = 0.5 * length * (square[:, :-1] + square[:, 1:])
     motion = Motion(duration, length, air, 0.5 * xp.diff(square), climb)
@@ -304,7 +319,7 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     numpy = xp is np  # a table serves many trips, and has no gradient
     rows = model.summed_rows(motion, weather) if numpy else model.rows(motion, weather).sum(-2)
     unseen = length.sum(-1) * (elevation is None)
-    steps = duration, standing(duration, length), length**2 / duration
+    steps = duration, standing(duration, length), 0.5 * twice * length
     elapsed, stood, square = (each.sum(-1) for each in steps)
     noise = model.noise(elapsed, stood, square)
     return Energies(*model.predicted(rows, elapsed, noise, unseen))
@@ -318,9 +333,3 @@ def _checked(found: Energies) -> Energies:
     if not bool(namespace(found.sigma).isfinite(found.energy + found.sigma).all()):
         raise PlanError("a number of the profiles is not finite")
     return found
-
-
-def _accumulated(steps: np.ndarray, axis: int) -> np.ndarray:
-    """Sum up to each point along an axis, which becomes one longer."""
-    start = np.zeros_like(steps.take([0], axis=axis))
-    return np.concatenate((start, np.cumsum(steps, axis=axis)), axis=axis)

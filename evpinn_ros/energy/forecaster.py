@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 import math
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from evpinn_ros.energy.forecast import (
     difference,
     forecast_plan,
 )
-from evpinn_ros.energy.plan import UNNAMED, Plan, PlanConditions, Question
+from evpinn_ros.energy.plan import UNNAMED, UNSAID, Plan, PlanConditions, Question
 from evpinn_ros.energy.plausible import car_is_possible
 from evpinn_ros.energy.power_model import (
     PlanEnd,
@@ -72,7 +72,8 @@ class PlanAnswer:
     """The forecast of a plan; state of charge, 0..1, and voltage, V or NaN, at its end.
 
     `differences` is what it takes more than each plan asked together with it, by name, J;
-    `conditions` are the names of those that a planner gave, all else being the last known.
+    `conditions` are the names of those that a planner gave, all else being the last known;
+    `assumed` are the conditions that the forecast took, by name, without those not known.
     """
 
     forecast: Forecast
@@ -80,6 +81,7 @@ class PlanAnswer:
     voltage: float
     differences: Mapping[str, Uncertain]
     conditions: tuple[str, ...] = ()
+    assumed: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -132,8 +134,9 @@ class Forecaster:
         self.basis = Basis.VEHICLE_FILE
         self._model = vehicle_model(self._vehicle)
         self._air: dict[str, tuple[float, int]] = {}  # values, and when they were received, ns
-        self._conditions = PlanConditions()
-        self._loaded: tuple[PowerModel, PowerModel] | None = None  # the car, and with its payload
+        self._conditions = UNSAID
+        # The car, its payload in plans, kg, and what they make.
+        self._loaded: tuple[PowerModel, float, PowerModel] | None = None
         self._together: Hashable = None
         self._others: dict[str, tuple[Plan, PlanEnd]] = {}
         self._compared_with: object = None
@@ -166,7 +169,7 @@ class Forecaster:
 
     def set_conditions(self, conditions: PlanConditions) -> None:
         """Take the conditions of all plans from now on, in place of those before."""
-        self._conditions, self._loaded = conditions, None
+        self._conditions = conditions
 
     def air(self, now_ns: int) -> Air:
         """Air at this moment; a clock that went back makes nothing younger."""
@@ -194,32 +197,43 @@ class Forecaster:
             capacity: energy of the full battery, J.
             now_ns: by the clock of `set_air`.
             battery: tells its end better than capacity once enough is known of it.
-            asked: what the plan is called, and with which others.
+            asked: what of it; conditions that it leaves out are as `set_conditions` has them.
 
         Raises:
             PlanError: there is no finite answer.
         """
-        air, given, model = self.air(now_ns), self._conditions, self._planned_model()
+        air, given = self.air(now_ns), asked.conditions.or_else(self._conditions)
+        payload, prewarmed = given.payload or 0.0, given.prewarmed or 0.0
+        model = self._with_payload(payload)
         celsius = air.celsius if given.temperature is None else given.temperature
         density = density_of_air(self._vehicle.air_density, celsius, air.pascal)
         wind = (air.head if given.head_wind is None else given.head_wind) or 0.0
-        start = model.start(given.stood, given.prewarmed or 0.0)
+        start = model.start(given.stood, prewarmed)
         basis = PlanBasis(model, Weather(density, celsius, given.heating, start), wind)
         if given.charge is not None:
             charge = Uncertain(given.charge, FIRST_STEP / math.sqrt(12))  # as a display rounds
-        result = forecast_plan(plan, *basis)
+        result = forecast_plan(plan, *basis, along=asked.along)
         differences = self._compare(asked, plan, result.end, basis)
         end = battery.after(result, charge)
         if end is None:
             end = BatteryEnd(battery_after(result, charge, capacity), math.nan)
-        return PlanAnswer(result, *end, differences, given.given)
+        taken = {
+            "temperature": model.car.celsius if celsius is None else celsius,
+            "heating": given.heating,
+            "head_wind": wind,
+            "payload": payload,
+            "charge": charge.value if charge.known else None,
+            "stood": given.stood,
+            "prewarmed": prewarmed,
+        }
+        assumed = {name: value for name, value in taken.items() if value is not None}
+        return PlanAnswer(result, *end, differences, given.given, assumed)
 
-    def _planned_model(self) -> PowerModel:
-        """The car with the payload of plans, the same object as long as neither changes."""
-        if self._loaded is None or self._loaded[0] is not self._model:
-            payload = self._conditions.payload or 0.0
-            self._loaded = self._model, self._model.with_payload(payload)
-        return self._loaded[1]
+    def _with_payload(self, payload: float) -> PowerModel:
+        """The car with a payload, kg; the same object as long as neither changes."""
+        if self._loaded is None or self._loaded[:2] != (self._model, payload):
+            self._loaded = self._model, payload, self._model.with_payload(payload)
+        return self._loaded[2]
 
     def _compare(
         self,
@@ -234,7 +248,7 @@ class Forecaster:
         if basis != self._compared_with:  # the others were answered with the car of before
             self._compared_with = basis
             for name, (other, _) in self._others.items():
-                self._others[name] = other, forecast_plan(other, *basis).end
+                self._others[name] = other, forecast_plan(other, *basis, along=False).end
         differences = {
             name: difference(basis.model, end, other)
             for name, (_, other) in self._others.items()

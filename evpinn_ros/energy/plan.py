@@ -183,12 +183,28 @@ class PlanConditions:
         """Names of those that are given."""
         return tuple(name for name in CONDITION_RANGES if getattr(self, name) is not None)
 
+    def or_else(self, others: PlanConditions) -> PlanConditions:
+        """These, and those of others that are not given here."""
+        return replace(others, **{name: getattr(self, name) for name in self.given})
+
+
+UNSAID = PlanConditions()
+
 
 class Question(NamedTuple):
-    """A plan's name, and what it has in common with those asked together with it; or None."""
+    """A planner's question about one plan.
+
+    Attributes:
+        name: of the plan.
+        together: what it has in common with those asked together with it, or None.
+        conditions: of this plan; what they leave out is as all plans have it.
+        along: whether sigma is wanted at each of its points, and not at the last alone.
+    """
 
     name: str
     together: Hashable = None
+    conditions: PlanConditions = UNSAID
+    along: bool = True
 
 
 UNNAMED = Question("")

@@ -6,7 +6,7 @@ intervals of driving. So the forecast of a driven speed is the replay of it with
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.arrays import like, namespace, within
+from evpinn_ros.estimation.network import FORCE_SCALE, SPEED_CENTRE, SPEED_SCALE, Network
 from evpinn_ros.estimation.posterior import (
     LOAD_TIME,
     CarModel,
@@ -41,6 +42,7 @@ CLIMATE_SHARE = 0.4  # 1-sigma of the heating or cooling of a drive over what is
 CLIMATE_SHOWN = 300.0  # s of a drive within which a third of that is left
 LEAST_TRUST = 1e-3  # lower is none that was learned
 CLIMATE_LIKELY = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]
+BLOCK = 1024  # steps of which the units of the network are computed together, in the cache
 # Where the network is looked up for many trips, m/s and m/s^2; between them it is linear.
 GRID_SPEED, GRID_FORCE = np.arange(0.0, 101.0, 1.0), np.linspace(-4.0, 4.0, 33)
 
@@ -149,19 +151,53 @@ class PowerModel:
             rows[:, state] = power * duration
         return rows, beyond
 
+    def rows_along(self, motion: Motion, weather: Weather) -> np.ndarray:
+        """Rows summed up to the end of each step, shape (..., n, SIZE).
+
+        They lie state by state in memory: so sums and products are several times as quick.
+        """
+        equation, network = self.car.equation, self.car.equation.network
+        wheels, columns = self._columns(motion, weather)
+        rows = np.zeros((SIZE, *wheels.energy.shape))
+        for state, column in columns.items():
+            rows[state] = column
+        weights, way = rows[WEIGHTS].reshape(-1, wheels.energy.size), np.abs(motion.distance)
+        for part, units in _units(network, wheels):
+            np.matmul(network.outer.T, units, out=weights[:, part])
+        rows[WEIGHTS] *= way
+        np.cumsum(rows, axis=-1, out=rows)
+        rows[EXPLAINED] -= np.tensordot(equation.explained.T, rows[PHYSICS], 1)
+        return np.moveaxis(rows, 0, -1)
+
+    def whole_row(self, motion: Motion, weather: Weather) -> tuple[np.ndarray, np.ndarray]:
+        """Row of all n steps of one trip, shape (SIZE,), and the energy of each, J, shape (n,).
+
+        In these energies there is no load that wanders, which fades along the way.
+        """
+        equation, network = self.car.equation, self.car.equation.network
+        wheels, columns = self._columns(motion, weather)
+        mean = self.car.mean.copy()
+        mean[State.LOAD] = 0.0
+        mean[PHYSICS] -= equation.explained @ mean[EXPLAINED]
+        row, energy = np.zeros(SIZE), np.zeros(wheels.energy.size)
+        for state, column in columns.items():
+            row[state] = column.sum()
+            energy += mean[state] * column
+        way, force = np.abs(motion.distance), network.outer @ mean[WEIGHTS]
+        for part, units in _units(network, wheels):
+            row[WEIGHTS] += network.outer.T @ (units @ way[part])
+            energy[part] += (force @ units) * way[part]
+        row[EXPLAINED] -= row[PHYSICS] @ equation.explained
+        return row, energy
+
     def summed_rows(self, motion: Motion, weather: Weather) -> np.ndarray:
         """Rows of whole trips, shape (batch, SIZE); the network by a table, for it is many."""
-        equation, duration = self.car.equation, motion.duration
-        wheels = equation.wheels(*motion, weather.air_density)
-        celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
-        moving = equation.moving_columns(wheels, duration, coldness(celsius), warmth.tyres)
+        wheels, columns = self._columns(motion, weather)
         rows = np.zeros((len(motion.distance), SIZE))
-        for state, column in moving.items():
+        for state, column in columns.items():
             rows[:, state] = column.sum(-1)
         rows[:, WEIGHTS] = _looked_up(wheels, motion.distance, self._table)
-        rows[:, EXPLAINED] -= rows[:, PHYSICS] @ equation.explained
-        for state, power in self._loads(weather.heating, celsius, warmth).items():
-            rows[:, state] = (power * duration).sum(-1)
+        rows[:, EXPLAINED] -= rows[:, PHYSICS] @ self.car.equation.explained
         return rows
 
     def projected(self, weather: Weather, onto: np.ndarray) -> Callable[[Motion], np.ndarray]:
@@ -211,7 +247,9 @@ class PowerModel:
         car, xp = self.car, namespace(rows)
         _, rows[..., State.LOAD], rest = wandered(elapsed)
         mean, covariance = like(car.mean, rows), like(self.covariance, rows)
-        variance = ((rows @ covariance) * rows).sum(-1) + car.load_variance * rest
+        states = xp.moveaxis(rows, -1, 0)
+        variance = xp.einsum("i...,i...->...", xp.tensordot(covariance, states, 1), states)
+        variance = variance + car.load_variance * rest
         variance = variance + noise
         variance = car.trust * (variance + car.growth * car.weight_over_eta**2 * unseen)
         variance = variance + (car.unevenness.share * uneven) ** 2  # which is judged by itself
@@ -288,6 +326,18 @@ class PowerModel:
         found = self.car.equation.network.force(speed.ravel(), force.ravel())
         return np.asarray(found.reshape(*speed.shape, -1))
 
+    def _columns(self, motion: Motion, weather: Weather) -> tuple[Wheels, dict[State, Any]]:
+        """Wheels of steps, and their energy by state but for the network, J per unit.
+
+        What the terms of eq. 21 explain of the others is not taken away yet.
+        """
+        equation, duration = self.car.equation, motion.duration
+        wheels = equation.wheels(*motion, weather.air_density)
+        celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
+        moving = equation.moving_columns(wheels, duration, coldness(celsius), warmth.tyres)
+        loads = self._loads(weather.heating, celsius, warmth)
+        return wheels, moving | {state: power * duration for state, power in loads.items()}
+
     def _celsius(self, weather: Weather) -> float | None:
         return self.car.celsius if weather.celsius is None else weather.celsius
 
@@ -341,6 +391,26 @@ def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicl
     return PowerModel(replace(car, mean=mean, covariance=covariance))
 
 
+def _units(network: Network, wheels: Wheels) -> Iterator[tuple[slice, np.ndarray]]:
+    """Units of the network in n steps, a block at a time: which steps, and shape (UNITS, block).
+
+    As `Network.force` has them, by 1 - 2 / (exp(2 x) + 1), half the time of tanh: |x| < 100.
+    """
+    scale = np.array([SPEED_SCALE, FORCE_SCALE])
+    slopes = 2.0 * network.inner / scale
+    weights = np.column_stack((slopes, 2.0 * network.bias - SPEED_CENTRE * slopes[:, 0]))
+    speed = wheels.speed.ravel()
+    inputs = np.stack((speed, wheels.force.ravel(), np.ones_like(speed)))
+    for begin in range(0, speed.size, BLOCK):
+        part = slice(begin, begin + BLOCK)
+        found = weights @ inputs[:, part]
+        np.exp(found, out=found)
+        found += 1.0
+        np.divide(-2.0, found, out=found)
+        found += 1.0
+        yield part, found
+
+
 def _nodes(wheels: Wheels, way: np.ndarray) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
     """Numbers of the lower nodes of the grid below steps; shifts of all four, and m to each."""
     forces = len(GRID_FORCE)
@@ -366,4 +436,6 @@ def _looked_up(wheels: Wheels, distance: np.ndarray, table: np.ndarray) -> np.nd
     weights = np.zeros(batch * most)
     for shift, share in shares:
         weights[shift:] += np.bincount(cell, share.ravel(), len(weights))[: len(weights) - shift]
-    return np.asarray(weights.reshape(batch, -1) @ table.reshape(-1, table.shape[2])[:most])
+    each = weights.reshape(batch, -1)
+    used = np.flatnonzero(each.any(0))  # a tenth: at a speed there are few forces
+    return np.asarray(each[:, used] @ table.reshape(-1, table.shape[2])[used])

@@ -36,7 +36,7 @@ from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.vehicle.files import Vehicle
 
 STATE_FILE, RESULT_FILE = "state.json", "result.json"
-LAYOUT = 1  # of the result file
+LAYOUT = 2  # of the result file
 
 
 class StoppedError(Exception):

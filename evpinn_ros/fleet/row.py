@@ -7,6 +7,7 @@ from typing import Any
 
 from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.replays.run import Replayed
+from evpinn_ros.replays.trends import DrivePoint, drive_point
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 NUMBERS = (
@@ -14,6 +15,7 @@ NUMBERS = (
     *("power_rmse_w", "power_coverage_90"),
     *("energy_measured_j", "energy_predicted_j", "energy_error_percent"),
 )
+POINT = DrivePoint._fields
 PARAMETER_NUMBERS = tuple(
     f"{name}{suffix}" for name in PARAMETER_NAMES for suffix in ("", "_std", "_prior_share")
 )
@@ -33,6 +35,7 @@ def drive_row(done: Replayed) -> dict[str, Any]:
         "energy_measured_j": energy["measured_j"],
         "energy_predicted_j": energy["predicted_j"],
         "energy_error_percent": energy["error_percent"],
+        **_point(drive_point(done.drive)),
         **_parameters(found["parameters"]),
     }
 
@@ -40,7 +43,16 @@ def drive_row(done: Replayed) -> dict[str, Any]:
 def failed_row(problem: str) -> dict[str, Any]:
     """A drive of which nothing came."""
     numbers = dict.fromkeys(NUMBERS)
-    return {"problem": problem, "samples": 0, **numbers, **_parameters({})}
+    return {"problem": problem, "samples": 0, **numbers, **_point(None), **_parameters({})}
+
+
+def point_of(row: Mapping[str, Any]) -> DrivePoint | None:
+    """Point of a drive in trends, by its row; None of a short or failed one."""
+    return None if row["distance_m"] is None else DrivePoint(*(row[name] for name in POINT))
+
+
+def _point(found: DrivePoint | None) -> dict[str, Any]:
+    return dict.fromkeys(POINT) if found is None else found._asdict()
 
 
 def _parameters(found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

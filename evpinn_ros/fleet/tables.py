@@ -18,8 +18,16 @@ from evpinn_ros.estimation.evidence import LINEAR, Evidence
 from evpinn_ros.fleet.car import read_result
 from evpinn_ros.fleet.manifest import CarDrives
 from evpinn_ros.fleet.population import COMBINATIONS, Population, PopulationValue
-from evpinn_ros.fleet.row import NUMBERS, PARAMETER_NUMBERS, PARAMETER_STATES, impossible
+from evpinn_ros.fleet.row import (
+    NUMBERS,
+    PARAMETER_NUMBERS,
+    PARAMETER_STATES,
+    POINT,
+    impossible,
+    point_of,
+)
 from evpinn_ros.fleet.run import car_folder
+from evpinn_ros.replays.trends import DrivePoint
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
@@ -36,6 +44,7 @@ DRIVE_COLUMNS = {
     **dict.fromkeys(("car", "vehicle", "path", "problem", "fingerprint"), "string"),
     **dict.fromkeys(("start_ns", "samples"), "int64"),
     **dict.fromkeys(NUMBERS, "double"),
+    **{name: "string" if name == "week" else "double" for name in POINT},
     **PARAMETERS,
 }
 CAR_COLUMNS = {
@@ -63,6 +72,7 @@ class FleetSummary:
         cars: the first `SHOWN` rows of the table of cars.
         problems: the first `SHOWN` drives and cars that failed, and why.
         known: evidence of the first `CHARTED` cars of a population, by model and car.
+        points: of the drives of each model, for trends.
         counts: of cars, drives, drives learned and problems, all of them.
     """
 
@@ -70,6 +80,7 @@ class FleetSummary:
     cars: list[dict[str, Any]] = field(default_factory=list)
     problems: list[tuple[str, str]] = field(default_factory=list)
     known: dict[str, dict[str, Evidence]] = field(default_factory=lambda: defaultdict(dict))
+    points: dict[str, list[DrivePoint]] = field(default_factory=lambda: defaultdict(list))
     counts: Counter[str] = field(default_factory=Counter)
 
 
@@ -112,6 +123,7 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
             add_car(row)
             _count(summary, row, rows)
             vehicles[car.vehicle.key] = car.vehicle
+            summary.points[car.vehicle.key] += filter(None, map(point_of, rows))
             if row["in_population"]:
                 found[car.vehicle.key].append(_evidence(result))
                 if len(summary.known[car.vehicle.key]) < CHARTED:

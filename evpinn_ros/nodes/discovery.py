@@ -1,4 +1,4 @@
-"""How soon nodes and planners that start find each other."""
+"""Discovery of nodes and planners that start one after the other."""
 
 from __future__ import annotations
 

@@ -33,7 +33,13 @@ from evpinn_ros.nodes.factory import installed, is_installed, message_class, new
 from evpinn_ros.nodes.plan_desk import Job, PlanDesk
 from evpinn_ros.nodes.plan_service import BATCH, SERVICE, Moment, PlanCall
 from evpinn_ros.nodes.stateful import StatefulNode
-from evpinn_ros.nodes.typed import PACKAGE, PLAN_ACTION, PLAN_SERVICE, TYPED_FORECAST
+from evpinn_ros.nodes.typed import (
+    PACKAGE,
+    PLAN_ACTION,
+    PLAN_SERVICE,
+    TYPED_FORECAST,
+    assumed_conditions,
+)
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.signals.road import why_impossible
 from evpinn_ros.signals.time_jump import StampGuard
@@ -258,6 +264,7 @@ class EnergyNode(StatefulNode):
             typed = new_message(TYPED_FORECAST.type_name, time=times.tolist(), **numbers)
             typed.header, typed.basis = header, basis.value
             typed.conditions = list(answer.conditions)
+            typed.assumed = assumed_conditions(new_message, answer.assumed)
             yield TYPED_FORECAST, typed
         if answer.charge.known:
             reading = BatteryReading(0, answer.voltage, math.nan, answer.charge.value)
@@ -289,7 +296,7 @@ class EnergyNode(StatefulNode):
         self._made.append(server.destroy)
 
     async def _on_estimate(self, request: Any, response: Any) -> Any:
-        call, moment = PlanCall(request.plans, SERVICE, self.plans), self._moment()
+        call, moment = PlanCall(request, SERVICE, self.plans), self._moment()
 
         def all_of_them(forecaster: Forecaster) -> None:
             while not call.finished:
@@ -306,7 +313,7 @@ class EnergyNode(StatefulNode):
         """
         self.calls["~/estimate_plans"] += 1
         kind = message_class(PLAN_ACTION)
-        call, moment = PlanCall(goal.request.plans, BATCH, self.plans), self._moment()
+        call, moment = PlanCall(goal.request, BATCH, self.plans), self._moment()
         own: list[Forecaster] = []
 
         def next_one(forecaster: Forecaster) -> None:

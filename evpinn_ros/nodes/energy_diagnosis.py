@@ -130,9 +130,8 @@ def answered_status(answer: PlanAnswer) -> Status:
     """The status of a plan that is answered: its energy, and how it compares with others, J."""
     forecast = answer.forecast
     values = {"energy": forecast.energy[-1], "sigma": forecast.sigma[-1]}
-    values["conditions"] = len(
-        answer.conditions
-    )  # that the planner gave; the rest is the last known
+    values["conditions"] = len(answer.conditions)  # the planner's; the rest is the last known
+    values |= {f"assumed/{name}": value for name, value in answer.assumed.items()}
     if answer.charge.known:
         values |= {"battery": answer.charge.value, "battery_sigma": answer.charge.sigma}
     for name, apart in answer.differences.items():

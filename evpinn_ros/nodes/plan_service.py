@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import math
 from typing import Any, NamedTuple
 
@@ -13,7 +12,7 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecaster import Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.energy.plan import Plan, PlanError, Question, plan_from_speed_profile
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.typed import PLAN_RESULT
+from evpinn_ros.nodes.typed import PLAN_RESULT, assumed_conditions, given_conditions
 
 UNKNOWN = dict.fromkeys(("energy", "energy_sigma", "end_charge", "end_charge_sigma"), math.nan)
 
@@ -47,21 +46,22 @@ class PlanCall:
         results: evpinn_msgs/PlanResult of each plan so far, in their order.
     """
 
-    def __init__(self, plans: Sequence[Any], limits: CallLimits, log: PlanLog) -> None:
+    def __init__(self, request: Any, limits: CallLimits, log: PlanLog) -> None:
         """Begin with the first plan.
 
         Args:
-            plans: evpinn_msgs/Plan.
+            request: of the service, or goal of the action: plans and their conditions.
             limits: plans beyond are refused.
             log: counts the plans.
         """
-        self._plans, self._limits, self._log = plans, limits, log
+        self._plans, self._given = request.plans, request.conditions
+        self._limits, self._log = limits, log
         self.results: list[Any] = []
         self._points, self._together = 0, object()
         # What plan i takes more than plan j, and its 1-sigma.
-        self._more, self._sigma = np.full((2, len(plans), len(plans)), math.nan)
+        self._more, self._sigma = np.full((2, *[len(self._plans)] * 2), math.nan)
         self._basis = ""
-        self._conditions: tuple[str, ...] = ()
+        self._answered: PlanAnswer | None = None  # the last
 
     @property
     def finished(self) -> bool:
@@ -80,8 +80,9 @@ class PlanCall:
         result = new_message(PLAN_RESULT, name=asked.name, **UNKNOWN)
         try:
             self._refuse_too_many(asked)
-            called = Question(str(index), self._together)
-            self._fill(result, index, forecaster.answer(_plan(asked), *moment, called))
+            given = given_conditions(self._given)
+            question = Question(str(index), self._together, given, along=False)
+            self._fill(result, index, forecaster.answer(_plan(asked), *moment, question))
         except PlanError as error:
             result.refusal = str(error)
             self._log.refuse(result.refusal)
@@ -99,7 +100,9 @@ class PlanCall:
         for index, result in enumerate(self.results):
             self._set_differences(result, index)
         response.results, response.basis = self.results, self._basis
-        response.conditions = list(self._conditions)
+        if self._answered is not None:
+            response.conditions = list(self._answered.conditions)
+            response.assumed = assumed_conditions(new_message, self._answered.assumed)
         return response
 
     def _refuse_too_many(self, asked: Any) -> None:
@@ -111,7 +114,7 @@ class PlanCall:
 
     def _fill(self, result: Any, index: int, found: PlanAnswer) -> None:
         self._log.answer(found.charge)
-        self._conditions = found.conditions
+        self._answered = found
         result.energy = float(found.forecast.energy[-1])
         result.energy_sigma = float(found.forecast.sigma[-1])
         result.end_charge, result.end_charge_sigma = map(float, found.charge)

@@ -7,10 +7,12 @@ A typed topic repeats a named vector under `typed/`: each quantity is a field, b
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import math
 from typing import Any
 
 from evpinn_ros import topics
+from evpinn_ros.energy.plan import CONDITION_RANGES, PlanConditions
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import NewMessage
 
@@ -18,6 +20,7 @@ PACKAGE = "evpinn_msgs"
 PLAN_SERVICE = f"{PACKAGE}/srv/EstimatePlan"
 PLAN_ACTION = f"{PACKAGE}/action/EstimatePlans"
 PLAN_RESULT = f"{PACKAGE}/msg/PlanResult"
+PLAN_CONDITIONS = f"{PACKAGE}/msg/PlanConditions"
 SIGMA, RATE = "_sigma", "_rate"
 
 
@@ -69,3 +72,18 @@ def typed_message(new: NewMessage, topic: Topic, vector: Any) -> Any:
     for name in quantities(message):
         setattr(message, name, known.get(name, math.nan))
     return message
+
+
+def given_conditions(message: Any) -> PlanConditions:
+    """Conditions in a typed message; NaN is as good as none.
+
+    Raises:
+        PlanError: a number that no trip has.
+    """
+    given = {name: number for name in CONDITION_RANGES for number in getattr(message, name)}
+    return PlanConditions(**{k: v for k, v in given.items() if not math.isnan(v)})
+
+
+def assumed_conditions(new: NewMessage, assumed: Mapping[str, float]) -> Any:
+    """The typed message of conditions that a forecast took, by name."""
+    return new(PLAN_CONDITIONS, **{name: [float(value)] for name, value in assumed.items()})

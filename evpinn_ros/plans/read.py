@@ -14,6 +14,7 @@ from evpinn_ros.common.errors import InputError, as_input_error, with_kind
 from evpinn_ros.common.opener import open_unpacked
 from evpinn_ros.drives.formats import TABLE_SUFFIXES, TEXT_SUFFIXES, suffix_of
 from evpinn_ros.energy.plan import MAX_POINTS, Legs, Plan, PlanError
+from evpinn_ros.plans.planned import planned_in_bag
 from evpinn_ros.plans.recorded import driven_plan
 from evpinn_ros.plans.route import legs_of_route
 from evpinn_ros.plans.table import COLUMNS, table_plan
@@ -57,13 +58,15 @@ def read_plan(path: str | Path, vehicle: Vehicle | None = None) -> Plan | Legs:
 
 def _plan(path: Path, vehicle: Vehicle) -> Plan | Legs:
     if path.is_dir():
-        return driven_plan(path, vehicle)
+        return planned_in_bag(path, vehicle) or driven_plan(path, vehicle)
     begin = _content(path, 64).lstrip(BLANK)[:1]
     if begin == b"{":
         return _json_plan(_whole(path, MOST_JSON))
     if begin == b"<":
         return legs_of_track(gpx_track(_whole(path, MOST_XML)))
-    if is_bag(path) or suffix_of(path) in BINARY:
+    if is_bag(path):
+        return planned_in_bag(path, vehicle) or driven_plan(path, vehicle)
+    if suffix_of(path) in BINARY:
         return driven_plan(path, vehicle)
     if (plan := table_plan(path)) is not None:
         return plan

@@ -6,8 +6,10 @@ Formats by their documentation: Valhalla's `route` and `trace_attributes`
 directions), GraphHopper (docs.graphhopper.com, "Routing API"; api-doc in its repository) and
 openrouteservice (giscience.github.io/openrouteservice/api-reference/endpoints/directions).
 
-The finest parts whose duration is known become legs: edges, then steps or maneuvers, then the
-parts between waypoints.
+The finest parts whose duration is known are read: edges, then steps or maneuvers, then the parts
+between waypoints. A service gives each edge the time of its class of road: it knows no stop, and
+no driver is as steady. So short parts become legs together (`_lasting`), for which what drivers do
+between two points of a plan was learned.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ Json: TypeAlias = Mapping[str, Any]
 METRES = {"m": 1.0, "km": 1000.0, "mi": 1609.344, "kilometers": 1000.0, "miles": 1609.344}
 FOOT = 0.3048  # m
 NO_HEIGHT = 32768.0  # in Valhalla's elevations
+SETTLED = 60.0  # s that a leg lasts at least
 LIMITS = (1.0, 60.0)  # m/s; Valhalla's 0 and 255 km/h stand for none
 OSRM_ROUTES = ("routes", "matchings", "trips")  # of its services route, match and trip
 
@@ -70,9 +73,27 @@ def legs_of_route(data: Json) -> Legs | None:
 def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
     if not parts:
         raise PlanError("its route has no parts")
-    length, duration, limit = np.array(parts, float).T
-    limit = np.where((limit >= LIMITS[0]) & (limit <= LIMITS[1]), limit, np.nan)
+    length, duration, limit = _lasting(np.array(parts, float)).T
     return legs_between(_sums(duration), _sums(length), heights, limit=limit)
+
+
+def _lasting(parts: np.ndarray) -> np.ndarray:
+    """Parts in order, shape (n, 3), joined so that each lasts `SETTLED`; limits are means."""
+    length, duration, limit = parts.T
+    limit = np.where((limit >= LIMITS[0]) & (limit <= LIMITS[1]), limit, np.nan)
+    begins, lasted = [0], 0.0
+    for index, seconds in enumerate(duration.tolist()):
+        if lasted >= SETTLED:
+            begins.append(index)
+            lasted = 0.0
+        lasted += seconds
+    if lasted < SETTLED and len(begins) > 1:
+        del begins[-1]
+    ways, times, spent = (
+        np.add.reduceat(each, begins) for each in (length, duration, length * limit)
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):  # a stop has no limit
+        return np.column_stack((ways, times, spent / ways))
 
 
 def _sums(steps: np.ndarray) -> np.ndarray:

@@ -51,47 +51,68 @@ class Trend(NamedTuple):
     rows: tuple[TrendRow, ...]
 
 
-class _Point(NamedTuple):
-    """One drive: its week, its temperature, its distance, and quantities by their titles."""
+class DrivePoint(NamedTuple):
+    """Quantities of one drive whose trends are shown; None where one is not known.
+
+    Attributes:
+        week: date of its Monday.
+        ambient_c: mean temperature outside, degrees C.
+        distance_m: m with the battery measured.
+        distance_energy_j: energy over that distance, J.
+        rolling: C_rr, where the drive shows it.
+        capacity_j: of the battery, by charge and energy, J.
+    """
 
     week: str | None
-    celsius: float
-    distance: float
-    values: dict[str, float]
+    ambient_c: float | None
+    distance_m: float
+    distance_energy_j: float
+    rolling: float | None
+    capacity_j: float | None
+
+    def quantities(self, units: Units) -> dict[str, float]:
+        """Known quantities by the titles of their trends."""
+        consumption = self.distance_energy_j / self.distance_m / units.rate_joules
+        found = {f"consumption, {units.rate}": consumption}
+        if self.rolling is not None:
+            found[ROLLING] = self.rolling
+        if self.capacity_j is not None:
+            found[CAPACITY] = self.capacity_j / JOULES_PER_KWH
+        return found
 
 
-def trends(drives: Sequence[Drive], units: Units = METRIC) -> list[Trend]:
+def trends(points: Sequence[DrivePoint], units: Units = METRIC) -> list[Trend]:
     """Trends with at least two groups, of at least `LEAST_DRIVES` drives; else none."""
-    points = [point for drive in drives if (point := _point(drive, units))]
     if len(points) < LEAST_DRIVES:
         return []
-    ways: list[tuple[str, Callable[[_Point], Group | None]]] = [
+    ways: list[tuple[str, Callable[[DrivePoint], Group | None]]] = [
         ("by week", _week), ("by outside temperature", lambda one: _warmth(one, units)),
     ]  # fmt: skip
     quantities = ((f"consumption, {units.rate}", 1), (ROLLING, 4), (CAPACITY, 1))
     found = (
-        Trend(f"{title} {way}", digits, tuple(_rows(points, title, group)))
+        Trend(f"{title} {way}", digits, tuple(_rows(points, title, group, units)))
         for title, digits in quantities
         for way, group in ways
     )
     return [trend for trend in found if len(trend.rows) > 1]
 
 
-def _point(drive: Drive, units: Units) -> _Point | None:
+def drive_point(drive: Drive) -> DrivePoint | None:
+    """The point of a drive; None of one shorter than `LEAST_DISTANCE`."""
     steps = measured_steps(drive)
     distance = float(steps.distance.sum())
     if distance < LEAST_DISTANCE:
         return None
-    values = {
-        f"consumption, {units.rate}": float(steps.energy.sum()) / distance / units.rate_joules
-    }
     rolling = drive.final.parameters["c_rr"] if drive.final else None
-    if rolling is not None and rolling.progress > 0.0 and rolling.possible:
-        values[ROLLING] = rolling.value
-    if (capacity := capacity_by_charge(drive)) is not None:
-        values[CAPACITY] = capacity / JOULES_PER_KWH
-    warm = float(np.mean(drive.temperature[:, 1])) if len(drive.temperature) else math.nan
-    return _Point(_monday(drive) if drive.dated else None, warm, distance, values)
+    shown = rolling is not None and rolling.progress > 0.0 and rolling.possible
+    return DrivePoint(
+        week=_monday(drive) if drive.dated else None,
+        ambient_c=float(np.mean(drive.temperature[:, 1])) if len(drive.temperature) else None,
+        distance_m=distance,
+        distance_energy_j=float(steps.energy.sum()),
+        rolling=rolling.value if rolling is not None and shown else None,
+        capacity_j=capacity_by_charge(drive),
+    )
 
 
 def _monday(drive: Drive) -> str:
@@ -100,32 +121,34 @@ def _monday(drive: Drive) -> str:
     return f"{day - timedelta(days=day.weekday()):%Y-%m-%d}"
 
 
-def _week(point: _Point) -> Group | None:
+def _week(point: DrivePoint) -> Group | None:
     return None if point.week is None else (point.week, f"week of {point.week}")
 
 
-def _warmth(point: _Point, units: Units) -> Group | None:
-    if math.isnan(point.celsius):
+def _warmth(point: DrivePoint, units: Units) -> Group | None:
+    if point.ambient_c is None:
         return None
-    low = BIN * math.floor(point.celsius / BIN)
+    low = BIN * math.floor(point.ambient_c / BIN)
     ends = (units.degrees * each + units.zero for each in (low, low + BIN))
     return low, " to ".join(f"{each:.0f}" for each in ends) + f" {units.temperature}"
 
 
 def _rows(
-    points: Iterable[_Point], title: str, group: Callable[[_Point], Group | None]
+    points: Iterable[DrivePoint],
+    title: str,
+    group: Callable[[DrivePoint], Group | None],
+    units: Units,
 ) -> list[TrendRow]:
-    groups: dict[Group, list[_Point]] = {}
+    groups: dict[Group, list[tuple[float, float]]] = {}
     for point in points:
-        key = group(point)
-        if key and title in point.values:
-            groups.setdefault(key, []).append(point)
-    return [_row(key[1], groups[key], title) for key in sorted(groups, key=lambda key: key[0])]
+        key, value = group(point), point.quantities(units).get(title)
+        if key and value is not None:
+            groups.setdefault(key, []).append((point.distance_m, value))
+    return [_row(key[1], groups[key]) for key in sorted(groups, key=lambda key: key[0])]
 
 
-def _row(name: str, points: Sequence[_Point], title: str) -> TrendRow:
-    weight = np.array([point.distance for point in points])
-    value = np.array([point.values[title] for point in points])
+def _row(name: str, values: Sequence[tuple[float, float]]) -> TrendRow:
+    weight, value = np.array(values).T
     mean = float(weight @ value / weight.sum())
     spread = math.sqrt(float(weight @ (value - mean) ** 2 / weight.sum()))
-    return TrendRow(name, len(points), float(weight.sum()), mean, spread)
+    return TrendRow(name, len(values), float(weight.sum()), mean, spread)

@@ -8,7 +8,7 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from evpinn_ros.common.units import METRIC, Units, counted
+from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import DrivenSteps, measured_steps, travelled
 from evpinn_ros.replays.dropped_text import dropped_text
@@ -27,7 +27,7 @@ from evpinn_ros.replays.tables import (
     signed_percent,
     watts,
 )
-from evpinn_ros.replays.trends import Trend, trends
+from evpinn_ros.replays.trends import drive_point
 from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.report import drive_charts, drive_maps
 from evpinn_ros.report.breakdown_bar import breakdown_values
@@ -35,7 +35,7 @@ from evpinn_ros.report.drive_energy import running_totals, speed_energy_chart
 from evpinn_ros.report.drive_knowledge import knowledge
 from evpinn_ros.report.drive_tiles import clock, drive_tiles
 from evpinn_ros.report.html import write_page
-from evpinn_ros.report.intervals import IntervalRow, interval_rows
+from evpinn_ros.report.trend_rows import trend_intervals
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import Vehicle
@@ -119,24 +119,11 @@ def write_drives(
         index=[
             (row[0], _date(each.drive), *row[1:]) for row, each in zip(rows, drives, strict=True)
         ],
-        trends=[_trend(trend, units) for trend in trends([each.drive for each in drives], units)],
+        trends=trend_intervals([drive_point(each.drive) for each in drives], units),
         score_columns=SCORE_COLUMNS,
         parameter_titles=drive_charts.TITLES,
         most_events=MOST_EVENTS,
     )
-
-
-def _trend(trend: Trend, units: Units) -> tuple[str, list[dict[str, Any]]]:
-    """Title and rows of a trend, with the spread of single drives as the interval."""
-    rows = []
-    for one in trend.rows:
-        text = f"{one.mean:.{trend.digits}f}"
-        if one.drives > 1:
-            text += f" (single drives ± {one.spread:.{trend.digits}f})"
-        distance = f"{one.distance / units.metres:.0f} {units.distance}"
-        text += f"; {counted(one.drives, 'drive')}, {distance}"
-        rows.append(IntervalRow(one.name, text, one.mean, one.spread))
-    return trend.title, interval_rows(rows)
 
 
 def _drive(

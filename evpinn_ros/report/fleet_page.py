@@ -13,6 +13,7 @@ from evpinn_ros.fleet.population import COMBINATIONS, Population, PopulationValu
 from evpinn_ros.fleet.tables import CHARTED, SHOWN, FleetSummary
 from evpinn_ros.report.fleet_charts import fleet_charts
 from evpinn_ros.report.html import write_page
+from evpinn_ros.report.trend_rows import trend_intervals
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 POPULATION_HEAD = (
@@ -38,9 +39,15 @@ def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
         charted=CHARTED,
         population_head=POPULATION_HEAD,
         models=[
-            (key, len(known), fleet_charts(one, known), population_cells(one))
+            (
+                key,
+                len(known),
+                fleet_charts(one, known),
+                population_cells(one),
+                trend_intervals(points),
+            )
             for key, one in summary.populations.items()
-            for known in [summary.known[key]]
+            for known, points in [(summary.known[key], summary.points[key])]
         ],
         car_head=CAR_HEAD,
         cars=[_car_cells(row) for row in summary.cars],

@@ -219,8 +219,8 @@ def test_what_no_profile_names_costs_next_to_nothing(write):
 
 def test_statements_in_strings_and_comments_are_none(write):
     other = "BO_ 9 MotorSpeed: 1 Car"
-    said = f'CM_ "a \\" b\n{other}";\n// "\n// {other}\n'
-    for dbc in (f"{DBC}\n{said}", DBC.replace("BU_: Car", f"BU_: Car\n\n{said}")):
+    remark = f'CM_ "a \\" b\n{other}";\n// "\n// {other}\n'
+    for dbc in (f"{DBC}\n{remark}", DBC.replace("BU_: Car", f"BU_: Car\n\n{remark}")):
         rule = load_profile(write(HEAD + SPEED, dbc)).messages["speed"]
         assert (rule.message.frame_id, rule.message.length) == (256, 8)
 

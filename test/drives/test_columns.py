@@ -115,6 +115,18 @@ def test_dates_and_power_in_kilowatts(tmp_path):
     check(drive, 1_714_550_400_000_000_000)
 
 
+@pytest.mark.parametrize(
+    ("days", "start_ns", "dated"),
+    [(45_413, 1_714_521_600_000_000_000, "log"), (0, DRIVE_START_NS, "")],
+)
+def test_serial_dates_of_a_spreadsheet(tmp_path, days, start_ns, dated):
+    """45413 is 1 May 2024; a part of a day alone is a time of day without a date."""
+    lines = (f"{days + 0.25 + t / 86400:.12f},{v:.4f},{u},{i:.4f}" for t, v, u, i in rows())
+    drive = drive_of(tmp_path, "Date,speed (m/s),hv_voltage,hv_current", lines)
+    assert drive.dated == dated
+    check(drive, start_ns + 6 * 3600 * 10**9)
+
+
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_times_since_1970_by_their_size(tmp_path, factor, unit):
     start = 1_700_000_000

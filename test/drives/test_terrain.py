@@ -1,6 +1,7 @@
 """Heights by place from tiles of elevation, between their samples and over their edges."""
 
 import gzip
+from importlib.util import find_spec
 import math
 
 import numpy as np
@@ -98,3 +99,55 @@ def test_heights_of_a_log_stay_where_no_tile_has_one(tmp_path, tiles):
     heights = [each.altitude for each in readings if isinstance(each, AltitudeReading)]
     assert len(heights) == 60 and set(heights[31:]) == {123.0}
     assert heights[0] == pytest.approx(700.0, abs=1.0)
+
+
+def write_geotiff(path, crs, west, north, step, heights):
+    from affine import Affine
+    import rasterio
+
+    size = {"height": heights.shape[0], "width": heights.shape[1], "count": 1}
+    transform = Affine(step, 0.0, west, 0.0, -step, north)
+    kind = {"driver": "GTiff", "dtype": "float32", "nodata": -9999.0, "compress": "deflate"}
+    with rasterio.open(path, "w", crs=crs, transform=transform, **size, **kind) as file:
+        file.write(heights.astype("float32"), 1)
+
+
+def test_a_geotiff_has_heights_in_its_middle_of_cells_and_none_where_it_has_no_data(tmp_path):
+    pytest.importorskip("rasterio")
+    north, east = 48.6 - 0.001 * np.arange(600)[:, None], 11.2 + 0.001 * np.arange(400)
+    heights = plane(north, east)
+    heights[:10] = -9999.0
+    write_geotiff(tmp_path / "a.tif", "EPSG:4326", 11.1995, 48.6005, 0.001, heights)
+    terrain = Terrain(tmp_path)
+    latitude, longitude = np.array([48.0103, 48.5]), np.array([11.2107, 11.5])
+    assert terrain.heights(latitude, longitude) == pytest.approx(
+        plane(latitude, longitude), abs=0.01
+    )
+    nowhere = np.array([48.5999, 47.5, np.nan]), np.array([11.3, 11.3, 11.3])
+    assert np.isnan(terrain.heights(*nowhere)).all()
+
+
+def test_a_geotiff_of_another_projection_is_projected(tmp_path):
+    pytest.importorskip("rasterio")
+    from rasterio.warp import transform
+
+    x, y = 680_000.0 + 30.0 * np.arange(500), 5_330_000.0 - 30.0 * np.arange(500)
+    longitude, latitude = transform("EPSG:32632", "EPSG:4326", *map(np.ravel, np.meshgrid(x, y)))
+    heights = plane(np.array(latitude), np.array(longitude)).reshape(500, 500)
+    write_geotiff(tmp_path / "utm.tiff", "EPSG:32632", 679_985.0, 5_330_015.0, 30.0, heights)
+    middle = np.array([latitude[125_250]]), np.array([longitude[125_250]])
+    assert Terrain(tmp_path).heights(*middle) == pytest.approx(plane(*middle), abs=0.05)
+
+
+def test_what_is_no_geotiff_is_refused_in_one_line(tmp_path):
+    pytest.importorskip("rasterio")
+    (tmp_path / "a.tif").write_bytes(b"II*\0" + bytes(range(200)))
+    with pytest.raises(InputError, match=r"a\.tif: .*directory"):
+        Terrain(tmp_path)
+
+
+@pytest.mark.skipif(find_spec("rasterio") is not None, reason="rasterio is installed")
+def test_a_geotiff_without_its_reader_says_what_to_install(tmp_path):
+    (tmp_path / "a.tif").write_bytes(b"II*\0")
+    with pytest.raises(InputError, match=r"rasterio: pip install 'evpinn_ros\[elevation\]'"):
+        Terrain(tmp_path)

@@ -10,7 +10,7 @@ import pytest
 from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.forecaster import Forecaster
-from evpinn_ros.energy.plan import PlanConditions, plan_from_speed_profile
+from evpinn_ros.energy.plan import PlanConditions, Question, plan_from_speed_profile
 from evpinn_ros.energy.power_model import CLIMATE_SHARE, vehicle_model
 from evpinn_ros.signals.readings import TemperatureReading
 from evpinn_ros.topics.messages import BadMessage
@@ -119,3 +119,24 @@ def test_a_named_vector_gives_what_it_names():
 def test_what_no_trip_has_is_refused(given, reason):
     with pytest.raises(BadMessage, match=reason):
         read_conditions(given)
+
+
+def test_conditions_of_one_plan_go_before_those_of_all_and_the_answer_has_both():
+    forecaster = Forecaster(CAR)
+    forecaster.set_air(TemperatureReading(0, 8.0), 0)
+    forecaster.set_conditions(PlanConditions(payload=150.0, heating=500.0))
+    capacity = Uncertain(CAR.battery_capacity, 1e6)
+
+    def ask(**given: float):
+        asked = TRIP, UNKNOWN, capacity, 0, BatteryModel(CAR.battery_capacity)
+        question = Question("", conditions=PlanConditions(**given))
+        return forecaster.answer(*asked, question)
+
+    usual, own = ask(), ask(heating=0.0, charge=0.5)
+    assert usual.conditions == ("heating", "payload")
+    assert own.conditions == ("heating", "payload", "charge")
+    taken = {"temperature": 8.0, "heating": 500.0, "payload": 150.0}
+    assert usual.assumed == taken | {"head_wind": 0.0, "prewarmed": 0.0}
+    assert own.assumed == usual.assumed | {"heating": 0.0, "charge": 0.5}
+    assert own.charge.known and not usual.charge.known
+    assert ask().forecast.energy[-1] == usual.forecast.energy[-1] > own.forecast.energy[-1]

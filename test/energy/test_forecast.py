@@ -16,6 +16,7 @@ from evpinn_ros.energy.forecast import (
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.posterior import LOAD_TIME
+from evpinn_ros.estimation.states import State
 from evpinn_ros.vehicle.identifiable import (
     IDENTIFIABLE_NAMES,
     Identifiable,
@@ -209,6 +210,19 @@ def test_wind_against_the_car_counts_less_the_farther_it_goes():
     many = Plan(*(np.stack([getattr(plan, name)] * 2) for name in Plan.__slots__))
     both = forecast_plan(many, model, AIR, wind)
     assert both.energy[:, -1] == pytest.approx(windy.energy[-1])
+
+
+def test_a_forecast_of_the_end_alone_is_that_of_the_whole_way():
+    car = vehicle_model(CAR).car
+    mean = car.mean + 0.5 * np.sqrt(np.diag(car.covariance))
+    mean[State.LOAD] = 300.0  # which fades within minutes
+    model, plan = PowerModel(dataclasses.replace(car, mean=mean)), cruise(20.0, 2000.0, 1500)
+    whole, end = (forecast_plan(plan, model, AIR, 5.0, along=each) for each in (True, False))
+    np.testing.assert_allclose(end.energy, whole.energy, rtol=1e-9)
+    np.testing.assert_allclose(end.power, whole.power, rtol=1e-9)
+    assert np.isnan(end.sigma[1:-1]).all() and end.sigma[-1] == pytest.approx(whole.sigma[-1])
+    np.testing.assert_allclose(end.end.row, whole.end.row, rtol=1e-9, atol=1e-6)
+    assert end.end[1:] == whole.end[1:]
 
 
 def test_battery_after():

@@ -75,6 +75,23 @@ def test_rows_add_up_however_a_trip_is_cut(seed, cut):
 
 
 @settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([None, -10.0, 30.0]))
+def test_rows_along_a_trip_and_of_the_whole_are_sums_of_those_of_its_steps(seed, celsius):
+    motion, model, weather = trip(seed), taught(), Weather(1.2, celsius)
+    steps = model.rows(motion, weather)
+    along = np.cumsum(steps, axis=0)
+    size = np.abs(along).max(0)
+    np.testing.assert_allclose(model.rows_along(motion, weather), along, atol=1e-12 * size.max())
+    row, energy = model.whole_row(motion, weather)
+    np.testing.assert_allclose(row, along[-1], atol=1e-12 * size.max())
+    steps[:, State.LOAD] = 0.0
+    np.testing.assert_allclose(energy, steps @ model.car.mean, atol=1e-9 * np.ptp(energy))
+    many = Motion(*(np.stack((column, column)) for column in motion))
+    for each in model.rows_along(many, weather):
+        np.testing.assert_allclose(each, along, atol=1e-12 * size.max())
+
+
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000))
 def test_the_table_of_the_network_is_as_good_as_the_network(seed):
     motion, model = trip(seed), taught()

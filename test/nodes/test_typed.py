@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import pytest
 
 import evpinn_ros
+from evpinn_ros.energy.plan import CONDITION_RANGES
 from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, WHOLE, Part
 from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED
 from evpinn_ros.topics.estimates import FLOWS, POWER, UNMEASURED_ENERGY
@@ -56,6 +57,11 @@ def test_every_typed_topic_has_its_message_file():
     assert {each.type_name.rpartition("/")[2] for each in TYPED.values()} == {*QUANTITIES}
 
 
+def test_conditions_are_those_of_the_named_vector():
+    text = (PACKAGE / "msg" / "PlanConditions.msg").read_text()
+    assert re.findall(r"^float64\[<=1\] (\w+)", text, re.MULTILINE) == [*CONDITION_RANGES]
+
+
 def test_every_file_is_built_and_the_version_is_one():
     built = {*re.findall(r"(?:msg|srv|action)/\w+\.\w+", (PACKAGE / "CMakeLists.txt").read_text())}
     assert built == {f"{f.parent.name}/{f.name}" for f in FILES}
@@ -66,3 +72,4 @@ def test_every_file_is_built_and_the_version_is_one():
 def test_typed_and_standard_topics_are_equal_and_plans_are_compared(run_with_messages):
     said = run_with_messages("typed_check.py")
     assert "power/predicted" in said and "service" in said and "cancelled" in said
+    assert "conditions of a call equal" in said

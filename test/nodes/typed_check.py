@@ -15,7 +15,7 @@ from rclpy.action import ActionClient
 
 from benchmarks.plan_load import speed_profile
 from evpinn_msgs.action import EstimatePlans
-from evpinn_msgs.msg import Plan
+from evpinn_msgs.msg import Plan, PlanConditions
 from evpinn_msgs.srv import EstimatePlan
 from evpinn_ros import topics
 from evpinn_ros.energy.plan import MAX_POINTS
@@ -83,6 +83,56 @@ def service(bench, node):
     assert found.basis == "estimate/model" and found.conditions == ["payload"]
 
 
+def conditions(bench, node):
+    """Conditions of a call are those of `plan/conditions`, where both are given before them."""
+    name, given = "/ev/energy/estimate_plan", {"temperature": -10.0, "payload": 200.0}
+
+    def ask(**typed):
+        asked = PlanConditions(**{each: [value] for each, value in typed.items()})
+        return bench.call(EstimatePlan, name, plans=[plan("cold", 10.0)], conditions=asked)
+
+    def tell(**vector):
+        known = named_vector(new_message, NANOSECONDS, [*vector], [*vector.values()])
+        bench.deliver(node, topics.CONDITIONS, known)
+
+    def results(answer):
+        assert not answer.results[0].refusal
+        return answer.results[0].energy, answer.results[0].energy_sigma
+
+    tell()
+    plain, typed = ask(), ask(**given)
+    tell(**given)
+    vector, mixed = ask(), ask(temperature=15.0, heating=math.nan)
+    assert results(typed) == results(vector) != results(plain)
+    assert results(mixed) not in (results(plain), results(typed))
+    for answer in (typed, vector, mixed):
+        assert answer.conditions == ["temperature", "payload"]
+    assert typed.assumed == vector.assumed and not plain.conditions
+    assert [*typed.assumed.temperature, *typed.assumed.payload] == [-10.0, 200.0]
+    assert [*mixed.assumed.temperature, *mixed.assumed.payload] == [15.0, 200.0]
+    assert [*plain.assumed.payload, *plain.assumed.head_wind] == [0.0, 0.0]
+    assert not plain.assumed.temperature and not plain.assumed.heating  # nobody knows them
+    before = len(bench.heard[TYPED_FORECAST])
+    bench.send(topics.SPEED_PROFILE, speed_profile(0, 60))
+    bench.pump(lambda: len(bench.heard[TYPED_FORECAST]) > before)
+    over_topic = bench.heard[TYPED_FORECAST][-1]
+    assert over_topic.assumed == vector.assumed and over_topic.conditions == vector.conditions
+    refusal = ask(temperature=300.0).results[0].refusal
+    assert "temperature is 300" in refusal and len(ask(heating=-1.0).results[0].refusal) > 0
+    tell()
+    client = ActionClient(bench.node, EstimatePlans, "/ev/energy/estimate_plans")
+    bench.pump(client.server_is_ready)
+    asked = PlanConditions(temperature=[-10.0], payload=[200.0])
+    goal = client.send_goal_async(EstimatePlans.Goal(plans=[plan("", 10.0)], conditions=asked))
+    bench.pump(goal.done)
+    result = goal.result().get_result_async()
+    bench.pump(result.done)
+    assert results(result.result().result) == results(typed)
+    assert result.result().result.assumed == typed.assumed
+    client.destroy()
+    print("conditions of a call equal those of plan/conditions")
+
+
 def batch(plans, points):
     """A request of plans that are long."""
     time_s = np.arange(points, dtype=float)
@@ -105,7 +155,7 @@ def energy_goes_on_beside_plans(bench, node):
 
     first = named_vector(new_message, start * NANOSECONDS, ["power"], [9e3], [90.0])
     bench.deliver(node, topics.POWER_SMOOTHED, first)  # it begins a new stretch of time
-    future, asked = client.call_async(batch(8, 20_000)), time.monotonic()
+    future, asked = client.call_async(batch(40, 40_000)), time.monotonic()
     while not future.done():
         before, sent = count[topics.ENERGY_STATE], time.monotonic()
         power.publish(watts())
@@ -115,7 +165,7 @@ def energy_goes_on_beside_plans(bench, node):
     took, result = time.monotonic() - asked, future.result()
     assert not any(each.refusal for each in result.results)
     print(
-        f"8 plans in {took:.1f} s: {len(delays)} powers, each with its energy/state after ",
+        f"40 plans in {took:.1f} s: {len(delays)} powers, each with its energy/state after ",
         end="",
     )
     print(f"{1e3 * np.median(delays):.1f} ms, {1e3 * max(delays):.0f} ms at most")
@@ -203,6 +253,7 @@ def main():
             compare(topic, *pair)
         print(topic.name, len(heard))
     service(bench, energy)
+    conditions(bench, energy)
     batches(bench, energy)
     energy_goes_on_beside_plans(bench, energy)
     refusals(bench, energy)

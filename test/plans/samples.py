@@ -7,7 +7,7 @@ import math
 SOUTH, EAST = 48.1, 11.5
 EARTH_RADIUS = 6_371_008.8
 LENGTHS = [400.0, 800.0, 5000.0, 1800.0]  # m
-DURATIONS = [40.0, 64.0, 180.0, 120.0]  # s
+DURATIONS = [70.0, 64.0, 180.0, 120.0]  # s
 LIMITS = [50.0, 50.0, 120.0, 60.0]  # km/h
 HEIGHTS = [500.0, 504.0, 500.0, 600.0, 590.0]  # m, at the ends of the legs
 TOTAL, DURATION = sum(LENGTHS), sum(DURATIONS)

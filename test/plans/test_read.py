@@ -9,12 +9,16 @@ import pytest
 
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import new_message
+from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.plan import Legs, Plan, PlanError
 from evpinn_ros.plans import read as reader
 from evpinn_ros.plans import read_plan
 from evpinn_ros.plans.recorded import plan_of_readings
 from evpinn_ros.signals.readings import AltitudeReading, GradeReading, SpeedReading
+from evpinn_ros.topics import PATH_TYPE
+from evpinn_ros.topics.messages import header
 from test.conftest import ROOT
 from test.plans import samples
 from test.plans.test_table import LEGS, SPEEDS
@@ -87,6 +91,44 @@ def test_a_bag_is_a_plan_whose_height_is_that_of_its_slopes():
         for r, step in zip(speeds, np.diff(time, append=time[-1]), strict=True)
     )
     assert plan.elevation[-1] - plan.elevation[0] == pytest.approx(climb, abs=3.0)
+
+
+def path_message(*points):
+    return new_message(
+        PATH_TYPE,
+        header=header(new_message, 10**18, "map"),
+        poses=[
+            new_message(
+                "geometry_msgs/msg/PoseStamped",
+                header=header(new_message, 10**18 + stamp, "map"),
+                pose=new_message(
+                    "geometry_msgs/msg/Pose",
+                    position=new_message("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0),
+                ),
+            )
+            for x, stamp in points
+        ],
+    )
+
+
+def test_a_planner_s_bag_is_its_newest_plan_and_a_drive_s_is_the_drive(tmp_path):
+    """A later plan that cannot be driven is passed over; of one alone it is said why."""
+    old, new = path_message((0.0, 0), (500.0, 10**11)), path_message((0.0, 0), (900.0, 10**11))
+    back = path_message((0.0, 10**11), (500.0, 0))
+    with BagWriter(tmp_path / "plans") as bag:
+        for second, message in enumerate((old, new, back)):
+            bag.write("/plan", message, 10**18 + second * 10**9)
+    plan = read_plan(tmp_path / "plans")
+    assert plan.distance[-1] == 900.0 and plan.time[-1] == 100.0
+    with BagWriter(tmp_path / "back") as bag:
+        bag.write("/plan", back, 10**18)
+    with pytest.raises(PlanError, match="back: /plan: time goes back"):
+        read_plan(tmp_path / "back")
+    with BagReader(URBAN) as drive, BagWriter(tmp_path / "both") as bag:
+        for record in drive.records():
+            bag.write(record.topic, record.message, record.log_time_ns)
+        bag.write("/plan", new, record.log_time_ns)
+    assert (read_plan(tmp_path / "both").speed == read_plan(URBAN).speed).all()
 
 
 def readings_of(rows):

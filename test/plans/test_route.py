@@ -12,9 +12,12 @@ import pytest
 
 from benchmarks.fuzz_structures import mutate_json
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import PlanError
+from evpinn_ros.energy.power_model import Weather, vehicle_model
 from evpinn_ros.plans import read_plan
 from evpinn_ros.plans.polyline import decode_polyline
+from evpinn_ros.vehicle.files import load_vehicle
 from test.plans import samples
 
 NONE = [np.nan] * 4
@@ -64,7 +67,11 @@ def test_edges_of_valhalla_have_limits_and_mean_heights(read, timed):
         samples.osrm(annotated=False, steps=False),
         samples.openrouteservice(units="mi", steps=False),
         {"paths": [{"distance": samples.TOTAL, "time": 1000 * samples.DURATION}]},
-        {"trip": {"legs": [{"summary": {"length": samples.TOTAL / 1000, "time": 404}}]}},
+        {
+            "trip": {
+                "legs": [{"summary": {"length": samples.TOTAL / 1000, "time": samples.DURATION}}]
+            }
+        },
     ],
     ids=["osrm", "openrouteservice", "graphhopper", "valhalla"],
 )
@@ -72,6 +79,24 @@ def test_without_steps_the_route_is_one_leg(read, answer):
     legs = read(answer)
     assert legs.length == pytest.approx([samples.TOTAL])
     assert legs.duration == pytest.approx([samples.DURATION])
+
+
+def test_edges_of_a_service_are_no_finer_than_its_steps(read):
+    """An edge has the speed of its class of road: that a driver is as steady is not said."""
+    fine = samples.osrm()
+    given = fine["routes"][0]["legs"][0]["annotation"]
+    for name in ("distance", "duration"):
+        given[name] = np.repeat(np.array(given[name]) / 20, 20).tolist()
+    given["maxspeed"] = [each for each in given["maxspeed"] for _ in range(20)]
+    edges, steps = read(fine), read(samples.osrm(annotated=False))
+    assert edges.duration.min() >= 60.0
+    assert edges.limit[0] == pytest.approx(ALL[0]) and np.isnan(edges.limit[-1])
+    fine_one, coarse = (
+        forecast_plan(each, vehicle_model(load_vehicle("bmw_i3")), Weather(1.2))
+        for each in (edges, steps)
+    )
+    assert fine_one.energy[-1] == pytest.approx(coarse.energy[-1], rel=0.05)
+    assert fine_one.sigma[-1] == pytest.approx(coarse.sigma[-1], rel=0.1)
 
 
 def test_speed_limits_are_in_the_units_of_the_answer(read):

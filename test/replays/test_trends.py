@@ -9,7 +9,7 @@ from evpinn_ros.common.units import US
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.replays.history import Drive, PowerSeries
 from evpinn_ros.replays.owner_text import sparse_note
-from evpinn_ros.replays.trends import CAPACITY, ROLLING, trends
+from evpinn_ros.replays.trends import CAPACITY, ROLLING, drive_point, trends
 from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.vehicle.identifiable import Identifiable
 
@@ -45,8 +45,15 @@ DRIVES = [
 ]
 
 
+def points(drives):
+    return [drive_point(each) for each in drives]
+
+
+POINTS = points(DRIVES)
+
+
 def test_drives_are_weighted_by_their_distance():
-    found = {trend.title: trend for trend in trends(DRIVES)}
+    found = {trend.title: trend for trend in trends(POINTS)}
     weeks = found["consumption, kWh/100 km by week"].rows
     assert [row.name for row in weeks] == ["week of 2023-11-20", "week of 2023-11-27"]
     assert weeks[0].mean == pytest.approx((10 * 12.0 + 30 * 16.0) / 40 / 72.0 * 100)
@@ -61,7 +68,7 @@ def test_drives_are_weighted_by_their_distance():
 
 def test_a_rolling_resistance_that_cannot_be_trusted_is_left_out():
     doubted = [replace(each, final=_doubted(each.final)) for each in DRIVES]
-    assert not any(ROLLING in trend.title for trend in trends(doubted))
+    assert not any(ROLLING in trend.title for trend in trends(points(doubted)))
 
 
 def _doubted(found: ParameterSet) -> ParameterSet:
@@ -76,12 +83,12 @@ def test_speeds_far_apart_are_said_to_be_rough():
 
 
 def test_units_are_those_of_the_reader():
-    titles = [trend.title for trend in trends(DRIVES, US)]
+    titles = [trend.title for trend in trends(POINTS, US)]
     assert "consumption, Wh/mi by week" in titles
-    assert any(row.name.endswith("°F") for trend in trends(DRIVES, US) for row in trend.rows)
+    assert any(row.name.endswith("°F") for trend in trends(POINTS, US) for row in trend.rows)
 
 
 def test_too_few_drives_and_those_without_a_day_have_no_trend():
-    assert trends(DRIVES[:2]) == []
+    assert trends(POINTS[:2]) == []
     undated = [replace(each, start_ns=DRIVE_START_NS) for each in DRIVES]
-    assert undated and not any("by week" in trend.title for trend in trends(undated))
+    assert undated and not any("by week" in trend.title for trend in trends(points(undated)))
