@@ -70,16 +70,8 @@ PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
 class EnergyNode(StatefulNode):
     """Meters one car and answers plans; see `docs` for its topics, services and parameters."""
 
-    FILE, ANEW = "energy_file", "counts from zero"
+    NAME, FILE, ANEW = "energy", "energy_file", "counts from zero"
     HALF = Half.ENERGY
-
-    def __init__(self, **kwargs: Any) -> None:
-        """Start from the energy file or at zero; `kwargs` go to rclpy's Node.
-
-        Raises:
-            InputError: a parameter is wrong.
-        """
-        super().__init__("energy", **kwargs)
 
     def configure(self) -> None:
         """Start from the energy file or at zero."""
