@@ -148,10 +148,7 @@ def test_without_leave_nothing_is_ever_sent(channel, unit):
         assert listener.recv(0.5) is None
         status = car.bridge.poller.status()
     assert not any(unit.asked for unit in units)
-    assert not status.ok and status.text == (
-        "profile hyundai_kia asks the car; poll:=true (evpinn run --poll) lets it send "
-        "read requests"
-    )
+    assert not status.ok and "hyundai_kia" in status.text and "poll:=true" in status.text
 
 
 def test_only_read_requests_and_flow_control_are_on_the_wire(channel, unit):
@@ -380,4 +377,4 @@ def test_a_car_that_is_another_is_not_asked(monkeypatch):
     bridge.poller.stop()
     thread.join(1)
     assert not sent
-    assert bridge.poller.status().text == "stopped: the traffic contradicts the profile"
+    assert bridge.poller.status().text.endswith("contradicts the profile")
