@@ -109,6 +109,7 @@ def _warm_start(rig: Rig) -> FaultEffect:
 
 
 def _start_together(rig: Rig) -> FaultEffect:
+    rig.drive(1.0)  # the car was driving before
     begin = time.monotonic()
     nodes = [start_node(rig, name) for name in (*LEADING, "can_bridge")]
     with running(*nodes):

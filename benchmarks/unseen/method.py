@@ -15,7 +15,7 @@ from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.signals.readings import BatteryReading, Reading
+from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.vehicle.files import Vehicle
 
 Estimate: TypeAlias = tuple[float, float]  # value and 1-sigma
@@ -56,23 +56,28 @@ class OnlineChain:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
-        self._battery_ns = 0
+        self._voltage_ns = self._current_ns = 0
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
         """The `power/smoothed` that the reading completes, with the energy since the battery."""
         if isinstance(reading, BatteryReading):
-            self._battery_ns = reading.stamp_ns
+            if not math.isnan(reading.voltage):
+                self._voltage_ns = reading.stamp_ns
+            if not math.isnan(reading.current):
+                self._current_ns = reading.stamp_ns
+        known_ns = min(self._voltage_ns, self._current_ns)
         for output in self._chain.add_reading(reading):
             if isinstance(output, PowerEstimate) and output.kind is PowerKind.SMOOTHED:
+                age = (output.stamp_ns - known_ns) / NANOSECONDS
                 energy = output.energy, output.energy_sigma
-                if output.stamp_ns <= self._battery_ns:
-                    energy = 0.0, 0.0
+                if known_ns and (age <= 0.0 or math.isnan(output.energy)):  # no dropout yet
+                    energy = output.power * age, 0.0
                 yield Prediction(output.stamp_ns, output.power, output.sigma, *energy)
 
     def begin_next_drive(self) -> None:
         """Keep what was learned of the car."""
         self._chain.begin_next_drive()
-        self._battery_ns = 0
+        self._voltage_ns = self._current_ns = 0
 
     def combinations(self) -> Mapping[str, Estimate]:
         """The published combinations.
