@@ -65,7 +65,7 @@ quick: $(INSTALLED)
 	@$(BIN)/ruff check
 	@$(BIN)/python -m pytest $(IN_PARALLEL) --hypothesis-profile=quick --quick
 
-# The loop of an edit to what learns: signals, estimation and energy in a quarter of a minute.
+# The loop of an edit to what learns: signals, estimation and energy, without what costs.
 # Where nothing is installed yet, it installs the group `core` alone: no torch, no DDS, no SUMO.
 core: $(CORE)
 	@$(CORE_PYTHON) -m pytest $(IN_PARALLEL) --hypothesis-profile=quick --quick $(ROOMS)

@@ -41,7 +41,7 @@ class Snapshots:
 
         Args:
             nominal_voltage: V, with which power alone becomes a current.
-            on_change: whether values hold until they change (see the module's text).
+            on_change: whether a value is sent only when it changes, and holds until then.
         """
         self._nominal_voltage, self._on_change = nominal_voltage, on_change
         self._held: dict[Measurand, Value] = {}

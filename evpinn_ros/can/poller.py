@@ -118,10 +118,14 @@ class Poller:
         """Ask until `stop`."""
         with self._changed:
             while not self._stopped.is_set():
-                now_s = self._clock()
-                may_ask = self._may_ask(now_s)
-                next_s = min(unit.step(now_s, may_ask) for unit in self._units.values())
-                self._changed.wait(min(max(next_s - now_s, 0.0), LONGEST_SLEEP_S))
+                self._changed.wait(min(max(self.step(), 0.0), LONGEST_SLEEP_S))
+
+    def step(self) -> float:
+        """Ask what is due now; gives the time until the next question, s."""
+        with self._changed:
+            now_s = self._clock()
+            may_ask = self._may_ask(now_s)
+            return min(unit.step(now_s, may_ask) for unit in self._units.values()) - now_s
 
     def stop(self) -> None:
         """Make `run` return, within a fifth of a second plus the driver's own time to send."""

@@ -142,7 +142,7 @@ class SavedEstimator:
 
 
 class OnlineEstimator(Saveable[SavedEstimator]):
-    """Learns one car from its readings; see the module's text."""
+    """One car, learned from its readings: predictions at once, parameters once a second."""
 
     def __init__(self, vehicle: Vehicle, settings: EstimatorSettings, worker: Worker) -> None:
         """Start from the vehicle's priors; the worker computes the updates."""

@@ -70,16 +70,8 @@ PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
 class EnergyNode(StatefulNode):
     """Meters one car and answers plans; see `docs` for its topics, services and parameters."""
 
-    FILE, ANEW = "energy_file", "counts from zero"
+    NAME, FILE, ANEW = "energy", "energy_file", "counts from zero"
     HALF = Half.ENERGY
-
-    def __init__(self, **kwargs: Any) -> None:
-        """Start from the energy file or at zero; `kwargs` go to rclpy's Node.
-
-        Raises:
-            InputError: a parameter is wrong.
-        """
-        super().__init__("energy", **kwargs)
 
     def configure(self) -> None:
         """Start from the energy file or at zero."""
@@ -96,7 +88,7 @@ class EnergyNode(StatefulNode):
         # Of its own: in a fast replay readings are seconds ahead of power.
         self._reading_guard = StampGuard(topics.SPEED)
         start = self.go_on(self.account, topics.POWER_SMOOTHED)
-        self._plans = PlanLog()
+        self.plans = PlanLog()
         self.advertise(*PUBLISHES)
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
@@ -131,7 +123,7 @@ class EnergyNode(StatefulNode):
         return [
             meter_status(self.account, condition),
             charge_status(self.account),
-            plan_status(self._plans, self.forecaster.basis, air),
+            plan_status(self.plans, self.forecaster.basis, air),
         ]
 
     def phases(self) -> list[Status]:
@@ -238,12 +230,12 @@ class EnergyNode(StatefulNode):
             self._refuse(header, f"internal fault: {type(error).__name__}")
             raise
         self.publish(messages)
-        self._plans.answer(answer.charge)
+        self.plans.answer(answer.charge)
 
     def _refuse(self, header: Any, reason: str) -> None:
         """Answer a plan with the reason why there is no forecast."""
         self.publish([self._plan_status(header, Status("plan", Level.WARN, reason, {}))])
-        self._plans.refuse(reason)
+        self.plans.refuse(reason)
 
     def _plan_status(self, header: Any, status: Status) -> tuple[Topic, Any]:
         message = self.status_message([status])
@@ -296,7 +288,7 @@ class EnergyNode(StatefulNode):
         self._made.append(server.destroy)
 
     async def _on_estimate(self, request: Any, response: Any) -> Any:
-        call, moment = PlanCall(request, SERVICE, self._plans), self._moment()
+        call, moment = PlanCall(request, SERVICE, self.plans), self._moment()
 
         def all_of_them(forecaster: Forecaster) -> None:
             while not call.finished:
@@ -313,7 +305,7 @@ class EnergyNode(StatefulNode):
         """
         self.calls["~/estimate_plans"] += 1
         kind = message_class(PLAN_ACTION)
-        call, moment = PlanCall(goal.request, BATCH, self._plans), self._moment()
+        call, moment = PlanCall(goal.request, BATCH, self.plans), self._moment()
         own: list[Forecaster] = []
 
         def next_one(forecaster: Forecaster) -> None:

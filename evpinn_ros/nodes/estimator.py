@@ -36,16 +36,8 @@ PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator
 class EstimatorNode(StatefulNode):
     """Learns one car; see `docs` for its topics, services and parameters."""
 
-    FILE, ANEW = "state_file", "begins with the vehicle file"
+    NAME, FILE, ANEW = "estimator", "state_file", "begins with the vehicle file"
     HALF = Half.LEARNED
-
-    def __init__(self, **kwargs: Any) -> None:
-        """Start from the state file or the vehicle's priors; `kwargs` go to rclpy's Node.
-
-        Raises:
-            InputError: a parameter is wrong.
-        """
-        super().__init__("estimator", **kwargs)
 
     def configure(self) -> None:
         """Start from the state file or the vehicle's priors."""

@@ -23,6 +23,7 @@ class StatefulNode(ManagedNode):
     """A node with a core that goes on where it was, after a restart and when time jumps.
 
     Attributes:
+        NAME: of the node, its executable and its table of parameters.
         FILE: parameter that names the file.
         HALF: what it keeps there.
         ANEW: how the core begins without one.
@@ -30,9 +31,18 @@ class StatefulNode(ManagedNode):
         guard: of the stamps that the core is given.
     """
 
+    NAME: ClassVar[str]
     FILE: ClassVar[str]
     HALF: ClassVar[Half]
     ANEW: ClassVar[str]
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Start from the file, or anew; `kwargs` go to rclpy's Node.
+
+        Raises:
+            InputError: a parameter is wrong.
+        """
+        super().__init__(self.NAME, **kwargs)
 
     def go_on(self, core: Stateful, leader: Topic) -> str:
         """Load the core's state, and keep it from now on.

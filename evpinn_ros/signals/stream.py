@@ -73,7 +73,7 @@ class StreamSettings:
 
 
 class SampleStream:
-    """Aligns the readings of one car; see the module's text."""
+    """Readings of one car in, samples and intervals in order of time out."""
 
     def __init__(
         self,

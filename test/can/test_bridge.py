@@ -82,7 +82,7 @@ def test_another_bus(profile):
     bridge = CanBridge(profile)
     bridge.decode(CanFrame(0, 0x700, b""))
     status = bridge.status(0)
-    assert status.text == "no frame of this profile: another bus or car?"
+    assert "no frame of this profile" in status.text
     assert (status.frames, status.unknown_frames, status.unknown_ids) == (0, 1, 1)
 
 
@@ -93,5 +93,5 @@ def test_wrong_profile_is_told(profile):
     for time in range(100):
         assert not bridge.decode(encoder.battery(BatteryReading(time, 380.0, -20.0)))
     status = bridge.status(100)
-    assert not status.ok and status.text == "most values are implausible: wrong profile?"
+    assert not status.ok and "implausible" in status.text
     assert status.dropped == {"out_of_range": 100}

@@ -209,7 +209,7 @@ def test_the_end_of_a_short_log_lets_out_what_was_held(mine):
     bridge = CanBridge(mine, guard=FitGuard(mine, ALL))
     assert bridge.decode(frame) == ()
     text = bridge.status(0).text
-    assert text == "weighing whether the profile fits: 2 readings held back"
+    assert "2 readings held back" in text
     assert len(bridge.finish()) == 2 and bridge.finish() == ()
 
 
@@ -217,7 +217,7 @@ def test_a_silent_profile_is_told_who_would_fit(bus):
     _, bridge = guarded("nissan_leaf")
     assert run(bridge, bus("tesla_model_s")) == []
     text = bridge.status(0).text
-    assert text == "no frame of this profile: another bus or car? 'tesla_model_s' fits"
+    assert "no frame" in text and "'tesla_model_s' fits" in text
 
 
 def test_stamps_that_stand_still_or_go_back_do_not_hold_for_ever(bus):

@@ -148,10 +148,7 @@ def test_without_leave_nothing_is_ever_sent(channel, unit):
         assert listener.recv(0.5) is None
         status = car.bridge.poller.status()
     assert not any(unit.asked for unit in units)
-    assert not status.ok and status.text == (
-        "profile hyundai_kia asks the car; poll:=true (evpinn run --poll) lets it send "
-        "read requests"
-    )
+    assert not status.ok and "hyundai_kia" in status.text and "poll:=true" in status.text
 
 
 def test_only_read_requests_and_flow_control_are_on_the_wire(channel, unit):
@@ -270,8 +267,7 @@ def test_a_dead_car_is_asked_a_hundred_times_and_no_more(every_s, frames):
     next_s = 0.0
     while now[0] < 3600.0:
         now[0] += 0.25
-        for unit in poller._units.values():
-            unit.step(now[0], poller._may_ask(now[0]))
+        poller.step()
         if now[0] >= next_s:
             next_s += every_s
             for can_id, data in frames:
@@ -290,8 +286,7 @@ def test_an_id_on_which_somebody_else_sends_is_left_alone(seconds):
     def ask(until_s):
         while now[0] < until_s:
             now[0] += 0.1
-            for unit in poller._units.values():
-                unit.step(now[0], poller._may_ask(now[0]))
+            poller.step()
 
     ask(seconds)
     for frame in sent:  # an adapter may echo what we sent
@@ -382,4 +377,4 @@ def test_a_car_that_is_another_is_not_asked(monkeypatch):
     bridge.poller.stop()
     thread.join(1)
     assert not sent
-    assert bridge.poller.status().text == "stopped: the traffic contradicts the profile"
+    assert bridge.poller.status().text.endswith("contradicts the profile")

@@ -45,7 +45,7 @@ def test_silence_stops(restraint):
     restraint.asked(UNANSWERED_S - 1, sent=True)
     assert restraint.reason is None
     restraint.asked(UNANSWERED_S, sent=True)
-    assert restraint.reason == "no answer for 30 s: the car sleeps, or is another one"
+    assert restraint.reason.startswith("no answer for 30 s")
 
 
 def test_an_answer_or_no_bus_starts_the_silence_anew(restraint):
@@ -123,7 +123,7 @@ def test_low_12_v_stops_a_standing_car(restraint):
     restraint.auxiliary(11.9, 5.0 + LOW_FOR_S)
     assert restraint.reason is None
     restraint.auxiliary(11.84, 6.0 + LOW_FOR_S)
-    assert restraint.reason == "the 12 V battery is low: 11.8 V"
+    assert restraint.reason.endswith("11.8 V")
 
 
 def test_low_12_v_stays_until_a_higher_voltage_is_seen(restraint):
@@ -139,7 +139,7 @@ def test_low_12_v_stays_until_a_higher_voltage_is_seen(restraint):
             restraint.answered()
             restraint.auxiliary(12.2, now + 0.4)
         assert restraint.leave is Leave.NOTHING
-        assert restraint.reason == "the 12 V battery is low: 11.8 V"
+        assert restraint.reason.endswith("11.8 V")
     assert asked <= 7
     restraint.auxiliary(13.9, now)  # another tester asked for it, or we did
     assert restraint.reason is None and restraint.leave is Leave.ALL
@@ -162,4 +162,4 @@ def test_no_current_stops(restraint):
     restraint.observe(BatteryReading(0, 400.0, 0.0), IDLE_FOR_S)
     assert restraint.reason is None
     restraint.observe(BatteryReading(0, 400.0, 0.0), 2 * IDLE_FOR_S)
-    assert restraint.reason == "no current for 10 min: asking would keep it awake"
+    assert restraint.reason.startswith("no current for 10 min")

@@ -156,6 +156,7 @@ def test_without_a_battery_predictions_go_on(new_estimator, play, powers, drive,
     assert status.updates <= updates + (4 if mode is Mode.PAPER else seconds / DURATION + 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unlearned", ["stuck speed", "pause"])
 def test_energy_of_a_dropout_begins_where_the_battery_was_last_measured(
     new_estimator, play, powers, drive, unlearned

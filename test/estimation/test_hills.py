@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.hills import LEAST_METRES, Hills
+from evpinn_ros.estimation.hills import LEAST_METRES, MEMORY, Hills
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.vehicle.files import load_vehicle
@@ -24,6 +24,15 @@ def test_few_roads_with_heights_tell_nothing_and_level_ones_that_all_is_level():
     assert Hills().plus(LEAST_METRES - 1.0, 160.0).next_drive().growth == 0.0
     hills = Hills().plus(20e3, 400.0).next_drive()
     assert hills.plus(20e3, 0.0).next_drive().growth < 0.6 * hills.growth
+
+
+def test_hills_of_long_ago_are_forgotten():
+    """Of who moved from the mountains to the plains; a mean over all roads would fall slower."""
+    hills = Hills().plus(100e3, 300.0).next_drive()
+    for _ in range(3):
+        flat = hills.plus(MEMORY, 0.0).next_drive()
+        assert flat.growth < 0.4 * hills.growth
+        hills = flat
 
 
 def test_a_road_without_heights_is_none_of_them(vehicle, intervals):

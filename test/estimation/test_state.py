@@ -232,6 +232,7 @@ def test_a_file_that_is_no_state(tmp_path, content, reason):
     assert text.startswith(f"{path}: ") and reason in text and "\n" not in text
 
 
+@pytest.mark.slow
 def test_the_largest_state_takes_no_200_mb(tmp_path):
     """JSON of empty lists becomes thirty times as large: 20 MB took 594 MB."""
     path = tmp_path / "state.json"

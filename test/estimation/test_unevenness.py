@@ -67,6 +67,18 @@ def test_even_legs_keep_way_and_time_and_begin_and_end_standing():
     assert 0.3 * whole < found @ EQUATION.mean < whole  # even is cheaper, not free
 
 
+def test_a_drive_that_was_driven_before_is_expected_as_it_was():
+    path = town(0)
+    cut, driven = legs(60, path), rows_of(path) @ EQUATION.mean
+    found = Unevenness.none()
+    for _ in range(2):
+        found = found.after(EQUATION, EQUATION.mean, path)
+    even = even_rows(EQUATION, cut).sum(0) @ EQUATION.mean
+    expected = even + found.of_legs(EQUATION, cut).sum(0) @ EQUATION.mean
+    assert even < 0.6 * driven
+    assert expected == pytest.approx(driven, rel=0.12)  # the prior still counts
+
+
 @pytest.mark.slow
 def test_what_is_expected_of_legs_makes_up_for_even_speed():
     """A dozen drives of one driver teach what another one, cut by the minute, takes."""

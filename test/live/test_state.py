@@ -57,7 +57,8 @@ def test_silence_is_shown_and_named(well):
     assert math.isnan(state.fresh_speed(late)) and state.fresh_battery(late) is None
     assert math.isnan(state.power(topics.POWER_MEASURED, late).value)
     assert state.activity(late) == ""
-    assert state.problems(late) == [(Level.ERROR, "estimator: has sent nothing for 3 s")]
+    ((level, text),) = state.problems(late)
+    assert level is Level.ERROR and text.startswith("estimator: ") and "3 s" in text
     assert state.parameters()[0].value == 0.912  # what was learned holds
 
 
@@ -77,7 +78,8 @@ def test_diagnostics_of_others_are_none_of_ours():
     state = LiveState()
     state.take(topics.DIAGNOSTICS, said("/ev/camera: driver", Level.ERROR, "hot"), 1.0)
     assert state.statuses == {}
-    assert state.problems(1.0) == [(Level.WARN, "no /diagnostics of our nodes yet")]
+    ((level, text),) = state.problems(1.0)
+    assert level is Level.WARN and "/diagnostics" in text
 
 
 def test_each_view_shows_the_diagnostics_of_its_own_car():
@@ -126,4 +128,5 @@ def test_a_message_with_nan_is_counted_and_changes_nothing(well):
     bad.position[0] = math.nan
     state.take(topics.POWER_MEASURED, bad, 110.1)
     assert state.power(topics.POWER_MEASURED, 110.1).value == 14600.0
-    assert state.problems(110.1) == [(Level.WARN, "power/measured: 1 messages were not usable")]
+    ((level, text),) = state.problems(110.1)
+    assert level is Level.WARN and text.startswith("power/measured: 1 ")

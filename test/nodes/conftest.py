@@ -61,6 +61,7 @@ class Bench:
         self.executor.add_node(self.node)
         self.nodes: list[GuardedNode] = []
         self.heard: dict[Topic, list[Any]] = defaultdict(list)
+        self.faulty: set[GuardedNode] = set()  # those whose faults a test made on purpose
         self._reports: list[tuple[int, Any]] | None = None  # (when it was sent, message)
         self._publishers: dict[Topic, Any] = {}
 
@@ -151,7 +152,7 @@ class Bench:
     def close(self) -> None:
         for node in self.nodes:
             node.close()
-            assert not node.health().faults
+            assert bool(node.health().faults) == (node in self.faulty)
         self.executor.shutdown()
         for node in [*self.nodes, self.node]:
             node.destroy_node()
@@ -214,7 +215,7 @@ def run_with_messages() -> Callable[[str], str]:
     return run
 
 
-def _messages(name: str, seconds: float) -> Iterator[tuple[Topic, Any, Any]]:
+def messages(name: str, seconds: float) -> Iterator[tuple[Topic, Any, Any]]:
     with BagReader(ROOT / "bags" / name) as bag:
         start = None
         for record in bag.records():
@@ -230,10 +231,10 @@ def _messages(name: str, seconds: float) -> Iterator[tuple[Topic, Any, Any]]:
 @pytest.fixture
 def bundled() -> Callable[[str, float], Iterator[tuple[Topic, Any, Any]]]:
     """The first seconds of a bundled bag: topic, message of rosbags, the same of rclpy."""
-    return _messages
+    return messages
 
 
 @pytest.fixture
 def urban() -> Callable[[float], Iterator[tuple[Topic, Any, Any]]]:
     """The same of the bag `urban`."""
-    return partial(_messages, "urban")
+    return partial(messages, "urban")

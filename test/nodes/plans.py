@@ -58,7 +58,7 @@ def ask(bench, node, topic, message):
     """Send a plan; give the answers, which are published before the node counts it."""
     for each in ANSWERS:
         bench.heard[each].clear()
-    expected, plans = dict(node.published), node._plans
+    expected, plans = dict(node.published), node.plans
     done = plans.answered + plans.refused
     bench.deliver(node, topic, message)
     bench.pump(lambda: plans.answered + plans.refused > done)

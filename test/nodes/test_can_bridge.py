@@ -89,7 +89,7 @@ def test_a_silent_bus_is_said_once(bench, bus, said):
     drive(bench, bus, model_3(), lambda: bench.heard[topics.SPEED] and "receiving" in said)
     bench.pump(lambda: any("silent" in line for line in said))
     rest(bench, 3.5)
-    assert said == ["receiving", "silent: the car sleeps or this is another bus"]
+    assert [each.partition(":")[0] for each in said] == ["receiving", "silent"]
     assert bench.diagnosis(node)["bus"][1].startswith("silent")
     drive(bench, bus, model_3(), lambda: len(said) > 2)
     assert said[2:] == ["receiving"]
@@ -104,7 +104,7 @@ def test_a_bus_that_takes_time_to_open_is_no_news(bench, said):
     bench.pump(lambda: said)
     os.close(own)
     os.close(channel)
-    assert said == ["silent: the car sleeps or this is another bus"]
+    assert [each.partition(":")[0] for each in said] == ["silent"]
 
 
 @pytest.mark.nightly
@@ -112,7 +112,8 @@ def test_another_bus_is_said_with_what_would_fit(bench, bus, said):
     start(bench, bus, can_profile="nissan_leaf")
     drive(bench, bus, model_3(), lambda: said)
     rest(bench, 1.5)
-    assert said == ["no frame of this profile: another bus or car? 'tesla_model_3' fits"]
+    (text,) = said
+    assert "no frame" in text and "'tesla_model_3' fits" in text
 
 
 def test_a_profile_that_contradicts_the_bus_publishes_nothing(bench, bus, said):

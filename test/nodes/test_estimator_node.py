@@ -200,7 +200,7 @@ def test_a_fault_of_ours_is_told_and_the_node_lives(bench, monkeypatch):
     monkeypatch.undo()
     bench.deliver(node, topics.SPEED, speed(0.2))
     assert node.estimator.status().newest_ns is not None
-    node._faults.clear()  # the bench demands that there are none
+    bench.faulty.add(node)
 
 
 def test_the_reliable_estimate_reaches_a_late_subscriber(bench, monkeypatch):

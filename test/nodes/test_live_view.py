@@ -223,10 +223,8 @@ def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
         running.send_signal(signal.SIGINT)
         _, said = running.communicate(timeout=20)
         assert running.returncode == 0
-        assert said.splitlines() == [
-            "evpinn: the view has ended and saved nothing; the nodes go on. To keep a drive and "
-            "what was learned: evpinn run --record FOLDER --state FILE"
-        ]
+        (line,) = said.splitlines()
+        assert "saved nothing" in line and "evpinn run --record FOLDER --state FILE" in line
     finally:
         running.kill()
 

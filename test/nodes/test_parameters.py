@@ -204,4 +204,4 @@ def test_a_parameter_of_a_type_that_there_is_not_ends_no_node(bench, kind):
     assert not getattr(answer, "results", None) and node.values["nominal_speed"] == usual
     (fault,) = node.health().faults
     assert fault.endswith(f"{names[kind]}: ValueError")
-    node._faults.clear()  # the bench demands that there are none
+    bench.faulty.add(node)

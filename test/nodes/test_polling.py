@@ -72,10 +72,7 @@ def test_without_leave_the_bridge_is_silent_and_says_what_to_set(bench, i3):
     assert not any(unit.asked for unit in i3)
     level, text, _ = diagnosis["polling"]
     assert level == Level.WARN
-    assert (
-        text
-        == "profile bmw_i3 asks the car; poll:=true (evpinn run --poll) lets it send read requests"
-    )
+    assert "bmw_i3" in text and "poll:=true" in text
 
 
 def test_that_the_car_must_be_asked_is_said(bench):

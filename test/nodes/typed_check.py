@@ -239,7 +239,7 @@ def main():
     estimator = bench.start(EstimatorNode)
     energy = bench.start(EnergyNode)
     bench.listen(*PAIRS, *PAIRS.values())
-    for topic, _, message in conftest._messages("urban", 25.0):
+    for topic, _, message in conftest.messages("urban", 25.0):
         bench.deliver(estimator, topic, message)
     bench.send(topics.SPEED_PROFILE, speed_profile(0, 60))
     bench.pump(lambda: bench.heard[topics.FORECAST])
