@@ -151,13 +151,13 @@ def test_json_goes_to_stdout_alone(short, tmp_path):
     replayed = run("replay", short, "--metrics", "-", "--warm-up", 5, cwd=tmp_path)
     assert json.loads(replayed.stdout)["input"]["samples"] > 500
     assert "Parameters of the car" in replayed.stderr
-    bench = run(
-        *("bench", "online", short, "--methods", "null", "--warm-up", 5, "--json", "-"),
-        cwd=tmp_path,
-    )
-    assert json.loads(bench.stdout)["total"].keys() == {"null"}
-    assert "RMSE" in bench.stderr
+    bench = run(*BENCH, "--files", 2, "--reads", 0, "--json", "-", cwd=tmp_path)
+    assert [each["kind"] for each in json.loads(bench.stdout)["files"]] == ["csv"]
+    assert "largest memory" in bench.stderr
     assert not (tmp_path / "-").exists()
+
+
+BENCH = ("bench", "attacks", "--only", "csv")
 
 
 def interrupted(*arguments: object, cwd: Path, once) -> subprocess.CompletedProcess:
@@ -167,17 +167,15 @@ def interrupted(*arguments: object, cwd: Path, once) -> subprocess.CompletedProc
         cwd=cwd,
         env=ENVIRONMENT,
         stdout=(cwd / "stdout").open("w"),
-        stderr=subprocess.PIPE,
-        text=True,
+        stderr=(cwd / "stderr").open("w"),
     )
     deadline = time.monotonic() + 120
     while not once() and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
-    _, stderr = process.communicate(timeout=120)
-    return subprocess.CompletedProcess(
-        process.args, process.returncode, (cwd / "stdout").read_text(), stderr
-    )
+    process.wait(timeout=120)
+    told = ((cwd / name).read_text() for name in ("stdout", "stderr"))
+    return subprocess.CompletedProcess(process.args, process.returncode, *told)
 
 
 def has_data(folder: Path) -> bool:
@@ -220,17 +218,16 @@ def test_ctrl_c_leaves_what_was_converted(drive, tmp_path):
     assert 1000 < read_bag(tmp_path / "out") < 4 * 72_000 - 1000
 
 
-def test_ctrl_c_leaves_the_rows_of_a_bench(drive, short, tmp_path):
-    stdout = tmp_path / "stdout"
+def test_ctrl_c_leaves_the_rows_of_a_bench(tmp_path):
+    stderr = tmp_path / "stderr"
     done = interrupted(
-        *("bench", "online", short, drive, "--methods", "null,hybrid", "--warm-up", 5),
-        *("--json", "rows.json"),
+        *(*BENCH, "--only", "asc", "--files", 30, "--reads", 0, "--json", "rows.json"),
         cwd=tmp_path,
-        once=lambda: stdout.exists() and "short.csv" in stdout.read_text(),
+        once=lambda: "csv: 30 files" in stderr.read_text(),
     )
     assert done.returncode == INTERRUPTED and "Traceback" not in done.stderr
-    (log,) = json.loads((tmp_path / "rows.json").read_text())["logs"]
-    assert Path(log["path"]) == short
+    (row,) = json.loads((tmp_path / "rows.json").read_text())["files"]
+    assert row["kind"] == "csv"
 
 
 def test_a_full_disk_is_one_line(on_a_full_disk, short, tmp_path):
