@@ -38,14 +38,19 @@ class Process:
     """One process; what it says is in a file beside."""
 
     def __init__(
-        self, rig: Rig, name: str, command: list[str], environment: Mapping[str, str] | None = None
+        self,
+        rig: Rig,
+        name: str,
+        command: list[str],
+        environment: Mapping[str, str] | None = None,
+        rest: float = LAST_WORDS,
     ) -> None:
-        """Start it, after hearing the last words of those before it.
+        """Start it, after hearing the last words of those before it for `rest` s.
 
         `environment` holds variables that it has besides ours.
         """
         self.name, self._rig = name, rig
-        rig.rest(LAST_WORDS)
+        rig.rest(rest)
         self.started = time.monotonic()
         with (rig.folder / f"{name}.log").open("ab") as log:
             self._process = subprocess.Popen(

@@ -21,7 +21,7 @@ from benchmarks.faults.chain import (
     start_all,
     start_node,
 )
-from benchmarks.faults.drive import learned_state
+from benchmarks.faults.drive import VEHICLE, learned_state
 from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.files import file_of
 from benchmarks.faults.rig import OUTPUTS, Rig
@@ -30,6 +30,7 @@ from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.state_file import Half, read_half, read_state
+from evpinn_ros.nodes.processes import node_command
 
 STOP, WARM_START, START = 2.0, 1.0, 1.5  # s, goals
 SETTLE = 30.0  # s until the first intervals are learned
@@ -110,8 +111,10 @@ def _warm_start(rig: Rig) -> FaultEffect:
 
 def _start_together(rig: Rig) -> FaultEffect:
     rig.drive(1.0)  # the car was driving before
-    begin = time.monotonic()
-    nodes = [start_node(rig, name) for name in (*LEADING, "can_bridge")]
+    begin, car = time.monotonic(), {"vehicle": VEHICLE}
+    nodes = [
+        Process(rig, name, node_command(name, car), rest=0.0) for name in (*LEADING, "can_bridge")
+    ]
     with running(*nodes):
         rig.drive(2 * RECOVERY, until=lambda: rig.recovered(begin) < math.inf)
         rig.drive(SETTLE)
