@@ -174,8 +174,8 @@ def interrupted(*arguments: object, cwd: Path, once) -> subprocess.CompletedProc
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     process.wait(timeout=120)
-    told = ((cwd / name).read_text() for name in ("stdout", "stderr"))
-    return subprocess.CompletedProcess(process.args, process.returncode, *told)
+    output = ((cwd / name).read_text() for name in ("stdout", "stderr"))
+    return subprocess.CompletedProcess(process.args, process.returncode, *output)
 
 
 def has_data(folder: Path) -> bool:

@@ -202,7 +202,7 @@ def test_what_is_not_known_only_adds_to_sigma(model, seed):
 @example(21.5, 0.375)
 @given(st.floats(1, 40), st.floats(0, 4.0))
 def test_hills_never_save_energy(speed, climb):
-    """Of the prior car, which decides whether a step drives: another may be off by a little."""
+    """Holds for the prior car, which decides whether a step drives; another may save a little."""
     car = SIMPLE.car
     mean = car.mean.copy()
     mean[PHYSICS] = car.equation.mean[PHYSICS]

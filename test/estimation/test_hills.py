@@ -27,7 +27,7 @@ def test_few_roads_with_heights_tell_nothing_and_level_ones_that_all_is_level():
 
 
 def test_hills_of_long_ago_are_forgotten():
-    """Of who moved from the mountains to the plains; a mean over all roads would fall slower."""
+    """A car that moved from mountains to plains: a mean over all its roads would fall slower."""
     hills = Hills().plus(100e3, 300.0).next_drive()
     for _ in range(3):
         flat = hills.plus(MEMORY, 0.0).next_drive()
