@@ -43,6 +43,7 @@ class Moment:
     current: float  # A drawn
     charge: float  # 0..1
     true_power: float  # W
+    true_load: float  # W of it that is not of driving: computer, planning, turning
     battery_due: bool
 
 
@@ -77,7 +78,8 @@ def drive(seed: int = 0) -> Iterator[Moment]:
     before, charge, load = 0.0, 0.9, 0.0
     for index, (speed, turns) in enumerate(speeds(rng)):
         load += rng.gauss(0.0, 0.6) - STEP / 20.0 * load  # it plans now and then
-        power = COMPUTER + load + motor_power(speed, before) + (TURNING if turns else 0.0)
+        beside = COMPUTER + load + (TURNING if turns else 0.0)
+        power = beside + motor_power(speed, before)
         open_voltage = CELLS - 1.4 * (1.0 - charge)
         current = power / open_voltage
         voltage = open_voltage - RESISTANCE * current
@@ -90,6 +92,7 @@ def drive(seed: int = 0) -> Iterator[Moment]:
             current=round(power / voltage / CURRENT_STEP) * CURRENT_STEP,
             charge=charge,
             true_power=power,
+            true_load=beside,
             battery_due=index % BATTERY_EVERY == 0,
         )
         before = speed
