@@ -59,6 +59,7 @@ CLIMATE = [
 ]  # fmt: skip
 EXPLAINED = [State.FORCE_SQUARED, *range(WEIGHTS.start, WEIGHTS.stop)]  # beside eq. 21
 STANDING = [State.P_AUX, State.LOAD_DRIVE, State.LOAD]
+TYRES = [State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]  # of rolling
 
 
 class Part(IntEnum):
@@ -215,7 +216,7 @@ class Equation:
         """Energy of each step by each state, J per unit, shape (n, SIZE).
 
         Args:
-            steps: n of them.
+            steps: n of them, or one, of numbers, whose row has shape (SIZE,).
             conditions: of all of them.
             warmth: of tyres and cabin.
         """
@@ -237,10 +238,10 @@ class Equation:
             cold: tens of K below a mild day, a number or of that shape.
             tyres: coldness of the tyres, likewise.
         """
-        terms = wheels.terms
-        rows = zeros((*terms.shape[:-1], SIZE), terms)
+        rows = zeros((*wheels.energy.shape, SIZE), wheels.energy)
         for state, column in self.moving_columns(wheels, duration, cold, tyres).items():
             rows[..., state] = column
+        terms = rows[..., PHYSICS]
         force = self.network.force(wheels.speed, wheels.force)
         rows[..., WEIGHTS] = (wheels.rolling * (1.0 / GRAVITY))[..., None] * force
         rows[..., EXPLAINED] -= terms @ like(self.explained, terms)
@@ -331,7 +332,7 @@ class Equation:
 
     def row_of(self, sample: Sample, warmth: Warmth) -> np.ndarray:
         """Power at a sample by each state, W per unit, shape (SIZE,): the energy of 1 s."""
-        return np.asarray(self.rows(*unit_step(sample), warmth)[0])
+        return self.rows(*unit_step(sample), warmth)
 
     def of_steps(self, steps: Steps, conditions: Conditions) -> Wheels:
         """Prior car in the steps of an interval."""
@@ -340,12 +341,12 @@ class Equation:
 
     def _by_motor(self, rows: np.ndarray, steps: Steps, wheels: Wheels) -> None:
         """Let the motor's energy stand in for what the wheels take."""
-        rows[:, [*PHYSICS, State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]] = 0.0
-        rows[:, State.MOTOR_DRIVE] = steps.motor_drive
-        rows[:, State.MOTOR_BRAKE] = -steps.motor_brake
+        rows[..., [*PHYSICS, *TYRES]] = 0.0
+        rows[..., State.MOTOR_DRIVE] = steps.motor_drive
+        rows[..., State.MOTOR_BRAKE] = -steps.motor_brake
         if not steps.motor_scaled:
             prior = self.mean[[State.MOTOR_DRIVE, State.MOTOR_BRAKE]]
-            rows[:, State.MOTOR_RATIO] = (
+            rows[..., State.MOTOR_RATIO] = (
                 prior[0] * steps.motor_drive - prior[1] * steps.motor_brake
             )
 
@@ -354,7 +355,7 @@ class Equation:
     ) -> None:
         """Fill in loads. A car that reports its heating and cooling has these in the report."""
         for state, power in standing_powers(conditions, warmth).items():
-            rows[:, state] = power * duration
+            rows[..., state] = power * duration
 
 
 def standing_powers(conditions: Conditions, warmth: Warmth) -> dict[State, float]:
@@ -391,8 +392,8 @@ def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
         np.maximum(motor, 0.0),
         np.maximum(-motor, 0.0),
     )
-    arrays = (np.array([column]) for column in columns)
-    steps = Steps._make((*arrays, sample.motor_scaled))
+    # Arithmetic with scalars of numpy takes an eighth of that with arrays of one number.
+    steps = Steps._make((*np.array(columns), sample.motor_scaled))
     return steps, conditions_of(sample)
 
 
