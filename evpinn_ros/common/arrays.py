@@ -37,6 +37,23 @@ def zeros(shape: tuple[int, ...], example: Any) -> Any:
     return np.zeros(shape) if namespace(example) is np else example.new_zeros(shape)
 
 
+def as_numpy(array: Any) -> np.ndarray:
+    """A numpy array of what may be a tensor, without its gradient."""
+    return np.asarray(array if namespace(array) is np else array.detach().cpu())
+
+
+def whole(values: Any) -> Any:
+    """Integers that index arrays, towards zero."""
+    return values.astype(np.intp) if namespace(values) is np else values.long()
+
+
+def sums_at(index: Any, values: Any, count: int) -> Any:
+    """Sums of values by their index, 0 to count - 1; arguments of shape (n,), result (count,)."""
+    if namespace(values) is np:
+        return np.bincount(index, values, count)
+    return values.new_zeros(count).index_add(0, index, values)
+
+
 def chosen_rows(columns: Columns, chosen: np.ndarray) -> Columns:
     """A NamedTuple of arrays, shape (n,) each: the rows at some indices, or under a mask."""
     return type(columns)(*(column[chosen] for column in columns))

@@ -93,7 +93,8 @@ def forecast(
     """Energy of many speed profiles, and its 1-sigma.
 
     With torch the results have gradients by all three. Power bends where the car turns from
-    driving to braking; the gradient is that of the pieces.
+    driving to braking, and where the table of the network goes on to its next node; the gradient
+    is that of the pieces.
 
     Args:
         profiles: what might be driven.
@@ -112,16 +113,15 @@ def forecast(
         )
     model = vehicle_model(vehicle) if model is None else model
     density = vehicle.air_density if air_density is None else air_density
-    if namespace(speed) is not np:
-        return _checked(_energies(profiles, model, density))
     rows = range(0, len(speed), CHUNK)
     parts = [
         _energies(Profiles(*(_rows(a, slice(i, i + CHUNK)) for a in profiles)), model, density)
         for i in rows
     ]
     if not parts:
-        return Energies(np.empty(0), np.empty(0))
-    return _checked(Energies(*map(np.concatenate, zip(*parts, strict=True))))
+        return Energies(speed[:, 0], speed[:, 0])
+    concatenate = namespace(speed).concatenate
+    return _checked(Energies(*map(concatenate, zip(*parts, strict=True))))
 
 
 def forecast_plan(
@@ -315,9 +315,7 @@ def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies
     # The integral of v^3 where speed is linear; (a + b)(a^2 + b^2) / 4 is exact.
     air = 0.5 * length * (square[:, :-1] + square[:, 1:])
     motion = Motion(duration, length, air, 0.5 * xp.diff(square), climb)
-    weather = Weather(density)
-    numpy = xp is np  # a table serves many trips, and has no gradient
-    rows = model.summed_rows(motion, weather) if numpy else model.rows(motion, weather).sum(-2)
+    rows = model.summed_rows(motion, Weather(density))
     unseen = length.sum(-1) * (elevation is None)
     steps = duration, standing(duration, length), 0.5 * twice * length
     elapsed, stood, square = (each.sum(-1) for each in steps)

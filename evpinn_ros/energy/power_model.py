@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.arrays import like, namespace, within
+from evpinn_ros.common.arrays import as_numpy, like, namespace, sums_at, whole, within, zeros
 from evpinn_ros.estimation.network import FORCE_SCALE, SPEED_CENTRE, SPEED_SCALE, Network
 from evpinn_ros.estimation.posterior import (
     LOAD_TIME,
@@ -190,14 +190,14 @@ class PowerModel:
         row[EXPLAINED] -= row[PHYSICS] @ equation.explained
         return row, energy
 
-    def summed_rows(self, motion: Motion, weather: Weather) -> np.ndarray:
+    def summed_rows(self, motion: Motion, weather: Weather) -> Any:
         """Rows of whole trips, shape (batch, SIZE); the network by a table, for it is many."""
         wheels, columns = self._columns(motion, weather)
-        rows = np.zeros((len(motion.distance), SIZE))
+        rows = zeros((len(motion.distance), SIZE), motion.distance)
         for state, column in columns.items():
             rows[:, state] = column.sum(-1)
         rows[:, WEIGHTS] = _looked_up(wheels, motion.distance, self._table)
-        rows[:, EXPLAINED] -= rows[:, PHYSICS] @ self.car.equation.explained
+        rows[:, EXPLAINED] -= rows[:, PHYSICS] @ like(self.car.equation.explained, rows)
         return rows
 
     def projected(self, weather: Weather, onto: np.ndarray) -> Callable[[Motion], np.ndarray]:
@@ -411,12 +411,12 @@ def _units(network: Network, wheels: Wheels) -> Iterator[tuple[slice, np.ndarray
         yield part, found
 
 
-def _nodes(wheels: Wheels, way: np.ndarray) -> tuple[np.ndarray, list[tuple[int, np.ndarray]]]:
+def _nodes(wheels: Wheels, way: Any) -> tuple[Any, list[tuple[int, Any]]]:
     """Numbers of the lower nodes of the grid below steps; shifts of all four, and m to each."""
-    forces = len(GRID_FORCE)
-    x = np.minimum(wheels.speed * (1.0 / GRID_SPEED[1]), len(GRID_SPEED) - 1.001)
+    xp, forces = namespace(way), len(GRID_FORCE)
+    x = xp.clip(wheels.speed * (1.0 / GRID_SPEED[1]), None, len(GRID_SPEED) - 1.001)
     y = (wheels.force - GRID_FORCE[0]) * (1.0 / (GRID_FORCE[1] - GRID_FORCE[0]))
-    i, j = x.astype(np.intp), np.minimum(y, forces - 1.001).astype(np.intp)
+    i, j = whole(x), whole(xp.clip(y, None, forces - 1.001))
     above, y = (x - i) * way, y - j
     below = way - above
     stronger, faster = below * y, above * y
@@ -424,18 +424,20 @@ def _nodes(wheels: Wheels, way: np.ndarray) -> tuple[np.ndarray, list[tuple[int,
     return i * forces + j, shares
 
 
-def _looked_up(wheels: Wheels, distance: np.ndarray, table: np.ndarray) -> np.ndarray:
+def _looked_up(wheels: Wheels, distance: Any, table: np.ndarray) -> Any:
     """Energy of the network before its share of the terms is taken away, (batch, NETWORK).
 
     Steps are spread over the four nodes around them by weights, so a trip is one row of weights.
     """
-    batch = len(distance)
-    node, shares = _nodes(wheels, np.abs(distance))
+    batch, last = len(distance), len(GRID_FORCE) + 1
+    node, shares = _nodes(wheels, abs(distance))
     most = (int(node.max()) // len(GRID_FORCE) + 2) * len(GRID_FORCE)
-    cell = (np.arange(batch)[:, None] * most + node).ravel()
-    weights = np.zeros(batch * most)
+    cell = (most * like(np.arange(batch), node)[:, None] + node).ravel()
+    weights = zeros((batch * most,), distance)
     for shift, share in shares:
-        weights[shift:] += np.bincount(cell, share.ravel(), len(weights))[: len(weights) - shift]
-    each = weights.reshape(batch, -1)
-    used = np.flatnonzero(each.any(0))  # a tenth: at a speed there are few forces
-    return np.asarray(each[:, used] @ table.reshape(-1, table.shape[2])[used])
+        weights[shift:] += sums_at(cell, share.ravel(), len(weights))[: len(weights) - shift]
+    # A tenth of the nodes: at a speed there are few forces.
+    below = np.flatnonzero(np.bincount(as_numpy(node).ravel(), minlength=most - last))
+    used = np.unique(np.concatenate([below + shift for shift, _ in shares]))
+    table = like(table.reshape(-1, table.shape[2])[used], distance)
+    return weights.reshape(batch, -1)[:, used] @ table

@@ -89,10 +89,8 @@ def test_torch_gives_the_same_and_its_own_kind(model):
     found = forecast(many, CAR, model)
     tensors = forecast(Profiles(*map(torch.as_tensor, many)), CAR, model)
     assert isinstance(found.energy, np.ndarray) and isinstance(tensors.energy, torch.Tensor)
-    # With numpy a table stands in for the network.
-    close = 1e-10 if model is SIMPLE else 1e-3
-    assert tensors.energy.numpy() == pytest.approx(found.energy, rel=close)
-    assert tensors.sigma.numpy() == pytest.approx(found.sigma, rel=5 * close)
+    assert tensors.energy.numpy() == pytest.approx(found.energy, rel=1e-10)
+    assert tensors.sigma.numpy() == pytest.approx(found.sigma, rel=1e-10)
 
 
 @pytest.mark.slow
