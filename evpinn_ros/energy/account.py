@@ -15,7 +15,9 @@ from evpinn_ros.common.saved_fields import ADDED, SAME, Range, Saveable
 from evpinn_ros.energy.battery_model import BatteryModel, SavedBattery
 from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
 from evpinn_ros.energy.dropout import Dropout
+from evpinn_ros.energy.forecast import Forecast
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState, SavedMeter
+from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.plausible import (
     MAX_POWER,
     MOST_ENERGY,
@@ -26,7 +28,7 @@ from evpinn_ros.energy.plausible import (
     speed_is_possible,
 )
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict, reconcile
-from evpinn_ros.energy.remaining import Cost, Remaining, cost_spread, remaining
+from evpinn_ros.energy.remaining import Cost, Remaining, Route, cost_spread, remaining
 from evpinn_ros.energy.trip import SavedTrip, Stretch, TripLog
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
@@ -136,6 +138,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         reconciled: of the last battery dropout that ended, None before.
         usual: energy per distance of usual driving (`energy.usual`), J/m, NaN if unknown; who
             learns the car sets it.
+        route: that the car follows, None if it follows none; who answers plans sets it.
         refused: readings of what no car can do, by reason, since the process began.
     """
 
@@ -150,6 +153,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.meter, self.trip, self.gauge = meter, TripLog(), ChargeGauge(capacity)
         self.battery = BatteryModel(capacity)
         self.usual = math.nan
+        self.route: Route | None = None
         self._vehicle = vehicle
         self.refused: Counter[str] = Counter()
         self._shown = EnergyTotals()  # of the lifetime, in the last summary
@@ -162,6 +166,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.trip = TripLog()
         self.gauge.reset()
         self.battery.reset()
+        self.route = None
         self._begin(EnergyTotals(), TripCorrection())
 
     def _begin(self, before: EnergyTotals, correction: TripCorrection) -> None:
@@ -193,6 +198,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def begin_next_trip(self) -> None:
         """Begin as after a jump of time, and count the trip from zero; the lifetime goes on."""
         self.begin_after_jump()
+        self.route = None
         self.reset_trip()
 
     def add_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
@@ -294,6 +300,15 @@ class EnergyAccount(Saveable[SavedAccount]):
             unknown_s=state.unknown_s,
         )
 
+    @property
+    def odometer(self) -> float:
+        """Distance since the first start, m."""
+        return self._before_reset.distance + self.trip.total.distance
+
+    def follow(self, plan: Plan, found: Forecast) -> None:
+        """Take a plan for the route that the car follows from here on."""
+        self.route = Route.from_here(plan, found, self.odometer, self._newest_ns)
+
     def lifetime(self) -> EnergyTotals:
         """Totals since the first start."""
         return self._before_reset.plus(self.since_reset())
@@ -342,7 +357,12 @@ class EnergyAccount(Saveable[SavedAccount]):
         if math.isnan(recent):  # the long run is too short as well
             return None
         spread = cost_spread(self.trip.windows[-1].whole)
-        return remaining(usable, Cost.ahead(recent, long, self.usual, spread))
+        cost = Cost.ahead(recent, long, self.usual, spread)
+        if self.route is not None and self.route.left(self.odometer, self._newest_ns) <= 0.0:
+            self.route = None
+        return remaining(
+            usable, cost if self.route is None else self.route.ahead(self.odometer, cost)
+        )
 
     def saved(self) -> SavedAccount:
         """State to save."""

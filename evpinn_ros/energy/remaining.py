@@ -10,17 +10,26 @@ and the distance to empty is where it is the energy left. The error of the cost 
 process over distance with the same memory, whose 1-sigma is the spread of 5 km pieces of road
 (`energy.uncertainty`, metres for seconds); the band is where E, 1.645 sigma of it and of the
 energy left up or down, meets the energy left.
+
+While the car follows a route whose energy was forecast, the road ahead is what is left of that
+route, and the E above begins at its end.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.forecast import Forecast
+from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.trip import Stretch
 from evpinn_ros.energy.uncertainty import relaxed, walked
+from evpinn_ros.signals.readings import NANOSECONDS
 
 MEMORY = 10e3  # m
 # Share of the usual legs in the next metres, beside the long run, chosen on the e-208, the Leaf
@@ -30,6 +39,7 @@ FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and w
 FARTHEST = 2.0**21  # m; what is beyond is no answer
 HALVINGS = 21  # down to a metre
 QUANTILE = 1.6449  # of 90 %
+GIVEN_UP = 2.0  # times its planned duration after which a route that was not driven is given up
 
 
 class Remaining(NamedTuple):
@@ -41,12 +51,31 @@ class Remaining(NamedTuple):
     upper: float
 
 
+class Ahead(Protocol):
+    """The road ahead: what so many metres of it take at most on the way."""
+
+    @property
+    def known(self) -> bool:
+        """Whether there is an answer."""
+
+    def energy(self, distance: float) -> float:
+        """Energy that the battery must give within these metres, J; it never falls."""
+
+    def sigma(self, distance: float) -> float:
+        """1-sigma of that, J."""
+
+
 class Cost(NamedTuple):
     """Energy per distance, J/m: of the next metres, in the long run, and its relative 1-sigma."""
 
     near: float
     long: float
     spread: float
+
+    @property
+    def known(self) -> bool:
+        """Whether both costs are positive numbers."""
+        return all(map(math.isfinite, self)) and min(self.near, self.long) > 0
 
     @classmethod
     def ahead(cls, recent: float, long: float, usual: float, spread: float) -> Cost:
@@ -71,6 +100,82 @@ class Cost(NamedTuple):
         return level * math.sqrt(max(walked(distance, MEMORY), 0.0))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Route:
+    """A route that the car follows, as the forecast of its plan has it.
+
+    Attributes:
+        distance: of its points from the first, m, never falling, shape (n,).
+        energy: from the first point to each, J.
+        sigma: 1-sigma of that, J.
+        begin: the odometer at its first point, m.
+        until_ns: stamp at which it is given up.
+    """
+
+    distance: np.ndarray
+    energy: np.ndarray
+    sigma: np.ndarray
+    begin: float
+    until_ns: int
+
+    @classmethod
+    def from_here(cls, plan: Plan, found: Forecast, odometer: float, stamp_ns: int) -> Route:
+        """The route of a plan that begins now, where the car is."""
+        until_ns = stamp_ns + int(GIVEN_UP * (found.time[-1] - found.time[0]) * NANOSECONDS)
+        return cls(plan.distance - plan.distance[0], found.energy, found.sigma, odometer, until_ns)
+
+    def left(self, odometer: float, stamp_ns: int) -> float:
+        """Metres that are left of it; 0 or less once it is over."""
+        return 0.0 if stamp_ns > self.until_ns else self.begin + self.distance[-1] - odometer
+
+    def ahead(self, odometer: float, beyond: Cost) -> RouteAhead:
+        """What is left of it, and the road beyond its end."""
+        driven = odometer - self.begin
+        rest = self.distance > driven
+        distance = np.concatenate(([0.0], self.distance[rest] - driven))
+        here = float(np.interp(driven, self.distance, self.energy))
+        energies = np.concatenate(([0.0], self.energy[rest] - here))
+        # So many metres to come are as unsure as so many from the start were.
+        return RouteAhead(
+            distance, energies, np.interp(distance, self.distance, self.sigma), beyond
+        )
+
+
+class RouteAhead(NamedTuple):
+    """What is left of a route, and the cost of the road beyond its end.
+
+    Attributes:
+        distance: of its points from here, m, the first 0, shape (n,).
+        energies: from here to each, J.
+        sigmas: 1-sigma of these, J.
+        beyond: cost of the road that follows.
+    """
+
+    distance: np.ndarray
+    energies: np.ndarray
+    sigmas: np.ndarray
+    beyond: Cost
+
+    @property
+    def known(self) -> bool:
+        """Whether what follows is known; a forecast always is."""
+        return self.beyond.known
+
+    def energy(self, distance: float) -> float:
+        """Energy that the battery must give within these metres, J: most of it on a pass."""
+        most = np.maximum.accumulate(self.energies)
+        after = distance - float(self.distance[-1])
+        if after <= 0.0:
+            return float(np.interp(distance, self.distance, most))
+        return max(float(most[-1]), float(self.energies[-1]) + self.beyond.energy(after))
+
+    def sigma(self, distance: float) -> float:
+        """1-sigma of that, J."""
+        after = max(distance - float(self.distance[-1]), 0.0)
+        on_it = float(np.interp(distance, self.distance, self.sigmas))
+        return math.hypot(on_it, self.beyond.sigma(after))
+
+
 def cost_spread(pieces: Sequence[Stretch]) -> float:
     """Relative 1-sigma of the cost of pieces of road around their mean.
 
@@ -83,21 +188,20 @@ def cost_spread(pieces: Sequence[Stretch]) -> float:
     return math.sqrt(variance / (FIRST_SPREAD_PIECES + len(pieces)))
 
 
-def remaining(usable: Uncertain, cost: Cost) -> Remaining | None:
+def remaining(usable: Uncertain, ahead: Ahead) -> Remaining | None:
     """Distance to empty, None while it cannot be known.
 
     Args:
         usable: energy left, J.
-        cost: of the road ahead.
+        ahead: the road.
     """
-    numbers = (usable.value, usable.sigma, *cost)
-    if not all(map(math.isfinite, numbers)) or min(cost.near, cost.long) <= 0:
+    if not (all(map(math.isfinite, usable)) and ahead.known):
         return None
 
     def over(quantile: float) -> Callable[[float], float]:
         def energy(distance: float) -> float:
-            uncertain = math.hypot(cost.sigma(distance), usable.sigma)
-            return cost.energy(distance) + quantile * uncertain - usable.value
+            uncertain = math.hypot(ahead.sigma(distance), usable.sigma)
+            return ahead.energy(distance) + quantile * uncertain - usable.value
 
         return energy
 

@@ -221,7 +221,8 @@ class EnergyNode(StatefulNode):
         header = new_message("std_msgs/msg/Header")
         try:
             header = request_header(new_message, data)
-            answer = forecaster.answer(read(data), *moment, question(header))
+            asked, plan = question(header), read(data)
+            answer = forecaster.answer(plan, *moment, asked)
             messages = list(self._plan_messages(header, answer, forecaster.basis))
         except (CdrError, PlanError) as error:
             self._refuse(header, str(error))
@@ -231,6 +232,8 @@ class EnergyNode(StatefulNode):
             raise
         self.publish(messages)
         self.plans.answer(answer.charge)
+        if asked.together is None:  # a plan that stands beside others is none to follow yet
+            self.account.follow(plan, answer.forecast)
 
     def _refuse(self, header: Any, reason: str) -> None:
         """Answer a plan with the reason why there is no forecast."""

@@ -282,7 +282,9 @@ ENERGY_RANGE = Topic(
     "energy/range",
     "energy",
     "1 Hz: `distance_to_empty` with `distance_lower`, `distance_upper` of its 90 % band, "
-    "`usable_energy`, `state_of_charge`, `capacity`, effort 1-sigma; what is unknown is left out",
+    "`usable_energy`, `state_of_charge`, `capacity`, effort 1-sigma; what is unknown is left out. "
+    "After a plan (one without `/` in its frame) the distance is along that route, until it is "
+    "driven or twice its time has passed",
     "m, J, 1",
 )
 PLAN = Topic("plan", "planner", "stamped poses; z is elevation", "m", type_name=PATH_TYPE)

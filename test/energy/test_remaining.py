@@ -2,6 +2,7 @@ import math
 
 from hypothesis import given
 from hypothesis import strategies as st
+import numpy as np
 import pytest
 
 from evpinn_ros.energy.charge import Uncertain
@@ -11,6 +12,7 @@ from evpinn_ros.energy.remaining import (
     RECENT,
     USUAL,
     Cost,
+    Route,
     cost_spread,
     remaining,
 )
@@ -82,3 +84,51 @@ def test_spread_of_the_cost_goes_from_the_prior_to_the_pieces():
     assert cost_spread(even) == pytest.approx(FIRST_SPREAD * math.sqrt(5 / 25))
     rough = [Stretch(5e3, 1e6), Stretch(5e3, 5e6)] * 10
     assert cost_spread(rough) == pytest.approx(0.6, abs=0.1)
+
+
+def route(distance, energy, sigma=0.0, begin=0.0):
+    """A route by points, in km and MJ; its sigma is a share of the energy."""
+    metres, joules = 1e3 * np.array(distance, float), 1e6 * np.array(energy, float)
+    return Route(metres, joules, sigma * np.abs(joules), begin, until_ns=1000)
+
+
+@given(costs, st.floats(5e3, 2e5), st.floats(0.0, 1.0), st.floats(1e6, 2e8))
+def test_a_route_of_the_usual_cost_changes_nothing(cost, length, driven, usable):
+    even = Cost(cost, cost, 0.0)
+    here = Route(np.array([0.0, length]), cost * np.array([0.0, length]), np.zeros(2), 7.0, 1000)
+    with_it = remaining(Uncertain(usable, 0.0), here.ahead(7.0 + driven * length, even))
+    alone = remaining(Uncertain(usable, 0.0), even)
+    assert with_it is alone is None or with_it.distance == pytest.approx(alone.distance, abs=3.0)
+
+
+def test_a_dear_route_shortens_the_way_until_it_is_driven():
+    motorway = route([0, 20, 40], [0, 20, 40], sigma=0.1)  # twice the usual 500 J/m
+    at_start, half, over = (
+        remaining(USABLE, motorway.ahead(1e3 * km, EVEN)).distance for km in (0.0, 20.0, 40.0)
+    )
+    assert at_start == pytest.approx(40e3 + 20e6 / 500.0, abs=3.0)
+    assert half == pytest.approx(20e3 + 40e6 / 500.0, abs=3.0)
+    assert over == pytest.approx(120e3, abs=3.0)
+
+
+def test_who_cannot_cross_the_pass_stops_before_it():
+    over_the_pass = route([0, 10, 20], [0, 30, 5])
+    found = remaining(Uncertain(20e6, 0.0), over_the_pass.ahead(0.0, EVEN))
+    assert found.distance == pytest.approx(1e4 * 20 / 30, abs=3.0)
+    enough = remaining(Uncertain(31e6, 0.0), over_the_pass.ahead(0.0, EVEN._replace(spread=0.0)))
+    assert enough.distance == pytest.approx(20e3 + 26e6 / 500.0, abs=3.0)
+
+
+def test_the_band_is_that_of_the_route():
+    sure, unsure = (
+        remaining(USABLE, route([0, 200], [0, 100], sigma).ahead(0.0, EVEN))
+        for sigma in (0.01, 0.2)
+    )
+    assert sure.distance == pytest.approx(unsure.distance) == pytest.approx(120e3, abs=3.0)
+    assert unsure.upper - unsure.lower > 5.0 * (sure.upper - sure.lower)
+
+
+def test_a_route_ends_where_it_was_driven_and_is_given_up_after_a_time():
+    some = route([0, 20], [0, 10], begin=5e3)
+    assert some.left(5e3, 0) == 20e3 and some.left(24e3, 1000) == 1e3
+    assert some.left(25e3, 0) <= 0.0 and some.left(5e3, 1001) == 0.0

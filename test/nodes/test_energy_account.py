@@ -13,6 +13,7 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.topics.messages import Level, named_vector, read_named_vector
 from evpinn_ros.topics.readings import battery_message, speed_message
+from test.nodes.plans import ANSWERS, ask, profile
 
 START = 1_700_000_000
 SPEED = 50.0  # m/s
@@ -160,6 +161,31 @@ def test_planners_hear_consumption_and_range_only_when_known(bench):
     assert len(vector.effort) == len(vector.name)
     status = bench.diagnosis(node)["charge"]
     assert status[1] == "state of charge received" and status[2]["projected"] == "False"
+
+
+def test_the_range_is_that_of_the_route_whose_plan_was_asked(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(topics.ENERGY_RANGE, *ANSWERS)
+    drive(bench, node, range(211))  # 10 km are full
+    motorway = ((0, 0, SPEED), (600, 30_000, SPEED), (1200, 60_000, SPEED))
+
+    def ask_and_drive(frame, seconds):
+        (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*motorway, frame=frame))
+        drive(bench, node, seconds)
+        ranges = bench.heard[topics.ENERGY_RANGE]
+        bench.pump(lambda: len(ranges) == node.published[topics.ENERGY_RANGE])
+        return answer, values(ranges[-1])
+
+    _, without = ask_and_drive("planner/one of several", range(211, 214))
+    answer, along = ask_and_drive("the one that is driven", range(214, 217))
+    needed = answer.points[-1].positions[0]
+    left = node.account.route.left(node.account.odometer, 0)
+    assert 60e3 - 4 * SPEED < left < 60e3
+    after = (along["usable_energy"] - needed * left / 60e3) / (POWER / SPEED)
+    assert along["distance_to_empty"] == pytest.approx(left + after, rel=0.01)
+    assert along["distance_to_empty"] < 0.9 * without["distance_to_empty"]
+    node.account.begin_next_trip()
+    assert node.account.route is None
 
 
 def test_a_wrong_stamp_of_speed_costs_no_distance(bench):
