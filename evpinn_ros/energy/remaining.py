@@ -52,11 +52,11 @@ class Remaining(NamedTuple):
 
 
 class Ahead(Protocol):
-    """The road ahead: what so many metres of it take at most on the way."""
+    """The road ahead, by the energy that it takes."""
 
     @property
     def known(self) -> bool:
-        """Whether there is an answer."""
+        """True if there is an answer."""
 
     def energy(self, distance: float) -> float:
         """Energy that the battery must give within these metres, J; it never falls."""
@@ -74,7 +74,7 @@ class Cost(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether both costs are positive numbers."""
+        """True if both costs are positive numbers."""
         return all(map(math.isfinite, self)) and min(self.near, self.long) > 0
 
     @classmethod
@@ -129,7 +129,7 @@ class Route:
         return 0.0 if stamp_ns > self.until_ns else self.begin + self.distance[-1] - odometer
 
     def ahead(self, odometer: float, beyond: Cost) -> RouteAhead:
-        """What is left of it, and the road beyond its end."""
+        """The rest of it, and the road beyond its end."""
         driven = odometer - self.begin
         rest = self.distance > driven
         distance = np.concatenate(([0.0], self.distance[rest] - driven))
@@ -142,7 +142,7 @@ class Route:
 
 
 class RouteAhead(NamedTuple):
-    """What is left of a route, and the cost of the road beyond its end.
+    """The rest of a route, and the cost of the road beyond its end.
 
     Attributes:
         distance: of its points from here, m, the first 0, shape (n,).
@@ -158,7 +158,7 @@ class RouteAhead(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether what follows is known; a forecast always is."""
+        """True if what follows is known; a forecast always is."""
         return self.beyond.known
 
     def energy(self, distance: float) -> float:
