@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
+import sys
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -121,7 +122,9 @@ class Route:
     @classmethod
     def from_here(cls, plan: Plan, found: Forecast, odometer: float, stamp_ns: int) -> Route:
         """The route of a plan that begins now, where the car is."""
-        until_ns = stamp_ns + int(GIVEN_UP * (found.time[-1] - found.time[0]) * NANOSECONDS)
+        longest = int(GIVEN_UP * (found.time[-1] - found.time[0]) * NANOSECONDS)
+        # Before the first reading no stamp is known from which to count.
+        until_ns = stamp_ns + longest if stamp_ns else sys.maxsize
         return cls(plan.distance - plan.distance[0], found.energy, found.sigma, odometer, until_ns)
 
     def left(self, odometer: float, stamp_ns: int) -> float:

@@ -6,7 +6,9 @@ import pytest
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.forecast import Forecast
 from evpinn_ros.energy.meter import EnergyMeter
+from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.plausible import MAX_POWER
 from evpinn_ros.energy.reconciliation import Verdict
 from evpinn_ros.energy.rknn import load_rknn
@@ -133,6 +135,22 @@ def test_usual_legs_alone_tell_no_distance_to_empty():
     assert summary.remaining is None
     drive(counted, range(300, 1800))
     assert counted.summary().remaining is not None
+
+
+def test_a_route_planned_before_setting_off_is_followed_until_it_is_driven():
+    time, length = np.array([0.0, 50.0, 600.0]), np.array([0.0, 1e3, 12e3])
+    plan = Plan(time, length, np.full(3, SPEED), np.zeros(3))
+    energy = np.array([0.0, 1e6, 12e6])
+    planned = account()
+    planned.follow(plan, Forecast(time, energy, np.full(3, 2e4), 0.1 * energy))
+    half = drive(planned, range(520)).summary()
+    usual = drive(account(), range(520)).summary()
+    assert planned.route is not None
+    left = 12e3 - 520 * SPEED  # costs twice as much as usual
+    expected = usual.remaining.distance - left
+    assert half.remaining.distance == pytest.approx(expected, abs=30.0)
+    assert drive(planned, range(521, 620)).summary().remaining is not None
+    assert planned.route is None
 
 
 def test_saved_and_restored_the_totals_are_the_same_and_go_on():
