@@ -8,7 +8,7 @@ from pathlib import Path
 import random
 
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.estimation.state_file import write_state
+from evpinn_ros.estimation.state_file import Half, write_halves
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
@@ -50,5 +50,5 @@ def learned_state(folder: Path) -> Path:
             for _ in estimator.add_reading(reading):
                 pass
     path = folder / "learned.json"
-    write_state(path, estimator.export())
+    write_halves(path, {Half.LEARNED: estimator.export()})
     return path

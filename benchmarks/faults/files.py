@@ -23,7 +23,7 @@ from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.estimation.state_file import read_state
+from evpinn_ros.estimation.state_file import Half, read_state
 from evpinn_ros.signals.readings import NANOSECONDS
 
 OUTPUTS = (topics.POWER_PREDICTED, topics.POWER_SMOOTHED, topics.POWER_MEASURED)
@@ -88,7 +88,10 @@ def _empty(path: Path) -> None:
 
 
 def _other(path: Path) -> None:
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"vehicle": OTHER_VEHICLE}))
+    halves = json.loads(path.read_text())
+    assert halves[Half.LEARNED]["vehicle"] != OTHER_VEHICLE
+    halves[Half.LEARNED]["vehicle"] = OTHER_VEHICLE
+    path.write_text(json.dumps(halves))
 
 
 def _not_finite(path: Path) -> None:
