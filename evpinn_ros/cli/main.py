@@ -79,6 +79,11 @@ def main() -> None:
     except InputError as error:
         note(f"evpinn: {error}")
         sys.exit(FAILED)
+    except ModuleNotFoundError as error:
+        if error.name != "rclpy":
+            raise
+        note("evpinn: this needs rclpy: source a ROS 2, or pip install 'evpinn_ros[ros]'")
+        sys.exit(FAILED)
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would be a traceback
         sys.exit(INTERRUPTED)

@@ -1,8 +1,10 @@
 """The command as a person meets it: results, one-line errors, exit codes."""
 
 import json
+import os
 from pathlib import Path
 import subprocess
+import sys
 
 import pytest
 
@@ -37,6 +39,22 @@ def assert_fails_in_one_line(done: subprocess.CompletedProcess, *words: str) -> 
     (line,) = done.stderr.strip().splitlines()
     for word in words:
         assert word in line
+
+
+@pytest.mark.parametrize(
+    "command", [("demo",), ("run", "--vehicle", "tesla_model_3_lr"), ("watch",)], ids=" ".join
+)
+def test_without_ros_the_commands_that_need_it_fail_in_one_line(tmp_path, command):
+    script = (
+        "import sys; sys.modules['rclpy'] = None; from evpinn_ros.cli.main import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, *command],
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert_fails_in_one_line(done, "needs rclpy", "evpinn_ros[ros]")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
