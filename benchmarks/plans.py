@@ -34,7 +34,6 @@ RESOLUTIONS = ("1 s", "10 s", "60 s", "200 m", "500 m", "2000 m", "trip")
 METHODS = ("forecast", "loads given", "even speed", "per km", "per km by speed")
 LEAST_DISTANCE = 1000.0  # m of a drive that is a plan
 SPEED_CLASS = 5.0  # m/s, of consumption by mean speed
-SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,6 @@ pytestmark = pytest.mark.slow
 
 START = 1_700_000_000_000_000_000
 STEP = 100_000_000
-CHUNK_HEAD = 9 + 32 + 4 + 8  # bytes of a chunk before its packed records, with a name of 4
 
 
 def saved(folder: Path, data: bytes):

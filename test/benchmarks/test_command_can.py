@@ -1,34 +1,23 @@
 """`evpinn bench can` as a person meets it: real processes, a real bus, three seconds."""
 
-import json
-import subprocess
-import sys
-
 import can
 import pytest
 
 from benchmarks.can_traffic import open_bus, own_port
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.package_data import share_directory
 
 pytestmark = pytest.mark.nightly
 
 
-def test_a_short_run_measures_everything(tmp_path):
+def test_a_short_run_measures_everything(bench):
     try:
         with open_bus(own_port()):
             pass
     except (InputError, can.CanError) as error:
         pytest.skip(str(error))
-    command = [sys.executable, "-m", "evpinn_ros", "bench", "can", "--minutes", "0.05"]
-    done = subprocess.run(
-        [*command, "--json", str(tmp_path / "can.json")],
-        cwd=share_directory(), capture_output=True, text=True, timeout=150,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    printed, found = bench("can", "--minutes", "0.05")
     for line in ("frames lost", "share of one core", "p99", "candump file to readings"):
-        assert line in done.stdout
-    found = json.loads((tmp_path / "can.json").read_text())
+        assert line in printed
     live = found["live"]
     assert live["frames_sent"] == 12_000 and live["readings_sent"] == 300
     assert 0 < live["frames_received"] <= 12_000 and 0 < live["readings_heard"] <= 300
