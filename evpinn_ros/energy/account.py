@@ -138,7 +138,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         reconciled: of the last battery dropout that ended, None before.
         usual: energy per distance of usual driving (`energy.usual`), J/m, NaN if unknown; who
             learns the car sets it.
-        route: that the car follows, None if it follows none; who answers plans sets it.
+        route: of the last plan (`follow`), None before any.
         refused: readings of what no car can do, by reason, since the process began.
     """
 
@@ -351,18 +351,21 @@ class EnergyAccount(Saveable[SavedAccount]):
         return {name: stretch.energy / stretch.distance for name, stretch in found.items()}
 
     def _remaining(self, usable: Uncertain, consumption: Mapping[str, float]) -> Remaining | None:
-        """It needs what the last 10 km cost; the long run is 100 km, or before them all."""
-        recent = consumption.get("10", math.nan)
-        long = consumption.get("100", consumption.get("lifetime", math.nan))
+        """It needs what the last 10 km cost, or a route; the long run is 100 km, or all so far."""
+        route = self._route_ahead()
+        recent = consumption.get("10", math.nan if route is None else route.cost)
+        long = consumption.get("100", consumption.get("lifetime", recent))
         if math.isnan(recent):  # the long run is too short as well
             return None
         spread = cost_spread(self.trip.windows[-1].whole)
         cost = Cost.ahead(recent, long, self.usual, spread)
-        if self.route is not None and self.route.left(self.odometer, self._newest_ns) <= 0.0:
-            self.route = None
-        return remaining(
-            usable, cost if self.route is None else self.route.ahead(self.odometer, cost)
-        )
+        return remaining(usable, cost if route is None else route.ahead(self.odometer, cost))
+
+    def _route_ahead(self) -> Route | None:
+        """The route that the car follows, unless it is over."""
+        route = self.route
+        over = route is None or route.left(self.odometer, self._newest_ns) <= 0.0
+        return None if over else route
 
     def saved(self) -> SavedAccount:
         """State to save."""

@@ -11,8 +11,9 @@ process over distance with the same memory, whose 1-sigma is the spread of 5 km 
 (`energy.uncertainty`, metres for seconds); the band is where E, 1.645 sigma of it and of the
 energy left up or down, meets the energy left.
 
-While the car follows a route whose energy was forecast, the road ahead is what is left of that
-route, and the E above begins at its end.
+While the car follows a route whose energy was forecast, the road ahead is the rest of that route,
+and the E above begins at its end. A car that has not driven 10 km yet takes the mean cost of the
+route for the road beyond it.
 """
 
 from __future__ import annotations
@@ -127,6 +128,11 @@ class Route:
         until_ns = stamp_ns + longest if stamp_ns else sys.maxsize
         return cls(plan.distance - plan.distance[0], found.energy, found.sigma, odometer, until_ns)
 
+    @property
+    def cost(self) -> float:
+        """Mean energy per distance, J/m."""
+        return float(self.energy[-1] / self.distance[-1])
+
     def left(self, odometer: float, stamp_ns: int) -> float:
         """Metres that are left of it; 0 or less once it is over."""
         return 0.0 if stamp_ns > self.until_ns else self.begin + self.distance[-1] - odometer
@@ -161,7 +167,7 @@ class RouteAhead(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """True if what follows is known; a forecast always is."""
+        """True if the cost beyond is known; a forecast always is."""
         return self.beyond.known
 
     def energy(self, distance: float) -> float:

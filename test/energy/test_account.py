@@ -140,17 +140,17 @@ def test_usual_legs_alone_tell_no_distance_to_empty():
 def test_a_route_planned_before_setting_off_is_followed_until_it_is_driven():
     time, length = np.array([0.0, 50.0, 600.0]), np.array([0.0, 1e3, 12e3])
     plan = Plan(time, length, np.full(3, SPEED), np.zeros(3))
-    energy = np.array([0.0, 1e6, 12e6])
-    planned = account()
+    energy = np.array([0.0, 1e6, 12e6])  # twice as much as usual
+    planned, usual = account(), account()
     planned.follow(plan, Forecast(time, energy, np.full(3, 2e4), 0.1 * energy))
-    half = drive(planned, range(520)).summary()
-    usual = drive(account(), range(520)).summary()
-    assert planned.route is not None
-    left = 12e3 - 520 * SPEED  # costs twice as much as usual
-    expected = usual.remaining.distance - left
-    assert half.remaining.distance == pytest.approx(expected, abs=30.0)
-    assert drive(planned, range(521, 620)).summary().remaining is not None
-    assert planned.route is None
+    start = drive(planned, range(40)).summary()
+    assert drive(usual, range(40)).summary().remaining is None
+    assert start.remaining.distance == pytest.approx(start.usable.value / 1e3, abs=3.0)
+    found = [drive(each, range(41, 520)).summary().remaining for each in (planned, usual)]
+    left = 12e3 - 520 * SPEED
+    assert found[0].distance == pytest.approx(found[1].distance - left, abs=30.0)
+    over = [drive(each, range(521, 620)).summary().remaining for each in (planned, usual)]
+    assert over[0] == over[1]
 
 
 def test_saved_and_restored_the_totals_are_the_same_and_go_on():
