@@ -157,6 +157,7 @@ class Equation:
         back: eta mu of the prior.
         network: of the car.
         explained: what the terms of eq. 21 explain of `EXPLAINED`, shape (4, len(EXPLAINED)).
+        reference_gram: mean products of these terms over the reference of driving, shape (4, 4).
     """
 
     def __init__(self, vehicle: Vehicle, seed: int = 0) -> None:
@@ -185,6 +186,7 @@ class Equation:
         self.explained = np.hstack(
             (share_of_terms(driving, terms, squared), self.network.explained)
         )
+        self.reference_gram = (driving.seconds / driving.seconds.sum() * terms.T) @ terms
 
     def wheels(
         self, duration: Any, distance: Any, air: Any, kinetic: Any, climb: Any, density: Any

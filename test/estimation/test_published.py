@@ -11,8 +11,9 @@ from evpinn_ros.estimation.breakdown import climb_as_rolling
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.parameter_set import parameter_set
-from evpinn_ros.estimation.posterior import initial_state
+from evpinn_ros.estimation.posterior import NETWORK_STDS, initial_state
 from evpinn_ros.estimation.published import C_D, C_RR, Driven, mass_over_eta, project, published
+from evpinn_ros.estimation.states import NETWORK, State
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.signals.readings import NANOSECONDS, AltitudeReading, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
@@ -46,6 +47,17 @@ def test_energies_of_eq_21_project_onto_their_coefficients(vehicle):
     assert found == pytest.approx(change, rel=1e-3)
     nothing = np.zeros((4, 4))
     assert not project(nothing, nothing @ change, equation).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_network_taught_in_town_is_hardly_booked_as_drag(vehicle, seed):
+    """Town tells drag from rolling badly: a small network made 0.3 of a car's drag there."""
+    car = learned(vehicle, simulate(DriveKind.URBAN, vehicle, 600.0, seed).readings)
+    drag, rolling = (car.driven.share(car.equation)[:2, -NETWORK:] ** 2).sum(1) ** 0.5
+    one = min(NETWORK_STDS)
+    assert 0.0 < one * drag < 0.12 * car.equation.mean[State.DRAG]
+    assert 0.0 < one * rolling < 0.2 * car.equation.mean[State.ROLLING]
 
 
 @pytest.mark.slow
