@@ -27,7 +27,9 @@ from evpinn_ros.energy.power_model import (
     combined_model,
     vehicle_model,
 )
-from evpinn_ros.estimation.posterior import CarModel
+from evpinn_ros.estimation.car_model import (
+    CarModel,
+)
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     PressureReading,

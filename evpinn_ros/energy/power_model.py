@@ -6,7 +6,7 @@ intervals of driving. So the forecast of a driven speed is the replay of it with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
@@ -14,11 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.arrays import as_numpy, like, namespace, sums_at, whole, within, zeros
-from evpinn_ros.estimation.network import FORCE_SCALE, SPEED_CENTRE, SPEED_SCALE, Network
-from evpinn_ros.estimation.posterior import (
-    LOAD_TIME,
+from evpinn_ros.common.arrays import like, namespace, within, zeros
+from evpinn_ros.energy.network_table import looked_up, nodes_of, table_of, units_of
+from evpinn_ros.estimation.car_model import (
     CarModel,
+)
+from evpinn_ros.estimation.noise import (
+    LOAD_TIME,
     unexplained,
     wandered,
 )
@@ -42,9 +44,6 @@ CLIMATE_SHARE = 0.4  # 1-sigma of the heating or cooling of a drive over what is
 CLIMATE_SHOWN = 300.0  # s of a drive within which a third of that is left
 LEAST_TRUST = 1e-3  # lower is none that was learned
 CLIMATE_LIKELY = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]
-BLOCK = 1024  # steps of which the units of the network are computed together, in the cache
-# Where the network is looked up for many trips, m/s and m/s^2; between them it is linear.
-GRID_SPEED, GRID_FORCE = np.arange(0.0, 101.0, 1.0), np.linspace(-4.0, 4.0, 33)
 
 
 class Motion(NamedTuple):
@@ -162,7 +161,7 @@ class PowerModel:
         for state, column in columns.items():
             rows[state] = column
         weights, way = rows[WEIGHTS].reshape(-1, wheels.energy.size), np.abs(motion.distance)
-        for part, units in _units(network, wheels):
+        for part, units in units_of(network, wheels):
             np.matmul(network.outer.T, units, out=weights[:, part])
         rows[WEIGHTS] *= way
         np.cumsum(rows, axis=-1, out=rows)
@@ -184,7 +183,7 @@ class PowerModel:
             row[state] = column.sum()
             energy += mean[state] * column
         way, force = np.abs(motion.distance), network.outer @ mean[WEIGHTS]
-        for part, units in _units(network, wheels):
+        for part, units in units_of(network, wheels):
             row[WEIGHTS] += network.outer.T @ (units @ way[part])
             energy[part] += (force @ units) * way[part]
         row[EXPLAINED] -= row[PHYSICS] @ equation.explained
@@ -196,7 +195,7 @@ class PowerModel:
         rows = zeros((len(motion.distance), SIZE), motion.distance)
         for state, column in columns.items():
             rows[:, state] = column.sum(-1)
-        rows[:, WEIGHTS] = _looked_up(wheels, motion.distance, self._table)
+        rows[:, WEIGHTS] = looked_up(wheels, motion.distance, self._table)
         rows[:, EXPLAINED] -= rows[:, PHYSICS] @ like(self.car.equation.explained, rows)
         return rows
 
@@ -225,7 +224,7 @@ class PowerModel:
             moving = equation.moving_columns(wheels, motion.duration, coldness(celsius), 0.0)
             columns = np.stack([motion.duration, *moving.values()])
             found = columns.T @ np.stack([power, *rest[list(moving)]])
-            node, shares = _nodes(wheels, motion.distance)
+            node, shares = nodes_of(wheels, motion.distance)
             for shift, share in shares:
                 found += network[node + shift] * share[:, None]
             return np.asarray(found)
@@ -322,9 +321,7 @@ class PowerModel:
     @cached_property
     def _table(self) -> np.ndarray:
         """Force of the network on the grid, N per weight, shape (speeds, forces, NETWORK)."""
-        speed, force = np.meshgrid(GRID_SPEED, GRID_FORCE, indexing="ij")
-        found = self.car.equation.network.force(speed.ravel(), force.ravel())
-        return np.asarray(found.reshape(*speed.shape, -1))
+        return table_of(self.car.equation.network)
 
     def _columns(self, motion: Motion, weather: Weather) -> tuple[Wheels, dict[State, Any]]:
         """Wheels of steps, and their energy by state but for the network, J per unit.
@@ -389,55 +386,3 @@ def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicl
     both = [State.ROLLING, State.MASS], [State.MASS, State.ROLLING]
     covariance[both] = c_rr * np.square(sigmas.mass_over_eta)
     return PowerModel(replace(car, mean=mean, covariance=covariance))
-
-
-def _units(network: Network, wheels: Wheels) -> Iterator[tuple[slice, np.ndarray]]:
-    """Units of the network in n steps, a block at a time: which steps, and shape (UNITS, block).
-
-    As `Network.force` has them, by 1 - 2 / (exp(2 x) + 1), half the time of tanh: |x| < 100.
-    """
-    scale = np.array([SPEED_SCALE, FORCE_SCALE])
-    slopes = 2.0 * network.inner / scale
-    weights = np.column_stack((slopes, 2.0 * network.bias - SPEED_CENTRE * slopes[:, 0]))
-    speed = wheels.speed.ravel()
-    inputs = np.stack((speed, wheels.force.ravel(), np.ones_like(speed)))
-    for begin in range(0, speed.size, BLOCK):
-        part = slice(begin, begin + BLOCK)
-        found = weights @ inputs[:, part]
-        np.exp(found, out=found)
-        found += 1.0
-        np.divide(-2.0, found, out=found)
-        found += 1.0
-        yield part, found
-
-
-def _nodes(wheels: Wheels, way: Any) -> tuple[Any, list[tuple[int, Any]]]:
-    """Numbers of the lower nodes of the grid below steps; shifts of all four, and m to each."""
-    xp, forces = namespace(way), len(GRID_FORCE)
-    x = xp.clip(wheels.speed * (1.0 / GRID_SPEED[1]), None, len(GRID_SPEED) - 1.001)
-    y = (wheels.force - GRID_FORCE[0]) * (1.0 / (GRID_FORCE[1] - GRID_FORCE[0]))
-    i, j = whole(x), whole(xp.clip(y, None, forces - 1.001))
-    above, y = (x - i) * way, y - j
-    below = way - above
-    stronger, faster = below * y, above * y
-    shares = [(0, below - stronger), (1, stronger), (forces, above - faster), (forces + 1, faster)]
-    return i * forces + j, shares
-
-
-def _looked_up(wheels: Wheels, distance: Any, table: np.ndarray) -> Any:
-    """Energy of the network before its share of the terms is taken away, (batch, NETWORK).
-
-    Steps are spread over the four nodes around them by weights, so a trip is one row of weights.
-    """
-    batch, last = len(distance), len(GRID_FORCE) + 1
-    node, shares = _nodes(wheels, abs(distance))
-    most = (int(node.max()) // len(GRID_FORCE) + 2) * len(GRID_FORCE)
-    cell = (most * like(np.arange(batch), node)[:, None] + node).ravel()
-    weights = zeros((batch * most,), distance)
-    for shift, share in shares:
-        weights[shift:] += sums_at(cell, share.ravel(), len(weights))[: len(weights) - shift]
-    # A tenth of the nodes: at a speed there are few forces.
-    below = np.flatnonzero(np.bincount(as_numpy(node).ravel(), minlength=most - last))
-    used = np.unique(np.concatenate([below + shift for shift, _ in shares]))
-    table = like(table.reshape(-1, table.shape[2])[used], distance)
-    return weights.reshape(batch, -1)[:, used] @ table

@@ -14,6 +14,9 @@ import math
 import numpy as np
 
 from evpinn_ros.estimation.breakdown import Breakdowns, DriveParts, EndedDrive, breakdowns
+from evpinn_ros.estimation.car_model import (
+    CarModel,
+)
 from evpinn_ros.estimation.grade_detector import GradeDetector
 from evpinn_ros.estimation.hills import Hills
 from evpinn_ros.estimation.journey import NOWHERE, Journey
@@ -22,7 +25,6 @@ from evpinn_ros.estimation.learning import learn, passed
 from evpinn_ros.estimation.payload import PayloadDetector
 from evpinn_ros.estimation.posterior import (
     OUTLIER,
-    CarModel,
     CarState,
     advance,
     begin_drive,

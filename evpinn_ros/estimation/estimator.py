@@ -18,6 +18,9 @@ from typing import Annotated, Any, ClassVar, TypeAlias
 from evpinn_ros.common.saved_fields import SAME, Saveable
 from evpinn_ros.estimation.breakdown import Breakdown, Breakdowns
 from evpinn_ros.estimation.calibration import BandCalibration, SavedBand
+from evpinn_ros.estimation.car_model import (
+    CarModel,
+)
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.learner import (
@@ -29,7 +32,6 @@ from evpinn_ros.estimation.learner import (
 )
 from evpinn_ros.estimation.operating_range import OperatingRange
 from evpinn_ros.estimation.pinn import PinnLearner
-from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.estimation.size import Similarity
 from evpinn_ros.estimation.worker import InlineWorker, Worker
 from evpinn_ros.signals.interval import Interval

@@ -8,10 +8,12 @@ import math
 from typing import Any, NamedTuple, Protocol
 
 from evpinn_ros.estimation.breakdown import Breakdowns
+from evpinn_ros.estimation.car_model import (
+    CarModel,
+)
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.estimation.payload import PayloadChange
-from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED

@@ -8,15 +8,17 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.estimation.journey import Journey, Learned
+from evpinn_ros.estimation.noise import (
+    journey_of,
+    speed_squared,
+    unseen_of,
+)
 from evpinn_ros.estimation.posterior import (
     CarState,
     advance,
     condition,
-    journey_of,
     see_motor,
     see_reported_climate,
-    speed_squared,
-    unseen_of,
 )
 from evpinn_ros.estimation.states import SIZE
 from evpinn_ros.estimation.terms import Equation, Warmth, climate_powers

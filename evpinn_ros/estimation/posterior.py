@@ -17,12 +17,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from itertools import product
 import math
-from typing import Any
 
 import numpy as np
 
-from evpinn_ros.common.arrays import namespace
-from evpinn_ros.estimation.bands import Bands, PredictedEnergy
+from evpinn_ros.estimation.bands import Bands
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.gaussian import (
     Gaussian,
     Innovation,
@@ -34,21 +33,17 @@ from evpinn_ros.estimation.gaussian import (
 from evpinn_ros.estimation.gaussian import condition as conditioned
 from evpinn_ros.estimation.gaussian import predict as passed
 from evpinn_ros.estimation.journey import Journey, Learned
+from evpinn_ros.estimation.noise import unexplained, wandered
 from evpinn_ros.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import Equation, Warmth
-from evpinn_ros.estimation.unevenness import Unevenness
-from evpinn_ros.signals.interval import Interval, Steps
-from evpinn_ros.vehicle.physics import GRAVITY, STANDSTILL_SPEED
+from evpinn_ros.vehicle.physics import GRAVITY
 
 # The hypotheses: 1-sigma of a weight of the network, N, and of the wandering load, W.
 NETWORK_STDS, LOAD_STDS = (20.0, 150.0), (30.0, 150.0)
 BANK = np.array(list(product(NETWORK_STDS, LOAD_STDS)))
 LARGE_NETWORK_ODDS = 7.0  # of logarithm, against a large network at first: first drives are wild
-LOAD_TIME = 300.0  # s in which the wandering load forgets itself
 EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
-# Energy that no state explains, which forgets itself in `NOISE_TIME`: W, and N while moving.
-NOISE_TIME, POWER_NOISE, FORCE_NOISE, TORQUE_NOISE = 1.5, 150.0, 40.0, 30.0
 SCALE_INTERVALS = 30.0  # over which a scale of the noise is learned
 LEAST_SCALE, MOST_SCALE = 0.05, 2000.0
 OUTLIER = 2.5  # sigmas
@@ -58,61 +53,6 @@ DRIVE_KEPT = 0.9  # of an offset of a drive that the next still has: the season,
 PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # that the prior of an offset counts as, and at most
 CLIMATE_NOISE, CLIMATE_TIME = 500.0, 600.0  # W and s: reported heating about its mean
 BRAKING_SHARE = 0.2  # of braking energy that friction may take unseen by the motor, 1-sigma
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CarModel:
-    """A car as predictions take it: what a dropout, a forecast and a planner need to know.
-
-    Attributes:
-        equation: of the car.
-        mean: of the states over all hypotheses, shape (SIZE,).
-        covariance: shape (SIZE, SIZE).
-        noise: scales of what no state explains, by its kinds (`noise_of`), shape (3,).
-        load_variance: of the wandering load, W^2.
-        growth: variance of unseen height per length of road, m.
-        trust: factor of the variance of energy, by rehearsals: of whole drives before anything
-            was learned in this one, else of dropouts.
-        seconds: of this drive so far.
-        celsius: temperature outside, the last known, or None.
-        reports: whether the car reports its heating.
-        unevenness: what uneven speed takes beyond even.
-        last_drive: s of the drive before.
-    """
-
-    equation: Equation
-    mean: np.ndarray
-    covariance: np.ndarray
-    noise: np.ndarray
-    load_variance: float
-    growth: float
-    trust: float
-    seconds: float
-    celsius: float | None
-    reports: bool
-    unevenness: Unevenness = field(default_factory=Unevenness.none)
-    last_drive: float = 0.0
-
-    @property
-    def weight_over_eta(self) -> float:
-        """Weight of the car over eta, N."""
-        return GRAVITY * float(self.mean[State.MASS])
-
-    def energy(self, journey: Journey) -> PredictedEnergy:
-        """Energy of a journey from here on, without any battery."""
-        _, integral, rest = wandered(journey.seconds)
-        row = journey.row.copy()
-        row[State.LOAD] = integral
-        variance = float(row @ self.covariance @ row) + self.load_variance * rest
-        variance += float(self.noise @ journey.noise)
-        hills = self.weight_over_eta**2 * journey.unseen
-        return PredictedEnergy(float(row @ self.mean), variance, hills)
-
-    def predicted(self, journey: Journey) -> tuple[float, float]:
-        """Energy of a journey from here on, J, and its 1-sigma, J, as far as to be trusted."""
-        energy = self.energy(journey)
-        variance = self.trust * (energy.variance + self.growth * energy.hills)
-        return energy.mean, math.sqrt(max(variance, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,68 +159,6 @@ def initial_state(equation: Equation) -> CarState:
     )
 
 
-def journey_of(interval: Interval, row: np.ndarray) -> Journey:
-    """One interval as a journey, with its row of `Equation.rows`, summed, shape (SIZE,)."""
-    unseen = 0.0 if interval.steps.motor_known else unseen_of(interval)
-    return Journey(row, interval.duration, noise_of(interval.steps), unseen)
-
-
-def unseen_of(interval: Interval) -> float:
-    """Road of an interval whose height is not known, m."""
-    return 0.0 if interval.height_known else abs(interval.distance)
-
-
-def standing(duration: Any, distance: Any) -> Any:
-    """Seconds of each step in which the car stands; any shape, numpy or torch."""
-    return duration * (abs(distance) < STANDSTILL_SPEED * duration)
-
-
-def speed_squared(steps: Steps) -> float:
-    """Integral of speed squared over all steps, m^2/s."""
-    return float(steps.distance**2 @ (1.0 / steps.duration))
-
-
-def unexplained(
-    seconds: Any, stood: Any, square: Any, *, force: float = FORCE_NOISE
-) -> tuple[Any, Any]:
-    """Variance of energy that no state explains, at scale 1, J^2, while standing and moving.
-
-    They are kinds of their own, for how well the equation holds while driving, or the clocks of
-    speed and battery agree, says nothing about a car that stands.
-
-    Args:
-        seconds: s, any shape, numpy or torch.
-        stood: how many of them the car stands.
-        square: integral of speed squared, m^2/s.
-        force: 1-sigma while moving, N.
-    """
-    moving = POWER_NOISE**2 * (seconds - stood) + force**2 * square
-    return NOISE_TIME * POWER_NOISE**2 * stood, NOISE_TIME * moving
-
-
-def noise_of(steps: Steps) -> np.ndarray:
-    """`unexplained` of steps together, J^2, shape (3,): standing, moving, moving with torque."""
-    stood = float(standing(steps.duration, steps.distance).sum())
-    sums = float(steps.duration.sum()), stood, speed_squared(steps)
-    if steps.motor_known:
-        still, moving = unexplained(*sums, force=TORQUE_NOISE)
-        return np.array((still, 0.0, moving))
-    return np.array((*unexplained(*sums), 0.0))
-
-
-def wandered(seconds: Any) -> tuple[Any, Any, Any]:
-    """An Ornstein-Uhlenbeck process of variance 1 over so many s; any shape, numpy or torch.
-
-    Returns:
-        What is left of its value; the integral that its value now leads to, s; the variance of
-        the rest of the integral, s^2.
-    """
-    xp = namespace(seconds)
-    left = xp.exp(-seconds / LOAD_TIME)
-    integral = LOAD_TIME * (1.0 - left)
-    return left, integral, xp.clip(2.0 * LOAD_TIME * (seconds - integral) - integral**2, 0.0, None)
-
-
 def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:
     """Let time and road pass: what is fast goes on, its energies are those of this journey.
 
@@ -340,7 +218,7 @@ def see_motor(state: CarState, rows: np.ndarray, square: float) -> CarState:
         rows: of `Equation.motor_rows`, shape (2, SIZE).
         square: integral of speed squared, m^2/s.
     """
-    base = state.scale[:, 1] * NOISE_TIME * FORCE_NOISE**2 * square
+    base = state.scale[:, 1] * unexplained(0.0, 0.0, square)[1]
     for row, share in zip(rows, (0.03, BRAKING_SHARE), strict=True):
         size = share * np.abs(row[State.MOTOR_DRIVE] - row[State.MOTOR_BRAKE])
         state, _ = _see(state, row, -(state.mean @ row), base + size**2 + 1.0)

@@ -15,7 +15,13 @@ from evpinn_ros import topics
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.forecaster import Basis, Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
-from evpinn_ros.energy.plan import NOMINAL_SPEED, Plan, PlanError
+from evpinn_ros.energy.path_plan import (
+    NOMINAL_SPEED,
+)
+from evpinn_ros.energy.plan import (
+    Plan,
+    PlanError,
+)
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind

@@ -16,8 +16,10 @@ from evpinn_ros.energy.power_model import (
     vehicle_model,
 )
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.estimation.car_model import (
+    CarModel,
+)
 from evpinn_ros.estimation.estimate import ParameterSet
-from evpinn_ros.estimation.posterior import CarModel
 from evpinn_ros.replays.driven import charged
 from evpinn_ros.replays.history import Drive, KnownModel
 from evpinn_ros.replays.scoring import Span, longest_step, measured_energy

@@ -13,15 +13,17 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros.energy.path_plan import (
+    NOMINAL_SPEED,
+    plan_from_path,
+)
 from evpinn_ros.energy.plan import (
     CONDITION_RANGES,
     MAX_POINTS,
-    NOMINAL_SPEED,
     Plan,
     PlanConditions,
     PlanError,
     Question,
-    plan_from_path,
     plan_from_speed_profile,
 )
 from evpinn_ros.signals.readings import NANOSECONDS

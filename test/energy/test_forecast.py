@@ -15,7 +15,9 @@ from evpinn_ros.energy.forecast import (
 )
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.estimation.posterior import LOAD_TIME
+from evpinn_ros.estimation.noise import (
+    LOAD_TIME,
+)
 from evpinn_ros.estimation.states import State
 from evpinn_ros.vehicle.identifiable import (
     IDENTIFIABLE_NAMES,

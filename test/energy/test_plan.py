@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from evpinn_ros.energy.plan import (
+from evpinn_ros.energy.path_plan import (
     BEND,
     COMFORT_ACCELERATION,
     COMFORT_LATERAL,
     SLOWEST,
+    plan_from_path,
+)
+from evpinn_ros.energy.plan import (
     Plan,
     PlanError,
-    plan_from_path,
     plan_from_speed_profile,
 )
 

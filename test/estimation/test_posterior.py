@@ -9,17 +9,19 @@ import pytest
 from evpinn_ros.estimation import posterior
 from evpinn_ros.estimation.journey import NOWHERE, Journey
 from evpinn_ros.estimation.learning import learn, passed
+from evpinn_ros.estimation.noise import (
+    LOAD_TIME,
+    noise_of,
+    wandered,
+)
 from evpinn_ros.estimation.posterior import (
     BANK,
-    LOAD_TIME,
     advance,
     begin_drive,
     condition,
     forget_road,
     initial_state,
-    noise_of,
     see_reported_climate,
-    wandered,
 )
 from evpinn_ros.estimation.states import LASTING, OFFSETS, PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import Warmth, equation_of

@@ -10,9 +10,11 @@ from evpinn_ros import topics
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.forecaster import Forecaster
-from evpinn_ros.energy.plan import (
+from evpinn_ros.energy.path_plan import (
     BEND,
     COMFORT_LATERAL,
+)
+from evpinn_ros.energy.plan import (
     MAX_POINTS,
     plan_from_speed_profile,
 )
