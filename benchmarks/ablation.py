@@ -18,16 +18,8 @@ from benchmarks.unseen.protocols import run_car
 from benchmarks.unseen.summary import summary
 from benchmarks.variants import ConstantPlace, Variant, replaced
 from evpinn_ros.estimation.gaussian import replace_states
-from evpinn_ros.estimation.noise import (
-    noise_of,
-)
-from evpinn_ros.estimation.posterior import (
-    BANK,
-    LOAD_STDS,
-    NETWORK_STDS,
-    CarState,
-    begin_drive,
-)
+from evpinn_ros.estimation.noise import noise_of
+from evpinn_ros.estimation.posterior import BANK, LOAD_STDS, NETWORK_STDS, CarState, begin_drive
 from evpinn_ros.estimation.states import OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import Equation, Warmth, standing_powers
 from evpinn_ros.signals.interval import Steps

@@ -22,9 +22,7 @@ from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import Legs, Plan, PlanError, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.learner import gate_interval
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.estimation.unevenness import Unevenness

@@ -14,9 +14,7 @@ import pandas as pd
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.power_model import PowerModel
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.forecasts import forecast_outcomes, known_model
 from evpinn_ros.replays.history import PowerSeries

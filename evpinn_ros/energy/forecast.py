@@ -20,10 +20,7 @@ from evpinn_ros.common.arrays import namespace
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.plan import Legs, Plan, PlanError, points_of
 from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, Weather, vehicle_model
-from evpinn_ros.estimation.noise import (
-    standing,
-    wandered,
-)
+from evpinn_ros.estimation.noise import standing, wandered
 from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.estimation.unevenness import Path, size_of, stops_of

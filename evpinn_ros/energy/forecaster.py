@@ -12,12 +12,7 @@ import numpy as np
 
 from evpinn_ros.energy.battery_model import BatteryEnd, BatteryModel
 from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, Uncertain
-from evpinn_ros.energy.forecast import (
-    Forecast,
-    battery_after,
-    difference,
-    forecast_plan,
-)
+from evpinn_ros.energy.forecast import Forecast, battery_after, difference, forecast_plan
 from evpinn_ros.energy.plan import UNNAMED, UNSAID, Plan, PlanConditions, Question
 from evpinn_ros.energy.plausible import car_is_possible
 from evpinn_ros.energy.power_model import (
@@ -27,9 +22,7 @@ from evpinn_ros.energy.power_model import (
     combined_model,
     vehicle_model,
 )
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     PressureReading,

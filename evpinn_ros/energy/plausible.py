@@ -13,12 +13,8 @@ import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
-from evpinn_ros.estimation.noise import (
-    FORCE_NOISE,
-)
+from evpinn_ros.estimation.car_model import CarModel
+from evpinn_ros.estimation.noise import FORCE_NOISE
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Path, Unevenness
 from evpinn_ros.signals.road import TEMPERATURES

@@ -16,14 +16,8 @@ import numpy as np
 
 from evpinn_ros.common.arrays import like, namespace, within, zeros
 from evpinn_ros.energy.network_table import looked_up, nodes_of, table_of, units_of
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
-from evpinn_ros.estimation.noise import (
-    LOAD_TIME,
-    unexplained,
-    wandered,
-)
+from evpinn_ros.estimation.car_model import CarModel
+from evpinn_ros.estimation.noise import LOAD_TIME, unexplained, wandered
 from evpinn_ros.estimation.size import model_of_file
 from evpinn_ros.estimation.states import PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import (

@@ -17,12 +17,8 @@ import numpy as np
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import Forecast, forecast_plan
-from evpinn_ros.energy.path_plan import (
-    NOMINAL_SPEED,
-)
-from evpinn_ros.energy.plan import (
-    Plan,
-)
+from evpinn_ros.energy.path_plan import NOMINAL_SPEED
+from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.power_model import PowerModel, Weather
 from evpinn_ros.vehicle.files import Vehicle
 

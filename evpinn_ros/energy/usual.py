@@ -13,9 +13,7 @@ import math
 import numpy as np
 
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES, Path
 
 LEG = 60.0  # s

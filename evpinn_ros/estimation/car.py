@@ -14,9 +14,7 @@ import math
 import numpy as np
 
 from evpinn_ros.estimation.breakdown import Breakdowns, DriveParts, EndedDrive, breakdowns
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.grade_detector import GradeDetector
 from evpinn_ros.estimation.hills import Hills
 from evpinn_ros.estimation.journey import NOWHERE, Journey

@@ -18,9 +18,7 @@ from typing import Annotated, Any, ClassVar, TypeAlias
 from evpinn_ros.common.saved_fields import SAME, Saveable
 from evpinn_ros.estimation.breakdown import Breakdown, Breakdowns
 from evpinn_ros.estimation.calibration import BandCalibration, SavedBand
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.learner import (

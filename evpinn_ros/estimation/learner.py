@@ -8,9 +8,7 @@ import math
 from typing import Any, NamedTuple, Protocol
 
 from evpinn_ros.estimation.breakdown import Breakdowns
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.estimation.payload import PayloadChange

@@ -8,11 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.estimation.journey import Journey, Learned
-from evpinn_ros.estimation.noise import (
-    journey_of,
-    speed_squared,
-    unseen_of,
-)
+from evpinn_ros.estimation.noise import journey_of, speed_squared, unseen_of
 from evpinn_ros.estimation.posterior import (
     CarState,
     advance,

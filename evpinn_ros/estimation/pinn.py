@@ -22,20 +22,14 @@ from typing import Annotated
 from evpinn_ros.common.saved_fields import ADDED, Range, Saveable
 from evpinn_ros.estimation.breakdown import Breakdowns
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
 from evpinn_ros.estimation.grade_detector import GRADE_SIGN, GradeDetector
 from evpinn_ros.estimation.hills import Hills
 from evpinn_ros.estimation.journey import Journey
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
-from evpinn_ros.estimation.noise import (
-    FORCE_NOISE,
-    POWER_NOISE,
-    wandered,
-)
+from evpinn_ros.estimation.noise import FORCE_NOISE, POWER_NOISE, wandered
 from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
 from evpinn_ros.estimation.payload import PayloadDetector, SavedPayload, Stamp
 from evpinn_ros.estimation.published import Driven, evidence_of, published
@@ -45,11 +39,7 @@ from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.tail import MAX_STEP, Tail
 from evpinn_ros.estimation.terms import Warmth, equation_of
 from evpinn_ros.estimation.trim import MOST_EVIDENCE, Persistence, Trim
-from evpinn_ros.estimation.unevenness import (
-    SavedUnevenness,
-    saved_unevenness,
-    unevenness_of,
-)
+from evpinn_ros.estimation.unevenness import SavedUnevenness, saved_unevenness, unevenness_of
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample

@@ -16,14 +16,10 @@ from typing import overload
 import numpy as np
 
 from evpinn_ros.estimation.breakdown import Breakdowns, Totals
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, PowerEstimate
 from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.estimation.posterior import (
-    initial_state,
-)
+from evpinn_ros.estimation.posterior import initial_state
 from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.signals.readings import AuxiliaryReading, BatteryReading, MotorReading, Reading

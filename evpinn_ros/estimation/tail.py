@@ -8,9 +8,7 @@ import math
 import numpy as np
 
 from evpinn_ros.estimation.journey import NOWHERE, Journey
-from evpinn_ros.estimation.noise import (
-    noise_of,
-)
+from evpinn_ros.estimation.noise import noise_of
 from evpinn_ros.estimation.terms import Equation, Warmth, conditions_of
 from evpinn_ros.signals.interval import Steps
 from evpinn_ros.signals.readings import NANOSECONDS

@@ -33,11 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.arrays import like, namespace, within, zeros
-from evpinn_ros.estimation.network import (
-    orthogonal_network,
-    reference_driving,
-    share_of_terms,
-)
+from evpinn_ros.estimation.network import orthogonal_network, reference_driving, share_of_terms
 from evpinn_ros.estimation.states import PHYSICS, SIZE, WEIGHTS, State, prior_of
 from evpinn_ros.signals.interval import Steps
 from evpinn_ros.signals.road import Conditions

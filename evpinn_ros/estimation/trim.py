@@ -20,10 +20,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.estimation.noise import (
-    FORCE_NOISE,
-    POWER_NOISE,
-)
+from evpinn_ros.estimation.noise import FORCE_NOISE, POWER_NOISE
 from evpinn_ros.signals.kinematics import PROFILE
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED

@@ -15,13 +15,8 @@ from evpinn_ros import topics
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.forecaster import Basis, Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
-from evpinn_ros.energy.path_plan import (
-    NOMINAL_SPEED,
-)
-from evpinn_ros.energy.plan import (
-    Plan,
-    PlanError,
-)
+from evpinn_ros.energy.path_plan import NOMINAL_SPEED
+from evpinn_ros.energy.plan import Plan, PlanError
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
@@ -51,11 +46,7 @@ from evpinn_ros.signals.road import why_impossible
 from evpinn_ros.signals.time_jump import StampGuard
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.cdr import CdrError
-from evpinn_ros.topics.estimates import (
-    output_messages,
-    read_identifiable,
-    read_power,
-)
+from evpinn_ros.topics.estimates import output_messages, read_identifiable, read_power
 from evpinn_ros.topics.messages import BadMessage, Level
 from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.plans import (

@@ -9,13 +9,8 @@ from pathlib import Path
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import FRAME_TYPE
-from evpinn_ros.energy.path_plan import (
-    NOMINAL_SPEED,
-)
-from evpinn_ros.energy.plan import (
-    Plan,
-    PlanError,
-)
+from evpinn_ros.energy.path_plan import NOMINAL_SPEED
+from evpinn_ros.energy.plan import Plan, PlanError
 from evpinn_ros.topics import AUTOWARE_TRAJECTORY_TYPE, PATH_TYPE, SPEEDS, TRAJECTORY_TYPE
 from evpinn_ros.topics.cdr import CdrError
 from evpinn_ros.topics.plans import path_plan, speed_profile_plan, trajectory_plan

@@ -9,16 +9,9 @@ import numpy as np
 from evpinn_ros.energy.driven import drive_plan
 from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import PlanError
-from evpinn_ros.energy.power_model import (
-    PowerModel,
-    Weather,
-    combined_model,
-    vehicle_model,
-)
+from evpinn_ros.energy.power_model import PowerModel, Weather, combined_model, vehicle_model
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.replays.driven import charged
 from evpinn_ros.replays.history import Drive, KnownModel

@@ -12,9 +12,7 @@ import numpy as np
 
 from evpinn_ros.energy.account import AccountSummary
 from evpinn_ros.energy.meter import EnergyState
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.replays.chain import ChainOutput

@@ -9,9 +9,7 @@ import numpy as np
 
 from evpinn_ros import topics
 from evpinn_ros.energy.plausible import car_is_possible
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.states import SIZE
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.estimation.unevenness import SHAPE, Unevenness

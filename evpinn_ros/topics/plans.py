@@ -13,10 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.energy.path_plan import (
-    NOMINAL_SPEED,
-    plan_from_path,
-)
+from evpinn_ros.energy.path_plan import NOMINAL_SPEED, plan_from_path
 from evpinn_ros.energy.plan import (
     CONDITION_RANGES,
     MAX_POINTS,

@@ -13,9 +13,7 @@ from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import Legs
 from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.car_model import (
-    CarModel,
-)
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.journey import NOWHERE
 from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.terms import equation_of

@@ -13,11 +13,7 @@ from evpinn_ros.energy.path_plan import (
     SLOWEST,
     plan_from_path,
 )
-from evpinn_ros.energy.plan import (
-    Plan,
-    PlanError,
-    plan_from_speed_profile,
-)
+from evpinn_ros.energy.plan import Plan, PlanError, plan_from_speed_profile
 
 LINE = np.array([0.0, 100.0, 200.0, 300.0])
 ZERO = np.zeros(4)

@@ -9,11 +9,7 @@ import pytest
 from evpinn_ros.estimation import posterior
 from evpinn_ros.estimation.journey import NOWHERE, Journey
 from evpinn_ros.estimation.learning import learn, passed
-from evpinn_ros.estimation.noise import (
-    LOAD_TIME,
-    noise_of,
-    wandered,
-)
+from evpinn_ros.estimation.noise import LOAD_TIME, noise_of, wandered
 from evpinn_ros.estimation.posterior import (
     BANK,
     advance,
@@ -21,6 +17,7 @@ from evpinn_ros.estimation.posterior import (
     condition,
     forget_road,
     initial_state,
+    see_motor,
     see_reported_climate,
 )
 from evpinn_ros.estimation.states import LASTING, OFFSETS, PHYSICS, SIZE, WEIGHTS, State
@@ -249,3 +246,12 @@ def test_what_the_hypotheses_were_worth_is_forgotten(town):
     )
     left = np.diff(other.evidence - one.evidence)
     assert left == pytest.approx(3.0 * (1.0 - 1.0 / posterior.EVIDENCE_KEPT), abs=1e-9)
+
+
+def test_a_fast_car_s_motor_tells_less_of_its_mass():
+    """Its noise is a force, which is energy by the road; drawn alike, more of it is noise."""
+    rows = np.zeros((2, SIZE))
+    rows[:, State.MASS], rows[:, State.MOTOR_DRIVE] = 100.0, -1e5
+    slow, fast = (see_motor(initial_state(EQUATION), rows, square) for square in (1e2, 1e5))
+    variances = [each.covariance[:, State.MASS, State.MASS] for each in (slow, fast)]
+    assert (variances[0] < 0.9 * variances[1]).all()

@@ -8,12 +8,8 @@ import pytest
 
 import evpinn_ros as ev
 from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.path_plan import (
-    plan_from_path,
-)
-from evpinn_ros.energy.plan import (
-    Plan,
-)
+from evpinn_ros.energy.path_plan import plan_from_path
+from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator

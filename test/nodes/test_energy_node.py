@@ -10,14 +10,8 @@ from evpinn_ros import topics
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.forecaster import Forecaster
-from evpinn_ros.energy.path_plan import (
-    BEND,
-    COMFORT_LATERAL,
-)
-from evpinn_ros.energy.plan import (
-    MAX_POINTS,
-    plan_from_speed_profile,
-)
+from evpinn_ros.energy.path_plan import BEND, COMFORT_LATERAL
+from evpinn_ros.energy.plan import MAX_POINTS, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.pinn import PinnLearner
