@@ -23,6 +23,7 @@ MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"
 BELOW: Mapping[str, Any] = {"color": "0.7", "lw": 3.5}
 BAND: Mapping[str, Any] = {"color": PREDICTED, "lw": 0}
 INTERVAL = 1.96  # sigmas to both sides that hold 95 %
+BESIDE_BARS = 0.3  # of the width of all bars, that is shown to both sides of them
 TITLES = {
     "mass_over_eta": "mass / \u03b7, kg",
     "drag_area_over_eta": "drag area / \u03b7, m\u00b2",
@@ -104,6 +105,11 @@ def _draw_breakdown(
     axes.set_yticks(range(len(names)), [MEANINGS[name] for name in names])
     axes.set_title("Where the energy went, kWh \u00b1 1-sigma", loc="left", fontsize="medium")
     axes.axvline(0.0, color="k", lw=0.8)
+    # A climb that no height shows is unsure by more than the whole drive took: its line goes on
+    # beyond the edge, so that the parts can be seen.
+    drawn = [0.0, *(found[name][0] for name in names), *truth.values()]
+    if beside := BESIDE_BARS * np.ptp(drawn):
+        axes.set_xlim(min(drawn) - beside, max(drawn) + beside)
     axes.invert_yaxis()
     axes.grid(axis="x", alpha=0.3)
     axes.errorbar([], [], xerr=[], color=PREDICTED, elinewidth=2, label="estimate, 95 % interval")
