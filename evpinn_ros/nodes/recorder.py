@@ -21,7 +21,8 @@ from evpinn_ros.nodes.factory import installed
 from evpinn_ros.topics import TOPICS, Topic
 from evpinn_ros.topics.messages import Level
 
-FLUSH_PERIOD = 0.5  # s; a kill may cost this and the time of writing, less than a second
+# s; a kill may cost this and the time for which a busy computer keeps the node waiting.
+FLUSH_PERIOD = 0.25
 
 RawFrames: TypeAlias = deque[tuple[int, CanFrame]]
 """Frames on their way from the bridge's thread to the recorder's, with their arrival, ns."""
