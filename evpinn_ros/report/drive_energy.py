@@ -76,9 +76,13 @@ def running_totals(
 def _steady_power(
     car: PowerModel, speed: np.ndarray, air_density: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Power on a flat road without wind and its 1-sigma, W, at speeds, m/s; shape (n,) each."""
+    """Power on a flat road without wind and its 1-sigma, W, at speeds, m/s; shape (n,) each.
+
+    The sigma is as much to be trusted as that of a dropout: one drive without heights seems to
+    tell more of slow and fast driving than it does, for its climbs are not random.
+    """
     flat, one = np.zeros(len(speed)), np.ones(len(speed))
     warm = Weather(air_density, start=WARM)
     rows = car.rows(Motion(one, speed, speed**3, flat, flat), warm)
-    variance = ((rows @ car.car.covariance) * rows).sum(-1)
+    variance = car.car.trust * ((rows @ car.car.covariance) * rows).sum(-1)
     return rows @ car.car.mean, np.sqrt(variance)

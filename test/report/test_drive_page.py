@@ -131,7 +131,8 @@ def test_a_steady_speed_takes_what_the_true_car_would(reported, tmp_path):
         true = (force + truth.p_aux / speed) * units.metres / 3600
         driven = speed * 3.6 < 60
         assert ((low < true) & (true < high))[driven].all()
-        assert (high - low)[driven].max() < middle[driven].max()
+        # At a crawl the standing load is all there is, which a drive so short hardly tells.
+        assert (high - low < middle)[driven & (speed * 3.6 > 10)].all()
 
 
 def test_bars_by_speed_are_what_was_measured(reported, tmp_path):
@@ -317,6 +318,18 @@ def test_steady_speed_beyond_what_was_driven_is_drawn_apart(reported):
     steps = measured_steps(reported.drive)
     chart = speed_energy_chart(reported.drive, reported.vehicle, steps, METRIC)
     assert chart["driven"] == pytest.approx(3.6 * steps.speed.max())
+
+
+def test_steady_speed_is_no_surer_than_a_dropout_of_this_car(reported):
+    steps = measured_steps(reported.drive)
+
+    def widths(trust):
+        model = replace(reported.drive.model, trust=trust)
+        drive = replace(reported.drive, model=model)
+        chart = speed_energy_chart(drive, reported.vehicle, steps, METRIC)
+        return unpacked(chart["high"]) - unpacked(chart["low"])
+
+    np.testing.assert_allclose(widths(4.0), 2.0 * widths(1.0), rtol=0.01)
 
 
 def test_a_log_with_hours_between_its_trips_says_what_was_recorded(reported, tmp_path):
