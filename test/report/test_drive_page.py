@@ -131,8 +131,8 @@ def test_a_steady_speed_takes_what_the_true_car_would(reported, tmp_path):
         true = (force + truth.p_aux / speed) * units.metres / 3600
         driven = speed * 3.6 < 60
         assert ((low < true) & (true < high))[driven].all()
-        # At a crawl the standing load is all there is, which a drive so short hardly tells.
-        assert (high - low < middle)[driven & (speed * 3.6 > 10)].all()
+        # Slowly it is mostly standing load, which a drive so short hardly tells.
+        assert (high - low < middle)[driven & (speed * 3.6 > 30)].all()
 
 
 def test_bars_by_speed_are_what_was_measured(reported, tmp_path):
