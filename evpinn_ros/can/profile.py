@@ -9,12 +9,11 @@ strictly.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evpinn_ros.can.checksum import CHECKSUM_RULES, ChecksumRule
 from evpinn_ros.can.dbc import DbcFile, Place, find_signal, place_of, refuse_other_unit
 from evpinn_ros.can.request import (
     AnswerField,
@@ -46,6 +45,8 @@ PARTS: Mapping[str, Mapping[str, str]] = {
 }
 """Sections of a quantity that has several signals, and what `UNITS` calls each."""
 OPTIONAL_PARTS = (("motor", "speed"), ("second_motor", "torque"))
+ChecksumRule = Callable[[int, bytes], int]
+"""From the frame's id and its bytes without the checksum byte to that byte."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,3 +268,27 @@ def _checksum(section: Section, message: Any) -> tuple[ChecksumRule | None, int]
     if signal.length != 8 or first % 8:
         raise checksum.error_at("signal", f"'{signal.name}' is not one whole byte")
     return CHECKSUM_RULES[checksum.choice("rule", CHECKSUM_RULES)], first // 8
+
+
+def id_sum(can_id: int, payload: bytes) -> int:
+    """Sum of both bytes of the id and of the payload, modulo 256 (Tesla; Nissan 0x284)."""
+    return ((can_id & 0xFF) + (can_id >> 8) + sum(payload)) & 0xFF
+
+
+def nissan_crc8(_can_id: int, payload: bytes) -> int:
+    """CRC-8 with polynomial 0x85, start 0, most significant bit first (Nissan 0x1DB)."""
+    crc = 0
+    for byte in payload:
+        crc = _CRC8_TABLE[crc ^ byte]
+    return crc
+
+
+def _crc8_of_byte(byte: int) -> int:
+    for _ in range(8):
+        byte = (byte << 1) ^ (0x185 if byte & 0x80 else 0)
+    return byte
+
+
+_CRC8_TABLE = bytes(_crc8_of_byte(byte) for byte in range(256))
+
+CHECKSUM_RULES: Mapping[str, ChecksumRule] = {"id_sum": id_sum, "nissan_crc8": nissan_crc8}

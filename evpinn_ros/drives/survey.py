@@ -1,4 +1,12 @@
-"""A look through a whole table before it is read: header, widths of rows, some cells."""
+"""A look through a whole table before it is read: header, widths of rows, some cells.
+
+A log may come without a header, because it continues a full one; those of known apps are known by
+their cells. A table with one value a row (time, name of the signal, value, unit) is read as a wide
+one: Car Scanner's "All in one" export is `SECONDS;PID;VALUE;UNITS;LATITUDE;LONGTITUDE`, its
+seconds counted from midnight and on over the next one, every cell quoted, each line with a
+separator at its end, the names in the language of the phone (as its readers say: obd2_viewer's
+data structure document, the tests of `car_scanner.dart`).
+"""
 
 from __future__ import annotations
 
@@ -7,11 +15,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
+import re
 from typing import Protocol
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.app_layouts import layout_of
-from evpinn_ros.drives.quantities import QUANTITIES, known_unit, score
+from evpinn_ros.drives.quantities import QUANTITIES, known_unit, may_be_of_use, score
 
 # The columns of a table with one value a row.
 NAMES = ("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item")
@@ -25,6 +33,25 @@ MOST_CELLS = 500_000  # kept
 MOST_ROWS = 300_000  # looked at: eight hours at 10 Hz
 
 Row = tuple[int, list[str]]
+# LeafSpy: the columns of its logs of 2017 and 2018, in three versions of the app.
+_CELLS = 96
+_LEAFSPY_BEGIN = [
+    *("Date/Time", "Lat", "Long", "Elv", "Speed", "Gids", "SOC", "AHr", "Pack Volts"),
+    *("Pack Amps", "Max CP mV", "Min CP mV", "Avg CP mV", "CP mV Diff", "Judgment Value"),
+    *(f"Pack T{number} {unit}" for number in range(1, 5) for unit in "FC"),
+]
+_LEAFSPY_END = [
+    *("12v Bat Amps", "VIN", "Hx", "12v Bat Volts", "Odo(km)", "QC", "L1/L2"),
+    *("TP-FL", "TP-FR", "TP-RR", "TP-RL", "Ambient", "SOH", "RegenWh", "BLevel", "epoch time"),
+    *("Motor Pwr(w)", "Aux Pwr(100w)", "A/C Pwr(250w)", "A/C Comp(0.1MPa)"),
+    *("Est Pwr A/C(50w)", "Est Pwr Htr(250w)", "Plug State", "Charge Mode", "OBC Out Pwr"),
+    *("Gear", "HVolt1", "HVolt2", "GPS Status", "Power SW", "BMS", "OBC", "Debug"),
+    *("Motor Temp", "Inverter 2 Temp", "Inverter 4 Temp"),
+]
+_LEAFSPY_LATER = ("Speed1", "Speed2", "Wiper Status", "Torque Nm")
+_DATE_TIME = re.compile(r"\d\d/\d\d/\d{4} \d{1,2}:\d\d:\d\d")
+_CELL_MILLIVOLTS = range(2000, 4500)
+MOST_SIGNALS = 10_000
 
 
 class Table(Protocol):
@@ -193,3 +220,93 @@ def data_rows(table: Table, head: Head) -> Iterator[Row]:
         if cell.strip() == first and [each.strip() for each in row[:5]] == again:
             continue
         yield number, row
+
+
+def layout_of(row: Sequence[str]) -> list[str]:
+    """The names of the columns of a row that a known app wrote; none where it is of no such app.
+
+    LeafSpy's rows begin with a date and have the voltages of 96 cells at their place.
+    """
+    begin = len(_LEAFSPY_BEGIN)
+    base = begin + _CELLS + len(_LEAFSPY_END)
+    most = base + len(_LEAFSPY_LATER) + 1  # the newest of these writes a cell beyond its header
+    if not base <= len(row) <= most or not _DATE_TIME.match(row[0]):
+        return []
+    # A minus before a cell says that it is being balanced.
+    cells = [cell.strip().lstrip("-") for cell in row[begin : begin + _CELLS]]
+    if not all(cell.isdigit() and int(cell) in _CELL_MILLIVOLTS for cell in cells):
+        return []
+    names = (f"CP{number + 1}" for number in range(_CELLS))
+    return [*_LEAFSPY_BEGIN, *names, *_LEAFSPY_END, *_LEAFSPY_LATER][: len(row)]
+
+
+class LongTable:
+    """A long table as a wide one, with the columns that may be of use; one value a row.
+
+    Attributes:
+        others: names of signals that have no column.
+    """
+
+    def __init__(self, table: Table, head: Head, places: tuple[int, int, int | None]) -> None:
+        """Find all signals: one pass over the table.
+
+        `places` are those of the columns of names, values and units.
+        """
+        self._table, self._head = table, head
+        self._name, self._value, self._unit = places
+        self._last = max(place for place in places if place is not None)
+        self._narrow = 0
+        self._time = [i for i, name in enumerate(head.names) if score("time", name) > 0]
+        self._columns: dict[tuple[str, str], int] = {}
+        self.others: list[str] = []
+        self._names = [head.names[i] for i in self._time]
+        self._find()
+
+    @property
+    def torn(self) -> int:
+        """Lines that are no row."""
+        return self._narrow + self._table.torn
+
+    def rows(self) -> Iterator[Row]:
+        """The header, then a row for each value of a signal that has a column."""
+        yield self._head.row, self._names
+        width = len(self._names)
+        self._narrow = 0
+        for number, row in self._table.rows():
+            if number <= self._head.row:
+                continue
+            if len(row) <= self._last:
+                self._narrow += 1
+                continue
+            place = self._columns.get((row[self._name], self._unit_of(row)))
+            if place is None:
+                continue
+            cells = [""] * width
+            for at, time in enumerate(self._time):
+                cells[at] = row[time] if time < len(row) else ""
+            cells[place] = row[self._value]
+            yield number, cells
+
+    def last_row(self) -> list[str]:
+        """The times of the last row, none where the table does not show it."""
+        row = self._table.last_row()
+        return [row[time] for time in self._time if time < len(row)]
+
+    def _find(self) -> None:
+        seen: set[tuple[str, str]] = set()
+        for number, row in self._table.rows():
+            if number <= self._head.row or len(row) <= self._last:
+                continue
+            key = row[self._name], self._unit_of(row)
+            if key in seen or len(seen) >= MOST_SIGNALS:
+                continue
+            seen.add(key)
+            name, unit = key[0].strip(), key[1].strip()
+            if may_be_of_use(name):
+                self._columns[key] = len(self._names)
+                self._names.append(f"{name} ({unit})" if unit else name)
+            else:
+                self.others.append(name)
+
+    def _unit_of(self, row: Sequence[str]) -> str:
+        return row[self._unit] if self._unit is not None else ""

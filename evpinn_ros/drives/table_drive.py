@@ -17,13 +17,13 @@ from evpinn_ros.drives.column import Column, check_columns, columns_by_name
 from evpinn_ros.drives.contradictions import contradictions, power_beside
 from evpinn_ros.drives.evidence import Signal, seconds, stands_still, with_units
 from evpinn_ros.drives.held import HeldSignals, held_columns
-from evpinn_ros.drives.long_form import LongTable
 from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
 from evpinn_ros.drives.quantities import PLACES, QUANTITIES, Unit
 from evpinn_ros.drives.rows_to_readings import MOST, RowOrder, RowReadings
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.drives.survey import (
     MOST_ROWS,
+    LongTable,
     Row,
     Survey,
     Table,

@@ -1,10 +1,10 @@
-"""The live view as text of a given size, and as one line for where there is no terminal."""
+"""The live view as text of a given size, as one line without a terminal, and for scripts."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rich.cells import set_cell_size
 from rich.text import Text
@@ -299,3 +299,47 @@ def _cell(text: str, width: int, *, right: bool = False) -> str:
     """Text of exactly this many characters."""
     short = text if len(text) <= width else text[: width - 1] + "…"
     return short.rjust(width) if right else short.ljust(width)
+
+
+def as_json(state: LiveState, now: float) -> dict[str, Any]:
+    """State of the system for scripts, ready for `json_text`: `evpinn watch --json`.
+
+    SI units; None or NaN where nothing is known. The current keeps the sign of `battery/state`;
+    power and energy are positive when drawn from the battery.
+    """
+    battery = state.fresh_battery(now)
+    parts, sigmas = state.vector(topics.ENERGY_BREAKDOWN), state.sigmas(topics.ENERGY_BREAKDOWN)
+    return {
+        "speed_mps": state.fresh_speed(now),
+        "voltage_v": battery.voltage if battery else None,
+        "current_a": battery.current if battery else None,
+        "power_w": {name: _estimate(*state.power(topic, now)) for topic, name in POWERS.items()},
+        "receiving": state.received,
+        "state_of_charge": state.charge(),
+        "wh_per_km": state.consumption(),
+        "energy_j": state.vector(topics.ENERGY_STATE),
+        "breakdown_j": {
+            name: _estimate(value, sigmas.get(name, math.nan)) for name, value in parts.items()
+        },
+        "consumption": state.vector(topics.ENERGY_CONSUMPTION),
+        "range_m": state.vector(topics.ENERGY_RANGE),
+        "parameters": {
+            row.name: {
+                **_estimate(row.value, row.sigma),
+                "prior_share": row.prior_share,
+                "lower": row.lower,
+                "upper": row.upper,
+                "state": row.state or None,
+            }
+            for row in state.parameters()
+        },
+        "per_second": {name: state.rate(topic, now) for name, topic in RATES.items()},
+        "doing": state.activity(now) or None,
+        "problems": [
+            {"level": level.name.lower(), "text": text} for level, text in state.problems(now)
+        ],
+    }
+
+
+def _estimate(value: float, std: float) -> dict[str, float]:
+    return {"value": value, "std": std}

@@ -22,8 +22,7 @@ from rich.live import Live
 
 from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.common.json_text import json_text
-from evpinn_ros.live.json_view import as_json
-from evpinn_ros.live.screen import plain_line, problem_lines, screen
+from evpinn_ros.live.screen import as_json, plain_line, problem_lines, screen
 from evpinn_ros.live.state import NOTHING, WATCHED, LiveState
 from evpinn_ros.nodes.factory import installed, message_class, qos_profile
 from evpinn_ros.topics import NAMESPACE, QUEUE_DEPTH, Qos

@@ -1,16 +1,29 @@
-"""Runs nodes in one thread until they are stopped, and ends them in good order."""
+"""Runs nodes in one thread until they are stopped, and ends them in good order.
+
+systemd gets messages that the process is up, that it still works and that it ends, by the
+protocol of sd_notify(3): datagrams to the socket in NOTIFY_SOCKET. Without one, as outside a unit
+of `Type=notify`, nothing is sent.
+
+A last step that hangs is ended by timers of the C library. A call into the middleware that never
+returns keeps the interpreter, so neither a thread of Python nor a handler of signals would get a
+turn; these timers need neither. What hangs, and why no timer of Python's own will do:
+docs/project/upstream.md.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+import ctypes
+import faulthandler
 from functools import partial
 import os
 import signal
+import socket
 import sys
 import time
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -24,9 +37,7 @@ from rclpy.utilities import try_shutdown
 from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.common.stopping import at_stop, leave_terminal
 from evpinn_ros.nodes.base import GuardedNode
-from evpinn_ros.nodes.deadline import deadline
 from evpinn_ros.nodes.discovery import announce_often
-from evpinn_ros.nodes.supervision import tell, watchdog_period
 
 SWITCH_INTERVAL = 5e-4
 """s that a thread may keep the interpreter from one that wants it: the bridge's after each system
@@ -44,6 +55,9 @@ ONE_WISH = 1.0
 """s within which signals are one: a terminal and the launch that it stops both send theirs."""
 
 MakeNode = Callable[[], GuardedNode]
+SYSTEMD_PATIENCE = 0.1  # s for a systemd that does not read: it must not hold up the callbacks
+IN_A_THREAD = 2  # SIGEV_THREAD: at its time the timer calls a function, in a thread of its own
+AFTER_THE_DUMP = 0.1  # s, so that no two threads write at once
 
 
 def run(
@@ -183,3 +197,75 @@ def _end_process() -> NoReturn:
 def _fail(reason: str) -> int:
     print(printable(" ".join(reason.split())), file=sys.stderr)
     return 1
+
+
+def tell(state: str) -> None:
+    """Send one state, `READY=1`, `WATCHDOG=1` or `STOPPING=1`; who does not listen is ignored."""
+    path = os.environ.get("NOTIFY_SOCKET", "")
+    if not path:
+        return
+    address = "\0" + path[1:] if path.startswith("@") else path  # of the abstract namespace
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as outlet:
+        outlet.settimeout(SYSTEMD_PATIENCE)
+        outlet.sendto(state.encode(), address)
+
+
+def watchdog_period() -> float | None:
+    """Seconds after which to say that all is well, half of what systemd waits; None: it does not.
+
+    WATCHDOG_USEC, which systemd sets, is in microseconds.
+    """
+    waits = os.environ.get("WATCHDOG_USEC", "")
+    return int(waits) / 2e6 if waits.isdecimal() and int(waits) > 0 else None
+
+
+class _Event(ctypes.Structure):
+    """`sigevent` of sigevent(7)."""
+
+    _fields_ = (
+        ("argument", ctypes.c_void_p),
+        ("signal", ctypes.c_int),
+        ("kind", ctypes.c_int),
+        ("function", ctypes.c_void_p),
+        ("rest", ctypes.c_void_p * 8),
+    )
+
+
+class _Due(ctypes.Structure):
+    """`itimerspec` of timer_settime(2)."""
+
+    _fields_ = (("period", ctypes.c_long * 2), ("seconds", ctypes.c_long), ("ns", ctypes.c_long))
+
+
+@contextmanager
+def deadline(seconds: float, reason: str, code: int) -> Iterator[None]:
+    """End the process with `code` when the block takes longer.
+
+    It writes first where it hangs and the reason, to stderr. Without POSIX timers there is no
+    limit.
+    """
+    lib, line, timers = ctypes.CDLL(None), ctypes.c_char_p(reason.encode()), []
+    with suppress(AttributeError, OSError):
+        if sys.stderr is not None:  # whoever started us may have closed it
+            faulthandler.dump_traceback_later(seconds, file=2)
+            timers += [_timer(lib, seconds + AFTER_THE_DUMP, lib.warnx, line)]
+        timers += [_timer(lib, seconds + 2 * AFTER_THE_DUMP, lib._exit, ctypes.c_void_p(code))]
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        for timer in timers:
+            lib.timer_delete(timer)
+
+
+def _timer(
+    lib: ctypes.CDLL, seconds: float, function: Any, argument: ctypes.c_char_p | ctypes.c_void_p
+) -> ctypes.c_void_p:
+    """A timer that calls a function of C with one argument, once."""
+    given, address = (ctypes.cast(each, ctypes.c_void_p) for each in (argument, function))
+    event, timer = _Event(given, 0, IN_A_THREAD, address), ctypes.c_void_p()
+    due = _Due((0, 0), int(seconds), int(seconds % 1 * 1e9))
+    if lib.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)) != 0:
+        raise OSError("no timer")
+    lib.timer_settime(timer, 0, ctypes.byref(due), None)
+    return timer

@@ -14,8 +14,7 @@ from evpinn_ros.common.errors import InputError, as_input_error, with_kind
 from evpinn_ros.common.opener import open_unpacked
 from evpinn_ros.drives.formats import TABLE_SUFFIXES, TEXT_SUFFIXES, suffix_of
 from evpinn_ros.energy.plan import MAX_POINTS, Legs, Plan, PlanError
-from evpinn_ros.plans.planned import planned_in_bag
-from evpinn_ros.plans.recorded import driven_plan
+from evpinn_ros.plans.recorded import driven_plan, planned_in_bag
 from evpinn_ros.plans.route import legs_of_route
 from evpinn_ros.plans.table import COLUMNS, table_plan
 from evpinn_ros.plans.track import geojson_track, gpx_track, legs_of_track

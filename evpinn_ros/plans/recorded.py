@@ -1,15 +1,23 @@
-"""A recorded drive as a plan: its speed and its height; its battery is ignored."""
+"""Plans in recordings: the newest of a planner, else the drive itself, by its speed and height.
+
+The battery of a recorded drive is ignored.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
+import math
 from pathlib import Path
 
 import numpy as np
 
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.energy.driven import PLAN_STEP, drive_plan, travelled
+from evpinn_ros.energy.path_plan import NOMINAL_SPEED
 from evpinn_ros.energy.plan import Plan, PlanError
 from evpinn_ros.plans.way import plausible_heights
 from evpinn_ros.signals.readings import (
@@ -19,6 +27,9 @@ from evpinn_ros.signals.readings import (
     Reading,
     SpeedReading,
 )
+from evpinn_ros.topics import AUTOWARE_TRAJECTORY_TYPE, PATH_TYPE, SPEEDS, TRAJECTORY_TYPE
+from evpinn_ros.topics.cdr import CdrError
+from evpinn_ros.topics.plans import path_plan, speed_profile_plan, trajectory_plan
 from evpinn_ros.vehicle.files import Vehicle
 
 FIELDS = {SpeedReading: "speed", AltitudeReading: "altitude", GradeReading: "grade"}
@@ -27,6 +38,7 @@ GAP_STEPS = 10.0  # mean steps, which a gap exceeds as well: some plans have few
 LONG_GAP = 600.0  # s, after which the log is of another drive
 STANDING = 0.5  # m/s before a gap and after it
 SHORTEST = 2.0  # s
+DRIVEN = {topic.type_name for topic in SPEEDS} | {FRAME_TYPE}
 
 
 def driven_plan(path: Path, vehicle: Vehicle) -> Plan:
@@ -90,3 +102,37 @@ def _driven(speed: np.ndarray) -> np.ndarray:
     moving = np.maximum(np.abs(speed[:-1, 1]), np.abs(speed[1:, 1])) > STANDING
     left_out = gap & (moving | (steps > LONG_GAP))
     return np.concatenate(([0.0], np.cumsum(np.where(left_out, PLAN_STEP, steps))))
+
+
+def planned_in_bag(path: Path, vehicle: Vehicle) -> Plan | None:
+    """The newest plan in a bag, as the node reads it from a topic.
+
+    None where it holds none, or a speed or frames of a CAN bus, which are a drive.
+
+    Args:
+        path: of the bag.
+        vehicle: whose nominal speed a path without times is driven at.
+
+    Raises:
+        InputError: it is no bag; `PlanError`: the newest cannot be driven.
+    """
+    own = vehicle.nominal_speed
+    usual = NOMINAL_SPEED if math.isnan(own) else own
+    readers: dict[str, Callable[[bytes], Plan]] = {
+        PATH_TYPE: partial(path_plan, nominal_speed=usual),
+        TRAJECTORY_TYPE: speed_profile_plan,
+        AUTOWARE_TRAJECTORY_TYPE: trajectory_plan,
+    }
+    found: Plan | PlanError | None = None
+    with BagReader(path) as bag:
+        if DRIVEN & {each.type_name for each in bag.topics.values()}:
+            return None
+        names = {name for name, each in bag.topics.items() if each.type_name in readers}
+        for record in bag.raw_records(names):
+            try:
+                found = readers[record.type_name](record.message)
+            except (CdrError, PlanError) as error:
+                found = found or PlanError(f"{record.topic}: {error}")
+    if isinstance(found, PlanError):
+        raise found
+    return found

@@ -1,17 +1,29 @@
-"""Energy of a drive over distance: by speed, and running totals of which a stretch is taken."""
+"""Energy of a drive for its page: over distance by speed, as running totals, and its breakdown."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
-from evpinn_ros.common.units import Units
+from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.terms import WARM
+from evpinn_ros.replays.breakdown_text import (
+    breakdown_columns,
+    breakdown_lines,
+    breakdown_notes,
+    breakdown_rows,
+    breakdown_sentence,
+    shown,
+)
 from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.report.drive_charts import JOULES_PER_WH, Chart
+from evpinn_ros.report.intervals import IntervalRow, interval_rows
 from evpinn_ros.report.thinning import packed
 from evpinn_ros.vehicle.files import Vehicle
 
@@ -86,3 +98,32 @@ def _steady_power(
     rows = car.rows(Motion(one, speed, speed**3, flat, flat), warm)
     variance = car.car.trust * ((rows @ car.car.covariance) * rows).sum(-1)
     return rows @ car.car.mean, np.sqrt(variance)
+
+
+def breakdown_values(found: Mapping[str, Any], units: Units) -> dict[str, Any]:
+    """Values for `breakdown.html.j2`, from the metrics under `breakdown`, biggest part first."""
+    if found["unknown"] is not None:
+        return {"sentence": "", "notes": breakdown_lines(found), "rows": [], "parts": []}
+    parts = sorted(shown(found), key=lambda one: -one[1]["kwh"])
+    digits = 2 if max(abs(part["kwh"]) for _, part in parts) >= 0.5 else 3
+    return {
+        "sentence": breakdown_sentence(found),
+        "notes": breakdown_notes(found, units),
+        "columns": breakdown_columns(units),
+        "rows": breakdown_rows(found, units),
+        "parts": interval_rows([_row(name, part, digits, units) for name, part in parts]),
+    }
+
+
+def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> IntervalRow:
+    """A part: kWh, its interval of 90 % in words, energy over distance."""
+    kwh, half = part["kwh"], GAUSSIAN_QUANTILE * part["sigma_kwh"]
+    value, low, high = (
+        f"{round(each, digits) + 0.0:.{digits}f}" for each in (kwh, kwh - half, kwh + half)
+    )
+    rate = part["kwh_per_100km"]
+    per_distance = ""
+    if rate is not None:
+        shown_rate = rate * METRIC.rate_joules / units.rate_joules
+        per_distance = f"; {shown_rate:.{1 if units is METRIC else 0}f} {units.rate}"
+    return IntervalRow(name, f"{value} kWh ({low} to {high}){per_distance}", kwh, half)

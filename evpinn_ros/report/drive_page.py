@@ -6,16 +6,25 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
-from evpinn_ros.common.units import METRIC, Units
+import numpy as np
+
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
+from evpinn_ros.estimation.breakdown import LEAST_DISTANCE
 from evpinn_ros.replays.drive_names import short_names
-from evpinn_ros.replays.driven import DrivenSteps, measured_steps, travelled
+from evpinn_ros.replays.driven import DrivenSteps, charged, measured_steps, travelled
 from evpinn_ros.replays.dropped_text import dropped_text
 from evpinn_ros.replays.events import drive_events
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.owner_text import drives_columns, drives_rows, owner_notes
+from evpinn_ros.replays.owner_text import (
+    LEAST_CHARGED,
+    NEARLY_WHOLE,
+    drives_columns,
+    drives_rows,
+    owner_notes,
+)
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import Span, baseline_scores
 from evpinn_ros.replays.tables import (
@@ -29,15 +38,14 @@ from evpinn_ros.replays.tables import (
 )
 from evpinn_ros.replays.trends import drive_point
 from evpinn_ros.report import drive_charts, drive_maps
-from evpinn_ros.report.breakdown_bar import breakdown_values
-from evpinn_ros.report.drive_energy import running_totals, speed_energy_chart
-from evpinn_ros.report.drive_knowledge import knowledge
-from evpinn_ros.report.drive_tiles import clock, drive_tiles
+from evpinn_ros.report.drive_energy import breakdown_values, running_totals, speed_energy_chart
+from evpinn_ros.report.drive_maps import FAST, SLOW
 from evpinn_ros.report.html import write_page
 from evpinn_ros.report.trend_rows import trend_intervals
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.vehicle.identifiable import prior_identifiable
 from evpinn_ros.vehicle.parameters import Parameters
 
 POINTS = 40_000  # of a curve, all drives of a page together: an hour at 10 Hz loses nothing
@@ -49,6 +57,13 @@ LAST_STAMP = 253_402_300_799 * NANOSECONDS  # the end of the year 9999: a calend
 
 
 Charts: TypeAlias = Iterator[tuple[str, drive_charts.Chart]]
+COMBINATIONS = {  # combination: what it is, its digits and unit, what kind of driving tells it
+    "mass_over_eta": ("mass / η", "{:.0f} kg", "speeding up and braking, over 0.5 m/s²"),
+    "drag_area_over_eta": ("A C_d / η", "{:.4f} m²", "above {fast}"),
+    "c_rr": ("C_rr", "{:.5f}", "steady, {slow} to {fast}"),
+    "regeneration": ("η μ", "{:.3f}", "braking over 0.5 m/s²"),
+    "p_aux": ("auxiliary power", "{:.0f} W", "below {slow}"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,3 +262,85 @@ def _date(drive: Drive) -> str:
         return "undated"
     begin = EPOCH + timedelta(seconds=stamp_ns // NANOSECONDS)
     return f"{begin:%Y-%m-%d %H:%M:%S}{zone}"
+
+
+def drive_tiles(
+    drive: Drive, travelled: DrivenSteps, measured: DrivenSteps, units: Units
+) -> Iterator[tuple[str, str]]:
+    """Energy over distance, then the rest that is known of the drive."""
+    far, energy = float(travelled.distance.sum()), float(measured.energy.sum())
+    known = float(measured.distance.sum())
+    if known >= LEAST_DISTANCE:
+        part = "" if known > NEARLY_WHOLE * far else f", over {_distance(known, units)} measured"
+        yield units.consumption(energy, known), f"{units.economy}{part}"
+    if len(measured.energy):
+        yield f"{energy / JOULES_PER_KWH:.3g} kWh", "from the battery"
+    taken = charged(drive)
+    if taken >= LEAST_CHARGED:
+        yield (
+            f"{taken / JOULES_PER_KWH:.3g} kWh",
+            "charged while parked, not included elsewhere",
+        )
+    seconds = float(travelled.seconds.sum())
+    mean = far / seconds * units.speeds if seconds else 0.0
+    time = clock(drive.duration)
+    if seconds < NEARLY_WHOLE * drive.duration:
+        time = f"{clock(seconds)} recorded of {time}"
+    yield _distance(far, units), f"in {time}, {mean:.0f} {units.speed} on average"
+    if len(drive.charge):
+        begin, end = 100 * drive.charge[0, 1], 100 * drive.charge[-1, 1]
+        yield f"{begin:.0f} to {end:.0f} %", "state of charge"
+    if len(drive.altitude):
+        heights = drive.altitude[:, 1] / units.height_metres
+        rise = f"{heights[-1] - heights[0]:+.0f} {units.height}"
+        yield rise, f"end over begin; {heights.min():.0f} to {heights.max():.0f} {units.height}"
+    if len(drive.temperature):
+        celsius = drive.temperature[:, 1]
+        low, high = (each * units.degrees + units.zero for each in (celsius.min(), celsius.max()))
+        degrees = f"{low:.0f}" if round(low) == round(high) else f"{low:.0f} to {high:.0f}"
+        yield f"{degrees} {units.temperature}", "outside"
+
+
+def clock(seconds: float) -> str:
+    """A duration as h:mm:ss."""
+    return str(timedelta(seconds=round(seconds)))
+
+
+def _distance(metres: float, units: Units) -> str:
+    return f"{metres / units.metres:.1f} {units.distance}"
+
+
+class CombinationRow(NamedTuple):
+    """A combination: its value at the end, percent left of its prior's 1-sigma, what tells it."""
+
+    label: str
+    value: str
+    left: int
+    learned_by: str
+    minutes: str
+
+
+def knowledge(
+    vehicle: Vehicle, drive: Drive, minutes: Mapping[str, float], units: Units
+) -> list[CombinationRow]:
+    """A row for each combination; `minutes` driven of the kind that tells each."""
+    before = prior_identifiable(vehicle)[1]._asdict()
+    return [
+        _combination_row(name, drive.combinations[name][-1], before[name], minutes[name], units)
+        for name in COMBINATIONS
+        if len(drive.combinations.get(name, ()))
+    ]
+
+
+def _combination_row(
+    name: str, end: np.ndarray, before: float, minutes: float, units: Units
+) -> CombinationRow:
+    """A row: `end` is time, value, 1-sigma; `before` the vehicle file's 1-sigma."""
+    label, form, learned_by = COMBINATIONS[name]
+    _, value, std = end
+    left = 100 * std / before if before > 0 else 100.0
+    spread = f"± {100 * std / abs(value):.1f} %" if value else ""
+    fast, slow = (f"{limit * units.speeds:.0f} {units.speed}" for limit in (FAST, SLOW))
+    learned_by = learned_by.format(fast=fast, slow=slow)
+    text = f"{form.format(value)} {spread}"
+    return CombinationRow(label, text, round(left), learned_by, f"{minutes:.1f}")

@@ -13,9 +13,15 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError, known_names
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
-from evpinn_ros.simulation.car import Car, Trace, draw_car, drive_car
+from evpinn_ros.simulation.car import (
+    Car,
+    Trace,
+    draw_car,
+    drive_car,
+    drive_equation_car,
+    equation_car,
+)
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, motion_on
-from evpinn_ros.simulation.equation_car import drive_equation_car, equation_car
 from evpinn_ros.simulation.road import hilly_road
 from evpinn_ros.simulation.sensors import altitudes, motor_readings, sense, temperatures
 from evpinn_ros.simulation.surroundings import ambient_celsius, draw_surroundings

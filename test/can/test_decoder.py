@@ -3,7 +3,6 @@ import math
 
 import pytest
 
-from evpinn_ros.can.checksum import id_sum, nissan_crc8
 from evpinn_ros.can.decoder import (
     ALONE_AFTER_NS,
     CHARGE_HOLD_NS,
@@ -12,7 +11,7 @@ from evpinn_ros.can.decoder import (
     Decoder,
 )
 from evpinn_ros.can.frame import MOST_IDS, CanFrame, nanoseconds
-from evpinn_ros.can.profile import load_profile
+from evpinn_ros.can.profile import id_sum, load_profile, nissan_crc8
 from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
 
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 
-from evpinn_ros.can.unpack import unpacker
+from evpinn_ros.can.decoder import unpacker
 from test.can.conftest import ALL
 
 MESSAGES = [rule.message for profile in ALL for rule in profile.messages.values()]

@@ -9,8 +9,7 @@ from rich.cells import cell_len
 from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.common.json_text import json_text
-from evpinn_ros.live.json_view import as_json
-from evpinn_ros.live.screen import plain_line, problem_lines, screen
+from evpinn_ros.live.screen import as_json, plain_line, problem_lines, screen
 from evpinn_ros.live.state import NOTHING, LiveState
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.topics.messages import Level, diagnostics, named_vector

@@ -53,7 +53,7 @@ LOADS_TORCH = "import time, torch; print(time.process_time(), flush=True)"
 
 
 def test_fast_dds_is_the_one_that_hangs_when_others_leave():
-    """Else look again whether nodes hang, and whether `nodes/deadline.py` is needed."""
+    """Else look again whether nodes hang, and whether `nodes/running.py` is needed."""
     try:
         found = version("ros-fastdds")
     except PackageNotFoundError:

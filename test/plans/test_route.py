@@ -16,7 +16,7 @@ from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import PlanError
 from evpinn_ros.energy.power_model import Weather, vehicle_model
 from evpinn_ros.plans import read_plan
-from evpinn_ros.plans.polyline import decode_polyline
+from evpinn_ros.plans.route import decode_polyline
 from evpinn_ros.vehicle.files import load_vehicle
 from test.plans import samples
 

@@ -15,8 +15,7 @@ from evpinn_ros.common.units import METRIC, US
 from evpinn_ros.replays.breakdown_text import PAPER, breakdown_metrics
 from evpinn_ros.replays.driven import measured_steps
 from evpinn_ros.replays.history import PowerSeries
-from evpinn_ros.report.breakdown_bar import breakdown_values
-from evpinn_ros.report.drive_energy import speed_energy_chart
+from evpinn_ros.report.drive_energy import breakdown_values, speed_energy_chart
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.report.html import BROWSER, UPLOT
 from evpinn_ros.report.thinning import LEVELS, NO_VALUE

@@ -8,8 +8,7 @@ import pytest
 from evpinn_ros.common.units import counted, with_sigma
 from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.fleet.population import Population
-from evpinn_ros.report.fleet_charts import CHARTED, fleet_charts
-from evpinn_ros.report.fleet_page import fleet_sentence, population_cells
+from evpinn_ros.report.fleet_page import CHARTED, fleet_charts, fleet_sentence, population_cells
 from evpinn_ros.vehicle.files import load_vehicle
 
 LEAF = load_vehicle("nissan_leaf")

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from evpinn_ros.drives.app_layouts import layout_of
 from evpinn_ros.drives.sources import open_drive
+from evpinn_ros.drives.survey import layout_of
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "nissan_leaf_2013_leafspy"
 VERSIONS = ["Log_leaf_170704_01133", "Log_leaf_171026_01133", "Log_leaf_180927_24CA1"]
