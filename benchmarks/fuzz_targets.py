@@ -20,7 +20,6 @@ from benchmarks import fuzz_seeds as seeds
 from benchmarks.fuzz_seeds import READINGS, VEHICLE
 from benchmarks.fuzz_structures import Mutate, mutate_json, mutate_mcap, mutate_table, mutate_yaml
 from evpinn_ros import topics
-from evpinn_ros.bags.can_frames import open_can_log
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.metadata import METADATA
 from evpinn_ros.bags.reader import BagReader
@@ -32,6 +31,7 @@ from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.drives.can_logs import open_can_log
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.forecast import forecast_plan

@@ -16,8 +16,8 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.replays.breakdown_text import breakdown_metrics
 from evpinn_ros.replays.car import CarReplay, mode_of
+from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.replays.run import ReplayOptions
 from evpinn_ros.replays.scoring import parameter_metrics

@@ -18,9 +18,9 @@ from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.forecasts import forecast_outcomes, known_model
 from evpinn_ros.replays.history import PowerSeries
-from evpinn_ros.replays.owner_text import owner_line
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import measured_at, running_total
+from evpinn_ros.report.owner_text import owner_line
 from evpinn_ros.vehicle.files import Vehicle
 
 TIME = "t_s"

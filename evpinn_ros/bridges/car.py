@@ -12,9 +12,8 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.state_file import Half
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.saved_state import StateFile
-from evpinn_ros.replays.account_metrics import account_metrics
-from evpinn_ros.replays.breakdown_text import breakdown_metrics
 from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.energy_metrics import account_metrics, breakdown_metrics
 from evpinn_ros.replays.scoring import combination_metrics, parameter_metrics
 from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
 from evpinn_ros.signals.time_jump import Jump, JumpPolicy, JumpRule

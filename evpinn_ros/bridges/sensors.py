@@ -13,7 +13,7 @@ import math
 from typing import Any
 
 from evpinn_ros import __version__
-from evpinn_ros.replays.breakdown_text import MEANINGS
+from evpinn_ros.replays.energy_metrics import MEANINGS
 
 MEASUREMENT, INCREASING = "measurement", "total_increasing"
 

@@ -17,7 +17,7 @@ from evpinn_ros.bridges.car import BridgedCar
 from evpinn_ros.bridges.layouts import KMH, PERCENT, Measurand, Parsed, Rule, Value
 from evpinn_ros.bridges.sensors import number_at
 from evpinn_ros.bridges.snapshot import Snapshots, is_due
-from evpinn_ros.replays.breakdown_text import MEANINGS
+from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.signals.readings import NANOSECONDS
 
 if TYPE_CHECKING:

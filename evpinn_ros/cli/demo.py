@@ -22,8 +22,8 @@ from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.replays.recorded import recorded_drive
 from evpinn_ros.replays.run import WARM_UP
 from evpinn_ros.replays.scoring import drive_scores
-from evpinn_ros.replays.tables import energy_lines
 from evpinn_ros.report.figure import drive_figure, save_figure
+from evpinn_ros.report.tables import energy_lines
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.topics.node_parameters import Value

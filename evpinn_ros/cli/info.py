@@ -21,7 +21,7 @@ from evpinn_ros.drives.contents import Contents, contents
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, Span
 from evpinn_ros.drives.formats import files_of
 from evpinn_ros.drives.unused import by_reason
-from evpinn_ros.replays.dropped_text import dropped_text
+from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_SPANS = 10  # on the terminal; --json has them all

@@ -35,10 +35,7 @@ from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.drives.trips import joined, split
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.paper.settings import PaperOptimizer
-from evpinn_ros.replays.breakdown_text import breakdown_lines
 from evpinn_ros.replays.car import CarReplay
-from evpinn_ros.replays.dropped_text import dropped_text
-from evpinn_ros.replays.owner_text import owner_line, owner_notes
 from evpinn_ros.replays.run import (
     WARM_UP,
     Replayed,
@@ -46,7 +43,10 @@ from evpinn_ros.replays.run import (
     has_battery,
     output_folders,
 )
-from evpinn_ros.replays.tables import energy_lines
+from evpinn_ros.report.breakdown_text import breakdown_lines
+from evpinn_ros.report.dropped_text import dropped_text
+from evpinn_ros.report.owner_text import owner_line, owner_notes
+from evpinn_ros.report.tables import energy_lines
 from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.vehicle.files import Vehicle
 

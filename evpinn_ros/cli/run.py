@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from functools import partial
 import math
 from pathlib import Path
 import shlex
@@ -12,7 +13,6 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.bags.foxglove import LOOPBACK, PORT
 from evpinn_ros.bags.writer import Split
 from evpinn_ros.cli.console import note
 from evpinn_ros.cli.drive_report import reported
@@ -27,6 +27,7 @@ from evpinn_ros.cli.options import (
 )
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.live.foxglove import LOOPBACK, PORT
 from evpinn_ros.nodes.saved_state import state_path
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
@@ -122,6 +123,7 @@ def run(
     Example: evpinn run --vehicle bmw_i3 --elm327 tcp:192.168.0.10:35000 --poll
     """
     # Imported here: all other commands work where no ROS is.
+    from evpinn_ros.live.foxglove_node import FoxgloveNode
     from evpinn_ros.live.view import live_view
     from evpinn_ros.nodes.all_in_one import run as run_nodes
 
@@ -145,6 +147,7 @@ def run(
     check_outputs((record, report, state), (params, Path(vehicle)))
     split = Split((split_size or math.inf) * MEGABYTE, split_time or math.inf)
     parameters = {name: value for name, value in given.items() if value is not None}
+    served_at = foxglove_host, foxglove_port, foxglove_origin or ()
     ros_args = ["--params-file", str(params)] if params is not None else []
     with ExitStack() as beside:  # left when the nodes have ended, before this process is
         kept = record, learned_before(state, params)
@@ -160,7 +163,7 @@ def run(
             parameters,
             record=record,
             split=split,
-            foxglove=(foxglove_host, foxglove_port, foxglove_origin or ()) if foxglove else None,
+            servers=[partial(FoxgloveNode, *served_at)] if foxglove else [],
             beside=beside,
             ros_args=ros_args,
         )

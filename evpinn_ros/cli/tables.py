@@ -8,13 +8,13 @@ from typing import Any
 
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import METRIC, Units
-from evpinn_ros.replays.breakdown_text import breakdown_columns, breakdown_rows
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.owner_text import drives_columns, drives_rows
-from evpinn_ros.replays.parameter_text import MEANINGS, number
 from evpinn_ros.replays.run import WARM_UP
-from evpinn_ros.replays.tables import (
+from evpinn_ros.report.breakdown_text import breakdown_columns, breakdown_rows
+from evpinn_ros.report.owner_text import drives_columns, drives_rows
+from evpinn_ros.report.parameter_text import MEANINGS, number
+from evpinn_ros.report.tables import (
     SCORE_COLUMNS,
     parameter_columns,
     parameter_rows,

@@ -6,11 +6,11 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames, open_can_log
 from evpinn_ros.bags.names import is_bag
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.profile import bundled_profiles
+from evpinn_ros.drives.can_logs import BagFrames, CanLog, holds_frames, open_can_log
 from evpinn_ros.drives.contents import Bar, Contents, TopicContents, with_drive
 from evpinn_ros.drives.data_coverage import ReadingFlow
 from evpinn_ros.vehicle.files import load_vehicle, vehicle_names

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from evpinn_ros.bags.can_frames import BagFrames, CanLog, holds_frames
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.names import is_bag
@@ -16,6 +15,7 @@ from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.can_logs import BagFrames, CanLog, holds_frames
 from evpinn_ros.drives.formats import suffix_of
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.drives.terrain import Terrain

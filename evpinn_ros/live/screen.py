@@ -14,7 +14,7 @@ from evpinn_ros.common.errors import printable
 from evpinn_ros.estimation.operating_range import MANNERS
 from evpinn_ros.live.power_line import BIN_NS, DOT_COLUMNS, braille_line, power_axis
 from evpinn_ros.live.state import NOTHING, POWERS, LiveState, ParameterRow
-from evpinn_ros.replays.parameter_text import MEANINGS, UNITS, number
+from evpinn_ros.report.parameter_text import MEANINGS, UNITS, number
 from evpinn_ros.topics.messages import Level
 
 TITLE, HEADING, FAINT = "bold reverse", "bold", "dim"

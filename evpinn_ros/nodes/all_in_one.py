@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
@@ -11,10 +11,10 @@ from typing import Any
 
 from evpinn_ros.bags.writer import Split
 from evpinn_ros.nodes import running
+from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.nodes.foxglove import FoxgloveNode
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.nodes.recorder import RawFrames, RecorderNode
 from evpinn_ros.topics import NAMESPACE
@@ -29,7 +29,7 @@ def run(
     *,
     record: Path | None = None,
     split: Split | None = None,
-    foxglove: tuple[str, int, Sequence[str]] | None = None,
+    servers: Sequence[Callable[..., GuardedNode]] = (),
     beside: AbstractContextManager[object] | None = None,
     namespace: str = NAMESPACE,
     ros_args: Sequence[str] = (),
@@ -40,7 +40,7 @@ def run(
         parameters: values by name; each node takes those of its table, over any file's.
         record: folder of a bag to write, raw CAN frames beside the topics.
         split: when that goes on in another file; None for never.
-        foxglove: host and port to serve all topics at, and web pages that may connect.
+        servers: makers of more nodes, which serve what the others publish.
         beside: entered before the nodes start and left when they have ended.
         namespace: of all topics.
         ros_args: what may follow `--ros-args`, such as `--params-file FILE`.
@@ -53,14 +53,11 @@ def run(
         name: {"namespace": namespace, "parameter_overrides": overrides(of_node(name, parameters))}
         for name in NODES
     }
-    servers: list[running.MakeNode] = []
-    if foxglove is not None:
-        servers.append(partial(FoxgloveNode, *foxglove, namespace=namespace))
-    recorder: list[running.MakeNode] = []
+    # What can fail for want of a port comes first, before a bus is opened.
+    makers: list[running.MakeNode] = [partial(make, namespace=namespace) for make in servers]
     if record is not None:
         frames: RawFrames = deque()
         options["can_bridge"]["record"] = frames
-        recorder.append(partial(RecorderNode, record, frames, split, namespace=namespace))
-    makers = [partial(make, **options[name]) for name, make in NODES.items()]
-    # What can fail for want of a port comes first, before a bus is opened.
-    return running.run(*servers, *recorder, *makers, args=args, beside=beside)
+        makers.append(partial(RecorderNode, record, frames, split, namespace=namespace))
+    makers += [partial(make, **options[name]) for name, make in NODES.items()]
+    return running.run(*makers, args=args, beside=beside)

@@ -7,9 +7,9 @@ from pathlib import Path
 import threading
 import time
 
-from evpinn_ros.bags.can_frames import open_can_log
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.can_logs import open_can_log
 from evpinn_ros.signals.readings import NANOSECONDS
 
 

@@ -12,9 +12,9 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import Source
 from evpinn_ros.estimation.breakdown import LEAST_DISTANCE, Breakdown, Breakdowns
 from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.replays.breakdown_text import NOTHING, PAPER, breakdown_metrics
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.drive_names import short_names
+from evpinn_ros.replays.energy_metrics import NOTHING, PAPER, breakdown_metrics
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import Progress
 from evpinn_ros.vehicle.files import Vehicle

@@ -18,7 +18,7 @@ from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.estimator import EstimatorStatus, Mode
-from evpinn_ros.replays.breakdown_text import breakdown_metrics
+from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.history import Drive, PowerSeries
 
 MAX_MEASURED_STEP = 2.5  # s; power is not known between readings further apart

@@ -9,16 +9,16 @@ from typing import Any
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.estimation.breakdown import Breakdown
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.replays.breakdown_text import name_of
 from evpinn_ros.replays.comparison import Comparison
-from evpinn_ros.replays.comparison_text import (
+from evpinn_ros.replays.over_distance import over_distance
+from evpinn_ros.report.breakdown_text import name_of
+from evpinn_ros.report.comparison_text import (
     common_groups,
     part_rows,
     rate_text,
     sentences,
     trip_rows,
 )
-from evpinn_ros.replays.over_distance import over_distance
 from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
 from evpinn_ros.report.intervals import IntervalRow, interval_rows

@@ -12,8 +12,8 @@ from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import ForecastOutcome
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.parameter_text import DECIMALS
 from evpinn_ros.replays.scoring import measured_at
+from evpinn_ros.report.parameter_text import DECIMALS
 from evpinn_ros.report.thinning import Grid, grid_for, packed, thinned
 from evpinn_ros.vehicle.parameters import Parameters
 

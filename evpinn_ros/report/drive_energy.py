@@ -11,7 +11,10 @@ from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.terms import WARM
-from evpinn_ros.replays.breakdown_text import (
+from evpinn_ros.replays.driven import DrivenSteps
+from evpinn_ros.replays.forecasts import known_model
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.report.breakdown_text import (
     breakdown_columns,
     breakdown_lines,
     breakdown_notes,
@@ -19,9 +22,6 @@ from evpinn_ros.replays.breakdown_text import (
     breakdown_sentence,
     shown,
 )
-from evpinn_ros.replays.driven import DrivenSteps
-from evpinn_ros.replays.forecasts import known_model
-from evpinn_ros.replays.history import Drive
 from evpinn_ros.report.drive_charts import JOULES_PER_WH, Chart
 from evpinn_ros.report.intervals import IntervalRow, interval_rows
 from evpinn_ros.report.thinning import packed

@@ -14,20 +14,25 @@ from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
 from evpinn_ros.estimation.breakdown import LEAST_DISTANCE
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import DrivenSteps, charged, measured_steps, travelled
-from evpinn_ros.replays.dropped_text import dropped_text
 from evpinn_ros.replays.events import drive_events
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.owner_text import (
+from evpinn_ros.replays.run import Replayed, ReplayOptions
+from evpinn_ros.replays.scoring import Span, baseline_scores
+from evpinn_ros.replays.trends import drive_point
+from evpinn_ros.report import drive_charts, drive_maps
+from evpinn_ros.report.drive_energy import breakdown_values, running_totals, speed_energy_chart
+from evpinn_ros.report.drive_maps import FAST, SLOW
+from evpinn_ros.report.dropped_text import dropped_text
+from evpinn_ros.report.html import write_page
+from evpinn_ros.report.owner_text import (
     LEAST_CHARGED,
     NEARLY_WHOLE,
     drives_columns,
     drives_rows,
     owner_notes,
 )
-from evpinn_ros.replays.run import Replayed, ReplayOptions
-from evpinn_ros.replays.scoring import Span, baseline_scores
-from evpinn_ros.replays.tables import (
+from evpinn_ros.report.tables import (
     SCORE_COLUMNS,
     energy_lines,
     parameter_columns,
@@ -36,11 +41,6 @@ from evpinn_ros.replays.tables import (
     signed_percent,
     watts,
 )
-from evpinn_ros.replays.trends import drive_point
-from evpinn_ros.report import drive_charts, drive_maps
-from evpinn_ros.report.drive_energy import breakdown_values, running_totals, speed_energy_chart
-from evpinn_ros.report.drive_maps import FAST, SLOW
-from evpinn_ros.report.html import write_page
 from evpinn_ros.report.trend_rows import trend_intervals
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.simulation.truth_file import read_truth

@@ -13,7 +13,7 @@ import numpy as np
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.common.writer import replaced
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.replays.breakdown_text import MEANINGS
+from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import longest_step, running_total
 from evpinn_ros.vehicle.identifiable import Identifiable

@@ -15,7 +15,7 @@ from evpinn_ros.energy.plan import Legs
 from evpinn_ros.energy.planned import Change, PlannedEnergy
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.terms import Part
-from evpinn_ros.replays.breakdown_text import MEANINGS
+from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
 from evpinn_ros.report.intervals import IntervalRow, interval_rows

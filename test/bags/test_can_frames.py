@@ -7,7 +7,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from evpinn_ros.bags.can_frames import BagFrames, encode_frame, open_can_log
+from evpinn_ros.bags.can_frames import encode_frame
 from evpinn_ros.bags.types import FRAME_TYPE, decode, encode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
@@ -16,6 +16,7 @@ from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.bus_sources import BagSource, CanLogSource
+from evpinn_ros.drives.can_logs import BagFrames, open_can_log
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle

@@ -20,15 +20,14 @@ from typing import Any, NamedTuple
 import pytest
 
 from evpinn_ros import topics
-from evpinn_ros.bags.foxglove import LOOPBACK, FoxgloveServer, is_loopback
-from evpinn_ros.bags.origin_gate import MOST_CONNECTIONS
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import decode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.live.foxglove import LOOPBACK, MOST_CONNECTIONS, FoxgloveServer, is_loopback
+from evpinn_ros.live.foxglove_node import FoxgloveNode
 from evpinn_ros.live.state import NODES
 from evpinn_ros.nodes.factory import installed
-from evpinn_ros.nodes.foxglove import FoxgloveNode
 from evpinn_ros.topics.messages import Level, scalar
 
 pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")

@@ -10,12 +10,12 @@ import can
 import pytest
 
 from evpinn_ros import topics
-from evpinn_ros.bags.can_frames import open_can_log
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.drives.bus_sources import CanLogSource
+from evpinn_ros.drives.can_logs import open_can_log
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle

@@ -8,8 +8,8 @@ import pytest
 from evpinn_ros.common.units import US
 from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.replays.history import Drive, PowerSeries
-from evpinn_ros.replays.owner_text import heating_note, sparse_note
 from evpinn_ros.replays.trends import CAPACITY, ROLLING, drive_point, trends
+from evpinn_ros.report.owner_text import heating_note, sparse_note
 from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.vehicle.identifiable import Identifiable
 

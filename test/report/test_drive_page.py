@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.units import METRIC, US
-from evpinn_ros.replays.breakdown_text import PAPER, breakdown_metrics
 from evpinn_ros.replays.driven import measured_steps
+from evpinn_ros.replays.energy_metrics import PAPER, breakdown_metrics
 from evpinn_ros.replays.history import PowerSeries
 from evpinn_ros.report.drive_energy import breakdown_values, speed_energy_chart
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives

@@ -9,7 +9,7 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.energy.forecast import plan_parts
 from evpinn_ros.energy.plan import PlanConditions, PlanError, legs_of_trip, plan_from_speed_profile
 from evpinn_ros.estimation.terms import WHOLE, Part
-from evpinn_ros.replays.breakdown_text import MEANINGS
+from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.report.forecast_page import speed_along
 
 TIME = np.arange(0.0, 601.0, 2.0)

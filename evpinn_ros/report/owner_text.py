@@ -9,17 +9,17 @@ import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, kwh_digits
 from evpinn_ros.estimation.breakdown import LEAST_DISTANCE
-from evpinn_ros.replays.breakdown_text import (
+from evpinn_ros.replays.driven import charged, measured_steps, travelled
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.vehicle_fit import vehicle_doubt
+from evpinn_ros.report.breakdown_text import (
     CONTRADICTED,
     LEFT_OUT,
     SHORT,
     TOGETHER,
     known_parts,
 )
-from evpinn_ros.replays.driven import charged, measured_steps, travelled
-from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.tables import signed_percent, watts
-from evpinn_ros.replays.vehicle_fit import vehicle_doubt
+from evpinn_ros.report.tables import signed_percent, watts
 from evpinn_ros.signals.road import HEATED_BELOW
 from evpinn_ros.vehicle.files import Vehicle
 

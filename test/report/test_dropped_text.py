@@ -1,6 +1,6 @@
 """Readings that were not used, in words, and only those that were lost."""
 
-from evpinn_ros.replays.dropped_text import dropped_text
+from evpinn_ros.report.dropped_text import dropped_text
 
 
 def test_only_what_was_lost_is_said_in_words():

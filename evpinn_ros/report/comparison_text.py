@@ -13,9 +13,10 @@ from evpinn_ros.estimation.breakdown import (
     Breakdown,
 )
 from evpinn_ros.estimation.terms import WHOLE, Part
-from evpinn_ros.replays.breakdown_text import MEANINGS, name_of
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.driven import travelled
+from evpinn_ros.replays.energy_metrics import MEANINGS
+from evpinn_ros.report.breakdown_text import name_of
 
 SURE = 2.0  # sigmas of a difference that is statistically significant
 Rows = list[tuple[str, ...]]

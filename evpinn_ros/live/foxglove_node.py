@@ -6,7 +6,7 @@ from collections.abc import Collection
 from functools import partial
 from typing import Any
 
-from evpinn_ros.bags.foxglove import FoxgloveServer, is_loopback
+from evpinn_ros.live.foxglove import FoxgloveServer, is_loopback
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Status, with_health
 from evpinn_ros.nodes.factory import installed

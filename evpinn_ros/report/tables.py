@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.parameter_text import MEANINGS, number
 from evpinn_ros.replays.scoring import Span, baseline_scores
+from evpinn_ros.report.parameter_text import MEANINGS, number
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Parameters
 
 SCORE_COLUMNS = ("what", "RMSE", "MAE", "R2", "in 90 % band")

@@ -1,9 +1,8 @@
-"""Breakdown of the energy of a drive as metrics, and these as rows and sentences for people."""
+"""Breakdown of the energy of a drive as rows and sentences for people."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units, kwh_digits
@@ -11,27 +10,12 @@ from evpinn_ros.estimation.breakdown import (
     MOSTLY_UNSEEN,
     REGAINED,
     UNEXPLAINED,
-    Amount,
-    Breakdown,
 )
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.estimation.terms import WHOLE, Part
+from evpinn_ros.replays.energy_metrics import MEANINGS
 
 NAMES = tuple(part.name.lower() for part in list(Part)[WHOLE])
-MEANINGS: Mapping[str, str] = {
-    "air": "air and wind",
-    "tyres": "tyres",
-    "slope": "net climb",
-    "speed": "kinetic energy at the end",
-    "brakes": "lost while braking",
-    "drivetrain": "motor and drivetrain",
-    "climate": "heating and cooling",
-    "standing": "other standing load",
-    UNEXPLAINED: "unexplained",
-    "measured": "measured",
-    REGAINED: "brought back by braking",
-}
 TOGETHER = " + "  # between the names of parts that are not separated
 LEFT_OUT = (MEANINGS["speed"], UNEXPLAINED)
 SHORT = {  # in a column of a table
@@ -51,8 +35,6 @@ WORTH_SAYING = 0.1  # of a drive: from here on heating comes first, for it can b
 # little in sum, and each part of it is a multiple of that.
 GAVE_BACK = 1.1  # of what was measured
 CONTRADICTED = 3.0  # sigmas of what is unexplained that are worth a warning
-PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"
-NOTHING = "the battery was measured over no interval that could be learned from"
 
 
 class KnownPart(NamedTuple):
@@ -62,34 +44,6 @@ class KnownPart(NamedTuple):
     kwh: float
     sigma_kwh: float
     share: float
-
-
-def breakdown_metrics(found: Breakdown | None, mode: str) -> dict[str, Any]:
-    """The values of `--metrics` under `breakdown`; null with the reason where nothing is known."""
-    if found is None:
-        nothing = dict.fromkeys(Amount.__dataclass_fields__)
-        rows: dict[str, Any] = {name: dict(nothing) for name in MEANINGS}
-        why = PAPER if mode == Mode.PAPER.value else NOTHING
-        return {
-            **rows,
-            "together": [],
-            "distance_m": None,
-            "duration_s": None,
-            "unknown": why,
-            "without_height_m": None,
-        }
-    amounts = {**found.amounts(), "measured": found.total()}
-    return {
-        **{name: asdict(amounts[name]) for name in MEANINGS},
-        "together": [
-            {"parts": [part.name.lower() for part in group], **asdict(found.of(*group))}
-            for group in found.together()
-        ],
-        "distance_m": found.distance,
-        "duration_s": found.seconds,
-        "unknown": None,
-        "without_height_m": found.unseen,
-    }
 
 
 def shown(found: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:

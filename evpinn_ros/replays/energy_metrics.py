@@ -1,0 +1,85 @@
+"""Energies as metrics, in units for people: the breakdown of a drive, the account of a car."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.energy.account import AccountSummary
+from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
+from evpinn_ros.estimation.estimator import Mode
+
+KWH_PER_100KM = JOULES_PER_KWH / 1e5  # J/m
+MEANINGS: Mapping[str, str] = {
+    "air": "air and wind",
+    "tyres": "tyres",
+    "slope": "net climb",
+    "speed": "kinetic energy at the end",
+    "brakes": "lost while braking",
+    "drivetrain": "motor and drivetrain",
+    "climate": "heating and cooling",
+    "standing": "other standing load",
+    UNEXPLAINED: "unexplained",
+    "measured": "measured",
+    REGAINED: "brought back by braking",
+}
+PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"
+NOTHING = "the battery was measured over no interval that could be learned from"
+
+
+def breakdown_metrics(found: Breakdown | None, mode: str) -> dict[str, Any]:
+    """The values of `--metrics` under `breakdown`; null with the reason where nothing is known."""
+    if found is None:
+        nothing = dict.fromkeys(Amount.__dataclass_fields__)
+        rows: dict[str, Any] = {name: dict(nothing) for name in MEANINGS}
+        why = PAPER if mode == Mode.PAPER.value else NOTHING
+        return {
+            **rows,
+            "together": [],
+            "distance_m": None,
+            "duration_s": None,
+            "unknown": why,
+            "without_height_m": None,
+        }
+    amounts = {**found.amounts(), "measured": found.total()}
+    return {
+        **{name: asdict(amounts[name]) for name in MEANINGS},
+        "together": [
+            {"parts": [part.name.lower() for part in group], **asdict(found.of(*group))}
+            for group in found.together()
+        ],
+        "distance_m": found.distance,
+        "duration_s": found.seconds,
+        "unknown": None,
+        "without_height_m": found.unseen,
+    }
+
+
+def account_metrics(found: AccountSummary) -> dict[str, dict[str, Any]]:
+    """Values of an account under `energy`, `consumption` and `range`; NaN and None are unknown.
+
+    Energies are kWh, consumptions kWh/100 km, distances km.
+    """
+    trip, life, remaining = found.since_reset, found.lifetime, found.remaining
+    return {
+        "energy": {
+            "trip_kwh": trip.net.value / JOULES_PER_KWH,
+            "trip_sigma_kwh": trip.net.sigma / JOULES_PER_KWH,
+            "trip_km": trip.distance / 1e3,
+            "drawn_kwh": life.drawn / JOULES_PER_KWH,
+            "regenerated_kwh": life.regenerated / JOULES_PER_KWH,
+            "unmeasured_s": trip.unmeasured_s,
+        },
+        "consumption": {name: value / KWH_PER_100KM for name, value in found.consumption.items()},
+        "range": {
+            "charge_percent": 100.0 * found.charge.value,
+            "charge_projected": found.projected,
+            "usable_kwh": found.usable.value / JOULES_PER_KWH,
+            "capacity_kwh": found.capacity.value / JOULES_PER_KWH,
+            "range_km": remaining and remaining.distance / 1e3,
+            "lower_km": remaining and remaining.lower / 1e3,
+            "upper_km": remaining and remaining.upper / 1e3,
+        },
+    }
