@@ -23,7 +23,7 @@ class Throughput:
 
     frames: int  # decoded, of a full bus
     decoding: float  # frames in memory to readings
-    decoding_known: float  # likewise, of the frames with an id of the profile alone
+    decoding_known: float  # frames with an id of the profile alone
     whole_file: float  # a candump file to readings
 
 

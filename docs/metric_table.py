@@ -41,14 +41,14 @@ _ENERGY = (
     ("predicted_j", "J", "predicted power, integrated over the same stretches"),
     ("rknn_j", "J", "the same by the Runge-Kutta network"),
     ("error_percent", "%", "of `predicted_j`, of the size of `measured_j`; positive: too much"),
-    ("rknn_error_percent", "%", "of `rknn_j`, likewise"),
+    ("rknn_error_percent", "%", "of `rknn_j`, of the size of `measured_j`; positive: too much"),
 )
 _PARAMETER = (
     ("value", "", "live value at the end: 1, 1, kg, 1, 1, W"),
     ("std", "", "its 1-sigma"),
     ("prior_share", "", "share of the prior in it: 0 all data, 1 all prior"),
     ("lower", "", "bound from the combinations and eta, mu <= 1; while unknown, its limit"),
-    ("upper", "", "likewise"),
+    ("upper", "", "bound as `lower`"),
     ("state", "", "`unestimated`, `estimating`, `valid`, `stale` or `invalid`"),
 )
 _AMOUNT = (
@@ -88,7 +88,7 @@ METRICS: tuple[Metric, ...] = (
         "W",
         "of `power/smoothed` about so long after the last battery reading: 0.1, 1, 10, 60, 600 s",
     ),
-    Metric("by_battery_age.<seconds>.bias_w", "W", "mean error likewise"),
+    Metric("by_battery_age.<seconds>.bias_w", "W", "mean error so long after it"),
     Metric("by_battery_age.<seconds>.last_value_rmse_w", "W", "RMSE of the last value held"),
     *_under("breakdown.<part>", _AMOUNT),
     Metric("breakdown.together", "", "groups of parts not separated: `parts` and their sum"),

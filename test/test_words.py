@@ -75,6 +75,14 @@ def test_a_docstring_begins_with_its_thing() -> None:
     assert [each for each in texts if QUESTIONS.match(each[-1])] == []
 
 
+def test_a_docstring_of_a_test_begins_with_its_thing() -> None:
+    """A sentence of a test may ask; none hangs on the name above it."""
+    hanging = re.compile(r"(Of|The same|Likewise|See the module)\b")
+    for path in sorted((ROOT / "test").rglob("*.py")):
+        texts = [text for _, text in documented(ast.parse(path.read_text()))]
+        assert [text for text in texts if hanging.match(text)] == [], path
+
+
 def gone(file: str) -> Iterator[tuple[str, int, str]]:
     """Place and text of what should not be there."""
     kept = {word for where, word in KEPT if where == file}

@@ -35,7 +35,10 @@ def clock_faults() -> Iterator[Fault]:
     yield Fault("clock_back", "/clock and stamps go back 300 s", reset, _Jump(-300, "went back"))
     yield Fault("clock_ahead", "/clock and stamps leap 300 s", "nothing", _Jump(300, "leapt"))
     yield Fault(
-        "clock_back_held", "likewise, policy hold", "nothing", _Jump(-300, "went back", "hold")
+        "clock_back_held",
+        "/clock and stamps go back 300 s, policy hold",
+        "nothing",
+        _Jump(-300, "went back", "hold"),
     )
     if clock_setter() is None:
         return

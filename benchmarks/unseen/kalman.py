@@ -39,7 +39,7 @@ WANDER_TIME = np.array([3600.0, 360.0, 3600.0, 3600.0, 6.0])
 LONGEST_STEP = 3600.0  # s; longer gaps are parking
 CORRELATION_TIME = 0.5  # s within which residuals say the same
 POWER_NOISE = 300.0  # W, 1-sigma of the residual
-FORCE_NOISE = 100.0  # N, likewise while moving
+FORCE_NOISE = 100.0  # N, 1-sigma of the residual while moving
 
 
 class FiveStateFilter:

@@ -7,7 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    drawn_power,
+)
 
 LEAST_GAP_S = 2.5  # shorter gaps are bridged by a straight line at any sampling
 GAP_PERIODS = 4.0  # of polled logs, gaps up to so many median periods
@@ -105,7 +111,8 @@ def battery_power(readings: Iterable[Reading], start_ns: int) -> Line:
     time, voltage, current = np.array(rows, dtype=float).reshape(-1, 3).T
     volts, amperes = Line(time, voltage), Line(time, current)
     both = np.unique(np.concatenate((volts.time, amperes.time)))
-    return Line(both, -volts.at(both) * amperes.at(both), max(volts.gap, amperes.gap))
+    power = drawn_power(volts.at(both), amperes.at(both))
+    return Line(both, power, max(volts.gap, amperes.gap))
 
 
 def speed_line(readings: Iterable[Reading], start_ns: int) -> Line:

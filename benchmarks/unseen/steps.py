@@ -14,7 +14,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
 
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    drawn_power,
+)
 from evpinn_ros.signals.road import GradeSource, Road, why_impossible
 from evpinn_ros.vehicle.files import Vehicle
 
@@ -140,7 +146,7 @@ class StepStream:
                 yield replace(step, power=mean)
 
     def _power(self, stamp_ns: int) -> float:
-        return -self._volts.at(stamp_ns) * self._amperes.at(stamp_ns)
+        return drawn_power(self._volts.at(stamp_ns), self._amperes.at(stamp_ns))
 
 
 class _Signal:

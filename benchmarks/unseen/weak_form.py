@@ -197,7 +197,7 @@ class WeakFormLeastSquares:
         """The combinations of the car's parameters.
 
         1/eta holds the loss with force squared, by its share of the energy that was spent in
-        driving so far; the share that comes back in braking holds it likewise.
+        driving so far; so does the share that comes back in braking.
         """
         found = self._combined(self.mean)
         gradient = np.array([self._combined(self.mean + each) - found for each in self._nudges])

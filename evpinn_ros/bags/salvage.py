@@ -77,7 +77,7 @@ class Salvage:
         ended: the file has its end; complete once iterated.
         stated: messages that the file says it holds, None when it does not.
         unknown: messages whose topic is not known, left out; complete once iterated.
-        doubtful: channels that only a damaged chunk described; likewise.
+        doubtful: channels that only a damaged chunk described; complete once iterated.
     """
 
     def __init__(self, file: FileBytes) -> None:

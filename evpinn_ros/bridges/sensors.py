@@ -35,7 +35,7 @@ class Sensor:
     name: str  # for people
     unit: str | None  # as Home Assistant writes it; None where it has none
     device_class: str | None  # of Home Assistant; None where none fits
-    state_class: str | None = MEASUREMENT  # likewise; None where no statistics make sense
+    state_class: str | None = MEASUREMENT  # of Home Assistant; None without statistics
     digits: int = 1  # behind the point
     diagnostic: bool = False  # whether it is about the car and not about its drives
 

@@ -81,7 +81,7 @@ class CanBridge:
             sign: watches the sign of the current, where somebody wants to know.
         """
         self._key, self._guard, self._sign = profile.key, guard, sign
-        self._decoder = Decoder(profile, guard.evidence if guard is not None else None)
+        self._decoder = Decoder(profile, guard.fit if guard is not None else None)
         known = {*profile.messages, *profile.asked}
         self._arrivals = {name: _Arrivals() for name in _KINDS if name in known}
         self.poller = Poller(profile, send) if profile.requests else None

@@ -52,8 +52,8 @@ class Decoder:
             `unknown_multiplexer`, `stuck_counter`, `not_available`, `out_of_range`.
     """
 
-    def __init__(self, profile: CanProfile, evidence: ProfileFit | None = None) -> None:
-        """Decode by a profile; `evidence`, of the same one, is given the result of every frame."""
+    def __init__(self, profile: CanProfile, fit: ProfileFit | None = None) -> None:
+        """Decode by a profile; `fit`, of the same one, is given the result of every frame."""
         self.known = 0
         self.unknown: Counter[int] = Counter()
         self.uncounted = 0
@@ -69,7 +69,7 @@ class Decoder:
             "speed": self._speed,
             "battery": self._battery,
         }
-        fits = {fit.quantity: fit for fit in evidence.messages} if evidence is not None else {}
+        fits = {each.quantity: each for each in fit.messages} if fit is not None else {}
         for quantity, maker in makers.items():
             if quantity in profile.messages:
                 rule = profile.messages[quantity]

@@ -146,7 +146,7 @@ class ProfileFit:
 
     @property
     def score(self) -> float:
-        """0..1, see the module's text."""
+        """Mean over the messages of the share of good frames, 0..1."""
         return _mean([message.share for message in self.messages])
 
     @property

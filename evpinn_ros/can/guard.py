@@ -43,7 +43,7 @@ class FitGuard:
     """Stands behind the decoder of one bus.
 
     Attributes:
-        evidence: counted by the decoder of the guarded profile.
+        fit: counted by the decoder of the guarded profile.
         verdict: now.
         contradiction: why readings are refused, None while they are not.
         dropped: readings: `undecided`, held and never let out; `contradicted`, come after that.
@@ -56,7 +56,7 @@ class FitGuard:
 
         `patient` always weighs ten seconds first, where nothing waits for the readings.
         """
-        self.evidence = ProfileFit(profile)
+        self.fit = ProfileFit(profile)
         self.verdict = ProfileVerdict.UNDECIDED
         self.contradiction: Contradiction | None = None
         self.dropped: Counter[str] = Counter()
@@ -76,13 +76,13 @@ class FitGuard:
         if self._comparing:
             for decoder in self._decoders.get((frame.can_id, frame.extended), ()):
                 decoder.decode(frame)
-        if self._begin_ns is None and self.evidence.frames:
+        if self._begin_ns is None and self.fit.frames:
             self._begin_ns = frame.stamp_ns
         begin_ns = frame.stamp_ns if self._begin_ns is None else self._begin_ns
         due = not 0 <= frame.stamp_ns - begin_ns < self._period_ns
         if self.verdict is ProfileVerdict.UNDECIDED:
             return self._weigh(frame, readings, due)
-        if due and self.evidence.frames >= REVIEW_FRAMES:
+        if due and self.fit.frames >= REVIEW_FRAMES:
             self._review(frame)
         return self.pass_answer(readings)
 
@@ -107,9 +107,9 @@ class FitGuard:
         return len(self._held)
 
     def _compare_with(self, other: CanProfile) -> None:
-        evidence = ProfileFit(other)
-        decoder = Decoder(other, evidence)
-        self._others.append(evidence)
+        fit = ProfileFit(other)
+        decoder = Decoder(other, fit)
+        self._others.append(fit)
         for key in {rule.key for rule in other.messages.values()}:
             self._decoders.setdefault(key, []).append(decoder)
 
@@ -134,15 +134,13 @@ class FitGuard:
         """True if all that can be asked of the first frames is there."""
         if self._patient:
             return False
-        messages = [each for each in self.evidence.messages if each.quantity in LEADING]
+        messages = [each for each in self.fit.messages if each.quantity in LEADING]
         plain = all(message.good and not message.bad for message in messages)
         return plain and any(message.has_checksum for message in messages)
 
     def _is_torn(self) -> bool:
         """True if some message neither holds nor fails."""
-        return any(
-            each.bad and not (each.came_right or each.fails) for each in self.evidence.messages
-        )
+        return any(each.bad and not (each.came_right or each.fails) for each in self.fit.messages)
 
     def _decide(self) -> tuple[Reading, ...]:
         found = self._judge()
@@ -159,7 +157,7 @@ class FitGuard:
         return held
 
     def _review(self, frame: CanFrame) -> None:
-        own, found = self.evidence, self._judge()
+        own, found = self.fit, self._judge()
         if found is not None:
             self._refuse(found)
         elif self.contradiction is not None:
@@ -172,7 +170,7 @@ class FitGuard:
         self._begin(frame)
 
     def _judge(self) -> Contradiction | None:
-        return contradiction(self.evidence, self._others if self._comparing else [])
+        return contradiction(self.fit, self._others if self._comparing else [])
 
     def _refuse(self, found: Contradiction) -> None:
         better = found.better or self.advice()
@@ -186,5 +184,5 @@ class FitGuard:
         refused = self.verdict is ProfileVerdict.REFUSED
         self._period_ns = RESUME_NS if refused else REVIEW_NS
         self._begin_ns = frame.stamp_ns
-        for evidence in (self.evidence, *self._others):
-            evidence.restart()
+        for fit in (self.fit, *self._others):
+            fit.restart()

@@ -9,8 +9,8 @@ import numpy as np
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import Column, column_of
-from evpinn_ros.drives.evidence import LEAST_EVENTS, Signal, at_times, pull
 from evpinn_ros.drives.quantities import QUANTITIES, score
+from evpinn_ros.drives.units_by_values import LEAST_EVENTS, Signal, at_times, pull
 
 LOADS = ("heating", "aircon", "auxiliary")
 ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size

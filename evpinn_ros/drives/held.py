@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from evpinn_ros.drives.evidence import Signal
+from evpinn_ros.drives.units_by_values import Signal
 
 MAY_BE_HELD = ("speed", "current", "power")
 UNEVEN = 0.5  # of the usual step between rows: one step in twenty is shorter

@@ -15,7 +15,6 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.clock_choice import choose_clock, start_by_date
 from evpinn_ros.drives.column import Column, check_columns, columns_by_name
 from evpinn_ros.drives.contradictions import contradictions, power_beside
-from evpinn_ros.drives.evidence import Signal, seconds, stands_still, with_units
 from evpinn_ros.drives.held import HeldSignals, held_columns
 from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
 from evpinn_ros.drives.quantities import PLACES, QUANTITIES, Unit
@@ -43,6 +42,7 @@ from evpinn_ros.drives.times import (
     is_newest_first,
     start_of_comments,
 )
+from evpinn_ros.drives.units_by_values import Signal, seconds, stands_still, with_units
 from evpinn_ros.drives.unused import NO_USE, unused_columns
 from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS, Reading
 
@@ -62,7 +62,7 @@ class TableDrive(Source):
         clock: how the time is read.
         rows: below the header that were read, and `used`, those that gave a reading; both
             complete once the readings are exhausted.
-        first_bad: the first cell that could not be read, with the way to mend it; likewise.
+        first_bad: the first cell that could not be read, with the way to mend it.
     """
 
     problem: str | None = None

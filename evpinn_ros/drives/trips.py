@@ -19,7 +19,13 @@ import numpy as np
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import Source
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    drawn_power,
+)
 
 LONGEST_PAUSE = 600.0  # s
 LEAST_CHARGING, CHARGING_POWER = 120.0, 300.0  # s, W
@@ -172,7 +178,7 @@ def trips_of(readings: Iterable[Reading]) -> Trips:
             speed.append((reading.stamp_ns, abs(reading.speed)))
         elif isinstance(reading, BatteryReading):
             voltage = reading.voltage if math.isfinite(reading.voltage) else voltage
-            power.append((reading.stamp_ns, -voltage * reading.current))
+            power.append((reading.stamp_ns, drawn_power(voltage, reading.current)))
     if len(speed) < 2:
         return Trips((), 0.0)
     start_ns = speed[0][0]

@@ -22,7 +22,7 @@ class FoxgloveNode(GuardedNode):
 
         Args:
             host: to listen on.
-            port: likewise, 0 for any.
+            port: to listen on, 0 for any.
             origins: of web pages that may connect beside Foxglove's own.
             kwargs: go to rclpy's Node.
 

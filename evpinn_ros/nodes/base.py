@@ -259,7 +259,7 @@ class GuardedNode(ABC, Node):
 
         Args:
             dropped: messages that were not used, by reason.
-            shown_elsewhere: likewise, where the status has them among its values already.
+            shown_elsewhere: those that the status has among its values already.
             usual: reasons that need no attention now; they are counted all the same.
         """
         bad = {**self.bad, **(dropped or {})}

@@ -85,7 +85,7 @@ def subscribe(
     raw: bool = False,
     on_mismatch: Callable[[str], None] | None = None,
 ) -> Any:
-    """A subscription likewise; with `raw` the callback gets the bytes of the message.
+    """A subscription with the topic's QoS; with `raw` the callback gets the bytes of the message.
 
     A callback of two arguments gets what the middleware tells of the message beside.
     """

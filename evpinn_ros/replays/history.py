@@ -25,6 +25,7 @@ from evpinn_ros.signals.readings import (
     Reading,
     SpeedReading,
     TemperatureReading,
+    drawn_power,
 )
 from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
@@ -249,7 +250,8 @@ class History:
         if not (len(voltage) and len(current)):
             return np.empty((0, 2))
         time = current[:, 0]
-        return np.column_stack((time, -np.interp(time, *voltage.T) * current[:, 1]))
+        power = drawn_power(np.interp(time, *voltage.T), current[:, 1])
+        return np.column_stack((time, power))
 
     def drive(self, model: CarModel | None = None) -> Drive:
         """The series so far, with the car as it is known now."""

@@ -84,7 +84,7 @@ class EnergyCurves(NamedTuple):
     measured: np.ndarray  # exact quadrature of the measured power
     predicted: np.ndarray  # exact quadrature of the network's power
     rknn: np.ndarray  # the Runge-Kutta network of the paper, rolled out over the measured power
-    dnn: np.ndarray  # the plain network, likewise
+    dnn: np.ndarray  # the plain network, rolled out as well
 
 
 @dataclass(frozen=True, slots=True)

@@ -118,7 +118,7 @@ def parameter_rows(
 def combination_rows(
     vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
 ) -> list[TableFiveRow]:
-    """The combinations that enter eq. 21, likewise."""
+    """Rows of the combinations that enter eq. 21, as those of the parameters."""
     before_data = np.diag(LogParameters(vehicle).prior_std ** 2)
     area = vehicle.frontal_area
     before, after = (combinations(p, area, form) for p in (vehicle.initial, values))

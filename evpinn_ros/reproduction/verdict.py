@@ -24,7 +24,7 @@ from evpinn_ros.reproduction.scores import PowerScore
 from evpinn_ros.reproduction.tables import r2_text
 
 GOOD_R2 = 0.9  # of power, for it to count as predicted
-GOOD_ENERGY = 5.0  # percent, likewise of energy
+GOOD_ENERGY = 5.0  # percent of energy, for it to count as predicted
 BETTER = 0.5  # of the loss of the plain network, for the other to count as better; paper: 0.38
 EXPLAINING = 0.1  # of R\u00b2, by which holding the time explains a bad one
 NAMES = {

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
+
+import numpy as np
 
 NANOSECONDS = 1_000_000_000
 # A drive without a date is placed on this day, 2020-01-01: header stamps must not be zero, and the
@@ -19,8 +21,14 @@ MAX_TORQUE = 20_000.0  # N m, more than the axle of any production car
 MAX_MOTOR_SPEED = 4_000.0  # rad/s, 38,000 rpm, faster than any traction motor turns
 
 
-def drawn_power(volts: float, amperes: float) -> float:
-    """Power drawn from the battery, W (eq. 11), of a current negative while it discharges, A."""
+Numbers = TypeVar("Numbers", float, np.ndarray)
+
+
+def drawn_power(volts: Numbers, amperes: Numbers) -> Numbers:
+    """Power drawn from the battery, W (eq. 11), of a current negative while it discharges, A.
+
+    Of one moment, or of n: shape (n,).
+    """
     return -volts * amperes
 
 

@@ -75,7 +75,7 @@ def forecast_bytes(
     Args:
         header: of the plan that is answered, std_msgs/Header.
         times: of each point since the start of the plan, s, shape (n,), not negative.
-        energies: J since the start of the plan; drawn is positive; likewise below.
+        energies: J since the start of the plan; drawn is positive.
         powers: W.
         sigmas: 1-sigma of the energies, J, not negative.
 

@@ -70,7 +70,7 @@ class CertifiedCar:
     can_profile: str | None  # for its bus, if any is known
     loads: tuple[RoadLoad, ...]  # at least one
     udds: float  # at the wall, Wh/km; NaN where it is not known
-    highway: float  # likewise
+    highway: float  # at the wall, Wh/km; NaN where it is not known
 
     @property
     def priors(self) -> Mapping[str, Prior]:

@@ -77,7 +77,7 @@ class Vehicle:
         nominal_speed: m/s, of a path without times, NaN if unknown.
         relative_size: mass over that of a passenger car (`similar_car`).
         correlations: of two of them, in their order; 0 where a pair is not given.
-        paper_start: what the EV-PINN paper starts from, likewise (eq. 24, 25); empty: `priors`.
+        paper_start: what the EV-PINN paper starts from, for each (eq. 24, 25); empty: `priors`.
     """
 
     key: str

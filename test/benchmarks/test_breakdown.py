@@ -22,7 +22,7 @@ def checks() -> list[PartCheck]:
 
 
 def test_parts_lie_within_their_sigmas(checks):
-    """Of seven parts of six drives, 2.1 lie outside of 95 % by chance, more than 6 once in 200."""
+    """By chance 2.1 of seven parts of six drives lie outside of 95 %, more than 6 once in 200."""
     parts = [one for one in checks if "+" not in one.name or one.name == "climate+standing"]
     assert sum(not one.covered for one in parts) <= 6
 
@@ -69,7 +69,7 @@ def test_a_summary_counts_what_is_covered():
 
 
 def test_differences_of_two_drives_lie_within_their_sigmas():
-    """Of the eight parts that differ, in each of two cars; braking and slopes stray most."""
+    """Eight parts differ in each of two cars; braking and slopes stray most."""
     found = list(difference_checks(VEHICLES, range(8100, 8102), seconds=240.0, altitude=True))
     assert len(found) == 2 * len(Part)
     assert all(abs(one.kwh - one.true_kwh) <= 4.0 * one.sigma_kwh + 1e-9 for one in found)

@@ -46,7 +46,7 @@ SECONDS = 90  # of a capture: a profile is chosen within ten, and looked at agai
 
 @cache
 def frames(path):
-    """Of a capture, which many tests here look at."""
+    """Frames of a capture, which many tests here look at."""
     return list(LogFile(path).frames())
 
 

@@ -69,7 +69,7 @@ def test_a_log_filtered_to_one_id_is_no_contradiction(name, quantity, bus):
 @pytest.mark.parametrize("wrong", sorted(PROFILES))
 @pytest.mark.parametrize("right", sorted(PROFILES))
 def test_no_profile_lets_out_what_another_car_did_not_say(right, wrong, bus):
-    """Of cars that share a layout one profile reads the other's bus; then the numbers agree."""
+    """Where cars share a layout one profile reads the other's bus; then the numbers agree."""
     truth = {(type(r), r.stamp_ns): r for r in decoded(right, bus(right))}
     _, bridge = guarded(wrong)
     for reading in run(bridge, bus(right)):

@@ -13,9 +13,9 @@ import pytest
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import columns_by_name
-from evpinn_ros.drives.evidence import Signal, at_times
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.drives.table_drive import TableDrive
+from evpinn_ros.drives.units_by_values import Signal, at_times
 from evpinn_ros.signals.readings import DRIVE_START_NS, BatteryReading, SpeedReading
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"

@@ -70,7 +70,7 @@ except SystemExit as end:
 )
 @pytest.mark.parametrize("command", [("info",), ("replay",)])
 def test_a_bomb_costs_no_command_a_second_or_200_mb(tmp_path, data, command):
-    """Of the processor, for the clock is everybody's, and beyond what a table of nothing costs."""
+    """Time of the processor, for the clock is everybody's, beyond what an empty table costs."""
     (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(data, 9))
     assert (tmp_path / "bomb.csv.gz").stat().st_size < 70_000
     (tmp_path / "empty.csv.gz").write_bytes(gzip.compress(b"time,speed,power\n"))

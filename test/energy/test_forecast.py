@@ -80,7 +80,7 @@ def test_kinetic_and_potential_energy_are_exact():
 
 
 def test_against_fine_integration():
-    """Of the prior car, about which the equation is linear."""
+    """The equation is linear about the prior car, whose energies these are."""
     prior, _ = prior_identifiable(CAR)
     plan = stop_to_stop([12.0, 16.0, 9.0, 27.0, 30.0, 11.0])
     t = np.arange(0, plan.time[-1], 0.001)

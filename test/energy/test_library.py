@@ -47,7 +47,7 @@ def energy(found, model):
 
 
 def changed(model, state, amount):
-    """The same car with more of one state."""
+    """A car with more of one state."""
     mean = model.car.mean.copy()
     mean[state] += amount
     return PowerModel(replace(model.car, mean=mean))
@@ -219,7 +219,7 @@ def test_more_mass_is_never_cheaper_from_rest_to_rest(seed):
 
 @given(st.floats(5, 35), st.floats(0.3, 3.0))
 def test_driving_slower_saves_drag_and_costs_auxiliary_power(speed, slower):
-    """The same way at constant speed in `slower` times the time."""
+    """One way at constant speed, and in `slower` times the time."""
     time = np.arange(0.0, 601.0, 60.0)
     base = Profiles(time, np.full((1, time.size), speed))
     scaled = Profiles(slower * time, base.speed / slower)

@@ -21,7 +21,7 @@ powers = st.floats(-1e5, 1e5)
 
 
 def stamp(tick):
-    """Of a tick of 0.1 s."""
+    """Stamp of a tick of 0.1 s, ns."""
     return START + tick * 100_000_000
 
 
@@ -61,7 +61,7 @@ def test_an_error_of_the_prediction_that_is_linear_costs_nothing(truth, offset, 
 
 @pytest.mark.parametrize("seconds", [0.3, 6.0, 50.0])
 def test_an_error_at_the_ends_of_a_dropout_counts_for_as_long_as_it_is_remembered(seconds):
-    """Of two ends 1 kW above the prediction: tau tanh(T / 2 tau) seconds each."""
+    """Two ends are 1 kW above the prediction: tau tanh(T / 2 tau) seconds each."""
     count = 900
     stamps = [START + round(i / count * seconds * 1e9) for i in range(count + 1)]
     course, line = PowerInterpolation(2.0, None), Step(seconds, 4e3, 4e3)

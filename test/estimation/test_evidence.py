@@ -19,7 +19,7 @@ LEAF = load_vehicle("nissan_leaf")
 
 @given(st.integers(0, 1000))
 def test_the_likelihood_comes_back(seed):
-    """Of a linear measurement of parameters alone, whatever the direction."""
+    """A linear measurement of parameters alone, whatever the direction."""
     rng = np.random.default_rng(seed)
     rows = rng.standard_normal((3, SIZE))
     precision, information = rows.T @ rows, rows.T @ rng.standard_normal(3)

@@ -92,7 +92,7 @@ def test_a_hair_around_the_limit_does_not_flicker():
     current = SignSuspicion()
 
     def feed(wrong: float, seconds: int) -> bool:
-        """Of a share of power against the acceleration."""
+        """Whether a share of power against the acceleration is suspected."""
         for k in range(seconds):
             sign = 1.0 if k % 10 < round(10 * (1 - wrong)) else -1.0
             current.update(Sample(0, 10.0, 1.0, 0.0, 1.17, 0.0), sign * 1e4, 1.0)

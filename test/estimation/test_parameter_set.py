@@ -66,7 +66,7 @@ def learned(prior: Published, share: float, own: float = 0.0, **moved) -> Publis
     ],
 )
 def test_states_by_what_the_data_have_told_of_all_and_of_each(prior, share, own, state):
-    """Of eta: by the shares of prior variance left in m / eta and in eta itself."""
+    """States of eta by the shares of prior variance left in m / eta and in eta itself."""
     found = parameter_set(0, learned(prior, share, own))
     assert found.parameters["eta"].state is state
     combined = found.identifiable_states["mass_over_eta"]

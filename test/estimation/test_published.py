@@ -143,7 +143,7 @@ def test_faults_of_sensors_move_little(vehicle, drive, kind):
 @pytest.mark.parametrize(("name", "most"), [("nissan_leaf", 0.25), ("generic", 0.05)])
 @pytest.mark.slow
 def test_motor_torque_tells_the_mass_in_kilograms(name, most):
-    """Of its prior share little is left, and the truth is within its interval."""
+    """Little is left of its prior share, and the truth is within its interval."""
     model, shares = load_vehicle(name), {}
     for torque in (False, True):
         drive = simulate(

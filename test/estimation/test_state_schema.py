@@ -93,7 +93,7 @@ def spoilt(state, path, value):
 
 
 def one_of(value):
-    """The same list with one number in its middle replaced, a plain number replaced."""
+    """A list with one number in its middle replaced; a plain number replaced."""
 
     def change(old):
         if not isinstance(old, list):

@@ -93,7 +93,7 @@ def test_an_even_step_costs_the_same_in_one_piece_or_many():
 
 
 def test_power_of_the_prior_car_is_that_of_eq_21():
-    """Of a moment, where the beyond-physics states are zero."""
+    """Power of a moment, where the beyond-physics states are zero."""
     combined, _ = prior_identifiable(CAR)
     mean = np.zeros(SIZE)
     mean[[*PHYSICS, State.P_AUX]] = EQUATION.mean[[*PHYSICS, State.P_AUX]]

@@ -106,7 +106,7 @@ def test_a_wind_that_holds_is_kept_longer_than_noise_that_does_not():
     last = 0.0
 
     def noise(moment: Sample) -> float:
-        """Of half a second, as errors of speed and battery are."""
+        """Noise of half a second, as errors of speed and battery are."""
         nonlocal last
         last += 0.2 * (300.0 * rng.standard_normal() - last)
         return last * moment.speed

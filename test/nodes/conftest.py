@@ -236,5 +236,5 @@ def bundled() -> Callable[[str, float], Iterator[tuple[Topic, Any, Any]]]:
 
 @pytest.fixture
 def urban() -> Callable[[float], Iterator[tuple[Topic, Any, Any]]]:
-    """The same of the bag `urban`."""
+    """The first seconds of the bag `urban`, as `bundled` gives them."""
     return partial(messages, "urban")

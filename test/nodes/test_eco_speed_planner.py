@@ -88,7 +88,7 @@ def forecast_of(plan):
 
 
 def forecasts(planner):
-    """The same from the library, without a topic in between."""
+    """Forecasts from the library, without a topic in between."""
     return [forecast_of(plan_of(each)) for each in planner.candidates]
 
 

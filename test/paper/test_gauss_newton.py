@@ -71,7 +71,7 @@ def off(network: PowerNetwork, inputs: torch.Tensor) -> float:
 
 
 def test_singular_system_raises_the_damping() -> None:
-    """The same sample 100 times in single precision: J J^T has rank one."""
+    """One sample 100 times in single precision: J J^T has rank one."""
     network = PowerNetwork(WIDTHS, seed=0, dtype=torch.float32)
     inputs = torch.ones(100, 2)
     step = gauss_newton_step(network, inputs, torch.full((100,), 3.0), 1e-12)

@@ -31,7 +31,7 @@ LOAD = 3000.0  # W more in the second drive
 
 
 def heated(readings, watts: float):
-    """The same drive with a load that nothing tells of."""
+    """A drive with a load that nothing tells of."""
     for each in readings:
         if isinstance(each, BatteryReading):
             yield replace(each, current=each.current - watts / each.voltage)

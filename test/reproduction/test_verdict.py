@@ -31,7 +31,7 @@ def outcome(reproduced: Callable[[OptimizerName], Outcome]) -> Outcome:
 
 
 def trained_to(outcome: Outcome, total: float, epochs: int) -> Outcome:
-    """The same with another loss at the end."""
+    """An outcome with another loss at the end."""
     training = copy(outcome.training)
     losses = Losses(total, total, 0.0)
     training.rows = [*training.rows, LossRow(epochs, losses, losses)]
@@ -40,7 +40,7 @@ def trained_to(outcome: Outcome, total: float, epochs: int) -> Outcome:
 
 
 def scored(outcome: Outcome, method: str = NETWORK, **score: float | None) -> Outcome:
-    """The same with another score of a method on road not yet driven."""
+    """An outcome with another score of a method on road not yet driven."""
     rows = [
         each._replace(score=each.score._replace(**score))
         if (each.method, each.split) == (method, CHRONOLOGICAL)

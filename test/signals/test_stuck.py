@@ -97,7 +97,7 @@ def _rounded_peaks(t):
 
 @pytest.mark.parametrize("speed", [_held_after_braking, _rounded_peaks])
 def test_a_speed_that_goes_on_as_it_was_did_not_hang(speed):
-    """Of the Changchun sedan nine intervals in ten, of SUMO's all braking was left out."""
+    """Nine in ten intervals of the Changchun sedan were left out, and all braking of SUMO's."""
     suspicion = StuckSuspicion()
 
     def current(t):

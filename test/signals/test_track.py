@@ -12,7 +12,7 @@ MILLI = NANOSECONDS // 1000
 
 
 def track(*readings, max_gap=2.5) -> SignalTrack:
-    """Of (s, value)."""
+    """A track of (s, value)."""
     found = SignalTrack(max_gap)
     for second, value in readings:
         found.add(at(second), value)

@@ -96,7 +96,7 @@ def test_plausible_cars_are_plausible(name):
 
 
 def test_draws_from_the_priors_have_their_mean_and_spread():
-    """Of priors that their limits hardly cut, as the paper's are."""
+    """Priors that their limits hardly cut, as the paper's are."""
     car, rng = CAR.as_published, np.random.default_rng(1)
     drawn = np.array([prior_parameters(car, rng) for _ in range(4000)])
     for column, (name, prior) in zip(drawn.T, car.priors.items(), strict=True):

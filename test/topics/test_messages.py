@@ -101,7 +101,7 @@ ANGLE = st.floats(-math.pi, math.pi)
 
 
 def matrix_of(angles):
-    """The same rotation as a matrix, by other means than the code under test."""
+    """A rotation as a matrix, by other means than the code under test."""
     (cr, cp, cy), (sr, sp, sy) = ([f(a) for a in angles] for f in (math.cos, math.sin))
     about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])

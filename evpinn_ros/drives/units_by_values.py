@@ -221,7 +221,7 @@ def at_times(signal: Signal, times: FloatArray) -> FloatArray:
 
 
 def _sign(drawn: Signal, speed: Column, cells: Mapping[str, Signal]) -> tuple[bool, str]:
-    """Sign of a current or power while the battery discharges, and the evidence for it."""
+    """Sign of a current or power while the battery discharges, and what shows it."""
     if "voltage" in cells and (sag := _sag(drawn, cells["voltage"])) != 0.0:
         return sag < 0, "as the voltage shows"
     times, change = accelerations(cells["speed"])
