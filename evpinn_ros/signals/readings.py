@@ -29,7 +29,8 @@ def drawn_power(volts: Numbers, amperes: Numbers) -> Numbers:
 
     Of one moment, or of n: shape (n,).
     """
-    return -volts * amperes
+    drawn: Numbers = -volts * amperes
+    return drawn
 
 
 @dataclass(frozen=True, slots=True)
