@@ -70,40 +70,38 @@ def as_teslamate(car: str = "1", **of: object) -> Iterator[tuple[int, dict[str, 
     """Each second's topics that changed: whole km/h and kW. The place always changes."""
     base = f"teslamate/cars/{car}"
 
-    def sets() -> Iterator[tuple[int, dict[str, str]]]:
-        for i, second in enumerate(drive(**of)):
-            yield (
-                second.stamp_ns,
-                {
-                    f"{base}/state": "driving",
-                    f"{base}/shift_state": "D",
-                    f"{base}/speed": str(round(second.speed)),
-                    f"{base}/power": str(round(second.power)),
-                    f"{base}/outside_temp": "18.5",
-                    f"{base}/usable_battery_level": "80",
-                    f"{base}/latitude": str(48.0 + 1e-5 * i),
-                },
-            )
-
-    return _changed(sets())
+    return _changed(
+        (
+            second.stamp_ns,
+            {
+                f"{base}/state": "driving",
+                f"{base}/shift_state": "D",
+                f"{base}/speed": str(round(second.speed)),
+                f"{base}/power": str(round(second.power)),
+                f"{base}/outside_temp": "18.5",
+                f"{base}/usable_battery_level": "80",
+                f"{base}/latitude": str(48.0 + 1e-5 * i),
+            },
+        )
+        for i, second in enumerate(drive(**of))
+    )
 
 
 def as_ovms(car: str = "CAR", **of: object) -> Iterator[tuple[int, dict[str, str]]]:
     """Each second's metrics that were modified, as OVMS writes floats."""
     base = f"ovms/me/{car}/metric"
 
-    def sets() -> Iterator[tuple[int, dict[str, str]]]:
-        for i, second in enumerate(drive(**of)):
-            yield (
-                second.stamp_ns,
-                {
-                    f"{base}/v/e/on": "yes",
-                    f"{base}/v/p/speed": f"{second.speed:g}",
-                    f"{base}/v/b/voltage": f"{second.voltage:g}",
-                    f"{base}/v/b/current": f"{second.current:g}",
-                    f"{base}/v/b/soc": "80.0",
-                    f"{base}/v/p/latitude": f"{48.0 + 1e-5 * i:.6f}",
-                },
-            )
-
-    return _changed(sets())
+    return _changed(
+        (
+            second.stamp_ns,
+            {
+                f"{base}/v/e/on": "yes",
+                f"{base}/v/p/speed": f"{second.speed:g}",
+                f"{base}/v/b/voltage": f"{second.voltage:g}",
+                f"{base}/v/b/current": f"{second.current:g}",
+                f"{base}/v/b/soc": "80.0",
+                f"{base}/v/p/latitude": f"{48.0 + 1e-5 * i:.6f}",
+            },
+        )
+        for i, second in enumerate(drive(**of))
+    )

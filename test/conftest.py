@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 import fcntl
 from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
 from itertools import chain, zip_longest
 import os
 from pathlib import Path
@@ -15,6 +16,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from typing import TYPE_CHECKING, Any
 
 from hypothesis import settings
@@ -121,6 +123,23 @@ LONG = (
 """Long files and folders of them: begun first, they leave no worker alone with one in the end."""
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 20.0) -> None:
+    """Return once something is so; fail after these seconds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.005)
+
+
+def load_example(name: str) -> Any:
+    """The module of a file in `examples`."""
+    spec = spec_from_file_location(Path(name).stem, ROOT / "examples" / name)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[spec.name] = module_from_spec(spec)  # dataclasses look there
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from benchmarks.breakdown import PartCheck, difference_checks, part_checks, part_summaries
-from benchmarks.cli.output import table_of
+from benchmarks.cli.output import AltitudeOption, GradeOption, table_of
 from benchmarks.height import CARS, height_checks
 from benchmarks.truth import VEHICLES
 from evpinn_ros.cli.console import progress_bar, show, write_json
@@ -38,10 +38,8 @@ def breakdown(
     plausible: Annotated[
         bool, typer.Option("--plausible", help="Plausible cars, nearer than priors claim.")
     ] = False,
-    rms_grade: Annotated[
-        float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")
-    ] = RMS_GRADE,
-    altitude: Annotated[bool, typer.Option("--altitude", help="With a barometer.")] = False,
+    rms_grade: GradeOption = RMS_GRADE,
+    altitude: AltitudeOption = False,
     temperature: Annotated[
         bool, typer.Option("--temperature", help="With a thermometer.")
     ] = False,

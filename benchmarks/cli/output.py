@@ -1,15 +1,19 @@
-"""Output that the commands of `evpinn bench` have in common."""
+"""Options and output that the commands of `evpinn bench` have in common."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from evpinn_ros.cli.console import write_json
 from evpinn_ros.common.plain_table import PlainTable
 
+GradeOption = Annotated[float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")]
+AltitudeOption = Annotated[bool, typer.Option("--altitude", help="With a barometer.")]
 TABLE_WIDTH = 140  # characters; in narrower tables numbers would be broken
 
 

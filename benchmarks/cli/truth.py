@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from benchmarks.cli.output import json_at_the_end, table_of
+from benchmarks.cli.output import AltitudeOption, GradeOption, json_at_the_end, table_of
 from benchmarks.truth import (
     VEHICLES,
     LoadStep,
@@ -49,10 +49,8 @@ def truth(
     from_priors: Annotated[
         bool, typer.Option("--from-priors", help="Draw from the priors: are intervals true?")
     ] = False,
-    rms_grade: Annotated[
-        float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")
-    ] = RMS_GRADE,
-    altitude: Annotated[bool, typer.Option("--altitude", help="With a barometer.")] = False,
+    rms_grade: GradeOption = RMS_GRADE,
+    altitude: AltitudeOption = False,
     load: Annotated[
         bool, typer.Option("--load", help="Also change the load at a stop, by 150 kg.")
     ] = False,

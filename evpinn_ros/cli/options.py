@@ -47,6 +47,9 @@ TrustProfileOption = Annotated[
     bool,
     typer.Option("--trust-profile", help="Use the profile even if traffic contradicts it."),
 ]
+KeptStateOption = Annotated[
+    Path | None, typer.Option(help="Keeps what was learned between drives.")
+]
 ParamsOption = Annotated[Path | None, typer.Option(help="Parameter file.")]
 ColumnOption = Annotated[
     list[str] | None,

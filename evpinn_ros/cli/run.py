@@ -19,6 +19,7 @@ from evpinn_ros.cli.drive_report import reported
 from evpinn_ros.cli.options import (
     CanProfileOption,
     Elm327Option,
+    KeptStateOption,
     OriginOption,
     ParamsOption,
     TrustProfileOption,
@@ -99,9 +100,7 @@ def run(
         float | None, typer.Option(min=1.0, help="Go on in another file after this time, s.")
     ] = None,
     params: ParamsOption = None,
-    state: Annotated[
-        Path | None, typer.Option(help="Keeps what was learned between drives.")
-    ] = None,
+    state: KeptStateOption = None,
     no_view: Annotated[
         bool, typer.Option("--no-view", help="Print logs, and no view, on a terminal.")
     ] = False,

@@ -12,7 +12,7 @@ import typer
 
 from evpinn_ros.cli.console import note
 from evpinn_ros.cli.mqtt import secret_of, split_address
-from evpinn_ros.cli.options import VehicleOption
+from evpinn_ros.cli.options import KeptStateOption, VehicleOption
 from evpinn_ros.common.errors import extra_needed
 from evpinn_ros.common.stopping import at_stop, leave_terminal
 
@@ -35,9 +35,7 @@ def vss(
     token_file: Annotated[
         Path | None, typer.Option(help="File with the token (JWT) of the databroker.")
     ] = None,
-    state: Annotated[
-        Path | None, typer.Option(help="Keeps what was learned between drives.")
-    ] = None,
+    state: KeptStateOption = None,
 ) -> None:
     """Learn a car from a KUKSA databroker, and answer it.
 

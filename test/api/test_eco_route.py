@@ -1,21 +1,15 @@
 """The example of an eco route: what it picks, and that SUMO's model of the car agrees."""
 
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
-from pathlib import Path
-import sys
+from importlib.util import find_spec
 
 import pytest
 
-FILE = Path(__file__).resolve().parents[2] / "examples" / "routes" / "eco_route.py"
+from test.conftest import load_example
 
 
 @pytest.fixture(scope="module")
 def example():
-    spec = spec_from_file_location("eco_route", FILE)
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return load_example("routes/eco_route.py")
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,8 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.vehicle.files import load_vehicle
-from test.bridges.conftest import Broker, Client, wait_until
+from test.bridges.conftest import Broker, Client
+from test.conftest import wait_for
 
 pytestmark = pytest.mark.slow
 
@@ -66,7 +67,7 @@ def play(sets: Sets, client: Client, bridge: MqttBridge, clock: Clock) -> None:
 
 def finish(bridge: MqttBridge, connection: Connection) -> None:
     bridge.close()
-    wait_until(lambda: connection.send() or not connection.waiting)
+    wait_for(lambda: connection.send() or not connection.waiting)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +83,7 @@ def test_a_drive_over_the_broker_has_its_energy(
     reader, writer = broker.client(topics=("evpinn/#",)), broker.client()
     play(sets(), writer, bridge, clock)
     finish(bridge, connection)
-    wait_until(lambda: f"evpinn/{car}/health" in reader.newest())
+    wait_for(lambda: f"evpinn/{car}/health" in reader.newest())
     time.sleep(0.2)
     published = json.loads(reader.newest()[f"evpinn/{car}/energy"])
     assert published["trip_kwh"] == pytest.approx(energy(drive(), digits), rel=error)
@@ -95,7 +96,7 @@ def test_a_drive_over_the_broker_has_its_energy(
     powers = [json.loads(p) for t, p, _ in reader.came if t == f"evpinn/{car}/power"]
     assert len(powers) > 0.8 * len(drive()), "once a second"
     late = broker.client(topics=("evpinn/#",))
-    wait_until(lambda: f"evpinn/{car}/health" in late.newest())
+    wait_for(lambda: f"evpinn/{car}/health" in late.newest())
     time.sleep(0.2)
     assert f"evpinn/{car}/power" not in late.newest(), "an old power is of no use"
     assert f"evpinn/{car}/parameters" in late.newest()
@@ -112,7 +113,7 @@ def test_each_second_of_a_source_that_jitters_is_answered(broker: Broker, bridge
     early = ((begin_ns + i * 980_000_000, messages) for i, messages in sets)
     play(early, writer, bridge, clock)
     last = (begin_ns + 28 * 980_000_000) / NANOSECONDS
-    wait_until(lambda: (bridge.step(0.01) and False) or _times(reader)[-1:] > [last])
+    wait_for(lambda: (bridge.step(0.01) and False) or _times(reader)[-1:] > [last])
     assert np.diff(_times(reader)) == pytest.approx(0.98, abs=0.01)
     assert len(reader.came) > 24  # power is predicted from the third speed on
     for client in (reader, writer):
@@ -146,7 +147,7 @@ def test_cars_without_a_vehicle_are_ignored(broker: Broker, bridged: Make) -> No
     writer = broker.client()
     for car in ("1", "7"):
         writer.publish(f"teslamate/cars/{car}/speed", "36")
-    wait_until(lambda: (bridge.step(0.01) and False) or (bridge.ignored and bridge.cars))
+    wait_for(lambda: (bridge.step(0.01) and False) or (bridge.ignored and bridge.cars))
     assert (set(bridge.cars), bridge.ignored) == ({"1"}, {"7"})
     writer.close()
 
@@ -156,12 +157,12 @@ def test_retained_old_values_at_the_start_are_not_now(broker: Broker, bridged: M
     for name, value in (("speed", "90"), ("power", "25"), ("usable_battery_level", "55")):
         writer.publish(f"teslamate/cars/1/{name}", value, retain=True)
     bridge, _ = bridged(settings(read_layout("teslamate")))
-    wait_until(lambda: (bridge.step(0.01) and False) or "1" in bridge.cars)
+    wait_for(lambda: (bridge.step(0.01) and False) or "1" in bridge.cars)
     for _ in range(30):
         bridge.step(0.02)
     assert bridge.cars["1"].readings == 0
     writer.publish("teslamate/cars/1/latitude", "48.1")
-    wait_until(lambda: (bridge.step(0.01) and False) or bridge.cars["1"].readings)
+    wait_for(lambda: (bridge.step(0.01) and False) or bridge.cars["1"].readings)
     assert bridge.cars["1"].readings == 1, "the charge alone"
     assert bridge.cars["1"].documents()["range"]["charge_percent"] == pytest.approx(55.0)
     writer.close()
@@ -178,16 +179,16 @@ def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
     before = bridge.cars["1"].documents()["energy"]["trip_kwh"]
     broker.kill()
     writer.close()
-    wait_until(lambda: (bridge.step(0.01) and False) or not connection.connected)
+    wait_for(lambda: (bridge.step(0.01) and False) or not connection.connected)
     for _ in range(50):
         clock.now_ns += 1_000_000_000
         bridge.step(0.0)
     assert connection.waiting < 100, "of each topic one payload waits"
     broker.start()
-    wait_until(lambda: (bridge.step(0.01) and False) or connection.connections == 2)
-    wait_until(lambda: (bridge.step(0.01) and False) or not connection.waiting)
+    wait_for(lambda: (bridge.step(0.01) and False) or connection.connections == 2)
+    wait_for(lambda: (bridge.step(0.01) and False) or not connection.waiting)
     reader, writer = broker.client(topics=EVERYTHING), broker.client()
-    wait_until(lambda: "evpinn/1/parameters" in reader.newest())
+    wait_for(lambda: "evpinn/1/parameters" in reader.newest())
     assert any(topic.startswith("homeassistant/sensor/") for topic in reader.newest())
     assert reader.newest()["evpinn/status"] == "online"
     play(halves[60:], writer, bridge, clock)
@@ -199,10 +200,10 @@ def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
 def test_a_process_that_is_killed_leaves_its_last_will(broker: Broker, tmp_path: Path) -> None:
     reader = broker.client(topics=("evpinn/status",))
     process = command(broker)
-    wait_until(lambda: reader.newest().get("evpinn/status") == "online")
+    wait_for(lambda: reader.newest().get("evpinn/status") == "online")
     process.kill()
     process.wait()
-    wait_until(lambda: reader.newest()["evpinn/status"] == "offline")
+    wait_for(lambda: reader.newest()["evpinn/status"] == "offline")
     reader.close()
 
 
@@ -210,12 +211,12 @@ def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) 
     bridge, connection = bridged(settings(read_layout("teslamate")))
     reader, writer = broker.client(topics=("homeassistant/sensor/#",)), broker.client()
     writer.publish("teslamate/cars/1/speed", "36")
-    wait_until(lambda: (bridge.step(0.01) and False) or len(reader.came) >= 28)
-    wait_until(lambda: (bridge.step(0.01) and False) or not connection.waiting)
+    wait_for(lambda: (bridge.step(0.01) and False) or len(reader.came) >= 28)
+    wait_for(lambda: (bridge.step(0.01) and False) or not connection.waiting)
     first = len(reader.newest())
     reader.came.clear()
     writer.publish("homeassistant/status", "online", retain=False)
-    wait_until(lambda: (bridge.step(0.01) and False) or len(reader.newest()) >= first)
+    wait_for(lambda: (bridge.step(0.01) and False) or len(reader.newest()) >= first)
     for client in (reader, writer):
         client.close()
 
@@ -223,14 +224,14 @@ def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) 
 def test_a_slow_broker_gets_the_newest_and_no_more(broker: Broker, bridged: Make) -> None:
     _, connection = bridged(settings(read_layout("teslamate")))
     reader = broker.client(topics=("slow/#",))
-    wait_until(lambda: not connection.waiting)
+    wait_for(lambda: not connection.waiting)
     broker.process.send_signal(signal.SIGSTOP)
     for i in range(5000):
         connection.publish(f"slow/{i % 10}", str(i))
     assert connection.waiting <= 30
     broker.process.send_signal(signal.SIGCONT)
-    wait_until(lambda: connection.send() or not connection.waiting)
-    wait_until(lambda: len(reader.newest()) == 10)
+    wait_for(lambda: connection.send() or not connection.waiting)
+    wait_for(lambda: len(reader.newest()) == 10)
     time.sleep(0.2)
     assert reader.newest() == {f"slow/{i}": str(4990 + i) for i in range(10)}
     assert len(reader.came) <= 40
@@ -311,14 +312,14 @@ def test_a_sender_whose_clock_is_set_back_goes_on_to_be_answered(
         ahead_s = 7200 if i < 30 else 0  # until the sender asks a time server
         payload = {"t": s.stamp_ns / 1e6 + 1e3 * ahead_s, "v": s.speed, "p": s.power}
         writer.publish("my/zoe", json.dumps(payload))
-        wait_until(lambda i=i: bridge.step(0.01) and bridge.cars["zoe"].readings == 2 * i + 2)
+        wait_for(lambda i=i: bridge.step(0.01) and bridge.cars["zoe"].readings == 2 * i + 2)
     last_s = seconds[-1].stamp_ns / 1e9
 
     def answered() -> bool:
         bridge.step(0.01)
         return json.loads(reader.newest()["evpinn/zoe/power"])["time"] == pytest.approx(last_s)
 
-    wait_until(answered)
+    wait_for(answered)
     assert len(reader.came) > 50, "once a second, before and after"
     trip = bridge.cars["zoe"].documents()["energy"]["trip_kwh"]
     assert trip == pytest.approx(energy(seconds), rel=0.1)
@@ -386,7 +387,7 @@ def test_the_command_learns_from_a_mapping_file_and_keeps_it(
     state = tmp_path / "cars"
     process = command(broker, "--source", tmp_path / "topics.yaml", "--state", state)
     reader, writer = broker.client(topics=("evpinn/#",)), broker.client()
-    wait_until(lambda: reader.newest().get("evpinn/status") == "online")
+    wait_for(lambda: reader.newest().get("evpinn/status") == "online")
     for s in drive():
         payload = json.dumps({"t": s.stamp_ns / 1e9, "kmh": s.speed, "kw": s.power})
         writer.client.publish("my/zoe", payload, 1)
@@ -394,7 +395,7 @@ def test_the_command_learns_from_a_mapping_file_and_keeps_it(
     def newest_s() -> float:
         return json.loads(reader.newest().get("evpinn/zoe/power", "{}")).get("time") or 0.0
 
-    wait_until(lambda: newest_s() > drive()[-1].stamp_ns / 1e9 - 1.0, seconds=60.0)
+    wait_for(lambda: newest_s() > drive()[-1].stamp_ns / 1e9 - 1.0, seconds=60.0)
     process.send_signal(signal.SIGHUP)  # its terminal was closed
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=60)

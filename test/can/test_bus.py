@@ -24,16 +24,10 @@ from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from test.conftest import wait_for
 
 GROUP = "239.74.163.77"
 NOW = 1_700_000_000_000_000_000
-
-
-def wait_for(condition, seconds=10.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.005)
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """An ELM327 as a bus: against ELM327-emulator, and an adapter whose lines are told here."""
 
 from contextlib import contextmanager
+from functools import partial
 import math
 import os
 from pathlib import Path
@@ -22,9 +23,12 @@ from evpinn_ros.can.elm327 import Elm327Bus
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from test import conftest
 
 pytest.importorskip("elm", reason="ELM327-emulator is not installed")
 EMULATOR = Path(__file__).with_name("elm327_emulator.py")
+# A slow adapter takes 16 s for what is awaited, and more on a busy computer.
+wait_for = partial(conftest.wait_for, seconds=120.0)
 KONA, I3 = load_profile("hyundai_kia"), load_profile("bmw_i3")
 
 
@@ -88,14 +92,6 @@ class Live:
         for thread in self.threads:
             thread.join(10)
             assert not thread.is_alive()
-
-
-def wait_for(condition, seconds=120.0):
-    # A slow adapter takes 16 s for what is awaited, and more on a busy computer.
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.01)
 
 
 @pytest.mark.slow

@@ -153,30 +153,6 @@ def test_an_id_of_two_buses_is_read_from_one(tmp_path, suffix):
     assert log.count == 6 and log.skipped == {"other_bus": 3}
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "reason"),
-    [
-        ("a.log", None, "No such file or directory"),
-        ("a.log", b"", "the file is empty"),
-        ("a.log", b"this is a letter\n", "broken after 0 frames"),
-        ("a.blf", b"LOGG", "broken after 0 frames"),
-        ("a.asc", b"dear reader\n", "no CAN frame in it"),
-        ("a.csv", b"t_s,speed_mps\n0,1\n", "broken after 0 frames"),
-        ("a.log.gz", b"not gzip", "broken after 0 frames"),
-        ("a.txt", b"x", "not a CAN log"),
-        ("a.gz", b"x", "not a CAN log"),
-    ],
-)
-def test_what_is_no_log_is_one_line(tmp_path, name, content, reason):
-    path = tmp_path / name
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(InputError) as error:
-        list(LogFile(path).frames())
-    assert reason in str(error.value)
-    assert str(path) in str(error.value) and "\n" not in str(error.value)
-
-
 def test_reader_of_frames_may_fail_by_itself(tmp_path):
     log = LogFile(write(tmp_path / "drive.log"))
     with pytest.raises(ZeroDivisionError):

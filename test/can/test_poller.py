@@ -17,18 +17,12 @@ from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from test.conftest import wait_for
 
 CHANNELS = (f"poller-{number}" for number in itertools.count())
 KONA = load_profile("hyundai_kia")
 DRIVE, PACK = KONA.requests
 I3 = load_profile("bmw_i3")
-
-
-def wait_for(condition, seconds=10.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.005)
 
 
 @pytest.fixture

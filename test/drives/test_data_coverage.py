@@ -11,7 +11,6 @@ from evpinn_ros.bags.can_frames import FRAMES_TOPIC, encode_frame
 from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import LogFile
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.contents import contents
 from evpinn_ros.drives.data_coverage import ReadingFlow, data_coverage
 from evpinn_ros.replays.run import span
@@ -134,22 +133,3 @@ def test_a_can_log_and_a_bag_of_its_frames(tmp_path):
         found = contents(path)
         assert (found.profile, found.vehicles) == ("nissan_leaf", ("nissan_leaf",))
         assert found.drive.seconds == pytest.approx(19, abs=0.5)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "reason"),
-    [
-        ("nowhere.mcap", None, "no such file"),
-        ("a.mcap", b"", "empty"),
-        ("a.csv", b"x,y\n1,2\n", "no column of time and speed"),
-        ("a.log", b"", "empty"),
-        ("a.dat", b"hello", "not a CAN log"),
-        ("a.txt", b"hello", "no column of time"),
-    ],
-)
-def test_what_holds_nothing_is_one_line(tmp_path, name, content, reason):
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=reason) as caught:
-        contents(tmp_path / name)
-    assert "\n" not in str(caught.value)

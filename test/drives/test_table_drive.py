@@ -129,27 +129,6 @@ def test_gz_and_byte_order_mark(tmp_path):
     assert len(list(drive.readings())) == 2
 
 
-WRONG = [
-    ("a.csv", None, "No such file"),
-    ("a.csv", b"", "the file is empty"),
-    ("a.csv", b"row,speed_mps,power_w\n1,2,3\n", "no column of time; there are row, speed_mps"),
-    ("a.csv", b"a;b;c\n1;2;3\n", "time and speed; .* say --column time=NAME --column speed=NAME"),
-    ("a.csv", b"t_s,speed_mps,voltage_v\n1,2,3\n", "a column of voltage alone, and none of power"),
-    ("a.csv", b"t_s,speed_mps,power_w,power_w\n1,2,3,3\n", "a column is there twice"),
-    ("a.csv", b"\xff\xfe\x00t_s", "no column of time and speed"),
-    ("a.csv.gz", b"t_s,speed_mps,power_w\n", "Not a gzipped file"),
-]
-
-
-@pytest.mark.parametrize(("name", "content", "reason"), WRONG)
-def test_a_wrong_file_is_refused_in_one_line(tmp_path, name, content, reason):
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=reason) as caught:
-        open_drive(tmp_path / name, NOMINAL)
-    assert name in str(caught.value) and "\n" not in str(caught.value)
-
-
 def test_a_file_that_ends_early_says_where(tmp_path):
     rows = "".join(f"{i},{i % 7},{i * 37 % 101}\n" for i in range(20_000))
     whole = gzip.compress(b"t_s,speed_mps,power_w\n" + rows.encode())

@@ -1,7 +1,7 @@
 """Cars that are exactly what the model believes a car to be, so that errors are the learner's."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 import math
 
@@ -10,6 +10,7 @@ import pytest
 
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import Mode, OnlineEstimator
+from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.worker import InlineWorker, Worker
 from evpinn_ros.paper.settings import SETTINGS
 from evpinn_ros.signals.interval import Interval, Steps
@@ -121,6 +122,23 @@ def intervals() -> Callable[..., list[Interval]]:
         ]
 
     return cut
+
+
+@pytest.fixture(scope="session")
+def as_prior(intervals) -> Callable[..., list[Interval]]:
+    """Intervals of a kind of drive, with the energy that the prior car takes."""
+
+    def measured(equation, drive) -> list[Interval]:
+        return [
+            replace(
+                one,
+                energy=float(passed(equation, one, 0.0).journey.row @ equation.mean),
+                sampling_variance=0.0,
+            )
+            for one in intervals(drive, begin_ns=0)
+        ]
+
+    return measured
 
 
 @cache

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.estimation.unevenness import Unevenness
 from evpinn_ros.simulation.drive import DriveKind
@@ -17,15 +16,8 @@ EQUATION = equation_of(load_vehicle("bmw_i3"))
 
 
 @pytest.fixture(scope="module")
-def town(intervals):
-    return [
-        replace(
-            one,
-            energy=float(passed(EQUATION, one, 0.0).journey.row @ EQUATION.mean),
-            sampling_variance=0.0,
-        )
-        for one in intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0)
-    ]
+def town(as_prior):
+    return as_prior(EQUATION, (DriveKind.URBAN, 300.0, 0))
 
 
 def test_a_car_is_frozen_and_forks_are_free(town):

@@ -9,7 +9,6 @@ import pytest
 
 from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.learner import PowerPrediction
-from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.pinn import PARKED, PinnLearner
 from evpinn_ros.estimation.states import NAMES, State
 from evpinn_ros.estimation.terms import equation_of
@@ -27,17 +26,9 @@ def sample(tick: int, speed=15.0, **others) -> Sample:
 
 
 @pytest.fixture(scope="module")
-def town(vehicle, intervals):
+def town(vehicle, as_prior):
     """Two minutes of a car like the prior, measured."""
-    equation = equation_of(vehicle)
-    return [
-        replace(
-            one,
-            energy=float(passed(equation, one, 0.0).journey.row @ equation.mean),
-            sampling_variance=0.0,
-        )
-        for one in intervals((DriveKind.URBAN, 120.0, 0), begin_ns=0)
-    ]
+    return as_prior(equation_of(vehicle), (DriveKind.URBAN, 120.0, 0))
 
 
 @pytest.fixture

@@ -75,6 +75,12 @@ class Bench:
         self.executor.add_node(node)
         return node
 
+    def rest(self, seconds: float) -> None:
+        """Let everybody work for so long."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+
     def listen(self, *topics: Topic) -> None:
         """Hear topics, and wait until their publishers are found."""
         listeners = [factory.subscribe(self.node, t, self.heard[t].append) for t in topics]

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 import itertools
 import os
 import pty
-import time
 import tty
 
 import can
@@ -76,19 +75,13 @@ def said(bench):
     return lines
 
 
-def rest(bench, seconds):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        bench.executor.spin_once(timeout_sec=0.05)
-
-
 @pytest.mark.nightly
 def test_a_silent_bus_is_said_once(bench, bus, said):
     node = start(bench, bus)
     bench.listen(topics.SPEED)
     drive(bench, bus, model_3(), lambda: bench.heard[topics.SPEED] and "receiving" in said)
     bench.pump(lambda: any("silent" in line for line in said))
-    rest(bench, 3.5)
+    bench.rest(3.5)
     assert [each.partition(":")[0] for each in said] == ["receiving", "silent"]
     assert bench.diagnosis(node)["bus"][1].startswith("silent")
     drive(bench, bus, model_3(), lambda: len(said) > 2)
@@ -111,7 +104,7 @@ def test_a_bus_that_takes_time_to_open_is_no_news(bench, said):
 def test_another_bus_is_said_with_what_would_fit(bench, bus, said):
     start(bench, bus, can_profile="nissan_leaf")
     drive(bench, bus, model_3(), lambda: said)
-    rest(bench, 1.5)
+    bench.rest(1.5)
     (text,) = said
     assert "no frame" in text and "'tesla_model_3' fits" in text
 

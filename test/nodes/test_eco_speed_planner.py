@@ -1,8 +1,6 @@
 """The example planner beside the real energy node: over topics alone, with it and without."""
 
-from importlib.util import module_from_spec, spec_from_file_location
 import math
-from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -27,20 +25,13 @@ from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.plans import speed_profile_plan
 from evpinn_ros.topics.readings import battery_message
 from evpinn_ros.vehicle.files import load_vehicle
+from test.conftest import load_example
 
-FILE = Path(__file__).resolve().parents[2] / "examples" / "eco_speed_planner.py"
 VEHICLE = load_vehicle("tesla_model_3_lr")
 
 
-def _load():
-    spec = spec_from_file_location("eco_speed_planner", FILE)
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look there
-    spec.loader.exec_module(module)
-    return module
-
-
-EXAMPLE = _load()
+EXAMPLE = load_example("eco_speed_planner.py")
+FILE = EXAMPLE.__file__
 
 
 @pytest.fixture
@@ -284,7 +275,7 @@ def test_every_parameter_has_a_description(bench, start):
     ],
 )
 def test_wrong_input_is_one_line(option, reason):
-    command = [sys.executable, str(FILE), "--ros-args", "-p", option]
+    command = [sys.executable, FILE, "--ros-args", "-p", option]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
     assert reason in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
@@ -294,7 +285,7 @@ def test_wrong_input_is_one_line(option, reason):
 def test_as_a_process_it_prints_its_table_and_ends_when_told(stop):
     options = ("-p", "period:=0.3", "-p", "timeout:=0.2", "-p", "candidates:=1")
     running = subprocess.Popen(
-        [sys.executable, str(FILE), "--ros-args", *options],
+        [sys.executable, FILE, "--ros-args", *options],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

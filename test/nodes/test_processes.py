@@ -204,7 +204,7 @@ def test_a_bag_through_three_processes_gives_about_the_numbers_of_the_cores(benc
         bench.listen(topics.POWER_SMOOTHED, topics.ENERGY_STATE, topics.FORECAST)
         bench.listen(topics.FORECAST_BATTERY, topics.IDENTIFIABLE)
         bench.pump(lambda: bench.node.count_subscribers(topics.POWER_SMOOTHED.under()) == 2)
-        rest(bench, 1.0)  # the nodes find each other at about the time the bench finds them
+        bench.rest(1.0)  # the nodes find each other at about the time the bench finds them
         play(bench, [(topic, message) for topic, _, message in drive], rate)
         bench.pump(lambda: stamp(bench.heard[topics.ENERGY_STATE][-1]) >= end_ns - 10**9)
         state = bench.heard[topics.ENERGY_STATE][-1]
@@ -221,12 +221,6 @@ def test_a_bag_through_three_processes_gives_about_the_numbers_of_the_cores(benc
     assert 0.4 < battery.percentage < 0.48
 
 
-def rest(bench, seconds):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        bench.executor.spin_once(timeout_sec=0.02)
-
-
 def stamp(message):
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
@@ -236,7 +230,7 @@ def play(bench, messages, rate):
     for topic in {topic for topic, _ in messages}:
         bench.publisher(topic)
     # We know of the listener before it knows of us, and best effort is not sent again.
-    rest(bench, 2.0)
+    bench.rest(2.0)
     begin, first = time.monotonic(), stamp(messages[0][1])
     for topic, message in messages:
         due = begin + (stamp(message) - first) / 1e9 / rate

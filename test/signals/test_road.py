@@ -110,14 +110,21 @@ def test_air_density_follows_temperature():
     assert road.air_density() == pytest.approx(1.2 * 293.15 / 273.15)
 
 
-def test_known_loads_count_while_they_are_fresh():
+@pytest.mark.parametrize(
+    ("kind", "value", "ask", "seconds"),
+    [
+        (AuxiliaryReading, 1500.0, Road.known_auxiliary, 10.0),
+        (WindReading, 6.0, Road.head_wind, 600.0),
+    ],
+)
+def test_known_loads_and_wind_count_while_they_are_fresh(kind, value, ask, seconds):
     road = Road(GradeSource.NONE, 1.2)
-    assert road.known_auxiliary(at(0)) == 0.0
-    road.add_reading(AuxiliaryReading(at(0), 1500.0))
-    assert road.known_auxiliary(at(10)) == 1500.0
-    assert road.known_auxiliary(at(10.1)) == 0.0
-    road.add_reading(AuxiliaryReading(2**62, 900.0))
-    assert road.known_auxiliary(at(0)) == 0.0
+    assert ask(road, at(0)) == 0.0
+    road.add_reading(kind(at(0), value))
+    assert ask(road, at(seconds)) == value
+    assert ask(road, at(seconds + 0.1)) == 0.0
+    road.add_reading(kind(2**62, value / 2))
+    assert ask(road, at(0)) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -138,14 +145,6 @@ def test_density_from_pressure_and_temperature():
     assert road.air_density() == pytest.approx(101_325.0 / (287.05 * 293.15))
     road.add_reading(TemperatureReading(at(0), 15.0))
     assert road.air_density() == pytest.approx(1.2250, abs=1e-4)
-
-
-def test_wind_holds_for_ten_minutes():
-    road = Road(GradeSource.NONE, 1.2)
-    assert road.head_wind(at(0)) == 0.0
-    road.add_reading(WindReading(at(0), 6.0))
-    assert road.head_wind(at(600)) == 6.0
-    assert road.head_wind(at(601)) == 0.0
 
 
 def test_what_no_input_tells_is_named():

@@ -29,12 +29,9 @@ def test_a_car_that_drives_is_not_suspected():
     assert judge(60, waves(15, 8), waves(-50, 120)) is None
 
 
-def test_a_battery_that_hangs_while_speed_changes():
-    assert judge(20, waves(15, 8), lambda _: -40.0) == BATTERY_STUCK
-
-
-def test_a_battery_that_hangs_at_next_to_nothing_while_the_car_accelerates():
-    assert judge(20, waves(15, 8), lambda _: -2.0) == BATTERY_STUCK
+@pytest.mark.parametrize("current", [-40.0, -2.0])
+def test_a_battery_that_hangs_while_speed_changes_even_at_next_to_nothing(current):
+    assert judge(20, waves(15, 8), lambda _: current) == BATTERY_STUCK
 
 
 def test_a_speed_that_hangs_while_power_changes():
