@@ -7,13 +7,12 @@ very intervals that were learned from.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from benchmarks.ledger import true_parts
 from benchmarks.truth import INTERVAL, PROFILE, CarChain, simulated_drives
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.breakdown import DISTANCE, Breakdown
@@ -22,10 +21,12 @@ from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.terms import WHOLE, Equation, Part
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.simulation.car import STEP, Car, Trace
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
 from evpinn_ros.simulation.truth import prior_parameters
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.vehicle.physics import GRAVITY
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,3 +210,40 @@ def _summary(name: str, group: list[PartCheck]) -> PartSummary:
         rms_percent=100.0 * float(np.sqrt(np.mean((error / total) ** 2))),
         sigma_percent=100.0 * float(np.median(sigma / total)),
     )
+
+
+def part_powers(car: Car, trace: Trace) -> Mapping[str, np.ndarray]:
+    """Power of each part, W, shape (n,): they add up to `trace.power`.
+
+    No load of a simulated car is known as heating or cooling: all of it is standing load.
+    Beside the sum stands `regained`, what braking brought back to the battery.
+    """
+    motion = trace.motion
+    driving = trace.wheel_power > 0.0
+    inertia = car.mass * car.rotating_mass_factor * motion.acceleration
+    brakes = trace.friction_power + np.where(driving, 0.0, trace.load_loss)
+    return {
+        "air": trace.drag_power,
+        "tyres": trace.rolling_power,
+        "slope": car.mass * GRAVITY * np.sin(motion.grade) * motion.speed,
+        "speed": inertia * motion.speed,
+        "brakes": brakes,
+        "drivetrain": trace.no_load_loss + np.where(driving, trace.load_loss, 0.0),
+        "climate": np.zeros_like(motion.speed),
+        "standing": trace.auxiliary,
+        "regained": np.where(driving, 0.0, -trace.wheel_power - brakes),
+    }
+
+
+def true_parts(
+    car: Car, trace: Trace, spans: Iterable[tuple[float, float]]
+) -> Mapping[str, float]:
+    """Energy of each part, J, over spans of the drive, each from and to s since its start."""
+    begins, ends = np.array(list(spans)).reshape(-1, 2).T / STEP
+
+    def energy(power: np.ndarray) -> float:
+        total = np.concatenate(([0.0], np.cumsum(power))) * STEP
+        steps = np.arange(len(total))
+        return float(np.sum(np.interp(ends, steps, total) - np.interp(begins, steps, total)))
+
+    return {name: energy(power) for name, power in part_powers(car, trace).items()}

@@ -13,8 +13,7 @@ import yaml
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # the benchmarks lie beside the package
 
-from benchmarks.breakdown import SpanChain  # noqa: E402
-from benchmarks.ledger import true_parts  # noqa: E402
+from benchmarks.breakdown import SpanChain, true_parts  # noqa: E402
 from evpinn_ros.drives.sources import open_source  # noqa: E402
 from evpinn_ros.estimation.breakdown import JOULES_PER_KWH  # noqa: E402
 from evpinn_ros.estimation.estimator import EstimatorSettings  # noqa: E402

@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 
 from benchmarks.logs import find_logs
-from benchmarks.unseen.dynamometer import CHANGCHUN
 from benchmarks.unseen.fastsim_cars import (
     FASTSIM_CARS,
     fastsim_is_there,
@@ -19,7 +18,7 @@ from benchmarks.unseen.fastsim_cars import (
 from benchmarks.unseen.lines import DrivePart, Line, battery_power, common, speed_line
 from benchmarks.unseen.splitting import split
 from benchmarks.unseen.sumo_cars import SUMO_CARS, simulate_sumo, sumo_is_there, sumo_truth
-from benchmarks.unseen.truth import CARRIED_VEHICLE, carried_drives
+from benchmarks.unseen.truth import CARRIED_VEHICLE, CHANGCHUN, carried_drives
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.ledger import part_powers, true_parts
+from benchmarks.breakdown import part_powers, true_parts
 from evpinn_ros.simulation.car import STEP
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import SimulatedDrive, simulate
