@@ -36,7 +36,6 @@ from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.state_file import Half, read_half, read_state
 from evpinn_ros.vehicle.files import load_vehicle
 
-MEBIBYTE = 1 << 20
 MOST_MEMORY = 300.0  # MB of any process
 MOST_SECONDS, SECONDS_A_MB = 10.0, 3.0  # of the processor; whichever is more
 CHECKOUT = Path(__file__).parents[1]

@@ -12,11 +12,9 @@ import typer
 
 from benchmarks.can_decoding import Throughput, measure_throughput
 from benchmarks.can_traffic import Idle, measure_idle
-from benchmarks.cli.output import figures_table, json_at_the_end
+from benchmarks.cli.output import BUSY, figures_table, json_at_the_end
 from evpinn_ros.cli.console import note, progress_bar, show
 from evpinn_ros.cli.options import JsonOption
-
-BUSY = 0.3  # load of other programs from which the figures are not those of the bridge alone
 
 
 def can(

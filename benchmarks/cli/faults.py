@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from benchmarks.cli.output import BUSY
 from evpinn_ros.cli.console import note, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.common.errors import InputError
@@ -17,8 +18,6 @@ from evpinn_ros.common.plain_table import PlainTable
 
 if TYPE_CHECKING:
     from benchmarks.faults.fault import FaultResult
-
-BUSY = 0.3  # load of other programs from which the times are not those of the nodes alone
 
 
 def faults(

@@ -14,6 +14,7 @@ from evpinn_ros.common.plain_table import PlainTable
 
 GradeOption = Annotated[float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")]
 AltitudeOption = Annotated[bool, typer.Option("--altitude", help="With a barometer.")]
+BUSY = 0.3  # load of other programs from which figures are not those of what is measured alone
 TABLE_WIDTH = 140  # characters; in narrower tables numbers would be broken
 
 

@@ -11,9 +11,9 @@ from benchmarks.cli.output import json_at_the_end, table_of
 from benchmarks.recovery import STORAGES, campaign, measure_speed
 from evpinn_ros.cli.console import progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption
+from evpinn_ros.common.units import MEGABYTE
 
 BAG_BYTES = 200_000
-MEGABYTE = 1e6
 
 
 def recover(

@@ -16,6 +16,7 @@ from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.units import MEGABYTE
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
@@ -23,8 +24,6 @@ from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.vehicle.files import load_vehicle
-
-MEGABYTE = 1e6
 
 
 def report(

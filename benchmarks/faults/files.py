@@ -15,7 +15,7 @@ from benchmarks.faults.bus import PROFILE, bus_arguments
 from benchmarks.faults.chain import Process, running, start_all, start_node
 from benchmarks.faults.drive import OTHER_VEHICLE, RATE, learned_state, readings
 from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
-from benchmarks.faults.rig import Rig
+from benchmarks.faults.rig import OUTPUTS, Rig
 from evpinn_ros import topics
 from evpinn_ros.bags.can_frames import FRAMES_TOPIC, encode_frame
 from evpinn_ros.bags.reader import BagReader
@@ -25,8 +25,6 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.estimation.state_file import Half, read_state
 from evpinn_ros.signals.readings import NANOSECONDS
-
-OUTPUTS = (topics.POWER_PREDICTED, topics.POWER_SMOOTHED, topics.POWER_MEASURED)
 
 
 def file_faults() -> Iterator[Fault]:

@@ -25,6 +25,7 @@ import numpy as np
 
 from benchmarks.unseen.noise_free import Moved, noise_free_truth
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.units import KMH
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -43,7 +44,6 @@ SUMO_CARS = {
 }
 SEED, SECONDS, STEP = 20, 3600, 0.1  # s, s
 PIECE = 100.0  # m of road with one slope
-KMH = 1 / 3.6
 # Sections of the corridor: limits km/h, lengths m, chance to stop at the end.
 SECTIONS = (
     ((30, 50, 50), (150.0, 600.0), 0.4),

@@ -35,7 +35,7 @@ QUANTILE_95 = 1.96
 CARRIED_VEHICLE, CARRIED_SEED, CARRIED_DRIVES = "nissan_leaf", 9100, 8
 ETA = 0.92
 DENSITY = 1.2  # kg/m^3 that drag is told at
-KMH = 3.6
+KMH_PER_MPS = 3.6
 
 
 class Error(NamedTuple):
@@ -154,7 +154,7 @@ def dynamometer_truth(mass: float, force: tuple[float, float, float]) -> dict[st
     """
     driving = reference_driving()
     speed, weight = driving.speed, np.sqrt(driving.seconds * driving.speed)
-    wanted = np.polynomial.polynomial.polyval(speed * KMH, force)
+    wanted = np.polynomial.polynomial.polyval(speed * KMH_PER_MPS, force)
     terms = np.stack((np.full_like(speed, GRAVITY), DENSITY / 2.0 * speed**2), axis=1)
     found = np.linalg.lstsq(weight[:, None] * terms, weight * wanted, rcond=None)[0]
     rolling, area = (found / ETA).tolist()

@@ -5,7 +5,7 @@ What a small file can unpack to is bounded by its own size, so that work and mem
 
 from __future__ import annotations
 
-MEBIBYTE = 1 << 20
+from evpinn_ros.common.units import MEBIBYTE
 
 LONGEST_CHUNK = 128 * MEBIBYTE
 """Bytes of a chunk, packed and unpacked, of a message in it and of an attachment. Recorders write

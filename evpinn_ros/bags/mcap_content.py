@@ -22,9 +22,9 @@ from mcap.opcode import Opcode
 import numpy as np
 import zstandard
 
-from evpinn_ros.bags.limits import MEBIBYTE
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FileBytes
+from evpinn_ros.common.units import MEBIBYTE
 
 MOST_DEFINITIONS = 64 * MEBIBYTE  # all schemas and channels of a file together
 

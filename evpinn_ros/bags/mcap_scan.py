@@ -13,7 +13,7 @@ import struct
 from mcap.opcode import Opcode
 import numpy as np
 
-from evpinn_ros.bags.limits import LONGEST_CHUNK, MEBIBYTE
+from evpinn_ros.bags.limits import LONGEST_CHUNK
 from evpinn_ros.bags.mcap_content import (
     CHUNK,
     FOOTER,
@@ -31,6 +31,7 @@ from evpinn_ros.bags.mcap_content import (
     parsed_from,
 )
 from evpinn_ros.common.opener import WINDOW, FileBytes
+from evpinn_ros.common.units import MEBIBYTE
 
 LONGEST_RECORD = 16 * MEBIBYTE  # of any other kind
 NEAR_NS = 86_400_000_000_000  # a day: messages that follow each other are nearer in log time

@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader
 
-from evpinn_ros.bags.limits import LONGEST_CHUNK, MEBIBYTE, most_messages
+from evpinn_ros.bags.limits import LONGEST_CHUNK, most_messages
 from evpinn_ros.bags.mcap_content import (
     FOOTER,
     HEAD,
@@ -27,6 +27,7 @@ from evpinn_ros.bags.mcap_content import (
 from evpinn_ros.bags.mcap_scan import McapScan
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FileBytes, most_unpacked
+from evpinn_ros.common.units import MEBIBYTE
 
 LARGEST_SUMMARY = 64 * MEBIBYTE  # that of 500 000 chunks; with a larger one the file is searched
 

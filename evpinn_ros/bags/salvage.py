@@ -14,7 +14,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 
-from evpinn_ros.bags.limits import LONGEST_CHUNK, MEBIBYTE, most_messages
+from evpinn_ros.bags.limits import LONGEST_CHUNK, most_messages
 from evpinn_ros.bags.mcap_content import (
     INDEX_ENTRY,
     MAGIC,
@@ -34,6 +34,7 @@ from evpinn_ros.bags.mcap_scan import McapScan
 from evpinn_ros.bags.mcap_summary import summary_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import RATIO, FileBytes, most_unpacked
+from evpinn_ros.common.units import MEBIBYTE
 
 STRETCH = MEBIBYTE  # messages outside of chunks that are handled together
 LOOSE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)

@@ -20,7 +20,6 @@ from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.common.yaml_section import Section, compose
 from evpinn_ros.drives.quantities import QUANTITIES, Unit
 
-KMH = 1 / 3.6
 PERCENT = 0.01
 MILLISECONDS = 1e11  # a larger number of seconds since 1970 is of milliseconds
 CAR_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")

@@ -14,9 +14,10 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from evpinn_ros.bridges.car import BridgedCar
-from evpinn_ros.bridges.layouts import KMH, PERCENT, Measurand, Parsed, Rule, Value
+from evpinn_ros.bridges.layouts import PERCENT, Measurand, Parsed, Rule, Value
 from evpinn_ros.bridges.sensors import number_at
 from evpinn_ros.bridges.snapshot import Snapshots, is_due
+from evpinn_ros.common.units import KMH
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.signals.readings import NANOSECONDS
 

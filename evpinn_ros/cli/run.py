@@ -26,6 +26,7 @@ from evpinn_ros.cli.options import (
     VehicleOption,
     elm327_bus,
 )
+from evpinn_ros.common.units import MEGABYTE
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.live.foxglove import LOOPBACK, PORT
@@ -33,7 +34,6 @@ from evpinn_ros.nodes.saved_state import state_path
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
 
-MEGABYTE = 1e6
 BRIEF_S = 5.0  # what ends sooner was a mistake, and has said so
 
 

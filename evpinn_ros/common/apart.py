@@ -19,8 +19,8 @@ from typing import NamedTuple, NoReturn
 
 from evpinn_ros.common.errors import one_line, printable
 from evpinn_ros.common.opener import RATIO, check_file
+from evpinn_ros.common.units import MEBIBYTE
 
-MEBIBYTE = 1 << 20
 MOST_MEMORY, MOST_OUTPUT = 2 << 30, 16 << 30
 PATIENCE = 6.0  # times of its processor time that a process may wait for a core
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent has died

@@ -1,4 +1,4 @@
-"""Units that people read; the code and the topics are SI."""
+"""Units that people and files have, in SI, which the code and the topics have."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from enum import Enum
 import math
 from typing import NamedTuple
 
-JOULES_PER_KWH = 3.6e6
+JOULES_PER_KWH, JOULES_PER_WH = 3.6e6, 3600.0
+KMH = 1 / 3.6  # m/s
+MEGABYTE, MEBIBYTE = 1e6, 1 << 20
 
 
 SMALL_KWH = 0.1  # of a robot's hour or a car's half kilometre: two more digits are worth showing

@@ -12,13 +12,13 @@ from evpinn_ros.drives.numbers import Style
 from evpinn_ros.drives.quantities import score
 from evpinn_ros.drives.survey import Survey
 from evpinn_ros.drives.times import (
-    DAY_NS,
     NONE,
     Clock,
     clock_of_numbers,
     clock_of_text,
     is_newest_first,
 )
+from evpinn_ros.signals.readings import DAY_NS
 
 
 def choose_clock(

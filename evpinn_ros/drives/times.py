@@ -20,12 +20,11 @@ import polars as pl
 
 from evpinn_ros.drives.numbers import MISSING, POINT, Style, to_floats
 from evpinn_ros.drives.quantities import QUANTITIES
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.signals.readings import DAY_NS, NANOSECONDS
 
 STARTED = r"start\w*\s*(?:time)?\s*[=:]\s*(.+)"
 LONGEST_COMMENT = 200  # characters: the expression above takes the square of them
 NONE = np.iinfo(np.int64).min  # where there is no time
-DAY_NS = 86_400 * NANOSECONDS
 HALF_DAY_NS = DAY_NS // 2
 LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
 LARGEST = 1e19  # of a number that is a time: ns since 1970 to the end of 64 bits

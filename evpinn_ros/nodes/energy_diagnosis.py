@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from evpinn_ros.common.units import JOULES_PER_WH
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.forecaster import Air, Basis, PlanAnswer, PlanLog
 from evpinn_ros.energy.reconciliation import Reconciled, Verdict
@@ -12,7 +13,6 @@ from evpinn_ros.topics.messages import Level
 
 ANSWERED = "answered"
 NO_POWER = "no power/smoothed"
-JOULES_PER_WH = 3600.0
 
 
 def meter_status(account: EnergyAccount, condition: Condition) -> Status:

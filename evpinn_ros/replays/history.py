@@ -17,6 +17,7 @@ from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKin
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.replays.chain import ChainOutput
 from evpinn_ros.signals.readings import (
+    DAY_NS,
     DRIVE_START_NS,
     NANOSECONDS,
     AltitudeReading,
@@ -31,7 +32,6 @@ from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
-DAY_NS = 86_400 * NANOSECONDS
 FIRST_STAMP_NS = 631_152_000 * NANOSECONDS  # 1990: a log that begins before counts from its zero
 JUMP_GAP = 60 * NANOSECONDS  # between the times before and after a jump: nothing is joined across
 MODEL_STEP = 300.0  # s between two models kept: what a forecast would have known then

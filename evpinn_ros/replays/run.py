@@ -17,6 +17,7 @@ from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.trips import STRAGGLING
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.replays.chain import Chain, ChainOutput
 from evpinn_ros.replays.history import Drive, History
@@ -28,7 +29,6 @@ from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.readings import reading_messages
 
 WARM_UP = 120.0  # s at the start that are not scored
-STRAGGLING = 10.0  # s by which readings may come in another order than their stamps
 PROGRESS_STEP = 1.0  # s of the drive between two reports of progress
 
 Progress = Callable[[float], None]  # takes s of the drive done

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.common.arrays import chosen_rows
+from evpinn_ros.common.units import JOULES_PER_WH
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import ForecastOutcome
@@ -18,7 +19,6 @@ from evpinn_ros.report.thinning import Grid, grid_for, packed, thinned
 from evpinn_ros.vehicle.parameters import Parameters
 
 KILO = 1000.0
-JOULES_PER_WH = 3600.0
 TITLES = {
     "eta": "Motor efficiency η",
     "mu": "Regeneration efficiency μ",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.common.units import JOULES_PER_WH, METRIC, Units
 from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.terms import WARM
@@ -22,7 +22,7 @@ from evpinn_ros.report.breakdown_text import (
     breakdown_sentence,
     shown,
 )
-from evpinn_ros.report.drive_charts import JOULES_PER_WH, Chart
+from evpinn_ros.report.drive_charts import Chart
 from evpinn_ros.report.intervals import IntervalRow, interval_rows
 from evpinn_ros.report.thinning import packed
 from evpinn_ros.vehicle.files import Vehicle

@@ -11,9 +11,9 @@ from evpinn_ros.common.units import Units
 from evpinn_ros.replays.driven import DrivenSteps, rising
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import Span, longest_step, measured_at, scored
+from evpinn_ros.report.drive_charts import KILO
 from evpinn_ros.report.thinning import packed
 
-KILO = 1000.0
 HALF_SPAN = 0.5  # s on each side, over which acceleration is taken
 ACCELERATION_CELL, ACCELERATION_AXIS = 0.25, "acceleration, m/s²"
 LARGEST_SPEED, LARGEST_ACCELERATION = 300.0 / 3.6, 5.0  # m/s, m/s^2: what is beyond counts as this
@@ -22,7 +22,7 @@ DEGREE = 111_195.0  # m of latitude, of the mean radius of the Earth
 ROUTE_POINTS = 500  # evenly along the road
 POINTS = 2500  # of single moments beside their spread
 HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
-FAST, SLOW = 80.0 / 3.6, 5.0 / 3.6  # m/s: drag tells above, auxiliary power below
+FAST_SPEED, SLOW_SPEED = 80.0 / 3.6, 5.0 / 3.6  # m/s: drag tells above, auxiliary power below
 
 Chart = dict[str, Any]
 
@@ -75,10 +75,10 @@ def driven_minutes(found: Moments) -> dict[str, float]:
     hard = np.abs(found.acceleration) > HARD
     kinds = {
         "mass_over_eta": hard,
-        "drag_area_over_eta": found.speed > FAST,
-        "c_rr": (found.speed > SLOW) & (found.speed <= FAST) & ~hard,
+        "drag_area_over_eta": found.speed > FAST_SPEED,
+        "c_rr": (found.speed > SLOW_SPEED) & (found.speed <= FAST_SPEED) & ~hard,
         "regeneration": found.acceleration < -HARD,
-        "p_aux": np.abs(found.speed) <= SLOW,
+        "p_aux": np.abs(found.speed) <= SLOW_SPEED,
     }
     return {name: float(found.seconds[kind].sum()) / 60 for name, kind in kinds.items()}
 

@@ -22,7 +22,7 @@ from evpinn_ros.replays.scoring import Span, baseline_scores
 from evpinn_ros.replays.trends import drive_point
 from evpinn_ros.report import drive_charts, drive_maps
 from evpinn_ros.report.drive_energy import breakdown_values, running_totals, speed_energy_chart
-from evpinn_ros.report.drive_maps import FAST, SLOW
+from evpinn_ros.report.drive_maps import FAST_SPEED, SLOW_SPEED
 from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.report.html import write_page
 from evpinn_ros.report.owner_text import (
@@ -340,7 +340,9 @@ def _combination_row(
     _, value, std = end
     left = 100 * std / before if before > 0 else 100.0
     spread = f"± {100 * std / abs(value):.1f} %" if value else ""
-    fast, slow = (f"{limit * units.speeds:.0f} {units.speed}" for limit in (FAST, SLOW))
+    fast, slow = (
+        f"{limit * units.speeds:.0f} {units.speed}" for limit in (FAST_SPEED, SLOW_SPEED)
+    )
     learned_by = learned_by.format(fast=fast, slow=slow)
     text = f"{form.format(value)} {spread}"
     return CombinationRow(label, text, round(left), learned_by, f"{minutes:.1f}")

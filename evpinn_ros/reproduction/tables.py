@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from evpinn_ros.common.units import JOULES_PER_WH
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.published import (
     COMPARED,
@@ -18,7 +19,6 @@ from evpinn_ros.reproduction.scores import TableFiveRow, combinations
 from evpinn_ros.vehicle.files import load_vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 
-JOULES_PER_WH = 3600.0
 UNKNOWN = "-"
 FOUR = ("eta", "mass", "c_rr", "c_d")
 FINDING_COLUMNS = (

@@ -14,6 +14,7 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 
 NANOSECONDS = 1_000_000_000
+DAY_NS = 86_400 * NANOSECONDS
 # A drive without a date is placed on this day, 2020-01-01: header stamps must not be zero, and the
 # same file must give the same bag.
 DRIVE_START_NS = 1_577_836_800 * NANOSECONDS

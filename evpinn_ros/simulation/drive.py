@@ -18,6 +18,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.units import KMH
 from evpinn_ros.simulation.noise import slow_noise
 from evpinn_ros.simulation.road import HillyRoad
 
@@ -33,7 +34,6 @@ SPECIFIC_POWER = 45.0  # W/kg, what a driver asks of the car at most
 TRAFFIC_MEMORY = 8.0  # s
 TRAFFIC_SPREAD = 0.05  # relative 1-sigma of the speed that traffic allows
 FOOT_UNREST, FOOT_MEMORY = 0.15, 1.0  # m/s^2, s: no foot holds a pedal still
-KMH = 1 / 3.6
 
 
 class DriveKind(str, Enum):

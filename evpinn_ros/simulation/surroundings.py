@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from evpinn_ros.signals.road import GAS_CONSTANT
 from evpinn_ros.simulation.noise import slow_noise
 
 WIND_SPREAD = 1.2  # m/s, 1-sigma of the head wind as the road turns and shelters
 WIND_MEMORY = 25.0  # s
-GAS_CONSTANT = 287.05  # J/(kg K), dry air
 PRESSURE = 101_325.0  # Pa
 FREEZING = 273.15  # K
 

@@ -10,10 +10,11 @@ from mcap.writer import CompressionType, Writer
 import pytest
 
 from benchmarks.recovery import STORAGES, chunks_of, messages_of
-from evpinn_ros.bags.limits import LONGEST_CHUNK, MEBIBYTE
+from evpinn_ros.bags.limits import LONGEST_CHUNK
 from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.units import MEBIBYTE
 
 pytestmark = pytest.mark.slow
 

@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.units import KMH
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, motion_on
 from evpinn_ros.simulation.road import hilly_road
-
-KMH = 1 / 3.6
 
 
 def speed_of(kind: DriveKind, seed: int, duration_s: float = 600.0) -> np.ndarray:
