@@ -8,7 +8,12 @@ import pytest
 from evpinn_ros.common.units import counted, with_sigma
 from evpinn_ros.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.fleet.population import Population
-from evpinn_ros.report.fleet_page import CHARTED, fleet_charts, fleet_sentence, population_cells
+from evpinn_ros.report.fleet_page import (
+    CHART_TITLES,
+    fleet_charts,
+    fleet_sentence,
+    population_cells,
+)
 from evpinn_ros.vehicle.files import load_vehicle
 
 LEAF = load_vehicle("nissan_leaf")
@@ -32,8 +37,8 @@ def test_a_car_is_the_vehicle_file_and_its_own_evidence():
 def test_rows_lie_in_the_chart_in_their_order():
     cars = {"low": exact(-1.0), "high": exact(1.0)}
     charts = fleet_charts(Population(LEAF, list(cars.values())), cars)
-    assert [chart["title"] for chart in charts] == list(CHARTED.values())
-    rows = {row.name: row for row in charts[list(CHARTED).index("c_rr")]["rows"]}
+    assert [chart["title"] for chart in charts] == list(CHART_TITLES.values())
+    rows = {row.name: row for row in charts[list(CHART_TITLES).index("c_rr")]["rows"]}
     assert list(rows) == ["vehicle file", "low", "high", "next car"]
     assert rows["low"].at < rows["next car"].at < rows["high"].at
     assert all(0.0 <= row.low <= row.at <= row.high <= 100.0 for row in rows.values())
