@@ -22,8 +22,8 @@ class EdgeEnergies:
     """Energies of the edges of a road network, and of routes over them.
 
     Attributes:
-        table: a row an edge, with the index of the edges given: `energy_j`, negative where the
-            car gains, and its 1-sigma `sigma_j`.
+        table: one row for each edge, with the index of the edges that were given: `energy_j`, J,
+            negative where the edge returns energy, and its 1-sigma `sigma_j`, J.
     """
 
     def __init__(self, index: pd.Index, found: energy_edges.Edges) -> None:
@@ -32,10 +32,10 @@ class EdgeEnergies:
         self._found = found
 
     def route(self, edges: Iterable[Hashable]) -> Uncertain:
-        """Energy of a route, J, with its 1-sigma: what is not known of the car adds up.
+        """Energy of a route, J, with its 1-sigma; errors of the car's model add up over the edges.
 
         Args:
-            edges: their labels in the index, in any order, each as often as it is driven.
+            edges: labels of the edges in the index, in any order, each as often as it is driven.
 
         Raises:
             InputError: there is no such edge.
@@ -43,7 +43,7 @@ class EdgeEnergies:
         return self._found.route(self._places(edges))
 
     def difference(self, one: Iterable[Hashable], other: Iterable[Hashable]) -> Uncertain:
-        """Energy that one route takes more than another, J: what both share cancels.
+        """Energy of one route minus that of another, J; errors that both share cancel.
 
         Raises:
             InputError: there is no such edge.
@@ -54,7 +54,7 @@ class EdgeEnergies:
         labels = [*edges]
         places = self.table.index.get_indexer_for(pd.Index(labels, tupleize_cols=True))
         if len(places) != len(labels) or (places < 0).any():
-            raise InputError("a route has an edge that is not in the table, or is there twice")
+            raise InputError("a route has an edge that is not in the table, or is in it twice")
         return np.asarray(places)
 
 
@@ -70,9 +70,9 @@ def edge_energies(
 ) -> EdgeEnergies:
     """Energies of all edges of a road network at once, for a router.
 
-    An edge is driven at even speed, plus what uneven speed takes on such legs; tyres and cabin
-    are warm. Downhill an edge may give energy back, so a router needs Bellman and Ford's algorithm
-    or potentials.
+    Each edge is driven at its mean speed; the energy for speeding up and braking that is usual on
+    such legs is added. Tyres and cabin are assumed to be warm. A downhill edge may return energy,
+    so a router needs the Bellman-Ford algorithm, or potentials.
 
     Example:
         >>> import evpinn_ros as ev
@@ -82,21 +82,22 @@ def edge_energies(
         True
 
     Args:
-        edges: a row an edge, with its unit in each name: two of `length_m`, `duration_s` and
-            `speed_kmh`; `climb_m`, or `start_elevation_m` and `end_elevation_m`, else its height
-            is not known and that is in the sigma.
-        car: a vehicle, by name or file, of which nothing was learned yet; or the `Result` or
-            `Estimator` that learned it.
-        temperature_c: of the air outside, degrees Celsius; if not given the last that the car
-            knew.
-        heating_w: power of heating and air conditioning, W; if not given what the temperature
+        edges: one row for each edge. Columns, with the unit in each name: two of `length_m`,
+            `duration_s` and `speed_kmh`; and `climb_m`, or `start_elevation_m` and
+            `end_elevation_m`. Without heights the sigma includes an unknown climb.
+        car: name or file of a vehicle, or a `Vehicle`, of which nothing was learned; or the
+            `Result` or `Estimator` that learned the car.
+        temperature_c: outside temperature, degrees Celsius; if not given, the last that the car
+            measured.
+        heating_w: power of heating and air conditioning, W; if not given, what the temperature
             makes likely.
-        head_wind: against the car on every edge, m/s over ground.
-        payload_kg: people and luggage beyond what the car carried when it learned, kg.
-        air_density: kg/m^3; if not given the vehicle's, at the temperature where that is given.
+        head_wind: head wind on every edge, m/s over ground.
+        payload_kg: people and luggage in addition to those when the car was learned, kg.
+        air_density: kg/m^3; if not given, that of the vehicle file, at `temperature_c` if given.
 
     Raises:
-        InputError: a column is missing, no such vehicle, or (`PlanError`) no such edge can be.
+        InputError: a column is missing, the vehicle does not exist, or an edge is impossible
+            (`PlanError`).
     """
     # Here, for polars, which reads tables, takes a quarter of a second to import.
     from evpinn_ros.plans.table import edges_of_columns

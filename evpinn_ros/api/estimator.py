@@ -39,10 +39,10 @@ class Estimate(NamedTuple):
     """Estimate of one moment; positive when drawn from the battery.
 
     Attributes:
-        t_s: the moment, s, as it was given.
+        t_s: time of the sample, s, as it was given.
         power_w: battery power, W, predicted without any battery reading of this moment.
         sigma_w: its 1-sigma, W.
-        energy_j: since the start, J: measured where possible, predicted elsewhere.
+        energy_j: energy since the start, J: measured where the battery was, otherwise predicted.
         energy_sigma_j: its 1-sigma, J.
     """
 
@@ -54,7 +54,7 @@ class Estimate(NamedTuple):
 
 
 class Estimator:
-    """Learns a car from its samples and predicts its power: the core of the nodes, without ROS.
+    """Learns a car sample by sample and predicts its power, as the ROS nodes do, without ROS.
 
     Example:
         >>> import evpinn_ros as ev
@@ -76,15 +76,16 @@ class Estimator:
         mode: str = "hybrid",
         state: str | os.PathLike[str] | None = None,
     ) -> None:
-        """Begin at the vehicle's priors, or with what was learned before.
+        """Begin with the vehicle file, or with what was learned before.
 
         Args:
-            vehicle: name, file, or what `load_vehicle` gave.
+            vehicle: name or file of a vehicle, or a `Vehicle`.
             mode: `hybrid` or `paper`.
-            state: file that `save` or a replay wrote.
+            state: file that `save`, or a replay with `state`, wrote.
 
         Raises:
-            InputError: no such vehicle, mode or file, or the state is not of them.
+            InputError: the vehicle, mode or file does not exist, or the state belongs to another
+                vehicle or mode.
         """
         path = None if state is None else path_of("state", state)
         if path is not None and not path.exists():
@@ -108,24 +109,24 @@ class Estimator:
     ) -> Estimate | None:
         """Predict one sample, then learn from it.
 
-        The arguments are the columns of a drive's CSV; what was not measured is left out.
+        The arguments have the names of the columns of a CSV file. Leave out what was not measured.
 
         Args:
-            t_s: time, s, of any clock that goes on.
-            speed_mps: m/s.
-            voltage_v: of the battery, V.
-            current_a: of the battery, A, positive when drawn.
+            t_s: time, s, of any clock that does not go back.
+            speed_mps: speed of the car, m/s.
+            voltage_v: voltage of the battery, V.
+            current_a: current of the battery, A, positive when drawn.
             soc_pct: state of charge, percent.
-            elevation_m: m.
-            ambient_c: degrees Celsius.
+            elevation_m: elevation, m.
+            ambient_c: outside temperature, degrees Celsius.
             heating_w: electric power of the heating, W.
-            aircon_w: of the air conditioning, W.
+            aircon_w: electric power of the air conditioning, W.
 
         Returns:
-            The prediction of this moment; None without a speed, and where the time went back.
+            The prediction for this sample; None if it has no speed, or if its time goes back.
 
         Raises:
-            InputError: the time is not finite, or a value is no number.
+            InputError: the time is not finite, or a value is not a number.
         """
         stamp_ns = round(finite("t_s", t_s) * NANOSECONDS)
         speed_mps = number("speed_mps", speed_mps)
@@ -156,17 +157,17 @@ class Estimator:
                 yield output
 
     def begin_next_drive(self) -> None:
-        """Keep what was learned of the car; time and energy start anew."""
+        """Begin a new drive: time and energy start anew, and what was learned is kept."""
         self._chain.begin_next_drive()
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Parameters now, a row each: value, std, prior_share, lower, upper, state."""
+        """Present parameters, one row each: value, std, prior_share, lower, upper, state."""
         return parameter_frame(parameter_metrics(self._chain.estimator.parameters()))
 
     @property
     def breakdown(self) -> pd.DataFrame:
-        """Energy of this drive by where it went, a row a part, as in `Result`."""
+        """Where the energy of this drive went, one row for each part, as in `Result`."""
         found = breakdown_metrics(self._chain.estimator.breakdown(), self._mode.value)
         return breakdown_frame(found)
 
@@ -182,8 +183,8 @@ class Estimator:
         return self._chain.account
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write what was learned: a file for `state` here and in `evpinn_ros.replay`.
+        """Save what was learned about the car and its battery to a file.
 
-        It holds what was learned of the car, and of its battery.
+        Give this file as `state` to `Estimator` or `evpinn_ros.replay` to continue from it.
         """
         self._car.write_state(path_of("path", path))

@@ -12,12 +12,12 @@ AMOUNT_COLUMNS = ("kwh", "sigma_kwh", "kwh_per_100km", "share")
 
 
 def parameter_frame(found: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """The metrics under `parameters`, a row each."""
+    """The metrics under `parameters`, one row each."""
     return _rows(found, "parameter", PARAMETER_COLUMNS)
 
 
 def breakdown_frame(found: Mapping[str, Any]) -> pd.DataFrame:
-    """The metrics under `breakdown`, a row a part."""
+    """The metrics under `breakdown`, one row for each part."""
     parts = {name: part for name, part in found.items() if isinstance(part, dict)}
     return _rows(parts, "part", AMOUNT_COLUMNS)
 

@@ -57,7 +57,7 @@ def forecast(
     prewarmed: bool = False,
     air_density: float | None = None,
 ) -> pd.DataFrame:
-    """Energy that a plan will take, what it leaves in the battery, and how sure that is.
+    """Energy that a plan will take, and the charge along it, each with 1-sigma.
 
     Example:
         >>> import evpinn_ros as ev
@@ -67,34 +67,36 @@ def forecast(
         distance_m speed_mps elevation_m power_w energy_j sigma_j charge_pct charge_sigma_pct
 
     Args:
-        plan: columns `t_s` (or the index), s, and `speed_mps`, m/s; `distance_m`, else as the
-            speeds make it; `elevation_m`, else a flat road. Or columns of legs, with their units
-            in their names: two of `length_m`, `duration_s` and `speed_kmh`; `climb_m` or
-            `start_elevation_m` and `end_elevation_m`; `limit_kmh`. Or a file of such a table, a
-            GPX or GeoJSON file, the JSON of a route service, or a recorded drive.
-        car: a vehicle, by name or file, of which nothing was learned yet; or the `Result` or
-            `Estimator` that learned it.
-        charge_pct: state of charge at the start, percent; if not given the last that the
-            `Result` or `Estimator` saw.
-        temperature_c: of the air outside, degrees Celsius; if not given the last that the car
-            knew.
-        heating_w: power of heating and air conditioning, W; if not given what the temperature
+        plan: one of three. Speed over time: columns `t_s` (or the index), s, and `speed_mps`, m/s;
+            optional `distance_m` (otherwise from the speeds) and `elevation_m` (otherwise a flat
+            road). Legs: columns with units in their names, two of `length_m`, `duration_s` and
+            `speed_kmh`; optional `climb_m`, or `start_elevation_m` and `end_elevation_m`; and
+            `limit_kmh`. Or the path of a file: such a table, a GPX or GeoJSON file, the JSON of a
+            route service, or a recorded drive.
+        car: name or file of a vehicle, or a `Vehicle`, of which nothing was learned; or the
+            `Result` or `Estimator` that learned the car.
+        charge_pct: state of charge at the start, percent; if not given, the last of the
+            `Result` or `Estimator`.
+        temperature_c: outside temperature, degrees Celsius; if not given, the last that the car
+            measured.
+        heating_w: power of heating and air conditioning, W; if not given, what the temperature
             makes likely.
-        head_wind: against the car, m/s over ground.
-        payload_kg: people and luggage beyond what the car carried when it learned, kg.
-        stood_h: hours that the car stands after its last drive: tyres and cabin cool meanwhile. If
-            not given they are as the car is now: cold, where it was read from a file.
-        prewarmed: True if the cabin is warmed or cooled by the charger before the start.
-        air_density: kg/m^3; if not given the vehicle's, at the temperature where that is given.
+        head_wind: head wind, m/s over ground.
+        payload_kg: people and luggage in addition to those when the car was learned, kg.
+        stood_h: hours since the last drive, in which tyres and cabin cool down. If not given, they
+            are as at the end of that drive; of a car that was read from a file they are cold.
+        prewarmed: True if the cabin was heated or cooled before the start, while plugged in.
+        air_density: kg/m^3; if not given, that of the vehicle file, at `temperature_c` if given.
 
     Returns:
-        A row a point, by `t_s` since the first: what was planned, power (with the acceleration
-        and slope that follow), energy since the first point with its 1-sigma, and the state of
-        charge, percent, with its own: NaN where that or the capacity is unknown, negative where
-        the battery is empty before.
+        One row for each point, by `t_s` since the first: the plan; power, W (with the acceleration
+        and slope that follow the point); energy since the first point, J, with its 1-sigma; and
+        the state of charge, percent, with its 1-sigma. The charge is NaN if it or the capacity
+        is unknown, and negative where the battery would already be empty.
 
     Raises:
-        InputError: a column is missing, no such vehicle, or (`PlanError`) the plan is invalid.
+        InputError: a column is missing, the vehicle does not exist, or the plan is invalid
+            (`PlanError`).
     """
     charge_pct = finite_or_none("charge_pct", charge_pct)
     stood_h = finite_or_none("stood_h", stood_h)

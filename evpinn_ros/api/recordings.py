@@ -46,7 +46,7 @@ def replay(
     columns: Sequence[str] = (),
     elevation: str | os.PathLike[str] | None = None,
 ) -> Result:
-    """Replay a recorded drive through the chain, as `evpinn replay` does: to the bit.
+    """Replay a recorded drive; the numbers are exactly those of `evpinn replay`.
 
     Example:
         >>> import evpinn_ros as ev
@@ -54,22 +54,23 @@ def replay(
         >>> result.power[["measured_w", "smoothed_w"]].plot()  # doctest: +SKIP
 
     Args:
-        drive: bag, CAN log or table; or a pandas DataFrame, whose columns are those of a table. An
-            index that has a name, or is no count of rows, is one of them.
-        vehicle: name, file, or what `load_vehicle` gave.
-        mode: `hybrid` or `paper`; that of `params`, else hybrid, if not given.
+        drive: path of a bag, CAN log or table; or a pandas DataFrame with the columns of such a
+            table. Its index is a column too, if it has a name or does not just number the rows.
+        vehicle: name or file of a vehicle, or a `Vehicle`.
+        mode: `hybrid` or `paper`; if not given, that of `params`, otherwise `hybrid`.
         params: parameter file of the nodes.
-        state: file of what was learned: read at the start if it is there, written at the end.
-            Drives of one car replayed in turn with one file learn from each other.
-        withhold_battery_after: s from which on the battery is hidden: what is speed worth alone?
-        warm_up: s at the start that are not scored.
-        start: s since the first reading, before which the drive is left out.
-        duration: s after which it ends; all of it if not given.
-        can_profile: of a CAN log, the vehicle's own if not given.
-        trust_profile: use it even if the traffic contradicts it.
-        columns: of a table, as `speed=NAME` or `speed=NAME:km/h`.
-        elevation: folder of SRTM (`N48E011.hgt`) or GeoTIFF tiles, whose heights at the places of
-            the drive are taken.
+        state: file of what was learned: read at the start if it exists, written at the end. With
+            the same file, each drive of a car begins with what the drives before it taught.
+        withhold_battery_after: time, s, from which on the battery is hidden, so that power and
+            energy are predicted from speed alone.
+        warm_up: time at the start that is not scored, s.
+        start: time at the start that is left out, s.
+        duration: length of the part to replay, s; the whole drive if not given.
+        can_profile: profile of a CAN log; that of the vehicle if not given.
+        trust_profile: True to use the profile even if the traffic contradicts it.
+        columns: corrections for the columns of a table, `speed=NAME` or `speed=NAME:km/h`.
+        elevation: folder of SRTM (`N48E011.hgt`) or GeoTIFF tiles, which give heights to a drive
+            that has positions.
 
     Raises:
         InputError: the drive, the vehicle or a file cannot be used; the text says why.
@@ -103,7 +104,7 @@ def replay_trips(
     warm_up: float = WARM_UP,
     **options: Any,
 ) -> list[Result]:
-    """Replay each trip of a log, as `evpinn replay` splits it: what one teaches, the next knows.
+    """Replay each trip of a log; each begins with what the trips before it taught.
 
     A trip ends where the car is parked for ten minutes or charged.
 

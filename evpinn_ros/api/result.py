@@ -31,15 +31,15 @@ FORECAST_COLUMNS = ("begin_s", "end_s", "measured_j", "forecast_j", "sigma_j", "
 class Result:
     """One replayed drive: its scores, and its series as DataFrames.
 
-    Times `t_s` count from the first reading, s; where time jumped back they go on a minute later.
-    Power and energy are positive when drawn from the battery. What is not known is NaN.
+    Times `t_s` count from the first reading, s; after a jump of the clock they go on a minute
+    later. Power and energy are positive when drawn from the battery. Unknown values are NaN.
 
     Attributes:
-        replayed: the series and scores that all below is made from.
-        vehicle: whose drive it is.
-        options: of the replay.
-        car: the car as known at the end; None in mode paper.
-        account: energy counted up to the end, with what is known of the battery.
+        replayed: the series and scores from which the tables below are made.
+        vehicle: the vehicle of the drive.
+        options: the options of the replay.
+        car: the learned car at the end of the drive; None in mode paper.
+        account: energy counted until the end, with what is known about the battery.
     """
 
     replayed: Replayed
@@ -49,7 +49,7 @@ class Result:
     account: EnergyAccount
 
     def __repr__(self) -> str:
-        """The drive and the car in an owner's words, for a prompt or a notebook."""
+        """Summary of the drive in one line, for a prompt or a notebook."""
         path = self.metrics["input"]["path"]
         line = owner_line(self.replayed.drive, self.metrics)
         return f"<Result of {path}, {self.vehicle.key}: {line}>"
@@ -61,16 +61,17 @@ class Result:
 
     @property
     def problem(self) -> str | None:
-        """Unreadable part of the drive, in one line; None where all was read."""
+        """Part of the drive that could not be read, in one line; None if all was read."""
         return self.replayed.problem
 
     @cached_property
     def power(self) -> pd.DataFrame:
         """Power over time, W, by `t_s`.
 
-        Columns: `speed_mps`; `measured_w`; `predicted_w` and `predicted_sigma_w`, made at once
-        (`power/predicted`); `smoothed_w` and `smoothed_sigma_w`, made once the speed shortly
-        after was known (`power/smoothed`). No prediction knew what was measured then or later.
+        Columns: `speed_mps`, m/s; `measured_w`; `predicted_w` and `predicted_sigma_w`, made at
+        once (`power/predicted`); `smoothed_w` and `smoothed_sigma_w`, made as soon as the speed
+        shortly afterwards is known (`power/smoothed`). No prediction uses a battery value of its
+        own or a later time.
         """
         drive = self.replayed.drive
         found = _predictions(drive.newest, "predicted").join(
@@ -86,8 +87,8 @@ class Result:
     def energy(self) -> pd.DataFrame:
         """Energy since the start, J, by `t_s`.
 
-        Columns: `measured_j`, to which gaps add nothing; `predicted_j` with `predicted_sigma_j`;
-        `rknn_j`, the same power integrated by the Runge-Kutta network.
+        Columns: `measured_j`, which does not count gaps; `predicted_j`, `predicted_sigma_j`; and
+        `rknn_j`, the predicted power integrated by the Runge-Kutta network.
         """
         drive = self.replayed.drive
         time, predicted, rknn, sigma = drive.energy.T
@@ -105,7 +106,7 @@ class Result:
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
-        """Parameters at the end, a row each: value, std, prior_share, lower, upper, state."""
+        """Parameters at the end, one row each: value, std, prior_share, lower, upper, state."""
         return parameter_frame(self.metrics["parameters"])
 
     @cached_property
@@ -119,15 +120,16 @@ class Result:
 
     @cached_property
     def breakdown(self) -> pd.DataFrame:
-        """Energy by where it went, a row a part: kwh, sigma_kwh, kwh_per_100km, share."""
+        """Where the energy went, one row a part: kwh, sigma_kwh, kwh_per_100km, share."""
         return breakdown_frame(self.metrics["breakdown"])
 
     @cached_property
     def forecasts(self) -> pd.DataFrame:
-        """Energy of parts of the drive, forecast at the begin of each as a plan, and measured.
+        """Energy of parts of the drive, each forecast as a plan at its beginning, and measured.
 
-        Columns: `begin_s`, `end_s`, `measured_j`, `forecast_j`, `sigma_j`, `covered` by the 90 %
-        band. Empty in mode paper, and of drives with gaps.
+        Columns: `begin_s`, `end_s`, `measured_j`, `forecast_j`, `sigma_j`, and `covered`, True
+        if the 90 % band contains the measured energy. Empty in mode
+        paper, and if no part is complete.
         """
         rows = [
             (*each.span, each.measured, each.forecast, each.sigma, each.covered)
@@ -137,7 +139,7 @@ class Result:
 
     @property
     def model(self) -> PowerModel:
-        """The car as known at the end, for `evpinn_ros.forecast`."""
+        """The learned car at the end of the drive, for `evpinn_ros.forecast`."""
         return known_model(self.car, self.replayed.drive.final, self.vehicle)
 
     def write_report(self, path: str | os.PathLike[str]) -> None:

@@ -64,7 +64,7 @@ bench = typer.Typer(
 
 @bench.callback()
 def about() -> None:
-    """Measure this project against its peers.
+    """Measure how good this package is, beside other methods.
 
     Example: evpinn bench unseen bags=tesla_model_3_lr --methods prior,core
     """

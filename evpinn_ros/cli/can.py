@@ -35,7 +35,7 @@ can = typer.Typer(cls=ReadableGroup, no_args_is_help=True)
 
 @can.callback()
 def group() -> None:
-    """Look at a CAN bus.
+    """Inspect a CAN bus.
 
     Example: evpinn can inspect drive.log
     """
@@ -44,7 +44,8 @@ def group() -> None:
 @can.command(cls=ReadableCommand)
 def inspect(
     source: Annotated[
-        Path | None, typer.Argument(help="CAN log or bag of raw frames; none for a live bus.")
+        Path | None,
+        typer.Argument(help="CAN log or bag of raw frames; not for a live bus."),
     ] = None,
     interface: Annotated[
         str | None,
@@ -56,7 +57,11 @@ def inspect(
     ] = None,
     channel: Annotated[
         str | None,
-        typer.Option("--channel", "--can-channel", help="can0, /dev/ttyACM0... of a live bus."),
+        typer.Option(
+            "--channel",
+            "--can-channel",
+            help="can0, /dev/ttyACM0... of a live bus.",
+        ),
     ] = None,
     elm327: Elm327Option = None,
     bitrate: Annotated[
@@ -64,7 +69,8 @@ def inspect(
         typer.Option(min=1, help=f"Bit rate; {BITRATE} bit/s if not given."),
     ] = None,
     bus_option: Annotated[
-        str, typer.Option("--bus-options", help="More for the driver, as 'name=value ...'.")
+        str,
+        typer.Option("--bus-options", help="More for the driver, as 'name=value ...'."),
     ] = "",
     seconds: Annotated[
         float | None,

@@ -35,17 +35,22 @@ from evpinn_ros.report.comparison_text import part_rows, sentences, trip_rows
 def compare(
     drives: Annotated[
         list[Path],
-        typer.Argument(help="Bags, CAN logs or tables of one car; the first is the reference."),
+        typer.Argument(
+            help="Drives of one car: bags, CAN logs or tables. Each is compared with the first."
+        ),
     ],
     vehicle: VehicleOption = "generic",
-    report: Annotated[Path | None, typer.Option(help="Write a page: one HTML file.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write the comparison to this HTML file.")
+    ] = None,
     state: Annotated[
-        Path | None, typer.Option(help="Start from what an earlier replay saved.")
+        Path | None,
+        typer.Option(help="Start from what evpinn replay --state learned; not changed."),
     ] = None,
     units: Annotated[UnitSystem, typer.Option(help="Units of distance.")] = UnitSystem.METRIC,
     start: StartOption = 0.0,
     duration: Annotated[
-        float | None, typer.Option(min=0.0, help="Compare this much of each drive, s.")
+        float | None, typer.Option(min=0.0, help="Compare only this many seconds of each drive.")
     ] = None,
     params: ParamsOption = None,
     column: ColumnOption = None,
@@ -57,7 +62,7 @@ def compare(
     """Compare drives of one car: where energy went, and what explains a difference.
 
     For example the same road with other tyres, in another season or with another driver. One model
-    of the car learns from all drives, so what is unknown of the car cancels in the differences.
+    of the car learns from all drives, so errors of the model mostly cancel in the differences.
 
     Example: evpinn compare bags/urban bags/highway --vehicle tesla_model_3_lr
     """
@@ -101,7 +106,7 @@ def _show(found: Comparison, units: Units) -> None:
         note(f"evpinn: {problem}")
     rows = trip_rows(found, units) + part_rows(found.parts(), units=units)
     show(PlainTable(f"Where the energy went, {units.rate}", ("", *found.names), rows))
-    less = tuple(f"{name} less {found.names[0]}" for name in found.names[1:])
+    less = tuple(f"{name} minus {found.names[0]}" for name in found.names[1:])
     rows = part_rows(found.differences(), signed=True, units=units)
     show(PlainTable("What explains the difference", ("", *less), rows))
     for line in sentences(found, units):

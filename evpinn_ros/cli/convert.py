@@ -28,14 +28,15 @@ def convert(
     source_path: Annotated[
         Path,
         typer.Argument(
-            metavar="IN", help="Log of an app (CSV, xlsx, ...), CAN log, bag of topics or frames."
+            metavar="IN",
+            help="Log of an app (CSV, xlsx, ...), CAN log, or bag of topics or CAN frames.",
         ),
     ],
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
     vehicle: Annotated[
         str,
         typer.Option(
-            help="Vehicle by name or path; CAN logs need it.", autocompletion=complete_vehicle
+            help="Name or file of the vehicle; CAN logs need it.", autocompletion=complete_vehicle
         ),
     ] = "generic",
     can_profile: CanProfileOption = None,
@@ -52,12 +53,12 @@ def convert(
         typer.Option(help="Only change the storage of a bag, and keep every topic."),
     ] = None,
 ) -> None:
-    """Convert a recorded drive into a rosbag2 bag of our topics.
+    """Convert a recorded drive into a rosbag2 bag with the topics of this package.
 
-    Columns of a table are found by their names and values; the choice is shown.
+    Columns of a table are found by their names and values, and the choice is printed.
     The names t_s, speed_mps, voltage_v, current_a (positive = discharge) or power_w, and
     optionally elevation_m, latitude, longitude, ambient_c, heating_w, aircon_w, soc_pct,
-    motor_torque_nm and motor_speed_rad_s are taken as they are.
+    motor_torque_nm and motor_speed_rad_s are used without guessing.
 
     Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
 

@@ -41,10 +41,11 @@ def demo(
     ),
     json_file: JsonOption = None,
 ) -> None:
-    """Replay a bundled drive through the three nodes, and show what they learned.
+    """Play a bundled drive through the three nodes, and show what they learned.
 
-    A simulated car in town: its CAN frames go to the node `can_bridge`, its topics to `estimator`
-    and `energy`, each a process of its own. The truth of the car is known, and withheld.
+    The drive is of a simulated car in town. Its CAN frames go to the node `can_bridge`, and the
+    topics of that node to `estimator` and `energy`; each is a separate process. The nodes do not
+    know the true parameters; these are shown beside the result.
 
     Example: evpinn demo
     """

@@ -21,7 +21,7 @@ export = typer.Typer(cls=ReadableGroup, no_args_is_help=True)
 
 @export.callback()
 def group() -> None:
-    """Write what was learned in the files of other programs.
+    """Export what was learned to other programs.
 
     Example: evpinn export rmf robot.json --vehicle mobile_robot
     """
@@ -29,16 +29,20 @@ def group() -> None:
 
 @export.command(cls=ReadableCommand)
 def rmf(
-    state: Annotated[Path, typer.Argument(help="What replays or a run learned of the vehicle.")],
+    state: Annotated[Path, typer.Argument(help="File that evpinn replay or run --state wrote.")],
     vehicle: VehicleOption = "mobile_robot",
     speed: Annotated[
         float | None,
-        typer.Option(min=0.05, max=50.0, help="Usual speed, m/s; else of the vehicle file."),
+        typer.Option(
+            min=0.05, max=50.0, help="Usual speed, m/s; that of the vehicle file if not given."
+        ),
     ] = None,
     capacity: Annotated[
         float | None,
         typer.Option(
-            min=0.1, max=1e4, help="Capacity of the battery, A h; else as learned, or by its file."
+            min=0.1,
+            max=1e4,
+            help="Capacity of the battery, A h; else as learned, or by its file.",
         ),
     ] = None,
     charging_current: Annotated[
@@ -48,16 +52,17 @@ def rmf(
         ),
     ] = None,
     radius: Annotated[
-        float, typer.Option(min=0.01, max=10.0, help="Radius of the footprint, m, for turning.")
+        float, typer.Option(min=0.01, max=10.0, help="Radius of the robot, m.")
     ] = RADIUS,
     tool: Annotated[
         float, typer.Option(min=0.0, max=1e5, help="Power of the tool while it works, W.")
     ] = 0.0,
 ) -> None:
-    """Print battery, mechanics and loads for the fleet adapter of Open-RMF.
+    """Print battery, mass and loads for the fleet adapter of Open-RMF.
 
-    The lines go under `rmf_fleet` in its config.yaml. RMF knows neither efficiency nor
-    recuperation: mass and friction are those with which it finds the energy of this vehicle.
+    Put the lines under `rmf_fleet` in the adapter's config.yaml. The formula of RMF has neither
+    efficiency nor regeneration: the printed mass and friction are those with which it gives the
+    energy that was learned.
 
     Example: evpinn export rmf robot.json --vehicle mobile_robot --capacity 25
     """
@@ -74,8 +79,8 @@ def rmf(
         holds, known = Uncertain(capacity, math.nan), "given"
     if not math.isfinite(holds.value):
         raise InputError(
-            f"what the battery of {vehicle} holds is not known: --capacity gives it, or "
-            "battery_capacity in its vehicle file, or a drive that takes ten percent"
+            f"the capacity of the battery of {vehicle} is not known: give --capacity, write "
+            "battery_capacity into its vehicle file, or replay a drive that takes ten percent"
         )
     current = holds.value / CHARGED_IN if charging_current is None else charging_current
     inertia = found.mass * radius**2 / 2.0
@@ -85,11 +90,11 @@ def rmf(
 # {vehicle}, as learned in {state}: {trip} +- {found.trip.sigma:.0f} J.
 rmf_fleet:
   battery_system:
-    voltage: {found.voltage:.1f}  # V, nominal, of the vehicle file
+    voltage: {found.voltage:.1f}  # V, nominal, by the vehicle file
     capacity: {holds.value:.2f}  # A h{spread}, {known}
     charging_current: {current:.2f}  # A, {"given" if charging_current else "not learned"}
   mechanical_system:
-    mass: {found.mass:.3f}  # kg, of RMF's energy, not of the scales
+    mass: {found.mass:.3f}  # kg, for RMF's formula, not the weight
     moment_of_inertia: {inertia:.4f}  # kg m^2, not learned: a disc of radius {radius:g} m
     friction_coefficient: {found.friction:.5f}  # at {found.speed:g} m/s
   ambient_system:

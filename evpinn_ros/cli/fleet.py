@@ -33,38 +33,41 @@ MOST_SHOWN = 20  # problems printed; the tables hold all
 def fleet(
     bags: Annotated[
         list[str] | None,
-        typer.Argument(help="Files, folders, patterns; a top folder is a car."),
+        typer.Argument(help="Files, folders or patterns; each folder at the top is one car."),
     ] = None,
     out: Annotated[
-        Path, typer.Option(help="Folder of the results; a later run goes on from there.")
+        Path, typer.Option(help="Folder of the results; the next run continues from them.")
     ] = Path("fleet"),
     vehicle: VehicleOption = "generic",
     manifest: Annotated[
-        Path | None, typer.Option(help="fleet.yaml or CSV: car and model of each drive.")
+        Path | None,
+        typer.Option(help="YAML or CSV with the car and model of each drive."),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes, one for each core if not given.")
+        int | None,
+        typer.Option(min=1, help="Number of processes; one for each core if not given."),
     ] = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler of a cluster.")
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(help="HTML report, report.html in OUT if not given.")
+        Path | None, typer.Option(help="HTML report; report.html in OUT if not given.")
     ] = None,
     write_vehicle_to: Annotated[
         Path | None,
         typer.Option(
             "--write-vehicle",
             metavar="OUT.yaml",
-            help="Vehicle file with what the cars taught of the next one; "
-            "for several models a folder of them.",
+            help="Vehicle file to write for the next car of this model; "
+            "for several models, a folder.",
         ),
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Learn each car over its drives, and the priors of its model.
+    """Learn each car from all its drives, and a vehicle file for the next such car.
 
-    What is done is kept: a run that was stopped goes on, and a drive that fails stops no other.
+    Finished work is kept: after a stop, the same command continues. A drive that fails does not
+    stop the others.
 
     Example: evpinn fleet drives/ --vehicle bmw_i3 --write-vehicle i3_fleet.yaml
     """

@@ -24,13 +24,13 @@ def forecast(
     plans: Annotated[
         list[Path],
         typer.Argument(
-            help="Tables of speed over time or of legs, GPX, GeoJSON, the JSON of Valhalla, OSRM, "
-            "GraphHopper or openrouteservice, recorded drives."
+            help="Plans: tables of speed over time or of legs, GPX, GeoJSON, the JSON of "
+            "Valhalla, OSRM, GraphHopper or openrouteservice, or recorded drives."
         ),
     ],
     vehicle: VehicleOption = "generic",
     state: Annotated[
-        Path | None, typer.Option(help="What replays or a run learned of the car.")
+        Path | None, typer.Option(help="File that replay or run --state wrote.")
     ] = None,
     charge: Annotated[
         float | None, typer.Option(min=0.0, max=100.0, help="State of charge at the start, %.")
@@ -41,37 +41,45 @@ def forecast(
     heating: Annotated[
         float | None,
         typer.Option(
-            min=0.0, max=20e3, help="Power of heating and air conditioning, W; 0: switched off."
+            min=0.0,
+            max=20e3,
+            help="Power of heating and air conditioning, W; 0 means switched off.",
         ),
     ] = None,
     head_wind: Annotated[
-        float | None, typer.Option(min=-60.0, max=60.0, help="Against the car, m/s over ground.")
+        float | None,
+        typer.Option(min=-60.0, max=60.0, help="Head wind, m/s; negative is a tail wind."),
     ] = None,
     payload: Annotated[
-        float | None, typer.Option(min=0.0, max=5000.0, help="People and luggage, kg.")
+        float | None,
+        typer.Option(min=0.0, max=5000.0, help="Additional people and luggage, kg."),
     ] = None,
     stood: Annotated[
         float | None,
         typer.Option(
             min=0.0,
             max=10e3,
-            help="Hours that it stands after its last drive; not given: it is cold.",
+            help="Hours since the last drive; if not given, tyres and cabin are cold.",
         ),
     ] = None,
     prewarmed: Annotated[
-        bool, typer.Option("--prewarmed", help="Cabin made warm or cool at the charger.")
+        bool,
+        typer.Option("--prewarmed", help="The cabin was heated or cooled while plugged in."),
     ] = False,
     report: Annotated[
         Path | None,
-        typer.Option(help="A page: charge along the way, where the energy goes, what changes it."),
+        typer.Option(
+            help="Write an HTML page: charge along the way, where the energy goes, and what "
+            "would change it."
+        ),
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Forecast the energy of plans, and the charge after each.
 
-    A plan may be any file that planners use; the page of inputs in the documents lists them. Each
-    plan is compared with the first one: common errors cancel, above all the mass of the car, and
-    the unknown road if both are equally long (to 1 m).
+    Each plan is compared with the first one. Errors that both share cancel in the difference: that
+    of the car's mass, and of the unknown road if both plans are equally long (to 1 m). The page on
+    inputs in the documentation (docs/reference/inputs.md) describes the files.
 
     Example: evpinn forecast route.json --vehicle tesla_model_3_lr --state car.json --charge 80
     """
@@ -93,14 +101,14 @@ def forecast(
     columns = (*COLUMNS, MORE) if len(rows) > 1 else COLUMNS
     table = PlainTable("Forecast", columns, [_texts(row)[: len(columns)] for row in rows])
     show(table, at_least=WIDE if len(rows) > 1 else 0)
-    known = "by its vehicle file alone: --state gives what was learned"
+    known = "by its vehicle file alone; --state FILE uses what earlier drives taught"
     say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
     expected = _expected(given, found[0].model.car.celsius)
     say(expected)
     if charge is not None:
         say(_battery(found[0].gauge))
     if charge is None:
-        note("evpinn: --charge PERCENT, at the start, gives the charge at the end too")
+        note("evpinn: add --charge PERCENT (at the start) to see the charge at the end")
     if report is not None:
         from evpinn_ros.replays.drive_names import short_names
         from evpinn_ros.report.forecast_page import PlannedTrip, write_forecasts
@@ -119,13 +127,13 @@ def _expected(given: Any, known_celsius: float | None) -> str:
     """Words on the conditions that the forecasts expect, given or not."""
     celsius, since = given.temperature, ""
     if celsius is None:
-        celsius, since = known_celsius, " as the car last knew"
+        celsius, since = known_celsius, " as last measured"
     air = "a mild day" if celsius is None else f"{celsius:g} degrees C{since}"
-    heating = "heating as that makes likely"
+    heating = "the heating that this makes likely"
     if given.heating is not None:
         heating = f"{given.heating:g} W of heating or cooling"
     wind = f"{given.head_wind:g} m/s of head wind" if given.head_wind else "no wind"
-    load = f"{given.payload:g} kg more than it had" if given.payload else "the load that it had"
+    load = f"{given.payload:g} kg more load" if given.payload else "the same load as before"
     start = "a cold start"
     if given.stood is not None:
         start = f"{given.stood / 3600:g} h after its last drive"
@@ -137,8 +145,9 @@ def _battery(gauge: Any) -> str:
     """Words on the energy of the full battery, which the charge after a plan rests on."""
     if not gauge.capacity.known:
         return (
-            "The charge after a plan is unknown, because the capacity of the battery is: write "
-            "battery_capacity into a vehicle file, or replay a drive that uses 10 % of the charge."
+            "The charge after a plan is unknown, because the capacity of the battery is unknown: "
+            "write battery_capacity into the vehicle file, or replay a drive that uses 10 % of "
+            "the charge."
         )
     kwh, sigma = (each / JOULES_PER_KWH for each in gauge.capacity)
     how = "as its drives showed" if gauge.learned else "by its vehicle file"

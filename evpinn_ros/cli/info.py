@@ -14,13 +14,14 @@ import typer
 
 from evpinn_ros.cli.console import moment, note, progress_bar, say, show, show_json
 from evpinn_ros.cli.options import ColumnOption, JsonTextOption
-from evpinn_ros.cli.table_columns import shorter
+from evpinn_ros.cli.table_columns import choice, shorter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.drives.contents import Contents, contents
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, Span
 from evpinn_ros.drives.formats import files_of
 from evpinn_ros.drives.unused import by_reason
+from evpinn_ros.replays.history import FIRST_STAMP_NS
 from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.signals.readings import NANOSECONDS
 
@@ -34,7 +35,7 @@ def info(
     column: ColumnOption = None,
     as_json_text: JsonTextOption = False,
 ) -> None:
-    """Show what recordings hold, and which part of them the estimator can use.
+    """Show what recordings contain, and which part of them the estimator can use.
 
     Example: evpinn info bags/urban drive.log drive.csv
     """
@@ -69,15 +70,14 @@ def _lines(found: Contents) -> Iterator[str]:
     when = f"{(end - begin) / NANOSECONDS:.1f} s{_start(found, begin)}" if end else "empty"
     yield f"{found.path}: {found.kind}, {when}"
     for column in found.columns:
-        shown = f", {column.unit}, {column.why}" if column.why else ""
-        yield f"  {column.quantity}: column {column.name!r}{shown}"
+        yield f"  {column.quantity}: column {choice(column)}"
     for why, names in by_reason(found.unused).items():
         yield f"  not used, {why}: {shorter(names)}"
     if found.frames:
-        fits = f"profile {found.profile}" if found.profile else "no profile that is known"
-        yield f"  CAN frames: {fits} fits"
+        fits = f"profile {found.profile} fits" if found.profile else "no known profile fits"
+        yield f"  CAN frames: {fits}"
     if found.vehicles:
-        yield f"  may be of: --vehicle {' or '.join(found.vehicles)}"
+        yield f"  use: --vehicle {' or '.join(found.vehicles)}"
     if found.drive is not None:
         yield from _drive_lines(found.drive, begin)
     if lost := dropped_text(found.dropped or {}):
@@ -88,9 +88,9 @@ def _lines(found: Contents) -> Iterator[str]:
 
 def _start(found: Contents, begin_ns: int) -> str:
     """Start of a recording, as far as it is known."""
-    if found.dated == "":
-        return ", undated"
-    day = ", the day by the file's name" if found.dated == "name" else ""
+    if found.dated == "" or begin_ns < FIRST_STAMP_NS:
+        return ", without a date"
+    day = ", the day taken from the file's name" if found.dated == "name" else ""
     zone = " UTC" if found.zoned else ", local time"
     return f" from {moment(begin_ns)}{zone}{day}"
 
@@ -99,7 +99,7 @@ def _drive_lines(drive: DataCoverage, begin_ns: int) -> Iterator[str]:
     for kind, flow in drive.flows.items():
         count, rate, gap = _flow(flow)
         yield f"  {kind}: {count} readings, {rate} a second, longest gap {gap}"
-    voltage = "" if math.isnan(drive.voltage) else f"; battery {drive.voltage:.0f} V in the mean"
+    voltage = "" if math.isnan(drive.voltage) else f"; mean voltage {drive.voltage:.0f} V"
     first, last = drive.charge
     charge = "" if math.isnan(first) else f"; state of charge {first:.1%} to {last:.1%}"
     yield f"  distance: {drive.distance / 1000:.2f} km{voltage}{charge}"

@@ -59,7 +59,7 @@ def evpinn(
         False, "--version", is_eager=True, callback=_print_version, help="Print the version."
     ),
 ) -> None:
-    """Learn an electric car's parameters, power and energy from its CAN bus, while it drives.
+    """Learn from a car's data where its energy goes, and what a trip will take.
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr
     """

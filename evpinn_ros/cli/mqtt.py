@@ -30,40 +30,44 @@ USER_VARIABLE, PASSWORD_VARIABLE = "EVPINN_MQTT_USER", "EVPINN_MQTT_PASSWORD"
 def mqtt(
     vehicle: Annotated[
         str | None,
-        typer.Option(help="Vehicle of all cars.", autocompletion=complete_vehicle),
+        typer.Option(help="Vehicle of all cars without a --car.", autocompletion=complete_vehicle),
     ] = None,
     car: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VEHICLE", help="Vehicle of one car."),
+        typer.Option(metavar="NAME=VEHICLE", help="Vehicle of one car; may be repeated."),
     ] = None,
     source: Annotated[
-        str, typer.Option(help="teslamate, ovms, or a mapping file of topics.")
+        str, typer.Option(help="Who publishes: teslamate, ovms, or a mapping file of topics.")
     ] = "teslamate",
     namespace: Annotated[
-        str, typer.Option(help="MQTT_NAMESPACE of TeslaMate, topic.prefix of OVMS.")
+        str, typer.Option(help="MQTT_NAMESPACE of TeslaMate, or topic.prefix of OVMS.")
     ] = "",
-    broker: Annotated[str, typer.Option(help="HOST or HOST:PORT.")] = "localhost",
+    broker: Annotated[
+        str, typer.Option(help="Address of the broker, HOST or HOST:PORT.")
+    ] = "localhost",
     user: Annotated[str | None, typer.Option(help="User name; else EVPINN_MQTT_USER.")] = None,
     password_file: Annotated[
         Path | None,
         typer.Option(help="File with the password; EVPINN_MQTT_PASSWORD if not given."),
     ] = None,
-    tls: Annotated[bool, typer.Option("--tls", help="Encrypt; port 8883 if none is given.")] = (
-        False
-    ),
-    ca: Annotated[str | None, typer.Option(help="Certificate authorities to trust.")] = None,
-    cert: Annotated[str | None, typer.Option(help="Certificate of this client.")] = None,
-    key: Annotated[str | None, typer.Option(help="Key of that certificate.")] = None,
-    base: Annotated[str, typer.Option(help="Topic below which to publish.")] = "evpinn",
+    tls: Annotated[
+        bool, typer.Option("--tls", help="Encrypt the connection; the port is then 8883.")
+    ] = (False),
+    ca: Annotated[str | None, typer.Option(help="File of trusted authorities (TLS).")] = None,
+    cert: Annotated[
+        str | None, typer.Option(help="File of the certificate of this client.")
+    ] = None,
+    key: Annotated[str | None, typer.Option(help="File of the key of that certificate.")] = None,
+    base: Annotated[str, typer.Option(help="Publish below this topic.")] = "evpinn",
     discovery: Annotated[
         str, typer.Option(help="Home Assistant's discovery prefix; '' for none.")
     ] = "homeassistant",
     state: Annotated[
-        Path | None, typer.Option(help="Folder that keeps what was learned of each car.")
+        Path | None, typer.Option(help="Keep what is learned about each car in this folder.")
     ] = None,
     params: ParamsOption = None,
 ) -> None:
-    """Learn cars from their MQTT topics, and publish what is learned, until Ctrl-C.
+    """Learn cars from MQTT topics, and publish range, energy and more, until Ctrl-C.
 
     Example: evpinn mqtt --vehicle tesla_model_3_lr --state cars
 

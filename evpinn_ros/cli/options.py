@@ -35,7 +35,7 @@ def _tables_beside_json(path: Path | None) -> Path | None:
 VehicleOption = Annotated[
     str,
     typer.Option(
-        help="Vehicle by name (evpinn vehicles lists them), or the path of its file.",
+        help="Name of the vehicle (evpinn vehicles lists them), or path of a vehicle file.",
         autocompletion=complete_vehicle,
     ),
 ]
@@ -45,21 +45,23 @@ CanProfileOption = Annotated[
 ]
 TrustProfileOption = Annotated[
     bool,
-    typer.Option("--trust-profile", help="Use the profile even if traffic contradicts it."),
+    typer.Option(
+        "--trust-profile", help="Use the CAN profile even if the traffic contradicts it."
+    ),
 ]
 KeptStateOption = Annotated[
     Path | None, typer.Option(help="Keeps what was learned between drives.")
 ]
-ParamsOption = Annotated[Path | None, typer.Option(help="Parameter file.")]
+ParamsOption = Annotated[Path | None, typer.Option(help="Parameter file (YAML).")]
 ColumnOption = Annotated[
     list[str] | None,
-    typer.Option(help="What a column holds: speed=NAME:km/h; more in evpinn convert."),
+    typer.Option(help="Correct a column: speed=NAME:km/h (see evpinn convert --help)."),
 ]
 ElevationOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FOLDER",
-        help="Folder of SRTM or GeoTIFF tiles, for heights of a log that has places.",
+        help="Folder of SRTM or GeoTIFF tiles: gives heights to a log that has positions.",
     ),
 ]
 StartOption = Annotated[float, typer.Option(min=0.0, help="Skip the first N seconds.")]
@@ -68,7 +70,7 @@ Elm327Option = Annotated[
     typer.Option(
         "--elm327",
         metavar="PORT",
-        help="Serial port, or tcp:HOST:PORT, of an ELM327 or OBDLink; no CAN adapter then.",
+        help="Use an ELM327 or OBDLink, at this serial port or tcp:HOST:PORT.",
     ),
 ]
 _JSON_HELP = f"As JSON; {STDOUT} for stdout."

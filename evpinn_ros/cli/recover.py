@@ -22,15 +22,15 @@ _time = partial(moment, timespec="milliseconds")
 
 
 def recover(
-    broken: Annotated[Path, typer.Argument(help="MCAP file, or folder of a rosbag2 bag.")],
+    broken: Annotated[Path, typer.Argument(help="Broken MCAP file, or folder of a rosbag2 bag.")],
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
     as_json_text: JsonTextOption = False,
 ) -> None:
-    """Save what a broken bag still holds, and say what was lost.
+    """Save what is left in a broken bag, and report what was lost.
 
-    Cut anywhere, without an end, bytes flipped, overwritten or missing: only the chunks that are
-    damaged are lost. The bag that is broken is not touched. Of several files, one that cannot be
-    read stops no other; the command then exits with 1.
+    A bag may be cut off, have no end, or have bytes that are changed or missing: only the damaged
+    chunks are lost. The broken bag is not changed. If one of its files cannot be read, the others
+    are saved, and the command exits with 1.
 
     Example: evpinn recover out/today/today_0.mcap out/saved
     """

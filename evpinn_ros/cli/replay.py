@@ -56,10 +56,15 @@ WIDE = 110  # characters of the table of drives
 def replay(
     inputs: Annotated[
         list[Path],
-        typer.Argument(help="Bags, CAN logs, tables of one car in order, or a folder of them."),
+        typer.Argument(
+            help="Drives of one car, in order: bags, CAN logs or tables, or a folder of them."
+        ),
     ],
     vehicle: VehicleOption = "generic",
-    mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
+    mode: Annotated[
+        Mode | None,
+        typer.Option(help="How to learn; hybrid if not given."),
+    ] = None,
     optimizer: Annotated[
         PaperOptimizer | None,
         typer.Option(help="For --mode paper."),
@@ -67,7 +72,9 @@ def replay(
     params: ParamsOption = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="New bag of inputs and outputs; for several inputs a folder."),
+        typer.Option(
+            help="Write inputs and results to this new bag; for several inputs, to a folder."
+        ),
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write a report, one HTML file.")] = None,
     metrics: MetricsOption = None,
@@ -83,7 +90,10 @@ def replay(
     ] = WARM_UP,
     state: Annotated[
         Path | None,
-        typer.Option(help="File of what was learned: read first, written at the end."),
+        typer.Option(
+            help="Keep what is learned in this file: read at the start if it exists, "
+            "written at the end."
+        ),
     ] = None,
     rate: Annotated[
         float | None,
@@ -91,22 +101,22 @@ def replay(
     ] = None,
     start: StartOption = 0.0,
     duration: Annotated[
-        float | None, typer.Option(min=0.0, help="Stop after this much of each input, s.")
+        float | None, typer.Option(min=0.0, help="Replay only N seconds of each input.")
     ] = None,
     loop: Annotated[
-        int, typer.Option(min=1, max=1000, help="Replay all inputs so many times.")
+        int, typer.Option(min=1, max=1000, help="Replay all inputs this many times.")
     ] = 1,
-    whole: Annotated[bool, typer.Option("--whole", help="Each file is a drive.")] = False,
+    whole: Annotated[bool, typer.Option("--whole", help="Each file is one drive.")] = False,
     column: ColumnOption = None,
     elevation: ElevationOption = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
 ) -> None:
-    """Replay recorded drives, and score every prediction.
+    """Replay recorded drives: learn the car, and show where the energy went.
 
-    Runs the nodes' cores without ROS: readings, samples, learning, power, energy. What one input
-    teaches is carried over to the next. A log is split into trips where the car was parked or
-    charged; in a folder, every recording that can be read is replayed.
+    Gives the same numbers as the ROS nodes, without ROS, and scores every prediction. Each drive
+    begins with what the drives before it taught. A log is split into trips where the car was
+    parked or charged. Of a folder, all readable recordings are replayed.
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
@@ -122,7 +132,7 @@ def replay(
     if car.missing:
         note(f"evpinn: {car.missing}")
     elif state is not None and not state.exists():
-        note(f"evpinn: {state} is not there yet: the car begins as its vehicle file says")
+        note(f"evpinn: {state} does not exist yet: the car starts from its vehicle file")
     open_input = partial(
         car.open,
         can_profile=can_profile,
@@ -149,7 +159,7 @@ def replay(
         rows = [(each.drive, each.metrics) for each in car.done]
         show(drives_table(rows, units.units), at_least=WIDE)
         show(parameter_table(car.done[-1].metrics))
-        say("evpinn compare puts the breakdowns of these drives side by side.")
+        say("To see these drives side by side, use evpinn compare.")
     for line in unreadable:
         note(f"evpinn: not replayed: {line}")
     if unreadable or not written or any(result.problem for result in car.done):
@@ -175,7 +185,7 @@ def _opened(
             unreadable.append(str(error))
     drives = logs if whole else joined(logs)
     if len(drives) < len(logs):
-        note(f"{len(logs)} files are {len(drives)} logs: some continue the file before")
+        note(f"{len(logs)} files make {len(drives)} logs: some continue the file before them")
     for log in drives:
         if whole or not log.rules:  # which a table has
             found.append(log)
@@ -239,6 +249,11 @@ def _show(
     for line in breakdown_lines(found["breakdown"], units):
         say(line)
     show(score_table(result.drive, found, warm_up))
+    if result.drive.duration <= warm_up:
+        say(
+            f"Nothing was scored, because the drive is not longer than the {warm_up:.0f} s of "
+            "warm-up; --warm-up changes that."
+        )
     for line in energy_lines(found):
         say(line)
     show(parameter_table(found, read_truth(source.path)))

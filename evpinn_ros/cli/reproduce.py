@@ -66,7 +66,7 @@ def reproduce(
     optimizer: Annotated[
         OptimizerName | None,
         typer.Option(
-            help="Training of the power network: adam, as published; gauss_newton with --quick.",
+            help="Optimizer of the power network: adam; with --quick gauss_newton.",
             show_default=False,
         ),
     ] = None,
@@ -74,9 +74,9 @@ def reproduce(
         int | None,
         typer.Option(min=1, help="Epochs of the power network; 10000 for adam, fewer for others."),
     ] = None,
-    regen_form: Annotated[RegenForm, typer.Option(help="Reading of eq. 21.")] = RegenForm.RECOVERY,
+    regen_form: Annotated[RegenForm, typer.Option(help="Form of eq. 21.")] = RegenForm.RECOVERY,
     seed: Annotated[int, typer.Option(min=0, help="Seed of split, networks and batches.")] = 0,
-    device: Annotated[Device, typer.Option(help="Where to train.")] = Device.CPU,
+    device: Annotated[Device, typer.Option(help="Device to train on.")] = Device.CPU,
     quick: Annotated[
         bool,
         typer.Option(
@@ -90,11 +90,11 @@ def reproduce(
     ] = None,
     can_profile: CanProfileOption = None,
 ) -> None:
-    """Run the experiment of the EV-PINN paper on a drive, and check every claim.
+    """Repeat the experiment of the EV-PINN paper on a drive, and check every claim.
 
-    Tables II to VI and figures 5, 8 and 9 (of a Model S 6, 8 and 10) beside the paper's own
-    numbers, and beside them what it leaves out: a baseline, a chronological split, its published
-    parameters on this drive, and least squares. Stopped and started again it goes on where it was.
+    Shows tables II to VI and figures 5, 8 and 9 (for a Model S 6, 8 and 10) beside the numbers of
+    the paper. Adds what the paper leaves out: a baseline, a chronological split, its published
+    parameters on this drive, and least squares. If you stop it, the same command continues.
 
     Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick
     """

@@ -52,7 +52,8 @@ def _say_what_is_kept(begun: float, vehicle: str, record: Path | None, state: Pa
         note("evpinn: saved " + ", ".join(f"{what}: {file}" for what, file in kept.items()))
     elif time.time() - begun > BRIEF_S:
         note(
-            "evpinn: nothing was saved; --record FOLDER keeps a drive, --state FILE what it taught"
+            "evpinn: nothing was saved. --record FOLDER keeps the drive, and --state FILE "
+            "what was learned"
         )
     if record in kept.values():
         of = shlex.join([str(record), "--vehicle", vehicle])
@@ -63,10 +64,11 @@ def run(
     vehicle: VehicleOption,
     can_interface: Annotated[
         str | None,
-        typer.Option(help="Driver in python-can; else socketcan."),
+        typer.Option(help="Driver of the adapter in python-can; socketcan if not given."),
     ] = None,
     can_channel: Annotated[
-        str | None, typer.Option(help="can0, /dev/ttyACM0...; else can0.")
+        str | None,
+        typer.Option(help="Channel of the adapter, such as /dev/ttyACM0; can0 if not given."),
     ] = None,
     elm327: Elm327Option = None,
     bitrate: Annotated[
@@ -82,10 +84,12 @@ def run(
         bool,
         typer.Option(
             "--poll",
-            help="Send read requests for what must be asked for; it keeps the car awake.",
+            help="Also send requests for values that must be asked for. This keeps the car awake.",
         ),
     ] = False,
-    mode: Annotated[Mode | None, typer.Option(help="How to learn.")] = None,
+    mode: Annotated[
+        Mode | None, typer.Option(help="Method of learning; hybrid if not given.")
+    ] = None,
     record: Annotated[
         Path | None, typer.Option(help="New bag of all topics and CAN frames.")
     ] = None,
@@ -94,28 +98,29 @@ def run(
     ] = None,
     split_size: Annotated[
         float | None,
-        typer.Option(min=0.1, help="Go on in another file from this size, MB."),
+        typer.Option(min=0.1, help="Begin a new file of the bag at this size in MB."),
     ] = None,
     split_time: Annotated[
-        float | None, typer.Option(min=1.0, help="Go on in another file after this time, s.")
+        float | None, typer.Option(min=1.0, help="Start a new file of the bag after this time, s.")
     ] = None,
     params: ParamsOption = None,
     state: KeptStateOption = None,
     no_view: Annotated[
-        bool, typer.Option("--no-view", help="Print logs, and no view, on a terminal.")
+        bool, typer.Option("--no-view", help="Print logs in place of the view.")
     ] = False,
     foxglove: Annotated[bool, typer.Option("--foxglove", help="Let Foxglove connect.")] = False,
     foxglove_host: Annotated[
-        str, typer.Option(help="Address for Foxglove to connect to.")
+        str, typer.Option(help="Address on which Foxglove can connect.")
     ] = LOOPBACK,
     foxglove_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the Foxglove server, 0 for any.")
+        int,
+        typer.Option(min=0, max=65535, help="Port of the Foxglove server; 0 for any free one."),
     ] = PORT,
     foxglove_origin: OriginOption = None,
 ) -> None:
     """Run CAN bridge, estimator and energy live, until Ctrl-C.
 
-    Listens only: nothing is sent to the car without --poll. On a terminal shows what is learned.
+    It only listens: without --poll nothing is sent to the car. In a terminal it shows a live view.
 
     Example: evpinn run --vehicle nissan_leaf --record out/today
 

@@ -28,46 +28,49 @@ START = datetime.fromtimestamp(EPOCH_NS / NANOSECONDS, timezone.utc).replace(tzi
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
     vehicle: VehicleOption = "tesla_model_3_lr",
-    kind: Annotated[DriveKind, typer.Option(help="Where to drive.")] = DriveKind.URBAN,
+    kind: Annotated[DriveKind, typer.Option(help="Kind of roads.")] = DriveKind.URBAN,
     duration: Annotated[float, typer.Option(help="Length of the drive, s.")] = 600.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything that is random.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 1,
     true: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUE",
-            help=f"A true parameter; may be repeated. Names: {', '.join(PARAMETER_NAMES)}. "
-            "What is not given is drawn by seed.",
+            help=f"Set a true parameter; may be repeated. Names: {', '.join(PARAMETER_NAMES)}. "
+            "The others are random.",
         ),
     ] = None,
     hills: Annotated[
         float, typer.Option(help="Root mean square slope of the road in percent, 0 is flat.")
     ] = 100 * RMS_GRADE,
     start: Annotated[
-        datetime, typer.Option(help="Start, UTC; else in 2025.", show_default=False)
+        datetime,
+        typer.Option(help="Start, UTC; else in 2025.", show_default=False),
     ] = START,
-    altitude: Annotated[bool, typer.Option("--altitude", help="Add a barometer.")] = False,
-    temperature: Annotated[bool, typer.Option("--temperature", help="Add a thermometer.")] = False,
+    altitude: Annotated[bool, typer.Option("--altitude", help="Record a barometer too.")] = False,
+    temperature: Annotated[
+        bool, typer.Option("--temperature", help="Record a thermometer too.")
+    ] = False,
     motor_torque: Annotated[
-        bool, typer.Option("--motor-torque", help="Tell the motor's torque, an estimate too.")
+        bool,
+        typer.Option("--motor-torque", help="Record the motor's torque too, as cars estimate it."),
     ] = False,
     equation: Annotated[
         RegenForm | None,
         typer.Option(
             metavar="FORM",
-            help="A car that obeys eq. 21 to the letter, on a flat road, as printed, recovery or "
-            "wheel_power have it.",
+            help="Obey this form of eq. 21 exactly; flat road.",
         ),
     ] = None,
     can_profile: CanProfileOption = None,
     can_log: Annotated[
-        Path | None, typer.Option(help="Write the CAN bus too, as a candump .log.")
+        Path | None, typer.Option(help="Write the CAN frames too, as a candump .log.")
     ] = None,
 ) -> None:
     """Simulate a drive whose true parameters are known.
 
-    The simulated car has what no estimator knows: an efficiency map, friction brakes, wind,
-    changing auxiliary loads, hills, lagging and noisy sensors. OUT becomes a bag with truth.yaml
-    in it. The same arguments give the same drive.
+    The simulated car is more complicated than the estimator assumes: it has an efficiency map,
+    friction brakes, wind, changing auxiliary loads, hills, and sensors with lag and noise. OUT
+    becomes a bag; its truth.yaml has the true values. The same arguments give the same drive.
 
     Example: evpinn simulate drive --kind mixed --seed 7 --true mass=2050
     """

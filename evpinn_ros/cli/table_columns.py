@@ -12,6 +12,17 @@ if TYPE_CHECKING:
     from evpinn_ros.drives.sources import Source
 
 
+# Units are looked up in small letters.
+PRETTY = {
+    **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
+    **dict.fromkeys(("v", "volt", "volts"), "V"),
+    **dict.fromkeys(("w", "watt", "watts"), "W"),
+    **dict.fromkeys(("c", "degc", "°c", "℃"), "°C"),
+    **dict.fromkeys(("f", "degf", "°f", "℉"), "°F"),
+    **{each.lower(): each for each in ("mV", "mA", "kW", "kWh", "100W", "250W", "50W")},
+}
+
+
 def explain_columns(source: Source) -> None:
     """Say what was guessed of a table; of one with our own names what is not used."""
     if not any(rule.why for rule in source.rules):
@@ -20,10 +31,10 @@ def explain_columns(source: Source) -> None:
         return
     note(f"{source.path}: columns were found by their names and values:")
     for rule in source.rules:
-        note(f"  {_line(rule)}")
+        note(f"  {rule.quantity}: {choice(rule)}")
     if source.ignored:
         note(f"  not used: {shorter(source.ignored)}")
-    note("  if one is wrong: --column speed='NAME:km/h', --column current='NAME:-A', ...")
+    note("  to correct one: --column speed='NAME:km/h', --column current='NAME:-A', ...")
 
 
 def explain_notes(source: Source) -> None:
@@ -48,6 +59,13 @@ def _stem(name: str) -> str:
     return name.rstrip("0123456789")
 
 
-def _line(rule: Column) -> str:
-    shown = f", {rule.unit}, {rule.why}" if rule.why else ""
-    return f"{rule.quantity}: {rule.name!r}{shown}"
+def choice(rule: Column) -> str:
+    """The column that was chosen for a quantity, with its unit and the reason."""
+    shown = f", {_unit(rule.unit)}, {rule.why}" if rule.why else ""
+    return f"{rule.name!r}{shown}"
+
+
+def _unit(text: str) -> str:
+    """A unit as people write it; the reason beside it gives the sign of `-a`."""
+    bare = text.lstrip("-")
+    return PRETTY.get(bare, bare)

@@ -56,7 +56,7 @@ def breakdown_table(found: Mapping[str, Any], units: Units = METRIC) -> PlainTab
 
 def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
     """Scores of power and energy, with the baselines that say what they are worth."""
-    title = f"Predict, then update; after {warm_up:.0f} s"
+    title = f"Power, predicted before it was learned from; the first {warm_up:.0f} s not scored"
     return PlainTable(title, SCORE_COLUMNS, score_rows(drive, found, warm_up))
 
 

@@ -41,7 +41,10 @@ def search(
     """
     found = [load_vehicle(key) for key in find_vehicles(" ".join(words))]
     if not found:
-        raise InputError(f"no vehicle's name has {' '.join(words)!r}; evpinn vehicles lists all")
+        raise InputError(
+            f"no vehicle's name has {' '.join(words)!r}; evpinn vehicles lists all. For "
+            "another car use --vehicle generic, or see docs/guides/add_your_car.md"
+        )
     lines = [_line(vehicle) for vehicle in found]
     if as_json_text:
         show_json(lines)
@@ -55,7 +58,10 @@ def search(
 def show_vehicle(
     vehicle: Annotated[
         str,
-        typer.Argument(help="Name, or words of it, or a path.", autocompletion=complete_vehicle),
+        typer.Argument(
+            help="Name of the vehicle, some words of it, or a file.",
+            autocompletion=complete_vehicle,
+        ),
     ],
 ) -> None:
     """Print a vehicle file, with the source of every number.

@@ -21,19 +21,21 @@ POLL = 0.1  # s
 
 
 def view(
-    bag: Annotated[Path, typer.Argument(help="Bag: a folder, .mcap or .db3.")],
+    bag: Annotated[Path, typer.Argument(help="Bag to play: a folder, .mcap or .db3.")],
     rate: Annotated[
-        float, typer.Option(min=0.01, max=1000.0, help="Speed, times real time.")
+        float, typer.Option(min=0.01, max=1000.0, help="Speed of the replay; 1 is real time.")
     ] = 1.0,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = LOOPBACK,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 for any.")] = PORT,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any free one.")
+    ] = PORT,
     foxglove_origin: OriginOption = None,
 ) -> None:
-    """Serve a bag to Foxglove at the pace it was recorded, from when somebody looks until Ctrl-C.
+    """Play a bag to Foxglove, from the moment a viewer connects until Ctrl-C.
 
     In Foxglove open the connection `ws://localhost:8765` and import config/views/foxglove.json.
-    Stretches without messages are cut to ten seconds. Wants the extra `foxglove`.
+    Pauses without messages are cut to ten seconds. This needs the extra `foxglove`.
 
     Example: evpinn view bags/urban --rate 4 --loop
     """

@@ -30,14 +30,14 @@ def vss(
     vehicle: VehicleOption,
     databroker: Annotated[str, typer.Option(help="HOST or HOST:PORT.")] = f"localhost:{PORT}",
     ca: Annotated[
-        Path | None, typer.Option(help="Authority of the databroker's certificate; with TLS then.")
+        Path | None, typer.Option(help="Use TLS with this certificate authority.")
     ] = None,
     token_file: Annotated[
         Path | None, typer.Option(help="File with the token (JWT) of the databroker.")
     ] = None,
     state: KeptStateOption = None,
 ) -> None:
-    """Learn a car from a KUKSA databroker, and answer it.
+    """Learn a car from the signals of a KUKSA databroker, and write results to it.
 
     Example: evpinn vss --vehicle tesla_model_3_lr --databroker localhost:55555
     """

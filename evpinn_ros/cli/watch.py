@@ -12,10 +12,10 @@ from evpinn_ros.topics import NAMESPACE
 def watch(
     namespace: Annotated[str, typer.Option(help="Namespace of the topics.")] = NAMESPACE,
     plain: Annotated[
-        bool, typer.Option("--plain", help="Print lines, as without a terminal.")
+        bool, typer.Option("--plain", help="Print one line a second in place of the view.")
     ] = False,
     for_scripts: Annotated[
-        bool, typer.Option("--json", help="Print a JSON object a second, each in a line.")
+        bool, typer.Option("--json", help="Print one JSON object a second, each on one line.")
     ] = False,
 ) -> None:
     """Show what a running system knows: parameters, power, energy, what is missing.

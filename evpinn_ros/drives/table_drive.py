@@ -152,11 +152,11 @@ class TableDrive(Source):
             names = " and ".join(sorted(self._held))
             notes.append(f"{names}: cells that repeat the last value are not used")
         if self._no_speed:
-            notes.append("speed is 0 throughout while the odometer goes on, so it is not used")
+            notes.append("speed is always 0 while the odometer counts up, so it is not used")
         if self._at_nominal_voltage:
             notes.append(
-                f"{self._at_nominal_voltage} battery readings hold power alone; their voltage is "
-                f"the nominal {self._nominal_voltage:g} V"
+                f"{self._at_nominal_voltage} battery readings have power only; their voltage is "
+                f"assumed to be the nominal {self._nominal_voltage:g} V"
             )
         return (*notes, self.first_bad) if self.first_bad else tuple(notes)
 
@@ -337,7 +337,7 @@ class TableDrive(Source):
         if not time.is_ours:
             given = any(each.quantity == "time" and each.why == "as given" for each in found)
             meant = QUANTITIES["time"].units.get(clock.unit, Unit(1.0))
-            why = "as given" if given else clock.why or "by its cells"
+            why = "as given" if given else clock.why or "by its values"
             time = time.measured_in(clock.unit or clock.kind, meant, why)
         used = {column.quantity: column for column in found if column.quantity != "time"}
         times = _seconds(clock.running().add(stamps))

@@ -194,7 +194,7 @@ def clock_of_numbers(
     since_1970 = next((name for least, name in _SINCE_1970 if size >= least), None)
     if since_1970 is not None and (unit is None or size * _NS[unit] / 1e9 >= RELATIVE_BELOW_S):
         name = unit or since_1970
-        why = "since 1970, by its size"
+        why = "since 1970, by its values"
         return Clock((column,), "number", unit=name, zoned=True, why=why, style=style)
     name = unit or _unit_of_steps(steps)
     why = "by its name" if unit else "by the step between rows"

@@ -82,7 +82,11 @@ def _by_app(column: Column, header: frozenset[str]) -> Column:
         if mark in header and column.name in units and not column.unit:
             text = units[column.name]
             unit = known_unit(column.quantity, text)
-            return column.measured_in(text, unit, f"as beside {mark!r}") if unit else column
+            return (
+                column.measured_in(text, unit, f"as in logs with a column {mark!r}")
+                if unit
+                else column
+            )
     return column
 
 
@@ -156,7 +160,7 @@ def _speed_unit(
             return column.in_unit(text, "by the odometer")
     if odometer is not None and odometer.why == "by its name":
         text = "mph" if odometer.unit.startswith("mi") else "km/h"
-        return column.in_unit(text, "as the unit of the odometer")
+        return column.in_unit(text, "as the odometer")
     power = _power_of(found, cells)
     mass = abs(pull(signal, power)) if power is not None else np.nan
     if mass > 0:
@@ -169,11 +173,11 @@ def _speed_unit(
     changes = np.sort(np.abs(accelerations(signal)[1]))
     strongest = changes[int(0.99 * changes.size)] if changes.size else 0.0
     if fastest > FASTEST or strongest > STRONGEST:
-        why = "by its size" if fastest > FASTEST else "by how fast it changes"
+        why = "by its values" if fastest > FASTEST else "by how fast it changes"
         return column.in_unit("km/h", why)
     if fastest > 1 and value.size > LEAST_EVENTS and not (value % 1).any():
         return column.in_unit("km/h", "by its whole numbers")
-    return column.in_unit("m/s", f"by its size, up to {fastest:.3g}")
+    return column.in_unit("m/s", f"by its values, up to {fastest:.3g}")
 
 
 def stands_still(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> bool:
@@ -262,19 +266,19 @@ def _power_unit(column: Column, _: Mapping[str, Column], cells: Mapping[str, Sig
     known = np.abs(cells["power"].known)
     largest = float(np.quantile(known, 0.99)) if known.size else 0.0
     text = "kw" if 0 < largest < WEAKEST else "w"
-    return column.in_unit(text, f"by its size, up to {largest:.3g}")
+    return column.in_unit(text, f"by its values, up to {largest:.3g}")
 
 
 def _charge_unit(column: Column, _: Mapping[str, Column], cells: Mapping[str, Signal]) -> Column:
     known = cells["charge"].known
     highest = float(known.max(initial=0.0))
     if 0 < highest <= 1.0:
-        return column.in_unit("fraction", "by its size")
+        return column.in_unit("fraction", "by its values")
     if np.median(known) > 100.0 if known.size else False:
         # LeafSpy counts 1/10000 of a percent.
         factor = 10.0 ** -np.ceil(np.log10(highest / 101.0))
-        return column.measured_in(f"{factor:g} %", Unit(float(factor)), "by its size")
-    return column.in_unit("%", "by its size")
+        return column.measured_in(f"{factor:g} %", Unit(float(factor)), "by its values")
+    return column.in_unit("%", "by its values")
 
 
 def _temperature_unit(
@@ -283,8 +287,8 @@ def _temperature_unit(
     known = cells["ambient"].known
     middle = float(np.median(known)) if known.size else 0.0
     if middle > HOTTEST:
-        return column.in_unit("f", f"{middle:.3g} in the median is no weather in C")
-    return column.in_unit("c", f"{middle:.3g} in the median, assumed")
+        return column.in_unit("f", f"its median of {middle:.3g} is too hot for °C")
+    return column.in_unit("c", f"assumed, as its median is {middle:.3g}")
 
 
 _BY_VALUES = {

@@ -8,11 +8,11 @@ from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.quantities import score, speaks_of
 
 EMPTY = "empty"
-NO_USE = "nothing that is learned from"
+NO_USE = "not needed"
 OF_PARTS = {
-    "voltage": "not of the battery as a whole",
-    "current": "not of the battery as a whole",
-    "power": "not of the battery as a whole",
+    "voltage": "not of the whole traction battery",
+    "current": "not of the whole traction battery",
+    "power": "not of the whole traction battery",
     "speed": "not the speed of the car",
 }
 

@@ -25,8 +25,11 @@ MEANINGS: Mapping[str, str] = {
     "measured": "measured",
     REGAINED: "brought back by braking",
 }
-PAPER = "mode paper: eq. 21 alone does not tell losses and loads apart"
-NOTHING = "the battery was measured over no interval that could be learned from"
+PAPER = "unknown, because mode paper cannot separate losses from electrical loads"
+NOTHING = (
+    "unknown, because nothing could be learned from this drive: it takes some seconds of driving "
+    "with both speed and battery"
+)
 
 
 def breakdown_metrics(found: Breakdown | None, mode: str) -> dict[str, Any]:

@@ -30,6 +30,7 @@ TOOK = {
     MEANINGS["slope"]: "climbing took",
     MEANINGS["brakes"]: "braking lost",
 }
+SHORTEST_MINUTES = 90.0  # s; what is shorter is given in seconds
 WORTH_SAYING = 0.1  # of a drive: from here on heating comes first, for it can be turned down
 # From here on what took energy is given as shares of all that did: a drive that went down takes
 # little in sum, and each part of it is a multiple of that.
@@ -104,9 +105,14 @@ def breakdown_notes(found: Mapping[str, Any], units: Units = METRIC) -> list[str
             "No heights in this log: a climb would appear as air and tyres, so the intervals of "
             "these are wide."
         )
-    minutes, far = found["duration_s"] / 60, found["distance_m"] / units.metres
-    driven = f"{far:.1f} {units.distance} and {minutes:.0f} min"
+    far = found["distance_m"] / units.metres
+    driven = f"{far:.1f} {units.distance} and {duration_text(found['duration_s'])}"
     return [*lines, f"Based on {driven} with usable battery data."]
+
+
+def duration_text(seconds: float) -> str:
+    """A time in minutes, or in seconds where it is shorter than one and a half."""
+    return f"{seconds / 60:.0f} min" if seconds >= SHORTEST_MINUTES else f"{seconds:.0f} s"
 
 
 def known_parts(found: Mapping[str, Any]) -> list[KnownPart]:

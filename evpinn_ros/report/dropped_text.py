@@ -7,22 +7,22 @@ from collections.abc import Mapping
 # What was not lost: a state of charge that came without voltage and current is used as such.
 NO_LOSS = ("battery_unmeasured",)
 WORDS = {
-    "acceleration_impossible": "speeds that no tyre could follow",
-    "battery_doubled": "battery readings with the stamp of another",
+    "acceleration_impossible": "speeds that change faster than tyres allow",
+    "battery_doubled": "battery readings with the same time as another",
     "battery_late": "battery readings that came too late",
     "no_time": "rows without a time",
-    "second_publisher": "readings of a second source of the same signal",
+    "second_publisher": "readings from a second source of the same signal",
     "soc_pct_out_of_range": "states of charge outside of 0 to 100 %",
-    "speed_doubled": "speeds with the stamp of another",
+    "speed_doubled": "speeds with the same time as another",
     "speed_late": "speeds that came too late",
-    "speed_out_of_range": "speeds that no car drives",
-    "speed_stands_still": "speeds of 0 while the odometer goes on",
-    "stamp_leaps": "readings whose time leaps",
+    "speed_out_of_range": "impossible speeds",
+    "speed_stands_still": "speeds of 0 while the odometer counts up",
+    "stamp_leaps": "readings whose time jumps",
     "t_s_not_a_number": "rows whose time cannot be read",
-    "time_not_increasing": "readings no later than the one before",
-    "time_out_of_range": "rows of an impossible date",
+    "time_not_increasing": "readings that are not later than the one before",
+    "time_out_of_range": "rows with an impossible date",
     "voltage_not_positive": "battery readings without a voltage",
-    "wrong_number_of_cells": "torn rows",
+    "wrong_number_of_cells": "incomplete rows",
 }
 
 

@@ -17,6 +17,7 @@ from evpinn_ros.report.breakdown_text import (
     LEFT_OUT,
     SHORT,
     TOGETHER,
+    duration_text,
     known_parts,
 )
 from evpinn_ros.report.tables import signed_percent, watts
@@ -39,15 +40,18 @@ def drives_columns(units: Units = METRIC) -> tuple[str, ...]:
 
 def owner_line(drive: Drive, found: Mapping[str, Any], units: Units = METRIC) -> str:
     """Length, time and energy of a drive, measured or, where it was not, predicted."""
-    far, minutes, kwh, consumption = _figures(drive, found, units)
+    far, _, kwh, consumption = _figures(drive, found, units)
     how = "predicted" if found["energy"]["measured_j"] is None else "from the battery"
+    if kwh.startswith("-") and how != "predicted":  # more came back downhill than was drawn
+        kwh, how = kwh[1:], "back into the battery"
     per_distance = f", {consumption} {units.economy}" if consumption != "-" else ""
     known, whole = measured_steps(drive).distance.sum(), travelled(drive).distance.sum()
     if per_distance and 0.0 < known < NEARLY_WHOLE * whole:
         per_distance += f" over the {known / units.metres:.1f} {units.distance} measured"
     taken = charged(drive)
     plugged = f" Charged while it stood: {taken / JOULES_PER_KWH:.2f} kWh, not included above."
-    line = f"{far} {units.distance} in {minutes} min: {kwh} kWh {how}{per_distance}."
+    time = duration_text(drive.duration)
+    line = f"{far} {units.distance} in {time}: {kwh} kWh {how}{per_distance}."
     return line + (plugged if taken >= LEAST_CHARGED else "")
 
 

@@ -5,6 +5,7 @@ import json
 import os
 from pathlib import Path
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -62,6 +63,15 @@ def test_a_log_for_people(evpinn, folder):
     assert "1800 frames of 2 ids in 12.0 s" in done.stdout
     assert " 132 " in done.stdout and "battery" in done.stdout
     assert "contradicted" in done.stdout
+
+
+def test_a_log_that_counts_from_its_start_has_no_date(evpinn, folder, tmp_path):
+    log = (folder / "tesla_model_3.log").read_text()
+    stamps = iter(range(48_659_000, 10**9))
+    counted = re.sub(r"^\(\d+\.\d+\)", lambda _: f"({next(stamps) / 1000:.6f})", log, flags=re.M)
+    (tmp_path / "counted.log").write_text(counted)
+    done = evpinn("info", "counted.log", cwd=tmp_path)
+    assert ", without a date" in done.stdout and "1970" not in done.stdout
 
 
 def test_a_log_for_scripts(evpinn, folder):

@@ -80,7 +80,7 @@ def test_replay_metrics_keep_the_contract(evpinn, folder):
     )
     assert done.returncode == 0, done.stderr
     # No progress bar in a pipe; a slip of the pen in its name is answered with the right one.
-    anew = "evpinn: state.json is not there yet: the car begins as its vehicle file says\n"
+    anew = "evpinn: state.json does not exist yet: the car starts from its vehicle file\n"
     assert done.stderr == anew
     assert "true value" in done.stdout and "baseline" in done.stdout
     found = json.loads((folder / "found.json").read_text())

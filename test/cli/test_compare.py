@@ -24,9 +24,9 @@ def compared(evpinn, drives):
 
 def test_two_drives_side_by_side(compared, drives):
     assert compared.returncode == 0, compared.stderr
-    assert "cold less mild" in compared.stdout
+    assert "cold minus mild" in compared.stdout
     assert "Statistically significant: other standing load +" in compared.stdout
-    assert "cold less mild" in (drives / "deep" / "c.html").read_text()
+    assert "cold minus mild" in (drives / "deep" / "c.html").read_text()
 
 
 def test_the_same_for_scripts(compared, drives):
@@ -65,6 +65,6 @@ def test_several_drives_of_a_replay_are_one_table(evpinn, drives):
 
 def test_of_one_drive_the_owner_is_answered_before_the_scores(evpinn, drives):
     done = evpinn("replay", "mild", *CAR, "--warm-up", 30, cwd=drives)
-    words = ("kWh from the battery", "Where the energy went", "Predict, then update")
+    words = ("kWh from the battery", "Where the energy went", "Power, predicted before")
     places = [done.stdout.index(each) for each in words]
     assert places == sorted(places)

@@ -243,4 +243,4 @@ def test_a_full_disk_is_one_line(on_a_full_disk, short, tmp_path):
     assert no_room.returncode == 1
     *said, line = no_room.stderr.strip().splitlines()
     assert line == "evpinn: /dev/full: No space left on device"
-    assert all(re.search("hold power alone|s left$", each) for each in said)
+    assert all(re.search("have power only|s left$", each) for each in said)

@@ -140,7 +140,7 @@ def test_teslamate_has_power_alone_in_kilowatts(tmp_path):
     assert (units["speed"], units["power"], units["ambient"]) == ("km/h", "kw", "c")
     powers = [r.power for r in source.readings() if isinstance(r, BatteryReading)]
     assert max(powers) == pytest.approx(25_000, rel=0.1)
-    assert "300 battery readings hold power alone" in source.notes[0]
+    assert "300 battery readings have power only" in source.notes[0]
 
 
 def typed():

@@ -13,8 +13,8 @@ def test_columns_that_are_not_used_are_told_apart_by_the_reason(tmp_path):
     assert by_reason(drive.ignored) == {
         "speed is read from 'Vehicle speed (km/h)'": ["GPS Speed (km/h)"],
         "empty": ["Heater Power [W]"],
-        "not of the battery as a whole": ["Motor Pwr(w)"],
-        "nothing that is learned from": ["gear"],
+        "not of the whole traction battery": ["Motor Pwr(w)"],
+        "not needed": ["gear"],
     }
 
 

@@ -16,6 +16,7 @@ from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.driven import charged, measured_steps
 from evpinn_ros.replays.over_distance import distance_until
 from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
+from evpinn_ros.report.breakdown_text import duration_text
 from evpinn_ros.report.owner_text import drives_columns, drives_rows, owner_line
 from evpinn_ros.signals.readings import SpeedReading
 from test.replays.test_replay import Recorded
@@ -45,6 +46,13 @@ def test_the_line_holds_what_was_measured(town):
     assert miles.startswith(f"{km / 1.609344:.1f} mi in 2 min: {kwh:.2f} kWh from the battery, ")
     per_kwh = float(miles.split(", ")[1].removesuffix(" mi/kWh."))
     assert per_kwh == pytest.approx(km / 1.609344 / kwh, rel=0.03)
+
+
+def test_a_way_down_gives_energy_back_and_a_short_drive_is_told_in_seconds(town):
+    down = replace(town.drive, measured=town.drive.measured * (1.0, -1.0))
+    kwh = measured_steps(town.drive).energy.sum() / 3.6e6
+    assert f" in 2 min: {kwh:.2f} kWh back into the battery, -" in owner_line(down, town.metrics)
+    assert (duration_text(19.4), duration_text(120.0)) == ("19 s", "2 min")
 
 
 def test_where_the_battery_was_silent_the_line_says_of_how_much_it_is(town):

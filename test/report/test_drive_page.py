@@ -27,12 +27,12 @@ HEADINGS = [
     "Where the energy went",
     "The drive",
     "How sure is this",
-    "Predict, then update; after 30 s",
+    "Power, predicted before it was learned from; the first 30 s not scored",
     "Parameters at the end",
     "What was learned",
     "What could be known",
-    "Where the data lay, and where predictions were off",
-    "Forecast against outcome",
+    "Speeds and accelerations of the data, and errors of prediction",
+    "Forecasts beside the measured energy",
     "Events",
 ]
 HOSTILE = "</script><img src=x onerror=alert(1)>'\"&\u2028\udcff"
