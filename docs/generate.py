@@ -44,41 +44,45 @@ WORDS = {  # what an option takes
 }
 
 SHELL = """\
-What `--help` of each says. `evpinn --install-completion` makes Tab complete commands, options,
-vehicles, CAN profiles and modes. Progress is shown on a terminal alone; `NO_COLOR=1` takes the
-colours. Results are on stdout, all else on stderr; exit codes: 0 done, 1 failed, 2 wrong usage,
-130 Ctrl-C. Ctrl-C leaves what there is so far: metrics, state and a whole bag of `replay`, the
-bag of `convert`, the rows of a benchmark, the trainings of `reproduce`, which goes on there;
-`recover` leaves nothing, `simulate` a whole drive or nothing, also on a full disk.
-For scripts:
+This page has what `--help` shows for each command. `evpinn --install-completion` lets Tab complete
+commands, options, vehicles, CAN profiles and modes. Results are written to stdout, everything
+else to stderr. Progress bars appear only on a terminal; `NO_COLOR=1` turns colours off. Exit
+codes: 0 done, 1 failed, 2 wrong usage, 130 Ctrl-C.
+
+Ctrl-C keeps what is finished: metrics, state and a whole bag of `replay`, the bag of `convert`,
+the rows of a benchmark, the trainings of `reproduce` (the same command continues there).
+`recover` then leaves nothing, and `simulate` leaves a whole drive or nothing; so it is on a full
+disk too. For scripts:
 
 | | |
 |---|---|
-| `--json` of `info`, `recover`, `can inspect`, `vehicles search`, `watch` | JSON in place \
+| `--json` of `info`, `recover`, `can inspect`, `vehicles search`, `watch` | JSON instead \
 of tables, on stdout |
 | `--json FILE` of every `bench`, of `demo`, `fleet`, `replay` (also `--metrics`) | JSON beside \
-the tables; `-`: on stdout, tables on stderr |
+the tables; with `-` JSON on stdout, and tables on stderr |
 | `reproduce` | `results.json` in its folder |
 | `simulate` | `truth.yaml` in the bag |
 """
 READING = """\
-`evpinn replay ... --metrics FILE` writes these scores as JSON: an object for one input that is
-one drive, else a list. A part in <> stands for any name. What cannot be known is `null`: nothing
-measured, or too short. Every score of power and energy is predict-then-update; `power` is of
-`power/smoothed` and `power_now` of `power/predicted`, both after `--warm-up`. `withheld` is
-there with `--withhold-battery-after` alone, and then `power`, `power_now` and `energy` outside
-of it are of the part before. How to read them: [read the uncertainty](../guides/uncertainty.md).
+`evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one drive, a list
+for several. A part in <> stands for any name. Values that cannot be known are `null`, because
+nothing was measured or the drive is too short. All scores of power and energy are
+predict-then-update: each sample is predicted before it is learned from. `power` scores
+`power/smoothed`, and `power_now` scores `power/predicted`, both after `--warm-up`. `withheld`
+exists only with `--withhold-battery-after`; then the other `power`, `power_now` and `energy` are
+for the part before. [Read the uncertainty](../guides/uncertainty.md) explains what they are worth.
 """
 
 
 CERTIFIED = """\
 ## Certified cars
 
-From the US EPA test car list 2022 (`config/certified/epa_2022.csv`): test mass, and the C_rr and
-C_d A that come nearest to the certified road load. Around it 6 % of mass (people and luggage),
-15 % of C_rr (tyres, roads) and 6 % of C_d A, more where a model has several road loads; eta
-0.90 +- 0.06, mu 0.80 +- 0.12 and 400 +- 400 W of every one. `--vehicle` takes the key, or words
-of the name that no other car has: `--vehicle "ioniq 5 rwd"`.
+The US EPA test car list 2022 (`config/certified/epa_2022.csv`) gives the test mass and the
+certified road load; C_rr and C_d A are those that come nearest to this road load. Their 1-sigma
+is 6 % of the mass (people and luggage), 15 % of C_rr (tyres, roads) and 6 % of C_d A, and more if
+a model has several road loads. Every car has eta 0.90 +- 0.06, mu 0.80 +- 0.12 and a standing
+load of 400 +- 400 W. Give `--vehicle` the key, or words of the name that no other car has:
+`--vehicle "ioniq 5 rwd"`.
 
 | key | mass kg | C_rr | C_d A m^2 | CAN profile |
 |---|---|---|---|---|"""
@@ -91,16 +95,17 @@ def topics_page() -> str:
         "# Topics",
         "",
         "Names are relative; launch files and `evpinn run` put them under `/ev`. Units are SI,",
-        "time is `header.stamp`, the moment the car measured. Power and energy are positive when",
-        "drawn from the battery; `battery/state` keeps ROS's sign, negative while discharging.",
-        "A *named vector* is a `sensor_msgs/JointState` whose `name` names the quantities,",
-        "`position` holds their values, `velocity` their rates and `effort` their 1-sigma: ROS 2",
-        "has no standard stamped scalar, and PlotJuggler and Foxglove plot this one by name.",
+        "and the time is `header.stamp`, the moment of the measurement in the car. Power and",
+        "energy are positive when drawn from the battery; only the current of `battery/state` has",
+        "ROS's sign, negative while discharging. ROS 2 has no standard message for a number with",
+        "a time stamp. So a *named vector* is used: a `sensor_msgs/JointState` whose `name` lists",
+        "the quantities, `position` their values, `velocity` their rates and `effort` their",
+        "1-sigma. PlotJuggler and Foxglove plot it by name.",
         "",
-        "Inputs are subscribed best effort, outputs published reliable with depth 100, *latched*",
-        "ones transient local with depth 1. Every endpoint takes QoS overrides from parameters:",
-        "`qos_overrides./ev/energy/state.publisher.depth`, `.history`, `.reliability`,",
-        "`.durability`; another policy is refused.",
+        "Inputs are subscribed best effort. Outputs are published reliable with depth 100, and",
+        "*latched* ones transient local with depth 1. Every endpoint accepts QoS overrides as",
+        "parameters, for example `qos_overrides./ev/energy/state.publisher.depth`, and likewise",
+        "`.history`, `.reliability` and `.durability`; other policies are refused.",
         "",
         "| topic | type | from | unit | content |",
         "|---|---|---|---|---|",
@@ -119,8 +124,8 @@ def _topic_row(topic: Topic) -> str:
 def parameters_page() -> str:
     """Every parameter of every node."""
     lines = [MADE, "# Parameters", ""]
-    lines += ["A commented file with every default: `config/evpinn.param.yaml`. Check yours with"]
-    lines += ["`evpinn check-params FILE`.", ""]
+    lines += ["`config/evpinn.param.yaml` is a commented file with every default. Check your own"]
+    lines += ["file with `evpinn check-params FILE`.", ""]
     for node, table in TABLES.items():
         lines += [f"## {node}", "", "| name | default | range | at run time | meaning |"]
         lines += ["|---|---|---|---|---|", *(_parameter_row(p) for p in table), ""]
@@ -148,16 +153,23 @@ def _range(parameter: Parameter) -> str:
 def vehicles_page() -> str:
     """Every vehicle file: priors and their sources; every CAN profile."""
     lines = [MADE, "# Vehicles", ""]
-    lines += ["Priors of each car before driving. Copy the nearest file from"]
-    lines += ["`config/vehicles/`, change what you know, check it with `evpinn check-params`, and"]
-    lines += ["give its path to `--vehicle`. [Certified cars](#certified-cars) need no file:"]
-    lines += ["`evpinn vehicles` lists all, `evpinn vehicles show NAME` prints one as a file.", ""]
+    lines += [
+        "What is known about each car before it drives (its *priors*). For another car, copy"
+    ]
+    lines += [
+        "the most similar file from `config/vehicles/`, change what you know better, check it"
+    ]
+    lines += ["with `evpinn check-params`, and give its path to `--vehicle`."]
+    lines += [
+        "[Certified cars](#certified-cars) need no file: `evpinn vehicles` lists them all, and"
+    ]
+    lines += ["`evpinn vehicles show NAME` prints one as a file.", ""]
     for name in vehicle_names():
         lines += _vehicle_section(load_vehicle(name))
     lines += [CERTIFIED, *map(_certified_row, certified_cars()), ""]
     lines += ["## CAN profiles", ""]
     lines += [
-        "How the quantities come: *broadcast*, or *asked* for with read requests, which needs"
+        "A car *broadcasts* a quantity, or must be *asked* for it by read requests. Asking needs"
     ]
     lines += ["`poll` ([why, and what it costs](../explanation/can.md#asking-the-car)).", ""]
     lines += ["| profile | cars | broadcast | asked | verified by |", "|---|---|---|---|---|"]
@@ -211,12 +223,12 @@ def states_page() -> str:
         MADE,
         "# States",
         "",
-        "What is learned of a car, of a drive and of the last minutes: one Gaussian, in which",
-        "physics and network stand side by side",
-        "([how it learns](../explanation/architecture.md#learning)). Each state multiplies a term",
-        "of the one equation (`evpinn_ros/estimation/terms.py`). A state of level *car* is saved",
-        f"and drifts a little; one of *drive* keeps {DRIVE_KEPT:.0%} of itself",
-        "for the next; one of *fast* forgets itself within minutes.",
+        "Everything that is learned about a car, a drive and the last minutes. The states of the",
+        "physics and the weights of the network have one joint Gaussian distribution",
+        "([how it learns](../explanation/architecture.md#learning)). Each state multiplies one",
+        "term of the equation (`evpinn_ros/estimation/terms.py`). Levels: *car* states",
+        "are saved and drift a little from drive to drive; *drive* states keep",
+        f"{DRIVE_KEPT:.0%} of their value for the next drive; *fast* states decay within minutes.",
         "",
         "| state | unit | level | prior | 1-sigma | source |",
         "|---|---|---|---|---|---|",

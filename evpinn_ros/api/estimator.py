@@ -167,7 +167,7 @@ class Estimator:
 
     @property
     def breakdown(self) -> pd.DataFrame:
-        """Where the energy of this drive went, one row for each part, as in `Result`."""
+        """Parts into which the energy of this drive went, one row each, as in `Result`."""
         found = breakdown_metrics(self._chain.estimator.breakdown(), self._mode.value)
         return breakdown_frame(found)
 

@@ -120,7 +120,7 @@ class Result:
 
     @cached_property
     def breakdown(self) -> pd.DataFrame:
-        """Where the energy went, one row a part: kwh, sigma_kwh, kwh_per_100km, share."""
+        """Parts into which the energy went, a row each: kwh, sigma_kwh, kwh_per_100km, share."""
         return breakdown_frame(self.metrics["breakdown"])
 
     @cached_property
