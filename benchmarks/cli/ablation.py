@@ -20,7 +20,7 @@ from evpinn_ros.common.plain_table import PlainTable
 
 
 def ablation(
-    data: Annotated[str, typer.Argument(help="Folder of cars, as of `evpinn bench unseen`.")],
+    data: Annotated[str, typer.Argument(help="Folder of data, as in `evpinn bench unseen`.")],
     cars: Annotated[
         str, typer.Option(help=f"By comma; else {', '.join(CARS)}, those that are there.")
     ] = "",

@@ -28,9 +28,9 @@ def attacks(
 ) -> None:
     """Read damaged files of every format, and a state that two processes write.
 
-    No file may take more than 300 MB, more than 10 s of the processor (or 3 s per MB), or end in a
-    traceback; no read of the state may see half of it, and no save may be lost. A promise that
-    does not hold ends the command with 1. The long form is --files 3000 --reads 10000.
+    No file may take more than 300 MB, more than 10 s of processor time (or 3 s per MB), or end in
+    a traceback. No read of the state may see half of it, and no save may be lost. If one of these
+    fails, the command exits with 1. The long form is --files 3000 --reads 10000.
 
     Example: evpinn bench attacks --files 20 --only csv --reads 200
     """

@@ -59,8 +59,9 @@ def breakdown(
 ) -> None:
     """Compare each part of the breakdown with what it truly took, on simulated cars.
 
-    Cars are drawn from the priors; town, motorway and both in turn. --heights DATA takes recorded
-    drives instead: truth is the breakdown with heights, compared is the one without them.
+    The cars are drawn from the priors; they drive in town, on a motorway and on both in turn. With
+    --heights DATA, recorded drives are used instead: the breakdown without their heights is
+    compared with the one with heights.
 
     Example: evpinn bench breakdown --drives 30
     """

@@ -26,8 +26,8 @@ def can(
     """Load the CAN bridge with a full bus, and time the decoder.
 
     The bus is UDP multicast on this machine: 4000 frames a second from one process, the bridge's
-    executable in another, a subscriber in a third. It is read once more without decoding and
-    publishing, and what that takes is python-can's own share.
+    executable in another, a subscriber in a third. The bus is then read again without
+    decoding and publishing, to see how much time python-can itself takes.
 
     Example: evpinn bench can --minutes 10 --json out/can.json
     """

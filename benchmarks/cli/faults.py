@@ -31,9 +31,9 @@ def faults(
 ) -> None:
     """Break what can break, one after the other, while the nodes run.
 
-    Each fault is injected into nodes that run as processes of their own, over DDS. The table tells
-    what was lost, how long it took until all was as before, and how the diagnostics named it. One
-    that fails ends the command with 1. All of it takes half an hour.
+    Each fault is injected into nodes that run as separate processes, over DDS. The table shows
+    what was lost, how long the recovery took, and how the diagnostics reported the fault. If one
+    fails, the command exits with 1. All faults together take half an hour.
 
     Example: evpinn bench faults --only speed_nan --only unplug --kills 10
     """

@@ -33,9 +33,9 @@ def mqtt(
 ) -> None:
     """Measure delay, processor and memory of `evpinn mqtt`.
 
-    A drive is published as TeslaMate does it, second by second; 150 ms of the delay are the wait
-    for what belongs to the same moment. Then the same drive goes through all but the broker again
-    and again. The long form is --hours 24.
+    A drive is published second by second, as TeslaMate does it. 150 ms of the delay are a wait for
+    messages of the same moment. Then the same drive is processed repeatedly without a broker. The
+    long form is --hours 24.
 
     Example: evpinn bench mqtt --seconds 60 --hours 1
     """

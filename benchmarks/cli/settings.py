@@ -31,7 +31,7 @@ from evpinn_ros.common.plain_table import PlainTable
 
 
 def settings(
-    data: Annotated[str, typer.Argument(help="Folder of cars, as of `evpinn bench unseen`.")],
+    data: Annotated[str, typer.Argument(help="Folder of data, as in `evpinn bench unseen`.")],
     cars: Annotated[
         str,
         typer.Option(help=f"By comma; else {', '.join(CARS)}, those that are there."),
@@ -41,8 +41,8 @@ def settings(
 ) -> None:
     """Score each car with constants that the other cars chose.
 
-    They are chosen by likelihood. Beside it: the core as it is, and constants chosen on the very
-    car that is scored.
+    The constants are chosen by likelihood. For comparison, the core with its own constants is
+    scored too, and with constants chosen on the scored car.
 
     Example: evpinn bench settings $DATA --cars model3,e208,leaf2013
     """

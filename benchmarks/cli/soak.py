@@ -33,9 +33,9 @@ def soak(
     ] = 120.0,
     json_file: JsonOption = None,
 ) -> None:
-    """Drive for a day in one run: is memory flat, and a reading as fast as at first?
+    """Drive for a day in one run, and watch memory and speed.
 
-    Then the three nodes run in one process, in real time, and are watched.
+    Then the three nodes run in one process, in real time, and are watched too.
 
     Example: evpinn bench soak --hours 24 --json out/soak.json
     """

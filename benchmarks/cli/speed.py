@@ -25,9 +25,9 @@ def speed(
 ) -> None:
     """Time forecasts: many profiles at once, and plans asked of the node `energy`.
 
-    Of the library it is the processor's time, in numpy and torch; of the node the delay from a
-    plan to its answer, of one plan at a time and of twelve together with all their differences.
-    How good forecasts are: `evpinn bench plans`.
+    For the library it measures processor time, in numpy and torch. For the node it measures the
+    delay from a plan to its answer, for single plans and for twelve together with all their
+    differences. How accurate forecasts are is measured by `evpinn bench plans`.
 
     Example: evpinn bench speed --plans 300
     """

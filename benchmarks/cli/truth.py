@@ -47,7 +47,7 @@ def truth(
     ] = 24,
     kind: Annotated[DriveKind, typer.Option(help="Where to drive.")] = DriveKind.URBAN,
     from_priors: Annotated[
-        bool, typer.Option("--from-priors", help="Draw from the priors: are intervals true?")
+        bool, typer.Option("--from-priors", help="Draw cars from the priors, to test intervals.")
     ] = False,
     rms_grade: GradeOption = RMS_GRADE,
     altitude: AltitudeOption = False,
@@ -59,7 +59,7 @@ def truth(
     ] = 0,
     json_file: JsonOption = None,
 ) -> None:
-    """Hold published parameters against the truth of simulated cars.
+    """Compare published parameters with the truth of simulated cars.
 
     Example: evpinn bench truth --drives 50 --from-priors
     """

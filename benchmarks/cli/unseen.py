@@ -34,7 +34,7 @@ def unseen(
     data: Annotated[
         str,
         typer.Argument(
-            metavar="DATA", help="Folder of cars, or PATH=VEHICLE: drives of one car, by name."
+            metavar="DATA", help="Folder of cars, or PATH=VEHICLE for drives of one car."
         ),
     ],
     cars: Annotated[str, typer.Option(help="Only these of its cars, by comma.")] = "",
@@ -46,15 +46,16 @@ def unseen(
     ] = ",".join(METHODS),
     method: Annotated[
         list[str] | None,
-        typer.Option(help="Another, as FILE.py:CLASS; CONTRIBUTING.md tells how."),
+        typer.Option(help="Another, as FILE.py:CLASS; CONTRIBUTING.md shows how."),
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     json_file: JsonOption = None,
 ) -> None:
     """Score every method on drives and dropouts without the battery.
 
-    Each drive is predicted from what those before it taught, then learned from. Errors of energy
-    are in percent of the measured net energy, and of the gross: drawn and regenerated together.
+    Each drive is predicted from what the drives before it taught, and then learned from. Errors of
+    energy are in percent of the measured net energy, or of the gross energy: drawn and regenerated
+    energy added.
 
     Example: evpinn bench unseen $DATA --cars model3,i3 --methods weak_ls,core --jobs 2
     """

@@ -89,7 +89,7 @@ def _known_interface(name: str) -> None:
 VEHICLE = Parameter(
     "vehicle",
     "generic",
-    "Vehicle by its name in config/vehicles, or the path of its file.",
+    "Name of a vehicle in config/vehicles, or path of a vehicle file.",
     verify=load_vehicle,
 )
 TIME_JUMP_POLICY = Parameter(
@@ -105,7 +105,8 @@ TIME_JUMP_POLICY = Parameter(
 TIME_JUMP_THRESHOLD = Parameter(
     "time_jump_threshold",
     2.0,
-    "How far the stamps of one input must go back to be more than messages out of order.",
+    "Least step back of an input's stamps that counts as a jump of time; smaller ones are "
+    "messages out of order.",
     "s",
     0.05,
     3600.0,
@@ -115,13 +116,13 @@ TIME_JUMP_THRESHOLD = Parameter(
 MANAGED = Parameter(
     "managed",
     False,
-    "A managed node, which waits to be configured and activated: `ros2 lifecycle set ...`. Until "
-    "it is active it receives and sends nothing but /diagnostics.",
+    "Make this a managed (lifecycle) node, which waits to be configured and activated: `ros2 "
+    "lifecycle set ...`. Until it is active it sends only /diagnostics.",
 )
 AUTOSTART = Parameter(
     "autostart",
     False,
-    "A managed node configures and activates itself at its start.",
+    "Let a managed node configure and activate itself at its start.",
 )
 
 ESTIMATOR = (
@@ -137,22 +138,28 @@ ESTIMATOR = (
     Parameter(
         "regen_form",
         "recovery",
-        "Reading of the paper's eq. 21; for mode paper alone.",
+        "Form of the paper's eq. 21; only for mode paper.",
         choices=("printed", "recovery", "wheel_power"),
     ),
     Parameter(
         "paper_optimizer",
         "adam",
-        "How mode paper trains: adam, as published, or gauss_newton, nearer to the least loss.",
+        "Optimizer of mode paper: adam, as published, or gauss_newton, which gets nearer to the "
+        "least loss.",
         choices=("adam", "gauss_newton"),
     ),
     Parameter(
-        "smoothing_lag", 0.3, "How much later speed power/smoothed waits for.", "s", 0.0, 1.5
+        "smoothing_lag",
+        0.3,
+        "Time by which power/smoothed is later, to use the speeds until then.",
+        "s",
+        0.0,
+        1.5,
     ),
     Parameter(
         "allowed_lateness",
         0.3,
-        "How much older than the newest of its kind a reading may be.",
+        "Largest age of a reading that comes after a newer one of the same signal.",
         "s",
         0.0,
         10.0,
@@ -160,7 +167,7 @@ ESTIMATOR = (
     Parameter(
         "max_gap",
         2.5,
-        "Dropout of speed or battery across which nothing is joined.",
+        "Longest gap of speed or battery that is bridged.",
         "s",
         0.1,
         60.0,
@@ -168,7 +175,7 @@ ESTIMATOR = (
     Parameter(
         "grade_source",
         "auto",
-        "Where grade comes from: auto takes vehicle/imu if it speaks, else vehicle/fix.",
+        "Source of the grade; auto uses vehicle/imu if it is received, otherwise vehicle/fix.",
         choices=("auto", "none", "imu", "fix"),
     ),
     Parameter(
@@ -179,7 +186,7 @@ ESTIMATOR = (
         "rad",
         verify=lambda text: roll_pitch_yaw(text),
     ),
-    Parameter("seed", 0, "Of the networks.", lower=0, upper=2**31 - 1),
+    Parameter("seed", 0, "Seed of the networks.", lower=0, upper=2**31 - 1),
     Parameter(
         "wait_for_update",
         False,
@@ -188,8 +195,8 @@ ESTIMATOR = (
     Parameter(
         "state_file",
         "",
-        "Where what was learned is kept between drives: read at the start, written once a "
-        "minute, at ~/save and at the end. Empty: nowhere.",
+        "File that keeps what was learned between drives: read at the start, written once a "
+        "minute, at ~/save and at the end. Empty: none.",
     ),
     TIME_JUMP_POLICY,
     TIME_JUMP_THRESHOLD,
@@ -201,17 +208,17 @@ ENERGY = (
     Parameter(
         "integrator",
         "rknn",
-        "What integrates the predicted power that stands in for the battery, in a dropout and "
-        "between two slow samples: the paper's Runge-Kutta network, or the trapezoid rule. "
-        "energy/state holds both.",
+        "Integrator of the predicted power while the battery is not measured, and between slow "
+        "samples: the paper's Runge-Kutta network, or the trapezoidal rule. energy/state has "
+        "both.",
         choices=("rknn", "trapezoid"),
     ),
-    Parameter("max_gap", 2.0, "Longest step of power that is integrated.", "s", 0.1, 2.0),
+    Parameter("max_gap", 2.0, "Longest gap of power that is integrated.", "s", 0.1, 2.0),
     Parameter(
         "nominal_speed",
         0.0,
-        "Speed of a plan whose poses carry no times; 0: that of the vehicle file, or 50 km/h "
-        "where it names none. For a robot 1.0, or what it drives at.",
+        "Speed assumed for a plan without times; 0: that of the vehicle file, or 50 km/h if it "
+        "has none. For a robot its usual speed, such as 1.0.",
         "m/s",
         0.0,
         100.0,
@@ -220,8 +227,8 @@ ENERGY = (
     Parameter(
         "energy_file",
         "",
-        "Where totals, consumption and learned capacity are kept between drives: read at the "
-        "start, written once a minute, at ~/save and at the end. Empty: nowhere.",
+        "File that keeps totals, consumption and learned capacity between drives: read at the "
+        "start, written once a minute, at ~/save and at the end. Empty: none.",
     ),
     TIME_JUMP_POLICY,
     TIME_JUMP_THRESHOLD,
@@ -233,10 +240,14 @@ CAN_BRIDGE = (
     Parameter(
         "can_profile",
         "",
-        "CAN profile by its name in config/can, or the path of its file. Empty: the vehicle's.",
+        "Name of a CAN profile in config/can, or path of a profile. Empty: that of the vehicle.",
         verify=_known_profile,
     ),
-    Parameter("trust_profile", False, "Publish also what the traffic of the bus contradicts."),
+    Parameter(
+        "trust_profile",
+        False,
+        "Publish values even if the traffic of the bus contradicts the profile.",
+    ),
     Parameter(
         "interface",
         "socketcan",
@@ -249,7 +260,14 @@ CAN_BRIDGE = (
         "can0",
         "Channel of the adapter: can0, /dev/ttyACM0...; of can_msgs the topic: from_can_bus.",
     ),
-    Parameter("bitrate", 500_000, "Of the bus; 0 leaves it to the driver.", "bit/s", 0, 8_000_000),
+    Parameter(
+        "bitrate",
+        500_000,
+        "Bit rate of the bus; 0 leaves it to the driver.",
+        "bit/s",
+        0,
+        8_000_000,
+    ),
     Parameter(
         "bus_options",
         "",
@@ -263,19 +281,21 @@ CAN_BRIDGE = (
         "that is asked stays awake, at the cost of its 12 V battery: see docs/explanation/can.md.",
     ),
     Parameter(
-        "log_file", "", "Replay this CAN log, or a bag's raw frames, with its stamps, not a bus."
+        "log_file",
+        "",
+        "Play this CAN log, or the raw frames of a bag, with its stamps, in place of a bus.",
     ),
     Parameter(
         "log_rate",
         1.0,
-        "Speed of that replay against real time; 0 is as fast as possible.",
+        "Speed of that replay, 1 is real time; 0 is as fast as possible.",
         lower=0.0,
         upper=1000.0,
     ),
     Parameter(
         "log_delay",
         2.0,
-        "Wait before that replay begins, so that its subscribers are there.",
+        "Time to wait before that replay begins, so that its subscribers are connected.",
         "s",
         0.0,
         3600.0,
