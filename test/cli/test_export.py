@@ -42,7 +42,7 @@ def test_the_learned_robot_for_a_fleet_adapter(evpinn, folder):
 def test_what_is_not_known_of_the_battery_is_asked_for(evpinn, folder):
     done = evpinn("export", "rmf", "robot.json", cwd=folder)
     assert (done.returncode, done.stdout) == (1, "")
-    asked = "what the battery of mobile_robot holds is not known: --capacity gives it"
+    asked = "the capacity of the battery of mobile_robot is not known: give --capacity"
     assert asked in done.stderr
 
 

@@ -256,7 +256,7 @@ def test_fahrenheit_is_not_taken_for_celsius(tmp_path):
         found = [r.celsius for r in source.readings() if isinstance(r, TemperatureReading)]
         assert found[0] == pytest.approx(celsius)
         why = next(rule.why for rule in source.rules if rule.quantity == "ambient")
-        assert "in the median" in why
+        assert "its median" in why
 
 
 def test_a_thousands_sign_is_no_decimal_one(tmp_path):
