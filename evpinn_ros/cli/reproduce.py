@@ -1,56 +1,20 @@
-"""`evpinn reproduce`: the paper's experiment on a recorded drive."""
+"""`evpinn reproduce`: the paper's experiment on a recorded drive.
+
+What it does stands in `cli.reproduction_run`, which is imported when it is done: torch takes
+seconds, for which no page of help should wait.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from enum import Enum
 from pathlib import Path
-import time
 from typing import Annotated
 
-import torch
 import typer
 
-from evpinn_ros.cli.console import (
-    Report,
-    command_line,
-    note,
-    progress_bar,
-    results,
-    say,
-    show,
-    write_json,
-)
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
-from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.common.errors import InputError, as_input_error
-from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.report.reproduction_page import write_reproduction
-from evpinn_ros.reproduction.drive_log import ReadLog, read_drive_log
-from evpinn_ros.reproduction.experiment import (
-    TRAININGS,
-    Experiment,
-    OnProgress,
-    Outcome,
-    Settings,
-)
-from evpinn_ros.reproduction.optimizers import DEFAULT_EPOCHS, OptimizerName
-from evpinn_ros.reproduction.results import results_of
-from evpinn_ros.reproduction.saved import write_estimator_state, write_vehicle_file
-from evpinn_ros.reproduction.tables import ResultTable, all_tables
-from evpinn_ros.reproduction.verdict import CRITERIA, verdict
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.reproduction.optimizer_name import OptimizerName
 from evpinn_ros.vehicle.physics import RegenForm
-
-ENERGY_EPOCHS = PUBLISHED_EPOCHS = 10_000
-QUICK_EPOCHS = {
-    OptimizerName.ADAM: 300,
-    OptimizerName.ADAM_LBFGS: 1200,
-    OptimizerName.GAUSS_NEWTON: 200,
-}
-FILE_WIDTH = 100  # characters of a table where no terminal limits it
-QUICK_ENERGY_EPOCHS = 1000
 
 
 class Device(str, Enum):
@@ -98,117 +62,7 @@ def reproduce(
 
     Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick
     """
-    if device is Device.CUDA and not torch.cuda.is_available():
-        raise InputError("--device cuda: torch finds no CUDA device here")
-    # One thread: small matrices gain nothing from two, and the same run gives the same bits.
-    limit_blas_threads()
-    car = load_vehicle(vehicle)
-    read = read_drive_log(log, car, can_profile)
-    folder = out or Path("out") / "reproduce" / log.stem
-    with as_input_error(f"{folder}: cannot be written"):
-        folder.mkdir(parents=True, exist_ok=True)
-    note(_what_was_read(read))
-    chosen = optimizer or (OptimizerName.GAUSS_NEWTON if quick else OptimizerName.ADAM)
-    settings = Settings(
-        optimizer=chosen,
-        epochs=epochs or (QUICK_EPOCHS if quick else DEFAULT_EPOCHS)[chosen],
-        energy_epochs=QUICK_ENERGY_EPOCHS if quick else ENERGY_EPOCHS,
-        seed=seed,
-        device=device.value,
-        form=regen_form,
-    )
-    label = _label(settings, quick)
-    begin = time.perf_counter()
-    with training_progress() as on_progress:
-        outcome = Experiment(read.drive, car, settings, folder).run(on_progress)
-    note(f"trained and scored in {time.perf_counter() - begin:.0f} s")
-    say(label)
-    say()
-    for finding in verdict(outcome):
-        say(str(finding))
-    say(CRITERIA, style="dim")
-    say()
-    for table in all_tables(outcome):
-        _print(table)
-    _write(outcome, read, folder, log, label)
+    from evpinn_ros.cli.reproduction_run import Training, run_reproduction
 
-
-def _what_was_read(read: ReadLog) -> str:
-    dropped = ", ".join(f"{count} {reason}" for reason, count in read.dropped.items())
-    return (
-        f"{len(read.drive.time)} samples, {read.drive.time[-1]:.0f} s; speed "
-        f"{1000 * read.delay:.0f} ms behind power, taken out; dropped: {dropped or 'nothing'}"
-    )
-
-
-def _label(settings: Settings, quick: bool) -> str:
-    text = (
-        f"{settings.optimizer.value}, {settings.epochs} epochs (energy networks "
-        f"{settings.energy_epochs}), seed {settings.seed}, eq. 21 as {settings.form.value}"
-    )
-    published = settings.optimizer is OptimizerName.ADAM and settings.epochs == PUBLISHED_EPOCHS
-    if quick:
-        return f"QUICK LOOK: {text}. {_left_out(settings)}"
-    return f"as published: {text}" if published else f"not as published: {text}"
-
-
-def _left_out(settings: Settings) -> str:
-    adam = settings.optimizer is OptimizerName.ADAM
-    done = f"those after {settings.epochs} of " if adam else ""
-    return (
-        f"Left out: {done}the paper's {PUBLISHED_EPOCHS} epochs of adam, and the epochs of the "
-        f"energy networks after {settings.energy_epochs}. Without --quick and --optimizer both "
-        "are run."
-    )
-
-
-@contextmanager
-def training_progress() -> Iterator[OnProgress]:
-    """The progress of one training after the other, on a terminal with the newest loss."""
-    shown: dict[str, Report] = {}
-    with ExitStack() as bar:
-
-        def show(title: str, epoch: int, epochs: int, loss: float) -> None:
-            if title not in shown:
-                bar.close()
-                unit = f"of {epochs} epochs"
-                shown[title] = bar.enter_context(progress_bar(_numbered(title), epochs, unit))
-            shown[title](epoch, f"loss {loss:.2e}")
-
-        yield show
-
-
-def _numbered(title: str) -> str:
-    """Title of a training and its place, for the time left is that of one."""
-    return f"{title}, {TRAININGS.index(title) + 1} of {len(TRAININGS)}"
-
-
-def _print(table: ResultTable) -> None:
-    shown = PlainTable(table.title, table.columns, table.rows, unbroken=table.columns[:1])
-    show(shown, at_least=0 if results.is_terminal else FILE_WIDTH)
-    say(table.note, style="dim")
-    say()
-
-
-def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str) -> None:
-    """Report, results and what was found, each in the folder."""
-    command = command_line()
-    report, numbers = folder / "report.html", folder / "results.json"
-    state, vehicle = folder / "state.json", folder / "vehicle.yaml"
-    with as_input_error(f"{folder}: cannot be written"):
-        write_reproduction(report, outcome, command, label)
-        found = {
-            "command": command,
-            "log": {"path": str(log), "delay_s": read.delay, "dropped": dict(read.dropped)},
-            **results_of(outcome),
-        }
-        write_json(numbers, found)
-        write_estimator_state(state, outcome)
-        write_vehicle_file(vehicle, outcome, log.name)
-    for path, use in (
-        (report, "every table and figure"),
-        (numbers, "the same as numbers"),
-        (state, f"start of an estimator: evpinn replay --mode paper --state {state}"),
-        (vehicle, f"vehicle file with what was found: --vehicle {vehicle}"),
-    ):
-        note(f"{path}: {use}")
+    training = Training(optimizer, epochs, regen_form, seed, device.value, quick)
+    run_reproduction(log, vehicle, training, out, can_profile)

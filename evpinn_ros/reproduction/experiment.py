@@ -21,7 +21,8 @@ from evpinn_ros.paper.log_parameters import standing_load
 from evpinn_ros.reproduction.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.energy_network import EnergyTraining, StepData, step_data
-from evpinn_ros.reproduction.optimizers import INPUTS, OptimizerName
+from evpinn_ros.reproduction.optimizer_name import OptimizerName
+from evpinn_ros.reproduction.optimizers import INPUTS
 from evpinn_ros.reproduction.power_training import PowerTraining
 from evpinn_ros.reproduction.problem import (
     Problem,

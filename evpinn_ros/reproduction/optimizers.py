@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from enum import Enum
 
 import torch
 
@@ -30,6 +29,7 @@ from evpinn_ros.paper.network import (
     spread_over_time,
 )
 from evpinn_ros.reproduction.checkpoint import adam_state, load_adam_state
+from evpinn_ros.reproduction.optimizer_name import OptimizerName
 from evpinn_ros.reproduction.problem import InputForm, Problem
 
 ADAM_EPOCHS_BEFORE_LBFGS = 1000
@@ -42,21 +42,6 @@ FULL_STEPS = 100  # after these the share falls as 1 / n (Robbins, Monro), and w
 DAMPING = 1e-4  # of the mean diagonal
 PARAMETERS_EVERY = 10  # steps between solutions for the parameters
 KINK_SHARPNESS = 3.0  # distance of two kinks over the width of one
-
-
-class OptimizerName(str, Enum):
-    """Names that `evpinn reproduce --optimizer` takes."""
-
-    ADAM = "adam"
-    ADAM_LBFGS = "adam_lbfgs"
-    GAUSS_NEWTON = "gauss_newton"
-
-
-DEFAULT_EPOCHS = {
-    OptimizerName.ADAM: 10_000,
-    OptimizerName.ADAM_LBFGS: 3000,
-    OptimizerName.GAUSS_NEWTON: 400,
-}
 
 # Raw inputs suit Adam best of those tried. Gauss-Newton wants its inputs of one size.
 INPUTS = {

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.reproduction.optimizers import OPTIMIZERS, OptimizerName
+from evpinn_ros.reproduction.optimizer_name import OptimizerName
+from evpinn_ros.reproduction.optimizers import OPTIMIZERS
 from evpinn_ros.reproduction.problem import Problem
 from evpinn_ros.reproduction.published import LOGGED_EPOCHS, Losses, LossRow
 

@@ -18,7 +18,7 @@ from evpinn_ros.reproduction.experiment import (
     WHOLE,
     Outcome,
 )
-from evpinn_ros.reproduction.optimizers import DEFAULT_EPOCHS, OptimizerName
+from evpinn_ros.reproduction.optimizer_name import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.reproduction.published import ENERGY_LOSSES, POWER_LOSSES
 from evpinn_ros.reproduction.scores import PowerScore
 from evpinn_ros.reproduction.tables import r2_text

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evpinn_ros.cli import reproduce as command
+from evpinn_ros.cli import reproduction_run as command
 from evpinn_ros.cli.main import app
 from evpinn_ros.estimation.state_file import read_state
-from evpinn_ros.reproduction.optimizers import OptimizerName
+from evpinn_ros.reproduction.optimizer_name import OptimizerName
 from evpinn_ros.vehicle.files import load_vehicle
 
 pytestmark = pytest.mark.nightly

@@ -6,7 +6,7 @@ import pytest
 from evpinn_ros.report.reproduction_page import write_reproduction
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.experiment import Experiment, Settings
-from evpinn_ros.reproduction.optimizers import OptimizerName
+from evpinn_ros.reproduction.optimizer_name import OptimizerName
 from evpinn_ros.vehicle.files import load_vehicle
 
 pytestmark = pytest.mark.torch

@@ -8,7 +8,7 @@ import pytest
 
 from evpinn_ros.reproduction.drive_log import DriveLog
 from evpinn_ros.reproduction.experiment import Experiment, Outcome, Settings
-from evpinn_ros.reproduction.optimizers import OptimizerName
+from evpinn_ros.reproduction.optimizer_name import OptimizerName
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.parameters import Parameters
 from evpinn_ros.vehicle.physics import RegenForm, battery_power

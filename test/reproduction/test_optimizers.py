@@ -10,7 +10,8 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.reproduction import optimizers
 from evpinn_ros.reproduction.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.reproduction.drive_log import DriveLog
-from evpinn_ros.reproduction.optimizers import INPUTS, OptimizerName
+from evpinn_ros.reproduction.optimizer_name import OptimizerName
+from evpinn_ros.reproduction.optimizers import INPUTS
 from evpinn_ros.reproduction.power_training import PowerTraining, curve_epochs
 from evpinn_ros.reproduction.problem import Problem, random_split
 from evpinn_ros.reproduction.scores import combinations

@@ -14,7 +14,7 @@ from evpinn_ros.reproduction.experiment import (
     TIME_HELD,
     Outcome,
 )
-from evpinn_ros.reproduction.optimizers import DEFAULT_EPOCHS, OptimizerName
+from evpinn_ros.reproduction.optimizer_name import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.reproduction.published import POWER_LOSSES, EnergyRow, Losses, LossRow
 from evpinn_ros.reproduction.tables import all_tables
 from evpinn_ros.reproduction.verdict import ClaimAnswer, verdict
