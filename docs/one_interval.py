@@ -32,15 +32,16 @@ SHOWN = (State.DRAG, State.ROLLING, State.MASS, State.P_AUX, State.FORCE_SQUARED
 PAGE = """\
 # One interval, in numbers
 
-What the core does once in ten seconds of driving, from readings to coefficients. The car is the
-BMW i3 of its vehicle file, but {heavier:.0f} % heavier, on a flat road; it speeds up. Every number
-is computed by the functions that are named (`docs/one_interval.py`), so this page is what the code
-does today. How the parts belong together: [architecture](architecture.md).
+This page follows what the estimator does every ten seconds of driving, from readings to
+coefficients. The example is a car that accelerates on a flat road: a BMW i3, but {heavier:.0f} % heavier
+than its vehicle file says. Every number is computed by the functions named here
+(`docs/one_interval.py`), so the page shows what the code does today.
+[Architecture](architecture.md) explains how the parts work together.
 
-## Numbers in
+## Readings in
 
-Readings (`signals/readings.py`), ten a second; here a row each two seconds. Current is negative
-when the battery is discharged.
+There are ten readings (`signals/readings.py`) per second; the table shows one row every two
+seconds. The current is negative when the battery is discharged.
 
 | s | speed, m/s | voltage, V | current, A |
 |---|---|---|---|
@@ -49,7 +50,7 @@ when the battery is discharged.
 ## The interval
 
 `IntervalBuilder` (`signals/interval.py`) cuts the interval into {count} steps and integrates. No
-acceleration is needed, for the integral of v a is the difference of v^2 / 2.
+acceleration is needed, because the integral of v a is the difference of v^2 / 2.
 
 | what | sum over the steps |
 |---|---|
@@ -61,9 +62,9 @@ acceleration is needed, for the integral of v a is the difference of v^2 / 2.
 
 ## The row of the equation
 
-`Equation.rows` (`estimation/terms.py`) says what the energy would be for one unit of each state.
-Times the prior (`estimation/states.py`) that is the prediction, made before the battery is looked
-at. Some of them:
+`Equation.rows` (`estimation/terms.py`) computes the energy for one unit of each state. Multiplied
+by the prior (`estimation/states.py`) and added up, this is the prediction, which does not use the
+battery. Some of the states:
 
 | state | J per unit | prior | product, kJ |
 |---|---|---|---|
@@ -74,15 +75,16 @@ at. Some of them:
 ## What the battery adds
 
 `learn` (`estimation/learning.py`) lets the time of the interval pass (`advance`) and corrects the
-states by what was not predicted (`condition`). Measured less predicted is {residual:+.2f} kJ, with
-a 1-sigma of {sigma:.2f} kJ. Nearly all of that is of the states: noise has {noise:.2f} kJ. Each
-state moves by its covariance with the prediction, over the variance, times {residual:+.2f} kJ.
+states by the difference between the measured and the predicted energy (`condition`). This
+difference is {residual:+.2f} kJ, with a 1-sigma of {sigma:.2f} kJ. Nearly all of this uncertainty comes from the
+states; the noise contributes {noise:.2f} kJ. Each state changes by {residual:+.2f} kJ times its covariance
+with the prediction, divided by the variance.
 
 ## Coefficients out
 
-The mixture of the hypotheses, each number with its 1-sigma. One interval says little of each state
-and much of their sum. The drive of ten minutes is {driven} intervals, and begins to tell the
-states apart; m/eta of the car is {truth:.0f} kg.
+The table shows the mean over all hypotheses, with 1-sigma. One interval tells little about each
+single state, but much about their sum. The whole drive of ten minutes has {driven} intervals and
+begins to separate the states. The true m/eta of this car is {truth:.0f} kg.
 
 | state | before | after this interval | after the whole drive |
 |---|---|---|---|
