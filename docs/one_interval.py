@@ -33,9 +33,9 @@ PAGE = """\
 # One interval, in numbers
 
 This page follows what the estimator does every ten seconds of driving, from readings to
-coefficients. The example is a car that accelerates on a flat road: a BMW i3, but {heavier:.0f} % heavier
-than its vehicle file says. Every number is computed by the functions named here
-(`docs/one_interval.py`), so the page shows what the code does today.
+coefficients. The example is a car that accelerates on a flat road: a BMW i3, but
+{heavier:.0f} % heavier than its vehicle file says. Every number is computed by the functions named
+here (`docs/one_interval.py`), so the page shows what the code does today.
 [Architecture](architecture.md) explains how the parts work together.
 
 ## Readings in
@@ -76,9 +76,9 @@ battery. Some of the states:
 
 `learn` (`estimation/learning.py`) lets the time of the interval pass (`advance`) and corrects the
 states by the difference between the measured and the predicted energy (`condition`). This
-difference is {residual:+.2f} kJ, with a 1-sigma of {sigma:.2f} kJ. Nearly all of this uncertainty comes from the
-states; the noise contributes {noise:.2f} kJ. Each state changes by {residual:+.2f} kJ times its covariance
-with the prediction, divided by the variance.
+difference is {residual:+.2f} kJ, with a 1-sigma of {sigma:.2f} kJ. Nearly all of this
+uncertainty comes from the states; the noise contributes {noise:.2f} kJ. Each state changes by
+{residual:+.2f} kJ times its covariance with the prediction, divided by the variance.
 
 ## Coefficients out
 
