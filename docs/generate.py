@@ -32,6 +32,7 @@ from evpinn_ros.topics.node_parameters import TABLES, Parameter
 from evpinn_ros.vehicle.certified import certified_cars
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.vehicle.rated import rated_cars
 
 MADE = "<!-- Made by docs/generate.py; change the source, not this page. -->\n"
 WORDS = {  # what an option takes
@@ -83,6 +84,19 @@ is 6 % of the mass (people and luggage), 15 % of C_rr (tyres, roads) and 6 % of 
 a model has several road loads. Every car has eta 0.90 +- 0.06, mu 0.80 +- 0.12 and a standing
 load of 400 +- 400 W. Give `--vehicle` the key, or words of the name that no other car has:
 `--vehicle "ioniq 5 rwd"`.
+
+| key | mass kg | C_rr | C_d A m^2 | CAN profile |
+|---|---|---|---|---|"""
+
+
+RATED = """\
+## Rated cars
+
+Of these cars sold in Europe, `config/rated/wltp.csv` has the curb mass, the usable battery and the
+WLTP range, with their sources. Their priors are those of `generic`, given these facts: the mass is
+known to 6 %, and the energy of the WLTP's cycle to 10 %, after 10 % are added, because ratings are
+those of the lightest trim. C_rr and C_d A are known little better than those of any car. Some
+masses include a driver of 75 kg, others do not. A certified car of the same name is better.
 
 | key | mass kg | C_rr | C_d A m^2 | CAN profile |
 |---|---|---|---|---|"""
@@ -160,13 +174,15 @@ def vehicles_page() -> str:
         "the most similar file from `config/vehicles/`, change what you know better, check it"
     ]
     lines += ["with `evpinn check-params`, and give its path to `--vehicle`."]
+    lines += ["[Certified](#certified-cars) and [rated](#rated-cars) cars need no file: `evpinn"]
     lines += [
-        "[Certified cars](#certified-cars) need no file: `evpinn vehicles` lists them all, and"
+        "vehicles` lists them all, and `evpinn vehicles show NAME` prints one as a file.",
+        "",
     ]
-    lines += ["`evpinn vehicles show NAME` prints one as a file.", ""]
     for name in vehicle_names():
         lines += _vehicle_section(load_vehicle(name))
-    lines += [CERTIFIED, *map(_certified_row, certified_cars()), ""]
+    lines += [CERTIFIED, *map(_car_row, certified_cars()), ""]
+    lines += [RATED, *map(_car_row, rated_cars()), ""]
     lines += ["## CAN profiles", ""]
     lines += [
         "A car *broadcasts* a quantity, or must be *asked* for it by read requests. Asking needs"
@@ -177,7 +193,7 @@ def vehicles_page() -> str:
     return "\n".join([*lines, ""])
 
 
-def _certified_row(key: str) -> str:
+def _car_row(key: str) -> str:
     car = load_vehicle(key)
     start = car.initial
     area = start.c_d * car.frontal_area

@@ -80,7 +80,7 @@ def main() -> None:
         note(f"evpinn: {error}")
         sys.exit(FAILED)
     except ModuleNotFoundError as error:
-        if error.name != "rclpy":
+        if (error.name or "").partition(".")[0] != "rclpy":
             raise
         note("evpinn: this needs rclpy: source a ROS 2, or pip install 'evpinn_ros[ros]'")
         sys.exit(FAILED)

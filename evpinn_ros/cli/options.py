@@ -11,13 +11,11 @@ from evpinn_ros.cli.console import STDOUT, tables_beside
 
 
 def complete_vehicle(incomplete: str) -> list[str]:
-    """Bundled and certified vehicles that begin so; the shell offers paths where there is none."""
+    """Known vehicles that begin so; the shell offers paths where there is none."""
     # Here, for every command has this option, and few are asked for a completion.
-    from evpinn_ros.vehicle.certified import certified_cars
-    from evpinn_ros.vehicle.files import vehicle_names
+    from evpinn_ros.vehicle.files import known_vehicles
 
-    names = (*vehicle_names(), *certified_cars())
-    return [name for name in names if name.startswith(incomplete)]
+    return [name for name in known_vehicles() if name.startswith(incomplete)]
 
 
 def complete_profile(incomplete: str) -> list[str]:

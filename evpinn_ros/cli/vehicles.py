@@ -15,6 +15,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.vehicle.certified import certified_cars
 from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle
+from evpinn_ros.vehicle.rated import rated_cars
 from evpinn_ros.vehicle.written import write_vehicle
 
 vehicles = typer.Typer(cls=ReadableGroup, invoke_without_command=True)
@@ -22,7 +23,9 @@ vehicles = typer.Typer(cls=ReadableGroup, invoke_without_command=True)
 
 @vehicles.callback()
 def every(context: typer.Context) -> None:
-    """List the cars that --vehicle knows: vehicle files and certified cars.
+    """List the cars that --vehicle knows: vehicle files, certified and rated cars.
+
+    The road load of a certified car was measured. A rated car has its mass, battery and range.
 
     Example: evpinn vehicles search leaf
     """
@@ -84,8 +87,14 @@ def _line(vehicle: Vehicle) -> dict[str, str | float | None]:
         "c_rr": start.c_rr,
         "drag_area_m2": start.c_d * vehicle.frontal_area,
         "can_profile": vehicle.can_profile,
-        "from": "certified" if vehicle.key in certified_cars() else "file",
+        "from": _origin(vehicle.key),
     }
+
+
+def _origin(key: str) -> str:
+    if key in certified_cars():
+        return "certified"
+    return "rated" if key in rated_cars() else "file"
 
 
 def _cell(value: str | float | None) -> str:

@@ -16,6 +16,7 @@ from evpinn_ros.replays.run import WARM_UP
 from evpinn_ros.vehicle.certified import certified_cars
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.identifiable import prior_identifiable
+from evpinn_ros.vehicle.rated import rated_cars
 
 GENERIC = "generic"
 DOUBTFUL = 3.0  # sigmas from what the vehicle file expects
@@ -79,7 +80,7 @@ def _capacity_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
 
 
 def _rivals(drive: Drive) -> Iterator[str]:
-    """Certified cars whose mass over eta is nearest to what was learned, the nearest first."""
+    """Known models whose mass over eta is nearest to what was learned, the nearest first."""
     rows = drive.combinations.get("mass_over_eta")
     if rows is None or not len(rows):
         return
@@ -89,5 +90,5 @@ def _rivals(drive: Drive) -> Iterator[str]:
         expected, spread = (each.mass_over_eta for each in prior_identifiable(load_vehicle(key)))
         return abs(value - float(expected)) / float(spread)
 
-    near = sorted((distance(key), key) for key in certified_cars())
+    near = sorted((distance(key), key) for key in (*certified_cars(), *rated_cars()))
     yield from (key for away, key in near[:MOST_RIVALS] if away < 1.0)

@@ -82,15 +82,17 @@ class CertifiedCar:
         return {
             "eta": DRIVETRAIN["eta"],
             "mu": DRIVETRAIN["mu"],
-            "mass": _prior(mass, spread[0], f"{SOURCE}: test mass; spread: payload"),
-            "c_rr": _prior(c_rr, spread[1], f"{origin}; spread: tyres and roads"),
-            "c_d": _prior(area / FRONTAL_AREA, spread[2], f"{origin}; only A C_d is certified"),
+            "mass": rounded_prior(mass, spread[0], f"{SOURCE}: test mass; spread: payload"),
+            "c_rr": rounded_prior(c_rr, spread[1], f"{origin}; spread: tyres and roads"),
+            "c_d": rounded_prior(
+                area / FRONTAL_AREA, spread[2], f"{origin}; only A C_d is certified"
+            ),
             "p_aux": DRIVETRAIN["p_aux"],
         }
 
 
-def _prior(value: float, share: float, source: str) -> Prior:
-    """Rounded to what anybody can know."""
+def rounded_prior(value: float, share: float, source: str) -> Prior:
+    """A prior by its 1-sigma over its value, rounded to what anybody can know."""
     digits = 3 - math.floor(math.log10(value))
     return Prior(round(float(value), digits), round(float(value * share), digits), source)
 

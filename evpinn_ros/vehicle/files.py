@@ -1,4 +1,4 @@
-"""Vehicle files: one YAML file per car model, read strictly; and certified cars, by their names.
+"""Vehicle files: one YAML file per car model, read strictly; certified and rated cars by name.
 
 A wrong file is refused with its path, the line and the reason; nothing is guessed.
 """
@@ -22,6 +22,7 @@ from evpinn_ros.common.yaml_section import Section, compose
 from evpinn_ros.vehicle.certified import FRONTAL_AREA, certified_cars, words_of
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits, Parameters, Prior
 from evpinn_ros.vehicle.physics import RegenForm, battery_power
+from evpinn_ros.vehicle.rated import rated_cars
 
 
 class Constant(NamedTuple):
@@ -175,7 +176,7 @@ def vehicle_names() -> list[str]:
 
 
 def find_vehicles(text: str = "") -> dict[str, str]:
-    """Names by keys of the files and certified cars whose name or key has all these words.
+    """Names by keys of the known cars whose name or key has all these words.
 
     Raises:
         InputError: what is given is no text.
@@ -185,9 +186,10 @@ def find_vehicles(text: str = "") -> dict[str, str]:
 
 
 def load_vehicle(name_or_path: str | Path) -> Vehicle:
-    """The car of a vehicle file, given by its name (`tesla_model_3_lr`) or path, or certified.
+    """The car of a vehicle file, given by its name (`tesla_model_3_lr`) or path.
 
-    Words of its name will do that no other has, or that leave out its make alone.
+    Certified cars (`vehicle.certified`) and rated ones (`vehicle.rated`) have names alone. Words
+    of a name will do that no other has, or that leave out its make alone.
 
     Raises:
         InputError: no such car, several, or the file is wrong; the text has file, line and reason.
@@ -198,21 +200,32 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
         return _parse(path)
     if path.suffix == ".json":
         raise InputError(f"{path}: no vehicle file, which ends in .yaml; is it a --state?")
-    key = text if text in (*vehicle_names(), *certified_cars()) else _key_of(text)
-    return _certified(key) if key in certified_cars() else _parse(_file(key))
+    key = text if text in known_vehicles() else _key_of(text)
+    if key in certified_cars():
+        return _certified(key)
+    return _rated(key) if key in rated_cars() else _parse(_file(key))
+
+
+def known_vehicles() -> list[str]:
+    """Names that `load_vehicle` takes: of files, certified cars and rated cars."""
+    return [*vehicle_names(), *certified_cars(), *rated_cars()]
 
 
 def _names() -> Iterator[tuple[str, str]]:
-    """Key and name of every vehicle file and certified car."""
+    """Key and name of every known car."""
     for key in vehicle_names():
         yield key, compose(_file(key), "vehicle file").text("name")
     for key, car in certified_cars().items():
         yield key, car.name
+    for key, rated in rated_cars().items():
+        yield key, rated.name
 
 
 def _key_of(text: str) -> str:
     words = words_of(text)
-    found = find_vehicles(text) if words else {}
+    named = find_vehicles(text) if words else {}
+    # What is measured goes before what is only rated.
+    found = {key: name for key, name in named.items() if key not in rated_cars()} or named
     close = [key for key, name in found.items() if {*words_of(name)[1:]} <= {*words}]
     for keys in (list(found), close):
         if len(keys) == 1:
@@ -221,7 +234,7 @@ def _key_of(text: str) -> str:
         raise InputError(
             f"no vehicle named {text!r} alone; these have such names: {_some([*found])}"
         )
-    names = [*vehicle_names(), *certified_cars()]
+    names = known_vehicles()
     near = get_close_matches("_".join(words), names, FEW // 2, LIKENESS)
     meant = f"did you mean {', '.join(near)}" if near else f"known are {_some(names)}"
     raise InputError(
@@ -231,6 +244,21 @@ def _key_of(text: str) -> str:
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:FEW]) + (", ..." if len(names) > FEW else "")
+
+
+def _rated(key: str) -> Vehicle:
+    """Any car, given what this one is sold with."""
+    any_car, car = _parse(_file("generic")), rated_cars()[key]
+    priors, correlations = car.given(any_car.priors, any_car.correlation)
+    return replace(
+        any_car,
+        key=key,
+        name=car.name,
+        can_profile=car.can_profile,
+        battery_capacity=car.battery,
+        priors=priors,
+        correlations=correlations,
+    )
 
 
 def _certified(key: str) -> Vehicle:

@@ -15,7 +15,7 @@ from evpinn_ros.vehicle.certified import (
     ROLLING_SPREAD,
     certified_cars,
 )
-from evpinn_ros.vehicle.files import find_vehicles, load_vehicle, vehicle_names
+from evpinn_ros.vehicle.files import find_vehicles, known_vehicles, load_vehicle
 from evpinn_ros.vehicle.parameters import LIMITS
 from evpinn_ros.vehicle.physics import drag_force, rolling_force
 
@@ -118,5 +118,5 @@ def test_names_of_several_cars_and_of_none():
         load_vehicle("bmw")
     with pytest.raises(InputError, match="did you mean porsche_taycan_turbo_2022"):
         load_vehicle("porsche taican turbo 2022")
-    assert find_vehicles().keys() == {*vehicle_names(), *CARS}
+    assert find_vehicles().keys() == {*known_vehicles()}
     assert find_vehicles("zeppelin") == {}

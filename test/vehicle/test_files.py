@@ -203,8 +203,8 @@ def test_a_bomb_of_aliases_is_refused_at_once(car):
 
 
 def test_unknown_names_and_missing_files(tmp_path):
-    with pytest.raises(InputError, match="no vehicle named 'fiat'; known are bmw_i3, bmw_i4"):
-        load_vehicle("fiat")
+    with pytest.raises(InputError, match="no vehicle named 'zeppelin'; known are bmw_i3, bmw_i4"):
+        load_vehicle("zeppelin")
     with pytest.raises(InputError, match="No such file"):
         load_vehicle(tmp_path / "absent.yaml")
     folder = tmp_path / "folder.yaml"
