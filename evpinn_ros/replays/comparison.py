@@ -88,7 +88,7 @@ def compare(car: CarReplay, sources: Iterable[Source], *, progress: Bar) -> Comp
         new = found.drives[len(owners) :]
         owners += [number for each in new if each.seconds]
         if sum(each.distance for each in new) < LEAST_DISTANCE:
-            raise InputError(f"{source.path}: nothing to compare: {NOTHING}")
+            raise InputError(f"{source.path}: where its energy went is {NOTHING}")
         paths.append(source.path)
     return Comparison(
         vehicle=car.vehicle,
@@ -103,5 +103,5 @@ def compare(car: CarReplay, sources: Iterable[Source], *, progress: Bar) -> Comp
 def _breakdowns(car: CarReplay) -> Breakdowns:
     found = car.chain.estimator.breakdowns()
     if found is None:
-        raise InputError(f"nothing to compare: {PAPER}")
+        raise InputError(f"nothing to compare: where the energy went is {PAPER}")
     return found

@@ -132,14 +132,14 @@ def test_a_long_stop_within_a_drive_belongs_to_it(vehicle, readings):
 def test_a_drive_without_battery_is_refused_by_name(vehicle, readings):
     minute = readings[: len(readings) // 2]
     speeds = [each for each in minute if isinstance(each, SpeedReading)]
-    with pytest.raises(InputError, match=r"drive1: nothing to compare: the battery was measured"):
+    with pytest.raises(InputError, match="drive1: where its energy went is unknown"):
         compared(vehicle, minute, speeds)
 
 
 def test_parameters_of_the_nodes_hold_here_too(vehicle, readings, tmp_path):
     file = tmp_path / "p.yaml"
     file.write_text("estimator: {ros__parameters: {mode: paper}}")
-    with pytest.raises(InputError, match="nothing to compare: mode paper"):
+    with pytest.raises(InputError, match="nothing to compare: .* because mode paper"):
         compared(vehicle, readings, params=file)
     file.write_text("estimator: {ros__parameters: {time_jump_policy: reset}}")
     again = [*readings, *readings]  # starts over, which must not forget the drive before
