@@ -139,7 +139,7 @@ def test_a_drive_without_battery_is_refused_by_name(vehicle, readings):
 def test_parameters_of_the_nodes_hold_here_too(vehicle, readings, tmp_path):
     file = tmp_path / "p.yaml"
     file.write_text("estimator: {ros__parameters: {mode: paper}}")
-    with pytest.raises(InputError, match="nothing to compare: .* because mode paper"):
+    with pytest.raises(InputError, match=r"nothing to compare: .* because mode paper"):
         compared(vehicle, readings, params=file)
     file.write_text("estimator: {ros__parameters: {time_jump_policy: reset}}")
     again = [*readings, *readings]  # starts over, which must not forget the drive before
