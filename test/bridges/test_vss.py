@@ -209,6 +209,7 @@ def test_a_databroker_without_the_overlay_is_served_what_it_knows(served) -> Non
     assert feed.missing and all("EvPinn" in name for name in feed.missing)
 
 
+@pytest.mark.nightly
 def test_values_of_before_are_not_now_but_a_clock_behind_ours_is_no_reason(served) -> None:
     """The first update is of last values; what comes later is live, whatever clock stamps it."""
     broker, port = served
@@ -219,6 +220,7 @@ def test_values_of_before_are_not_now_but_a_clock_behind_ours_is_no_reason(serve
     assert car.documents()["energy"]["trip_kwh"] == pytest.approx(energy(drive()), rel=1e-4)
 
 
+@pytest.mark.nightly
 def test_the_range_is_in_metres() -> None:
     car = BridgedCar("vehicle", load_vehicle(VEHICLE), EstimatorSettings())
     for i in range(2400):  # 16 km at 15 kWh/100 km

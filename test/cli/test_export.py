@@ -21,6 +21,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.nightly
 def test_the_learned_robot_for_a_fleet_adapter(evpinn, folder):
     given = ("--capacity", 25, "--charging-current", 5, "--radius", 0.4, "--tool", 12.5)
     done = evpinn("export", "rmf", "robot.json", *given, cwd=folder)

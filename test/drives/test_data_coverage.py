@@ -122,6 +122,7 @@ def test_a_bag_of_nothing_of_ours(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
+@pytest.mark.nightly
 def test_a_can_log_and_a_bag_of_its_frames(tmp_path):
     log = DATA / "can" / "nissan_leaf_62kwh" / "EV-CANeplus2.candump.log"
     with BagWriter(tmp_path / "bag") as writer:

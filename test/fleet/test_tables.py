@@ -16,6 +16,7 @@ MONDAY = 1_700_438_400 * NANOSECONDS  # 2023-11-20
 WEEK = 7 * 86_400 * NANOSECONDS
 
 
+@pytest.mark.nightly
 def test_drives_of_two_weeks_and_a_broken_one_have_trends(tmp_path, leaf):
     parquet = pytest.importorskip("pyarrow.parquet")
     paths = [tmp_path / name for name in ("a", "b", "c", "broken")]

@@ -52,7 +52,7 @@ OTHERS = (JumpPolicy.RESET, JumpPolicy.HOLD, JumpPolicy.IGNORE)
 POLICIES = [JumpPolicy.AUTO, *(pytest.param(each, marks=pytest.mark.nightly) for each in OTHERS)]
 
 
-@pytest.mark.parametrize("bag", ["urban", "highway"])
+@pytest.mark.parametrize("bag", ["urban", pytest.param("highway", marks=pytest.mark.nightly)])
 def test_nodes_over_topics_equal_the_cores(bench, bundled, bag):
     equal(bench, list(bundled(bag, SECONDS)), JumpPolicy.RESET)
 

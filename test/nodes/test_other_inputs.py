@@ -96,6 +96,7 @@ def test_an_imu_of_known_mounting_gives_the_grade(bench):
     assert "imu" not in text and "grade" not in values["inputs_without_data"]
 
 
+@pytest.mark.nightly
 def test_a_replay_takes_the_mounting_of_the_imu_as_the_node_does(bench, bundled, tmp_path):
     """Node and `evpinn replay` of the bag it hears, bit for bit; without it, a flat road."""
     node = bench.start(EstimatorNode, imu_rotation_rpy="0.1 0.4 1.5")

@@ -122,6 +122,7 @@ def test_what_was_read_first_is_known_as_in_a_replay_of_its_own(vehicle, reading
     assert winter.parts()[0].distance == pytest.approx(alone.distance)
 
 
+@pytest.mark.nightly
 def test_a_long_stop_within_a_drive_belongs_to_it(vehicle, readings):
     minute, hour = readings[: len(readings) // 2], 3600 * 10**9
     later = [replace(each, stamp_ns=each.stamp_ns + hour) for each in minute]

@@ -11,7 +11,14 @@ pytestmark = pytest.mark.slow
 golden = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("golden.py"))))
 
 
-@pytest.mark.parametrize("drive", golden.DRIVES, ids=lambda d: d.path.stem)
+def drives():
+    """Every change is checked on the whole town drive, the others in the night."""
+    for number, drive in enumerate(golden.DRIVES):
+        marks = [pytest.mark.nightly] if number else []
+        yield pytest.param(drive, id=drive.path.stem, marks=marks)
+
+
+@pytest.mark.parametrize("drive", drives())
 def test_outputs_are_those_of_the_record(drive):
     record = golden.load(drive.path)
     assert len(record) > 50

@@ -145,6 +145,7 @@ def two_cars(ros2, tmp_path, *given) -> Iterator:
         yield launch
 
 
+@pytest.mark.nightly
 def test_two_cars_in_one_graph_have_estimates_and_diagnostics_of_their_own(
     ros2, bench, car, tmp_path
 ):

@@ -21,6 +21,7 @@ def hear(bench, topic):
     return heard
 
 
+@pytest.mark.nightly
 def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_path):
     state, powers, said = tmp_path / "car.json", hear(bench, topics.POWER_PREDICTED), []
     bench.node.create_subscription(
