@@ -27,9 +27,8 @@ pytestmark = pytest.mark.build
 ROOT = Path(__file__).parents[1]
 GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-LONG = {
-    "add_your_car", "compare", "fleet", "obd", "plan", "python", "replay", "rmf", "robot", "viewing",
-}  # fmt: skip
+LONG = {"add_your_car", "compare", "fleet", "obd", "plan", "python", "replay", "rmf"}
+LONG |= {"robot", "viewing"}
 NOTHING_RUNS = {"planning", "ros"}  # their blocks need ROS, nodes or a window
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 REASON = re.compile(r"<!-- not run: (\S.*) -->\n\Z")
