@@ -15,12 +15,11 @@ from itertools import pairwise
 import numpy as np
 
 from benchmarks.breakdown import PartCheck
-from benchmarks.unseen.drives import UnseenCar, UnseenDrive, load_car
+from benchmarks.unseen.drives import UnseenCar, load_car
 from evpinn_ros.estimation.breakdown import Breakdown, Breakdowns
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.terms import WHOLE, Part, equation_of
 from evpinn_ros.signals.interval import Interval
-from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.vehicle.files import Vehicle
 
 CARS = ("i3", "leaf2013", "changchun")  # of `benchmarks.unseen.drives` those with heights
@@ -32,23 +31,12 @@ def height_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartC
     """Each part of drives of each car without heights, and of the differences of two in a row."""
     for key in cars:
         car = load_car(data, key)
-        found = [list(intervals_of(drive, car.vehicle)) for drive in car.drives[:drives]]
+        found = [list(drive.intervals(car.vehicle)) for drive in car.drives[:drives]]
         usable = [intervals for intervals in found if has_height(intervals)]
         for seed, intervals in enumerate(usable):
             yield from _checks(car, "alone", seed, [intervals])
         for seed, pair in enumerate(pairwise(usable)):
             yield from _checks(car, "difference", seed, pair)
-
-
-def intervals_of(drive: UnseenDrive, vehicle: Vehicle) -> Iterator[Interval]:
-    """Intervals that a drive is learned from."""
-    stream = SampleStream(
-        StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
-    )
-    for reading in drive.readings:
-        for event in stream.add_reading(reading):
-            if isinstance(event, Interval):
-                yield event
 
 
 def has_height(intervals: Sequence[Interval]) -> bool:

@@ -27,7 +27,6 @@ from evpinn_ros.estimation.learner import gate_interval
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.estimation.unevenness import Unevenness
 from evpinn_ros.signals.interval import Interval
-from evpinn_ros.signals.stream import SampleStream, StreamSettings
 
 CARS = ("i3", "i3_speed", "e208", "leaf2013", "changchun")
 RESOLUTIONS = ("1 s", "10 s", "60 s", "200 m", "500 m", "2000 m", "trip")
@@ -110,13 +109,7 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
 
 def intervals_of(car: UnseenCar, drive: UnseenDrive) -> Iterator[Interval]:
     """Intervals of a drive that a car learns from."""
-    stream = SampleStream(
-        StreamSettings(), car.vehicle.air_density, car.vehicle.motor_ratio, intervals_alone=True
-    )
-    for reading in drive.readings:
-        for event in stream.add_reading(reading):
-            if isinstance(event, Interval) and gate_interval(event) is None:
-                yield event
+    return (each for each in drive.intervals(car.vehicle) if gate_interval(each) is None)
 
 
 def forecasts(

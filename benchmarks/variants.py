@@ -27,7 +27,6 @@ from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.interval import Interval
-from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.vehicle.files import Vehicle
 
 STRETCH, STEP, FIRST = 195.0, 200.0, 250.0  # s: hidden, between two, before the first
@@ -128,10 +127,7 @@ def read_car(data: str, key: str) -> RecordedCar:
     car = load_car(data, key)
     drives = []
     for drive in car.drives:
-        stream = SampleStream(StreamSettings(), car.vehicle.air_density, car.vehicle.motor_ratio)
-        found = [
-            e for r in drive.readings for e in stream.add_reading(r) if isinstance(e, Interval)
-        ]
+        found = drive.intervals(car.vehicle)
         drives.append([e for e in found if not math.isnan(e.energy) and gate_interval(e) is None])
     return RecordedCar(key, car.vehicle, [drive for drive in drives if drive])
 

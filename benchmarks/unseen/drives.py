@@ -21,6 +21,7 @@ from benchmarks.unseen.sumo_cars import SUMO_CARS, simulate_sumo, sumo_is_there,
 from benchmarks.unseen.truth import CARRIED_VEHICLE, CHANGCHUN, carried_drives
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
+from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -29,6 +30,7 @@ from evpinn_ros.signals.readings import (
     Reading,
     TemperatureReading,
 )
+from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 
@@ -43,6 +45,16 @@ class UnseenDrive:
     def start_ns(self) -> int:
         """Stamp that times of this drive count from."""
         return self.readings[0].stamp_ns
+
+    def intervals(self, vehicle: Vehicle) -> Iterator[Interval]:
+        """All that a car could learn from, and what lies between."""
+        stream = SampleStream(
+            StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
+        )
+        for reading in self.readings:
+            for event in stream.add_reading(reading):
+                if isinstance(event, Interval):
+                    yield event
 
     def seconds(self, stamp_ns: int) -> float:
         """Time since the start, s."""

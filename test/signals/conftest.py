@@ -9,10 +9,15 @@ from evpinn_ros.signals.stream import SampleStream, StreamSettings
 START = 1_700_000_000 * NANOSECONDS
 
 
+def stamp_at(seconds: float) -> int:
+    """The stamp this many seconds after the start."""
+    return START + round(seconds * NANOSECONDS)
+
+
 @pytest.fixture
 def at() -> Callable[[float], int]:
     """The stamp this many seconds after the start."""
-    return lambda seconds: START + round(seconds * NANOSECONDS)
+    return stamp_at
 
 
 @pytest.fixture

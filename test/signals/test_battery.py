@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 
 from evpinn_ros.signals.battery import BatteryTrack
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
-
-START = 1_700_000_000 * NANOSECONDS
-
-
-def at(second: float) -> int:
-    return START + round(second * NANOSECONDS)
+from evpinn_ros.signals.readings import BatteryReading
+from test.signals.conftest import stamp_at as at
 
 
 def voltage(t):

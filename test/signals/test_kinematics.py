@@ -20,12 +20,8 @@ from evpinn_ros.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
-
-START = 1_700_000_000 * NANOSECONDS
-
-
-def at(seconds: float) -> int:
-    return START + round(seconds * NANOSECONDS)
+from test.signals.conftest import START
+from test.signals.conftest import stamp_at as at
 
 
 def track(times, speeds) -> SpeedTrack:

@@ -6,8 +6,9 @@ import pytest
 
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.track import GAP_STEPS, TRACK_LENGTH, SignalTrack
+from test.signals.conftest import START
+from test.signals.conftest import stamp_at as at
 
-START = 1_700_000_000 * NANOSECONDS
 MILLI = NANOSECONDS // 1000
 
 
@@ -17,10 +18,6 @@ def track(*readings, max_gap=2.5) -> SignalTrack:
     for second, value in readings:
         found.add(at(second), value)
     return found
-
-
-def at(second: float) -> int:
-    return START + round(second * NANOSECONDS)
 
 
 @given(
