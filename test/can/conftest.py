@@ -3,9 +3,14 @@
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+import threading
+import time
+from typing import Any
 
 import pytest
 
+from evpinn_ros.can.bridge import CanBridge
+from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
@@ -69,3 +74,45 @@ def broken(tmp_path: Path) -> Callable[[str, str, str], str]:
         return str(error.value)
 
     return load
+
+
+class LiveBridge:
+    """A bridge on a live bus: its readings, and the threads that read and ask."""
+
+    def __init__(
+        self,
+        interface: str,
+        channel: str,
+        profile: CanProfile,
+        *,
+        poll: bool = True,
+        **options: Any,
+    ) -> None:
+        self.readings: list[Reading] = []
+        self.reader = BusReader(interface, channel, self._on_frame, time.time_ns, **options)
+        self.bridge = CanBridge(profile, self.reader.send if poll else None)
+        runs = [self.reader.run, *([self.bridge.poller.run] if poll else [])]
+        self.threads = [threading.Thread(target=run) for run in runs]
+
+    def _on_frame(self, frame: CanFrame) -> None:
+        self.readings += self.bridge.decode(frame)
+
+    def of(self, kind: type) -> list[Any]:
+        return [reading for reading in self.readings if isinstance(reading, kind)]
+
+    @property
+    def counters(self) -> Any:
+        return self.bridge.poller.status().counters
+
+    def __enter__(self) -> "LiveBridge":
+        for thread in self.threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.bridge.poller is not None:
+            self.bridge.poller.stop()
+        self.reader.stop()
+        for thread in self.threads:
+            thread.join(10)
+            assert not thread.is_alive()

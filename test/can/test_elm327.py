@@ -17,13 +17,13 @@ import tty
 import can
 import pytest
 
-from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.bus import BusReader, BusState
 from evpinn_ros.can.elm327 import Elm327Bus
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from test import conftest
+from test.can.conftest import LiveBridge
 
 pytest.importorskip("elm", reason="ELM327-emulator is not installed")
 EMULATOR = Path(__file__).with_name("elm327_emulator.py")
@@ -55,43 +55,11 @@ def emulated(kind, folder, tcp=False):
         process.wait()
 
 
-class Live:
+def elm327(place, profile=KONA):
     """A bridge behind an adapter, which asks."""
-
-    def __init__(self, place, profile=KONA, poll=True):
-        self.readings = []
-        broadcast = {message.key[0] for message in profile.messages.values()}
-        self.reader = BusReader(
-            "elm327",
-            place,
-            self._on_frame,
-            time.time_ns,
-            requests=profile.requests,
-            broadcast=broadcast,
-        )
-        self.bridge = CanBridge(profile, self.reader.send if poll else None)
-        runs = [self.reader.run]
-        runs += [self.bridge.poller.run] if poll else []
-        self.threads = [threading.Thread(target=run) for run in runs]
-
-    def _on_frame(self, frame):
-        self.readings += self.bridge.decode(frame)
-
-    def of(self, kind):
-        return [reading for reading in self.readings if isinstance(reading, kind)]
-
-    def __enter__(self):
-        for thread in self.threads:
-            thread.start()
-        return self
-
-    def __exit__(self, *_):
-        if self.bridge.poller is not None:
-            self.bridge.poller.stop()
-        self.reader.stop()
-        for thread in self.threads:
-            thread.join(10)
-            assert not thread.is_alive()
+    broadcast = {message.key[0] for message in profile.messages.values()}
+    options = {"requests": profile.requests, "broadcast": broadcast}
+    return LiveBridge("elm327", place, profile, **options)
 
 
 @pytest.mark.slow
@@ -105,7 +73,7 @@ class Live:
     ],
 )
 def test_a_car_is_asked_through_an_adapter(tmp_path, kind, tcp):
-    with emulated(kind, tmp_path, tcp) as place, Live(place) as live:
+    with emulated(kind, tmp_path, tcp) as place, elm327(place) as live:
         wait_for(lambda: len(live.of(BatteryReading)) > 3 and len(live.of(SpeedReading)) > 3)
     for reading in live.of(BatteryReading):
         assert (reading.voltage, reading.current) == (pytest.approx(404.7), pytest.approx(12.3))
@@ -113,13 +81,13 @@ def test_a_car_is_asked_through_an_adapter(tmp_path, kind, tcp):
         assert abs(reading.stamp_ns - time.time_ns()) < 120e9
     for reading in live.of(SpeedReading):
         assert reading.speed == pytest.approx(88 / 3.6)
-    counters = live.bridge.poller.status().counters
+    counters = live.counters
     assert counters["answered"] <= counters["asked"]
 
 
 @pytest.mark.slow
 def test_a_lying_adapter_adds_nothing(tmp_path):
-    with emulated("lying", tmp_path) as place, Live(place) as live:
+    with emulated("lying", tmp_path) as place, elm327(place) as live:
         wait_for(lambda: len(live.of(BatteryReading)) > 3 and len(live.of(SpeedReading)) > 3)
         status = live.reader.status()
     assert {round(reading.voltage, 1) for reading in live.of(BatteryReading)} == {404.7}
@@ -206,7 +174,7 @@ def test_broadcast_frames_are_monitored_and_nothing_is_sent(adapter):
 def test_monitoring_stops_for_a_question_and_goes_on(adapter):
     bolt = load_profile("chevrolet_bolt")
     car = adapter({"ATMA": b"", "222885": b"7E90562288593A0", "222414": b"7E905622414001F"})
-    with Live(car.place, bolt) as live:
+    with elm327(car.place, bolt) as live:
         wait_for(lambda: live.of(BatteryReading))
         wait_for(lambda: car.heard[-1] == "ATMA")
     reading = live.of(BatteryReading)[0]
@@ -218,7 +186,7 @@ def test_extended_addressing_of_an_i3(adapter):
     answers = {"22D107": b"660F10562D107012C", "22DD68": b"607F10562DD689088"}
     answers["22DD69"] = b"607F1100762DD690000\r607F12103E8"
     car = adapter(answers)
-    with Live(car.place, I3) as live:
+    with elm327(car.place, I3) as live:
         wait_for(lambda: live.of(BatteryReading) and live.of(SpeedReading))
     assert live.of(SpeedReading)[0].speed == pytest.approx(30.0 / 3.6)
     assert live.of(BatteryReading)[0].voltage == pytest.approx(370.0)
@@ -234,9 +202,9 @@ def test_voltage_and_current_behind_a_slow_adapter_keep_their_own_stamps(adapter
     answers = {"22D107": b"660F10562D107012C", "22DD68": b"607F10562DD689088"}
     answers["22DD69"] = b"607F1100762DD690000\r607F12103E8"
     car = adapter(answers, delay=0.25)
-    with Live(car.place, I3) as live:
+    with elm327(car.place, I3) as live:
         wait_for(lambda: len(live.of(BatteryReading)) > 5)
-        counters = live.bridge.poller.status().counters
+        counters = live.counters
     volts = [r for r in live.of(BatteryReading) if not math.isnan(r.voltage)]
     amps = [r for r in live.of(BatteryReading) if not math.isnan(r.current)]
     assert {r.voltage for r in volts} == {370.0} and {r.current for r in amps} == {10.0}

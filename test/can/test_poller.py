@@ -11,12 +11,12 @@ import pytest
 from evpinn_ros.can import poller as poller_module
 from evpinn_ros.can import restraint as restraint_module
 from evpinn_ros.can.bridge import CanBridge
-from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from test.can.conftest import LiveBridge
 from test.conftest import wait_for
 
 CHANNELS = (f"poller-{number}" for number in itertools.count())
@@ -40,42 +40,12 @@ def unit(channel, simulated_unit, monkeypatch):
     return make
 
 
-class Live:
-    """A bridge on the bus: its readings, and the threads that read and ask."""
-
-    def __init__(self, channel, profile, poll):
-        self.readings = []
-        self.reader = BusReader("virtual", channel, self._on_frame, time.time_ns)
-        self.bridge = CanBridge(profile, self.reader.send if poll else None)
-        runs = [self.reader.run] + ([self.bridge.poller.run] if poll else [])
-        self.threads = [threading.Thread(target=run) for run in runs]
-
-    def _on_frame(self, frame):
-        self.readings += self.bridge.decode(frame)
-
-    def of(self, kind):
-        return [reading for reading in self.readings if isinstance(reading, kind)]
-
-    @property
-    def counters(self):
-        return self.bridge.poller.status().counters
-
-
 @contextmanager
 def live(channel, profile, *, poll=True):
-    bridge = Live(channel, profile, poll)
-    for thread in bridge.threads:
-        thread.start()
-    try:
+    with LiveBridge("virtual", channel, profile, poll=poll) as bridge:
         yield bridge
-    finally:
         begun = time.monotonic()
-        bridge.bridge.poller.stop()
-        bridge.reader.stop()
-        for thread in bridge.threads:
-            thread.join(5)
-        assert time.monotonic() - begun < 1.0
-    assert not any(thread.is_alive() for thread in bridge.threads)
+    assert time.monotonic() - begun < 1.0
     assert not bridge.reader.status().counters.get("callback_errors")
 
 

@@ -22,6 +22,7 @@ from evpinn_ros.topics.readings import to_reading
 ROOT = Path(__file__).resolve().parents[2]
 UNITS = ROOT / "config" / "systemd"
 VEHICLE = "tesla_model_3"
+ENERGY = ("-m", "evpinn_ros.executables", "energy", "--ros-args", "-r", "__ns:=/ev")
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
@@ -51,8 +52,7 @@ def systemd(tmp_path):
 
 def test_a_node_tells_that_it_is_up_that_it_works_and_that_it_ends(bench, systemd):
     inlet, environment = systemd
-    command = ("-m", "evpinn_ros.executables", "energy", "--ros-args", "-r", "__ns:=/ev")
-    process = subprocess.Popen([sys.executable, *command], cwd=ROOT, env=environment)
+    process = subprocess.Popen([sys.executable, *ENERGY], cwd=ROOT, env=environment)
     try:
         assert inlet.recv(100) == b"READY=1"
         assert [inlet.recv(100) for _ in range(3)] == 3 * [b"WATCHDOG=1"]
@@ -67,8 +67,7 @@ def test_a_node_tells_that_it_is_up_that_it_works_and_that_it_ends(bench, system
 
 def test_a_process_that_hangs_says_nothing_more(bench, systemd):
     inlet, environment = systemd
-    command = ("-m", "evpinn_ros.executables", "energy", "--ros-args", "-r", "__ns:=/ev")
-    process = subprocess.Popen([sys.executable, *command], cwd=ROOT, env=environment)
+    process = subprocess.Popen([sys.executable, *ENERGY], cwd=ROOT, env=environment)
     try:
         while inlet.recv(100) != b"WATCHDOG=1":
             pass
