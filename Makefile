@@ -132,7 +132,7 @@ $(MSGS)/installed: $(INSTALLED) $(shell find evpinn_msgs test/messages -type f)
 	@$(BIN)/python -m pip install -qq --no-input --disable-pip-version-check \
 		-c $(CONSTRAINTS) -r evpinn_msgs/requirements-build.txt
 	@rm -rf $(MSGS)
-	@for source in evpinn_msgs test/messages/*; do \
+	@for source in evpinn_msgs test/messages/*/; do \
 		build=$(MSGS)/build/$$(basename $$source) && PATH="$(CURDIR)/$(BIN):$$PATH" && \
 		cmake -S $$source -B $$build -GNinja -DBUILD_TESTING=OFF --log-level=ERROR \
 			-DCMAKE_PROJECT_INCLUDE="$(CURDIR)/evpinn_msgs/cmake/wheels.cmake" \
