@@ -47,7 +47,7 @@ class UnseenDrive:
         return self.readings[0].stamp_ns
 
     def intervals(self, vehicle: Vehicle) -> Iterator[Interval]:
-        """All that a car could learn from, and what lies between."""
+        """Intervals that a car may learn from, and those that nothing is learned from."""
         stream = SampleStream(
             StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
         )
