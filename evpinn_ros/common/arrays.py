@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, TypeVar
 
 import numpy as np
@@ -26,20 +27,24 @@ def like(array: np.ndarray, example: Any) -> Any:
 
 
 def within(values: Any, low: float, high: float) -> Any:
-    """Values between two bounds; for a few numbers `numpy.clip` takes five times as long."""
-    if namespace(values) is np:
-        return np.minimum(np.maximum(values, low), high)
-    return values.clip(low, high)
+    """Values between two bounds, of which one may be infinite.
+
+    For a few numbers `numpy.clip` takes five times as long.
+    """
+    if namespace(values) is not np:
+        return values.clip(low, high)
+    found = values if low == -math.inf else np.maximum(values, low)
+    return found if high == math.inf else np.minimum(found, high)
+
+
+def numbers(mask: Any, example: Any) -> Any:
+    """1 where a mask is true, else 0, in the precision of the example."""
+    return mask.astype(example.dtype) if namespace(mask) is np else mask.to(example.dtype)
 
 
 def zeros(shape: tuple[int, ...], example: Any) -> Any:
     """Zeros of the kind of the example."""
     return np.zeros(shape) if namespace(example) is np else example.new_zeros(shape)
-
-
-def as_numpy(array: Any) -> np.ndarray:
-    """A numpy array of what may be a tensor, without its gradient."""
-    return np.asarray(array if namespace(array) is np else array.detach().cpu())
 
 
 def whole(values: Any) -> Any:

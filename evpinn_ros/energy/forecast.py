@@ -18,7 +18,7 @@ import numpy as np
 
 from evpinn_ros.common.arrays import namespace
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
-from evpinn_ros.energy.plan import Legs, Plan, PlanError, points_of
+from evpinn_ros.energy.plan import COARSE, Legs, Plan, PlanError, points_of
 from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.noise import standing, wandered
 from evpinn_ros.estimation.states import SIZE, State
@@ -28,8 +28,8 @@ from evpinn_ros.vehicle.files import Vehicle
 
 DIRECTION_LENGTH = 5e3  # m within which a trip turns away from where the car now points
 UNKNOWN_END = PlanEnd(np.full(SIZE, math.nan), *(math.nan,) * 5)
-COARSE = 5.0  # s between points, in the middle of a plan, from which on legs are uneven
-CHUNK = 64  # profiles computed together, so that what they need stays in the cache
+# Profiles computed together, and about their points, so that what they need stays in the cache.
+TOGETHER, POINTS_TOGETHER = 64, 24_000
 
 
 class Profiles(NamedTuple):
@@ -113,15 +113,17 @@ def forecast(
         )
     model = vehicle_model(vehicle) if model is None else model
     density = vehicle.air_density if air_density is None else air_density
-    rows = range(0, len(speed), CHUNK)
+    batch = max(1, min(TOGETHER, POINTS_TOGETHER // speed.shape[1]))
     parts = [
-        _energies(Profiles(*(_rows(a, slice(i, i + CHUNK)) for a in profiles)), model, density)
-        for i in rows
+        _sums(Profiles(*(_rows(a, slice(i, i + batch)) for a in profiles)), model, density)
+        for i in range(0, len(speed), batch)
     ]
     if not parts:
         return Energies(speed[:, 0], speed[:, 0])
     concatenate = namespace(speed).concatenate
-    return _checked(Energies(*map(concatenate, zip(*parts, strict=True))))
+    rows, elapsed, stood, square, unseen = map(concatenate, zip(*parts, strict=True))
+    noise = model.noise(elapsed, stood, square)
+    return _checked(Energies(*model.predicted(rows, elapsed, noise, unseen)))
 
 
 def forecast_plan(
@@ -298,29 +300,28 @@ def battery_along(result: Forecast, charge: Uncertain, capacity: Uncertain) -> n
     return np.stack([charge.value - share, np.sqrt(sum(part**2 for part in parts))])
 
 
-def _energies(profiles: Profiles, model: PowerModel, density: float) -> Energies:
+def _sums(profiles: Profiles, model: PowerModel, density: float) -> tuple[Any, ...]:
+    """Sums over each profile: its row; s; s standing; integral of speed squared; m not seen."""
     time, speed, elevation = profiles
     xp = namespace(speed)
     duration = xp.diff(time)
     if not bool((duration > 0).all()):
         raise PlanError("time does not rise")
-    if not bool(((speed >= 0) & (speed < math.inf)).all()):
+    if not (speed.min() >= 0 and speed.max() < math.inf):  # neither is NaN
         raise PlanError("speed is negative or not finite")
     duration = duration.reshape(-1, duration.shape[-1])  # of all trips, or one each
-    twice, square = speed[:, :-1] + speed[:, 1:], speed**2
+    twice, half = speed[:, :-1] + speed[:, 1:], 0.5 * speed**2
     length = twice * (0.5 * duration)
-    climb = 0.0 if elevation is None else xp.diff(elevation)
-    if elevation is not None and not bool(xp.isfinite(climb).all()):
+    climb: Any = 0.0 if elevation is None else xp.diff(elevation)
+    if elevation is not None and not bool(xp.isfinite(climb.sum())):
         raise PlanError("elevation is not finite")
     # The integral of v^3 where speed is linear; (a + b)(a^2 + b^2) / 4 is exact.
-    air = 0.5 * length * (square[:, :-1] + square[:, 1:])
-    motion = Motion(duration, length, air, 0.5 * xp.diff(square), climb)
+    air = length * (half[:, :-1] + half[:, 1:])
+    motion = Motion(duration, length, air, xp.diff(half), climb)
     rows = model.summed_rows(motion, Weather(density))
+    stood, square = standing(duration, length).sum(-1), 0.5 * (twice * length).sum(-1)
     unseen = length.sum(-1) * (elevation is None)
-    steps = duration, standing(duration, length), 0.5 * twice * length
-    elapsed, stood, square = (each.sum(-1) for each in steps)
-    noise = model.noise(elapsed, stood, square)
-    return Energies(*model.predicted(rows, elapsed, noise, unseen))
+    return rows, xp.broadcast_to(duration.sum(-1), stood.shape), stood, square, unseen
 
 
 def _rows(array: Any, rows: slice) -> Any:

@@ -14,8 +14,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.arrays import like, namespace, within, zeros
-from evpinn_ros.energy.network_table import looked_up, nodes_of, table_of, units_of
+from evpinn_ros.common.arrays import like, namespace, whole, within, zeros
+from evpinn_ros.energy.network_table import (
+    FORCES,
+    looked_up,
+    places_of,
+    shares_of,
+    table_of,
+    units_of,
+)
 from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.noise import LOAD_TIME, unexplained, wandered
 from evpinn_ros.estimation.size import model_of_file
@@ -218,9 +225,10 @@ class PowerModel:
             moving = equation.moving_columns(wheels, motion.duration, coldness(celsius), 0.0)
             columns = np.stack([motion.duration, *moving.values()])
             found = columns.T @ np.stack([power, *rest[list(moving)]])
-            node, shares = nodes_of(wheels, motion.distance)
-            for shift, share in shares:
-                found += network[node + shift] * share[:, None]
+            places = places_of(wheels)
+            node = whole(places.speed * FORCES + places.force)
+            for faster, stronger, share in shares_of(*places.moments(motion.distance)):
+                found += network[node + (faster * FORCES + stronger)] * share[:, None]
             return np.asarray(found)
 
         return of_steps

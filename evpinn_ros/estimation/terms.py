@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.arrays import like, namespace, within, zeros
+from evpinn_ros.common.arrays import like, namespace, numbers, within, zeros
 from evpinn_ros.estimation.network import orthogonal_network, reference_driving, share_of_terms
 from evpinn_ros.estimation.states import PHYSICS, SIZE, WEIGHTS, State, prior_of
 from evpinn_ros.signals.interval import Steps
@@ -203,7 +203,7 @@ class Equation:
         mass = float(self.mean[State.MASS])
         energy = float(self.mean[State.DRAG]) * drag + float(self.mean[State.ROLLING]) * rolling
         energy = energy + mass * (inertia + height)
-        driving = (energy > 0.0) + zeros(energy.shape, energy)  # of its precision
+        driving = numbers(energy > 0.0, energy)
         least = within(way, LEAST_STEP, math.inf)
         force = within(energy / (mass * least), -MOST_FORCE, MOST_FORCE)
         gain = driving + (1.0 - driving) * self.back
@@ -253,7 +253,7 @@ class Equation:
         What the terms of eq. 21 explain of `EXPLAINED` is not taken away yet: that is these terms
         times `explained`, also once they are summed up.
         """
-        turns = (wheels.speed > CREEPING) * duration
+        turns = numbers(wheels.speed > CREEPING, duration) * duration
         columns = dict(zip(PHYSICS, wheels.columns, strict=True))
         prior = float(self.mean[State.ROLLING]) * columns[State.ROLLING]
         return columns | {
