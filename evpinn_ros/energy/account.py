@@ -97,6 +97,7 @@ class SavedAccount:
     correction: TripCorrection
     before_reset: EnergyTotals
     shown: Annotated[EnergyTotals | None, ADDED]
+    route: Annotated[Route | None, ADDED]
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,6 +263,8 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def _see(self, stamp_ns: int) -> None:
         self._newest_ns = max(self._newest_ns, stamp_ns)
+        if self.route is not None:
+            self.route.see(stamp_ns)
 
     def _by_charge(self, dropout: Dropout, before: float, after: float) -> Uncertain:
         """Energy of a dropout by the state of charge; nothing where no car can do that."""
@@ -379,6 +382,7 @@ class EnergyAccount(Saveable[SavedAccount]):
             correction=self._correction,
             before_reset=self._before_reset,
             shown=self._shown,
+            route=self._route_ahead(),
         )
 
     def take(self, saved: SavedAccount) -> None:
@@ -386,7 +390,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.meter.take(saved.meter)
         self.trip.take(saved.trip)
         self.gauge.take(saved.charge)
-        self._shown = saved.shown or EnergyTotals()
+        self._shown, self.route = saved.shown or EnergyTotals(), saved.route
         if saved.battery is None:
             self.battery.reset()
         else:

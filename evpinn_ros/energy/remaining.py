@@ -22,13 +22,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
 import sys
-from typing import NamedTuple, Protocol
+from typing import Annotated, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import Forecast
 from evpinn_ros.energy.plan import Plan
+from evpinn_ros.energy.plausible import Joules, Metres
 from evpinn_ros.energy.trip import Stretch
 from evpinn_ros.energy.uncertainty import relaxed, walked
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -42,6 +44,8 @@ FARTHEST = 2.0**21  # m; what is beyond is no answer
 HALVINGS = 21  # down to a metre
 QUANTILE = 1.6449  # of 90 %
 GIVEN_UP = 2.0  # times its planned duration after which a route that was not driven is given up
+MOST_POINTS = 1000  # of a route, which is saved each minute: of 300 km one each 300 m
+Stamp: TypeAlias = Annotated[int, Range(0, sys.maxsize)]  # ns
 
 
 class Remaining(NamedTuple):
@@ -102,52 +106,73 @@ class Cost(NamedTuple):
         return level * math.sqrt(max(walked(distance, MEMORY), 0.0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Route:
-    """A route that the car follows, as the forecast of its plan has it.
+    """A route that the car follows, as the forecast of its plan has it; it outlives a restart.
 
     Attributes:
-        distance: of its points from the first, m, never falling, shape (n,).
+        distance: of its points from the first, m, never falling, n of them.
         energy: from the first point to each, J.
         sigma: 1-sigma of that, J.
         begin: the odometer at its first point, m.
-        until_ns: stamp at which it is given up.
+        begin_ns: stamp there; 0 until the first one is known.
+        longest_ns: time from there after which it is given up.
+
+    Raises:
+        ValueError: these are no points along a route.
     """
 
-    distance: np.ndarray
-    energy: np.ndarray
-    sigma: np.ndarray
-    begin: float
-    until_ns: int
+    distance: tuple[Metres, ...]
+    energy: tuple[Joules, ...]
+    sigma: tuple[Joules, ...]
+    begin: Metres
+    begin_ns: Stamp
+    longest_ns: Stamp
+
+    def __post_init__(self) -> None:
+        if not 2 <= len(self.distance) == len(self.energy) == len(self.sigma):
+            raise ValueError("a route needs two points or more, of three numbers each")
+        if self.distance[0] != 0.0 or min(np.diff(self.distance)) < 0.0 or min(self.sigma) < 0.0:
+            raise ValueError("no such route: its distance falls, or a sigma is negative")
 
     @classmethod
     def from_here(cls, plan: Plan, found: Forecast, odometer: float, stamp_ns: int) -> Route:
-        """The route of a plan that begins now, where the car is."""
+        """The route of a plan that begins now, where the car is; stamp_ns: 0 if unknown yet."""
         longest = int(GIVEN_UP * (found.time[-1] - found.time[0]) * NANOSECONDS)
-        # Before the first reading no stamp is known from which to count.
-        until_ns = stamp_ns + longest if stamp_ns else sys.maxsize
-        return cls(plan.distance - plan.distance[0], found.energy, found.sigma, odometer, until_ns)
+        along, energy, sigma = plan.distance - plan.distance[0], found.energy, found.sigma
+        if len(along) > MOST_POINTS:
+            kept = np.linspace(0.0, along[-1], MOST_POINTS)
+            energy, sigma = (np.interp(kept, along, each) for each in (energy, sigma))
+            along = kept
+        distance, energies, sigmas = (tuple(each.tolist()) for each in (along, energy, sigma))
+        return cls(distance, energies, sigmas, odometer, stamp_ns, longest)
 
     @property
     def cost(self) -> float:
         """Mean energy per distance, J/m."""
-        return float(self.energy[-1] / self.distance[-1])
+        return self.energy[-1] / self.distance[-1]
+
+    def see(self, stamp_ns: int) -> None:
+        """Take the first stamp that is known as that of its first point."""
+        self.begin_ns = self.begin_ns or stamp_ns
 
     def left(self, odometer: float, stamp_ns: int) -> float:
-        """Metres that are left of it; 0 or less once it is over."""
-        return 0.0 if stamp_ns > self.until_ns else self.begin + self.distance[-1] - odometer
+        """Metres that are left of it; 0 or less once it is over. stamp_ns: 0 if unknown yet."""
+        known = self.begin_ns and stamp_ns
+        if known and not 0 <= stamp_ns - self.begin_ns <= self.longest_ns:
+            return 0.0
+        return self.begin + self.distance[-1] - odometer
 
     def ahead(self, odometer: float, beyond: Cost) -> RouteAhead:
         """The rest of it, and the road beyond its end."""
+        along, energy, sigma = map(np.asarray, (self.distance, self.energy, self.sigma))
         driven = odometer - self.begin
-        rest = self.distance > driven
-        distance = np.concatenate(([0.0], self.distance[rest] - driven))
-        here = float(np.interp(driven, self.distance, self.energy))
-        energies = np.concatenate(([0.0], self.energy[rest] - here))
+        rest = along > driven
+        distance = np.concatenate(([0.0], along[rest] - driven))
+        here = float(np.interp(driven, along, energy))
+        energies = np.concatenate(([0.0], energy[rest] - here))
         # So many metres to come are as unsure as so many from the start were.
-        return RouteAhead(
-            distance, energies, np.interp(distance, self.distance, self.sigma), beyond
-        )
+        return RouteAhead(distance, energies, np.interp(distance, along, sigma), beyond)
 
 
 class RouteAhead(NamedTuple):

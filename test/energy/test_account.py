@@ -153,6 +153,33 @@ def test_a_route_planned_before_setting_off_is_followed_until_it_is_driven():
     assert over[0] == over[1]
 
 
+def test_a_route_is_followed_on_after_a_restart_and_not_the_next_morning():
+    time, length = np.array([0.0, 50.0, 600.0]), np.array([0.0, 1e3, 12e3])
+    plan = Plan(time, length, np.full(3, SPEED), np.zeros(3))
+    energy = np.array([0.0, 1e6, 12e6])  # twice as much as usual
+    first = drive(account(), range(600))
+    first.follow(plan, Forecast(time, energy, np.full(3, 2e4), 0.1 * energy))
+    saved = json.loads(json.dumps(drive(first, range(600, 700)).export(), allow_nan=False))
+    older = {name: value for name, value in saved.items() if name != "route"}
+    one, another, without, morning = account(), account(), account(), account()
+    one.restore(saved)
+    another.restore(one.export())  # stopped before anything came
+    without.restore(older)
+    morning.restore(saved)
+    left = first.route.left(first.odometer, 0)
+    assert left == pytest.approx(12e3 - 101 * SPEED, abs=SPEED)
+    on = [drive(each, range(700, 720)).summary().remaining for each in (one, another, without)]
+    assert on[0] == on[1]
+    dearer = one.route.left(one.odometer, 0)  # by as many metres as cost twice as much
+    assert left - 20 * SPEED <= dearer < left - 15 * SPEED
+    assert on[2].distance - on[0].distance == pytest.approx(dearer, rel=0.05)
+    late = [drive(each, range(3000, 3020)).summary().remaining for each in (morning, without)]
+    assert late[0].distance == pytest.approx(late[1].distance, rel=0.01)
+    saved["route"]["energy"].pop()
+    with pytest.raises(ValueError, match="route"):
+        account().restore(saved)
+
+
 def test_saved_and_restored_the_totals_are_the_same_and_go_on():
     first = drive(account(), range(900), silent=range(300, 500))
     first.reset_trip()

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from evpinn_ros.energy.charge import Uncertain
+from evpinn_ros.energy.forecast import Forecast
+from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.remaining import (
     FIRST_SPREAD,
     MEMORY,
+    MOST_POINTS,
     RECENT,
     USUAL,
     Cost,
@@ -89,13 +92,14 @@ def test_spread_of_the_cost_goes_from_the_prior_to_the_pieces():
 def route(distance, energy, sigma=0.0, begin=0.0):
     """A route by points, in km and MJ; its sigma is a share of the energy."""
     metres, joules = 1e3 * np.array(distance, float), 1e6 * np.array(energy, float)
-    return Route(metres, joules, sigma * np.abs(joules), begin, until_ns=1000)
+    columns = metres, joules, sigma * np.abs(joules)
+    return Route(*map(tuple, columns), begin, begin_ns=1000, longest_ns=500)
 
 
 @given(costs, st.floats(5e3, 2e5), st.floats(0.0, 1.0), st.floats(1e6, 2e8))
 def test_a_route_of_the_usual_cost_changes_nothing(cost, length, driven, usable):
     even = Cost(cost, cost, 0.0)
-    here = Route(np.array([0.0, length]), cost * np.array([0.0, length]), np.zeros(2), 7.0, 1000)
+    here = Route((0.0, length), (0.0, cost * length), (0.0, 0.0), 7.0, 0, 1000)
     with_it = remaining(Uncertain(usable, 0.0), here.ahead(7.0 + driven * length, even))
     alone = remaining(Uncertain(usable, 0.0), even)
     assert with_it is alone is None or with_it.distance == pytest.approx(alone.distance, abs=3.0)
@@ -130,5 +134,31 @@ def test_the_band_is_that_of_the_route():
 
 def test_a_route_ends_where_it_was_driven_and_is_given_up_after_a_time():
     some = route([0, 20], [0, 10], begin=5e3)
-    assert some.left(5e3, 0) == 20e3 and some.left(24e3, 1000) == 1e3
-    assert some.left(25e3, 0) <= 0.0 and some.left(5e3, 1001) == 0.0
+    assert some.left(5e3, 0) == 20e3 and some.left(24e3, 1500) == 1e3
+    assert some.left(25e3, 0) <= 0.0 and some.left(5e3, 1501) == 0.0
+    assert some.left(5e3, 999) == 0.0  # time went back to before it
+
+
+def test_a_route_of_many_points_keeps_some_that_lie_on_it():
+    time = np.arange(50_001.0)
+    along = 20.0 * time
+    plan = Plan(time, along, np.full(50_001, 20.0), np.zeros(50_001))
+    energy = 400.0 * along + 1e6 * np.sin(along / 5e3)
+    kept = Route.from_here(plan, Forecast(time, energy, time, 0.1 * energy), 7.0, 0)
+    assert len(kept.distance) == MOST_POINTS and kept.distance[-1] == along[-1]
+    assert kept.cost == pytest.approx(energy[-1] / along[-1])
+    assert np.interp(along, kept.distance, kept.energy) == pytest.approx(energy, abs=8e3)
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        ((0.0,), (0.0,), (0.0,)),
+        ((0.0, 1.0), (0.0, 1.0), (0.0,)),
+        ((0.0, 2.0, 1.0), (0.0, 1.0, 2.0), (0.0, 0.0, 0.0)),
+        ((0.0, 1.0), (0.0, 1.0), (0.0, -1.0)),
+    ],
+)
+def test_what_is_no_route_is_refused(columns):
+    with pytest.raises(ValueError, match="route"):
+        Route(*columns, begin=0.0, begin_ns=0, longest_ns=0)

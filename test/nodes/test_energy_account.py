@@ -188,6 +188,30 @@ def test_the_range_is_that_of_the_route_whose_plan_was_asked(bench):
     assert node.account.route is None
 
 
+def test_a_node_that_starts_again_on_the_way_follows_the_route_on(bench, tmp_path):
+    """A planner publishes its plan once, before the car sets off."""
+    path = str(tmp_path / "energy.json")
+    first = bench.start(EnergyNode, energy_file=path)
+    bench.listen(topics.ENERGY_RANGE, *ANSWERS)
+    ranges = bench.heard[topics.ENERGY_RANGE]
+    motorway = ((0, 0, SPEED), (600, 30_000, SPEED), (1200, 60_000, SPEED))
+    ask(bench, first, topics.SPEED_PROFILE, profile(*motorway, frame="route"))
+    drive(bench, first, range(211))
+    bench.pump(lambda: len(ranges) == first.published[topics.ENERGY_RANGE])
+    before = values(ranges[-1])
+    stop(bench, first)
+    node = bench.start(EnergyNode, energy_file=path)
+    ranges.clear()
+    drive(bench, node, range(211, 214))
+    bench.pump(lambda: len(ranges) == node.published[topics.ENERGY_RANGE] > 0)
+    along = values(ranges[-1])
+    left = node.account.route.left(node.account.odometer, 0)
+    assert left == pytest.approx(60e3 - node.account.odometer)
+    assert 60e3 - 213 * SPEED <= left < 60e3 - 208 * SPEED
+    assert along["distance_to_empty"] == pytest.approx(before["distance_to_empty"], rel=0.01)
+    assert along["distance_to_empty"] < 0.9 * along["usable_energy"] / (POWER / SPEED)
+
+
 def test_a_wrong_stamp_of_speed_costs_no_distance(bench):
     node = bench.start(EnergyNode)
     drive(bench, node, range(20))
