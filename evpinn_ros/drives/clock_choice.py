@@ -88,9 +88,10 @@ def _clock(
     column: Column, survey: Survey, styles: Mapping[int, Style], days: Collection[int]
 ) -> Clock | None:
     cells = survey.cells[column.place]
-    numbers = clock_of_numbers(column.place, cells, styles[column.place], column.unit or None)
+    style, unit = styles[column.place], column.unit or None
+    numbers = clock_of_numbers(column.place, cells, style, unit, in_seconds=column.is_ours)
     if column.is_ours:  # its name says seconds; cells that are none are counted one by one
-        return numbers or Clock((column.place,), "number", style=styles[column.place])
+        return numbers or Clock((column.place,), "number", style=style)
     return numbers or clock_of_text((column.place,), [cells], days)
 
 

@@ -176,9 +176,18 @@ def _forward(times: NDArray[Any]) -> NDArray[Any]:
 
 
 def clock_of_numbers(
-    column: int, cells: Sequence[str], style: Style, unit: str | None
+    column: int, cells: Sequence[str], style: Style, unit: str | None, *, in_seconds: bool = False
 ) -> Clock | None:
-    """The clock of a column of numbers; None where most cells are none."""
+    """The clock of a column of numbers; None where most cells are none.
+
+    Args:
+        column: its place.
+        cells: of it.
+        style: of their numbers.
+        unit: that its name tells, or None.
+        in_seconds: numbers that are no dates are s, however far apart rows are: those of a plan
+            may be minutes.
+    """
     values = to_floats(cells, style)
     known = values[np.abs(values) < LARGEST]
     filled = [cell for cell in cells if cell.strip().lower() not in MISSING]
@@ -196,8 +205,8 @@ def clock_of_numbers(
         name = unit or since_1970
         why = "since 1970, by its values"
         return Clock((column,), "number", unit=name, zoned=True, why=why, style=style)
-    name = unit or _unit_of_steps(steps)
-    why = "by its name" if unit else "by the step between rows"
+    name = "s" if in_seconds else unit or _unit_of_steps(steps)
+    why = "by its name" if unit or in_seconds else "by the step between rows"
     daily = _begins_anew(known, DAY_NS / _NS[name])
     return Clock((column,), "number", unit=name, why=why, style=style, daily=daily)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
+from evpinn_ros.energy.plan import COARSE, Plan, plan_from_speed_profile
 
 PLAN_STEP = 1.0  # s between points of a plan
 ELEVATION_STEP = 5.0  # m
@@ -16,12 +16,16 @@ MOST_STEPS = 1_000_000  # of elevation; longer ways have longer ones
 def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
     """The plan that a drive would have been: speed once a second, and elevation.
 
+    Speeds that are so far apart that they vary in between (`COARSE`) are its points as they are,
+    so that what drivers do between them is expected.
+
     Args:
         speed: time, s, rising, and m/s, shape (n, 2), some seconds long.
         altitude: time, s, and m, shape (m, 2); empty for a flat road.
     """
     time, speeds = speed[:, 0] - speed[0, 0], speed[:, 1]
-    grid = np.arange(0.0, time[-1], PLAN_STEP)
+    rough = float(np.median(np.diff(time))) > COARSE
+    grid = time if rough else np.arange(0.0, time[-1], PLAN_STEP)
     at = np.maximum(np.interp(grid, time, speeds), 0.0)
     # Distance as the plan's speeds make it, so that both agree.
     distance = travelled(grid, at)

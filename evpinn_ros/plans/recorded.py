@@ -38,6 +38,7 @@ GAP_STEPS = 10.0  # mean steps, which a gap exceeds as well: some plans have few
 LONG_GAP = 600.0  # s, after which the log is of another drive
 STANDING = 0.5  # m/s before a gap and after it
 SHORTEST = 2.0  # s
+UNIT_OF_TIME = "a column of times says its unit, as t_s or 'time [ms]' do"
 DRIVEN = {topic.type_name for topic in SPEEDS} | {FRAME_TYPE}
 
 
@@ -72,7 +73,7 @@ def plan_of_readings(readings: Iterable[Reading]) -> Plan:
     start = min((stamp for stamp, _ in rows[SpeedReading]), default=0)
     speed, altitude, grade = (_series(rows[kind], start) for kind in FIELDS)
     if len(speed) < 2 or speed[-1, 0] < SHORTEST:
-        raise PlanError(f"a drive of less than {SHORTEST:g} s is no plan")
+        raise PlanError(f"a drive of less than {SHORTEST:g} s is no plan; {UNIT_OF_TIME}")
     time = _driven(speed)
     for series in (altitude, grade, speed):
         series[:, 0] = np.interp(series[:, 0], speed[:, 0], time)

@@ -67,6 +67,8 @@ def legs_of_route(data: Json) -> Legs | None:
         return _legs([part for leg in routes[0]["legs"] for part in _osrm_parts(leg)])
     if reason := data.get("error") or data.get("message") or data.get("code"):
         text = reason.get("message", reason) if isinstance(reason, Mapping) else reason
+        if text == "Ok":  # of another service, as OSRM's table
+            raise PlanError("there is no route in this answer")
         raise PlanError(f"the route service found no route: {text}")
     return None
 

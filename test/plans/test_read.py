@@ -156,8 +156,12 @@ def test_the_drives_of_a_day_follow_each_other_without_the_hours_between():
     assert plan.elevation[190] == pytest.approx(509.0, abs=1.0)
 
 
-def test_few_rows_of_a_plan_are_no_gaps(read):
-    plan = read("time_s,Speed (km/h)\n0,0\n15,72\n400,72\n420,0\n", "plan.csv")
+@pytest.mark.parametrize("time", ["time_s", "t_s", "Time [s]"])
+def test_few_rows_of_a_plan_are_no_gaps(read, time):
+    """Its points stay as they are, so that its speed is uneven between them, as in m/s."""
+    plan = read(f"{time},Speed (km/h)\n0,0\n15,72\n400,72\n420,0\n", "plan.csv")
+    same = read("t_s,speed_mps\n0,0\n15,20\n400,20\n420,0\n", "plan.csv")
+    assert plan.time == pytest.approx(same.time) and plan.speed == pytest.approx(same.speed)
     assert plan.time[-1] == pytest.approx(420, abs=1.1)
     assert plan.distance[-1] == pytest.approx(8050.0, rel=0.001)
 
@@ -195,6 +199,11 @@ def test_readings_out_of_order_and_without_a_number_are_no_harm():
         ("hello\n", "plan.csv", "no plan, which has the columns t_s and speed_mps"),
         ("hello\n", "plan.doc", "no plan, which has the columns t_s and speed_mps"),
         ("t_s,speed_mps,power_w\n0,1,2\n", "drive.csv", "less than 2 s is no plan"),
+        (
+            "time,kmh\n0,0\n20,36\n400,72\n",
+            "drive.csv",
+            "no plan; a column of times says its unit",
+        ),
         (b"\x89MCAP0\r\n", "drive.mcap", "drive.mcap"),
         (b"PK\x03\x04", "drive.xlsx", "drive.xlsx"),
         ("(0.0) can0 257#00\n", "drive.log", "names no CAN profile"),
