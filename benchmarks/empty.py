@@ -2,7 +2,10 @@
 
 All drives of a car are one road, in pieces of a kilometre. After each, the energy that the next
 10, 20 and 40 km took is what is left in the battery; the answer is compared with the road driven.
-Beside it stand that energy over what the last 10 km cost, and over what the last 100 km cost.
+Beside it stand that energy over what the last 10 km cost, and over what the last 100 km cost; and
+the answer along a route: what is left of this drive as a plan of legs of 500 m, at its mean
+temperature, with loads unknown. It is judged where the road ends within the drive, for no plan
+knows that the car stands overnight and is heated again.
 """
 
 from __future__ import annotations
@@ -14,14 +17,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.plans import intervals_of
+from benchmarks.plans import intervals_of, plan_of, weather_of
 from benchmarks.unseen.drives import UnseenCar, load_car
 from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.remaining import Cost, cost_spread, remaining
+from evpinn_ros.energy.forecast import forecast_plan
+from evpinn_ros.energy.plan import Legs, PlanError, points_of
+from evpinn_ros.energy.power_model import PowerModel
+from evpinn_ros.energy.remaining import Ahead, Cost, Route, cost_spread, remaining
 from evpinn_ros.energy.trip import Stretch, TripLog
 from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.car import LearnedCar
+from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.terms import equation_of
+from evpinn_ros.signals.interval import Interval
 
 HORIZONS = (10e3, 20e3, 40e3)  # m
 PIECE = 1e3  # m
@@ -29,9 +37,12 @@ LAST_10, LAST_100 = 1, 2  # windows of a `TripLog`
 
 
 class Kilometre(NamedTuple):
-    """A kilometre, and what a summary knew at its end; the cost None before 10 km."""
+    """A kilometre of a drive, and what was known at its end; the cost None before 10 km."""
 
+    drive: int
     driven: Stretch
+    intervals: tuple[Interval, ...]
+    model: CarModel
     cost: Cost | None
     recent: float
     long: float
@@ -48,6 +59,10 @@ class EmptyScore:
     by_last_10: float
     by_last_100: float
     covered: float
+    routes: int
+    along_route: float
+    without_route: float
+    route_covered: float
 
 
 EMPTY_COLUMNS = (
@@ -58,21 +73,42 @@ EMPTY_COLUMNS = (
     ("by the last 10 km", "{0.by_last_10:.1f}"),
     ("by the last 100 km", "{0.by_last_100:.1f}"),
     ("in 90 %", "{0.covered:.0f}"),
+    ("roads in one drive", "{0.routes}"),
+    ("along a route; without", "{0.along_route:.1f}; {0.without_route:.1f}"),
+    ("in its 90 %", "{0.route_covered:.0f}"),
 )
 
 
 def empty_scores(data: str, key: str, seed: int = 0) -> list[EmptyScore]:
     """Every kilometre of a car's drives, as if its battery lasted for the next ones."""
     pieces = list(_pieces(load_car(data, key), seed))
+    ahead = [_along_route(pieces, index) for index in range(len(pieces))]
     found = []
     for horizon in HORIZONS:
-        errors = list(_errors(pieces, horizon))
+        errors = list(_errors(pieces, ahead, horizon))
         if errors:
-            ours, by_10, by_100, covered = 100.0 * np.array(errors, float).T
-            medians = (float(np.median(np.abs(each))) for each in (ours, by_10, by_100))
-            scores = *medians, float(covered.mean())
-            found.append(EmptyScore(key, horizon / 1e3, len(errors), *scores))
+            ours, by_10, by_100, covered, route, on_it = 100.0 * np.array(errors, float).T
+            known = np.isfinite(route)
+            score = EmptyScore(
+                car=key,
+                horizon=horizon / 1e3,
+                roads=len(errors),
+                median=_median(ours),
+                by_last_10=_median(by_10),
+                by_last_100=_median(by_100),
+                covered=float(covered.mean()),
+                routes=int(known.sum()),
+                along_route=_median(route[known]),
+                without_route=_median(ours[known]),
+                route_covered=float(on_it[known].mean()) if known.any() else math.nan,
+            )
+            found.append(score)
     return found
+
+
+def _median(errors: np.ndarray) -> float:
+    """Median of the sizes of errors; NaN without any."""
+    return float(np.median(np.abs(errors))) if errors.size else math.nan
 
 
 def _pieces(car: UnseenCar, seed: int) -> Iterator[Kilometre]:
@@ -80,43 +116,73 @@ def _pieces(car: UnseenCar, seed: int) -> Iterator[Kilometre]:
     for number, drive in enumerate(car.drives):
         if number:
             learned = learned.begin_drive()
-        distance = energy = 0.0
+        done: list[Interval] = []
         for interval in intervals_of(car, drive):
             learned = learned.after([interval])
             if math.isnan(interval.energy):
                 continue
-            distance, energy = distance + abs(interval.distance), energy + interval.energy
+            done.append(interval)
+            distance = sum(abs(each.distance) for each in done)
             if distance >= PIECE:
-                yield _piece(Stretch(distance, energy), log, learned)
-                distance = energy = 0.0
+                driven = Stretch(distance, sum(each.energy for each in done))
+                yield _piece(number, driven, tuple(done), log, learned.model())
+                done = []
 
 
-def _piece(driven: Stretch, log: TripLog, learned: LearnedCar) -> Kilometre:
+def _piece(
+    drive: int, driven: Stretch, intervals: tuple[Interval, ...], log: TripLog, model: CarModel
+) -> Kilometre:
     for window in log.windows:
         window.add(driven)
     if not log.windows[LAST_10].known:
-        return Kilometre(driven, None, math.nan, math.nan)
+        return Kilometre(drive, driven, intervals, model, None, math.nan, math.nan)
     recent, long = (
         each.energy / each.distance
         for each in (log.windows[LAST_10].total, log.windows[LAST_100].total)
     )
     spread = cost_spread(log.windows[LAST_100].whole)
-    cost = Cost.ahead(recent, long, usual_cost(learned.model()), spread)
-    return Kilometre(driven, cost, recent, long)
+    cost = Cost.ahead(recent, long, usual_cost(model), spread)
+    return Kilometre(drive, driven, intervals, model, cost, recent, long)
 
 
-def _errors(pieces: list[Kilometre], horizon: float) -> Iterator[tuple[float, float, float, bool]]:
-    """Relative errors after each piece: ours, by the last 10 km, by 100; is it in our band?"""
+def _along_route(pieces: list[Kilometre], index: int) -> Ahead | None:
+    """The rest of the drive after a piece as a route; None at its end and before a cost."""
+    here, after = pieces[index], pieces[index + 1 :]
+    done = [each for piece in after if piece.drive == here.drive for each in piece.intervals]
+    if here.cost is None or not done:
+        return None
+    try:
+        legs = plan_of(done, "500 m")
+    except PlanError:
+        return None
+    found = forecast_plan(legs, PowerModel(here.model), weather_of(done))
+    points = points_of(legs) if isinstance(legs, Legs) else legs
+    return Route.from_here(points, found, 0.0, 0).ahead(0.0, here.cost)
+
+
+def _errors(
+    pieces: list[Kilometre], ahead: list[Ahead | None], horizon: float
+) -> Iterator[tuple[float, float, float, bool, float, bool]]:
+    """Relative errors after each piece: ours, by the last 10 km, by 100; is it in our band?
+
+    Then the error along the route, NaN where the road ends in another drive; is it in that band?
+    """
     distances = np.cumsum([piece.driven.distance for piece in pieces])
     energies = np.cumsum([piece.driven.energy for piece in pieces])
-    for index, piece in enumerate(pieces):
+    for index, (piece, route) in enumerate(zip(pieces, ahead, strict=True)):
         end = int(np.searchsorted(distances, distances[index] + horizon))
         if piece.cost is None or end >= len(pieces):
             continue
         driven = float(distances[end] - distances[index])
         left = float(energies[end] - energies[index])
-        found = remaining(Uncertain(left, 0.0), piece.cost)
-        if found is not None and left > 0.0:
-            by_10, by_100 = (left / cost / driven - 1.0 for cost in (piece.recent, piece.long))
-            inside = found.lower <= driven <= found.upper
-            yield found.distance / driven - 1.0, by_10, by_100, inside
+        found, by_route, on_it = remaining(Uncertain(left, 0.0), piece.cost), math.nan, False
+        if found is None or left <= 0.0:
+            continue
+        by_10, by_100 = (left / cost / driven - 1.0 for cost in (piece.recent, piece.long))
+        if route is not None and pieces[end].drive == piece.drive:
+            along = remaining(Uncertain(left, 0.0), route)
+            if along is not None:
+                by_route = along.distance / driven - 1.0
+                on_it = along.lower <= driven <= along.upper
+        inside = found.lower <= driven <= found.upper
+        yield found.distance / driven - 1.0, by_10, by_100, inside, by_route, on_it
