@@ -49,6 +49,11 @@ class Spread(NamedTuple):
         """Factor of the variance, above or below 1."""
         return (PRIOR_CASES * PRIOR_SCALE + self.squares) / (PRIOR_CASES + self.cases)
 
+    @property
+    def seen(self) -> float:
+        """The factor that the cases alone make likely: 1 before any."""
+        return (PRIOR_CASES + self.squares) / (PRIOR_CASES + self.cases)
+
     def after(self, deviate: float) -> Spread:
         """With one more case, this many sigmas off."""
         keep = min(1.0, (CASES_KEPT - 1.0) / max(self.cases, 1.0))
