@@ -7,7 +7,7 @@ import math
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.sample import MeasuredSample
-from evpinn_ros.signals.sign_detectors import CURRENT_SIGN, ChargeSuspicion, SignSuspicion
+from evpinn_ros.signals.sign_detectors import CURRENT_SIGN, ChargeDetector, SignDetector
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.signals.time_jump import Jump, StampGuard
 
@@ -23,7 +23,7 @@ class CurrentSign:
     def __init__(self) -> None:
         settings = StreamSettings(grade_source=GradeSource.NONE)
         self._stream, self._time = SampleStream(settings, AIR_DENSITY), StampGuard(SpeedReading)
-        self._driving, self._charging = SignSuspicion(), ChargeSuspicion()
+        self._driving, self._charging = SignDetector(), ChargeDetector()
         self._newest: dict[type[Reading], int] = {}
         self._sampled_ns = 0
         self._speed, self._speed_ns = math.nan, 0

@@ -43,7 +43,7 @@ from evpinn_ros.signals.sample import (
     StreamEvent,
 )
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
-from evpinn_ros.signals.stuck import BATTERY_STUCK, StuckSuspicion
+from evpinn_ros.signals.stuck import BATTERY_STUCK, StuckDetector
 from evpinn_ros.vehicle.files import Vehicle
 
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
@@ -186,7 +186,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._worker.durations.clear()
 
     def _begin_time(self) -> None:
-        self._stuck = StuckSuspicion()
+        self._stuck = StuckDetector()
         self._tick_ns: int | None = None
         self._waiting = False
         self._news = False  # whether there is anything that no update has seen

@@ -43,7 +43,7 @@ from evpinn_ros.estimation.unevenness import SavedUnevenness, saved_unevenness, 
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
-from evpinn_ros.signals.sign_detectors import CURRENT_SIGN, SavedSignSuspicion, SignSuspicion
+from evpinn_ros.signals.sign_detectors import CURRENT_SIGN, SavedSignDetector, SignDetector
 from evpinn_ros.vehicle.files import Vehicle
 
 SAMPLE_STEP = 0.1  # s that the first sample stands for
@@ -61,7 +61,7 @@ class SavedPinn:
     driven: Driven
     payload: SavedPayload
     grade: GradeDetector
-    current_suspicion: SavedSignSuspicion
+    current_suspicion: SavedSignDetector
     trim: Annotated[float, Range(-MOST_EVIDENCE, MOST_EVIDENCE)]
     seen_ns: Stamp | None
     persistence: Persistence
@@ -76,7 +76,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._keep_drives = keep_drives
         self._equation = equation_of(vehicle, seed)
         self._trim = Trim(seed)
-        self._suspicion = SignSuspicion()
+        self._suspicion = SignDetector()
         self._states = StateHysteresis()
         self._waiting: list[Interval] = []
         self._last_ns: int | None = None  # of what was learned from

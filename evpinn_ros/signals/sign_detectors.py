@@ -35,7 +35,7 @@ class SignSums(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class SavedSignSuspicion:
+class SavedSignDetector:
     """Verdict, whether there is one, and the sums it rests on."""
 
     suspected: bool
@@ -43,7 +43,7 @@ class SavedSignSuspicion:
     sums: SignSums
 
 
-class SignSuspicion(Saveable[SavedSignSuspicion]):
+class SignDetector(Saveable[SavedSignDetector]):
     """Detector of current of the wrong sign: to accelerate costs power, in every car.
 
     Followed is the sum of power signed by acceleration over the sum of its size, wherever the car
@@ -76,16 +76,16 @@ class SignSuspicion(Saveable[SavedSignSuspicion]):
         self.suspected = bool(share < (CLEAR_ABOVE if self.suspected else SUSPECT_BELOW))
         self.judged = True
 
-    def saved(self) -> SavedSignSuspicion:
+    def saved(self) -> SavedSignDetector:
         """State to save."""
-        return SavedSignSuspicion(self.suspected, self.judged, self._sums)
+        return SavedSignDetector(self.suspected, self.judged, self._sums)
 
-    def take(self, saved: SavedSignSuspicion) -> None:
+    def take(self, saved: SavedSignDetector) -> None:
         """Go on from a saved state."""
         self.suspected, self.judged, self._sums = saved.suspected, saved.told, saved.sums
 
 
-class ChargeSuspicion:
+class ChargeDetector:
     """Detector of current of the wrong sign: charging fills the battery, drawing empties it.
 
     Two rules. Each `CHARGE_STEP` of the state of charge must go with the sign of the energy that

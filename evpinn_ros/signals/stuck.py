@@ -31,7 +31,7 @@ IDLE_POWER = 5e3  # W; a full battery takes no more while friction stops the car
 MOVING = 2.0  # m/s
 
 
-class StuckSuspicion:
+class StuckDetector:
     """Detector of a speed or battery that repeats one value while the other changes."""
 
     def __init__(self) -> None:

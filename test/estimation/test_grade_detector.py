@@ -12,7 +12,7 @@ from evpinn_ros.estimation.grade_detector import GradeDetector
 from evpinn_ros.estimation.terms import Warmth, equation_of
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
-from evpinn_ros.signals.sign_detectors import SignSuspicion
+from evpinn_ros.signals.sign_detectors import SignDetector
 
 
 class Hills:
@@ -72,13 +72,13 @@ def test_a_verdict_keeps_its_six_sums(hills):
 
 
 def test_a_current_of_the_wrong_sign_is_saved_and_what_does_not_fit_is_refused():
-    current = SignSuspicion()
+    current = SignDetector()
     for k in range(300):
         moment = Sample(k * NANOSECONDS, 10.0, 1.0 if k % 2 else -1.0, 0.0, 1.17, 0.0)
         current.update(moment, -2e4 if k % 2 else 2e4, 1.0)
     assert current.suspected
     saved = json.loads(json.dumps(current.export()))
-    other = SignSuspicion()
+    other = SignDetector()
     other.restore(saved)
     assert other.export() == saved and other.suspected == current.suspected
     for sums in ([math.nan] * len(saved["sums"]), saved["sums"][:-1], None):
@@ -89,7 +89,7 @@ def test_a_current_of_the_wrong_sign_is_saved_and_what_does_not_fit_is_refused()
 
 def test_a_hair_around_the_limit_does_not_flicker():
     """Suspected below -0.5 of the share of power that goes with inertia, cleared above 0."""
-    current = SignSuspicion()
+    current = SignDetector()
 
     def feed(wrong: float, seconds: int) -> bool:
         """Whether a share of power against the acceleration is suspected."""

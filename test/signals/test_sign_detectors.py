@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from evpinn_ros.signals.sign_detectors import ChargeSuspicion
+from evpinn_ros.signals.sign_detectors import ChargeDetector
 
 
 def fed(power, charges, *, speed=math.nan, step=1.0):
-    suspicion = ChargeSuspicion()
+    suspicion = ChargeDetector()
     for charge in charges:
         suspicion.update(power, charge, speed, step)
     return suspicion

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 import pytest
 
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK, StuckSuspicion
+from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK, StuckDetector
 
 
 def judge(seconds, speed, current, suspicion=None, begin=0.0):
     """The verdict after a drive at 10 Hz: functions of time give m/s and A at 350 V."""
-    suspicion = suspicion or StuckSuspicion()
+    suspicion = suspicion or StuckDetector()
     for step in range(round(10 * seconds)):
         now = begin + step / 10
         stamp_ns = round(now * NANOSECONDS)
@@ -39,7 +39,7 @@ def test_a_speed_that_hangs_while_power_changes():
 
 
 def test_a_value_that_moves_again_clears_the_verdict():
-    suspicion = StuckSuspicion()
+    suspicion = StuckDetector()
     assert judge(20, lambda _: 15.0, waves(-50, 120), suspicion) == SPEED_STUCK
     assert judge(1, waves(15, 8), waves(-50, 120), suspicion, begin=20.0) is None
 
@@ -95,7 +95,7 @@ def _rounded_peaks(t):
 @pytest.mark.parametrize("speed", [_held_after_braking, _rounded_peaks])
 def test_a_speed_that_goes_on_as_it_was_did_not_hang(speed):
     """Nine in ten intervals of the Changchun sedan were left out, and all braking of SUMO's."""
-    suspicion = StuckSuspicion()
+    suspicion = StuckDetector()
 
     def current(t):
         return -10.0 - 4.0 * speed(t) * (speed(t) - speed(t - 0.1)) / 0.1
@@ -112,7 +112,7 @@ def test_a_battery_that_is_not_measured_says_nothing():
 
 def test_what_lies_behind_is_spoilt_from_before_the_value_hung_until_it_moved():
     """Half a second on both sides; long before it is suspected, and once it is no longer."""
-    suspicion = StuckSuspicion()
+    suspicion = StuckDetector()
     judge(10, waves(15, 8), waves(-50, 20), suspicion)
     judge(1.5, lambda _: 15.0, waves(-50, 20), suspicion, begin=10.0)
     assert suspicion.suspected is None
@@ -128,7 +128,7 @@ def test_what_lies_behind_is_spoilt_from_before_the_value_hung_until_it_moved():
 
 @given(st.lists(st.tuples(st.integers(0, 10**11), st.floats(), st.floats(), st.booleans())))
 def test_any_readings_are_survived(items):
-    suspicion = StuckSuspicion()
+    suspicion = StuckDetector()
     for stamp_ns, first, second, battery in items:
         reading = BatteryReading(stamp_ns, first, second) if battery else None
         suspicion.add_reading(reading or SpeedReading(stamp_ns, first))
