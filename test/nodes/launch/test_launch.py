@@ -322,6 +322,6 @@ def test_parameters_over_the_command_line(ros2, bench):
             speed("1e9"),
             speed("12.5"),
         )
-        assert "Speed of a plan" in described and "Max value: 100.0" in described
+        assert "Speed assumed for a plan" in described and "Max value: 100.0" in described
         assert "failed" in nan and "failed" in far and "successful" in good
         assert "nominal_speed: 12.5" in ros2.ask("param", "dump", "/ev/energy")
