@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.truth import PROFILE, VEHICLES, CarChain, compare, true_so_far
+from evpinn_ros.estimation.bands import Bands
 from evpinn_ros.estimation.breakdown import climb_as_rolling
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.estimate import Trust
@@ -17,6 +18,7 @@ from evpinn_ros.estimation.published import (
     BESIDE,
     C_D,
     C_RR,
+    MASS,
     Driven,
     mass_over_eta,
     project,
@@ -37,6 +39,31 @@ def test_it_starts_at_the_priors(vehicle):
     found = published(initial_state(equation), equation, Driven.nowhere())
     mean = [*np.exp(found.now.mean[:3]), found.now.mean[3], *np.exp(found.now.mean[4:5])]
     assert [*mean, found.now.mean[5]] == pytest.approx(vehicle.initial, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("deviates", "growth"),
+    [([], 1.0), ([2.0] * 8, math.sqrt(3.0)), ([0.5] * 8, 1.0), ([4.0] * 40, 2.0)],
+    ids=["none yet", "twice too far", "nearer than said", "never less sure than before driving"],
+)
+def test_sigmas_grow_as_rehearsed_dropouts_err(vehicle, deviates, growth):
+    """By the root of the mean square, with four cases of 1; a quarter of the prior is left."""
+    equation, bands = equation_of(vehicle), Bands()
+    for deviate in deviates:
+        bands = replace(bands, dropout=bands.dropout.after(deviate))
+    state = initial_state(equation)
+    learned = replace(state, covariance=state.covariance / 4.0)
+    first, found = (
+        published(replace(learned, bands=each), equation, Driven.nowhere())
+        for each in (Bands(), bands)
+    )
+    own = np.sqrt(np.diag(found.now.covariance) / np.diag(first.now.covariance))
+    assert own[[MASS, C_RR, C_D]] == pytest.approx(growth, rel=1e-6)
+    shares = []
+    for each in (first, found):
+        sigma = np.sqrt(np.diag(each.now.covariance))
+        shares.append(each.now.covariance[MASS, C_D] / sigma[MASS] / sigma[C_D])
+    assert shares[0] == pytest.approx(shares[1])
 
 
 def test_mass_over_eta_is_that_ratio(vehicle):
