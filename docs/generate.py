@@ -95,8 +95,9 @@ RATED = """\
 Of these cars sold in Europe, `config/rated/wltp.csv` has the curb mass, the usable battery and the
 WLTP range, with their sources. Their priors are those of `generic`, given these facts: the mass is
 known to 6 %, and the energy of the WLTP's cycle to 10 %, after 10 % are added, because ratings are
-those of the lightest trim. C_rr and C_d A are known little better than those of any car. Some
-masses include a driver of 75 kg, others do not. A certified car of the same name is better.
+mostly those of the lightest trim. C_rr is known no better than that of any car, C_d A little
+better. Some masses include a driver of 75 kg, others do not. If a car is in both lists, use the
+certified one.
 
 | key | mass kg | C_rr | C_d A m^2 | CAN profile |
 |---|---|---|---|---|"""

@@ -139,11 +139,11 @@ def _label(settings: Settings, quick: bool) -> str:
 
 def _left_out(settings: Settings) -> str:
     adam = settings.optimizer is OptimizerName.ADAM
-    done = f"those after {settings.epochs} of " if adam else ""
+    done = f"{settings.epochs} of the" if adam else "none of the"
     return (
-        f"Left out: {done}the paper's {PUBLISHED_EPOCHS} epochs of adam, and the epochs of the "
-        f"energy networks after {settings.energy_epochs}. Without --quick and --optimizer both "
-        "are run."
+        f"Shortened: {done} paper's {PUBLISHED_EPOCHS} epochs of adam, and "
+        f"{settings.energy_epochs} of {ENERGY_EPOCHS} epochs of the energy networks. Leave out "
+        "--quick and --optimizer to run them all."
     )
 
 
@@ -164,7 +164,7 @@ def training_progress() -> Iterator[OnProgress]:
 
 
 def _numbered(title: str) -> str:
-    """Title of a training and its place, for the time left is that of one."""
+    """Title of a training and its number, for the time left is that of this training alone."""
     return f"{title}, {TRAININGS.index(title) + 1} of {len(TRAININGS)}"
 
 

@@ -25,7 +25,8 @@ vehicles = typer.Typer(cls=ReadableGroup, invoke_without_command=True)
 def every(context: typer.Context) -> None:
     """List the cars that --vehicle knows: vehicle files, certified and rated cars.
 
-    The road load of a certified car was measured. A rated car has its mass, battery and range.
+    The road load of a certified car was measured (US EPA). That of a rated car is estimated, from
+    its mass, battery and WLTP range.
 
     Example: evpinn vehicles search leaf
     """
@@ -67,7 +68,7 @@ def show_vehicle(
         ),
     ],
 ) -> None:
-    """Print a vehicle file, with the source of every number.
+    """Print a vehicle file, with the source of every prior.
 
     Example: evpinn vehicles show "ioniq 5 rwd"
     """

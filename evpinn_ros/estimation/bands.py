@@ -51,7 +51,7 @@ class Spread(NamedTuple):
 
     @property
     def seen(self) -> float:
-        """The factor that the cases alone make likely: 1 before any."""
+        """Factor as `scale`, but the cases that are assumed before any have 1."""
         return (PRIOR_CASES + self.squares) / (PRIOR_CASES + self.cases)
 
     def after(self, deviate: float) -> Spread:

@@ -76,7 +76,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._keep_drives = keep_drives
         self._equation = equation_of(vehicle, seed)
         self._trim = Trim(seed)
-        self._suspicion = SignDetector()
+        self._sign = SignDetector()
         self._states = StateHysteresis()
         self._waiting: list[Interval] = []
         self._last_ns: int | None = None  # of what was learned from
@@ -139,15 +139,15 @@ class PinnLearner(Saveable[SavedPinn]):
         if reason is not None:
             self.gated[reason] += 1
             return
-        self._suspicion.update(sample, power, step)
-        if self._suspicion.suspected:
+        self._sign.update(sample, power, step)
+        if self._sign.suspected:
             self.gated[CURRENT_SIGN] += 1
             return
         self._trim.learn(sample, power - self._power(sample), step)
 
     def add_interval(self, interval: Interval) -> bool:
         """Keep an interval for the next update."""
-        if self._suspicion.suspected:
+        if self._sign.suspected:
             return False
         self._waiting.append(interval)
         return True
@@ -173,7 +173,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """Present estimate of the parameters, in the sense of eq. 12-21."""
         found = published(self._car.state, self._equation, self._car.driven)
         now = parameter_set(self._last_ns or 0, found)
-        return self._states.judge(now, deviations(found), suspected=self._suspicion.suspected)
+        return self._states.judge(now, deviations(found), suspected=self._sign.suspected)
 
     def breakdowns(self) -> Breakdowns | None:
         """Energy of this drive, and of those kept before it, by where it went."""
@@ -221,7 +221,7 @@ class PinnLearner(Saveable[SavedPinn]):
             driven=self._car.driven,
             payload=self._car.payload.saved(),
             grade=self._car.grade,
-            current_suspicion=self._suspicion.saved(),
+            current_suspicion=self._sign.saved(),
             trim=self._trim.evidence,
             seen_ns=self._seen_ns,
             persistence=replace(self._trim.persistence),
@@ -240,7 +240,7 @@ class PinnLearner(Saveable[SavedPinn]):
             payload=PayloadDetector.of(saved.payload),
             grade=saved.grade,
         )
-        self._suspicion.take(saved.current_suspicion)
+        self._sign.take(saved.current_suspicion)
         self._trim.evidence, self._seen_ns = saved.trim, saved.seen_ns
         self._trim.persistence = replace(saved.persistence)
         self._use(car)
@@ -287,7 +287,7 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def _suspected(self) -> str | None:
         """Signal whose sign the data contradict; without current no grade can be checked."""
-        if self._suspicion.suspected:
+        if self._sign.suspected:
             return CURRENT_SIGN
         return GRADE_SIGN if self._car.grade.detected else None
 

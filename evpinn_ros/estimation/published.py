@@ -1,17 +1,17 @@
 """From the states of a car to the parameters of eq. 12-21: one projection of what was learned.
 
 The posterior holds more than eq. 21: a network, heat by force squared, a drivetrain that turns.
-The published parameters are those with which eq. 21 comes nearest, in least squares of power, to
-the learned energy function over the driving of this car so far. `project` is the same functional
-for the truth of a simulated car. Where the driving does not determine a parameter (C_d in town)
-the projection leaves it at its state. Town alone hardly tells drag from rolling, and what the
-network learned there would be booked as much of the one, less of the other. So the driving is
-taken with `REFERENCE_SECONDS` of the reference, over which the network holds nothing of eq. 21.
+The published parameters are the least-squares fit of eq. 21 to the learned power over all driving
+so far. The same fit, `project`, gives the truth of a simulated car. Where the driving does not
+determine a parameter (C_d in town) the fit leaves it at its state. Driving in town hardly
+separates drag from rolling, so what the network learned there would be published as more rolling
+and less drag. `REFERENCE_SECONDS` of a reference drive, over which the network holds nothing of
+eq. 21, are therefore added to the driving.
 
 C_rr is that of this drive, with its cold and its tyres; p_aux is the standing load. Over road
-without heights a climb looks like rolling resistance and drag, so these are unsure by the climb
-that such a road may have. All are trusted as far as rehearsed dropouts of this car came true, and
-at worst as unsure as before any drive.
+without heights a climb looks like rolling resistance and drag, so their sigmas include the climb
+that such a road may have. If rehearsed dropouts of the drive err by more than predicted, all
+sigmas grow accordingly, up to those before any drive.
 """
 
 from __future__ import annotations
@@ -185,9 +185,10 @@ def published(state: CarState, equation: Equation, driven: Driven) -> Published:
 
 
 def _trusted(now: Gaussian, before: Gaussian, scale: float) -> Gaussian:
-    """The parameters as far as rehearsed dropouts trust the posterior, at worst as before driving.
+    """The parameters with sigmas that grow by `scale` of variance, up to those before driving.
 
-    Errors of neighbouring intervals are alike on real roads, which the posterior does not know.
+    On real roads errors of neighbouring intervals are alike, which the posterior does not know and
+    rehearsed dropouts show.
     """
     most = np.diag(before.covariance) / np.diag(now.covariance)
     grow = np.sqrt(np.clip(most, 1.0, max(1.0, scale)))

@@ -90,8 +90,8 @@ def _steady_power(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Power on a flat road without wind and its 1-sigma, W, at speeds, m/s; shape (n,) each.
 
-    The sigma is as much to be trusted as that of a dropout: one drive without heights seems to
-    tell more of slow and fast driving than it does, for its climbs are not random.
+    The variance is multiplied by the factor of dropouts, for unseen climbs of neighbouring
+    intervals are alike and make the line look surer than it is.
     """
     flat, one = np.zeros(len(speed)), np.ones(len(speed))
     warm = Weather(air_density, start=WARM)

@@ -1,10 +1,9 @@
-"""Cars by what they are rated with: what mass, battery and WLTP range say before driving.
+"""Rated cars: priors from curb mass, usable battery and WLTP range.
 
-European road loads are not public, but curb mass, usable battery and WLTP range of a car are.
-Battery over range is the energy of the test cycle, which rolling, drag, efficiency and
-regeneration share. So the prior of such a car is that of any car, given these facts (a Kalman
-update in logarithms): its mass and the sum are known, the shares of the sum little better than
-before, and they are correlated.
+European road loads are not public, but these three numbers are. Battery divided by range is the
+energy per metre of the test cycle, the sum of rolling, drag and losses. The prior of a rated car
+is that of any car, given these facts (a Kalman update in logarithms): they fix the mass and the
+sum. How the sum divides stays nearly as uncertain as before, so the parameters become correlated.
 """
 
 from __future__ import annotations
@@ -18,35 +17,38 @@ import numpy as np
 
 from evpinn_ros.common.package_data import bundled_lines
 from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.vehicle.certified import rounded_prior, words_of
+from evpinn_ros.vehicle.certified import FRONTAL_AREA, rounded_prior, words_of
 from evpinn_ros.vehicle.parameters import Prior
 from evpinn_ros.vehicle.physics import GRAVITY
 
 TABLE = "config/rated/wltp.csv"
-SOURCE = "curb mass, usable battery and WLTP range"
+SOURCE = "any car, given curb mass, usable battery and WLTP range"
 FACTORS = ("eta", "mu", "mass", "c_rr", "c_d")  # parameters that the energy of the cycle has
 AIR_DENSITY = 1.2  # kg/m^3 at 20 degC
-# The cycle WLTC class 3b (UN GTR 15) over its length, while a car drives and while it brakes:
-# share of the way; integral of speed squared over the way, m^2/s^2; of acceleration, m/s^2. From
-# 1300 to 2500 kg they change by 2 % (driving) and 10 % (braking).
+# Means over the way of the cycle WLTC class 3b (UN GTR 15), driving and braking: share of the way;
+# speed squared, m^2/s^2; acceleration, m/s^2. For masses from 1300 to 2500 kg they change by 2 %
+# (driving) and 10 % (braking), which is neglected.
 DRIVING, BRAKING = (0.768, 442.6, 0.1316), (0.232, 72.0, -0.1316)
-CYCLE_LOAD = 600.0 * 1800.0 / 23266.0  # N: of 300 W that stand and 300 W that turn, over the way
+# N: 300 W of standing load on a mild day and 300 W of a drivetrain that turns, as of certified
+# cars, over the 1800 s and 23,266 m of the cycle.
+CYCLE_LOAD = 600.0 * 1800.0 / 23266.0
 ROTATING = 1.03  # effective over static mass, as of certified cars
-PEOPLE = 110.0  # kg beside the curb mass: a driver, or two, and a bag
-# By certified road loads the cycle takes more than ratings say, which are of the lightest trim on
-# the best tyres: factor in the mean, and 1-sigma of its logarithm, of 13 models that have both.
+PEOPLE = 110.0  # kg beside the curb mass: one or two people and a bag, in the mean
+# Computed from certified road loads, the cycle takes 1.10 times the rated energy: the mean of 13
+# models that have both, with the 1-sigma of its logarithm.
 OPTIMISM, ENERGY_SPREAD = 1.10, 0.10
-MASS_SPREAD = 0.06  # 1-sigma of the logarithm: people, luggage and trim
+# 1-sigma of the logarithm: people, luggage, trim, and sources that count a driver of 75 kg.
+MASS_SPREAD = 0.06
 
 
 @dataclass(frozen=True, slots=True)
 class RatedCar:
-    """One model with what it is sold with.
+    """One model with its ratings.
 
     Attributes:
         name: for people, with the model year.
         can_profile: for its bus, None if unknown.
-        curb_mass: kg, without people.
+        curb_mass: kg, as listed; some sources include a driver of 75 kg.
         battery: usable energy, J.
         wltp_range: m.
         source: of these numbers.
@@ -95,11 +97,14 @@ class RatedCar:
         return {**now, "p_aux": priors["p_aux"]}, pairs
 
 
-def cycle_energy(values: np.ndarray, frontal_area: float = 2.3) -> float:
-    """Energy of the cycle over its length, J/m, by the values of `FACTORS`, shape (5,)."""
+def cycle_energy(values: np.ndarray) -> float:
+    """Energy of the cycle over its length, J/m, by the values of `FACTORS`, shape (5,).
+
+    C_d is of `FRONTAL_AREA`, as of `generic`.
+    """
     eta, mu, mass, c_rr, c_d = values
     forces = np.array(
-        [c_rr * mass * GRAVITY, 0.5 * AIR_DENSITY * frontal_area * c_d, ROTATING * mass]
+        [c_rr * mass * GRAVITY, 0.5 * AIR_DENSITY * FRONTAL_AREA * c_d, ROTATING * mass]
     )
     return float(forces @ DRIVING / eta + eta * mu * (forces @ BRAKING) + CYCLE_LOAD)
 

@@ -47,7 +47,7 @@ def test_everything_the_issue_names_is_written(quick, drive: Path, tmp_path: Pat
     options = ("--vehicle", VEHICLE, "--quick", "--out", out)
     text = run("reproduce", drive, *options)
     assert "QUICK LOOK: gauss_newton, 15 epochs" in text
-    assert "Left out: the paper's 10000 epochs of adam" in text
+    assert "Shortened: none of the paper's 10000 epochs of adam" in text
     for title in (
         "Table II:",
         "Table III:",

@@ -1,4 +1,4 @@
-"""Rated cars: what their ratings say is in the prior, and certified cars confirm it."""
+"""Rated cars: their ratings are in the prior, and certified cars lie within its sigmas."""
 
 import csv
 from pathlib import Path
