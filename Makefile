@@ -129,8 +129,7 @@ clean:
 # With them those that tests send as other stacks do: CAN frames, Autoware, Nav2's bond.
 $(MSGS)/installed: $(INSTALLED) $(shell find evpinn_msgs test/messages -type f)
 	@echo "Building evpinn_msgs and messages of others into $(MSGS); it takes a minute."
-	@$(BIN)/python -m pip install -qq --no-input --disable-pip-version-check \
-		-c $(CONSTRAINTS) -r evpinn_msgs/requirements-build.txt
+	@scripts/install.sh $(BIN)/python -c $(CONSTRAINTS) -r evpinn_msgs/requirements-build.txt
 	@rm -rf $(MSGS)
 	@for source in evpinn_msgs test/messages/*/; do \
 		build=$(MSGS)/build/$$(basename $$source) && PATH="$(CURDIR)/$(BIN):$$PATH" && \
@@ -157,8 +156,7 @@ $(CORE_VENV)/installed: pyproject.toml constraints.txt
 
 # Python compiles a module where it is first imported: of PyTorch that is a small part.
 $(INSTALLED): setup.py setup.cfg constraints.txt
-	@echo "Installing evpinn_ros and its tools into $(VENV); the first time takes minutes."
+	@echo "Installing evpinn_ros and its tools into $(VENV); the first time takes a minute."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
-	@$(BIN)/python -m pip install -qq --no-input --no-compile \
-		--disable-pip-version-check -c $(CONSTRAINTS) -e '.[$(EXTRAS)]'
+	@scripts/install.sh $(BIN)/python -c $(CONSTRAINTS) -e '.[$(EXTRAS)]'
 	@touch $@

@@ -141,6 +141,7 @@ setup(
             "ruff",
             "setuptools>=70.1",
             "types-PyYAML",
+            "uv",
             'vss-tools; python_version >= "3.11"',
             "websockets",
             "zizmor",

@@ -24,3 +24,12 @@ function(forget_missing_folders)
   endforeach()
 endfunction()
 cmake_language(DEFER CALL forget_missing_folders)
+
+# The C++ of a message includes far more than it says: all of a target in one file is compiled in a
+# third of the time.
+function(compile_in_one_file)
+  get_property(targets DIRECTORY PROPERTY BUILDSYSTEM_TARGETS)
+  list(FILTER targets INCLUDE REGEX "__rosidl_typesupport_(cpp|fastrtps_c|fastrtps_cpp)$")
+  set_target_properties(${targets} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 0)
+endfunction()
+cmake_language(DEFER CALL compile_in_one_file)
