@@ -114,7 +114,7 @@ def plan_files() -> list[bytes]:
     line = {"distance": 2224, "time": 2e5, "points": "__~cH_mcbAg^o}@?gEo}@?gE"}
     details = {"time": [[0, 1, 9e4], [1, 2, 9e4]], "max_speed": [[0, 1, 50], [1, 2, None]]}
     place = {"type": "LineString", "coordinates": [[11, 48, 5], [11, 48.1, 9]]}
-    annotation = {"distance": [5, 9], "duration": [1, 1], "maxspeed": [{"speed": 50}, {}]}
+    annotation = {"distance": [5, 9], "duration": [1, 1]}
     answers: list[Any] = [
         {
             "trip": {
@@ -134,7 +134,7 @@ def plan_files() -> list[bytes]:
 def plan_tables() -> list[bytes]:
     """Speed over time, and legs."""
     speeds = b"t_s,speed_mps,elevation_m\n0,0,5\n9,20,6\n90,20,9\n"
-    return [speeds, b"length_km,duration_min,climb_m,limit_kmh\n1.2,2,9,50\n0,1,,\n"]
+    return [speeds, b"length_km,duration_min,climb_m\n1.2,2,9\n0,1,\n"]
 
 
 def truth() -> list[bytes]:

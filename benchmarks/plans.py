@@ -226,8 +226,7 @@ class _Steps:
         ]
         duration, length, climb, seen = (each[sums[0] > 0.0] for each in sums)
         climb = np.clip(climb, -length, length)
-        unknown = np.full(len(duration), math.nan)
-        return Legs(length, duration, climb, unknown, seen > length / 2.0, unknown, unknown)
+        return Legs(length, duration, climb, seen > length / 2.0)
 
     def _dense(self) -> Plan:
         """Points at the ends of the steps, speeds by their kinetic energy."""

@@ -70,8 +70,8 @@ def forecast(
         plan: one of three. Speed over time: columns `t_s` (or the index), s, and `speed_mps`, m/s;
             optional `distance_m` (otherwise from the speeds) and `elevation_m` (otherwise a flat
             road). Legs: columns with units in their names, two of `length_m`, `duration_s` and
-            `speed_kmh`; optional `climb_m`, or `start_elevation_m` and `end_elevation_m`; and
-            `limit_kmh`. Or the path of a file: such a table, a GPX or GeoJSON file, the JSON of a
+            `speed_kmh`; optional `climb_m`, or `start_elevation_m` and `end_elevation_m`.
+            Or the path of a file: such a table, a GPX or GeoJSON file, the JSON of a
             route service, or a recorded drive.
         car: name or file of a vehicle, or a `Vehicle`, of which nothing was learned; or the
             `Result` or `Estimator` that learned the car.

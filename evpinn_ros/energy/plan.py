@@ -91,10 +91,7 @@ class Legs:
         length: shape (n,), m along the road; a leg without length is a stop. So are the others:
         duration: s, above 0.
         climb: m from its start to its end; 0 where unknown.
-        limit: speed limit, m/s; NaN where unknown.
         height_known: True where `climb` is known.
-        start_speed: m/s; NaN where unknown.
-        end_speed: m/s; NaN where unknown.
 
     Raises:
         PlanError: the arrays are no legs.
@@ -103,10 +100,7 @@ class Legs:
     length: np.ndarray
     duration: np.ndarray
     climb: np.ndarray
-    limit: np.ndarray
     height_known: np.ndarray
-    start_speed: np.ndarray
-    end_speed: np.ndarray
 
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in self.__slots__}
@@ -120,10 +114,6 @@ class Legs:
         refuse(fast, f"faster than {MAX_SPEED:g} m/s (lengths in m, durations in s?)", "leg")
         refuse(np.abs(self.climb) > self.length + CLIMB_TOLERANCE, "climbs more than it is long",
                 "leg")  # fmt: skip
-        for name in ("limit", "start_speed", "end_speed"):
-            speed = getattr(self, name)
-            wrong = ~np.isnan(speed) & ~((speed >= 0) & (speed <= MAX_SPEED))
-            refuse(wrong, f"{name} is not between 0 and {MAX_SPEED:g} m/s", "leg")
 
     def quicker(self, factor: float) -> Legs:
         """Legs of this road with all speeds times a factor; stops last as long.
@@ -131,12 +121,8 @@ class Legs:
         Raises:
             PlanError: that is too fast.
         """
-        return replace(
-            self,
-            duration=np.where(self.length > 0.0, self.duration / factor, self.duration),
-            start_speed=self.start_speed * factor,
-            end_speed=self.end_speed * factor,
-        )
+        duration = np.where(self.length > 0.0, self.duration / factor, self.duration)
+        return replace(self, duration=duration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,37 +213,22 @@ def plan_from_speed_profile(
     return Plan(time - time[:1], distance - distance[:1], speed, height)
 
 
-def legs_of(
-    length: np.ndarray,
-    duration: np.ndarray,
-    climb: np.ndarray | None = None,
-    *,
-    limit: np.ndarray | None = None,
-    start_speed: np.ndarray | None = None,
-    end_speed: np.ndarray | None = None,
-) -> Legs:
-    """Legs that need not follow one another; arrays of shape (n,), in SI, as of `Legs`.
+def legs_of(length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None) -> Legs:
+    """Legs that need not follow one another: arrays of shape (n,), m and s.
 
-    NaN in `climb` stands for a height that is not known, NaN in the others for a speed.
+    NaN in `climb` stands for a height that is not known.
 
     Raises:
         PlanError: the arrays are no legs.
     """
     length, duration = as_floats(length), as_floats(duration)
-    climb, limit, start_speed, end_speed = (
-        np.full(length.shape, np.nan) if each is None else as_floats(each)
-        for each in (climb, limit, start_speed, end_speed)
-    )
+    climb = np.full(length.shape, np.nan) if climb is None else as_floats(climb)
     known = ~np.isnan(climb)
-    climb = np.where(known, climb, 0.0)
-    return Legs(length, duration, climb, limit, known, start_speed, end_speed)
+    return Legs(length, duration, np.where(known, climb, 0.0), known)
 
 
 def legs_of_trip(
-    length: np.ndarray,
-    duration: np.ndarray,
-    climb: np.ndarray | None = None,
-    **speeds: np.ndarray | None,
+    length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None
 ) -> Legs:
     """The legs of one trip, in order; arguments as of `legs_of`.
 
@@ -265,7 +236,7 @@ def legs_of_trip(
         PlanError: the legs are no trip, or so slow that their lengths are in km.
     """
     check_size(np.size(length))
-    legs = legs_of(length, duration, climb, **speeds)
+    legs = legs_of(length, duration, climb)
     length, duration = legs.length, legs.duration
     total, driven = float(duration.sum()), float(duration[length > 0].sum())
     if total > LONGEST:

@@ -2,9 +2,9 @@
 
 Formats by their documentation: Valhalla's `route` and `trace_attributes`
 (valhalla.github.io/valhalla/api/turn-by-turn/api-reference, .../map-matching/api-reference), OSRM
-(project-osrm.org/docs, "HTTP API"; `maxspeed` as Mapbox adds it, docs.mapbox.com/api/navigation/
-directions), GraphHopper (docs.graphhopper.com, "Routing API"; api-doc in its repository) and
-openrouteservice (giscience.github.io/openrouteservice/api-reference/endpoints/directions).
+(project-osrm.org/docs, "HTTP API"), GraphHopper (docs.graphhopper.com, "Routing API"; api-doc in
+its repository) and openrouteservice (giscience.github.io/openrouteservice/api-reference/endpoints/
+directions).
 
 The finest parts whose duration is known are read: edges, then steps or maneuvers, then the parts
 between waypoints. A service gives each edge the time of its class of road: it knows no stop, and
@@ -14,7 +14,7 @@ between two points of a plan was learned.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 import math
 from typing import Any, NamedTuple, TypeAlias
@@ -30,18 +30,16 @@ METRES = {"m": 1.0, "km": 1000.0, "mi": 1609.344, "kilometers": 1000.0, "miles":
 FOOT = 0.3048  # m
 NO_HEIGHT = 32768.0  # in Valhalla's elevations
 SETTLED = 60.0  # s that a leg lasts at least
-LIMITS = (1.0, 60.0)  # m/s; Valhalla's 0 and 255 km/h stand for none
 OSRM_ROUTES = ("routes", "matchings", "trips")  # of its services route, match and trip
 LONGEST = 16 * MAX_POINTS  # characters; a point takes four to twelve
 MOST_CHUNKS = 7  # characters of a number: 35 bits, of which places need 29
 
 
 class RoutePart(NamedTuple):
-    """A part of a route: length, m, duration, s, and speed limit, m/s, NaN where unknown."""
+    """A part of a route: length, m, and duration, s."""
 
     length: float
     duration: float
-    limit: float = math.nan
 
 
 def legs_of_route(data: Json) -> Legs | None:
@@ -76,27 +74,21 @@ def legs_of_route(data: Json) -> Legs | None:
 def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
     if not parts:
         raise PlanError("its route has no parts")
-    length, duration, limit = _lasting(np.array(parts, float)).T
-    return legs_between(_sums(duration), _sums(length), heights, limit=limit)
+    length, duration = _lasting(np.array(parts, float)).T
+    return legs_between(_sums(duration), _sums(length), heights)
 
 
 def _lasting(parts: np.ndarray) -> np.ndarray:
-    """Parts in order, shape (n, 3), joined so that each lasts `SETTLED`; limits are means."""
-    length, duration, limit = parts.T
-    limit = np.where((limit >= LIMITS[0]) & (limit <= LIMITS[1]), limit, np.nan)
+    """Parts in order, shape (n, 2), joined so that each lasts `SETTLED`."""
     begins, lasted = [0], 0.0
-    for index, seconds in enumerate(duration.tolist()):
+    for index, seconds in enumerate(parts[:, 1].tolist()):
         if lasted >= SETTLED:
             begins.append(index)
             lasted = 0.0
         lasted += seconds
     if lasted < SETTLED and len(begins) > 1:
         del begins[-1]
-    ways, times, spent = (
-        np.add.reduceat(each, begins) for each in (length, duration, length * limit)
-    )
-    with np.errstate(invalid="ignore", divide="ignore"):  # a stop has no limit
-        return np.column_stack((ways, times, spent / ways))
+    return np.asarray(np.add.reduceat(parts, begins))
 
 
 def _sums(steps: np.ndarray) -> np.ndarray:
@@ -136,11 +128,11 @@ def _valhalla_edges(data: Json) -> Legs:
         duration = length / (np.array([edge["speed"] for edge in edges], float) * metres / 3600)
     else:
         duration = np.diff(np.array(ends, float), prepend=0.0)
-    limit = [_number(edge.get("speed_limit")) * metres / 3600 for edge in edges]
-    middle = np.array([_number(edge.get("mean_elevation", NO_HEIGHT)) for edge in edges])
+    middle = np.array([edge.get("mean_elevation", NO_HEIGHT) for edge in edges], float)
     height = np.where(middle == NO_HEIGHT, np.nan, middle * metres_up)
-    parts = [RoutePart(*each) for each in zip(length, duration, limit, strict=True)]
-    return _legs(parts, Heights(np.cumsum(length) - length / 2, height))
+    return _legs(
+        [*map(RoutePart, length, duration)], Heights(np.cumsum(length) - length / 2, height)
+    )
 
 
 def _units(answer: Json) -> tuple[float, float]:
@@ -158,17 +150,10 @@ def _osrm_parts(leg: Json) -> Iterator[RoutePart]:
             duration = np.array(given["duration"], float)
         else:
             duration = length / np.array(given["speed"], float)
-        limits = [_maxspeed(each) for each in given.get("maxspeed", [{}] * len(length))]
-        yield from map(RoutePart, length, _scaled(duration, float(leg["duration"])), limits)
+        yield from map(RoutePart, length, _scaled(duration, float(leg["duration"])))
     else:
         for part in leg.get("steps") or [leg]:
             yield RoutePart(part["distance"], part["duration"])
-
-
-def _maxspeed(given: Json) -> float:
-    """Speed limit by Mapbox' `maxspeed`, m/s; it is in km/h or mph, or unknown or none."""
-    metres = METRES["mi" if given.get("unit") == "mph" else "km"]
-    return _number(given.get("speed")) * metres / 3600
 
 
 def _graphhopper(path: Json) -> Legs:
@@ -177,29 +162,15 @@ def _graphhopper(path: Json) -> Legs:
     line = _line(path.get("points"), total, path.get("points_encoded_multiplier", 1e5))
     timed = next((name for name in ("time", "average_speed") if name in details), "")
     if line and timed:
-        rows = [(begin, end, line.along[end] - line.along[begin], value)
+        rows = [(line.along[end] - line.along[begin], value)
                 for begin, end, value in details[timed]]  # fmt: skip
     else:
-        whole = {"interval": (0, None), "distance": total, "time": path["time"]}
-        made = path.get("instructions") or [whole]
-        rows = [(*each["interval"], each["distance"], each["time"]) for each in made]
-    lengths, values = np.array([row[2:] for row in rows], float).T
+        made = path.get("instructions") or [path]
+        rows = [(each["distance"], each["time"]) for each in made]
+    lengths, values = np.array(rows, float).T
     by_speed = line and timed == "average_speed"
     seconds = _scaled(lengths / values if by_speed else values, path["time"] / 1000)
-    limits = _limits(details.get("max_speed") or [], line, [row[:2] for row in rows])
-    return _legs([*map(RoutePart, lengths, seconds, limits)], line)
-
-
-def _limits(given: Any, line: Heights | None, asked: Iterable[Any]) -> Iterator[float]:
-    """Mean speed limit, m/s, between the points of each interval asked for; NaN where unknown."""
-    steps = np.diff(line.along) if line else np.empty(0)
-    limits = np.full(len(steps), np.nan)
-    for begin, end, value in given:
-        limits[begin:end] = _number(value) / 3.6
-    for begin, end in asked:
-        length = float(steps[begin:end].sum())
-        spent = float((limits[begin:end] * steps[begin:end]).sum())
-        yield spent / length if length > 0 else math.nan
+    return _legs([*map(RoutePart, lengths, seconds)], line)
 
 
 def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
@@ -240,10 +211,6 @@ def _decoded(line: str, scale: float) -> Iterator[tuple[np.ndarray, np.ndarray]]
             latitude, longitude, *height = decode_polyline(line, scale, dimensions).T
             along = way_length(longitude, latitude)
             yield along, height[0] if height else np.full(len(along), math.nan)
-
-
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)
 
 
 def decode_polyline(text: str, scale: float, dimensions: int) -> np.ndarray:

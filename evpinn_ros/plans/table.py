@@ -35,7 +35,6 @@ LEG_COLUMNS = {  # by what they hold: words before the unit, and a quantity of t
     "length": (("length", "distance"), "odometer"),
     "duration": (("duration", "travel time"), "time"),
     "speed": (("speed", "mean speed"), "speed"),
-    "limit": (("limit", "speed limit", "maxspeed", "max speed"), "speed"),
     "climb": (("climb", "rise"), "elevation"),
     "start": (("start elevation", "start height"), "elevation"),
     "end": (("end elevation", "end height", "elevation", "height"), "elevation"),
@@ -59,7 +58,7 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
         legs = _in_si(columns, given)
         if "end" in legs and "start" not in legs:
             legs["start"] = np.concatenate(([np.nan], legs["end"][:-1]))
-        return legs_of_trip(*_leg_numbers(legs), limit=legs.get("limit"))
+        return legs_of_trip(*_leg_numbers(legs))
     there = ", ".join([*map(str, given)][:FEW]) or "none"
     raise InputError(f"a plan has the {COLUMNS}; there are: {there}")
 
@@ -73,8 +72,7 @@ def edges_of_columns(given: Mapping[str, Any]) -> Legs:
     columns = leg_columns([*given])
     if not columns:
         raise InputError("edges have two of the columns length_m, duration_s and speed_kmh")
-    edges = _in_si(columns, given)
-    return legs_of(*_leg_numbers(edges), limit=edges.get("limit"))
+    return legs_of(*_leg_numbers(_in_si(columns, given)))
 
 
 def table_plan(path: Path) -> Plan | Legs | None:
@@ -131,7 +129,7 @@ def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
         return {}
     if bare:
         raise PlanError(
-            f"the column {bare!r} does not say its unit, as length_km and limit_kmh do"
+            f"the column {bare!r} does not say its unit, as length_km and speed_kmh do"
         )
     return found
 

@@ -59,8 +59,7 @@ def legs_of_track(track: GeoTrack) -> Legs:
     timed = np.isfinite(time)
     if timed.sum() > 1:
         along = along - along[timed.argmax()]
-        heights = Heights(along, place[:, 2])
-        return legs_between(time[timed], along[timed], heights, speed=speed[timed])
+        return legs_between(time[timed], along[timed], Heights(along, place[:, 2]))
     if not np.isfinite(speed).all():
         raise PlanError(NEITHER)
     length, mean = np.diff(along), (speed[1:] + speed[:-1]) / 2
@@ -68,7 +67,7 @@ def legs_of_track(track: GeoTrack) -> Legs:
         raise PlanError(f"it has no times, and its speed is 0 from point {stuck.argmax()} on")
     duration = length / np.where(length > 0, mean, 1.0)
     elapsed = np.concatenate(([0.0], np.cumsum(duration)))
-    return legs_between(elapsed, along, Heights(along, place[:, 2]), speed=speed)
+    return legs_between(elapsed, along, Heights(along, place[:, 2]))
 
 
 def gpx_track(content: bytes) -> GeoTrack:

@@ -50,22 +50,13 @@ def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:
     return found
 
 
-def legs_between(
-    time: np.ndarray,
-    distance: np.ndarray,
-    heights: Heights | None = None,
-    *,
-    limit: np.ndarray | None = None,
-    speed: np.ndarray | None = None,
-) -> Legs:
+def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None = None) -> Legs:
     """Legs from point to point; points of one moment become one.
 
     Args:
         time: shape (n,), s, never falling.
         distance: shape (n,), m, from 0, never falling.
         heights: of the road.
-        limit: shape (n - 1,), speed limit between the points, m/s, NaN where unknown.
-        speed: shape (n,), m/s, NaN where unknown.
 
     Raises:
         PlanError: the points are no trip.
@@ -80,14 +71,8 @@ def legs_between(
         raise PlanError("it takes no time")
     kept[-1] = len(time) - 1
     distance = distance[kept]
-    return legs_of_trip(
-        np.diff(distance),
-        np.diff(time[kept]),
-        heights.climbs(distance) if heights else None,
-        limit=None if limit is None else limit[kept[:-1]],
-        start_speed=None if speed is None else speed[kept[:-1]],
-        end_speed=None if speed is None else speed[kept[1:]],
-    )
+    climb = heights.climbs(distance) if heights else None
+    return legs_of_trip(np.diff(distance), np.diff(time[kept]), climb)
 
 
 def way_length(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:

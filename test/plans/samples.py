@@ -8,7 +8,6 @@ SOUTH, EAST = 48.1, 11.5
 EARTH_RADIUS = 6_371_008.8
 LENGTHS = [400.0, 800.0, 5000.0, 1800.0]  # m
 DURATIONS = [70.0, 64.0, 180.0, 120.0]  # s
-LIMITS = [50.0, 50.0, 120.0, 60.0]  # km/h
 HEIGHTS = [500.0, 504.0, 500.0, 600.0, 590.0]  # m, at the ends of the legs
 TOTAL, DURATION = sum(LENGTHS), sum(DURATIONS)
 
@@ -71,11 +70,11 @@ def valhalla(units: str = "kilometers") -> dict:
 
 def valhalla_edges(timed: bool = True) -> dict:
     edges, elapsed = [], 0.0
-    for i, (length, time, limit) in enumerate(zip(LENGTHS, DURATIONS, LIMITS, strict=True)):
+    for i, (length, time) in enumerate(zip(LENGTHS, DURATIONS, strict=True)):
         elapsed += time
         mean = 32768 if i == 3 else (HEIGHTS[i] + HEIGHTS[i + 1]) / 2
         edge = {"length": length / 1000, "speed": 3.6 * length / time}
-        edge |= {"speed_limit": limit, "mean_elevation": mean}
+        edge |= {"speed_limit": 50, "mean_elevation": mean}
         edges.append(edge | ({"end_node": {"elapsed_time": elapsed}} if timed else {}))
     return {"units": "kilometers", "shape": "", "edges": edges}
 
@@ -85,7 +84,7 @@ def osrm(annotated: bool = True, steps: bool = True) -> dict:
         "distance": LENGTHS,
         "duration": [0.9 * time for time in DURATIONS],  # turns are in the leg's alone
         "nodes": [1, 2, 3, 4, 5],
-        "maxspeed": [{"speed": limit, "unit": "km/h"} for limit in LIMITS[:-1]] + [{"none": True}],
+        "maxspeed": [{"speed": 50, "unit": "km/h"}] * 3 + [{"none": True}],
     }
     made = [
         {"distance": length, "duration": time, "mode": "driving", "maneuver": {"type": "turn"}}
@@ -106,7 +105,6 @@ def graphhopper(details: Sequence[str] = (), encode: bool = True, up: bool = Tru
         "time": [[*each, int(1000 * t)] for each, t in zip(intervals, DURATIONS, strict=True)],
         "average_speed": [[*each, 3.6 * length / time] for each, length, time
                           in zip(intervals, LENGTHS, DURATIONS, strict=True)],
-        "max_speed": [[0, 40, 50.0], [40, 60, 120.0], [60, 80, None]],
     }  # fmt: skip
     points = places(n)
     scales = [1e5, 1e5, 100.0][: 3 if up else 2]

@@ -20,43 +20,39 @@ from evpinn_ros.plans.route import decode_polyline
 from evpinn_ros.vehicle.files import load_vehicle
 from test.plans import samples
 
-NONE = [np.nan] * 4
-ALL = [limit / 3.6 for limit in samples.LIMITS]
-THREE = [*ALL[:3], np.nan]
 CLIMBS = np.diff(samples.HEIGHTS)
 ANSWERS = {
-    "valhalla": (samples.valhalla(), NONE, True),
-    "valhalla in miles": (samples.valhalla("miles"), NONE, True),
-    "osrm with annotation": (samples.osrm(), THREE, False),
-    "osrm with steps": (samples.osrm(annotated=False), NONE, False),
-    "graphhopper with instructions": (samples.graphhopper(), NONE, True),
-    "graphhopper with details": (samples.graphhopper(["time", "max_speed"]), THREE, True),
+    "valhalla": (samples.valhalla(), True),
+    "valhalla in miles": (samples.valhalla("miles"), True),
+    "osrm with annotation": (samples.osrm(), False),
+    "osrm with steps": (samples.osrm(annotated=False), False),
+    "graphhopper with instructions": (samples.graphhopper(), True),
+    "graphhopper with details": (samples.graphhopper(["time"]), True),
     "graphhopper by speed, not encoded": (
-        samples.graphhopper(["average_speed"], encode=False), NONE, True),
-    "graphhopper in the plane": (samples.graphhopper(["time"], up=False), NONE, False),
-    "openrouteservice": (samples.openrouteservice(), NONE, True),
-    "openrouteservice as geojson in km": (samples.openrouteservice("geojson", "km"), NONE, True),
-}  # fmt: skip
+        samples.graphhopper(["average_speed"], encode=False),
+        True,
+    ),
+    "graphhopper in the plane": (samples.graphhopper(["time"], up=False), False),
+    "openrouteservice": (samples.openrouteservice(), True),
+    "openrouteservice as geojson in km": (samples.openrouteservice("geojson", "km"), True),
+}
 
 
-@pytest.mark.parametrize(("answer", "limits", "heights"), ANSWERS.values(), ids=ANSWERS)
-def test_every_service_gives_the_legs_of_the_road(read, answer, limits, heights):
+@pytest.mark.parametrize(("answer", "heights"), ANSWERS.values(), ids=ANSWERS)
+def test_every_service_gives_the_legs_of_the_road(read, answer, heights):
     legs = read(answer)
     assert legs.length == pytest.approx(samples.LENGTHS, abs=1.0)
     assert legs.duration == pytest.approx(samples.DURATIONS)
-    np.testing.assert_allclose(legs.limit, limits, rtol=1e-6)
     assert (legs.height_known == heights).all()
     # Heights are smoothed over 50 m, which rounds the road at the ends of its legs.
     assert legs.climb == pytest.approx(CLIMBS if heights else 0 * CLIMBS, abs=1.5)
-    assert np.isnan(legs.start_speed).all() and np.isnan(legs.end_speed).all()
 
 
 @pytest.mark.parametrize("timed", [True, False], ids=["by elapsed time", "by speed"])
-def test_edges_of_valhalla_have_limits_and_mean_heights(read, timed):
+def test_edges_of_valhalla_have_mean_heights(read, timed):
     legs = read(samples.valhalla_edges(timed))
     assert legs.length == pytest.approx(samples.LENGTHS)
     assert legs.duration == pytest.approx(samples.DURATIONS)
-    assert legs.limit == pytest.approx(ALL)
     assert legs.height_known.tolist() == [True, True, True, False]  # 32768 of the last is unknown
     assert legs.climb[2] > 30.0
 
@@ -87,26 +83,14 @@ def test_edges_of_a_service_are_no_finer_than_its_steps(read):
     given = fine["routes"][0]["legs"][0]["annotation"]
     for name in ("distance", "duration"):
         given[name] = np.repeat(np.array(given[name]) / 20, 20).tolist()
-    given["maxspeed"] = [each for each in given["maxspeed"] for _ in range(20)]
     edges, steps = read(fine), read(samples.osrm(annotated=False))
     assert edges.duration.min() >= 60.0
-    assert edges.limit[0] == pytest.approx(ALL[0]) and np.isnan(edges.limit[-1])
     fine_one, coarse = (
         forecast_plan(each, vehicle_model(load_vehicle("bmw_i3")), Weather(1.2))
         for each in (edges, steps)
     )
     assert fine_one.energy[-1] == pytest.approx(coarse.energy[-1], rel=0.05)
     assert fine_one.sigma[-1] == pytest.approx(coarse.sigma[-1], rel=0.1)
-
-
-def test_speed_limits_are_in_the_units_of_the_answer(read):
-    answer = samples.osrm()
-    answer["routes"][0]["legs"][0]["annotation"]["maxspeed"][0] = {"speed": 30, "unit": "mph"}
-    assert read(answer).limit[0] == pytest.approx(30 * 0.44704)
-    edges = samples.valhalla_edges() | {"units": "miles"}
-    assert read(edges).limit[0] == pytest.approx(50 * 0.44704)
-    edges["edges"][0]["speed_limit"] = 255  # none, as on an autobahn
-    assert np.isnan(read(edges).limit[0])
 
 
 def test_a_part_without_duration_belongs_to_the_next(read):
@@ -173,7 +157,7 @@ def test_what_is_no_route_is_refused_with_the_reason(read, answer, reason):
 
 
 @settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(kind=st.sampled_from(sorted(ANSWERS)), seed=st.integers(0, 10**6))
 def test_a_damaged_answer_is_legs_or_an_input_error(tmp_path, kind, seed):

@@ -9,7 +9,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.plan import Plan, PlanError
 
 SPEEDS = "t_s,speed_mps,elevation_m\n0,0,0\n15,20,0\n400,20,60\n420,0,60\n"
-LEGS = "length_m,duration_s,climb_m,limit_kmh\n1200,150,10,50\n12000,480,100,120\n3000,240,,50\n"
+LEGS = "length_m,duration_s,climb_m\n1200,150,10\n12000,480,100\n3000,240,\n"
 
 
 def test_speed_over_time_is_a_plan_of_its_points(read):
@@ -40,7 +40,6 @@ def test_legs_by_their_columns(read):
     assert legs.duration.tolist() == [150, 480, 240]
     assert legs.climb.tolist() == [10, 100, 0]
     assert legs.height_known.tolist() == [True, True, False]
-    assert legs.limit * 3.6 == pytest.approx([50, 120, 50])
 
 
 @pytest.mark.parametrize(
