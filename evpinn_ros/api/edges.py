@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from evpinn_ros.api.plan import KnownCar, columns_of, known_car, weather_of
+from evpinn_ros.api.plan import KnownCar, basis_of, columns_of, known_car
 from evpinn_ros.common.arguments import finite, finite_or_none
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy import edges as energy_edges
@@ -102,7 +102,7 @@ def edge_energies(
     # Here, for polars, which reads tables, takes a quarter of a second to import.
     from evpinn_ros.plans.table import edges_of_columns
 
-    vehicle, model, _ = known_car(car)
+    _, model, _ = known_car(car)
     given = PlanConditions(
         finite_or_none("temperature_c", temperature_c),
         finite_or_none("heating_w", heating_w),
@@ -110,8 +110,6 @@ def edge_energies(
         finite_or_none("payload_kg", payload_kg),
     )
     legs = edges_of_columns(columns_of("edges", edges))
-    weather = weather_of(vehicle, given, air_density)
-    model = model.with_payload(given.payload or 0.0)
-    found = energy_edges.edge_energies(legs, model, weather, given.head_wind or 0.0)
+    found = energy_edges.edge_energies(legs, *basis_of(model, given, air_density))
     index = edges.index if isinstance(edges, pd.DataFrame) else pd.RangeIndex(len(legs.length))
     return EdgeEnergies(index, found)

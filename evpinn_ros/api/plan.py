@@ -16,13 +16,12 @@ import pandas as pd
 from evpinn_ros.common.arguments import finite_or_none, path_of, shown, truth_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, ChargeGauge, Uncertain
-from evpinn_ros.energy.forecast import battery_along, difference, forecast_plan
+from evpinn_ros.energy.battery_model import BatteryModel
+from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge
+from evpinn_ros.energy.forecast import Change, PlanBasis, PlannedEnergy, forecast_plan
 from evpinn_ros.energy.plan import UNSAID, Legs, Plan, PlanConditions, PlanError, points_of
-from evpinn_ros.energy.planned import Change, PlannedEnergy
-from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
+from evpinn_ros.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.estimation.terms import MILD_CELSIUS
-from evpinn_ros.signals.road import density_of_air
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
@@ -109,7 +108,7 @@ def forecast(
         None if stood_h is None else 3600.0 * stood_h,
         float(truth_of("prewarmed", prewarmed)),
     )
-    _, _, trip, found, charge, *_ = planned_energy(plan, car, given, air_density)
+    _, trip, _, found, charge, _ = planned_energy(plan, car, given, air_density)
     columns = {
         "distance_m": trip.distance,
         "speed_mps": trip.speed,
@@ -131,23 +130,16 @@ def planned_energy(
 ) -> PlannedEnergy:
     """The basis of the table of `forecast`, whose arguments and errors are these."""
     vehicle, model, account = known_car(car)
+    battery, gauge = BatteryModel(math.nan), ChargeGauge(vehicle.battery_capacity)
     charge = UNKNOWN
-    if conditions.charge is not None:
-        charge = Uncertain(conditions.charge, FIRST_STEP / math.sqrt(12))  # as a display rounds
-    elif account is not None:
-        charge = account.charge()
+    if account is not None:
+        battery, gauge, charge = account.battery, account.gauge, account.charge()
     given = as_plan(plan, vehicle)
     trip = points_of(given) if isinstance(given, Legs) else given
-    weather = weather_of(vehicle, conditions, air_density)._replace(
-        start=model.start(conditions.stood, conditions.prewarmed or 0.0)
-    )
-    model = model.with_payload(conditions.payload or 0.0)
-    found = forecast_plan(given, model, weather, conditions.head_wind or 0.0)
-    gauge = ChargeGauge(vehicle.battery_capacity) if account is None else account.gauge
-    along = None if account is None else account.battery.along(found, charge)
-    if along is None:
-        along = battery_along(found, charge, gauge.capacity)
-    return PlannedEnergy(given, weather, trip, found, along, model, gauge)
+    basis = basis_of(model, conditions, air_density)
+    found = forecast_plan(given, *basis)
+    along = battery.along(found, conditions.charge_from(charge), gauge.capacity)
+    return PlannedEnergy(given, trip, basis, found, along, gauge)
 
 
 def what_if(plan: Any, car: Any, conditions: PlanConditions = UNSAID) -> list[Change]:
@@ -170,7 +162,7 @@ def what_if(plan: Any, car: Any, conditions: PlanConditions = UNSAID) -> list[Ch
     found = []
     for words, other, expected in cases:
         one = planned_energy(other, car, expected)
-        energy = difference(one.model, one.found.end, base.found.end)
+        energy = one.basis.model.difference(one.found.end, base.found.end)
         seconds = np.ptp(one.trip.time) - np.ptp(base.trip.time)
         found.append(Change(words, energy, float(seconds)))
     return found
@@ -190,18 +182,20 @@ def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:
     raise InputError(f"a car is a vehicle, a Result or an Estimator, not {shown(car)}")
 
 
-def weather_of(vehicle: Vehicle, conditions: PlanConditions, air_density: float | None) -> Weather:
-    """Weather by the conditions of a plan; air_density: kg/m^3, or None.
+def basis_of(
+    model: PowerModel, conditions: PlanConditions, air_density: float | None
+) -> PlanBasis:
+    """Basis of a forecast by the conditions of a plan; air_density: kg/m^3, or None.
 
     Raises:
         InputError: no air is as dense.
     """
     density = finite_or_none("air_density", air_density)
-    if density is None:
-        density = density_of_air(vehicle.air_density, conditions.temperature, None)
+    basis = PlanBasis.of(model, conditions, density=density)
+    density = basis.weather.air_density
     if not AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1]:
         raise InputError(f"air_density is {density:g}, not {AIR_DENSITIES} kg/m^3")
-    return Weather(density, conditions.temperature, conditions.heating)
+    return basis
 
 
 def as_plan(plan: Any, vehicle: Vehicle) -> Plan | Legs:

@@ -103,7 +103,7 @@ def forecast(
     show(table, at_least=WIDE if len(rows) > 1 else 0)
     known = "by its vehicle file alone; --state FILE uses what earlier drives taught"
     say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
-    expected = _expected(given, found[0].model.car.celsius)
+    expected = _expected(given, found[0].basis.model.car.celsius)
     say(expected)
     if charge is not None:
         say(_battery(found[0].gauge))
@@ -118,7 +118,7 @@ def forecast(
             PlannedTrip(name, one, what_if(one.given, car, given))
             for name, one in zip(names, found, strict=True)
         ]
-        write_forecasts(report, trips, expected, command_line(), head_wind or 0.0)
+        write_forecasts(report, trips, expected, command_line())
     if json_file is not None:
         write_json(json_file, rows)
 
@@ -156,10 +156,8 @@ def _battery(gauge: Any) -> str:
 
 def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:
     """Figures of one plan, in SI units and percent; NaN where unknown."""
-    from evpinn_ros.energy.forecast import difference
-
     trip, found = planned.trip, planned.found
-    more = difference(planned.model, found.end, first.found.end)
+    more = planned.basis.model.difference(found.end, first.found.end)
     charge, charge_sigma = (100 * planned.charge[:, -1]).tolist()
     empty = planned.charge[0] <= 0.0
     return {

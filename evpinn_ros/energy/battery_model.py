@@ -156,36 +156,41 @@ class BatteryModel(Saveable[SavedBattery]):
         self.samples += 1
         self._learned_ns = stamp_ns
 
-    def after(self, result: Forecast, charge: Uncertain) -> BatteryEnd | None:
-        """The battery at the end of one plan, None while too little is known of it.
+    def after(self, result: Forecast, charge: Uncertain, capacity: Uncertain) -> BatteryEnd:
+        """The battery at the end of one plan; its charge 0 where it would be empty before.
 
         Args:
             result: forecast of a single plan, shape (n,).
             charge: now, 0..1.
+            capacity: energy of the full battery, J.
         """
-        if not (charge.known and self.known):
-            return None
-        full, left = self._gauge.capacity, self._path(result, charge.value)[1][-1]
-        open_voltage, last = self._open_voltage(left), float(result.power[-1])
-        own = float(result.sigma[-1]) / (full.value * open_voltage)
-        sigma = math.hypot(charge.sigma, own, (charge.value - left) * full.sigma / full.value)
-        if not math.isfinite(left + sigma + last):
+        left, sigma = self.along(result, charge, capacity)[:, -1].tolist()
+        if not math.isfinite(left + sigma):
             return BatteryEnd(UNKNOWN, math.nan)
-        voltage = open_voltage - self._resistance() * self._drawn(last, left)
-        return BatteryEnd(Uncertain(min(max(left, 0.0), 1.0), sigma), voltage)
+        end, voltage = Uncertain(min(max(left, 0.0), 1.0), sigma), math.nan
+        if self.known:
+            drawn = self._drawn(float(result.power[-1]), left)
+            voltage = self._open_voltage(left) - self._resistance() * drawn
+        return BatteryEnd(end, voltage)
 
-    def along(self, result: Forecast, charge: Uncertain) -> np.ndarray | None:
-        """State of charge at each point of one plan and its 1-sigma, shape (2, n), not cut at 0.
+    def along(self, result: Forecast, charge: Uncertain, capacity: Uncertain) -> np.ndarray:
+        """State of charge at each point of one plan and its 1-sigma, shape (2, n).
 
-        None where `after` is; the arguments are its own.
+        It is energy over capacity while too little is known of the battery itself; NaN where
+        unknown, below 0 where the battery would be empty. The arguments are those of `after`.
         """
-        if not (charge.known and self.known):
-            return None
-        full, path = self._gauge.capacity, self._path(result, charge.value)
-        left = np.interp(result.time, *path)
-        own = result.sigma / (full.value * np.array([*map(self._open_voltage, left.tolist())]))
-        capacity = (charge.value - left) * full.sigma / full.value
-        return np.stack([left, np.sqrt(charge.sigma**2 + own**2 + capacity**2)])
+        if charge.known and self.known:
+            full = self._gauge.capacity
+            left = np.interp(result.time, *self._path(result, charge.value))
+            base, slope = self._state[:2]
+            voltage = np.maximum(base + slope * (left - 0.5) + self._level, MIN_VOLTAGE)
+            own = result.sigma / (full.value * voltage)
+        else:
+            full = capacity
+            left = charge.value - result.energy / full.value
+            own = result.sigma / full.value
+        lost = (charge.value - left) * full.sigma / full.value
+        return np.stack([left, np.sqrt(charge.sigma**2 + own**2 + lost**2)])
 
     def _path(self, result: Forecast, charge: float) -> tuple[np.ndarray, list[float]]:
         """Times of steps through a plan, s, and the state of charge at each, from `charge` on."""

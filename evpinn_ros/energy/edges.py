@@ -16,10 +16,10 @@ import numpy as np
 
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.plan import Legs
-from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.estimation.noise import standing
 from evpinn_ros.estimation.states import SIZE, State
-from evpinn_ros.estimation.unevenness import OF_LEGS, Path, per_leg
+from evpinn_ros.estimation.unevenness import OF_LEGS, per_leg
 
 JUDGED = 2000  # edges by which directions are chosen
 LEAST_SHARE = 1e-4  # of the variance of these; a direction with less is left out
@@ -128,12 +128,10 @@ def _projected(
     uneven = car.unevenness.per_metre(car.equation) @ np.column_stack((onto, car.mean))
 
     def of_edges(legs: Legs, part: slice | np.ndarray) -> np.ndarray:
-        duration, length, climb = legs.duration[part], legs.length[part], legs.climb[part]
-        zero, flow = np.zeros_like(duration), length / duration + head_wind
-        path = Path(duration, length, zero, zero, climb, weather.air_density + zero, zero)
-        found = per_leg(path, uneven)
-        air = flow * np.abs(flow) * length
-        found[:, :-1] += even(Motion(duration, length, air, zero, climb))
+        columns = legs.duration[part], legs.length[part], legs.climb[part]
+        steps = even_steps(*columns, head_wind)
+        found = per_leg(steps, uneven)
+        found[:, :-1] += even(steps)
         return found
 
     return of_edges

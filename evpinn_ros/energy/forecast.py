@@ -17,13 +17,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.arrays import namespace
-from evpinn_ros.energy.charge import UNKNOWN, Uncertain
-from evpinn_ros.energy.plan import COARSE, Legs, Plan, PlanError, points_of
-from evpinn_ros.energy.power_model import Motion, PlanEnd, PowerModel, Weather, vehicle_model
+from evpinn_ros.energy.charge import ChargeGauge, Uncertain
+from evpinn_ros.energy.plan import COARSE, Legs, Plan, PlanConditions, PlanError, points_of
+from evpinn_ros.energy.power_model import PlanEnd, PowerModel, Weather, even_steps, vehicle_model
 from evpinn_ros.estimation.noise import standing, wandered
 from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.estimation.unevenness import Path, size_of, stops_of
+from evpinn_ros.signals.interval import Steps
+from evpinn_ros.signals.road import density_of_air
 from evpinn_ros.vehicle.files import Vehicle
 
 DIRECTION_LENGTH = 5e3  # m within which a trip turns away from where the car now points
@@ -71,6 +73,85 @@ class Forecast:
     power: np.ndarray
     sigma: np.ndarray
     end: PlanEnd = UNKNOWN_END
+
+
+class Air(NamedTuple):
+    """The air outside; None where nothing fresh tells.
+
+    Attributes:
+        celsius: temperature.
+        pascal: pressure.
+        head: wind against the car as it points now, m/s over ground.
+    """
+
+    celsius: float | None = None
+    pascal: float | None = None
+    head: float | None = None
+
+
+UNKNOWN_AIR = Air()
+
+
+class PlanBasis(NamedTuple):
+    """Arguments of `forecast_plan` beside the plan."""
+
+    model: PowerModel
+    weather: Weather
+    head_wind: float
+
+    @classmethod
+    def of(
+        cls,
+        model: PowerModel,
+        given: PlanConditions,
+        air: Air = UNKNOWN_AIR,
+        density: float | None = None,
+    ) -> PlanBasis:
+        """The basis of a trip's forecast.
+
+        Args:
+            model: of the car.
+            given: what a planner expects.
+            air: measured, for what is not given.
+            density: of the air, kg/m^3; None: by its temperature and pressure.
+        """
+        celsius = air.celsius if given.temperature is None else given.temperature
+        head_wind = air.head if given.head_wind is None else given.head_wind
+        if density is None:
+            reference = model.car.equation.vehicle.air_density
+            density = density_of_air(reference, celsius, air.pascal)
+        start = model.start(given.stood, given.prewarmed or 0.0)
+        weather = Weather(density, celsius, given.heating, start)
+        return cls(model.with_payload(given.payload or 0.0), weather, head_wind or 0.0)
+
+
+class PlannedEnergy(NamedTuple):
+    """Energy of a plan.
+
+    Attributes:
+        given: the plan as it was given.
+        trip: its points.
+        basis: the car and the conditions that it was found with.
+        found: its energy.
+        charge: state of charge at each point, 0..1, and its 1-sigma, shape (2, n); NaN where
+            unknown, below 0 where the battery is empty before.
+        gauge: what is known of the battery.
+    """
+
+    given: Plan | Legs
+    trip: Plan
+    basis: PlanBasis
+    found: Forecast
+    charge: np.ndarray
+    gauge: ChargeGauge
+
+
+class Change(NamedTuple):
+    """A trip driven otherwise: what, the energy it takes more, J, and the time, s."""
+
+    words: str
+    energy: Uncertain
+    seconds: float
 
 
 class Parts(NamedTuple):
@@ -169,9 +250,9 @@ def forecast_plan(
         uneven = size_of(np.abs(beyond @ model.car.mean), stops_of(path, model.car.mean))
         rows = np.cumsum(legs, axis=0)
     elif along or duration.ndim > 1:
-        rows = model.rows_along(motion_of(points, wind), weather)
+        rows = model.rows_along(_steps(points, wind), weather)
     else:
-        row, energies = model.whole_row(motion_of(points, wind), weather)
+        row, energies = model.whole_row(_steps(points, wind), weather)
         rows = row[None]
     sums = elapsed[..., 1:], noise, unseen, uneven
     energy, sigma = model.predicted(rows, *(each[..., -rows.shape[-2] :] for each in sums))
@@ -206,13 +287,11 @@ def plan_parts(
     """
     points = points_of(plan) if isinstance(plan, Legs) else plan
     wind = _wind(points, head_wind)
-    motion = motion_of(points, wind)
+    steps = _steps(points, wind)
     if _is_coarse(points):
-        duration, length, _, _, climb, _, flow = _path(points, weather.air_density, wind)
-        flow = flow + length / duration
-        even = np.zeros_like(length)
-        motion = Motion(duration, length, flow * np.abs(flow) * length, even, climb)
-    rows = np.concatenate((model.parts(motion, weather), np.zeros((1, SIZE))))
+        wind = (wind[1:] + wind[:-1]) / 2.0
+        steps = even_steps(steps.duration, steps.distance, steps.climb, wind)
+    rows = np.concatenate((model.parts(steps, weather), np.zeros((1, SIZE))))
     rows[Part.STANDING, State.LOAD] = found.end.row[State.LOAD]
     rows[-1] = found.end.row - rows[WHOLE].sum(0)
     car = model.car
@@ -241,21 +320,16 @@ def _path(points: Plan, density: float, wind: np.ndarray) -> Path:
     return Path(duration, length, zero, zero, climb, density + zero, (wind[1:] + wind[:-1]) / 2.0)
 
 
-def motion_of(plan: Plan, head_wind: Any = 0.0) -> Motion:
-    """Legs of a plan as steps; shape (..., n - 1).
+def _steps(plan: Plan, wind: np.ndarray) -> Steps:
+    """Steps between the points of one trip, or many; wind: against the car at each, m/s.
 
     Distance is cubic in time between two points, so speed is the parabola with the given ends and
     the leg's length as its integral.
-
-    Args:
-        plan: one trip, or many.
-        head_wind: against the car at each point, m/s, a number or of the plan's shape.
     """
     duration, length = np.diff(plan.time), np.diff(plan.distance)
     start, end = plan.speed[..., :-1], plan.speed[..., 1:]
     # A profile whose speeds contradict its distances could call for reversing in the middle.
     middle = np.maximum(1.5 * length / duration - (start + end) / 4, 0.0)
-    wind = np.broadcast_to(head_wind, plan.time.shape)
     first, last = wind[..., :-1], wind[..., 1:]
 
     def drag(speed: np.ndarray, wind: np.ndarray) -> np.ndarray:
@@ -264,40 +338,7 @@ def motion_of(plan: Plan, head_wind: Any = 0.0) -> Motion:
 
     air = drag(start, first) + 4.0 * drag(middle, (first + last) / 2.0) + drag(end, last)
     kinetic = (end**2 - start**2) / 2.0
-    return Motion(duration, length, air * duration / 6.0, kinetic, np.diff(plan.elevation))
-
-
-def difference(model: PowerModel, one: PlanEnd, other: PlanEnd) -> Uncertain:
-    """Energy that one plan takes more than another, J, with the 1-sigma of that.
-
-    Args:
-        model: of the car, with which both were forecast.
-        one: of a single plan.
-        other: likewise, beginning at the same moment and place.
-    """
-    return Uncertain(*model.difference(one, other))
-
-
-def battery_after(result: Forecast, charge: Uncertain, capacity: Uncertain) -> Uncertain:
-    """State of charge at the end of one plan, 0..1, and its 1-sigma; unknown where either is.
-
-    Args:
-        result: forecast of a single plan, shape (n,).
-        charge: now, 0..1.
-        capacity: usable energy of the full battery, J.
-
-    Returns:
-        0 means that the plan ends, or would have ended, with an empty battery.
-    """
-    left, sigma = battery_along(result, charge, capacity)[:, -1].tolist()
-    return Uncertain(min(max(left, 0.0), 1.0), sigma) if math.isfinite(left) else UNKNOWN
-
-
-def battery_along(result: Forecast, charge: Uncertain, capacity: Uncertain) -> np.ndarray:
-    """Charge at each point and its 1-sigma, 0..1, shape (2, n); NaN unknown, below 0 empty."""
-    share = result.energy / capacity.value
-    parts = charge.sigma, result.sigma / capacity.value, share * capacity.sigma / capacity.value
-    return np.stack([charge.value - share, np.sqrt(sum(part**2 for part in parts))])
+    return Steps(duration, length, air * duration / 6.0, kinetic, np.diff(plan.elevation))
 
 
 def _sums(profiles: Profiles, model: PowerModel, density: float) -> tuple[Any, ...]:
@@ -317,8 +358,7 @@ def _sums(profiles: Profiles, model: PowerModel, density: float) -> tuple[Any, .
         raise PlanError("elevation is not finite")
     # The integral of v^3 where speed is linear; (a + b)(a^2 + b^2) / 4 is exact.
     air = length * (half[:, :-1] + half[:, 1:])
-    motion = Motion(duration, length, air, xp.diff(half), climb)
-    rows = model.summed_rows(motion, Weather(density))
+    rows = model.summed_rows(Steps(duration, length, air, xp.diff(half), climb), Weather(density))
     stood, square = standing(duration, length).sum(-1), 0.5 * (twice * length).sum(-1)
     unseen = length.sum(-1) * (elevation is None)
     return rows, xp.broadcast_to(duration.sum(-1), stood.shape), stood, square, unseen

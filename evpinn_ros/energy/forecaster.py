@@ -5,23 +5,15 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-import math
-from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.energy.battery_model import BatteryEnd, BatteryModel
-from evpinn_ros.energy.charge import FIRST_STEP, UNKNOWN, Uncertain
-from evpinn_ros.energy.forecast import Forecast, battery_after, difference, forecast_plan
+from evpinn_ros.energy.battery_model import BatteryModel
+from evpinn_ros.energy.charge import UNKNOWN, Uncertain
+from evpinn_ros.energy.forecast import Air, Forecast, PlanBasis, forecast_plan
 from evpinn_ros.energy.plan import UNNAMED, UNSAID, Plan, PlanConditions, Question
 from evpinn_ros.energy.plausible import car_is_possible
-from evpinn_ros.energy.power_model import (
-    PlanEnd,
-    PowerModel,
-    Weather,
-    combined_model,
-    vehicle_model,
-)
+from evpinn_ros.energy.power_model import PlanEnd, PowerModel, combined_model, vehicle_model
 from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -29,37 +21,15 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     WindReading,
 )
-from evpinn_ros.signals.road import WIND_STALE_AFTER, density_of_air
+from evpinn_ros.signals.road import WIND_STALE_AFTER
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
 
 MOST_POINTS_TOGETHER = 100_000  # of all plans that are compared, which are kept for that
 
 
-class Air(NamedTuple):
-    """The air outside; None where nothing fresh tells.
-
-    Attributes:
-        celsius: temperature.
-        pascal: pressure.
-        head: wind against the car as it points now, m/s over ground.
-    """
-
-    celsius: float | None = None
-    pascal: float | None = None
-    head: float | None = None
-
-
 STALE_AFTER = Air(1800.0, 1800.0, WIND_STALE_AFTER)
 """s since each was received, after which it counts as unknown."""
-
-
-class PlanBasis(NamedTuple):
-    """Arguments of `forecast_plan` beside the plan."""
-
-    model: PowerModel
-    weather: Weather
-    head_wind: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +100,6 @@ class Forecaster:
         self._model = vehicle_model(self._vehicle)
         self._air: dict[str, tuple[float, int]] = {}  # values, and when they were received, ns
         self._conditions = UNSAID
-        # The car, its payload in plans, kg, and what they make.
-        self._loaded: tuple[PowerModel, float, PowerModel] | None = None
         self._together: Hashable = None
         self._others: dict[str, tuple[Plan, PlanEnd]] = {}
         self._compared_with: object = None
@@ -197,45 +165,27 @@ class Forecaster:
         Raises:
             PlanError: there is no finite answer.
         """
-        air, given = self.air(now_ns), asked.conditions.or_else(self._conditions)
-        payload, prewarmed = given.payload or 0.0, given.prewarmed or 0.0
-        model = self._with_payload(payload)
-        celsius = air.celsius if given.temperature is None else given.temperature
-        density = density_of_air(self._vehicle.air_density, celsius, air.pascal)
-        wind = (air.head if given.head_wind is None else given.head_wind) or 0.0
-        start = model.start(given.stood, prewarmed)
-        basis = PlanBasis(model, Weather(density, celsius, given.heating, start), wind)
-        if given.charge is not None:
-            charge = Uncertain(given.charge, FIRST_STEP / math.sqrt(12))  # as a display rounds
+        given = asked.conditions.or_else(self._conditions)
+        basis = PlanBasis.of(self._model, given, self.air(now_ns))
+        charge = given.charge_from(charge)
         result = forecast_plan(plan, *basis, along=asked.along)
         differences = self._compare(asked, plan, result.end, basis)
-        end = battery.after(result, charge)
-        if end is None:
-            end = BatteryEnd(battery_after(result, charge, capacity), math.nan)
+        celsius = basis.weather.celsius
         taken = {
-            "temperature": model.car.celsius if celsius is None else celsius,
+            "temperature": self._model.car.celsius if celsius is None else celsius,
             "heating": given.heating,
-            "head_wind": wind,
-            "payload": payload,
+            "head_wind": basis.head_wind,
+            "payload": given.payload or 0.0,
             "charge": charge.value if charge.known else None,
             "stood": given.stood,
-            "prewarmed": prewarmed,
+            "prewarmed": given.prewarmed or 0.0,
         }
         assumed = {name: value for name, value in taken.items() if value is not None}
+        end = battery.after(result, charge, capacity)
         return PlanAnswer(result, *end, differences, given.given, assumed)
 
-    def _with_payload(self, payload: float) -> PowerModel:
-        """The car with a payload, kg; the same object as long as neither changes."""
-        if self._loaded is None or self._loaded[:2] != (self._model, payload):
-            self._loaded = self._model, payload, self._model.with_payload(payload)
-        return self._loaded[2]
-
     def _compare(
-        self,
-        asked: Question,
-        plan: Plan,
-        end: PlanEnd,
-        basis: PlanBasis,
+        self, asked: Question, plan: Plan, end: PlanEnd, basis: PlanBasis
     ) -> dict[str, Uncertain]:
         """Energy of a plan beyond those asked together with it, by their names, J."""
         if asked.together is None or asked.together != self._together:
@@ -245,7 +195,7 @@ class Forecaster:
             for name, (other, _) in self._others.items():
                 self._others[name] = other, forecast_plan(other, *basis, along=False).end
         differences = {
-            name: difference(basis.model, end, other)
+            name: basis.model.difference(end, other)
             for name, (_, other) in self._others.items()
             if name != asked.name
         }

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.energy.charge import FIRST_STEP, Uncertain
 from evpinn_ros.signals.road import MAX_WIND
 
 MAX_SPEED = 100.0  # m/s: faster is a teleport
@@ -164,6 +166,12 @@ class PlanConditions:
     def or_else(self, others: PlanConditions) -> PlanConditions:
         """These, and those of others that are not given here."""
         return replace(others, **{name: getattr(self, name) for name in self.given})
+
+    def charge_from(self, measured: Uncertain) -> Uncertain:
+        """State of charge at the start, 0..1: as given, else measured."""
+        if self.charge is None:
+            return measured
+        return Uncertain(self.charge, FIRST_STEP / math.sqrt(12.0))  # as a display rounds
 
 
 UNSAID = PlanConditions()

@@ -12,11 +12,11 @@ from typing import Annotated, TypeAlias
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.noise import FORCE_NOISE
 from evpinn_ros.estimation.states import State
-from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Path, Unevenness
+from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Unevenness
 from evpinn_ros.signals.road import TEMPERATURES
 from evpinn_ros.signals.stream import MAX_SPEED
 
@@ -64,8 +64,8 @@ def car_is_possible(car: CarModel) -> bool:
     if min(least, car.growth, car.trust, car.seconds) < 0.0 or car.trust > MOST_TRUST:
         return False
     speed, one = np.array([30.0, 10.0, 0.0]), np.ones(3)
-    motion = Motion(one, speed, speed**3, 0.5 * speed, 0.0 * speed)
-    rows = PowerModel(car).rows(motion, Weather(1.2, -30.0))
+    ride = even_steps(one, speed, 0.0 * speed)._replace(kinetic=0.5 * speed)
+    rows = PowerModel(car).rows(ride, Weather(1.2, -30.0))
     power = rows @ car.mean
     variance = ((rows @ car.covariance) * rows).sum(-1) + car.load_variance
     noise = car.noise.max() * FORCE_NOISE**2 * speed**2
@@ -82,7 +82,6 @@ def _is_possible(uneven: Unevenness, car: CarModel) -> bool:
     if uneven.drives <= 0.0 or uneven.share > MOST_SHARE:
         return False
     speed, duration = map(np.ravel, np.meshgrid(MIDDLES, DURATIONS))
-    zero = np.zeros_like(speed)
-    legs = Path(duration, speed * duration, zero, zero, zero, zero + 1.2, zero)
+    legs = even_steps(duration, speed * duration, 0.0 * speed)
     power = uneven.of_legs(car.equation, legs) @ car.mean / duration
     return bool((np.abs(power) <= MAX_POWER).all())

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from evpinn_ros.common.arrays import like, namespace, whole, within, zeros
+from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.network_table import (
     FORCES,
     looked_up,
@@ -29,14 +30,15 @@ from evpinn_ros.estimation.size import model_of_file
 from evpinn_ros.estimation.states import PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import (
     EXPLAINED,
-    STANDING,
     WARM,
     Warmth,
     Wheels,
-    climate_powers,
     coldness,
+    standing_powers,
 )
 from evpinn_ros.estimation.unevenness import Path, even_rows
+from evpinn_ros.signals.interval import Steps
+from evpinn_ros.signals.road import Conditions
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import Identifiable
 
@@ -45,24 +47,6 @@ CLIMATE_SHARE = 0.4  # 1-sigma of the heating or cooling of a drive over what is
 CLIMATE_SHOWN = 300.0  # s of a drive within which a third of that is left
 LEAST_TRUST = 1e-3  # lower is none that was learned
 CLIMATE_LIKELY = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]
-
-
-class Motion(NamedTuple):
-    """Steps of a plan, in order, numpy arrays or torch tensors of one shape (..., n).
-
-    Attributes:
-        duration: s.
-        distance: m.
-        air: integral of the flow's |u| u v, m^3/s^2.
-        kinetic: difference of v^2 / 2, J/kg.
-        climb: difference of height, m.
-    """
-
-    duration: Any
-    distance: Any
-    air: Any
-    kinetic: Any
-    climb: Any
 
 
 class Weather(NamedTuple):
@@ -112,22 +96,18 @@ class PowerModel:
 
     car: CarModel
 
-    def rows(self, motion: Motion, weather: Weather) -> Any:
-        """Energy of each step by each state, J per unit, shape (..., n, SIZE)."""
-        equation, duration = self.car.equation, motion.duration
-        wheels = equation.wheels(*motion, weather.air_density)
-        celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
-        rows = equation.moving_rows(wheels, duration, coldness(celsius), warmth.tyres)
-        for state, power in self._loads(weather.heating, celsius, warmth).items():
-            rows[..., state] = power * duration
+    def rows(self, steps: Steps, weather: Weather) -> np.ndarray:
+        """Energy of each step of a trip by each state, J per unit, shape (n, SIZE)."""
+        rows = self.car.equation.rows(steps, *self._surroundings(steps, weather))
+        if self._drive_heats(weather):
+            rows[:, State.CLIMATE_DRIVE] = steps.duration
         return rows
 
-    def parts(self, motion: Motion, weather: Weather) -> np.ndarray:
-        """Energy of all steps of one trip by part and state, J per unit, (COUNT, SIZE)."""
-        wheels = self.car.equation.wheels(*motion, weather.air_density)
-        tyres = self._warmth(motion.duration, weather).tyres
-        rows = self.rows(motion, weather)
-        return self.car.equation.split(rows, wheels, coldness(self._celsius(weather)), tyres)
+    def parts(self, steps: Steps, weather: Weather) -> np.ndarray:
+        """Energy of all steps of a trip by part and state, J per unit, (COUNT, SIZE)."""
+        equation, (conditions, warmth) = self.car.equation, self._surroundings(steps, weather)
+        wheels, cold = equation.of_steps(steps, conditions), coldness(conditions.celsius)
+        return equation.split(self.rows(steps, weather), wheels, cold, warmth.tyres)
 
     def leg_rows(self, legs: Path, weather: Weather) -> tuple[np.ndarray, np.ndarray]:
         """Energy of legs whose mean speed alone is known, J per unit, shape (n, SIZE) each.
@@ -139,29 +119,29 @@ class PowerModel:
         Returns:
             The whole, and the part of it that is expected of uneven speed.
         """
-        equation, duration = self.car.equation, legs.duration
-        celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
+        equation = self.car.equation
+        conditions, warmth = self._surroundings(legs, weather)
         beyond = self.car.unevenness.of_legs(equation, legs)
         rows = even_rows(equation, legs) + beyond
         tyres = float(equation.mean[State.ROLLING]) * rows[:, State.ROLLING]
         rows[:, State.ROLLING_DRIVE] = tyres
-        rows[:, State.ROLLING_COLD] = tyres * coldness(celsius)
+        rows[:, State.ROLLING_COLD] = tyres * coldness(conditions.celsius)
         rows[:, State.ROLLING_START] = tyres * warmth.tyres
-        for state, power in self._loads(weather.heating, celsius, warmth).items():
-            rows[:, state] = power * duration
+        for state, power in self._loads(weather, conditions, warmth).items():
+            rows[:, state] = power * legs.duration
         return rows, beyond
 
-    def rows_along(self, motion: Motion, weather: Weather) -> np.ndarray:
+    def rows_along(self, steps: Steps, weather: Weather) -> np.ndarray:
         """Rows summed up to the end of each step, shape (..., n, SIZE).
 
         They lie state by state in memory: so sums and products are several times as quick.
         """
         equation, network = self.car.equation, self.car.equation.network
-        wheels, columns = self._columns(motion, weather)
+        wheels, columns = self._columns(steps, weather)
         rows = np.zeros((SIZE, *wheels.energy.shape))
         for state, column in columns.items():
             rows[state] = column
-        weights, way = rows[WEIGHTS].reshape(-1, wheels.energy.size), np.abs(motion.distance)
+        weights, way = rows[WEIGHTS].reshape(-1, wheels.energy.size), np.abs(steps.distance)
         for part, units in units_of(network, wheels):
             np.matmul(network.outer.T, units, out=weights[:, part])
         rows[WEIGHTS] *= way
@@ -169,13 +149,13 @@ class PowerModel:
         rows[EXPLAINED] -= np.tensordot(equation.explained.T, rows[PHYSICS], 1)
         return np.moveaxis(rows, 0, -1)
 
-    def whole_row(self, motion: Motion, weather: Weather) -> tuple[np.ndarray, np.ndarray]:
+    def whole_row(self, steps: Steps, weather: Weather) -> tuple[np.ndarray, np.ndarray]:
         """Row of all n steps of one trip, shape (SIZE,), and the energy of each, J, shape (n,).
 
         In these energies there is no load that wanders, which fades along the way.
         """
         equation, network = self.car.equation, self.car.equation.network
-        wheels, columns = self._columns(motion, weather)
+        wheels, columns = self._columns(steps, weather)
         mean = self.car.mean.copy()
         mean[State.LOAD] = 0.0
         mean[PHYSICS] -= equation.explained @ mean[EXPLAINED]
@@ -183,24 +163,24 @@ class PowerModel:
         for state, column in columns.items():
             row[state] = column.sum()
             energy += mean[state] * column
-        way, force = np.abs(motion.distance), network.outer @ mean[WEIGHTS]
+        way, force = np.abs(steps.distance), network.outer @ mean[WEIGHTS]
         for part, units in units_of(network, wheels):
             row[WEIGHTS] += network.outer.T @ (units @ way[part])
             energy[part] += (force @ units) * way[part]
         row[EXPLAINED] -= row[PHYSICS] @ equation.explained
         return row, energy
 
-    def summed_rows(self, motion: Motion, weather: Weather) -> Any:
+    def summed_rows(self, steps: Steps, weather: Weather) -> Any:
         """Rows of whole trips, shape (batch, SIZE); the network by a table, for it is many."""
-        wheels, columns = self._columns(motion, weather)
-        rows = zeros((len(motion.distance), SIZE), motion.distance)
+        wheels, columns = self._columns(steps, weather)
+        rows = zeros((len(steps.distance), SIZE), steps.distance)
         for state, column in columns.items():
             rows[:, state] = column.sum(-1)
-        rows[:, WEIGHTS] = looked_up(wheels, motion.distance, self._table)
+        rows[:, WEIGHTS] = looked_up(wheels, steps.distance, self._table)
         rows[:, EXPLAINED] -= rows[:, PHYSICS] @ like(self.car.equation.explained, rows)
         return rows
 
-    def projected(self, weather: Weather, onto: np.ndarray) -> Callable[[Motion], np.ndarray]:
+    def projected(self, weather: Weather, onto: np.ndarray) -> Callable[[Steps], np.ndarray]:
         """Function of steps, tyres and cabin warm, that gives their rows times `onto`.
 
         The network is by the same table. The rows themselves would be five times as much to
@@ -213,21 +193,21 @@ class PowerModel:
         Returns:
             Of columns of shape (n,) it makes an array of shape (n, k).
         """
-        equation, celsius = self.car.equation, self._celsius(weather)
+        equation, conditions = self.car.equation, self._conditions(weather)
         network = (self._table @ onto[WEIGHTS]).reshape(-1, onto.shape[1])
-        loads = self._loads(weather.heating, celsius, WARM)
+        loads, cold = self._loads(weather, conditions, WARM), coldness(conditions.celsius)
         power = np.array(list(loads.values())) @ onto[list(loads)]
         rest = onto.copy()
         rest[PHYSICS] -= equation.explained @ onto[EXPLAINED]
 
-        def of_steps(motion: Motion) -> np.ndarray:
-            wheels = equation.wheels(*motion, weather.air_density)
-            moving = equation.moving_columns(wheels, motion.duration, coldness(celsius), 0.0)
-            columns = np.stack([motion.duration, *moving.values()])
+        def of_steps(steps: Steps) -> np.ndarray:
+            wheels = equation.of_steps(steps, conditions)
+            moving = equation.moving_columns(wheels, steps.duration, cold, WARM.tyres)
+            columns = np.stack([steps.duration, *moving.values()])
             found = columns.T @ np.stack([power, *rest[list(moving)]])
             places = places_of(wheels)
             node = whole(places.speed * FORCES + places.force)
-            for faster, stronger, share in shares_of(*places.moments(motion.distance)):
+            for faster, stronger, share in shares_of(*places.moments(steps.distance)):
                 found += network[node + (faster * FORCES + stronger)] * share[:, None]
             return np.asarray(found)
 
@@ -261,7 +241,7 @@ class PowerModel:
         still, moving = unexplained(elapsed, stood, square)
         return self.car.noise[0] * still + self.car.noise[1] * moving
 
-    def difference(self, one: PlanEnd, other: PlanEnd) -> tuple[float, float]:
+    def difference(self, one: PlanEnd, other: PlanEnd) -> Uncertain:
         """Energy that one plan takes more than another, J, and the 1-sigma of that, J.
 
         Both begin at one moment, with one car: what they share cancels. Of one length they are
@@ -279,7 +259,7 @@ class PowerModel:
             variance += car.growth * car.weight_over_eta**2 * (one.unseen + other.unseen)
         variance = car.trust * max(variance, 0.0)
         variance += (car.unevenness.share * (one.uneven - other.uneven)) ** 2
-        return float(row @ car.mean), math.sqrt(variance)
+        return Uncertain(float(row @ car.mean), math.sqrt(variance))
 
     def start(self, stood: float | None, prewarmed: float) -> Warmth:
         """Coldness at the start of a trip.
@@ -296,13 +276,7 @@ class PowerModel:
 
     def with_payload(self, payload: float) -> PowerModel:
         """The car with so many kg more than it has; its tyres carry them too."""
-        if not payload:
-            return self
-        mean, eta = self.car.mean.copy(), self.car.equation.eta + self.car.mean[State.ETA]
-        c_rr = mean[State.ROLLING] / mean[State.MASS]
-        mean[State.MASS] += payload / eta
-        mean[State.ROLLING] += c_rr * payload / eta
-        return PowerModel(replace(self.car, mean=mean))
+        return _loaded(self, payload) if payload else self
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -325,36 +299,55 @@ class PowerModel:
         """Force of the network on the grid, N per weight, shape (speeds, forces, NETWORK)."""
         return table_of(self.car.equation.network)
 
-    def _columns(self, motion: Motion, weather: Weather) -> tuple[Wheels, dict[State, Any]]:
+    def _columns(self, steps: Steps, weather: Weather) -> tuple[Wheels, dict[State, Any]]:
         """Wheels of steps, and their energy by state but for the network, J per unit.
 
         What the terms of eq. 21 explain of the others is not taken away yet.
         """
-        equation, duration = self.car.equation, motion.duration
-        wheels = equation.wheels(*motion, weather.air_density)
-        celsius, warmth = self._celsius(weather), self._warmth(duration, weather)
-        moving = equation.moving_columns(wheels, duration, coldness(celsius), warmth.tyres)
-        loads = self._loads(weather.heating, celsius, warmth)
+        equation, duration = self.car.equation, steps.duration
+        conditions, warmth = self._surroundings(steps, weather)
+        wheels, cold = equation.of_steps(steps, conditions), coldness(conditions.celsius)
+        moving = equation.moving_columns(wheels, duration, cold, warmth.tyres)
+        loads = self._loads(weather, conditions, warmth)
         return wheels, moving | {state: power * duration for state, power in loads.items()}
 
-    def _celsius(self, weather: Weather) -> float | None:
-        return self.car.celsius if weather.celsius is None else weather.celsius
+    def _conditions(self, weather: Weather) -> Conditions:
+        """Conditions as the equation has them: heating that is given is like one reported."""
+        celsius = self.car.celsius if weather.celsius is None else weather.celsius
+        given = weather.heating is not None
+        return Conditions(weather.air_density, 0.0, celsius, weather.heating or 0.0, given)
 
-    def _warmth(self, duration: Any, weather: Weather) -> Warmth:
-        """Coldness of tyres and cabin in the middle of each step."""
+    def _surroundings(self, steps: Path | Steps, weather: Weather) -> tuple[Conditions, Warmth]:
+        """Conditions, and coldness of tyres and cabin in the middle of each step."""
+        duration = steps.duration
         start = self._now if weather.start is None else weather.start
-        return start.driven(namespace(duration).cumsum(duration, -1) - duration / 2)
+        warmth = start.driven(namespace(duration).cumsum(duration, -1) - duration / 2)
+        return self._conditions(weather), warmth
 
-    def _loads(
-        self, heating: float | None, celsius: float | None, warmth: Warmth
-    ) -> dict[State, Any]:
+    def _drive_heats(self, weather: Weather) -> bool:
+        """True if heating goes on as it strayed in this drive."""
+        return self.car.reports and weather.heating is None
+
+    def _loads(self, weather: Weather, conditions: Conditions, warmth: Warmth) -> dict[State, Any]:
         """Standing power by state, W per unit, numbers or of the steps' shape."""
-        found: dict[State, Any] = dict.fromkeys(STANDING, 1.0)
-        if heating is not None:
-            return found | {State.REPORTED: heating}
-        if self.car.reports:
-            found[State.CLIMATE_DRIVE] = 1.0
-        return found | climate_powers(celsius, warmth)
+        drive = {State.CLIMATE_DRIVE: 1.0} if self._drive_heats(weather) else {}
+        return standing_powers(conditions, warmth) | drive
+
+
+def even_steps(duration: Any, distance: Any, climb: Any, head_wind: Any = 0.0) -> Steps:
+    """Steps at even speed: s, m, m, and m/s against the car; of one shape or numbers."""
+    flow = distance / duration + head_wind
+    return Steps(duration, distance, flow * abs(flow) * distance, 0.0 * duration, climb)
+
+
+@lru_cache(maxsize=4)  # one object as long as neither changes: plans are compared by it
+def _loaded(model: PowerModel, payload: float) -> PowerModel:
+    car = model.car
+    mean, eta = car.mean.copy(), car.equation.eta + car.mean[State.ETA]
+    c_rr = mean[State.ROLLING] / mean[State.MASS]
+    mean[State.MASS] += payload / eta
+    mean[State.ROLLING] += c_rr * payload / eta
+    return PowerModel(replace(car, mean=mean))
 
 
 def vehicle_model(vehicle: Vehicle, seed: int = 0) -> PowerModel:

@@ -12,9 +12,9 @@ import math
 
 import numpy as np
 
-from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES, Path
+from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES
 
 LEG = 60.0  # s
 LEAST_METRES = 3000.0  # driven, before anything is usual
@@ -26,11 +26,8 @@ def usual_cost(car: CarModel) -> float:
     metres = car.unevenness.metres[:, int(np.searchsorted(DURATIONS, LEG))]
     if metres.sum() < LEAST_METRES:
         return math.nan
-    one, density = np.full_like(MIDDLES, LEG), car.equation.vehicle.air_density
-    length, zero = MIDDLES * LEG, np.zeros_like(MIDDLES)
-    motion = Motion(one, length, MIDDLES**2 * length, zero, zero)
-    legs = Path(one, length, zero, zero, zero, density + zero, zero)
-    rows = PowerModel(car).rows(motion, Weather(density))
+    legs = even_steps(np.full_like(MIDDLES, LEG), MIDDLES * LEG, 0.0 * MIDDLES)
+    rows = PowerModel(car).rows(legs, Weather(car.equation.vehicle.air_density))
     rows += car.unevenness.of_legs(car.equation, legs)
-    cost = float(metres @ (rows @ car.mean / length) / metres.sum())
+    cost = float(metres @ (rows @ car.mean / legs.distance) / metres.sum())
     return cost if math.isfinite(cost) and cost > 0.0 else math.nan

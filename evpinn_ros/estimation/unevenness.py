@@ -25,6 +25,7 @@ from evpinn_ros.common.package_data import bundled_lines
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.estimation.states import NAMES, SIZE, State
 from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.signals.interval import Steps
 
 REFERENCE = "config/reference/uneven.csv"
 MIDDLES = np.array([2.0, 4.5, 7.5, 10.5, 14.0, 18.0, 22.5, 28.0, 33.0])  # m/s, of nodes
@@ -106,7 +107,7 @@ class Unevenness:
         """1-sigma of a trip's unevenness over the size of what is expected of it."""
         return float(np.sqrt(self.squares / self.drives))
 
-    def of_legs(self, equation: Equation, legs: Path) -> np.ndarray:
+    def of_legs(self, equation: Equation, legs: Path | Steps) -> np.ndarray:
         """Expected rows of legs beyond those at even speed, J per unit, shape (n, SIZE).
 
         Args:
@@ -188,7 +189,7 @@ class SavedUnevenness:
     drives: Annotated[float, Range(1.0, MOST_DRIVES)]
 
 
-def per_leg(legs: Path, table: np.ndarray) -> np.ndarray:
+def per_leg(legs: Path | Steps, table: np.ndarray) -> np.ndarray:
     """Numbers of n legs, (n, k), from such per metre at each node, shape (*SHAPE, k)."""
     way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
     found = np.zeros((len(way), table.shape[-1]))
@@ -314,7 +315,7 @@ def _summed(rows: np.ndarray, owner: np.ndarray, duration: np.ndarray) -> np.nda
     return np.asarray(np.add.reduceat(rows, begins[kept], axis=0))
 
 
-def _nodes(legs: Path) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _nodes(legs: Path | Steps) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """The four nodes about each leg: numbers of speed and duration, and its share in each."""
     speeds = _between(np.abs(legs.distance) / legs.duration, MIDDLES)
     durations = _between(np.log(legs.duration), np.log(DURATIONS))

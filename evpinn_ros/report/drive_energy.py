@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_WH, METRIC, Units
-from evpinn_ros.energy.power_model import Motion, PowerModel, Weather
+from evpinn_ros.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.terms import WARM
 from evpinn_ros.replays.driven import DrivenSteps
@@ -93,9 +93,8 @@ def _steady_power(
     The variance is multiplied by the factor of dropouts, for unseen climbs of neighbouring
     intervals are alike and make the line look surer than it is.
     """
-    flat, one = np.zeros(len(speed)), np.ones(len(speed))
-    warm = Weather(air_density, start=WARM)
-    rows = car.rows(Motion(one, speed, speed**3, flat, flat), warm)
+    steps = even_steps(np.ones_like(speed), speed, 0.0 * speed)
+    rows = car.rows(steps, Weather(air_density, start=WARM))
     variance = car.car.trust * ((rows @ car.car.covariance) * rows).sum(-1)
     return rows @ car.car.mean, np.sqrt(variance)
 

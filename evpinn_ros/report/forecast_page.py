@@ -10,9 +10,8 @@ import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecast import plan_parts
+from evpinn_ros.energy.forecast import Change, PlannedEnergy, plan_parts
 from evpinn_ros.energy.plan import Legs
-from evpinn_ros.energy.planned import Change, PlannedEnergy
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.terms import Part
 from evpinn_ros.replays.energy_metrics import MEANINGS
@@ -33,9 +32,7 @@ class PlannedTrip(NamedTuple):
     changes: Sequence[Change]
 
 
-def write_forecasts(
-    path: Path, trips: Sequence[PlannedTrip], expected: str, command: str, head_wind: float = 0.0
-) -> None:
+def write_forecasts(path: Path, trips: Sequence[PlannedTrip], expected: str, command: str) -> None:
     """Write the page.
 
     Args:
@@ -43,24 +40,23 @@ def write_forecasts(
         trips: to show.
         expected: sentence on the conditions.
         command: that made it, text.
-        head_wind: of the conditions, m/s.
 
     Raises:
         OSError: it cannot be written.
     """
     names = " and ".join(trip.name for trip in trips)
-    shown = [_trip(trip, head_wind) for trip in trips]
+    shown = [_trip(trip) for trip in trips]
     title = f"Forecast of {names}"
     write_page(path, "forecast.html.j2", title=title, command=command, trips=shown,
                expected=expected)  # fmt: skip
 
 
-def _trip(trip: PlannedTrip, head_wind: float) -> dict[str, Any]:
+def _trip(trip: PlannedTrip) -> dict[str, Any]:
     return {
         "name": trip.name,
         "sentence": _sentence(trip.planned),
         "curves": list(_curves(trip.planned)),
-        "parts": _parts(trip.planned, head_wind),
+        "parts": _parts(trip.planned),
         "changes": [
             (each.words, f"{each.seconds / 60:+.1f} min", _kwh(each.energy, "+"))
             for each in trip.changes
@@ -126,9 +122,9 @@ def speed_along(planned: PlannedEnergy, every: np.ndarray) -> tuple[np.ndarray, 
     return np.repeat(along[every], 2)[1:-1], np.repeat(mean, 2)
 
 
-def _parts(planned: PlannedEnergy, head_wind: float) -> list[dict[str, Any]]:
+def _parts(planned: PlannedEnergy) -> list[dict[str, Any]]:
     """A row a part, the biggest first, with its 90 % interval in percent of the width."""
-    found = plan_parts(planned.given, planned.found, planned.model, planned.weather, head_wind)
+    found = plan_parts(planned.given, planned.found, *planned.basis)
     names = [MEANINGS[part.name.lower()] for part in Part] + [UNEVEN]
     rows = [
         (name, Uncertain(energy, sigma))

@@ -49,7 +49,7 @@ class Steps(NamedTuple):
         air: integral of flow |flow| v with the flow of air against the car, m^3/s^2.
         kinetic: difference of v^2 / 2, J/kg.
         climb: difference of height, m; 0 where unknown.
-        motor_drive: energy of the motor where it drives, J, NaN while unknown.
+        motor_drive: energy of the motor where it drives, J, NaN while unknown, as in a plan.
         motor_brake: the same where it brakes, positive J.
         motor_scaled: whether these are in J; else up to a factor, for the gear is not known.
     """
@@ -59,8 +59,8 @@ class Steps(NamedTuple):
     air: np.ndarray
     kinetic: np.ndarray
     climb: np.ndarray
-    motor_drive: np.ndarray
-    motor_brake: np.ndarray
+    motor_drive: np.ndarray = np.array(math.nan)
+    motor_brake: np.ndarray = np.array(math.nan)
     motor_scaled: bool = True
 
     @property

@@ -237,7 +237,7 @@ def test_the_charge_along_a_plan_is_that_of_the_node():
     trip = {"t_s": time, "speed_mps": np.interp(time, [0, 15, 400, 420], [0, 20, 20, 0])}
     found = ev.forecast(trip, result)
     account, end = result.account, plan.planned_energy(trip, result).found
-    after = account.battery.after(end, account.charge()).charge
+    after = account.battery.after(end, account.charge(), account.gauge.capacity).charge
     assert found["charge_pct"].iloc[-1] == pytest.approx(100 * after.value, abs=1e-9)
     assert found["charge_sigma_pct"].iloc[-1] == pytest.approx(100 * after.sigma, rel=1e-9)
     charge = found["charge_pct"].to_numpy()

@@ -68,7 +68,7 @@ def test_the_end_of_a_plan_is_that_of_the_battery(learned, power):
     left = charge
     for _ in range(120_000):
         left -= current_for(power, left) * 0.01 / FULL
-    end = model.after(plan(power, 1200.0), Uncertain(charge, 0.001))
+    end = model.after(plan(power, 1200.0), Uncertain(charge, 0.001), UNKNOWN)
     taken = abs(charge - left)
     assert end.charge.value == pytest.approx(left, abs=0.03 * taken)
     assert abs(end.charge.value - left) < 2 * end.charge.sigma
@@ -78,7 +78,7 @@ def test_the_end_of_a_plan_is_that_of_the_battery(learned, power):
 def test_a_percent_takes_less_energy_of_an_empty_battery_than_of_a_full_one(learned):
     model, _ = learned
     full, empty = (
-        charge - model.after(plan(10e3, 600.0), Uncertain(charge, 0.0)).charge.value
+        charge - model.after(plan(10e3, 600.0), Uncertain(charge, 0.0), UNKNOWN).charge.value
         for charge in (0.9, 0.1 + 0.1)
     )
     assert empty > 1.08 * full
@@ -86,12 +86,12 @@ def test_a_percent_takes_less_energy_of_an_empty_battery_than_of_a_full_one(lear
 
 def test_it_says_nothing_before_it_knows_enough():
     model = BatteryModel(CAPACITY)
-    assert model.after(plan(1e4, 600.0), Uncertain(0.5, 0.0)) is None
+    assert math.isnan(model.after(plan(1e4, 600.0), Uncertain(0.5, 0.0), UNKNOWN).voltage)
     drive(model.add_reading, LEAST_SAMPLES - 2)
     assert not model.known
     drive(model.add_reading, 10, begin=LEAST_SAMPLES)
     assert model.known
-    assert model.after(plan(1e4, 600.0), UNKNOWN) is None
+    assert not model.after(plan(1e4, 600.0), UNKNOWN, UNKNOWN).charge.known
 
 
 @pytest.mark.slow
@@ -106,11 +106,11 @@ def test_without_a_capacity_in_the_vehicle_file_it_waits_for_one():
 
 def test_more_power_than_there_is_and_an_empty_battery_give_finite_ends(learned):
     model, _ = learned
-    end = model.after(plan(5e6, 3600.0), Uncertain(0.5, 0.0))
+    end = model.after(plan(5e6, 3600.0), Uncertain(0.5, 0.0), UNKNOWN)
     assert end.charge.value == 0.0 and math.isfinite(end.voltage)
     broken = plan(1e4, 60.0)
     endless = Forecast(broken.time, np.full(30, math.nan), broken.power, broken.sigma)
-    assert not model.after(endless, Uncertain(0.5, 0.0)).charge.known
+    assert not model.after(endless, Uncertain(0.5, 0.0), UNKNOWN).charge.known
 
 
 @pytest.mark.parametrize("wrong", [(1e308, -20.0), (math.nan, -20.0), (370.0, -1e9), (0.0, 0.0)])
@@ -131,7 +131,8 @@ def test_saved_and_restored_it_forecasts_the_same():
     again = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
     again.restore(json.loads(json.dumps(account.export(), allow_nan=False)))
     ends = [
-        each.battery.after(plan(1e4, 900.0), Uncertain(charge, 0.0)) for each in (account, again)
+        each.battery.after(plan(1e4, 900.0), Uncertain(charge, 0.0), UNKNOWN)
+        for each in (account, again)
     ]
     # What the straight line lacks just now is forgotten over night.
     assert ends[1].charge.value == pytest.approx(ends[0].charge.value, abs=1e-4)

@@ -6,8 +6,9 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
-from evpinn_ros.energy.forecast import DIRECTION_LENGTH, battery_after, difference, forecast_plan
+from evpinn_ros.energy.forecast import DIRECTION_LENGTH, forecast_plan
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.noise import LOAD_TIME
@@ -220,16 +221,18 @@ def test_a_forecast_of_the_end_alone_is_that_of_the_whole_way():
     assert end.end[1:] == whole.end[1:]
 
 
-def test_battery_after():
+def test_without_a_model_of_the_battery_its_charge_is_energy_over_capacity():
+    battery = BatteryModel(math.nan)
     result = forecast(cruise(20.0, 100.0), COMBINED, SIGMAS)
     used, sigma = result.energy[-1], result.sigma[-1]
     full = Uncertain(10 * used, used)  # 10 %
-    after = battery_after(result, Uncertain(0.5, 0.003), full)
+    after, voltage = battery.after(result, Uncertain(0.5, 0.003), full)
+    assert math.isnan(voltage)
     assert after.value == pytest.approx(0.4)
     assert after.sigma == pytest.approx(math.hypot(0.003, sigma / full.value, 0.1 * 0.1))
-    assert battery_after(result, Uncertain(0.05, 0.003), full).value == 0.0
-    assert not battery_after(result, UNKNOWN, full).known
-    assert not battery_after(result, Uncertain(0.5, 0.003), UNKNOWN).known
+    assert battery.after(result, Uncertain(0.05, 0.003), full).charge.value == 0.0
+    assert not battery.after(result, UNKNOWN, full).charge.known
+    assert not battery.after(result, Uncertain(0.5, 0.003), UNKNOWN).charge.known
 
 
 def test_the_sigma_of_a_difference_is_what_drawing_cars_gives():
@@ -246,7 +249,7 @@ def test_the_sigma_of_a_difference_is_what_drawing_cars_gives():
     rng = np.random.default_rng(1)
     drawn = rng.multivariate_normal(car.mean, car.covariance, 20_000, method="eigh")
     energies = [drawn @ found.end.row for found in (one, other)]
-    found = difference(model, one.end, other.end)
+    found = model.difference(one.end, other.end)
     assert found.value == pytest.approx(one.energy[-1] - other.energy[-1])
     assert found.sigma == pytest.approx(np.std(energies[0] - energies[1]), rel=0.03)
     assert found.sigma < 0.5 * one.sigma[-1]
@@ -263,5 +266,5 @@ def test_the_wandering_load_cancels_while_both_last():
     for second in range(400):
         total += load if second >= 100 else 0.0
         load = keep * load + 500.0 * math.sqrt(1 - keep**2) * rng.normal(size=load.size)
-    assert difference(model, one.end, other.end).sigma == pytest.approx(np.std(total), rel=0.03)
-    assert difference(model, one.end, one.end).sigma == 0.0
+    assert model.difference(one.end, other.end).sigma == pytest.approx(np.std(total), rel=0.03)
+    assert model.difference(one.end, one.end).sigma == 0.0

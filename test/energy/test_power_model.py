@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from benchmarks.truth import CarChain
-from evpinn_ros.energy.power_model import Motion, PowerModel, Weather, vehicle_model
+from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.journey import NOWHERE
 from evpinn_ros.estimation.noise import noise_of
 from evpinn_ros.estimation.states import TABLE, WEIGHTS, State
 from evpinn_ros.estimation.terms import WARM, Warmth
+from evpinn_ros.signals.interval import Steps
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from test.energy.cars import CAR, taught
@@ -25,7 +26,7 @@ def trip(seed, points=600):
     rng = np.random.default_rng(seed)
     speed = np.maximum(12 + np.cumsum(rng.normal(0, 0.9, points)) * 0.8, 0.0).clip(0, 34)
     climb = speed * np.sin(0.03 * np.sin(np.arange(points) / 60.0 + seed))
-    return Motion(np.ones(points), speed, speed**3, speed * np.gradient(speed), climb)
+    return Steps(np.ones(points), speed, speed**3, speed * np.gradient(speed), climb)
 
 
 def withheld():
@@ -49,9 +50,8 @@ def test_the_forecast_of_a_driven_speed_is_the_drive_without_its_battery():
     weather = Weather(intervals[0].conditions.air_density, intervals[0].conditions.celsius)
     for each in intervals:
         steps = each.steps
-        motion = Motion(steps.duration, steps.distance, steps.air, steps.kinetic, steps.climb)
         now = replace(model, seconds=sum(e.duration for e in intervals[: len(rows)]))
-        rows.append(PowerModel(now).rows(motion, weather).sum(0))
+        rows.append(PowerModel(now).rows(steps, weather).sum(0))
         noise += float(model.noise @ noise_of(steps))
         unseen += 0.0 if each.height_known else abs(each.distance)
     elapsed = sum(each.duration for each in intervals)
@@ -68,7 +68,7 @@ def test_rows_add_up_however_a_trip_is_cut(seed, cut):
     weather = MILD._replace(start=WARM)  # warm: a second part does not begin cold
     whole = model.rows(motion, weather).sum(0)
     parts = (
-        Motion(*(column[part] for column in motion)) for part in (slice(cut), slice(cut, None))
+        Steps(*(column[part] for column in motion[:5])) for part in (slice(cut), slice(cut, None))
     )
     added = sum(model.rows(part, weather).sum(0) for part in parts)
     np.testing.assert_allclose(added, whole, rtol=1e-9, atol=1e-6)
@@ -93,7 +93,7 @@ def test_rows_along_a_trip_and_of_the_whole_are_sums_of_those_of_its_steps(seed,
     steps[:, State.LOAD] = 0.0
     rounding = 1e-6 * motion.distance * np.abs(model.car.mean[WEIGHTS]).sum()
     assert (np.abs(energy - steps @ model.car.mean) <= rounding + 1e-9 * np.ptp(energy)).all()
-    many = Motion(*(np.stack((column, column)) for column in motion))
+    many = Steps(*(np.stack((column, column)) for column in motion[:5]))
     for each in model.rows_along(many, weather):
         check(each, along, way)
 
@@ -102,7 +102,7 @@ def test_rows_along_a_trip_and_of_the_whole_are_sums_of_those_of_its_steps(seed,
 @given(st.integers(0, 10_000))
 def test_the_table_of_the_network_is_as_good_as_the_network(seed):
     motion, model = trip(seed), taught()
-    many = Motion(*(column[None] for column in motion))
+    many = Steps(*(column[None] for column in motion[:5]))
     exact = model.rows(motion, MILD).sum(0)
     looked_up = model.summed_rows(many, MILD)[0]
     car = model.car

@@ -10,8 +10,8 @@ from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
 from evpinn_ros.can.bus import BusState, BusStatus
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecast import Forecast
-from evpinn_ros.energy.forecaster import Air, Basis, PlanAnswer, PlanLog
+from evpinn_ros.energy.forecast import Air, Forecast
+from evpinn_ros.energy.forecaster import Basis, PlanAnswer, PlanLog
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.estimation.estimate import Trust

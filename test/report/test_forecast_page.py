@@ -26,7 +26,7 @@ COLD = PlanConditions(temperature=-10.0, head_wind=5.0)
 @pytest.mark.parametrize("plan", [FINE, COARSE])
 def test_parts_add_up_to_the_forecast(plan):
     found = planned_energy(plan, "bmw_i3", COLD)
-    parts = plan_parts(plan, found.found, found.model, found.weather, COLD.head_wind)
+    parts = plan_parts(plan, found.found, *found.basis)
     whole = parts.energy[WHOLE].sum() + parts.energy[-1]
     assert whole == pytest.approx(found.found.energy[-1], rel=1e-9)
     uneven = parts.energy[-1]
