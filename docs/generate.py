@@ -27,6 +27,8 @@ from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
 from evpinn_ros.cli.main import app
 from evpinn_ros.estimation.posterior import DRIVE_KEPT, NETWORK_STDS
 from evpinn_ros.estimation.states import NETWORK, State
+from evpinn_ros.signals.detector import TABLE
+from evpinn_ros.signals.ranges import RANGES
 from evpinn_ros.topics import TOPICS, Topic
 from evpinn_ros.topics.node_parameters import TABLES, Parameter
 from evpinn_ros.vehicle.certified import certified_cars
@@ -63,6 +65,28 @@ of tables, on stdout |
 the tables; with `-` JSON on stdout, and tables on stderr |
 | `reproduce` | `results.json` in its folder |
 | `simulate` | `truth.yaml` in the bag |
+"""
+DETECTORS = """\
+# Detectors
+
+Each detector follows one number, its evidence (`evpinn_ros/signals/detector.py`). Above the limit
+*on* the fault is there, at the limit *off* and below it is gone, and in between the verdict stays
+as it was; where there is no such limit, another value of the signal begins anew. There is no
+verdict before the evidence rests on what the column *not before* says.
+"""
+SINGLE_VALUES = """\
+`payload` is decided once for each stop, and taken back if m/eta comes back by half within 600 s of
+motion. `speed_repeats` is not a fault yet: a speed that leaps when it moves again did hang too,
+after 0.35 s already.
+
+## Checks of single values
+
+These need no memory, so they have no hysteresis. A reading out of its range (SI units) is dropped
+and counted as `..._out_of_range`. Between two readings, speed cannot change by more than 1 m/s and
+15 m/s^2 (an interval with such a leap is not learned), and altitude by more than 30 m and 30 % of
+the way (the leap is no rise). Two kinds of checks are explained elsewhere: stamps that jump, which
+hold readings back ([determinism](../explanation/architecture.md#determinism)), and frames that do
+not fit a CAN profile, which are counted ([CAN](../explanation/can.md#which-car-is-this)).
 """
 READING = """\
 `evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one drive, a list
@@ -262,6 +286,28 @@ def states_page() -> str:
     return "\n".join(lines) + "\n"
 
 
+def detectors_page() -> str:
+    """Every detector with its limits, and the ranges of readings."""
+    header = "| detects | evidence | unit | on above | off at | not before | while it is on |"
+    lines = [MADE, DETECTORS, header, "|---|---|---|---|---|---|---|"]
+    for row in TABLE:
+        off = f"{row.off:g}" if math.isfinite(row.off) else "-"
+        least = f"{row.least:g} {row.rests_on}" if row.least else ""
+        cells = f"`{row.fault}`", row.evidence, row.unit, f"{row.on:g}", off, least, row.effect
+        lines.append(f"| {' | '.join(cells)} |")
+    lines += [
+        "",
+        SINGLE_VALUES,
+        "| reading | quantity | from | to | unknown |",
+        "|---|---|---|---|---|",
+    ]
+    for what, limits in RANGES.values():
+        for name, (low, high, unknown) in limits.items():
+            most = f"{high:g}" if math.isfinite(high) else ""
+            lines.append(f"| {what} | {name} | {low:g} | {most} | {'yes' if unknown else ''} |")
+    return "\n".join([*lines, ""])
+
+
 def commands_page() -> str:
     """Every command: help, examples, arguments and options."""
     found = list(_commands(typer.main.get_command(app), "evpinn"))
@@ -347,6 +393,7 @@ PAGES = {
     "reference/commands.md": commands_page,
     "reference/metrics.md": metrics_page,
     "reference/states.md": states_page,
+    "reference/detectors.md": detectors_page,
 }
 
 

@@ -14,14 +14,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
 
+from evpinn_ros.signals.ranges import why_impossible
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     BatteryReading,
+    MotorReading,
     Reading,
     SpeedReading,
     drawn_power,
 )
-from evpinn_ros.signals.road import GradeSource, Road, why_impossible
+from evpinn_ros.signals.road import GradeSource, Road
 from evpinn_ros.vehicle.files import Vehicle
 
 SMOOTHED = 7  # speeds whose mean is taken: 0.3 s to either side at 10 Hz; best of 3 to 15
@@ -82,7 +84,7 @@ class StepStream:
             self._volts.add(reading.stamp_ns, reading.voltage)
             self._amperes.add(reading.stamp_ns, reading.current)
             yield from self._measured()
-        elif why_impossible(reading) is None:
+        elif not isinstance(reading, MotorReading) and why_impossible(reading) is None:
             self._road.add_reading(reading)
 
     def _add_speed(self, reading: SpeedReading) -> Iterator[DrivingStep]:

@@ -7,7 +7,7 @@ import math
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.road import GradeSource
 from evpinn_ros.signals.sample import MeasuredSample
-from evpinn_ros.signals.sign_detectors import CURRENT_SIGN, ChargeDetector, SignDetector
+from evpinn_ros.signals.sign_detectors import ChargeDetector, SignDetector
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.signals.time_jump import Jump, StampGuard
 
@@ -31,18 +31,18 @@ class CurrentSign:
     @property
     def decided(self) -> bool:
         """True if there was enough pulling away, braking or charging to judge by."""
-        return self._driving.judged or self._charging.judged
+        return self._driving.verdict is not None or self._charging.verdict is not None
 
     @property
     def fault(self) -> str | None:
         """Detected fault and its remedy, in one line; None while all is well."""
-        if self._driving.suspected:
+        if fault := self._driving.detected:
             why = "to accelerate charges the battery"
-        elif self._charging.suspected:
+        elif fault := self._charging.detected:
             why = "to charge empties the battery"
         else:
             return None
-        return f"{CURRENT_SIGN}: {why}; flip positive_means in the profile"
+        return f"{fault}: {why}; flip positive_means in the profile"
 
     def add_reading(self, reading: Reading) -> None:
         """Learn from a reading; where time jumps nothing is joined."""
@@ -67,7 +67,7 @@ class CurrentSign:
                 sample = event.sample
                 step = _step(sample.stamp_ns, self._sampled_ns)
                 self._sampled_ns = sample.stamp_ns
-                self._driving.update(sample, event.power, step)
+                self._driving = self._driving.after(sample, event.power, step)
 
     def _add_battery(self, reading: BatteryReading, before_ns: int | None) -> None:
         if before_ns is None or math.isnan(reading.power):
@@ -75,7 +75,8 @@ class CurrentSign:
         age_ns = abs(reading.stamp_ns - self._speed_ns)
         speed = self._speed if age_ns < LONGEST_STEP * NANOSECONDS else math.nan
         step = _step(reading.stamp_ns, before_ns)
-        self._charging.update(reading.power, reading.state_of_charge, speed, step)
+        charge = reading.state_of_charge
+        self._charging = self._charging.after(reading.power, charge, speed, step)
 
 
 def _step(stamp_ns: int, before_ns: int) -> float:

@@ -15,7 +15,6 @@ import numpy as np
 
 from evpinn_ros.estimation.breakdown import Breakdowns, DriveParts, EndedDrive, breakdowns
 from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.grade_detector import GradeDetector
 from evpinn_ros.estimation.hills import Hills
 from evpinn_ros.estimation.journey import NOWHERE, Journey
 from evpinn_ros.estimation.learner import gate_interval
@@ -36,6 +35,7 @@ from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.estimation.unevenness import Path, Unevenness
 from evpinn_ros.signals.interval import Interval
+from evpinn_ros.signals.sign_detectors import GradeDetector
 from evpinn_ros.vehicle.physics import GRAVITY
 
 MOST_INTERVALS = 5000  # of one drive that unevenness is learned from, fourteen hours
@@ -206,7 +206,8 @@ class LearnedCar:
         before = replace(before, bands=bands)
         state, learned = learn(before, equation, done)
         driven = self.driven.plus(interval, done.rows, equation, float(done.warmth.tyres))
-        payload, state = self.payload.after(before, state, learned, equation, driven, done)
+        payload = self.payload.after(before, state, learned, equation, driven, done)
+        state = payload.taken or state
         parts = equation.parts(interval.steps, interval.conditions, done.warmth)
         noise = float(state.weights @ state.scale @ done.journey.noise)
         noise += max(0.0, (learned.residual / OUTLIER) ** 2 - learned.sigma**2)  # an outlier

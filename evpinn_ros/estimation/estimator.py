@@ -32,6 +32,7 @@ from evpinn_ros.estimation.operating_range import OperatingRange
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.size import Similarity
 from evpinn_ros.estimation.worker import InlineWorker, Worker
+from evpinn_ros.signals.detector import BATTERY_STUCK
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.sample import (
@@ -43,7 +44,7 @@ from evpinn_ros.signals.sample import (
     StreamEvent,
 )
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
-from evpinn_ros.signals.stuck import BATTERY_STUCK, StuckDetector
+from evpinn_ros.signals.stuck import StuckDetector
 from evpinn_ros.vehicle.files import Vehicle
 
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
@@ -205,8 +206,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         events = list(self._stream.add_reading(reading))
         taken = self._stream.dropped.total() == before
         if taken:
-            self._stuck.add_reading(reading)
-        usable = taken and self._stuck.suspected != BATTERY_STUCK
+            self._stuck = self._stuck.after(reading)
+        usable = taken and self._stuck.detected != BATTERY_STUCK
         if isinstance(reading, BatteryReading) and usable:
             power = self._stream.measured_power(reading)
             if power is not None:
@@ -270,7 +271,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             states={name: p.state for name, p in parameters.items()},
             seen=self._seen.counts(),
             band_coverage={kind.value: band.coverage for kind, band in self._bands.items()},
-            stuck=self._stuck.suspected,
+            stuck=self._stuck.detected,
         )
 
     def saved(self) -> SavedEstimator:

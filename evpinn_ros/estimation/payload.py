@@ -9,7 +9,7 @@ stop by more than chance and by more than `LEAST_CHANGE`, this state becomes the
 
 What chance does is learned from the stops at which nothing changed: their changes over their
 sigmas have a root mean square (`calibration.Chance`). A car whose stops are not known yet is given
-no change. `SIGNIFICANT` is far out because there are 5000 stops in 100 hours.
+no change. The limit is far out because there are 5000 stops in 100 hours.
 
 A change is reported as soon as it is certain that there is one, and sharpened for `MOST_MOTION`
 since the stop. An earlier stop may be certain first, having seen both loads; so later stops that
@@ -34,14 +34,13 @@ from evpinn_ros.estimation.posterior import OUTLIER, CarState
 from evpinn_ros.estimation.published import Driven, mass_over_eta
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.signals.detector import ANOTHER_MASS, PAYLOAD
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 STOP = 5.0  # s of standstill, or without intervals, in which someone may get in or out
 LOAD_SPREAD = 0.15  # 1-sigma of the logarithm of mass across a stop: full load of a passenger car
-LEAST_MOTION = 70.0  # s of motion after a stop before it is judged
 MOST_MOTION = 150.0  # s of motion after which a stop is judged no more
 KNOWN = 0.06  # 1-sigma of the logarithm of m/eta that must be reached before
-SIGNIFICANT = 4.8  # sigmas
 LEAST_CHANGE = 85.0  # kg: one grown person with a bag
 LEAST_STOPS = 3.0  # without a change, before one is reported
 FORKS = 4  # stops on trial at once, the likeliest
@@ -124,6 +123,7 @@ class PayloadDetector:
         watched: the change on probation.
         standing: s that the car stands.
         last_ns: end of the last interval.
+        taken: state of the hypothesis that the last interval decided for, to go on with.
     """
 
     change: PayloadChange | None = None
@@ -135,6 +135,12 @@ class PayloadDetector:
     watched: _Trial | None = None
     standing: float = 0.0
     last_ns: int | None = None
+    taken: CarState | None = None
+
+    @property
+    def detected(self) -> str | None:
+        """`PAYLOAD` or None."""
+        return PAYLOAD if self.change is not None else None
 
     @classmethod
     def of(cls, saved: SavedPayload) -> PayloadDetector:
@@ -159,8 +165,8 @@ class PayloadDetector:
         equation: Equation,
         driven: Driven,
         done: PassedInterval,
-    ) -> tuple[PayloadDetector, CarState]:
-        """Judge stops by one more interval.
+    ) -> PayloadDetector:
+        """The detector after one more interval.
 
         Args:
             before: state of the car before the interval.
@@ -169,21 +175,20 @@ class PayloadDetector:
             equation: of the car.
             driven: what parameters are meant over.
             done: the interval, learned.
-
-        Returns:
-            The detector, and the state to go on with.
         """
         interval = done.interval
         unseen = 0.0 if self.last_ns is None else (interval.start_ns - self.last_ns) * 1e-9
         stood, standing, moved = _stands(done, max(self.standing, unseen))
         trials = tuple(_tried(stop, state, learned, equation, done) for stop, state in self.trials)
-        detector = replace(self, trials=trials, standing=standing, last_ns=interval.end_ns)
+        detector = replace(
+            self, trials=trials, standing=standing, last_ns=interval.end_ns, taken=None
+        )
         if moved == 0.0:
-            return detector, now
+            return detector
         if stood >= STOP:
             detector = detector._begin(before, learned, equation, driven, done)
         detector = detector._watch(mass_over_eta(now, equation, driven)[0], moved)
-        return detector._judge(now, equation, driven, moved)
+        return detector._judge(equation, driven, moved)
 
     def _begin(
         self,
@@ -210,15 +215,13 @@ class PayloadDetector:
         kept = sorted(trials[-FORKS:], key=lambda each: each[0].stamp_ns)
         return replace(self, trials=tuple(kept))
 
-    def _judge(
-        self, now: CarState, equation: Equation, driven: Driven, moved: float
-    ) -> tuple[PayloadDetector, CarState]:
+    def _judge(self, equation: Equation, driven: Driven, moved: float) -> PayloadDetector:
         """Take the stop that the data speak for most."""
         trials = []
         best: tuple[_Trial, CarState] | None = None
         for old, state in self.trials:
             stop = replace(old, motion=old.motion + moved)
-            if stop.motion >= LEAST_MOTION and self.chance.count >= LEAST_STOPS:
+            if stop.motion >= ANOTHER_MASS.least and self.chance.count >= LEAST_STOPS:
                 change = mass_over_eta(state, equation, driven)[0] - stop.before
                 significance = stop.sigmas / self.chance.scale
                 stop = replace(stop, change=change, significance=significance)
@@ -226,18 +229,18 @@ class PayloadDetector:
                     best = stop, state
             trials.append((stop, state))
         detector = replace(self, trials=tuple(trials))
-        if best is not None:
-            return detector._take(best[0]), best[1]
-        return detector._give_up(moved), now
+        return detector._give_up(moved) if best is None else detector._take(*best)
 
     def _decides(self, stop: _Trial) -> bool:
         """True if a stop is certain to have changed the payload."""
-        enough = abs(stop.mass * math.expm1(stop.change)) >= LEAST_CHANGE
-        certain = enough and stop.significance >= SIGNIFICANT
+        if abs(stop.mass * math.expm1(stop.change)) < LEAST_CHANGE:
+            return False
         rival = self.watched if stop.rival else None
-        return certain and (rival is None or stop.significance > rival.significance)
+        if rival is not None and stop.significance <= rival.significance:
+            return False
+        return ANOTHER_MASS.judge(None, stop.significance, stop.motion) is True
 
-    def _take(self, stop: _Trial) -> PayloadDetector:
+    def _take(self, stop: _Trial, state: CarState) -> PayloadDetector:
         """A change is found, or found to be of a later stop than it seemed."""
         later = (each for each in self.trials if each[0].stamp_ns > stop.stamp_ns)
         return replace(
@@ -247,6 +250,7 @@ class PayloadDetector:
             watched=stop,
             trials=tuple((replace(each, rival=True), fork) for each, fork in later),
             given_up=(),
+            taken=state,
         )
 
     def _give_up(self, moved: float) -> PayloadDetector:

@@ -25,7 +25,6 @@ from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
-from evpinn_ros.estimation.grade_detector import GRADE_SIGN, GradeDetector
 from evpinn_ros.estimation.hills import Hills
 from evpinn_ros.estimation.journey import Journey
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
@@ -43,7 +42,7 @@ from evpinn_ros.estimation.unevenness import SavedUnevenness, saved_unevenness, 
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
-from evpinn_ros.signals.sign_detectors import CURRENT_SIGN, SavedSignDetector, SignDetector
+from evpinn_ros.signals.sign_detectors import GradeDetector, SignDetector
 from evpinn_ros.vehicle.files import Vehicle
 
 SAMPLE_STEP = 0.1  # s that the first sample stands for
@@ -61,7 +60,7 @@ class SavedPinn:
     driven: Driven
     payload: SavedPayload
     grade: GradeDetector
-    current_suspicion: SavedSignDetector
+    current_suspicion: SignDetector
     trim: Annotated[float, Range(-MOST_EVIDENCE, MOST_EVIDENCE)]
     seen_ns: Stamp | None
     persistence: Persistence
@@ -139,15 +138,15 @@ class PinnLearner(Saveable[SavedPinn]):
         if reason is not None:
             self.gated[reason] += 1
             return
-        self._sign.update(sample, power, step)
-        if self._sign.suspected:
-            self.gated[CURRENT_SIGN] += 1
+        self._sign = self._sign.after(sample, power, step)
+        if (fault := self._sign.detected) is not None:
+            self.gated[fault] += 1
             return
         self._trim.learn(sample, power - self._power(sample), step)
 
     def add_interval(self, interval: Interval) -> bool:
         """Keep an interval for the next update."""
-        if self._sign.suspected:
+        if self._sign.detected:
             return False
         self._waiting.append(interval)
         return True
@@ -173,7 +172,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """Present estimate of the parameters, in the sense of eq. 12-21."""
         found = published(self._car.state, self._equation, self._car.driven)
         now = parameter_set(self._last_ns or 0, found)
-        return self._states.judge(now, deviations(found), suspected=self._sign.suspected)
+        return self._states.judge(now, deviations(found), suspected=bool(self._sign.detected))
 
     def breakdowns(self) -> Breakdowns | None:
         """Energy of this drive, and of those kept before it, by where it went."""
@@ -191,9 +190,12 @@ class PinnLearner(Saveable[SavedPinn]):
         return evidence_of(self._car.state, self._equation, self._car.driven)
 
     def report(self) -> LearnerReport:
-        """Changes of payload, a current or grade of the wrong sign."""
-        payload = self._car.payload
-        return LearnerReport(payload.change, payload.found, payload.withdrawn, self._suspected())
+        """Changes of payload, a current or grade of the wrong sign.
+
+        Without current no grade can be checked.
+        """
+        payload, sign = self._car.payload, self._sign.detected or self._car.grade.detected
+        return LearnerReport(payload.change, payload.found, payload.withdrawn, sign)
 
     def forget_window(self) -> None:
         """Drop recent samples after a jump of time; keep what was learned."""
@@ -221,7 +223,7 @@ class PinnLearner(Saveable[SavedPinn]):
             driven=self._car.driven,
             payload=self._car.payload.saved(),
             grade=self._car.grade,
-            current_suspicion=self._sign.saved(),
+            current_suspicion=self._sign,
             trim=self._trim.evidence,
             seen_ns=self._seen_ns,
             persistence=replace(self._trim.persistence),
@@ -240,7 +242,7 @@ class PinnLearner(Saveable[SavedPinn]):
             payload=PayloadDetector.of(saved.payload),
             grade=saved.grade,
         )
-        self._sign.take(saved.current_suspicion)
+        self._sign = saved.current_suspicion
         self._trim.evidence, self._seen_ns = saved.trim, saved.seen_ns
         self._trim.persistence = replace(saved.persistence)
         self._use(car)
@@ -284,12 +286,6 @@ class PinnLearner(Saveable[SavedPinn]):
             if predicted is sample:
                 return power
         return float(self._equation.row_of(sample, self._warmth) @ self._model.mean)
-
-    def _suspected(self) -> str | None:
-        """Signal whose sign the data contradict; without current no grade can be checked."""
-        if self._sign.suspected:
-            return CURRENT_SIGN
-        return GRADE_SIGN if self._car.grade.detected else None
 
     def _step(self, sample: Sample) -> float:
         """Seconds this sample stands for."""

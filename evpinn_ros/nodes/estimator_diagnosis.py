@@ -7,7 +7,6 @@ import statistics
 
 from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
-from evpinn_ros.estimation.grade_detector import GRADE_SIGN
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.nodes.diagnosis import (
     MISSING_AFTER,
@@ -17,9 +16,8 @@ from evpinn_ros.nodes.diagnosis import (
     rounded,
     with_health,
 )
+from evpinn_ros.signals.detector import BATTERY_STUCK, CURRENT_SIGN, GRADE_SIGN, SPEED_STUCK
 from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.sign_detectors import CURRENT_SIGN
-from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
 from evpinn_ros.topics.messages import Level
 
 NO_SPEED, LEARNING = "no vehicle/speed", "learning"

@@ -8,7 +8,7 @@ import numpy as np
 
 from evpinn_ros.energy.driven import road_height
 from evpinn_ros.energy.plan import LONGEST, MAX_SPEED, Legs, PlanError, legs_of_trip
-from evpinn_ros.signals.height import AltitudeCheck
+from evpinn_ros.signals.height import AltitudeDetector
 
 FARTHEST = MAX_SPEED * LONGEST  # m that a trip can be long
 EARTH_RADIUS = 6_371_008.8  # m, the mean of WGS 84
@@ -43,10 +43,11 @@ def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:
         along: m, not falling, shape (m,).
         height: measured or of a map, m, shape (m,).
     """
-    check = AltitudeCheck()
-    rises = (check.rise(*each) for each in zip(along.tolist(), height.tolist(), strict=True))
-    risen = np.cumsum([0.0 if rise is None else rise.height for rise in rises])
-    found: np.ndarray = height[0] + risen
+    detector, rises = AltitudeDetector(), []
+    for place, altitude in zip(along.tolist(), height.tolist(), strict=True):
+        detector = detector.after(place, altitude)
+        rises.append(0.0 if detector.rise is None else detector.rise.height)
+    found: np.ndarray = height[0] + np.cumsum(rises)
     return found
 
 

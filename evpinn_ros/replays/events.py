@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.estimation.grade_detector import GRADE_SIGN
 from evpinn_ros.replays.history import Detection, Drive
 from evpinn_ros.replays.scoring import longest_step
+from evpinn_ros.signals.detector import CURRENT_SIGN, GRADE_SIGN
 from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.sign_detectors import CURRENT_SIGN
 from evpinn_ros.signals.time_jump import DEFAULT_RULE
 
 CLOCK_STEP = DEFAULT_RULE.threshold

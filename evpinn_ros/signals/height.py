@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from dataclasses import dataclass
+import math
 from typing import NamedTuple
 
 import numpy as np
+
+from evpinn_ros.signals.detector import ALTITUDE_STUCK, ONE_ALTITUDE
 
 REACH = 75.0  # m to either side over which heights are averaged; GNSS and barometers stray
 LEAST_STEP = 0.5  # m between two heights that are kept; a standing car adds none
 LENGTH = 2000.0  # m of road kept
 KNOWN_WITHIN = 300.0  # m since the last height, then the height counts as unknown
-STUCK_AFTER = 1000.0  # m with one altitude; even a flat road is not that level to the digit
 STEEPEST = 0.3  # rise over run of the steepest streets
 LEAP = 30.0  # m more than that between two altitudes; GNSS strays less once it has a fix
 
@@ -23,35 +26,39 @@ class Rise(NamedTuple):
     height: float
 
 
-class AltitudeCheck:
-    """Rise of the road from one altitude to the next, and only where they are measured.
+@dataclass(frozen=True, slots=True)
+class AltitudeDetector:
+    """Detector of an altitude that is stuck; gives the rise of the road where it is not.
 
     A receiver without a fix repeats one altitude, often 0, and leaps once it has one. A logged
     altitude that never moves would otherwise make a hilly commute flat.
+
+    Attributes:
+        last: odometer and altitude, m; None before the first.
+        moved_at: odometer where it last changed, m.
+        stuck: verdict; an altitude is until it first changes.
+        rise: since the altitude before: 0 over a leap, None while it is stuck.
     """
 
-    def __init__(self) -> None:
-        """Start without an altitude."""
-        self._last: tuple[float, float] | None = None  # odometer and altitude, m
-        self._moved_at: float | None = None  # odometer where it last changed, m
+    last: tuple[float, float] | None = None
+    moved_at: float = -math.inf
+    stuck: bool | None = True
+    rise: Rise | None = None
 
     @property
-    def moves(self) -> bool:
-        """True while the altitude changes along the road."""
-        if self._last is None or self._moved_at is None:
-            return False
-        return self._last[0] - self._moved_at <= STUCK_AFTER
+    def detected(self) -> str | None:
+        """`ALTITUDE_STUCK` or None."""
+        return ALTITUDE_STUCK if self.stuck else None
 
-    def rise(self, odometer: float, altitude: float) -> Rise | None:
-        """Rise since the last altitude: 0 over a leap, None while the altitude is stuck."""
-        place, before = self._last or (odometer, altitude)
-        self._last, found = (odometer, altitude), altitude - before
-        if found:
-            self._moved_at = odometer
-        if not self.moves:
-            return None
+    def after(self, odometer: float, altitude: float) -> AltitudeDetector:
+        """The detector after an altitude, where the odometer shows so many m."""
+        place, before = self.last or (odometer, altitude)
+        found = altitude - before
+        moved_at = odometer if found else self.moved_at
+        stuck = ONE_ALTITUDE.judge(self.stuck, odometer - moved_at)
         leaps = abs(found) > LEAP + STEEPEST * abs(odometer - place)
-        return Rise(place, 0.0 if leaps else found)
+        rise = None if stuck else Rise(place, 0.0 if leaps else found)
+        return AltitudeDetector((odometer, altitude), moved_at, stuck, rise)
 
 
 class HeightProfile:

@@ -1,8 +1,8 @@
 """Readings of a sensor at one moment: the values that enter every core of this package.
 
 Stamps are integer nanoseconds of the moment the car measured the value, never of arrival. Units
-are SI (REP-103). A reading holds no policy: range checks belong to whoever made it, ordering and
-pairing to `evpinn_ros.signals.stream`.
+are SI (REP-103). A reading holds no policy: its ranges are in `signals.ranges`, ordering and
+pairing in `signals.stream`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ DAY_NS = 86_400 * NANOSECONDS
 # A drive without a date is placed on this day, 2020-01-01: header stamps must not be zero, and the
 # same file must give the same bag.
 DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
-MAX_TORQUE = 20_000.0  # N m, more than the axle of any production car
-MAX_MOTOR_SPEED = 4_000.0  # rad/s, 38,000 rpm, faster than any traction motor turns
 
 
 Numbers = TypeVar("Numbers", float, np.ndarray)
@@ -120,6 +118,11 @@ class AuxiliaryReading:
     heating: float
     others: float = 0.0
 
+    @property
+    def load(self) -> float:
+        """Power of all of them, W."""
+        return self.heating + self.others
+
 
 @dataclass(frozen=True, slots=True)
 class MotorReading:
@@ -136,12 +139,6 @@ class MotorReading:
     stamp_ns: int
     torque: float
     speed: float = math.nan
-
-
-def motor_reading_plausible(reading: MotorReading) -> bool:
-    """A finite torque that a car can have, with a motor speed that is unknown or possible."""
-    speed_possible = math.isnan(reading.speed) or abs(reading.speed) <= MAX_MOTOR_SPEED
-    return abs(reading.torque) <= MAX_TORQUE and speed_possible
 
 
 Reading: TypeAlias = (

@@ -10,17 +10,16 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.signals.height import LEAP, STEEPEST, AltitudeCheck
+from evpinn_ros.signals.height import LEAP, STEEPEST, AltitudeDetector
+from evpinn_ros.signals.ranges import GRADE_LIMIT
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     AuxiliaryReading,
     GradeReading,
-    MotorReading,
     PressureReading,
     TemperatureReading,
     WindReading,
-    motor_reading_plausible,
 )
 from evpinn_ros.signals.track import SignalTrack
 
@@ -29,12 +28,6 @@ SLOPE_LENGTH = 300.0  # m of road over which slopes are alike
 ALTITUDE_STD = 0.7  # m, 1-sigma of what barometers and GNSS stray by within such a length
 ALTITUDE_STEP = 1.0  # m between altitudes that are looked at
 ALTITUDE_LENGTH = 10.0  # m of road over which they stray alike
-GRADE_LIMIT = 0.3  # rad; steeper than any public road, so a fault of the source
-ALTITUDES = (-500.0, 9000.0)  # m, where roads are
-PRESSURES = (30e3, 110e3)  # Pa, from the highest road to a fair day below the sea
-MAX_WIND = 60.0  # m/s, a hurricane
-TEMPERATURES = (-70.0, 70.0)  # degrees Celsius
-MAX_AUXILIARY = 50_000.0  # W
 HEATED_BELOW = 20.0  # degrees Celsius outside; that of the room in degree days (VDI 3807)
 GRADE_WINDOW = 1.0  # s over which IMU pitch is averaged
 STALE_AFTER = 10.0  # s without news, then the quantity counts as unknown
@@ -47,32 +40,10 @@ RoadReading: TypeAlias = (
     AltitudeReading
     | AuxiliaryReading
     | GradeReading
-    | MotorReading
     | PressureReading
     | TemperatureReading
     | WindReading
 )
-
-
-def why_impossible(reading: RoadReading) -> str | None:
-    """Reason why a reading is impossible, or None."""
-    match reading:
-        case TemperatureReading():
-            possible, what = TEMPERATURES[0] <= reading.celsius <= TEMPERATURES[1], "temperature"
-        case PressureReading():
-            possible, what = PRESSURES[0] <= reading.pascal <= PRESSURES[1], "pressure"
-        case WindReading():
-            possible, what = abs(reading.head) <= MAX_WIND, "wind"
-        case AuxiliaryReading():
-            load, what = reading.heating + reading.others, "auxiliary"
-            possible = reading.heating >= 0.0 and 0.0 <= load <= MAX_AUXILIARY
-        case MotorReading():
-            possible, what = motor_reading_plausible(reading), "motor_torque"
-        case GradeReading():
-            possible, what = abs(reading.grade) <= GRADE_LIMIT, "grade"
-        case AltitudeReading():
-            possible, what = ALTITUDES[0] <= reading.altitude <= ALTITUDES[1], "altitude"
-    return None if possible else f"{what}_out_of_range"
 
 
 def density_of_air(reference: float, celsius: float | None, pascal: float | None) -> float:
@@ -171,7 +142,7 @@ class Road:
 
     def _begin_heights(self) -> None:
         self._odometer = self._height = 0.0  # m
-        self._check = AltitudeCheck()
+        self._altitude = AltitudeDetector()
         self._placed_ns = -(2**63)  # up to here heights were given
 
     def grade(self, stamp_ns: int) -> float:
@@ -213,14 +184,14 @@ class Road:
         step, self._odometer = odometers[-1] - self._odometer, odometers[-1]
         if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._fresh_pitch(stamps[-1]):
             self._height += step * math.sin(self.grade(stamps[-1]))
-            self._check, self._placed_ns = AltitudeCheck(), stamps[-1]
+            self._altitude, self._placed_ns = AltitudeDetector(), stamps[-1]
             yield odometers[-1], self._height
         elif self._source in (GradeSource.AUTO, GradeSource.FIX):
             since_ns = max(self._placed_ns, stamps[0] - 1)
             for stamp_ns in self._altitudes.within(since_ns, stamps[-1] + 1):
                 place = float(np.interp(stamp_ns, stamps, odometers))
-                rise = self._check.rise(place, self._altitudes.at(stamp_ns) or 0.0)
-                self._placed_ns = stamp_ns
+                self._altitude = self._altitude.after(place, self._altitudes.at(stamp_ns) or 0.0)
+                self._placed_ns, rise = stamp_ns, self._altitude.rise
                 if rise is not None:
                     yield rise.since, self._height  # not given yet where the altitude was stuck
                     self._height += rise.height
@@ -240,7 +211,7 @@ class Road:
     def unknown(self, stamp_ns: int) -> tuple[str, ...]:
         """Those of grade, temperature, pressure, wind and loads that no input gives."""
         given = {
-            "grade": self._fresh_pitch(stamp_ns) or self._check.moves,
+            "grade": self._fresh_pitch(stamp_ns) or not self._altitude.detected,
             "temperature": self._celsius is not None,
             "pressure": self._pascal is not None,
             "wind": self._wind is not None,

@@ -1,4 +1,4 @@
-"""Signals that contradict each other, named so that a person can mend them."""
+"""Signals whose signs contradict each other: current and acceleration, charge, hills."""
 
 from __future__ import annotations
 
@@ -6,24 +6,35 @@ from dataclasses import dataclass
 import math
 from typing import Annotated, NamedTuple, TypeAlias
 
-from evpinn_ros.common.saved_fields import Range, Saveable
+import numpy as np
+
+from evpinn_ros.common.saved_fields import ADDED, Range
+from evpinn_ros.signals.detector import (
+    AGAINST_CHARGE,
+    AGAINST_HILLS,
+    AGAINST_INERTIA,
+    CURRENT_SIGN,
+    DRAWN_AT_REST,
+    GRADE_SIGN,
+)
+from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.sample import Sample
 
-CURRENT_SIGN = "current_sign"
 MEMORY = 60.0  # s of pulling away and braking that the verdict rests on
-ENOUGH = 10.0  # s of them before there is a verdict
 HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
-SUSPECT_BELOW, CLEAR_ABOVE = -0.5, 0.0  # of the share of power that goes with inertia, -1..1
 MOVING = 2.0  # m/s
 
 CHARGE_STEP = 0.02  # of state of charge: more than it creeps by itself while a battery rests
-CHARGE_ENERGY = 1e6  # J: below this a step shows the car's bookkeeping rather than current
 STANDING = 0.1  # m/s
-HIGHEST_AT_REST = 20e3  # W, more than heating cabin and battery takes together
 AT_REST_MEMORY = 30.0  # s
 
+ALIKE = 100.0  # m over which a reported grade, and gusts, are alike
+ROAD_MEMORY = 20e3  # m of road that the verdict rests on
+FAST = 5.0  # m/s: slower, auxiliaries outweigh hills
 
-Sum: TypeAlias = Annotated[float, Range(-1e15, 1e15)]
+MOST_SUM = 1e15
+Sum: TypeAlias = Annotated[float, Range(-MOST_SUM, MOST_SUM)]
+Verdict: TypeAlias = Annotated[bool | None, ADDED]
 
 
 class SignSums(NamedTuple):
@@ -34,77 +45,69 @@ class SignSums(NamedTuple):
     seconds: Sum = 0.0
 
 
+NO_SUMS = SignSums()
+
+
 @dataclass(frozen=True, slots=True)
-class SavedSignDetector:
-    """Verdict, whether there is one, and the sums it rests on."""
-
-    suspected: bool
-    told: bool
-    sums: SignSums
-
-
-class SignDetector(Saveable[SavedSignDetector]):
+class SignDetector:
     """Detector of current of the wrong sign: to accelerate costs power, in every car.
 
     Followed is the sum of power signed by acceleration over the sum of its size, wherever the car
     pulls away or brakes with more than `HARD`: about +0.9 as it should be, -0.9 with the sign
     flipped.
-
-    Attributes:
-        suspected: the verdict.
-        judged: whether there was enough to judge by.
     """
 
-    def __init__(self) -> None:
-        """Start without data."""
-        self.suspected = self.judged = False
-        self._sums = SignSums()
+    GONE = frozenset({"suspected", "told"})  # what files until 0.2.0 hold besides
 
-    def update(self, sample: Sample, power: float, step: float) -> None:
-        """Learn from measured power, W, that stands for `step` seconds."""
+    sums: SignSums = NO_SUMS
+    verdict: Verdict = None
+
+    @property
+    def detected(self) -> str | None:
+        """`CURRENT_SIGN` or None."""
+        return CURRENT_SIGN if self.verdict else None
+
+    def after(self, sample: Sample, power: float, step: float) -> SignDetector:
+        """The detector after a measured power, W, that stands for `step` seconds."""
         if abs(sample.acceleration) < HARD or sample.speed < MOVING:
-            return
+            return self
         keep = math.exp(-step / MEMORY)
-        signed, size, seconds = (keep * each for each in self._sums)
+        signed, size, seconds = (keep * each for each in self.sums)
         signed += math.copysign(power, power * sample.acceleration) * step
         size += abs(power) * step
         seconds += step
-        self._sums = SignSums(signed, size, seconds)
-        if seconds < ENOUGH or size <= 0.0:
-            return
-        share = signed / size
-        self.suspected = bool(share < (CLEAR_ABOVE if self.suspected else SUSPECT_BELOW))
-        self.judged = True
-
-    def saved(self) -> SavedSignDetector:
-        """State to save."""
-        return SavedSignDetector(self.suspected, self.judged, self._sums)
-
-    def take(self, saved: SavedSignDetector) -> None:
-        """Go on from a saved state."""
-        self.suspected, self.judged, self._sums = saved.suspected, saved.told, saved.sums
+        against = -signed / size if size > 0.0 else math.nan
+        verdict = AGAINST_INERTIA.judge(self.verdict, against, seconds)
+        return SignDetector(SignSums(signed, size, seconds), verdict)
 
 
+@dataclass(frozen=True, slots=True)
 class ChargeDetector:
     """Detector of current of the wrong sign: charging fills the battery, drawing empties it.
 
     Two rules. Each `CHARGE_STEP` of the state of charge must go with the sign of the energy that
-    flowed meanwhile, moving or not; and a car at rest does not draw more than `HIGHEST_AT_REST`
-    for long, so what seems to is charging.
+    flowed meanwhile, moving or not; and a car at rest draws little for long, no more than heating
+    cabin and battery takes together, so what seems to is charging.
 
     Attributes:
-        suspected: the verdict.
-        judged: whether there was enough to judge by.
+        charge: state of charge at the last step of it, NaN before.
+        drawn: since then, J.
+        at_rest: mean power drawn at rest, W.
+        verdict: of either rule, the one that judged last.
     """
 
-    def __init__(self) -> None:
-        """Start without data."""
-        self.suspected = self.judged = False
-        self._charge = math.nan
-        self._drawn = self._at_rest = 0.0
+    charge: float = math.nan
+    drawn: float = 0.0
+    at_rest: float = 0.0
+    verdict: bool | None = None
 
-    def update(self, power: float, charge: float, speed: float, step: float) -> None:
-        """Learn from the readings of `step` seconds.
+    @property
+    def detected(self) -> str | None:
+        """`CURRENT_SIGN` or None."""
+        return CURRENT_SIGN if self.verdict else None
+
+    def after(self, power: float, charge: float, speed: float, step: float) -> ChargeDetector:
+        """The detector after the readings of `step` seconds.
 
         Args:
             power: drawn from the battery, W.
@@ -112,20 +115,73 @@ class ChargeDetector:
             speed: m/s, NaN where unknown.
             step: s.
         """
-        self._follow_charge(power * step, charge)
-        standing = abs(speed) < STANDING
-        keep = math.exp(-step / AT_REST_MEMORY) if standing else 0.0
-        self._at_rest = keep * self._at_rest + (1.0 - keep) * (power if standing else 0.0)
-        if abs(self._at_rest) > HIGHEST_AT_REST:
-            self.suspected, self.judged = self._at_rest > 0.0, True
+        before, drawn, verdict = self.charge, self.drawn + power * step, self.verdict
+        if math.isnan(before):
+            before, drawn = charge, 0.0
+        change = charge - before
+        if abs(change) >= CHARGE_STEP:
+            direction = math.copysign(1.0, change * drawn)
+            verdict = AGAINST_CHARGE.judge(verdict, direction, abs(drawn))
+            before, drawn = charge, 0.0
+        at_rest = 0.0
+        if abs(speed) < STANDING:
+            keep = math.exp(-step / AT_REST_MEMORY)
+            at_rest = keep * self.at_rest + (1.0 - keep) * power
+        return ChargeDetector(before, drawn, at_rest, DRAWN_AT_REST.judge(verdict, at_rest))
 
-    def _follow_charge(self, drawn: float, charge: float) -> None:
-        self._drawn += drawn
-        if math.isnan(self._charge):
-            self._charge, self._drawn = charge, 0.0
-        change = charge - self._charge
-        if not abs(change) >= CHARGE_STEP:  # nor when it is not known
-            return
-        if abs(self._drawn) >= CHARGE_ENERGY:
-            self.suspected, self.judged = change * self._drawn > 0.0, True
-        self._charge, self._drawn = charge, 0.0
+
+@dataclass(frozen=True, slots=True)
+class GradeDetector:
+    """Detector of a reported grade of the wrong sign: to climb costs energy.
+
+    Regressed is the climb that the battery's energy shows on the one that is reported, over the
+    road: 1 as it should be, -1 with the sign flipped, 0 for a report that has nothing to do with
+    the road. Each `ALIKE` counts as one observation.
+
+    Attributes:
+        sums: of 1, x, y, x^2, x y and y^2 along the road, m.
+    """
+
+    GONE = frozenset({"detected"})  # what files until 0.2.0 hold besides
+
+    sums: tuple[Sum, ...] = (0.0,) * 6
+    verdict: Verdict = None
+
+    def __post_init__(self) -> None:
+        """Refuse sums that are not these six."""
+        if len(self.sums) != 6:
+            raise ValueError("grade: sums are missing")
+
+    @property
+    def detected(self) -> str | None:
+        """`GRADE_SIGN` or None."""
+        return GRADE_SIGN if self.verdict else None
+
+    def after(self, interval: Interval, residual: float, weight_over_eta: float) -> GradeDetector:
+        """The detector after one more interval.
+
+        Args:
+            interval: learned from; one without a measured height says nothing.
+            residual: energy measured less predicted, J.
+            weight_over_eta: m g / eta, N.
+        """
+        road = abs(interval.distance)
+        if not interval.height_known or road < FAST * interval.duration:
+            return self
+        x = float(interval.steps.climb.sum()) / road
+        y = x + residual / weight_over_eta / road
+        new = np.array([1.0, x, y, x * x, x * y, y * y])
+        sums = math.exp(-road / ROAD_MEMORY) * np.array(self.sums) + road * new
+        verdict = AGAINST_HILLS.judge(self.verdict, -_sigmas(sums), float(sums[0]))
+        return GradeDetector(tuple(sums.tolist()), verdict)
+
+
+def _sigmas(sums: np.ndarray) -> float:
+    """The regression's coefficient over its 1-sigma, NaN while there is no telling."""
+    road = float(sums[0])
+    x, y, xx, xy, yy = (sums[1:] / road).tolist()
+    spread, both, size = xx - x * x, xy - x * y, yy - y * y
+    rest = size * spread - both**2  # of the variance of y, times that of x
+    if spread <= 0.0 or rest <= 0.0:
+        return math.nan
+    return float(both * math.sqrt(road / ALIKE / rest))

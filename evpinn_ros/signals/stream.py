@@ -28,6 +28,7 @@ from evpinn_ros.signals.kinematics import (
     SpeedTrack,
 )
 from evpinn_ros.signals.motor import MotorTrack
+from evpinn_ros.signals.ranges import MAX_SPEED, why_impossible
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     BatteryReading,
@@ -36,7 +37,7 @@ from evpinn_ros.signals.readings import (
     SpeedReading,
     drawn_power,
 )
-from evpinn_ros.signals.road import GradeSource, Road, RoadReading, why_impossible
+from evpinn_ros.signals.road import GradeSource, Road
 from evpinn_ros.signals.sample import (
     Gap,
     MeasuredSample,
@@ -47,10 +48,6 @@ from evpinn_ros.signals.sample import (
 )
 
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
-MAX_SPEED = 100.0  # m/s, no production car
-MIN_VOLTAGE = 10.0  # V, below it no traction battery is connected, and there is no power
-MAX_VOLTAGE = 2000.0  # V
-MAX_CURRENT = 5000.0  # A
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,13 +153,16 @@ class SampleStream:
 
     def add_reading(self, reading: Reading) -> Iterator[StreamEvent]:
         """Take one reading and give what it completes, in order."""
-        match reading:
-            case SpeedReading():
-                yield from self._add_speed(reading)
-            case BatteryReading():
-                self._add_battery(reading)
-            case _:
-                self._add_road(reading)
+        if (reason := why_impossible(reading)) is not None:
+            self.dropped[reason] += 1
+        elif isinstance(reading, SpeedReading):
+            yield from self._add_speed(reading)
+        elif isinstance(reading, BatteryReading):
+            self._add_battery(reading)
+        elif not isinstance(reading, MotorReading):
+            self._road.add_reading(reading)
+        elif len(self._speed):
+            self._motor.add(reading, self._speed.newest)
         if self._last_moment_ns is not None:
             yield from self._match_power(self._last_moment_ns)
         if len(self._speed):
@@ -170,9 +170,6 @@ class SampleStream:
             yield from self._intervals.intervals()
 
     def _add_speed(self, reading: SpeedReading) -> Iterator[StreamEvent]:
-        if not abs(reading.speed) <= MAX_SPEED:
-            self.dropped["speed_out_of_range"] += 1
-            return
         newest = self.newest_ns
         if newest is not None and newest - reading.stamp_ns > self._late_ns:
             self.dropped["speed_late"] += 1
@@ -253,9 +250,8 @@ class SampleStream:
         )
 
     def _add_battery(self, reading: BatteryReading) -> None:
-        reason = _why_unusable(reading)
-        if reason is not None:
-            self.dropped[reason] += 1
+        if math.isnan(reading.voltage) and math.isnan(reading.current):
+            self.dropped["battery_unmeasured"] += 1
             return
         newest = self._battery.newest_ns
         if newest is not None and newest - reading.stamp_ns > self._late_ns:
@@ -285,23 +281,3 @@ class SampleStream:
             if age_ns <= self._battery.gap_ns + self._late_ns + self._lag_ns:
                 return
             self._unmeasured.popleft()
-
-    def _add_road(self, reading: RoadReading) -> None:
-        reason = why_impossible(reading)
-        if reason is not None:
-            self.dropped[reason] += 1
-        elif not isinstance(reading, MotorReading):
-            self._road.add_reading(reading)
-        elif len(self._speed):
-            self._motor.add(reading, self._speed.newest)
-
-
-def _why_unusable(reading: BatteryReading) -> str | None:
-    """Reason why a battery reading gives no power, or None; voltage or current may be missing."""
-    voltage, current = reading.voltage, reading.current
-    if math.isnan(voltage) and math.isnan(current):
-        return "battery_unmeasured"
-    possible = (math.isnan(voltage) or MIN_VOLTAGE <= voltage <= MAX_VOLTAGE) and (
-        math.isnan(current) or abs(current) <= MAX_CURRENT
-    )
-    return None if possible else "battery_out_of_range"

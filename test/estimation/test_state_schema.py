@@ -9,7 +9,7 @@ from typing import Annotated, get_args, get_origin, get_type_hints
 import numpy as np
 import pytest
 
-from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.common.saved_fields import ADDED, Range
 from evpinn_ros.estimation.estimator import Mode, OnlineEstimator
 from evpinn_ros.estimation.pinn import SavedPinn
 from evpinn_ros.estimation.worker import InlineWorker
@@ -34,7 +34,10 @@ FOUND = {
 
 
 def leaves(declared, prefix=()):
-    """Every place that is declared, with what is declared there and whether it may be None."""
+    """Every place that is declared, with what is declared there and whether it may be None.
+
+    In place of that `ADDED`, where it may be missing too.
+    """
     for name, inner in get_type_hints(declared, include_extras=True).items():
         bare = get_args(inner)[0] if get_origin(inner) is Annotated else inner
         part = get_args(bare)[0] if NoneType in get_args(bare) else bare
@@ -42,6 +45,8 @@ def leaves(declared, prefix=()):
         kind = get_args(inner)[0] if maybe else inner
         if is_dataclass(part):
             yield from leaves(part, (*prefix, name))
+        elif ADDED in get_args(inner):
+            yield (*prefix, name), part, ADDED
         elif hasattr(kind, "_fields"):  # numbers of one range
             first = get_type_hints(kind, include_extras=True)[kind._fields[0]]
             yield (*prefix, name), first, maybe
@@ -122,7 +127,7 @@ def test_no_place_takes_what_is_not_declared(new, states, place):
                 continue  # numpy makes it one among numbers
             with pytest.raises(ValueError, match=path[-1]):
                 estimator.restore(spoilt(states[mode], path, change))
-    for key in ("missing", "new"):
+    for key in ("new",) if maybe is ADDED else ("missing", "new"):
         other = spoilt(states[mode], path[:-1], lambda old, key=key: altered(old, path[-1], key))
         with pytest.raises(ValueError, match=rf"{path[-2]}|{path[-1]}"):
             estimator.restore(other)

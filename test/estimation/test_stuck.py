@@ -13,8 +13,9 @@ import pytest
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.signals.detector import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK
+from evpinn_ros.signals.stuck import StuckDetector
 from evpinn_ros.vehicle.files import load_vehicle
 
 FROM, UNTIL = 5.0, 20.0  # s
@@ -121,7 +122,7 @@ def test_a_speed_that_hangs_leaves_no_hole_in_the_energy_of_a_silent_battery(
     for doubts in (True, False):
         estimator = OnlineEstimator(car, EstimatorSettings(), InlineWorker(time.perf_counter))
         if not doubts:
-            monkeypatch.setattr(estimator._stuck, "why_not", lambda *_: None)
+            monkeypatch.setattr(StuckDetector, "why_not", lambda *_: None)
         for reading in readings:
             now = (reading.stamp_ns - readings[0].stamp_ns) / NANOSECONDS
             if (isinstance(reading, BatteryReading) and now > 2.0) or now > 100.0:

@@ -22,8 +22,8 @@ from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import Condition, Health
 from evpinn_ros.nodes.energy_diagnosis import answered_status, meter_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
+from evpinn_ros.signals.detector import BATTERY_STUCK, SPEED_STUCK
 from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_STUCK
 from evpinn_ros.topics.messages import Level
 
 WELL = Health({}, {})

@@ -6,8 +6,8 @@ from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.replays.events import EventKind, drive_events
 from evpinn_ros.replays.history import Detection, Drive, PowerSeries
+from evpinn_ros.signals.detector import CURRENT_SIGN
 from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.sign_detectors import CURRENT_SIGN
 
 START_NS = 1_700_000_000 * NANOSECONDS
 

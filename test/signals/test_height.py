@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
+from evpinn_ros.signals.detector import ALTITUDE_STUCK, ONE_ALTITUDE
 from evpinn_ros.signals.height import (
     KNOWN_WITHIN,
     LEAP,
     LENGTH,
     REACH,
-    STUCK_AFTER,
-    AltitudeCheck,
+    AltitudeDetector,
     HeightProfile,
 )
 
@@ -55,18 +55,23 @@ def test_only_so_much_road_is_kept():
     assert found.mean_around(20_000.0 - 3 * LENGTH) is None
 
 
+def rises(*altitudes) -> list:
+    """Rises between (odometer, altitude), m, and the fault that is seen at the end."""
+    detector, found = AltitudeDetector(), []
+    for place in altitudes:
+        detector = detector.after(*place)
+        found.append(detector.rise)
+    return [*found, detector.detected]
+
+
 def test_an_altitude_counts_once_it_has_moved_and_until_it_is_stuck():
-    check = AltitudeCheck()
-    assert check.rise(0.0, 0.0) is None and check.rise(50.0, 0.0) is None
-    assert check.rise(100.0, 2.0) == (50.0, 2.0) and check.moves
-    assert check.rise(100.0 + STUCK_AFTER, 2.0) == (100.0, 0.0)
-    assert check.rise(101.0 + STUCK_AFTER, 2.0) is None and not check.moves
-    assert check.rise(150.0 + STUCK_AFTER, 5.0) == (101.0 + STUCK_AFTER, 3.0)
+    moved, long = [(0.0, 0.0), (50.0, 0.0), (100.0, 2.0)], 100.0 + ONE_ALTITUDE.on
+    assert rises(*moved) == [None, None, (50.0, 2.0), None]
+    stuck = [*moved, (long, 2.0), (long + 1.0, 2.0)]
+    assert rises(*stuck)[3:] == [(100.0, 0.0), None, ALTITUDE_STUCK]
+    assert rises(*stuck, (long + 50.0, 5.0))[-2:] == [(long + 1.0, 3.0), None]
 
 
 def test_a_leap_is_no_rise():
-    check = AltitudeCheck()
-    check.rise(0.0, 0.0)
-    assert check.rise(10.0, LEAP).height == LEAP
-    assert check.rise(20.0, 1000.0).height == 0.0
-    assert check.rise(30.0, 1001.0).height == 1.0
+    found = rises((0.0, 0.0), (10.0, LEAP), (20.0, 1000.0), (30.0, 1001.0))
+    assert [rise.height for rise in found[1:4]] == [LEAP, 0.0, 1.0]

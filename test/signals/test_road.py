@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from evpinn_ros.signals.ranges import why_impossible
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -13,7 +14,7 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     WindReading,
 )
-from evpinn_ros.signals.road import GradeSource, Road, why_impossible
+from evpinn_ros.signals.road import GradeSource, Road
 from test.signals.test_kinematics import at
 
 

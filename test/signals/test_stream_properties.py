@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from evpinn_ros.signals.interval import DURATION, Interval
+from evpinn_ros.signals.kinematics import MAX_ACCELERATION
+from evpinn_ros.signals.ranges import MAX_SPEED
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.sample import Gap, MeasuredSample, NewestSample, SmoothedSample
-from evpinn_ros.signals.stream import MAX_ACCELERATION, MAX_SPEED, SampleStream, StreamSettings
+from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.signals.time_jump import Jump, StampGuard
 
 START = 1_700_000_000 * NANOSECONDS

@@ -6,19 +6,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
+from evpinn_ros.signals.detector import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.signals.stuck import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK, StuckDetector
+from evpinn_ros.signals.stuck import StuckDetector
 
 
-def judge(seconds, speed, current, suspicion=None, begin=0.0):
-    """The verdict after a drive at 10 Hz: functions of time give m/s and A at 350 V."""
-    suspicion = suspicion or StuckDetector()
+def driven(seconds, speed, current, detector=None, begin=0.0) -> StuckDetector:
+    """The detector after a drive at 10 Hz: functions of time give m/s and A at 350 V."""
+    detector = detector or StuckDetector()
     for step in range(round(10 * seconds)):
         now = begin + step / 10
         stamp_ns = round(now * NANOSECONDS)
-        suspicion.add_reading(BatteryReading(stamp_ns, 350.0, current(now)))
-        suspicion.add_reading(SpeedReading(stamp_ns, speed(now)))
-    return suspicion.suspected
+        detector = detector.after(BatteryReading(stamp_ns, 350.0, current(now)))
+        detector = detector.after(SpeedReading(stamp_ns, speed(now)))
+    return detector
+
+
+def judge(seconds, speed, current):
+    """The verdict after such a drive."""
+    return driven(seconds, speed, current).detected
 
 
 def waves(mean, size):
@@ -39,9 +45,9 @@ def test_a_speed_that_hangs_while_power_changes():
 
 
 def test_a_value_that_moves_again_clears_the_verdict():
-    suspicion = StuckDetector()
-    assert judge(20, lambda _: 15.0, waves(-50, 120), suspicion) == SPEED_STUCK
-    assert judge(1, waves(15, 8), waves(-50, 120), suspicion, begin=20.0) is None
+    hung = driven(20, lambda _: 15.0, waves(-50, 120))
+    assert hung.detected == SPEED_STUCK
+    assert driven(1, waves(15, 8), waves(-50, 120), hung, begin=20.0).detected is None
 
 
 @pytest.mark.parametrize(
@@ -95,15 +101,14 @@ def _rounded_peaks(t):
 @pytest.mark.parametrize("speed", [_held_after_braking, _rounded_peaks])
 def test_a_speed_that_goes_on_as_it_was_did_not_hang(speed):
     """Nine in ten intervals of the Changchun sedan were left out, and all braking of SUMO's."""
-    suspicion = StuckDetector()
+    detector = StuckDetector()
 
     def current(t):
         return -10.0 - 4.0 * speed(t) * (speed(t) - speed(t - 0.1)) / 0.1
 
     for second in range(44):
-        judge(1.0, speed, current, suspicion, begin=float(second))
-        now_ns = second * NANOSECONDS
-        assert suspicion.why_not(0, now_ns) is None
+        detector = driven(1.0, speed, current, detector, begin=float(second))
+        assert detector.why_not(0, second * NANOSECONDS) is None
 
 
 def test_a_battery_that_is_not_measured_says_nothing():
@@ -112,14 +117,13 @@ def test_a_battery_that_is_not_measured_says_nothing():
 
 def test_what_lies_behind_is_spoilt_from_before_the_value_hung_until_it_moved():
     """Half a second on both sides; long before it is suspected, and once it is no longer."""
-    suspicion = StuckDetector()
-    judge(10, waves(15, 8), waves(-50, 20), suspicion)
-    judge(1.5, lambda _: 15.0, waves(-50, 20), suspicion, begin=10.0)
-    assert suspicion.suspected is None
-    judge(5, waves(15, 8), waves(-50, 20), suspicion, begin=11.5)
+    detector = driven(10, waves(15, 8), waves(-50, 20))
+    detector = driven(1.5, lambda _: 15.0, waves(-50, 20), detector, begin=10.0)
+    assert detector.detected is None
+    detector = driven(5, waves(15, 8), waves(-50, 20), detector, begin=11.5)
 
     def why_not(*span):
-        return suspicion.why_not(*(round(each * NANOSECONDS) for each in span))
+        return detector.why_not(*(round(each * NANOSECONDS) for each in span))
 
     assert why_not(9.6, 9.6) == why_not(10.5, 10.5) == why_not(11.8, 11.8) == SPEED_REPEATS
     assert why_not(8.0, 9.6) == why_not(11.8, 13.0) == why_not(9.0, 12.0) == SPEED_REPEATS
@@ -128,8 +132,8 @@ def test_what_lies_behind_is_spoilt_from_before_the_value_hung_until_it_moved():
 
 @given(st.lists(st.tuples(st.integers(0, 10**11), st.floats(), st.floats(), st.booleans())))
 def test_any_readings_are_survived(items):
-    suspicion = StuckDetector()
+    detector = StuckDetector()
     for stamp_ns, first, second, battery in items:
         reading = BatteryReading(stamp_ns, first, second) if battery else None
-        suspicion.add_reading(reading or SpeedReading(stamp_ns, first))
-    assert suspicion.suspected in (None, SPEED_STUCK, BATTERY_STUCK)
+        detector = detector.after(reading or SpeedReading(stamp_ns, first))
+    assert detector.detected in (None, SPEED_STUCK, BATTERY_STUCK)

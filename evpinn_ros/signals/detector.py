@@ -1,0 +1,113 @@
+"""Detectors of faults: one protocol, one hysteresis, and one table of them all.
+
+A detector is a value: `after` gives the detector that has seen one thing more, `detected` names
+the fault that it sees now. It follows one number, its evidence, and leaves the verdict to a row of
+the table: above `on` there is the fault, at or below `off` there is none, and in between the
+verdict stays. Less than `least` of what the evidence rests on changes no verdict.
+`docs/reference/detectors.md` is made from the table.
+
+No detectors, because each judges one value by itself and remembers nothing: ranges (`ranges`), and
+leaps of speed (`kinematics.SpeedTrack.leaps`) and altitude (`height`). Nor jumps of time
+(`time_jump`), which hold readings back and put them in order, nor the fit of a CAN profile
+(`can.fit`), which counts frames.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, ParamSpec, Protocol
+
+Seen = ParamSpec("Seen")
+
+
+class Detector(Protocol[Seen]):
+    """Observer of one kind of fault of a signal, or of a change of the car."""
+
+    @property
+    def detected(self) -> str | None:
+        """Name of the fault that is seen now, or None."""
+
+    def after(self, *seen: Seen.args, **named: Seen.kwargs) -> Detector[Seen]:
+        """The detector that has seen one thing more."""
+
+
+class Hysteresis(NamedTuple):
+    """A row of the table.
+
+    Attributes:
+        fault: name.
+        evidence: what is followed.
+        unit: of the evidence.
+        on: evidence above which there is the fault.
+        off: evidence at which, and below which, there is none.
+        least: of what the evidence rests on, before a verdict.
+        rests_on: that, with its unit.
+        effect: what follows while it is detected.
+    """
+
+    fault: str
+    evidence: str
+    unit: str
+    on: float
+    off: float
+    least: float
+    rests_on: str
+    effect: str
+
+    def judge(self, before: bool | None, evidence: float, on: float = math.inf) -> bool | None:
+        """Verdict on evidence that rests `on` so much, after the verdict before; None is none."""
+        if on < self.least:
+            return before
+        if evidence > self.on:
+            return True
+        return False if evidence <= self.off else before
+
+
+CURRENT_SIGN, GRADE_SIGN = "current_sign", "grade_sign"
+SPEED_STUCK, BATTERY_STUCK, SPEED_REPEATS = "speed_stuck", "battery_stuck", "speed_repeats"
+ALTITUDE_STUCK, PAYLOAD = "altitude_stuck", "payload"
+NEVER = -math.inf  # of `off`: the verdict stays until another value or stop begins anew
+OF_BUS = "`evpinn can inspect` and diagnostics report it"
+NOT_LEARNED = "nothing is learned of the time of repetition"
+
+AGAINST_INERTIA = Hysteresis(
+    CURRENT_SIGN, "share of power that is against acceleration, in about a minute", "1",
+    0.5, 0.0, 10.0, "s of pulling away and braking", "nothing is learned, no parameter is valid",
+)  # fmt: skip
+AGAINST_CHARGE = Hysteresis(
+    CURRENT_SIGN, "1 where charge rises as energy is drawn, else -1; by steps of 2 %", "1",
+    0.0, 0.0, 1e6, "J; less may be bookkeeping of the car", OF_BUS,
+)  # fmt: skip
+DRAWN_AT_REST = Hysteresis(
+    CURRENT_SIGN, "mean power drawn at rest, in about 30 s", "W", 20e3, -20e3, 0.0, "", OF_BUS
+)
+AGAINST_HILLS = Hysteresis(
+    GRADE_SIGN, "fall that energy shows over the rise reported, in about 20 km", "sigma",
+    3.0, 0.0, 2e3, "m of road", "diagnostics report it",
+)  # fmt: skip
+FINE_SPEED = Hysteresis(
+    SPEED_STUCK, "change of power while a speed with steps below 0.1 m/s repeats", "W",
+    30e3, NEVER, 2.0, "s of repetition", NOT_LEARNED,
+)  # fmt: skip
+# A speed in whole km/h or mph repeats by itself: for 3.9 s and 66 kW in 13 real drives so rounded.
+COARSE_SPEED = FINE_SPEED._replace(
+    evidence="change of power while a coarser speed repeats", on=60e3, least=5.0
+)
+FINE_DOUBT = FINE_SPEED._replace(fault=SPEED_REPEATS, on=20e3, off=20e3, least=1.0)
+COARSE_DOUBT = COARSE_SPEED._replace(fault=SPEED_REPEATS, on=20e3, off=20e3, least=2.0)
+BATTERY_REPEATS = Hysteresis(
+    BATTERY_STUCK, "change of speed while voltage and current repeat; below 5 kW its rise alone",
+    "m/s", 5.0, NEVER, 2.0, "s of repetition", f"the battery is not used, {NOT_LEARNED}",
+)  # fmt: skip
+ONE_ALTITUDE = Hysteresis(  # even a flat road is not that level to the digit
+    ALTITUDE_STUCK, "road since the altitude changed", "m", 1e3, 0.0, 0.0, "", "height is unknown"
+)
+ANOTHER_MASS = Hysteresis(
+    PAYLOAD, "likelihood ratio of another mass after a stop, as sigmas", "sigma",
+    4.8, NEVER, 70.0, "s of motion since the stop", "the other mass is that of the car",
+)  # fmt: skip
+
+TABLE = (
+    AGAINST_INERTIA, AGAINST_CHARGE, DRAWN_AT_REST, AGAINST_HILLS, FINE_SPEED, COARSE_SPEED,
+    FINE_DOUBT, COARSE_DOUBT, BATTERY_REPEATS, ONE_ALTITUDE, ANOTHER_MASS,
+)  # fmt: skip
