@@ -18,7 +18,7 @@ from benchmarks.unseen.protocols import run_car
 from benchmarks.unseen.summary import summary
 from benchmarks.variants import ConstantPlace, Variant, replaced
 from evpinn_ros.estimation.gaussian import replace_states
-from evpinn_ros.estimation.noise import noise_of
+from evpinn_ros.estimation.journey import noise_of
 from evpinn_ros.estimation.posterior import BANK, LOAD_STDS, NETWORK_STDS, CarState, begin_drive
 from evpinn_ros.estimation.states import OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import Equation, Warmth, standing_powers
@@ -97,7 +97,7 @@ VARIANTS = (
         "reported loads ignored",
         {
             ConstantPlace("terms", "standing_powers"): _unreported,
-            ConstantPlace("learning", "see_reported_climate"): _unseen,
+            ConstantPlace("posterior", "see_reported_climate"): _unseen,
         },
     ),
     Variant(
@@ -111,7 +111,7 @@ VARIANTS = (
         "noise not scaled",
         {ConstantPlace("posterior", key): 1.0 for key in ("LEAST_SCALE", "MOST_SCALE")},
     ),
-    Variant("one noise standing and moving", {ConstantPlace("noise", "noise_of"): _one_noise}),
+    Variant("one noise standing and moving", {ConstantPlace("journey", "noise_of"): _one_noise}),
     Variant("a car does not change", {ConstantPlace("posterior", "DRIFT"): 0.0}),
 )
 

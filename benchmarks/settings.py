@@ -45,9 +45,9 @@ def _posterior(key: str, *values: float) -> Setting:
 
 
 SETTINGS = (
-    Setting(ConstantPlace("noise", "NOISE_TIME"), (0.75, 1.5, 3.0)),
+    Setting(ConstantPlace("journey", "NOISE_TIME"), (0.75, 1.5, 3.0)),
     _posterior("OUTLIER", 2.5, 4.0),
-    Setting(ConstantPlace("noise", "LOAD_TIME"), (150.0, 300.0, 600.0)),
+    Setting(ConstantPlace("journey", "LOAD_TIME"), (150.0, 300.0, 600.0)),
     _posterior("EVIDENCE_KEPT", 100.0, 400.0, 1600.0),
     _posterior("LARGE_NETWORK_ODDS", 0.0, 7.0),
     _posterior("SCALE_INTERVALS", 10.0, 30.0, 100.0),

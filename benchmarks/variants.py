@@ -23,7 +23,7 @@ from benchmarks.unseen.scores import MOST_SIGMAS, QUANTILE_90, crps
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.journey import NOWHERE
 from evpinn_ros.estimation.learner import gate_interval
-from evpinn_ros.estimation.learning import passed
+from evpinn_ros.estimation.posterior import passed
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.interval import Interval

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 import math
 
-from evpinn_ros.estimation.learning import learn, passed
-from evpinn_ros.estimation.posterior import initial_state
+from evpinn_ros.estimation.posterior import initial_state, learn, passed
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.interval import Interval
@@ -74,7 +73,7 @@ battery. Some of the states:
 
 ## What the battery adds
 
-`learn` (`estimation/learning.py`) lets the time of the interval pass (`advance`) and corrects the
+`learn` (`estimation/posterior.py`) lets the time of the interval pass (`advance`) and corrects the
 states by the difference between the measured and the predicted energy (`condition`). This
 difference is {residual:+.2f} kJ, with a 1-sigma of {sigma:.2f} kJ. Nearly all of this
 uncertainty comes from the states; the noise contributes {noise:.2f} kJ. Each state changes by

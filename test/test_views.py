@@ -78,7 +78,7 @@ def vector_names() -> dict[Topic, list[str]]:
     ]
     names = {t: m.name for t, m in messages if t.type_name == topics.NAMED_VECTOR_TYPE}
     powers = (topics.POWER_MEASURED, topics.POWER_PREDICTED, topics.POWER_SMOOTHED)
-    parts = Breakdown(np.zeros(COUNT), np.zeros((COUNT, COUNT)), 0.0, 0.0, 0.0, 0.0)
+    parts = Breakdown(energy=np.zeros(COUNT), covariance=np.zeros((COUNT, COUNT)))
     ((_, breakdown),) = breakdown_messages(new_message, 1, parts)
     ranges = ["distance_to_empty", "distance_lower", "distance_upper", "state_of_charge"]
     return names | {

@@ -17,7 +17,7 @@ import numpy as np
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.plan import Legs
 from evpinn_ros.energy.power_model import PowerModel, Weather, even_steps
-from evpinn_ros.estimation.noise import standing
+from evpinn_ros.estimation.journey import standing
 from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.unevenness import OF_LEGS, per_leg
 

@@ -20,7 +20,7 @@ from evpinn_ros.common.arrays import namespace
 from evpinn_ros.energy.charge import ChargeGauge, Uncertain
 from evpinn_ros.energy.plan import COARSE, Legs, Plan, PlanConditions, PlanError, points_of
 from evpinn_ros.energy.power_model import PlanEnd, PowerModel, Weather, even_steps, vehicle_model
-from evpinn_ros.estimation.noise import standing, wandered
+from evpinn_ros.estimation.journey import standing, wandered
 from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.terms import WHOLE, Part
 from evpinn_ros.estimation.unevenness import Path, size_of, stops_of

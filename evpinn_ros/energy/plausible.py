@@ -14,7 +14,7 @@ import numpy as np
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.noise import FORCE_NOISE
+from evpinn_ros.estimation.journey import FORCE_NOISE
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Unevenness
 from evpinn_ros.signals.ranges import MAX_SPEED, TEMPERATURES

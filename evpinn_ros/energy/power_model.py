@@ -25,7 +25,7 @@ from evpinn_ros.energy.network_table import (
     units_of,
 )
 from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.noise import LOAD_TIME, unexplained, wandered
+from evpinn_ros.estimation.journey import LOAD_TIME, unexplained, wandered
 from evpinn_ros.estimation.size import model_of_file
 from evpinn_ros.estimation.states import PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.estimation.terms import (

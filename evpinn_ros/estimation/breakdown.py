@@ -1,6 +1,6 @@
 """Breakdown of the energy of a drive by where it went, with what is not known of it.
 
-The parts of a drive (`Equation.parts`, summed over its intervals) are linear in the states, so
+The parts of a drive (`Equation.split`, summed over its intervals) are linear in the states, so
 what later intervals teach of the car, of this drive or of the height of its road moves the parts
 of before, and nothing is added up twice. When a drive ends, what is of it alone (its offsets, the
 loads that wandered, the unseen climb) is kept as what the states of the car say of it, so that
@@ -15,11 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
+from itertools import combinations
 import math
 
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.estimation.journey import unseen_of
 from evpinn_ros.estimation.posterior import CarState
 from evpinn_ros.estimation.states import LASTING, SIZE, State
 from evpinn_ros.estimation.terms import COUNT, WHOLE, Equation, Part
@@ -64,28 +66,37 @@ class Amount:
 
 
 @dataclass(frozen=True, slots=True)
-class Breakdown:
+class Totals:
+    """Sums over the intervals of a drive.
+
+    Attributes:
+        measured: J at the battery.
+        measured_variance: due to the rate of its readings, J^2.
+        distance: m.
+        seconds: s.
+        unseen: m of the distance where no height was known.
+        noise: variance of the energy that no state of the car explains, as learned, J^2.
+    """
+
+    measured: float = 0.0
+    measured_variance: float = 0.0
+    distance: float = 0.0
+    seconds: float = 0.0
+    unseen: float = 0.0
+    noise: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Breakdown(Totals):
     """The energy of a drive, by part.
 
     Attributes:
         energy: of each `Part`, J, shape (COUNT,).
         covariance: of these, J^2, shape (COUNT, COUNT).
-        measured: at the battery, over the same intervals, J.
-        measured_variance: of that, due to the rate of its readings, J^2.
-        distance: m.
-        seconds: s.
-        unseen: m of the distance where no height was known.
-        noise: variance of the energy that no state of the car is expected to explain, J^2.
     """
 
     energy: np.ndarray
     covariance: np.ndarray
-    measured: float
-    measured_variance: float
-    distance: float
-    seconds: float
-    unseen: float = 0.0
-    noise: float = 0.0
 
     def amounts(self) -> dict[str, Amount]:
         """The parts, what they leave unexplained, and what braking brought back beside them."""
@@ -99,8 +110,7 @@ class Breakdown:
     def of(self, *chosen: Part) -> Amount:
         """Some parts together."""
         index = list(chosen)
-        variance = float(self.covariance[np.ix_(index, index)].sum())
-        return self._amount(float(self.energy[index].sum()), variance)
+        return self._amount(float(self.energy[index].sum()), self._variance(chosen))
 
     def total(self) -> Amount:
         """Energy measured over the same intervals."""
@@ -111,19 +121,21 @@ class Breakdown:
         scale = LEAST_SHARE * float(np.abs(self.energy[WHOLE]).sum())
         groups: list[tuple[Part, ...]] = [(part,) for part in list(Part)[WHOLE]]
         while True:
+            unsure = [group for group in groups if self._sigma(group) > scale]
             joined = [
                 (self._sigma(a + b) / max(self._sigma(a), self._sigma(b)), a, b)
-                for i, a in enumerate(groups)
-                for b in groups[i + 1 :]
-                if min(self._sigma(a), self._sigma(b)) > scale
+                for a, b in combinations(unsure, 2)
             ]
             if not joined or min(joined)[0] > TOGETHER:
                 return [group for group in groups if len(group) > 1]
             _, a, b = min(joined)
             groups = [tuple(sorted(a + b)), *(g for g in groups if g not in (a, b))]
 
+    def _variance(self, group: tuple[Part, ...]) -> float:
+        return float(self.covariance[np.ix_(group, group)].sum())
+
     def _sigma(self, group: tuple[Part, ...]) -> float:
-        return self.of(*group).sigma_kwh * JOULES_PER_KWH
+        return math.sqrt(max(0.0, self._variance(group)))
 
     def _amount(self, energy: float, variance: float) -> Amount:
         known = self.distance >= LEAST_DISTANCE
@@ -133,39 +145,6 @@ class Breakdown:
             sigma_kwh=math.sqrt(max(0.0, variance)) / JOULES_PER_KWH,
             kwh_per_100km=kwh / self.distance * 1e5 if known else None,
             share=energy / self.measured if self.measured > 0.0 else None,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Totals:
-    """Energy, distance and time that the sums of a drive are of.
-
-    Attributes:
-        measured: J of the battery.
-        measured_variance: due to the rate of its readings, J^2.
-        distance: m.
-        seconds: s.
-        unseen: m of it where no height was known.
-        noise: variance of its energy that no state explains, as learned on the way, J^2.
-    """
-
-    measured: float = 0.0
-    measured_variance: float = 0.0
-    distance: float = 0.0
-    seconds: float = 0.0
-    unseen: float = 0.0
-    noise: float = 0.0
-
-    def plus(self, interval: Interval, noise: float) -> Totals:
-        """With one more interval and the variance of its noise, J^2."""
-        distance = abs(interval.distance)
-        return Totals(
-            measured=self.measured + interval.energy,
-            measured_variance=self.measured_variance + max(0.0, interval.sampling_variance),
-            distance=self.distance + distance,
-            seconds=self.seconds + interval.duration,
-            unseen=self.unseen + (0.0 if interval.height_known else distance),
-            noise=self.noise + noise,
         )
 
 
@@ -188,8 +167,8 @@ class Breakdowns:
         whole = self.drives[drive]
         if whole.seconds == 0.0:
             return None
-        counts = astuple(whole)
-        return Breakdown(self.energy[drive], self.covariance[drive, :, drive], *counts)
+        own = self.covariance[drive, :, drive]
+        return Breakdown(*astuple(whole), energy=self.energy[drive], covariance=own)
 
     def difference(self, drive: int, base: int) -> Breakdown:
         """Energy that a drive took more than another, of 100 km each.
@@ -213,7 +192,6 @@ class Breakdowns:
             measured=float(scale @ [more.measured, less.measured]),
             measured_variance=float(scale**2 @ [more.measured_variance, less.measured_variance]),
             distance=DISTANCE,
-            seconds=0.0,
             unseen=DISTANCE * max(each.unseen / each.distance for each in (more, less)),
             noise=float(scale**2 @ [more.noise, less.noise]),
         )
@@ -232,12 +210,7 @@ class Breakdowns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveParts:
-    """The parts of a drive that goes on.
-
-    Attributes:
-        rows: energy by part and state, J per unit, shape (COUNT, SIZE).
-        totals: what it is of.
-    """
+    """The parts of a drive that goes on: by part and state, J per unit, shape (COUNT, SIZE)."""
 
     rows: np.ndarray
     totals: Totals = Totals()
@@ -254,16 +227,24 @@ class DriveParts:
         """With one more interval, its `Equation.parts`, (COUNT, SIZE), and its noise, J^2."""
         own = parts.copy()
         own[:, State.LOAD] = 0.0  # WANDERED and LOAD_ENERGY have what it gave
-        return DriveParts(self.rows + own, self.totals.plus(interval, noise))
+        more = (
+            interval.energy,
+            max(0.0, interval.sampling_variance),
+            abs(interval.distance),
+            interval.duration,
+            unseen_of(interval),
+            noise,
+        )
+        sums = (one + other for one, other in zip(astuple(self.totals), more, strict=True))
+        return DriveParts(self.rows + own, Totals(*sums))
 
     def ended(self, state: CarState) -> EndedDrive:
         """Parts as functions of the states of the car alone."""
         mean, covariance = state.mixture()
-        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-12))
-        within = np.ix_(LASTING, LASTING)
-        car = covariance[within] / np.outer(scale[LASTING], scale[LASTING])
-        shared = covariance[np.ix_(LASTING, OWN)] / scale[LASTING][:, None]
-        gain = (np.linalg.lstsq(car, shared, rcond=1e-9)[0] / scale[LASTING][:, None]).T
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-12))[LASTING]
+        car = covariance[np.ix_(LASTING, LASTING)] / np.outer(scale, scale)
+        shared = covariance[np.ix_(LASTING, OWN)] / scale[:, None]
+        gain = (np.linalg.lstsq(car, shared, rcond=1e-9)[0] / scale[:, None]).T
         rows = self.rows[:, LASTING] + self.rows[:, OWN] @ gain
         own = covariance[np.ix_(OWN, OWN)] - gain @ covariance[np.ix_(LASTING, OWN)]
         return EndedDrive(
@@ -302,31 +283,26 @@ def breakdowns(
     whole = rows @ covariance[np.ix_(LASTING, LASTING)] @ rows.T
     weight = GRAVITY * equation.eta * float(mean[State.MASS])
     growth = math.nan if equation.vehicle.in_traffic else state.bands.growth
-    for number, each in enumerate(drives):
-        span = slice(number * COUNT, (number + 1) * COUNT)
-        own = each.own + _beside(energy[span], each.totals, weight, growth)
-        whole[span, span] += own
     shape = len(drives), COUNT
-    totals = tuple(each.totals for each in drives)
-    return Breakdowns(energy.reshape(shape), whole.reshape(shape + shape), totals)
+    energy, whole = energy.reshape(shape), whole.reshape(shape + shape)
+    for number, each in enumerate(drives):
+        whole[number, :, number] += each.own + _beside(energy[number], each.totals, weight, growth)
+    return Breakdowns(energy, whole, tuple(each.totals for each in drives))
 
 
 def _beside(energy: np.ndarray, totals: Totals, weight: float, growth: float) -> np.ndarray:
     """Covariance that no state holds, J^2: heights that stray, edges, and maps of losses.
 
-    Args:
-        energy: of the parts, J.
-        totals: what they are of.
-        weight: of the car, N.
-        growth: variance of the unseen climb per length of floors, m; NaN for roads.
+    `weight` is in N; `growth` is the variance of the unseen climb per length of floors, m, NaN for
+    roads.
     """
     own = np.zeros((COUNT, COUNT))
     if totals.unseen < totals.distance:
         own += 2.0 * (weight * HEIGHT_STRAYS) ** 2 * np.outer(STRAYED_HILL, STRAYED_HILL)
     if totals.unseen > 0.0:
         climbed = _unseen_climb(energy, totals.unseen)
-        climb = net_climb(totals.unseen) ** 2
-        climb = climb if math.isnan(growth) else growth * totals.unseen
+        on_roads = math.isnan(growth)
+        climb = net_climb(totals.unseen) ** 2 if on_roads else growth * totals.unseen
         own += weight**2 * climb * np.outer(climbed, climbed)
     own[Part.REGAINED, Part.REGAINED] += (REGAINED_SHARE * energy[Part.REGAINED]) ** 2
     # (m v dv)^2 at both ends
@@ -351,12 +327,7 @@ def net_climb(unseen: float) -> float:
 
 
 def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
-    """Share of an unseen net climb that each part is off by, shape (COUNT,), sum 0.
-
-    Args:
-        energy: of the parts, J.
-        unseen: m without height.
-    """
+    """Share of an unseen net climb that each part is off by, shape (COUNT,), sum 0."""
     friction = _as_friction(unseen)
     air, tyres = np.maximum(energy[[Part.AIR, Part.TYRES]], 0.0) + 1.0
     found = np.zeros(COUNT)

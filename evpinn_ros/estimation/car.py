@@ -13,12 +13,11 @@ import math
 
 import numpy as np
 
+from evpinn_ros.estimation.bands import Hills
 from evpinn_ros.estimation.breakdown import Breakdowns, DriveParts, EndedDrive, breakdowns
 from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.hills import Hills
 from evpinn_ros.estimation.journey import NOWHERE, Journey
 from evpinn_ros.estimation.learner import gate_interval
-from evpinn_ros.estimation.learning import learn, passed
 from evpinn_ros.estimation.payload import PayloadDetector
 from evpinn_ros.estimation.posterior import (
     OUTLIER,
@@ -28,11 +27,13 @@ from evpinn_ros.estimation.posterior import (
     forget_present,
     forget_road,
     initial_state,
+    learn,
+    passed,
 )
 from evpinn_ros.estimation.published import Driven
 from evpinn_ros.estimation.rehearsal import Rehearsal, Rehearsals
 from evpinn_ros.estimation.states import State
-from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.estimation.terms import Equation, coldness
 from evpinn_ros.estimation.unevenness import Path, Unevenness
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.sign_detectors import GradeDetector
@@ -45,7 +46,7 @@ KEPT_WHEN_COMPARED = 0.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedCar:
-    """Everything learned of a car (see the text of the module).
+    """Everything learned of a car from intervals.
 
     Attributes:
         equation: of the car.
@@ -167,10 +168,10 @@ class LearnedCar:
 
     def uneven(self) -> Unevenness:
         """Energy of uneven speed, by this drive too."""
-        drive = self._drive
-        if drive is None:
+        if not self.steps:
             return self.unevenness
         mean = self.state.weights @ self.state.mean
+        drive = Path(*map(np.concatenate, zip(*self.steps, strict=True)))
         return self.unevenness.after(self.equation, mean, drive)
 
     def is_finite(self) -> bool:
@@ -178,22 +179,14 @@ class LearnedCar:
         mean, covariance = self.state.gaussian
         return bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
 
-    @property
-    def _drive(self) -> Path | None:
-        """All steps of this drive; None before the first."""
-        return Path(*map(np.concatenate, zip(*self.steps, strict=True))) if self.steps else None
-
     def _without(self, interval: Interval) -> LearnedCar:
         """The car after an interval whose battery was not measured."""
         seconds = self.state.seconds + self.dropout.seconds
         return replace(
-            self,
+            self._along(interval),
             dropout=self.dropout.plus(passed(self.equation, interval, seconds).journey),
-            steps=self._steps(interval),
-            hills=self._hills(interval),
             rehearsals=replace(self.rehearsals, dropouts={}),
             known_ns=interval.start_ns if self.measured else self.known_ns,
-            end_ns=interval.end_ns,
         )
 
     def _with(self, interval: Interval) -> LearnedCar:
@@ -205,46 +198,38 @@ class LearnedCar:
         )
         before = replace(before, bands=bands)
         state, learned = learn(before, equation, done)
-        driven = self.driven.plus(interval, done.rows, equation, float(done.warmth.tyres))
+        driven = self.driven.plus(done)
         payload = self.payload.after(before, state, learned, equation, driven, done)
         state = payload.taken or state
-        parts = equation.parts(interval.steps, interval.conditions, done.warmth)
+        cold = coldness(interval.conditions.celsius)
+        parts = equation.split(done.rows, done.wheels, cold, done.warmth.tyres)
         noise = float(state.weights @ state.scale @ done.journey.noise)
         noise += max(0.0, (learned.residual / OUTLIER) ** 2 - learned.sigma**2)  # an outlier
+        weight = GRAVITY * float(state.weights @ state.mean[:, State.MASS])  # over eta, N
         return replace(
-            self,
+            self._along(interval),
             state=state,
             driven=driven,
             rehearsals=rehearsals,
             parts=self.parts.plus(interval, parts, noise),
             payload=payload,
-            grade=self.grade.after(interval, learned.residual, _weight(state)),
+            grade=self.grade.after(interval, learned.residual, weight),
             dropout=NOWHERE,
-            steps=self._steps(interval),
-            hills=self._hills(interval),
-            end_ns=interval.end_ns,
             known_ns=interval.end_ns,
         )
 
-    def _steps(self, interval: Interval) -> tuple[Path, ...]:
-        """Steps of this drive with one more interval; of a very long drive the newest."""
-        steps, one = interval.steps, np.ones(len(interval.steps.duration))
-        moved = steps.duration, steps.distance, steps.air, steps.kinetic, steps.climb
-        path = Path(*moved, interval.conditions.air_density * one, 0.0 * one)
-        return (*self.steps, path)[-MOST_INTERVALS:]
-
-    def _hills(self, interval: Interval) -> Hills:
-        if not interval.height_known:
-            return self.hills
-        return self.hills.plus(abs(interval.distance), float(interval.steps.climb.sum()))
+    def _along(self, interval: Interval) -> LearnedCar:
+        """The car after the road of one more interval."""
+        steps, hills = interval.steps, self.hills
+        one = np.ones(len(steps.duration))
+        path = Path(*steps[:5], interval.conditions.air_density * one, 0.0 * one)
+        if interval.height_known:
+            hills = hills.plus(abs(interval.distance), float(steps.climb.sum()))
+        newest = (*self.steps, path)[-MOST_INTERVALS:]
+        return replace(self, steps=newest, hills=hills, end_ns=interval.end_ns)
 
     def _after_dropout(self) -> CarState:
         """The state once a dropout is over: time has passed, its energy is in no sum."""
         if self.dropout.seconds == 0.0:
             return self.state
         return forget_present(advance(self.state, self.dropout.seconds))
-
-
-def _weight(state: CarState) -> float:
-    """Weight of the car over eta, N, by the likeliest hypotheses."""
-    return GRAVITY * float(state.weights @ state.mean[:, State.MASS])

@@ -8,8 +8,7 @@ import math
 import numpy as np
 
 from evpinn_ros.estimation.bands import PredictedEnergy
-from evpinn_ros.estimation.journey import Journey
-from evpinn_ros.estimation.noise import wandered
+from evpinn_ros.estimation.journey import Journey, wandered
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.estimation.unevenness import Unevenness

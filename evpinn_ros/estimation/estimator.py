@@ -31,7 +31,7 @@ from evpinn_ros.estimation.learner import (
 from evpinn_ros.estimation.operating_range import OperatingRange
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.size import Similarity
-from evpinn_ros.estimation.worker import InlineWorker, Worker
+from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.signals.detector import BATTERY_STUCK
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -145,7 +145,9 @@ class SavedEstimator:
 class OnlineEstimator(Saveable[SavedEstimator]):
     """One car, learned from its readings: predictions at once, parameters once a second."""
 
-    def __init__(self, vehicle: Vehicle, settings: EstimatorSettings, worker: Worker) -> None:
+    def __init__(
+        self, vehicle: Vehicle, settings: EstimatorSettings, worker: InlineWorker
+    ) -> None:
         """Start from the vehicle's priors; the worker computes the updates."""
         self._vehicle, self._settings, self._worker = vehicle, settings, worker
         self._similarity = Similarity(vehicle)

@@ -47,13 +47,7 @@ NO_EVIDENCE = Evidence(np.zeros((SIZE, SIZE)), np.zeros(SIZE))
 
 
 def evidence(mean: np.ndarray, covariance: np.ndarray, prior: np.ndarray) -> Evidence:
-    """The evidence of a posterior; all in the prior's sigmas about the prior.
-
-    Args:
-        mean: of the parameters, shape (6,).
-        covariance: shape (6, 6).
-        prior: correlations of the prior, shape (6, 6).
-    """
+    """The evidence of a posterior and the correlations of its prior, in sigmas of that prior."""
     after, before = _inverse(covariance), _inverse(prior)
     values, directions = np.linalg.eigh(after - before)
     counts = values > LEAST_INFORMED / (1.0 - LEAST_INFORMED)

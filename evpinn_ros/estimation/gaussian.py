@@ -37,13 +37,7 @@ class Innovation(NamedTuple):
 
 
 def predict(state: Gaussian, transition: np.ndarray, noise: np.ndarray) -> Gaussian:
-    """The state after a linear step.
-
-    Args:
-        state: before it.
-        transition: shape (n, n).
-        noise: covariance of what the step adds, shape (..., n, n).
-    """
+    """The state after a linear step, shape (n, n), that adds noise of this covariance."""
     mean = state.mean @ transition.T
     return Gaussian(mean, transition @ state.covariance @ transition.T + noise)
 
@@ -55,7 +49,7 @@ def innovate(
 
     Args:
         state: before it.
-        gradient: of the measurement by the state, shape (..., n).
+        gradient: of the measurement by the state, shape (..., n) or (n,).
         residual: measured less predicted, shape (...).
         noise: variance of the measurement, shape (...).
     """
@@ -64,13 +58,7 @@ def innovate(
 
 
 def condition(state: Gaussian, seen: Innovation, extra: np.ndarray) -> Gaussian:
-    """The state given a measurement.
-
-    Args:
-        state: before it.
-        seen: the innovation.
-        extra: variance added to the measurement's, of an outlier say, shape (...).
-    """
+    """The state given a measurement, with extra variance, shape (...), of an outlier say."""
     gain = seen.along / (seen.variance + extra)[..., None]
     mean = state.mean + gain * seen.residual[..., None]
     change = gain[..., :, None] * seen.along[..., None, :]
@@ -78,12 +66,7 @@ def condition(state: Gaussian, seen: Innovation, extra: np.ndarray) -> Gaussian:
 
 
 def replace_states(state: Gaussian, variances: Mapping[Any, Any]) -> Gaussian:
-    """The state with some entries forgotten: zero, and without correlation.
-
-    Args:
-        state: before it.
-        variances: of each entry by its index, a number or of shape (...).
-    """
+    """The state with some entries forgotten: zero, uncorrelated, of these variances by index."""
     mean, covariance = state.mean.copy(), state.covariance.copy()
     for index, variance in variances.items():
         mean[..., index] = 0.0

@@ -65,9 +65,7 @@ class Network(NamedTuple):
     def force(self, speed: Any, force: Any) -> Any:
         """Force of each learned weight, N, shape (n, NETWORK), before `explained` is taken away.
 
-        Args:
-            speed: m/s, shape (n,), numpy or torch.
-            force: at the wheels over the mass, m/s^2, shape (n,).
+        Speed, m/s, and force at the wheels over the mass, m/s^2, have shape (n,); numpy or torch.
         """
         xp = namespace(speed)
         inner, bias, outer = (like(each, speed) for each in (self.inner, self.bias, self.outer))

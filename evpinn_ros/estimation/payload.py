@@ -28,9 +28,7 @@ import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.estimation.calibration import Chance
-from evpinn_ros.estimation.journey import Learned
-from evpinn_ros.estimation.learning import PassedInterval, learn
-from evpinn_ros.estimation.posterior import OUTLIER, CarState
+from evpinn_ros.estimation.posterior import OUTLIER, CarState, Learned, PassedInterval, learn
 from evpinn_ros.estimation.published import Driven, mass_over_eta
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import Equation
@@ -52,13 +50,7 @@ Share: TypeAlias = Annotated[float, Range(0.0, 20.0)]
 
 @dataclass(frozen=True, slots=True)
 class PayloadChange:
-    """A change of payload.
-
-    Attributes:
-        stamp_ns: of the stop at which it happened.
-        delta_mass: kg, positive when load was added.
-        std: its 1-sigma, kg.
-    """
+    """A change of payload: stamp of its stop, kg (positive when load was added), 1-sigma, kg."""
 
     stamp_ns: Stamp
     delta_mass: Annotated[float, Range(-MOST_MASS, MOST_MASS)]
@@ -71,8 +63,7 @@ class _Trial:
 
     `before`, log m/eta at it, and mass, kg; `motion`, s since; `odds`, logarithm of how much
     likelier the trial made what came than the car as it was; `change` of log m/eta and its
-    `significance` when it was found; `rival` of the change found, when it was on trial
-    already then.
+    `significance` when it was found; `rival` if it was on trial when another change was found.
     """
 
     stamp_ns: Stamp
@@ -111,7 +102,7 @@ class SavedPayload:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PayloadDetector:
-    """Detector of changed payload; a value that `after` replaces.
+    """Detector of changed payload.
 
     Attributes:
         change: the last change of payload, None when none was found or it was withdrawn.
@@ -145,9 +136,8 @@ class PayloadDetector:
     @classmethod
     def of(cls, saved: SavedPayload) -> PayloadDetector:
         """The detector of a saved state; the car may have stood since."""
-        return cls(
-            saved.change, chance=saved.chance, watched=saved.found, standing=STOP
-        )  # fmt: skip
+        change, watched = saved.change, saved.found
+        return cls(change, chance=saved.chance, watched=watched, standing=STOP)
 
     def saved(self) -> SavedPayload:
         """State to save."""
@@ -166,16 +156,7 @@ class PayloadDetector:
         driven: Driven,
         done: PassedInterval,
     ) -> PayloadDetector:
-        """The detector after one more interval.
-
-        Args:
-            before: state of the car before the interval.
-            now: after it.
-            learned: innovation between the two.
-            equation: of the car.
-            driven: what parameters are meant over.
-            done: the interval, learned.
-        """
+        """The detector after one more interval, with the car's states before and after."""
         interval = done.interval
         unseen = 0.0 if self.last_ns is None else (interval.start_ns - self.last_ns) * 1e-9
         stood, standing, moved = _stands(done, max(self.standing, unseen))
@@ -218,18 +199,18 @@ class PayloadDetector:
     def _judge(self, equation: Equation, driven: Driven, moved: float) -> PayloadDetector:
         """Take the stop that the data speak for most."""
         trials = []
-        best: tuple[_Trial, CarState] | None = None
         for old, state in self.trials:
             stop = replace(old, motion=old.motion + moved)
             if stop.motion >= ANOTHER_MASS.least and self.chance.count >= LEAST_STOPS:
                 change = mass_over_eta(state, equation, driven)[0] - stop.before
                 significance = stop.sigmas / self.chance.scale
                 stop = replace(stop, change=change, significance=significance)
-                if self._decides(stop) and (best is None or significance > best[0].significance):
-                    best = stop, state
             trials.append((stop, state))
         detector = replace(self, trials=tuple(trials))
-        return detector._give_up(moved) if best is None else detector._take(*best)
+        certain = [each for each in trials if self._decides(each[0])]
+        if not certain:
+            return detector._give_up(moved)
+        return detector._take(*max(certain, key=lambda each: each[0].significance))
 
     def _decides(self, stop: _Trial) -> bool:
         """True if a stop is certain to have changed the payload."""
@@ -255,15 +236,12 @@ class PayloadDetector:
 
     def _give_up(self, moved: float) -> PayloadDetector:
         """Learn what chance does where nothing changed, once it is sure that nothing did."""
-        given_up = list(self.given_up)
-        for stop, _ in self.trials:
-            if stop.motion > MOST_MOTION and not stop.rival:
-                given_up.append(replace(stop, significance=stop.sigmas))
-        given_up = [replace(stop, motion=stop.motion + moved) for stop in given_up]
+        over = [stop for stop, _ in self.trials if stop.motion > MOST_MOTION and not stop.rival]
+        given_up = [replace(stop, motion=stop.motion + moved) for stop in (*self.given_up, *over)]
         chance = self.chance
         for stop in given_up:
             if stop.motion > 2 * MOST_MOTION:
-                chance = chance.after(stop.significance)
+                chance = chance.after(stop.sigmas)
         return replace(
             self,
             trials=tuple(each for each in self.trials if each[0].motion <= MOST_MOTION),
@@ -305,11 +283,7 @@ def _likelihood(seen: Learned) -> float:
 
 
 def _stands(done: PassedInterval, standing: float) -> tuple[float, float, float]:
-    """Seconds that the car stands in an interval, having stood for `standing` before it.
-
-    Returns:
-        The longest stand that ends in it, the one that goes on at its end, and the motion.
-    """
+    """Seconds of the longest stand that ends in an interval, of the one at its end, of motion."""
     steps = done.interval.steps
     longest = moved = 0.0
     for distance, duration in zip(steps.distance.tolist(), steps.duration.tolist(), strict=True):

@@ -20,15 +20,14 @@ import math
 from typing import Annotated
 
 from evpinn_ros.common.saved_fields import ADDED, Range, Saveable
+from evpinn_ros.estimation.bands import Hills
 from evpinn_ros.estimation.breakdown import Breakdowns
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
-from evpinn_ros.estimation.hills import Hills
-from evpinn_ros.estimation.journey import Journey
+from evpinn_ros.estimation.journey import FORCE_NOISE, POWER_NOISE, Journey, wandered
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
-from evpinn_ros.estimation.noise import FORCE_NOISE, POWER_NOISE, wandered
 from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
 from evpinn_ros.estimation.payload import PayloadDetector, SavedPayload, Stamp
 from evpinn_ros.estimation.published import Driven, evidence_of, published

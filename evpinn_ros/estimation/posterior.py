@@ -4,8 +4,8 @@ A `CarState` is a value: nothing in it is changed, so a copy is a reference, and
 without the battery or tries another mass simply goes on from one. The functions are pure:
 
 - `advance` lets time pass: the wandering load forgets itself (Ornstein and Uhlenbeck);
-- `predict` gives the energy of a journey, and its variance, from here on;
-- `condition` learns from a measured energy (a Kalman filter's update).
+- `condition` learns from a measured energy (a Kalman filter's update);
+- `learn` does both, for an interval and what the bus reported in it.
 
 All is linear, so one update after another is the same estimate as one solve over a window of
 intervals with what is older as its arrival cost. The hypotheses of the bank differ in the sizes
@@ -14,28 +14,29 @@ of network and wandering load, which no car knows beforehand, and are weighted b
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.estimation import gaussian
 from evpinn_ros.estimation.bands import Bands
 from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.gaussian import (
-    Gaussian,
-    Innovation,
-    innovate,
-    mixture,
-    outlier_variance,
-    replace_states,
+from evpinn_ros.estimation.gaussian import Gaussian, Innovation, replace_states
+from evpinn_ros.estimation.journey import (
+    Journey,
+    journey_of,
+    speed_squared,
+    unexplained,
+    unseen_of,
+    wandered,
 )
-from evpinn_ros.estimation.gaussian import condition as conditioned
-from evpinn_ros.estimation.gaussian import predict as passed
-from evpinn_ros.estimation.journey import Journey, Learned
-from evpinn_ros.estimation.noise import unexplained, wandered
 from evpinn_ros.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
-from evpinn_ros.estimation.terms import Equation, Warmth
+from evpinn_ros.estimation.terms import Equation, Warmth, Wheels, climate_powers
+from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.physics import GRAVITY
 
 # The hypotheses: 1-sigma of a weight of the network, N, and of the wandering load, W.
@@ -57,7 +58,7 @@ BRAKING_SHARE = 0.2  # of braking energy that friction may take unseen by the mo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CarState:
-    """Knowledge of a car; see the module's text. K hypotheses.
+    """Knowledge of a car, by K hypotheses.
 
     Attributes:
         mean: shape (K, SIZE).
@@ -102,12 +103,7 @@ class CarState:
 
     def mixture(self) -> Gaussian:
         """Mean, shape (SIZE,), and covariance over all hypotheses."""
-        return mixture(self.weights, self.gaussian)
-
-    @property
-    def warmth(self) -> Warmth:
-        """Coldness of tyres and cabin now."""
-        return Warmth.after(self.seconds)
+        return gaussian.mixture(self.weights, self.gaussian)
 
     @property
     def load_variance(self) -> np.ndarray:
@@ -137,9 +133,38 @@ class CarState:
             return self.bands.dropout.scale
         return self.bands.drive.scale if self.known else 1.0
 
-    def with_gaussian(self, now: Gaussian) -> CarState:
-        """With another mean and covariance."""
-        return replace(self, mean=now.mean, covariance=now.covariance)
+    def with_gaussian(self, now: Gaussian, **others: Any) -> CarState:
+        """With another mean and covariance, and other values of these fields."""
+        return replace(self, mean=now.mean, covariance=now.covariance, **others)
+
+    def forgetting(self, variances: Mapping[State, Any]) -> CarState:
+        """With some states at zero, of these variances."""
+        return self.with_gaussian(replace_states(self.gaussian, variances))
+
+
+class Learned(NamedTuple):
+    """Innovation of one interval: measured less predicted, J, and its 1-sigma, J."""
+
+    residual: float
+    sigma: float
+
+
+class PassedInterval(NamedTuple):
+    """An interval by the equation of a car.
+
+    Attributes:
+        interval: what was driven.
+        wheels: work of the prior car in its steps.
+        rows: of these, shape (n, SIZE).
+        journey: their sum.
+        warmth: of tyres and cabin.
+    """
+
+    interval: Interval
+    wheels: Wheels
+    rows: np.ndarray
+    journey: Journey
+    warmth: Warmth
 
 
 def initial_state(equation: Equation) -> CarState:
@@ -159,14 +184,35 @@ def initial_state(equation: Equation) -> CarState:
     )
 
 
-def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:
-    """Let time and road pass: what is fast goes on, its energies are those of this journey.
+def passed(equation: Equation, interval: Interval, seconds: float) -> PassedInterval:
+    """An interval by the equation of a car, so many s after the start of a drive."""
+    warmth = Warmth.after(seconds)
+    wheels = equation.of_steps(interval.steps, interval.conditions)
+    rows = equation.rows(interval.steps, interval.conditions, warmth, wheels)
+    return PassedInterval(interval, wheels, rows, journey_of(interval, rows.sum(0)), warmth)
 
-    Args:
-        state: before it.
-        seconds: s.
-        unseen: m of road whose height is not known.
-    """
+
+def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[CarState, Learned]:
+    """The state after an interval whose battery was measured, and its innovation."""
+    interval, conditions = done.interval, done.interval.conditions
+    state = replace(
+        advance(state, interval.duration, unseen_of(interval)),
+        celsius=conditions.celsius,
+        reports=state.reports or conditions.load > 0.0,
+    )
+    if interval.steps.motor_known:
+        rows = equation.motor_rows(interval.steps, conditions, done.warmth, done.wheels)
+        state = see_motor(state, rows, speed_squared(interval.steps))
+    if state.reports and conditions.load_known:
+        row = np.zeros(SIZE)
+        for each, power in climate_powers(conditions.celsius, done.warmth).items():
+            row[each] = power
+        state = see_reported_climate(state, row, conditions.load, interval.duration)
+    return condition(state, done.journey, interval.energy, interval.sampling_variance)
+
+
+def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:
+    """Let time, s, and road, m without height, pass: fast energies are those of this journey."""
     left, integral, rest = wandered(seconds)
     transition, noise = np.eye(SIZE), np.zeros((len(state.mean), SIZE, SIZE))
     load, energy, climb = State.LOAD, State.LOAD_ENERGY, State.CLIMB
@@ -179,22 +225,16 @@ def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:
     noise[:, load, load] = state.load_variance * (1.0 - left**2)
     noise[:, energy, energy] = state.load_variance * rest
     noise[:, load, energy] = noise[:, energy, load] = state.load_variance * integral * (1.0 - left)
-    now = passed(state.gaussian, transition, noise)
-    return replace(
-        state, mean=now.mean, covariance=now.covariance, seconds=state.seconds + seconds
-    )
+    now = gaussian.predict(state.gaussian, transition, noise)
+    return state.with_gaussian(now, seconds=state.seconds + seconds)
 
 
 def condition(
     state: CarState, journey: Journey, energy: float, sampling: float
 ) -> tuple[CarState, Learned]:
-    """Learn from the energy of a journey that has just passed (`advance` first).
+    """Learn from the energy, J, of a journey that has just passed (`advance` first).
 
-    Args:
-        state: before it.
-        journey: what was driven.
-        energy: measured, J.
-        sampling: variance of that, due to the rate of its readings, J^2.
+    `sampling` is its variance due to the rate of its readings, J^2.
     """
     row = journey.row.copy()
     # The motor's energy holds the climb already, where it is known.
@@ -213,10 +253,7 @@ def condition(
 def see_motor(state: CarState, rows: np.ndarray, square: float) -> CarState:
     """Learn from the motor's energy what the wheels take, whatever the battery gave.
 
-    Args:
-        state: before it.
-        rows: of `Equation.motor_rows`, shape (2, SIZE).
-        square: integral of speed squared, m^2/s.
+    `rows` are those of `Equation.motor_rows`; `square` is the integral of speed squared, m^2/s.
     """
     base = state.scale[:, 1] * unexplained(0.0, 0.0, square)[1]
     for row, share in zip(rows, (0.03, BRAKING_SHARE), strict=True):
@@ -230,11 +267,7 @@ def see_reported_climate(
 ) -> CarState:
     """Learn from reported heating and cooling, W, how it goes with temperature.
 
-    Args:
-        state: before it.
-        row: of `terms.climate_row`, W per unit, shape (SIZE,).
-        power: reported, W.
-        seconds: that it stands for. A drive has few independent ones.
+    `row` has `terms.climate_powers`, shape (SIZE,). Of so many seconds few are independent.
     """
     row = row.copy()
     row[State.CLIMATE_DRIVE] = 1.0
@@ -245,62 +278,49 @@ def see_reported_climate(
 def begin_drive(state: CarState, equation: Equation, *, keep: float = DRIVE_KEPT) -> CarState:
     """Another drive: other offsets, of which some is as it was; the car has drifted a little.
 
-    The variance of the offsets is learned from the drive that was (expectation maximisation with
-    a prior of `PRIOR_DRIVES` drives).
-
-    Args:
-        state: at the end of a drive.
-        equation: of the car.
-        keep: share of the offsets that stays.
+    `keep` is the share of the offsets that stays. Their variance is learned from the drive that
+    was (expectation maximisation with a prior of `PRIOR_DRIVES` drives).
     """
-    variance, drives = state.offset_variance, state.drives
     if not state.intervals:
         return forget_road(replace(state, seconds=0.0))
     whole = state.mixture()
     found = whole.mean[OFFSETS] ** 2 + whole.covariance[OFFSETS, OFFSETS]
-    variance = (drives * variance + found) / (drives + 1.0)
+    variance = (state.drives * state.offset_variance + found) / (state.drives + 1.0)
     kept, fresh = np.ones(SIZE), np.zeros((len(state.mean), SIZE))
     kept[OFFSETS] = keep
     fresh[:, OFFSETS] = (1.0 - keep**2) * variance
     prior = np.repeat(np.diag(equation.covariance)[None], len(state.mean), axis=0)
     prior[:, WEIGHTS] = BANK[:, :1] ** 2
     fresh[:, LASTING] = DRIFT**2 * prior[:, LASTING]
-    now = passed(state.gaussian, np.diag(kept), fresh[:, :, None] * np.eye(SIZE))
-    state = replace(
-        state,
-        mean=now.mean,
-        covariance=now.covariance,
+    state = state.with_gaussian(
+        gaussian.predict(state.gaussian, np.diag(kept), fresh[:, :, None] * np.eye(SIZE)),
         offset_variance=variance,
-        drives=min(drives + 1.0, DRIVES_KEPT),
+        drives=min(state.drives + 1.0, DRIVES_KEPT),
         intervals=0,
         seconds=0.0,
         known=True,
         last_drive=state.seconds,
     )
-    now = replace_states(state.gaussian, {State.WANDERED: 0.0, State.CLIMBED: 0.0})
-    return forget_road(state.with_gaussian(now))
+    return forget_road(state.forgetting({State.WANDERED: 0.0, State.CLIMBED: 0.0}))
 
 
 def forget_road(state: CarState) -> CarState:
     """After a jump of time: the load that wandered is another."""
-    fresh = {State.LOAD: state.load_variance}
-    return forget_present(state.with_gaussian(replace_states(state.gaussian, fresh)))
+    return forget_present(state.forgetting({State.LOAD: state.load_variance}))
 
 
 def forget_present(state: CarState) -> CarState:
     """Leave fast energies of the last journey out of the sums of the drive: it was a dropout."""
-    fresh = {State.LOAD_ENERGY: 0.0, State.CLIMB: 0.0}
-    return state.with_gaussian(replace_states(state.gaussian, fresh))
+    return state.forgetting({State.LOAD_ENERGY: 0.0, State.CLIMB: 0.0})
 
 
 def _see(
     state: CarState, row: np.ndarray, residual: np.ndarray, noise: np.ndarray
 ) -> tuple[CarState, Innovation]:
     """Condition every hypothesis on one measurement, beyond `OUTLIER` with a heavy tail."""
-    rows = np.repeat(row[None], len(state.mean), axis=0)
-    seen = innovate(state.gaussian, rows, residual, noise)
-    extra = outlier_variance(seen, noise, OUTLIER)
-    return state.with_gaussian(conditioned(state.gaussian, seen, extra)), seen
+    seen = gaussian.innovate(state.gaussian, row, residual, noise)
+    extra = gaussian.outlier_variance(seen, noise, OUTLIER)
+    return state.with_gaussian(gaussian.condition(state.gaussian, seen, extra)), seen
 
 
 def _judge(state: CarState, seen: Innovation, noise: np.ndarray) -> CarState:

@@ -26,10 +26,10 @@ from evpinn_ros.common.saved_fields import ADDED, Range
 from evpinn_ros.estimation.breakdown import MOSTLY_UNSEEN, climb_as_rolling
 from evpinn_ros.estimation.evidence import Evidence, evidence, file_prior
 from evpinn_ros.estimation.gaussian import Gaussian
-from evpinn_ros.estimation.posterior import CarState, initial_state
+from evpinn_ros.estimation.journey import unseen_of
+from evpinn_ros.estimation.posterior import CarState, PassedInterval, initial_state
 from evpinn_ros.estimation.states import PHYSICS, SIZE, TABLE, State
-from evpinn_ros.estimation.terms import MILD_CELSIUS, Equation
-from evpinn_ros.signals.interval import Interval
+from evpinn_ros.estimation.terms import TYRES, WARM, Equation, climate_powers, coldness
 
 BESIDE = [State.FORCE_SQUARED, State.TURNING, *range(TABLE, SIZE)]  # what eq. 21 lacks
 DRIVING_MEMORY = 36_000.0  # s over which driving is remembered
@@ -50,11 +50,11 @@ LOGARITHMIC = [ETA, MU, MASS, C_D]
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """Driving of a car so far, as sums over its steps; what the projection is over.
+    """Driving of a car so far, as sums over its steps, over which `project` goes.
 
     Attributes:
         gram: products of the terms of eq. 21 over the duration, J^2/s per units, shape (4, 4).
-        cross: the same of these terms with the rows of `BESIDE`, shape (4, len(BESIDE)).
+        cross: products of these terms with the rows of `BESIDE`, shape (4, len(BESIDE)).
         braked: drag, rolling and inertia terms where the car brakes, shape (3,).
         distance: of this drive, m.
         cold_tyres: integral of the coldness of the tyres over it, m.
@@ -76,32 +76,21 @@ class Driven:
         """No driving."""
         return cls(np.zeros((4, 4)), np.zeros((4, len(BESIDE))), np.zeros(3))
 
-    def plus(
-        self, interval: Interval, rows: np.ndarray, equation: Equation, tyres: float
-    ) -> Driven:
-        """With one more interval.
-
-        Args:
-            interval: to add; of one with motor torque only the way counts, for its rows are the
-                motor's.
-            rows: of `Equation.rows`, shape (n, SIZE).
-            equation: of the car.
-            tyres: coldness of the tyres.
-        """
-        distance = abs(interval.distance)
-        now = self._farther(distance, tyres, unseen=0.0 if interval.height_known else distance)
+    def plus(self, done: PassedInterval) -> Driven:
+        """With one more interval; of one with motor torque the way alone: its rows differ."""
+        interval, wheels = done.interval, done.wheels
+        now = self._farther(abs(interval.distance), float(done.warmth.tyres), unseen_of(interval))
         if interval.steps.motor_known:
             return now
         keep = math.exp(-interval.duration / DRIVING_MEMORY)
-        terms = rows[:, PHYSICS]
+        terms = done.rows[:, PHYSICS]
         over = (terms / interval.steps.duration[:, None]).T
-        wheels = equation.of_steps(interval.steps, interval.conditions)
         braking = 1.0 - wheels.driving
         moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
         return replace(
             now,
             gram=keep * self.gram + over @ terms,
-            cross=keep * self.cross + over @ rows[:, BESIDE],
+            cross=keep * self.cross + over @ done.rows[:, BESIDE],
             braked=keep * self.braked + np.array([float(braking @ each) for each in moved]),
             load_known=interval.conditions.load_known,
         )
@@ -126,9 +115,8 @@ class Driven:
 
     def braked_share(self, equation: Equation, terms: np.ndarray) -> float:
         """Braking energy of the prior car over that of a car with these terms, shape (3,)."""
-        before, found = (
-            -float(self.braked @ each) for each in (equation.mean[PHYSICS[:3]], terms)
-        )
+        before = -float(self.braked @ equation.mean[PHYSICS[:3]])
+        found = -float(self.braked @ terms)
         if min(before, found) < BRAKED_FLOOR:
             return 1.0
         return float(np.clip(before / found, *SHARE_RANGE))
@@ -142,7 +130,7 @@ def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarr
 
     Args:
         gram: products of the terms of eq. 21 over the duration of their steps, shape (4, 4).
-        cross: the same of these terms with k energies of the steps, shape (4, k).
+        cross: products of these terms with k energies of the steps, shape (4, k).
         equation: of the car.
     """
     prior = equation.covariance[np.ix_(PHYSICS, PHYSICS)]
@@ -153,13 +141,9 @@ def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarr
 
 
 class Published(NamedTuple):
-    """The six parameters, eta, mu, mass and C_d as logarithms, with their prior.
+    """The six parameters, eta, mu, mass and C_d as logarithms, now and before any drive.
 
-    Attributes:
-        now: mean, shape (6,), and covariance, shape (6, 6).
-        prior: the same, before any drive.
-        frontal_area: m^2.
-        hills_seen: whether the heights of most of the road are known.
+    `frontal_area` is in m^2; `hills_seen` says if the heights of most of the road are known.
     """
 
     now: Gaussian
@@ -252,24 +236,24 @@ def _linear(
     theta = state[PHYSICS]
     theta[:, BESIDE] = driven.share(equation)
     prior = equation.mean[State.ROLLING]
-    cold = 0.0 if celsius is None else max(0.0, MILD_CELSIUS - celsius) / 10.0
     tyres = driven.cold_tyres / max(driven.distance, 1.0)
-    theta[1, [State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]] = (
-        prior * np.array([cold, tyres, 1.0])
-    )  # fmt: skip
+    theta[1, TYRES] = prior * np.array([coldness(celsius), tyres, 1.0])
     drag, rolling, mass, back = (theta @ mean).tolist()
-    drag, rolling, mass = (_positive(each) for each in (drag, rolling, mass))
+    drag, rolling, mass = (max(each, 1e-3) for each in (drag, rolling, mass))
     share = driven.braked_share(equation, np.array([drag, rolling, mass]))
     regeneration = min(max(equation.back + share * back, 0.01), 1.5)
     eta = min(max(equation.eta + float(mean[State.ETA]), 0.05), 1.2)
     log_eta, log_mass = state[State.ETA] / eta, theta[2] / mass
+    standing = state[State.P_AUX] + state[State.LOAD_DRIVE]
+    for each, power in climate_powers(celsius, WARM).items():
+        standing[each] = power
     rows = np.array([
         log_eta,
         share * theta[3] / regeneration - log_eta,
         log_mass + log_eta,
         (theta[1] - rolling * log_mass) / mass,
         theta[0] / drag + log_eta,
-        _standing(state, celsius),
+        standing,
     ])  # fmt: skip
     values = np.array([
         math.log(eta),
@@ -280,16 +264,3 @@ def _linear(
         float(rows[P_AUX] @ mean),
     ])  # fmt: skip
     return values, rows
-
-
-def _standing(state: np.ndarray, celsius: float | None) -> np.ndarray:
-    """Standing load by each state, shape (SIZE,)."""
-    away = 0.0 if celsius is None else celsius - MILD_CELSIUS
-    row = state[State.P_AUX] + state[State.LOAD_DRIVE]
-    return np.asarray(
-        row + max(0.0, -away) * state[State.COLD] + max(0.0, away) * state[State.HOT]
-    )
-
-
-def _positive(value: float) -> float:
-    return max(value, 1e-3)

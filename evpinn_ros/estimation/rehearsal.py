@@ -54,15 +54,7 @@ class Rehearsals:
     def learn(
         self, state: CarState, equation: Equation, journey: Journey, way: float, drawn: float
     ) -> tuple[Rehearsals, Bands]:
-        """Take the next measured interval, with the car as it was before it.
-
-        Args:
-            state: before the interval.
-            equation: of the car.
-            journey: the interval.
-            way: its length, m.
-            drawn: its energy, J.
-        """
+        """Take a measured interval of `way` m and `drawn` J, with the car as it was before it."""
         running, bands = {}, state.bands
         least_way = np.fmin(LEAST_WAY, LEAST_SHARE * equation.vehicle.nominal_speed)
         for length in LENGTHS:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Annotated, TypeAlias
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from evpinn_ros.estimation.posterior import (
     CarState,
     initial_state,
 )
-from evpinn_ros.estimation.states import LASTING, NAMES, OFFSETS
+from evpinn_ros.estimation.states import LASTING, NAMES, OFFSETS, known_names
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.ranges import TEMPERATURES
 
@@ -57,25 +57,17 @@ class SavedState:
     known: bool
 
 
+# Fields that are saved as they are.
+PLAIN = [field.name for field in fields(SavedState)][4:]
+
+
 def saved_state(state: CarState) -> SavedState:
     """A state to save."""
     offsets = np.zeros(len(NAMES))
     offsets[OFFSETS] = state.offset_variance
-    return SavedState(
-        names=NAMES,
-        mean=tuple(state.mean.ravel().tolist()),
-        covariance=tuple(state.covariance.ravel().tolist()),
-        offset_variance=tuple(offsets.tolist()),
-        evidence=state.evidence,
-        scale=state.scale,
-        bands=state.bands,
-        drives=state.drives,
-        intervals=state.intervals,
-        seconds=state.seconds,
-        reports=state.reports,
-        celsius=state.celsius,
-        known=state.known,
-    )
+    named = {"mean": state.mean, "covariance": state.covariance, "offset_variance": offsets}
+    found: dict[str, Any] = {name: tuple(each.ravel().tolist()) for name, each in named.items()}
+    return SavedState(NAMES, **found, **{name: getattr(state, name) for name in PLAIN})
 
 
 def state_of(saved: SavedState, equation: Equation) -> CarState:
@@ -90,8 +82,7 @@ def state_of(saved: SavedState, equation: Equation) -> CarState:
     sizes = len(saved.mean), len(saved.covariance), len(saved.offset_variance)
     if sizes != (count * size, count * size * size, size) or len({*saved.names}) != size:
         raise ValueError("numbers of the states are missing")
-    theirs = [i for i, name in enumerate(saved.names) if name in NAMES]
-    ours = [NAMES.index(saved.names[i]) for i in theirs]
+    theirs, ours = known_names(saved.names)
     if not ours:
         raise ValueError("none of the states is known")
     mean, covariance = fresh.mean.copy(), fresh.covariance.copy()
@@ -104,20 +95,10 @@ def state_of(saved: SavedState, equation: Equation) -> CarState:
     away = np.abs(mean - fresh.mean)[:, LASTING] / np.maximum(prior, 1e-9)
     if not (is_possible(found) and away.max() <= MOST_AWAY):
         raise ValueError("the state of the car is out of range")
-    variance = dict(zip(saved.names, saved.offset_variance, strict=True))
-    offsets = [variance.get(NAMES[i], fresh.offset_variance[k]) for k, i in enumerate(OFFSETS)]
-    if min(offsets) < 0.0:
+    variance = np.zeros(len(NAMES))
+    variance[OFFSETS] = fresh.offset_variance
+    variance[ours] = np.array(saved.offset_variance)[theirs]
+    if variance[OFFSETS].min() < 0.0:
         raise ValueError("a variance of the state is negative")
-    return replace(
-        fresh.with_gaussian(found),
-        evidence=saved.evidence,
-        scale=saved.scale,
-        offset_variance=np.array(offsets),
-        bands=saved.bands,
-        drives=saved.drives,
-        intervals=saved.intervals,
-        seconds=saved.seconds,
-        reports=saved.reports,
-        celsius=saved.celsius,
-        known=saved.known,
-    )
+    plain = {name: getattr(saved, name) for name in PLAIN}
+    return fresh.with_gaussian(found, offset_variance=variance[OFFSETS], **plain)

@@ -11,22 +11,22 @@ Speeds and accelerations stay as they are.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
 
-from evpinn_ros.estimation.breakdown import Breakdowns, Totals
+from evpinn_ros.estimation.breakdown import Breakdowns
 from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, PowerEstimate
+from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.posterior import initial_state
 from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.signals.readings import AuxiliaryReading, BatteryReading, MotorReading, Reading
 from evpinn_ros.vehicle.files import EXTENSIVE, Vehicle
-from evpinn_ros.vehicle.identifiable import Identifiable
 
 PURE = ("1", "1/(10 K)")  # units of states that are the same of all sizes
+Value = TypeVar("Value")
 EXTENSIVE_SUMS = ("mass_over_eta", "drag_area_over_eta", "p_aux")
 
 
@@ -46,19 +46,12 @@ class Similarity:
 
     def reading(self, reading: Reading) -> Reading:
         """A reading of the vehicle as the car would have given it."""
-        if self.size == 1.0:
-            return reading
-        more = 1.0 / self.size
-        match reading:
-            case BatteryReading():
-                current, coarse = more * reading.current, more * reading.power_std
-                return replace(reading, current=current, power_std=coarse)
-            case AuxiliaryReading():
-                heating, others = more * reading.heating, more * reading.others
-                return replace(reading, heating=heating, others=others)
-            case MotorReading():
-                return replace(reading, torque=more * reading.torque)
-        return reading
+        fields = {
+            BatteryReading: ("current", "power_std"),
+            AuxiliaryReading: ("heating", "others"),
+            MotorReading: ("torque",),
+        }.get(type(reading), ())
+        return _scaled(reading, 1.0 / self.size, *fields)
 
     @overload
     def estimate(self, found: PowerEstimate) -> PowerEstimate: ...
@@ -68,43 +61,41 @@ class Similarity:
 
     def estimate(self, found: PowerEstimate | ParameterSet) -> PowerEstimate | ParameterSet:
         """An estimate of the car as one of the vehicle."""
-        if self.size == 1.0:
-            return found
         if isinstance(found, PowerEstimate):
-            power, sigma = self.size * found.power, self.size * found.sigma
-            energy, spread = self.size * found.energy, self.size * found.energy_sigma
-            return replace(found, power=power, sigma=sigma, energy=energy, energy_sigma=spread)
+            return _scaled(found, self.size, "power", "sigma", "energy", "energy_sigma")
         parameters = dict(found.parameters)
         for name in EXTENSIVE:
-            parameters[name] = self._parameter(parameters[name])
+            parameters[name] = _scaled(
+                parameters[name], self.size, "value", "std", "lower", "upper"
+            )
         return replace(
             found,
             parameters=parameters,
-            identifiable=self._combinations(found.identifiable),
-            identifiable_std=self._combinations(found.identifiable_std),
+            identifiable=_scaled(found.identifiable, self.size, *EXTENSIVE_SUMS),
+            identifiable_std=_scaled(found.identifiable_std, self.size, *EXTENSIVE_SUMS),
         )
 
     def model(self, found: CarModel) -> CarModel:
         """The car as forecasts take it, with the equation of the vehicle."""
         if self.size == 1.0:
             return found
-        square, uneven = self.size**2, found.unevenness
+        uneven = found.unevenness
         return replace(
-            found,
+            _scaled(found, self.size**2, "noise", "load_variance"),
             equation=equation_of(self._vehicle, found.equation.seed),
             mean=self._states * found.mean,
             covariance=np.outer(self._states, self._states) * found.covariance,
-            noise=square * found.noise,
-            load_variance=square * found.load_variance,
             unevenness=replace(uneven, rows=self.size / self._states * uneven.rows),
         )
 
     def breakdowns(self, found: Breakdowns) -> Breakdowns:
         """Energies of drives by part."""
+        drives = (_scaled(each, self.size, "measured") for each in found.drives)
+        square = self.size**2
         return Breakdowns(
             self.size * found.energy,
-            self.size**2 * found.covariance,
-            tuple(self._totals(each) for each in found.drives),
+            square * found.covariance,
+            tuple(_scaled(each, square, "measured_variance", "noise") for each in drives),
         )
 
     def report(self, found: LearnerReport) -> LearnerReport:
@@ -112,27 +103,19 @@ class Similarity:
         change = found.payload_change
         if change is None:
             return found
-        mass, std = self.size * change.delta_mass, self.size * change.std
-        return found._replace(payload_change=replace(change, delta_mass=mass, std=std))
+        return found._replace(payload_change=_scaled(change, self.size, "delta_mass", "std"))
 
-    def _parameter(self, found: ParameterEstimate) -> ParameterEstimate:
-        scaled = {
-            field: self.size * getattr(found, field)
-            for field in ("value", "std", "lower", "upper")
-        }
-        return replace(found, **scaled)
 
-    def _combinations(self, found: Identifiable) -> Identifiable:
-        scaled = {name: self.size * getattr(found, name) for name in EXTENSIVE_SUMS}
-        return found._replace(**scaled)
-
-    def _totals(self, totals: Totals) -> Totals:
-        return replace(
-            totals,
-            measured=self.size * totals.measured,
-            measured_variance=self.size**2 * totals.measured_variance,
-            noise=self.size**2 * totals.noise,
-        )
+def _scaled(value: Value, size: float, *fields: str) -> Value:
+    """A dataclass or named tuple with some of its numbers times a size."""
+    if size == 1.0 or not fields:
+        return value
+    record: Any = value
+    numbers = {name: size * getattr(record, name) for name in fields}
+    changed: Value = (
+        record._replace(**numbers) if isinstance(value, tuple) else replace(record, **numbers)
+    )
+    return changed
 
 
 def model_of_file(vehicle: Vehicle, seed: int = 0) -> CarModel:

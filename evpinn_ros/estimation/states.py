@@ -9,6 +9,7 @@ Behind the states of the table stand the output weights of the network (`estimat
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum, IntEnum
 
 import numpy as np
@@ -91,6 +92,12 @@ OFFSETS = [State.DOUBTED, State.ROLLING_DRIVE, State.LOAD_DRIVE, State.CLIMATE_D
 PHYSICS = [State.DRAG, State.ROLLING, State.MASS, State.BACK]  # the terms of eq. 21
 NAMES = (*(state.name.lower() for state in State), *(f"network_{i}" for i in range(NETWORK)))
 GEARS = 0.97, 0.03  # share of the motor's energy that reaches the wheels, with its 1-sigma
+
+
+def known_names(names: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Places of the states that are saved under these names and exist: there, and here."""
+    there = [place for place, name in enumerate(names) if name in NAMES]
+    return there, [NAMES.index(names[place]) for place in there]
 
 
 def prior_of(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:

@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 
-from evpinn_ros.estimation.journey import NOWHERE, Journey
-from evpinn_ros.estimation.noise import noise_of
+from evpinn_ros.estimation.journey import NOWHERE, Journey, noise_of
 from evpinn_ros.estimation.terms import Equation, Warmth, conditions_of
 from evpinn_ros.signals.interval import Steps
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -43,13 +42,7 @@ class Tail:
                 del each[:KEPT]
 
     def between(self, start_ns: int, end_ns: int, warmth: Warmth) -> Journey:
-        """Journey from one stamp to another, as far as it is remembered.
-
-        Args:
-            start_ns: begin.
-            end_ns: end.
-            warmth: of tyres and cabin.
-        """
+        """Journey from one stamp to another, as far as it is remembered."""
         if not self._stamps:
             return NOWHERE
         for index in range(len(self._sums), len(self._samples)):
@@ -69,20 +62,13 @@ class Tail:
             return (v + wind) * abs(v + wind) * abs(v)
 
         air = (drag(begin.speed) + 4.0 * drag(speed) + drag(end.speed)) / 6.0 * seconds
-        motor = end.motor_power * seconds
-        motor_known = not math.isnan(motor)
-        moved = (
-            seconds,
-            way,
-            air,
-            (end.speed**2 - begin.speed**2) / 2.0,
-            speed * seconds * math.sin((begin.grade + end.grade) / 2.0),
-            max(motor, 0.0) if motor_known else math.nan,
-            max(-motor, 0.0) if motor_known else math.nan,
-        )
+        kinetic = (end.speed**2 - begin.speed**2) / 2.0
+        climb = speed * seconds * math.sin((begin.grade + end.grade) / 2.0)
+        motor = np.array([1.0, -1.0]) * end.motor_power * seconds
+        moved = seconds, way, air, kinetic, climb, *np.maximum(motor, 0.0)
         steps = Steps._make((*(np.array([each]) for each in moved), end.motor_scaled))
         rows = self._equation.rows(steps, conditions_of(end), warmth)
-        unseen = 0.0 if end.grade or motor_known else way
+        unseen = 0.0 if end.grade or steps.motor_known else way
         return Journey(rows[0], seconds, noise_of(steps), unseen)
 
     def _until(self, stamp_ns: int) -> Journey:

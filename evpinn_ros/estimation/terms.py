@@ -56,6 +56,7 @@ CLIMATE = [
 EXPLAINED = [State.FORCE_SQUARED, *range(WEIGHTS.start, WEIGHTS.stop)]  # beside eq. 21
 STANDING = [State.P_AUX, State.LOAD_DRIVE, State.LOAD]
 TYRES = [State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]  # of rolling
+WHEELS = [*PHYSICS, *TYRES]  # that the motor's energy stands in for
 
 
 class Part(IntEnum):
@@ -108,7 +109,7 @@ class Wheels(NamedTuple):
 
     @property
     def columns(self) -> tuple[Any, ...]:
-        """Terms of eq. 21 one by one, as `states.PHYSICS` has them."""
+        """These terms one by one."""
         gain, braking = self.gain, 1.0 - self.driving
         mass = (self.inertia + self.climb) * gain
         return self.drag * gain, self.rolling * gain, mass, self.energy * braking
@@ -142,7 +143,7 @@ WARM = Warmth(0.0, 0.0)
 
 
 class Equation:
-    """The equation of one car; see the module's text.
+    """The one equation of a car, about the prior of its vehicle file.
 
     Attributes:
         vehicle: the vehicle file.
@@ -157,25 +158,16 @@ class Equation:
     """
 
     def __init__(self, vehicle: Vehicle, seed: int = 0) -> None:
-        """Prepare the equation about the prior of a vehicle file; seed: of the network."""
+        """Make network and copper orthogonal to the terms of eq. 21; seed: of the network."""
         self.vehicle, self.seed = vehicle, seed
         self.mean, self.covariance = prior_of(vehicle)
         self.eta = vehicle.priors["eta"].value
         self.back = self.eta * vehicle.priors["mu"].value
-        self._make_orthogonal(seed)
-
-    def _make_orthogonal(self, seed: int) -> None:
-        """Take from network and copper what the terms of eq. 21 explain of them."""
         driving = reference_driving()
         speed = driving.speed
-        wheels = self.wheels(
-            duration=np.ones_like(speed),
-            distance=speed,
-            air=speed**3,
-            kinetic=speed * driving.acceleration,
-            climb=speed * driving.slope,
-            density=self.vehicle.air_density,
-        )
+        kinetic, climb = speed * driving.acceleration, speed * driving.slope
+        second = np.ones_like(speed)
+        wheels = self.wheels(second, speed, speed**3, kinetic, climb, vehicle.air_density)
         terms = wheels.terms
         self.network = orthogonal_network(seed, driving, wheels.force, terms)
         squared = wheels.force[:, None] ** 2 * (speed > CREEPING)[:, None]
@@ -187,16 +179,7 @@ class Equation:
     def wheels(
         self, duration: Any, distance: Any, air: Any, kinetic: Any, climb: Any, density: Any
     ) -> Wheels:
-        """Prior car in steps of shape (n,), or of any one shape.
-
-        Args:
-            duration: s.
-            distance: m.
-            air: integral of u|u| v dt, m^3/s^2.
-            kinetic: difference of v^2 / 2, J/kg.
-            climb: difference of height, m.
-            density: of the air, kg/m^3.
-        """
+        """Prior car in steps of any one shape, as `Steps` has them; density of air, kg/m^3."""
         way = abs(distance)
         drag, rolling = 0.5 * density * air, GRAVITY * way
         inertia, height = self.vehicle.rotating_mass_factor * kinetic, GRAVITY * climb
@@ -210,21 +193,28 @@ class Equation:
         speed = way / duration
         return Wheels(drag, rolling, inertia, height, energy, driving, gain, speed, force)
 
-    def rows(self, steps: Steps, conditions: Conditions, warmth: Warmth) -> np.ndarray:
+    def rows(
+        self, steps: Steps, conditions: Conditions, warmth: Warmth, wheels: Wheels | None = None
+    ) -> np.ndarray:
         """Energy of each step by each state, J per unit, shape (n, SIZE).
 
         Args:
             steps: n of them, or one, of numbers, whose row has shape (SIZE,).
             conditions: of all of them.
             warmth: of tyres and cabin.
+            wheels: `of_steps`, where they are known already.
         """
-        wheels = self.of_steps(steps, conditions)
-        found = self.moving_rows(
-            wheels, steps.duration, coldness(conditions.celsius), warmth.tyres
-        )
+        wheels = wheels or self.of_steps(steps, conditions)
+        cold = coldness(conditions.celsius)
+        found = self.moving_rows(wheels, steps.duration, cold, warmth.tyres)
+        columns: dict[State, Any] = {}
         if steps.motor_known:
-            self._by_motor(found, steps, wheels)
-        self._standing(found, steps.duration, conditions, warmth)
+            found[..., WHEELS] = 0.0
+            columns = self._motor_columns(steps)
+        for state, power in standing_powers(conditions, warmth).items():
+            columns[state] = power * steps.duration
+        for state, column in columns.items():
+            found[..., state] = column
         return np.asarray(found)
 
     def moving_rows(self, wheels: Wheels, duration: Any, cold: Any, tyres: Any) -> Any:
@@ -234,7 +224,7 @@ class Equation:
             wheels: of the steps, shape (..., n).
             duration: s, of the same shape.
             cold: tens of K below a mild day, a number or of that shape.
-            tyres: coldness of the tyres, likewise.
+            tyres: coldness of the tyres, a number or of that shape.
         """
         rows = zeros((*wheels.energy.shape, SIZE), wheels.energy)
         for state, column in self.moving_columns(wheels, duration, cold, tyres).items():
@@ -264,22 +254,13 @@ class Equation:
             State.ROLLING_DRIVE: prior,
         }
 
-    def parts(self, steps: Steps, conditions: Conditions, warmth: Warmth) -> np.ndarray:
-        """Energy of all steps together by part and state, J per unit, shape (COUNT, SIZE).
-
-        The rows of `WHOLE` add up to those of `rows`.
-        """
-        rows = self.rows(steps, conditions, warmth)
-        wheels = self.of_steps(steps, conditions)
-        return self.split(rows, wheels, coldness(conditions.celsius), warmth.tyres)
-
     def split(self, rows: np.ndarray, wheels: Wheels, cold: float, tyres: Any) -> np.ndarray:
         """Energy of n steps together by part and state, J per unit, shape (COUNT, SIZE).
 
-        At the wheels there are air, tyres, slope and speed, each of which gives back what it
-        took; what is lost on the way is the drivetrain's while the car drives and the brakes'
-        while it brakes. ETA divides the same energy between wheels and drivetrain, so the whole
-        does not depend on it.
+        Those of `WHOLE` add up to `rows`. At the wheels there are air, tyres, slope and speed,
+        each of which gives back what it took; what is lost on the way is the drivetrain's while
+        the car drives and the brakes' while it brakes. ETA divides the same energy between wheels
+        and drivetrain, so the whole does not depend on it.
 
         Args:
             rows: of the steps, as `rows` has them, shape (n, SIZE).
@@ -311,19 +292,20 @@ class Equation:
         found[Part.STANDING, STANDING] = rows[:, STANDING].sum(0)
         return found
 
-    def motor_rows(self, steps: Steps, conditions: Conditions, warmth: Warmth) -> np.ndarray:
+    def motor_rows(
+        self, steps: Steps, conditions: Conditions, warmth: Warmth, wheels: Wheels
+    ) -> np.ndarray:
         """Energy the wheels take less that of the motor, driving and braking, (2, SIZE).
 
         Each is zero, up to noise: so reported torque measures the wheels, whatever the battery
         gave. Friction brakes take a share that it does not show.
         """
-        wheels = self.of_steps(steps, conditions)
-        found = self.moving_rows(
-            wheels, steps.duration, coldness(conditions.celsius), warmth.tyres
-        )
-        by_motor = found.copy()
-        self._by_motor(by_motor, steps, wheels)
-        apart = found - by_motor
+        cold, apart = coldness(conditions.celsius), np.zeros((len(steps.duration), SIZE))
+        moving = self.moving_columns(wheels, steps.duration, cold, warmth.tyres)
+        for state in WHEELS:
+            apart[:, state] = moving[state]
+        for state, column in self._motor_columns(steps).items():
+            apart[:, state] = -column
         # A climb that no height shows is work of the wheels too, all along the way.
         apart[:, State.CLIMB] = np.abs(steps.distance) / max(np.abs(steps.distance).sum(), 1e-9)
         return np.stack((wheels.driving @ apart, (1.0 - wheels.driving) @ apart))
@@ -334,26 +316,16 @@ class Equation:
 
     def of_steps(self, steps: Steps, conditions: Conditions) -> Wheels:
         """Prior car in the steps of an interval."""
-        moved = steps.duration, steps.distance, steps.air, steps.kinetic, steps.climb
-        return self.wheels(*moved, conditions.air_density)
+        return self.wheels(*steps[:5], conditions.air_density)
 
-    def _by_motor(self, rows: np.ndarray, steps: Steps, wheels: Wheels) -> None:
-        """Let the motor's energy stand in for what the wheels take."""
-        rows[..., [*PHYSICS, *TYRES]] = 0.0
-        rows[..., State.MOTOR_DRIVE] = steps.motor_drive
-        rows[..., State.MOTOR_BRAKE] = -steps.motor_brake
+    def _motor_columns(self, steps: Steps) -> dict[State, Any]:
+        """Columns of the motor's energy, which stands in for what the wheels take."""
+        drive, brake = steps.motor_drive, -steps.motor_brake
+        columns = {State.MOTOR_DRIVE: drive, State.MOTOR_BRAKE: brake}
         if not steps.motor_scaled:
             prior = self.mean[[State.MOTOR_DRIVE, State.MOTOR_BRAKE]]
-            rows[..., State.MOTOR_RATIO] = (
-                prior[0] * steps.motor_drive - prior[1] * steps.motor_brake
-            )
-
-    def _standing(
-        self, rows: np.ndarray, duration: np.ndarray, conditions: Conditions, warmth: Warmth
-    ) -> None:
-        """Fill in loads. A car that reports its heating and cooling has these in the report."""
-        for state, power in standing_powers(conditions, warmth).items():
-            rows[..., state] = power * duration
+            columns[State.MOTOR_RATIO] = prior[0] * drive + prior[1] * brake
+        return columns
 
 
 def standing_powers(conditions: Conditions, warmth: Warmth) -> dict[State, float]:
@@ -379,17 +351,10 @@ def climate_powers(celsius: float | None, warmth: Warmth) -> dict[State, Any]:
 def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
     """A sample as one step of 1 s, so that energy is power."""
     v = abs(sample.speed)
-    flow = v + sample.head_wind
-    motor = sample.motor_power
-    columns = (
-        1.0,
-        v,
-        flow * abs(flow) * v,
-        sample.speed * sample.acceleration,
-        sample.speed * math.sin(sample.grade),
-        np.maximum(motor, 0.0),
-        np.maximum(-motor, 0.0),
-    )
+    flow, motor = v + sample.head_wind, sample.motor_power
+    kinetic, climb = sample.speed * sample.acceleration, sample.speed * math.sin(sample.grade)
+    drive, brake = np.maximum(motor, 0.0), np.maximum(-motor, 0.0)
+    columns = 1.0, v, flow * abs(flow) * v, kinetic, climb, drive, brake
     # Arithmetic with scalars of numpy takes an eighth of that with arrays of one number.
     steps = Steps._make((*np.array(columns), sample.motor_scaled))
     return steps, conditions_of(sample)

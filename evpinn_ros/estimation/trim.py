@@ -20,7 +20,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.estimation.noise import FORCE_NOISE, POWER_NOISE
+from evpinn_ros.estimation.journey import FORCE_NOISE, POWER_NOISE
 from evpinn_ros.signals.kinematics import PROFILE
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
@@ -106,9 +106,8 @@ class Trim:
         """Start at the prior, with random input weights."""
         rng = np.random.default_rng(seed)
         inner = rng.normal(0.0, 1.0, (UNITS, INPUTS)) * SPREAD
-        self._start = np.concatenate(
-            (inner.ravel(), rng.normal(0.0, 1.0, UNITS), np.zeros(UNITS + 1))
-        )
+        bias = rng.normal(0.0, 1.0, UNITS)
+        self._start = np.concatenate((inner.ravel(), bias, np.zeros(UNITS + 1)))
         inner_std = np.full(UNITS * (INPUTS + 1), WEIGHT_STD)
         outer_std = np.full(UNITS, REACH / math.sqrt(UNITS))
         self._prior = np.concatenate((inner_std, outer_std, [REACH])) ** 2

@@ -23,7 +23,7 @@ import numpy as np
 
 from evpinn_ros.common.package_data import bundled_lines
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.estimation.states import NAMES, SIZE, State
+from evpinn_ros.estimation.states import NAMES, SIZE, State, known_names
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.interval import Steps
 
@@ -55,8 +55,8 @@ class Path(NamedTuple):
     Attributes:
         duration: s.
         distance: m.
-        air: integral of v^3, m^3/s^2; of a leg not looked at.
-        kinetic: difference of v^2 / 2, J/kg; of a leg of a plan not looked at.
+        air: integral of v^3, m^3/s^2; not used of a leg.
+        kinetic: difference of v^2 / 2, J/kg; not used of a leg of a plan.
         climb: difference of height, m.
         density: of the air, kg/m^3.
         wind: against the car, m/s.
@@ -108,12 +108,7 @@ class Unevenness:
         return float(np.sqrt(self.squares / self.drives))
 
     def of_legs(self, equation: Equation, legs: Path | Steps) -> np.ndarray:
-        """Expected rows of legs beyond those at even speed, J per unit, shape (n, SIZE).
-
-        Args:
-            equation: of the car.
-            legs: n of them.
-        """
+        """Expected rows of n legs beyond those at even speed, J per unit, shape (n, SIZE)."""
         return per_leg(legs, self.per_metre(equation))
 
     def per_metre(self, equation: Equation) -> np.ndarray:
@@ -122,13 +117,7 @@ class Unevenness:
         return np.asarray(table / (self.metres + PRIOR_METRES)[..., None])
 
     def after(self, equation: Equation, mean: np.ndarray, drive: Path) -> Unevenness:
-        """With one more drive.
-
-        Args:
-            equation: of the car.
-            mean: states of the car, shape (SIZE,), by which scatter is judged.
-            drive: its steps.
-        """
+        """With the steps of one more drive; its scatter is judged by the car's mean, (SIZE,)."""
         if not drive.duration.size or not np.abs(drive.distance).sum():
             return self
         driven = _moving(equation, drive)
@@ -171,8 +160,8 @@ def size_of(energy: np.ndarray, stops: np.ndarray) -> np.ndarray:
     of their sum is the sum times the size of one.
 
     Args:
-        energy: size of what is expected of each leg, J, shape (n,): what legs take and give
-            back may cancel, but not its scatter.
+        energy: size of what is expected of each leg, J, shape (n,): energies of legs may cancel,
+            their scatter does not.
         stops: energy of one event, J, shape (n,).
     """
     return np.sqrt(np.cumsum(energy) ** 2 + OF_LEGS * np.cumsum(energy * stops))
@@ -212,14 +201,10 @@ def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
     """
     if len(saved.rows) != SHAPE[0] * SHAPE[1] * len(saved.names):
         raise ValueError("numbers of the unevenness are missing")
-    rows = np.zeros((*SHAPE, SIZE))
-    theirs = np.reshape(saved.rows, (*SHAPE, len(saved.names)))
-    for index, name in enumerate(saved.names):
-        if name in NAMES:
-            rows[..., NAMES.index(name)] = theirs[..., index]
-    lacked = [index for index, name in enumerate(NAMES) if name not in saved.names]
-    if lacked:
-        rows[..., lacked] = saved.metres[..., None] * _prior(equation)[..., lacked]
+    rows, (theirs, ours) = np.zeros((*SHAPE, SIZE)), known_names(saved.names)
+    if len(ours) < SIZE:
+        rows += saved.metres[..., None] * _prior(equation)
+    rows[..., ours] = np.reshape(saved.rows, (*SHAPE, len(saved.names)))[..., theirs]
     found = Unevenness(saved.metres, rows, saved.squares, saved.drives)
     if found.share > MOST_SHARE:
         raise ValueError("the scatter of the unevenness is out of range")
@@ -229,8 +214,10 @@ def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
 def _add_drive(
     metres: np.ndarray, rows: np.ndarray, equation: Equation, drive: Path, driven: np.ndarray
 ) -> None:
-    """Add a drive, cut into legs in many ways, to the sums of the nodes about these."""
-    for owner in _cuts(drive):
+    """Add a drive, cut into legs in many ways and whole, to the sums of the nodes about these."""
+    owners = [_cut(drive.duration, seconds) for seconds in LEG_SECONDS]
+    owners += [_cut(np.abs(drive.distance), metres) for metres in LEG_METRES]
+    for owner in (*owners, np.zeros(drive.duration.size, np.int64)):
         legs = drive.legs(owner)
         more = _summed(driven, owner, drive.duration) - even_rows(equation, legs)
         more -= _carried(equation, legs)
@@ -250,7 +237,7 @@ def _carried(equation: Equation, legs: Path) -> np.ndarray:
     """
     speed = np.concatenate(([0.0], np.abs(legs.distance) / legs.duration, [0.0]))
     half = legs.duration / 2.0
-    joined = np.concatenate((half, [0.0])) + np.concatenate(([0.0], half))
+    joined = _beside(half)
     gained = np.diff(speed**2) / 2.0
     even = gained[:-1] * half / joined[:-1] + gained[1:] * half / joined[1:]
     beyond = equation.vehicle.rotating_mass_factor * (legs.kinetic - even)
@@ -273,21 +260,21 @@ def _joined(half: Path, speed: np.ndarray) -> Path:
     """Steps from the middle of each leg to that of the next, the first and last from standing."""
     flow = speed + half.wind
     air = flow * np.abs(flow) * np.abs(half.distance)
-
-    def both(column: np.ndarray) -> np.ndarray:
-        return np.append(column, 0.0) + np.concatenate(([0.0], column))
-
     ends = np.concatenate(([0.0], speed, [0.0]))
-    still = np.zeros(len(speed) + 1)
     return Path(
-        both(half.duration),
-        both(half.distance),
-        both(air),
+        _beside(half.duration),
+        _beside(half.distance),
+        _beside(air),
         np.diff(ends**2) / 2.0,
-        both(half.climb),
+        _beside(half.climb),
         np.append(half.density, half.density[-1]),
-        still,
+        np.zeros(len(speed) + 1),
     )
+
+
+def _beside(half: np.ndarray) -> np.ndarray:
+    """Sums of the halves on both sides of each border between legs."""
+    return np.append(half, 0.0) + np.concatenate(([0.0], half))
 
 
 def _moving(equation: Equation, path: Path) -> np.ndarray:
@@ -296,14 +283,8 @@ def _moving(equation: Equation, path: Path) -> np.ndarray:
     return np.asarray(equation.moving_rows(wheels, path.duration, 0.0, 0.0))
 
 
-def _cuts(drive: Path) -> list[np.ndarray]:
-    """Numbers of the legs of each step, for each way to cut a drive, and whole."""
-    by_time = [_cut(drive.duration, seconds) for seconds in LEG_SECONDS]
-    by_way = [_cut(np.abs(drive.distance), metres) for metres in LEG_METRES]
-    return [*by_time, *by_way, np.zeros(drive.duration.size, np.int64)]
-
-
 def _cut(along: np.ndarray, size: float) -> np.ndarray:
+    """Numbers of the legs of this size, s or m, that steps belong to."""
     return np.maximum((np.cumsum(along) - 1e-9) // size, 0.0).astype(np.int64)
 
 

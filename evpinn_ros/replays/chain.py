@@ -13,7 +13,7 @@ from evpinn_ros.energy.rknn import load_rknn
 from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator, Output
-from evpinn_ros.estimation.worker import Worker
+from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.signals.readings import Reading, SpeedReading
 from evpinn_ros.signals.time_jump import (
     DEFAULT_RULE,
@@ -34,7 +34,7 @@ class Chain:
         self,
         vehicle: Vehicle,
         settings: EstimatorSettings,
-        worker: Worker,
+        worker: InlineWorker,
         rule: JumpRule = DEFAULT_RULE,
     ) -> None:
         """Start at the vehicle's priors and at zero energy.

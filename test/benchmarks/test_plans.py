@@ -15,7 +15,7 @@ from evpinn_ros.energy.power_model import PowerModel
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.journey import NOWHERE
-from evpinn_ros.estimation.learning import passed
+from evpinn_ros.estimation.posterior import passed
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.signals.interval import Interval
 

@@ -100,7 +100,7 @@ def test_each_alternative_works_and_is_undone(car, product, variant):
 
 
 def test_the_command_scores_each_car_with_what_the_other_chose(tmp_path, monkeypatch):
-    place = ConstantPlace("noise", "NOISE_TIME")
+    place = ConstantPlace("journey", "NOISE_TIME")
     monkeypatch.setattr(settings, "SETTINGS", (Setting(place, (1.5, 30.0)),))
     file = tmp_path / "found.json"
     command = ["bench", "settings", "", "--cars", f"{URBAN},{HIGHWAY}", "--metrics", str(file)]

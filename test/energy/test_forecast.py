@@ -11,7 +11,7 @@ from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.energy.forecast import DIRECTION_LENGTH, forecast_plan
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.estimation.noise import LOAD_TIME
+from evpinn_ros.estimation.journey import LOAD_TIME
 from evpinn_ros.estimation.states import State
 from evpinn_ros.vehicle.identifiable import (
     IDENTIFIABLE_NAMES,

@@ -9,8 +9,7 @@ import pytest
 
 from benchmarks.truth import CarChain
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.estimation.journey import NOWHERE
-from evpinn_ros.estimation.noise import noise_of
+from evpinn_ros.estimation.journey import NOWHERE, noise_of
 from evpinn_ros.estimation.states import TABLE, WEIGHTS, State
 from evpinn_ros.estimation.terms import WARM, Warmth
 from evpinn_ros.signals.interval import Steps

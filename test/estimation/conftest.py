@@ -10,8 +10,8 @@ import pytest
 
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import Mode, OnlineEstimator
-from evpinn_ros.estimation.learning import passed
-from evpinn_ros.estimation.worker import InlineWorker, Worker
+from evpinn_ros.estimation.posterior import passed
+from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.paper.settings import SETTINGS
 from evpinn_ros.signals.interval import Interval, Steps
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -156,7 +156,7 @@ def drive() -> Callable[[int, float], SimulatedDrive]:
 def new_estimator(vehicle) -> Callable[..., OnlineEstimator]:
     """An estimator of this car with these settings."""
 
-    def make(worker: Worker | None = None, mode=Mode.HYBRID, **settings) -> OnlineEstimator:
+    def make(worker: InlineWorker | None = None, mode=Mode.HYBRID, **settings) -> OnlineEstimator:
         clock = iter(range(10**9)).__next__  # each look at it takes a second
         return OnlineEstimator(vehicle, SETTINGS[mode](**settings), worker or InlineWorker(clock))
 

@@ -12,7 +12,7 @@ from benchmarks.truth import PROFILE
 from evpinn_ros.estimation.bands import CASES_KEPT, GROWTHS, Bands, PredictedEnergy, Spread
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.journey import NOWHERE
-from evpinn_ros.estimation.learning import passed
+from evpinn_ros.estimation.posterior import passed
 from evpinn_ros.estimation.terms import Equation, equation_of
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS

@@ -7,7 +7,7 @@ import pytest
 
 from evpinn_ros.estimation.breakdown import NET_CLIMB, climb_as_rolling, net_climb
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.learning import passed
+from evpinn_ros.estimation.posterior import passed
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.terms import WHOLE, Part, equation_of
 from evpinn_ros.simulation.drive import DriveKind

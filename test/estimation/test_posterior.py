@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.estimation import posterior
-from evpinn_ros.estimation.journey import NOWHERE, Journey
-from evpinn_ros.estimation.learning import learn, passed
-from evpinn_ros.estimation.noise import LOAD_TIME, noise_of, wandered
+from evpinn_ros.estimation.journey import LOAD_TIME, NOWHERE, Journey, noise_of, wandered
 from evpinn_ros.estimation.posterior import (
     BANK,
     advance,
@@ -17,6 +15,8 @@ from evpinn_ros.estimation.posterior import (
     condition,
     forget_road,
     initial_state,
+    learn,
+    passed,
     see_motor,
     see_reported_climate,
 )

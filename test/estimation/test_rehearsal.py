@@ -14,7 +14,7 @@ from evpinn_ros.estimation.bands import (
     Spread,
 )
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.learning import passed
+from evpinn_ros.estimation.posterior import passed
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.vehicle.files import load_vehicle

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.learning import passed
 from evpinn_ros.estimation.pinn import PinnLearner
-from evpinn_ros.estimation.posterior import CarState, initial_state
+from evpinn_ros.estimation.posterior import CarState, initial_state, passed
 from evpinn_ros.estimation.saved_car import SavedState, saved_state, state_of
 from evpinn_ros.estimation.states import NAMES, OFFSETS, SIZE, State
 from evpinn_ros.estimation.terms import equation_of

@@ -52,6 +52,11 @@ def one_more(state: int, amount: float) -> np.ndarray:
     return mean
 
 
+def parts_of(steps, conditions) -> np.ndarray:
+    rows, wheels = EQUATION.rows(steps, conditions, START), EQUATION.of_steps(steps, conditions)
+    return EQUATION.split(rows, wheels, coldness(conditions.celsius), START.tyres)
+
+
 @settings(deadline=None, max_examples=50)
 @given(
     st.integers(0, 10_000),
@@ -61,7 +66,7 @@ def one_more(state: int, amount: float) -> np.ndarray:
 )
 def test_parts_add_up_to_the_whole_for_every_state(seed, conditions, motor, length):
     steps = steps_of(seed, motor=motor, length=length)
-    parts = EQUATION.parts(steps, conditions, START)
+    parts = parts_of(steps, conditions)
     whole = EQUATION.rows(steps, conditions, START).sum(0)
     assert parts.shape == (COUNT, SIZE)
     np.testing.assert_allclose(parts[WHOLE].sum(0), whole, rtol=1e-9, atol=1e-6)
@@ -158,5 +163,5 @@ def test_loads_are_those_of_the_temperature_or_of_the_report():
 def test_lifting_a_car_takes_its_weight_times_the_height():
     one, none = np.ones(1), np.full(1, math.nan)
     steps = Steps(one, 20.0 * one, 8000.0 * one, 0.0 * one, one, none, none)
-    parts = EQUATION.parts(steps, MILD, START) @ EQUATION.mean
+    parts = parts_of(steps, MILD) @ EQUATION.mean
     assert parts[Part.SLOPE] == pytest.approx(GRAVITY * CAR.initial.mass)

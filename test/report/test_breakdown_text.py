@@ -27,7 +27,8 @@ def breakdown(correlation: float = 0.0) -> Breakdown:
         covariance[part, part] = big
     covariance[Part.AIR, Part.DRIVETRAIN] = correlation * big
     covariance[Part.DRIVETRAIN, Part.AIR] = correlation * big
-    return Breakdown(energy, covariance, 10.0 * JOULES_PER_KWH, 0.0, 5e4, 3000.0)
+    totals = 10.0 * JOULES_PER_KWH, 0.0, 5e4, 3000.0
+    return Breakdown(*totals, energy=energy, covariance=covariance)
 
 
 def test_rows_add_up_to_what_was_measured():
