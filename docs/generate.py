@@ -28,7 +28,7 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.estimation.posterior import DRIVE_KEPT, NETWORK_STDS
 from evpinn_ros.estimation.states import NETWORK, State
 from evpinn_ros.signals.detector import TABLE
-from evpinn_ros.signals.ranges import RANGES
+from evpinn_ros.signals.readings import RANGES
 from evpinn_ros.topics import TOPICS, Topic
 from evpinn_ros.topics.node_parameters import TABLES, Parameter
 from evpinn_ros.vehicle.certified import certified_cars

@@ -14,14 +14,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
 
-from evpinn_ros.signals.ranges import why_impossible
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     BatteryReading,
-    MotorReading,
     Reading,
     SpeedReading,
     drawn_power,
+    why_impossible,
 )
 from evpinn_ros.signals.road import GradeSource, Road
 from evpinn_ros.vehicle.files import Vehicle
@@ -84,7 +83,7 @@ class StepStream:
             self._volts.add(reading.stamp_ns, reading.voltage)
             self._amperes.add(reading.stamp_ns, reading.current)
             yield from self._measured()
-        elif not isinstance(reading, MotorReading) and why_impossible(reading) is None:
+        elif why_impossible(reading) is None:
             self._road.add_reading(reading)
 
     def _add_speed(self, reading: SpeedReading) -> Iterator[DrivingStep]:
@@ -122,7 +121,7 @@ class StepStream:
 
     def _step(self, before: tuple[int, float], now: tuple[int, float]) -> DrivingStep:
         (begin, u), (end, v) = before, now
-        grade = self._road.grade(end)
+        grade, around = self._road.grade(end), self._road.conditions(end)
         mean = (u + v) / 2
         return DrivingStep(
             begin,
@@ -132,9 +131,9 @@ class StepStream:
             kinetic=(v * v - u * u) / 2 * NANOSECONDS / (end - begin),
             climb=mean * math.sin(grade),
             grade=grade,
-            density=self._road.air_density(),
-            known=self._road.known_auxiliary(end),
-            celsius=self._road.celsius,
+            density=around.air_density,
+            known=around.load,
+            celsius=around.celsius,
         )
 
     def _measured(self) -> Iterator[DrivingStep]:

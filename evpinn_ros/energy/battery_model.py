@@ -27,8 +27,13 @@ from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
 from evpinn_ros.energy.forecast import Forecast
 from evpinn_ros.energy.quadrature import MAX_GAP, EnergyIntegral
 from evpinn_ros.energy.rknn import Slope, energy_step, slopes
-from evpinn_ros.signals.ranges import MAX_CURRENT, MAX_VOLTAGE, MIN_VOLTAGE
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.signals.readings import (
+    MAX_CURRENT,
+    MAX_VOLTAGE,
+    MIN_VOLTAGE,
+    NANOSECONDS,
+    BatteryReading,
+)
 
 LEARN_EVERY = 1.0  # s
 # 1-sigma of the voltage that the model lacks, V: 1.5 V, which last for a minute.

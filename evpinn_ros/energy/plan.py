@@ -16,7 +16,7 @@ import numpy as np
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.charge import FIRST_STEP, Uncertain
-from evpinn_ros.signals.ranges import MAX_WIND
+from evpinn_ros.signals.readings import MAX_WIND
 
 MAX_SPEED = 100.0  # m/s: faster is a teleport
 MAX_POINTS = 50_000  # of one trip: more than an hour at 10 Hz, or 1000 km in steps of 20 m

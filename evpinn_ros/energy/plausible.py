@@ -17,7 +17,7 @@ from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.journey import FORCE_NOISE
 from evpinn_ros.estimation.states import State
 from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Unevenness
-from evpinn_ros.signals.ranges import MAX_SPEED, TEMPERATURES
+from evpinn_ros.signals.readings import MAX_SPEED, TEMPERATURES
 
 # More than any road vehicle is charged with, and so than any draws: CharIN's Megawatt Charging
 # System ends at 1250 V and 3000 A; the strongest cars drive with 1.6 MW.

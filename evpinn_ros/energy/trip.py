@@ -10,7 +10,7 @@ from typing import NamedTuple
 from evpinn_ros.common.saved_fields import Saveable
 from evpinn_ros.energy.plausible import Joules, Metres
 from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral, SavedIntegral
-from evpinn_ros.signals.ranges import MAX_SPEED
+from evpinn_ros.signals.readings import MAX_SPEED
 
 WINDOWS = (1e3, 1e4, 1e5)  # m
 BUCKETS = 20  # of a window

@@ -35,14 +35,7 @@ from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.signals.detector import BATTERY_STUCK
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.signals.sample import (
-    Gap,
-    MeasuredSample,
-    NewestSample,
-    Sample,
-    SmoothedSample,
-    StreamEvent,
-)
+from evpinn_ros.signals.sample import MeasuredSample, Sample, StreamEvent
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.signals.stuck import StuckDetector
 from evpinn_ros.vehicle.files import Vehicle
@@ -294,11 +287,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def _handle(self, event: StreamEvent) -> Iterator[Output]:
         match event:
-            case NewestSample():
-                yield from self._predict(PowerKind.PREDICTED, event.sample)
-            case SmoothedSample():
-                self._learner.advance(event.sample)
-                yield from self._predict(PowerKind.SMOOTHED, event.sample)
+            case Sample(newest=True):
+                yield from self._predict(PowerKind.PREDICTED, event)
+            case Sample():
+                self._learner.advance(event)
+                yield from self._predict(PowerKind.SMOOTHED, event)
             case MeasuredSample():
                 stamp_ns = event.sample.stamp_ns
                 if (stuck := self._stuck.why_not(stamp_ns, stamp_ns)) is not None:
@@ -317,8 +310,6 @@ class OnlineEstimator(Saveable[SavedEstimator]):
                 sound = self._stuck.why_not(event.start_ns, event.end_ns) is None
                 if dropout or (self.enabled and sound):
                     self._news |= self._learner.add_interval(event)
-            case Gap():
-                pass  # no sample spans it; the learner sees in the next stamp that time passed
 
     def _predict(self, kind: PowerKind, sample: Sample) -> Iterator[PowerEstimate]:
         prediction = self._learner.predict(sample)

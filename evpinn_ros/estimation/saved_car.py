@@ -20,7 +20,7 @@ from evpinn_ros.estimation.posterior import (
 )
 from evpinn_ros.estimation.states import LASTING, NAMES, OFFSETS, known_names
 from evpinn_ros.estimation.terms import Equation
-from evpinn_ros.signals.ranges import TEMPERATURES
+from evpinn_ros.signals.readings import TEMPERATURES
 
 MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
 MOST_EVIDENCE = 1e15

@@ -41,8 +41,7 @@ from evpinn_ros.nodes.typed import (
     TYPED_FORECAST,
     assumed_conditions,
 )
-from evpinn_ros.signals.ranges import why_impossible
-from evpinn_ros.signals.readings import BatteryReading
+from evpinn_ros.signals.readings import BatteryReading, why_impossible
 from evpinn_ros.signals.time_jump import StampGuard
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.cdr import CdrError

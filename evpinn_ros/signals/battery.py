@@ -32,13 +32,8 @@ class BatteryTrack:
 
     def __init__(self, max_gap: float) -> None:
         """Never interpolate across gaps (see `Cadence`)."""
-        self._max_gap = max_gap
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget every reading: time went back."""
         self._power_std = 0.0  # W, of a coarse reading
-        self._voltage, self._current = SignalTrack(self._max_gap), SignalTrack(self._max_gap)
+        self._voltage, self._current = SignalTrack(max_gap), SignalTrack(max_gap)
 
     @property
     def newest_ns(self) -> int | None:

@@ -6,8 +6,8 @@ the table: above `on` there is the fault, at or below `off` there is none, and i
 verdict stays. Less than `least` of what the evidence rests on changes no verdict.
 `docs/reference/detectors.md` is made from the table.
 
-No detectors, because each judges one value by itself and remembers nothing: ranges (`ranges`), and
-leaps of speed (`kinematics.SpeedTrack.leaps`) and altitude (`height`). Nor jumps of time
+No detectors, because each judges one value by itself and remembers nothing: ranges (`readings`),
+and leaps of speed (`kinematics.SpeedTrack.leaps`) and altitude (`height`). Nor jumps of time
 (`time_jump`), which hold readings back and put them in order, nor the fit of a CAN profile
 (`can.fit`), which counts frames.
 """

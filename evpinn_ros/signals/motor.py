@@ -30,12 +30,12 @@ class MotorTrack:
         self.scaled = not math.isnan(ratio)
         self._ratio = ratio if self.scaled else NOMINAL_RATIO
 
-    def add(self, reading: MotorReading, car_speed: float) -> bool:
-        """Take a reading at a speed of the car, m/s; False when it is not new."""
+    def add(self, reading: MotorReading, car_speed: float) -> None:
+        """Take a reading at a speed of the car, m/s."""
         known = not math.isnan(reading.speed)
         self.scaled = self.scaled or known
         turning = reading.speed if known else self._ratio * car_speed
-        return self._power.add(reading.stamp_ns, reading.torque * turning)
+        self._power.add(reading.stamp_ns, reading.torque * turning)
 
     def at(self, stamp_ns: int) -> float:
         """Power at a moment, W, that of the last reading where it is the newest; NaN unknown."""

@@ -6,18 +6,19 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from enum import Enum
 import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from evpinn_ros.signals.height import LEAP, STEEPEST, AltitudeDetector
-from evpinn_ros.signals.ranges import GRADE_LIMIT
 from evpinn_ros.signals.readings import (
+    GRADE_LIMIT,
     NANOSECONDS,
     AltitudeReading,
     AuxiliaryReading,
     GradeReading,
     PressureReading,
+    Reading,
     TemperatureReading,
     WindReading,
 )
@@ -35,15 +36,6 @@ WIND_STALE_AFTER = 600.0  # s; weather stations report a mean of ten minutes
 REFERENCE_CELSIUS = 20.0  # at which vehicle files state air density
 KELVIN = 273.15
 GAS_CONSTANT = 287.05  # J/(kg K), of dry air
-
-RoadReading: TypeAlias = (
-    AltitudeReading
-    | AuxiliaryReading
-    | GradeReading
-    | PressureReading
-    | TemperatureReading
-    | WindReading
-)
 
 
 def density_of_air(reference: float, celsius: float | None, pascal: float | None) -> float:
@@ -99,15 +91,21 @@ class Road:
         self._celsius: float | None = None
         self._pascal: float | None = None
         self._wind: WindReading | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop what may not be joined across a gap or a jump of time."""
         self._auxiliary: AuxiliaryReading | None = None
         self._pitch: deque[tuple[int, float]] = deque()
         self._hill = _Hill()
         self._altitude_ns: int | None = None
         self._altitudes = SignalTrack(STALE_AFTER)
-        self._begin_heights()
+        self._odometer = self._height = 0.0  # m
+        self._altitude = AltitudeDetector()
+        self._placed_ns = -(2**63)  # up to here heights were given
 
-    def add_reading(self, reading: RoadReading) -> None:
-        """Take one reading."""
+    def add_reading(self, reading: Reading) -> None:
+        """Take a reading; those that are not of road, air or loads are passed over."""
         match reading:
             case TemperatureReading():
                 self._celsius = reading.celsius
@@ -131,20 +129,6 @@ class Road:
         """Move on by a distance, m."""
         self._hill.travel(distance)
 
-    def forget(self) -> None:
-        """Drop what may not be joined across a gap or a jump of time."""
-        self._pitch.clear()
-        self._hill = _Hill()
-        self._altitude_ns = None
-        self._altitudes = SignalTrack(STALE_AFTER)
-        self._auxiliary = None
-        self._begin_heights()
-
-    def _begin_heights(self) -> None:
-        self._odometer = self._height = 0.0  # m
-        self._altitude = AltitudeDetector()
-        self._placed_ns = -(2**63)  # up to here heights were given
-
     def grade(self, stamp_ns: int) -> float:
         """Road incline angle, rad, 0 while unknown."""
         if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._fresh_pitch(stamp_ns):
@@ -153,20 +137,24 @@ class Road:
             return self._altitude_grade(stamp_ns)
         return 0.0
 
-    @property
-    def celsius(self) -> float | None:
-        """Temperature of the air outside, None while unknown."""
-        return self._celsius
-
     def conditions(self, stamp_ns: int) -> Conditions:
-        """The surroundings at a moment."""
+        """The surroundings at a moment.
+
+        A heater that reports kilowatts on a warm day is not plausible: on five of six real drives
+        above 20 degrees none of it was drawn, below all of it. So it is `doubted_load` there.
+        """
+        wind, loads = self._wind, self._auxiliary
+        blows = wind is not None and _age(stamp_ns, wind.stamp_ns) <= WIND_STALE_AFTER
+        fresh = loads is not None and _age(stamp_ns, loads.stamp_ns) <= STALE_AFTER
+        heating, others = (loads.heating, loads.others) if loads and fresh else (0.0, 0.0)
+        warm = self._celsius is not None and self._celsius >= HEATED_BELOW
         return Conditions(
-            self.air_density(),
-            self.head_wind(stamp_ns),
+            density_of_air(self._reference_density, self._celsius, self._pascal),
+            wind.head if wind and blows else 0.0,
             self._celsius,
-            self.known_auxiliary(stamp_ns),
-            self._auxiliary is not None,
-            self.doubted_load(stamp_ns),
+            load=others + heating * (not warm),
+            load_known=loads is not None,
+            doubted_load=heating * warm,
         )
 
     def heights(
@@ -197,17 +185,6 @@ class Road:
                     self._height += rise.height
                     yield place, self._height
 
-    def air_density(self) -> float:
-        """Air density, kg/m^3: that of the vehicle file until temperature or pressure is known."""
-        return density_of_air(self._reference_density, self._celsius, self._pascal)
-
-    def head_wind(self, stamp_ns: int) -> float:
-        """Wind against the car, m/s, 0 while unknown."""
-        wind = self._wind
-        if wind is None or _age(stamp_ns, wind.stamp_ns) > WIND_STALE_AFTER:
-            return 0.0
-        return wind.head
-
     def unknown(self, stamp_ns: int) -> tuple[str, ...]:
         """Those of grade, temperature, pressure, wind and loads that no input gives."""
         given = {
@@ -218,32 +195,6 @@ class Road:
             "loads": self._auxiliary is not None,
         }
         return tuple(name for name, known in given.items() if not known)
-
-    def known_auxiliary(self, stamp_ns: int) -> float:
-        """Power of the auxiliary loads the car reports, W, 0 while unknown.
-
-        Heating on a warm day is not among them (`doubted_load`).
-        """
-        loads = self._fresh_loads(stamp_ns)
-        return 0.0 if loads is None else loads.others + loads.heating * (not self._warm)
-
-    def doubted_load(self, stamp_ns: int) -> float:
-        """Heating, W, that the car reports on a warm day; 0 while unknown.
-
-        A heater that reports kilowatts then is not plausible: on five of six real drives above
-        20 degrees none of it was drawn, below all of it.
-        """
-        loads = self._fresh_loads(stamp_ns)
-        return 0.0 if loads is None else loads.heating * self._warm
-
-    @property
-    def _warm(self) -> bool:
-        return self._celsius is not None and self._celsius >= HEATED_BELOW
-
-    def _fresh_loads(self, stamp_ns: int) -> AuxiliaryReading | None:
-        loads = self._auxiliary
-        stale = loads is None or _age(stamp_ns, loads.stamp_ns) > STALE_AFTER
-        return None if stale else loads
 
     def _fresh_pitch(self, stamp_ns: int) -> bool:
         return bool(self._pitch) and _age(stamp_ns, self._pitch[-1][0]) < STALE_AFTER

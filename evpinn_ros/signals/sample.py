@@ -27,7 +27,8 @@ class Sample:
         doubted_load: heating that the car reports on a warm day, W, which is often not drawn.
         motor_power: mechanical power of the motor, W, NaN where no bus reports it.
         motor_scaled: whether that is in W; else up to a factor, for the gear is not known.
-        newest: whether it is the newest moment, whose future is unknown.
+        newest: whether it is the newest moment, whose acceleration is causal (`power/predicted`);
+            else it lies `smoothing_lag` back and is smoothed (`power/smoothed`).
     """
 
     stamp_ns: int
@@ -46,20 +47,6 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class NewestSample:
-    """The newest moment, its acceleration causal: for `power/predicted`."""
-
-    sample: Sample
-
-
-@dataclass(frozen=True, slots=True)
-class SmoothedSample:
-    """A moment `smoothing_lag` ago, its acceleration smoothed: for `power/smoothed`."""
-
-    sample: Sample
-
-
-@dataclass(frozen=True, slots=True)
 class MeasuredSample:
     """A smoothed sample and the battery power, W, measured at its moment: to learn from."""
 
@@ -67,12 +54,4 @@ class MeasuredSample:
     power: float
 
 
-@dataclass(frozen=True, slots=True)
-class Gap:
-    """Speed was missing for longer than `max_gap`; nothing may be learned or joined across."""
-
-    stamp_ns: int
-    duration: float
-
-
-StreamEvent: TypeAlias = NewestSample | SmoothedSample | MeasuredSample | Interval | Gap
+StreamEvent: TypeAlias = Sample | MeasuredSample | Interval

@@ -1,7 +1,7 @@
 """Readings in, one time-ordered stream of samples and intervals out.
 
-Speed sets the pace. Each new speed gives a `NewestSample` at once; each moment that lies
-`smoothing_lag` back gives a `SmoothedSample` (at most one each `SAMPLE_PERIOD`), and a
+Speed sets the pace. Each new speed gives a newest `Sample` at once; each moment that lies
+`smoothing_lag` back gives a smoothed one (at most one each `SAMPLE_PERIOD`), and a
 `MeasuredSample` once battery readings on both sides of it are known, not before the smoothed
 moments up to the later one, so that no prediction rests on a battery reading of its own moment or
 after, and not before `allowed_lateness` has passed since the later one, so that the samples are
@@ -28,24 +28,18 @@ from evpinn_ros.signals.kinematics import (
     SpeedTrack,
 )
 from evpinn_ros.signals.motor import MotorTrack
-from evpinn_ros.signals.ranges import MAX_SPEED, why_impossible
 from evpinn_ros.signals.readings import (
+    MAX_SPEED,
     NANOSECONDS,
     BatteryReading,
     MotorReading,
     Reading,
     SpeedReading,
     drawn_power,
+    why_impossible,
 )
 from evpinn_ros.signals.road import GradeSource, Road
-from evpinn_ros.signals.sample import (
-    Gap,
-    MeasuredSample,
-    NewestSample,
-    Sample,
-    SmoothedSample,
-    StreamEvent,
-)
+from evpinn_ros.signals.sample import MeasuredSample, Sample, StreamEvent
 
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
 
@@ -128,11 +122,6 @@ class SampleStream:
         return self._road.unknown(self.newest_ns or 0)
 
     @property
-    def celsius(self) -> float | None:
-        """Temperature of the air outside, None while unknown."""
-        return self._road.celsius
-
-    @property
     def battery_ns(self) -> int | None:
         """Stamp of the newest battery reading, None before the first."""
         return self._battery.newest_ns
@@ -159,10 +148,10 @@ class SampleStream:
             yield from self._add_speed(reading)
         elif isinstance(reading, BatteryReading):
             self._add_battery(reading)
-        elif not isinstance(reading, MotorReading):
-            self._road.add_reading(reading)
-        elif len(self._speed):
+        elif isinstance(reading, MotorReading) and len(self._speed):
             self._motor.add(reading, self._speed.newest)
+        else:
+            self._road.add_reading(reading)
         if self._last_moment_ns is not None:
             yield from self._match_power(self._last_moment_ns)
         if len(self._speed):
@@ -180,9 +169,7 @@ class SampleStream:
             return
         if newest is not None and reading.stamp_ns - newest > self._speed.cadence.gap_ns:
             yield from self._intervals.finish()
-            gap = (reading.stamp_ns - newest) / NANOSECONDS
-            yield Gap(reading.stamp_ns, gap)
-            self._speed.restart(gap)
+            self._speed.restart((reading.stamp_ns - newest) / NANOSECONDS)
             self._moments.clear()
             self._begin_stretch()
         elif newest is not None:
@@ -194,17 +181,15 @@ class SampleStream:
         yield from self._newest_sample(reading)
         yield from self._smoothed_samples()
 
-    def _newest_sample(self, reading: SpeedReading) -> Iterator[NewestSample]:
+    def _newest_sample(self, reading: SpeedReading) -> Iterator[Sample]:
         differences = self._speed.differences()
         acceleration = self._differentiator.acceleration(reading.stamp_ns, differences)
         if abs(acceleration) > MAX_ACCELERATION:
             self.dropped["acceleration_impossible"] += 1
             return
-        yield NewestSample(
-            self._sample(reading.stamp_ns, reading.speed, acceleration, newest=True)
-        )
+        yield self._sample(reading.stamp_ns, reading.speed, acceleration, newest=True)
 
-    def _smoothed_samples(self) -> Iterator[SmoothedSample | MeasuredSample]:
+    def _smoothed_samples(self) -> Iterator[Sample | MeasuredSample]:
         newest = self._speed.newest_ns
         while self._moments and newest - self._moments[0] >= self._lag_ns:
             stamp_ns = self._moments.popleft()
@@ -221,7 +206,7 @@ class SampleStream:
             self._differentiator.learn(stamp_ns, acceleration)
             sample = self._sample(stamp_ns, speed, acceleration)
             self._unmeasured.append(sample)
-            yield SmoothedSample(sample)
+            yield sample
 
     def _due(self, stamp_ns: int) -> bool:
         """True if a moment is far enough from the last one sampled."""
@@ -233,17 +218,18 @@ class SampleStream:
     def _sample(
         self, stamp_ns: int, speed: float, acceleration: float, *, newest: bool = False
     ) -> Sample:
+        around = self._road.conditions(stamp_ns)
         return Sample(
             stamp_ns=stamp_ns,
             speed=speed,
             acceleration=acceleration,
             grade=self._road.grade(stamp_ns),
-            air_density=self._road.air_density(),
-            known_auxiliary=self._road.known_auxiliary(stamp_ns),
+            air_density=around.air_density,
+            known_auxiliary=around.load,
             profile=self._speed.profile(stamp_ns, self._speed.newest_ns, acceleration),
-            head_wind=self._road.head_wind(stamp_ns),
-            celsius=self._road.celsius,
-            doubted_load=self._road.doubted_load(stamp_ns),
+            head_wind=around.head_wind,
+            celsius=around.celsius,
+            doubted_load=around.doubted_load,
             motor_power=self._motor.at(stamp_ns),
             motor_scaled=self._motor.scaled,
             newest=newest,

@@ -12,7 +12,7 @@ from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.plausible import MAX_POWER
 from evpinn_ros.energy.reconciliation import Verdict
 from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.signals.ranges import MAX_SPEED
+from evpinn_ros.signals.readings import MAX_SPEED
 
 START = 1_700_000_000_000_000_000
 CAPACITY = 70e6  # J

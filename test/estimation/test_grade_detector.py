@@ -49,14 +49,14 @@ def hills(vehicle, intervals) -> Hills:
 
 @pytest.mark.parametrize("sign", [1.0, 0.0])
 def test_a_right_grade_and_none_are_never_suspected(hills, sign):
-    assert not hills.drive(1800, sign)
+    assert not hills.drive(1200, sign)
 
 
 @pytest.mark.slow
 def test_a_flipped_grade_is_found_within_ten_kilometres_and_mended(hills):
     hills.drive(660, -1.0)
     assert hills.car.grade.detected == GRADE_SIGN
-    hills.drive(5400, 1.0)
+    hills.drive(2400, 1.0)
     assert not hills.car.grade.detected
 
 

@@ -85,8 +85,6 @@ def test_the_latest_voltage_serves_a_current_alone():
     assert found.latest_voltage(at(-0.1)) is None and found.latest_voltage(at(60.0)) is None
     assert found.next_ns(at(1.0)) == at(1.8) and found.next_ns(at(5.5)) is None
     assert not found.add(at(4.8), 99.0, math.nan), "doubled"
-    found.restart()
-    assert found.newest_ns is None
 
 
 def test_whole_kilowatts_are_as_unsure_as_their_energies_are_off():

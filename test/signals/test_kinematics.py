@@ -1,7 +1,7 @@
 from itertools import pairwise
 import math
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -82,6 +82,7 @@ def test_what_is_not_known_has_no_profile():
 
 
 @given(steps, st.floats(-5, 20))
+@settings(max_examples=25)
 def test_distance_and_flow_are_exact_where_speed_is_linear(gaps, head_wind):
     """In pieces as in one, and as the integrals of v and w |w| v by hand."""
     times = np.cumsum(gaps)
@@ -119,6 +120,7 @@ def test_what_comes_after_until_is_not_used():
 
 
 @given(st.permutations(range(20)))
+@settings(max_examples=25)
 def test_the_order_of_arrival_within_the_track_is_all_the_same(order):
     speeds = [math.sin(0.3 * k) for k in range(20)]
     found = track([0.1 * k for k in order], [speeds[k] for k in order])
@@ -173,10 +175,9 @@ def test_what_is_not_pending_teaches_nothing():
     assert learner.weights.tolist() == start.tolist()
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_the_learned_differentiator_beats_a_plain_difference(seed):
-    """Noisy simulated speed against the true acceleration, the second half of five minutes."""
-    drive = simulate(DriveKind.URBAN, load_vehicle("tesla_model_3_lr"), 300.0, seed)
+def test_the_learned_differentiator_beats_a_plain_difference():
+    """Noisy simulated speed against the true acceleration, the second half of three minutes."""
+    drive = simulate(DriveKind.URBAN, load_vehicle("tesla_model_3_lr"), 180.0, 1)
     readings = [r for r in drive.readings if isinstance(r, SpeedReading)]
     times = (np.array([r.stamp_ns for r in readings]) - readings[0].stamp_ns) / NANOSECONDS
     times += (readings[0].stamp_ns - 1_735_689_600 * NANOSECONDS) / NANOSECONDS

@@ -10,14 +10,19 @@ import pytest
 
 from evpinn_ros.signals.interval import DURATION, Interval
 from evpinn_ros.signals.kinematics import MAX_ACCELERATION
-from evpinn_ros.signals.ranges import MAX_SPEED
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.signals.sample import Gap, MeasuredSample, NewestSample, SmoothedSample
+from evpinn_ros.signals.readings import (
+    MAX_SPEED,
+    NANOSECONDS,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+)
+from evpinn_ros.signals.sample import MeasuredSample, Sample
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.signals.time_jump import Jump, StampGuard
 
 START = 1_700_000_000 * NANOSECONDS
-COUNT = 250  # readings, 25 s
+COUNT = 150  # readings, 15 s
 
 
 @given(
@@ -25,7 +30,7 @@ COUNT = 250  # readings, 25 s
     st.lists(st.floats(-200.0, 200.0), min_size=COUNT, max_size=COUNT),
     st.integers(0, 99),
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 @pytest.mark.slow
 def test_batteries_that_come_up_to_the_allowed_lateness_late_change_nothing(
     delays, currents, phase
@@ -52,7 +57,7 @@ def test_batteries_that_come_up_to_the_allowed_lateness_late_change_nothing(
         return [repr(event) for event in kept]
 
     in_order = measured([0] * COUNT)
-    assert len(in_order) > 85 and any("Interval(" in event for event in in_order)
+    assert len(in_order) > 50 and any("Interval(" in event for event in in_order)
     assert sorted(measured(delays)) == sorted(in_order)
 
 
@@ -69,6 +74,13 @@ onwards = st.one_of(
     st.integers(-3_000_000_000, 3_000_000_000),
 )
 anywhere = st.one_of(st.integers(-(2**63), 2**63), st.sampled_from([0, -1, 2**63 - 1, -(2**63)]))
+
+
+def kind_of(event):
+    """Kind of a sample, or type of another event."""
+    if isinstance(event, Sample):
+        return "newest" if event.newest else "smoothed"
+    return type(event)
 
 
 @st.composite
@@ -89,62 +101,54 @@ def nonsense(draw):
 
 
 @given(nonsense(), st.integers(0, 3))
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @pytest.mark.slow
-def test_nonsense_makes_no_exception_and_nothing_that_is_not_finite(readings, smoothed_after):
-    stream = SampleStream(StreamSettings(smoothing_lag=0.1 * smoothed_after), 1.2)
+def test_nonsense_gives_finite_samples_in_order_and_no_exception(readings, lag):
+    stream = SampleStream(StreamSettings(smoothing_lag=0.1 * lag), 1.2)
+    last: dict[object, int] = {}
     for reading in readings:
         for event in stream.add_reading(reading):
-            if isinstance(event, Gap):
-                continue
-            if isinstance(event, Interval):
-                assert all(np.isfinite(column).all() for column in event.steps[:5])
-                assert event.duration >= 0.9 * DURATION and (event.steps.duration > 0).all()
-                continue
-            sample = event.sample
-            assert abs(sample.speed) <= MAX_SPEED
-            assert abs(sample.acceleration) <= MAX_ACCELERATION
-            assert abs(sample.grade) <= 0.3 and 0.5 < sample.air_density < 2.0
-            assert abs(sample.head_wind) <= 60.0
-            assert 0.0 <= sample.known_auxiliary <= 50_000.0
-            if isinstance(event, MeasuredSample):
-                assert math.isfinite(event.power)
+            check(event)
+            if (kind := kind_of(event)) is not Interval:
+                stamp_ns = (event if isinstance(event, Sample) else event.sample).stamp_ns
+                assert stamp_ns > last.get(kind, -(2**64))
+                last[kind] = stamp_ns
 
 
 @given(nonsense())
-@settings(max_examples=50, deadline=None)
-def test_samples_of_a_kind_are_in_order(readings):
-    stream = SampleStream(StreamSettings(), 1.2)
-    last: dict[type, int] = {}
-    for reading in readings:
-        for event in stream.add_reading(reading):
-            if isinstance(event, (NewestSample, SmoothedSample, MeasuredSample)):
-                kind = type(event)
-                assert event.sample.stamp_ns > last.get(kind, -(2**64))
-                last[kind] = event.sample.stamp_ns
-
-
-@given(nonsense())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 @pytest.mark.slow
-def test_after_any_nonsense_a_good_drive_is_heard(readings):
-    """Four seconds of good speed and battery after anything, and samples come."""
+def test_after_any_nonsense_a_good_drive_is_taken(readings):
+    """Four seconds of good speed and battery after anything, and samples of each kind come."""
     stream, guard = SampleStream(StreamSettings(), 1.2), StampGuard(SpeedReading)
-
-    def feed(reading):
+    begin, kinds_seen = START + 500 * NANOSECONDS, set()
+    good = [
+        reading
+        for stamp in range(begin, begin + 4 * NANOSECONDS, NANOSECONDS // 10)
+        for reading in (SpeedReading(stamp, 5.0), BatteryReading(stamp, 350.0, -10.0))
+    ]
+    for k, reading in enumerate([*readings, *good]):
         for item in guard.follow(reading):
             if isinstance(item, Jump):
                 stream.reset()
-            else:
-                yield from stream.add_reading(item)
+                continue
+            for event in stream.add_reading(item):
+                if k >= len(readings):
+                    kinds_seen.add(kind_of(event))
+    assert {"newest", "smoothed", MeasuredSample} <= kinds_seen
 
-    for reading in readings:
-        for _ in feed(reading):
-            pass
-    begin = START + 500 * NANOSECONDS
-    kinds_seen = set()
-    for tick in range(40):
-        stamp = begin + tick * 100_000_000
-        for reading in (SpeedReading(stamp, 5.0), BatteryReading(stamp, 350.0, -10.0)):
-            kinds_seen |= {type(event) for event in feed(reading)}
-    assert {NewestSample, SmoothedSample, MeasuredSample} <= kinds_seen
+
+def check(event) -> None:
+    """Nothing that is not finite, nor beyond what can be."""
+    if isinstance(event, Interval):
+        assert all(np.isfinite(column).all() for column in event.steps[:5])
+        assert event.duration >= 0.9 * DURATION and (event.steps.duration > 0).all()
+        return
+    if isinstance(event, MeasuredSample):
+        assert math.isfinite(event.power)
+    sample = event if isinstance(event, Sample) else event.sample
+    assert abs(sample.speed) <= MAX_SPEED
+    assert abs(sample.acceleration) <= MAX_ACCELERATION
+    assert abs(sample.grade) <= 0.3 and 0.5 < sample.air_density < 2.0
+    assert abs(sample.head_wind) <= 60.0
+    assert 0.0 <= sample.known_auxiliary <= 50_000.0
