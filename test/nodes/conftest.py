@@ -1,10 +1,10 @@
 """A bench for nodes: the far end of every topic, in one executor with the nodes under test."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 import fcntl
-from functools import partial
+from functools import cache, partial
 import os
 from pathlib import Path
 import subprocess
@@ -13,20 +13,29 @@ import sysconfig
 import tempfile
 import time
 from typing import Any
+from unittest import mock
 
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import encode
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.discovery import announce_often
+from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameters import overrides
-from evpinn_ros.topics import DIAGNOSTICS, NAMESPACE, Topic, topic_of
+from evpinn_ros.topics import (
+    DIAGNOSTICS,
+    NAMESPACE,
+    POWER_MEASURED,
+    POWER_SMOOTHED,
+    Topic,
+    topic_of,
+)
 from evpinn_ros.topics.messages import Level
 
 pytestmark = pytest.mark.ros
@@ -50,6 +59,13 @@ os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 
 ROOT = Path(__file__).resolve().parents[2]
 VEHICLE = "tesla_model_3_lr"
+POWERS = (POWER_MEASURED, POWER_SMOOTHED)  # of which energy is counted
+SPIN = 0.02  # s
+
+
+@cache
+def _is_ours(full_name: str) -> bool:
+    return topic_of(full_name) is not None
 
 
 class Bench:
@@ -62,8 +78,9 @@ class Bench:
         self.nodes: list[GuardedNode] = []
         self.heard: dict[Topic, list[Any]] = defaultdict(list)
         self.faulty: set[GuardedNode] = set()  # those whose faults a test made on purpose
-        self._reports: list[tuple[int, Any]] | None = None  # (when it was sent, message)
         self._publishers: dict[Topic, Any] = {}
+        self._clients: dict[str, Any] = {}
+        self._numbers: Counter[tuple[GuardedNode, Topic]] = Counter()  # of messages delivered
 
     def start(self, make: Callable[..., GuardedNode], **parameters: Any) -> Any:
         """Make a node under test; drives come faster than real time, so updates are awaited."""
@@ -79,7 +96,7 @@ class Bench:
         """Let everybody work for so long."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.02)
+            self.executor.spin_once(timeout_sec=SPIN)
 
     def listen(self, *topics: Topic) -> None:
         """Hear topics, and wait until their publishers are found."""
@@ -94,60 +111,83 @@ class Bench:
         return self._publishers[topic]
 
     def send(self, topic: Topic, message: Any) -> None:
+        """Publish a message; `pump` until what it leads to is there."""
         self.publisher(topic).publish(message)
 
-    def deliver(self, node: GuardedNode, topic: Topic, message: Any) -> None:
-        """One message in flight: return when the node has dealt with it."""
+    def post(self, node: GuardedNode, topic: Topic, message: Any) -> None:
+        """One message over DDS: return when the node has dealt with it."""
         count = node.received[topic]
         self.send(topic, message)
         self.pump(lambda: node.received[topic] > count)
 
+    def deliver(self, node: GuardedNode, topic: Topic, message: Any) -> None:
+        """Hand a message to a node as its executor would: nothing is on the way, or gets lost."""
+        name = node.resolve_topic_name(topic.name)
+        (subscription,) = (each for each in node.subscriptions if each.topic_name == name)
+        self._numbers[node, topic] += 1
+        info = {"publication_sequence_number": self._numbers[node, topic]}
+        data = serialize_message(message)
+        message = data if subscription.raw else deserialize_message(data, subscription.msg_type)
+        subscription.callback(message, info)
+        self._take(self.node)  # before what it leads to fills a queue
+
+    def drive(self, messages: Iterable[tuple[Topic, Any]]) -> None:
+        """Deliver each message to all who listen, and what that leads to, before the next."""
+        for topic, message in messages:
+            for node in self.nodes:
+                if topic.under() in {each.topic_name for each in node.subscriptions}:
+                    self.deliver(node, topic, message)
+            self.pump(self._powers_have_arrived)
+
+    def _powers_have_arrived(self) -> bool:
+        sent = sum((node.published for node in self.nodes), Counter())
+        meters = [node for node in self.nodes if isinstance(node, EnergyNode)]
+        return all(node.received[each] == sent[each] for node in meters for each in POWERS)
+
     def call(self, kind: Any, name: str, **request: Any) -> Any:
         """Call a service of a node under test."""
-        client = self.node.create_client(kind, name)
-        self.pump(client.service_is_ready)
-        future = client.call_async(kind.Request(**request))
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+            self.pump(self._clients[name].service_is_ready)
+        future = self._clients[name].call_async(kind.Request(**request))
         self.pump(future.done)
         return future.result()
 
     def diagnosis(self, node: GuardedNode) -> dict[str, Any]:
-        """What a node says of itself now: (level, text, values) by the name of the part.
-
-        A report of the node's timer may be on the way already; what was sent before is no answer.
-        """
-        if self._reports is None:
-            reports = self._reports = []
-            factory.subscribe(
-                self.node,
-                DIAGNOSTICS,
-                lambda message, info: reports.append((info["source_timestamp"], message)),
-            )
-        publisher = next(each for each in node.publishers if each.topic_name == DIAGNOSTICS.name)
-        listening = self.node.count_subscribers
-        self.pump(lambda: publisher.get_subscription_count() == listening(DIAGNOSTICS.name))
-        asked = time.time_ns()
-        node.report()
-        name = f"{node.get_fully_qualified_name()}: "
-
-        def answers() -> list[Any]:
-            answers = [message for sent, message in self._reports or () if sent >= asked]
-            return [s for message in answers for s in message.status if s.name.startswith(name)]
-
-        self.pump(lambda: bool(answers()))
+        """What a node reports of itself now: (level, text, values) by the name of the part."""
+        reported: list[tuple[Topic, Any]] = []
+        with mock.patch.object(node, "publish", reported.extend):
+            node.report()
         return {
             status.name.rpartition(" ")[2]: (
                 Level(int.from_bytes(status.level, "little")),
                 status.message,
                 {pair.key: pair.value for pair in status.values},
             )
-            for status in answers()
+            for _, message in reported
+            for status in message.status
         }
 
-    def pump(self, condition: Callable[[], bool], seconds: float = 60.0) -> None:
-        end = time.monotonic() + seconds
+    def pump(self, condition: Callable[[], object], seconds: float = 60.0) -> None:
+        begin = spun = time.monotonic()
         while not condition():
-            assert time.monotonic() < end, "timed out"
-            self.executor.spin_once(timeout_sec=0.02)
+            now = time.monotonic()
+            assert now < begin + seconds, "timed out"
+            if not self._take(self.node, *self.nodes) or now > spun + SPIN:
+                self.executor.spin_once(timeout_sec=SPIN)
+                spun = time.monotonic()
+
+    def _take(self, *nodes: Any) -> bool:
+        """Take all that has come: an executor makes its wait set anew for each message."""
+        found = False
+        for node in nodes:
+            bench = node is self.node
+            for each in node.subscriptions:
+                kind, ours = each.msg_type, bench or _is_ours(each.topic_name)
+                while ours and (taken := each.handle.take_message(kind, each.raw)) is not None:
+                    found = True
+                    each.callback(*(taken[:1] if bench else taken))
+        return found
 
     def settle(self) -> None:
         """Let every listener hear all that the nodes under test have published."""

@@ -52,9 +52,9 @@ def can_frames(bench):
         battery = encoder.battery(BatteryReading(sent[-1], 350.0 + count % 5, -count % 50))
         speed = encoder.speed(SpeedReading(sent[-1], count % 20 / 10))
         for each in (battery, speed):
-            bench.deliver(node, bus, frame(each))
-    bench.deliver(node, bus, frame(speed, is_error=True))
-    bench.deliver(node, bus, frame(speed, is_rtr=True))
+            bench.post(node, bus, frame(each))
+    bench.post(node, bus, frame(speed, is_error=True))
+    bench.post(node, bus, frame(speed, is_rtr=True))
     level, text, values = bench.diagnosis(node)["bus"]
     assert level is Level.OK and text == "receiving" and values["bus"] == "open", (text, values)
     assert values["bus.error_frames"] == values["bus.remote_frames"] == "1"
@@ -68,14 +68,13 @@ def velocity(bench):
     bench.listen(topics.POWER_PREDICTED)
     for tenth in range(60):
         reading = BatteryReading(stamp(tenth), 350.0, -30.0)
-        bench.deliver(estimator, topics.BATTERY, battery_message(new_message, reading))
+        battery = battery_message(new_message, reading)
         report = new_message(
             topics.VELOCITY_REPORT_TYPE,
             header=header(new_message, stamp(tenth), "base_link"),
             longitudinal_velocity=10.0,
         )
-        bench.deliver(estimator, topics.VELOCITY_REPORT, report)
-    bench.pump(lambda: energy.received[topics.VELOCITY_REPORT] == 60)
+        bench.drive([(topics.BATTERY, battery), (topics.VELOCITY_REPORT, report)])
     assert 5.5 < energy.account.summary().since_reset.distance / 10.0 < 6.0
     bench.pump(lambda: len(bench.heard[topics.POWER_PREDICTED]) > 50)
     message = speed_message(new_message, SpeedReading(stamp(61), 10.0))

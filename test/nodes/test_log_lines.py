@@ -21,7 +21,7 @@ def test_the_estimator_logs_what_changes(bench, logged, urban, tmp_path):
     path = tmp_path / "car.json"
     node = bench.start(EstimatorNode, state_file=str(path))
     assert "tesla_model_3_lr (hybrid) begins with the vehicle file; waiting for" in logged()
-    for topic, _, message in urban(30.0):
+    for topic, _, message in urban(5.0):
         bench.deliver(node, topic, message)
     bench.pump(lambda: "learning" in logged())
     bench.call(Trigger, "/ev/estimator/save")
@@ -37,7 +37,7 @@ def test_the_estimator_logs_what_changes(bench, logged, urban, tmp_path):
 
 
 def test_silence_of_the_battery_is_logged_once_and_without_counters(bench, logged, urban):
-    node, drive = bench.start(EstimatorNode), list(urban(24.0))
+    node, drive = bench.start(EstimatorNode), list(urban(10.0))
     for index, (topic, _, message) in enumerate(drive):
         if topic is topics.SPEED or index < len(drive) // 2:
             bench.deliver(node, topic, message)

@@ -99,7 +99,7 @@ def test_a_battery_that_falls_silent_brings_no_news_of_long_ago(bench, monkeypat
 
 def test_what_a_full_queue_dropped_is_counted_and_named(bench):
     node = bench.start(EstimatorNode)
-    bench.deliver(node, topics.SPEED, speed(0.0))
+    bench.post(node, topics.SPEED, speed(0.0))
     for step in range(3 * QUEUE_DEPTH):
         bench.send(topics.SPEED, speed(step / 10))
     bench.pump(lambda: node.received[topics.SPEED] > QUEUE_DEPTH)
@@ -115,7 +115,7 @@ def test_a_second_publisher_is_named_until_it_goes(bench):
 
     def named():
         second.publish(speed(0.0))
-        bench.deliver(node, topics.SPEED, speed(0.0))
+        bench.post(node, topics.SPEED, speed(0.0))
         return wanted in bench.diagnosis(node)["meter"][1]
 
     bench.pump(named)
@@ -132,7 +132,7 @@ def test_a_publisher_in_the_place_of_one_that_is_still_counted_is_no_second(benc
         dead.publish(speed(step / 10))
         bench.pump(lambda step=step: node.received[topics.SPEED] > step)
     for step in range(3, 6):
-        bench.deliver(node, topics.SPEED, speed(step / 10))
+        bench.post(node, topics.SPEED, speed(step / 10))
     assert node.count_publishers(topics.SPEED.under()) == 2
     assert "publishers of" not in bench.diagnosis(node)["meter"][1]
 

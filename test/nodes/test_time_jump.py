@@ -22,14 +22,6 @@ OUTPUTS = (
     topics.ENERGY_CONSUMED,
     topics.ENERGY_STATE,
 )
-POWERS = (topics.POWER_MEASURED, topics.POWER_SMOOTHED)
-
-
-def play(bench, estimator, energy, messages):
-    for topic, message in messages:
-        bench.deliver(estimator, topic, message)
-        bench.pump(lambda: all(energy.received[t] == estimator.published[t] for t in POWERS))
-    bench.settle()
 
 
 @pytest.mark.nightly
@@ -38,7 +30,8 @@ def test_a_bag_in_a_loop_gives_the_same_numbers_again(bench, urban):
     energy = bench.start(EnergyNode, time_jump_policy="reset")
     bench.listen(*OUTPUTS)
     drive = [(topic, message) for topic, _, message in urban(35.0)]
-    play(bench, estimator, energy, drive * 2)
+    bench.drive(drive * 2)
+    bench.settle()
     assert estimator.estimator.status().accepted > 2
     for topic in OUTPUTS:
         heard = bench.heard[topic]
@@ -58,10 +51,12 @@ def test_other_policies_keep_what_was_learned(bench, urban, policy):
     energy = bench.start(EnergyNode, time_jump_policy=policy)
     bench.listen(topics.POWER_SMOOTHED, topics.POWER_MEASURED)
     drive = [(topic, message) for topic, _, message in urban(12.0)]
-    play(bench, estimator, energy, drive)
+    bench.drive(drive)
+    bench.settle()
     learned, consumed = efficiency(estimator), energy.meter.state.consumed
     smoothed = len(bench.heard[topics.POWER_SMOOTHED])
-    play(bench, estimator, energy, drive[:20])
+    bench.drive(drive[:20])
+    bench.settle()
     again = len(bench.heard[topics.POWER_SMOOTHED]) - smoothed
     assert (again > 0) == (policy != "ignore")
     assert abs(energy.meter.state.consumed - consumed) < 0.2 * abs(consumed)

@@ -155,7 +155,7 @@ def energy_goes_on_beside_plans(bench, node):
 
     first = named_vector(new_message, start * NANOSECONDS, ["power"], [9e3], [90.0])
     bench.deliver(node, topics.POWER_SMOOTHED, first)  # it begins a new stretch of time
-    future, asked = client.call_async(batch(40, 40_000)), time.monotonic()
+    future, asked = client.call_async(batch(30, 40_000)), time.monotonic()
     while not future.done():
         before, sent = count[topics.ENERGY_STATE], time.monotonic()
         power.publish(watts())
@@ -165,7 +165,7 @@ def energy_goes_on_beside_plans(bench, node):
     took, result = time.monotonic() - asked, future.result()
     assert not any(each.refusal for each in result.results)
     print(
-        f"40 plans in {took:.1f} s: {len(delays)} powers, each with its energy/state after ",
+        f"30 plans in {took:.1f} s: {len(delays)} powers, each with its energy/state after ",
         end="",
     )
     print(f"{1e3 * np.median(delays):.1f} ms, {1e3 * max(delays):.0f} ms at most")
@@ -236,11 +236,10 @@ def refusals(bench, node):
 def main():
     rclpy.init()
     bench = conftest.Bench()
-    estimator = bench.start(EstimatorNode)
+    bench.start(EstimatorNode)
     energy = bench.start(EnergyNode)
     bench.listen(*PAIRS, *PAIRS.values())
-    for topic, _, message in conftest.messages("urban", 25.0):
-        bench.deliver(estimator, topic, message)
+    bench.drive((topic, message) for topic, _, message in conftest.messages("urban", 25.0))
     bench.send(topics.SPEED_PROFILE, speed_profile(0, 60))
     bench.pump(lambda: bench.heard[topics.FORECAST])
     bench.settle()

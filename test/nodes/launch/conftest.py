@@ -8,8 +8,10 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 import importlib.util
+import json
 import os
 from pathlib import Path
+import re
 import shutil
 import signal
 import subprocess
@@ -32,6 +34,16 @@ COMMAND = """#!/bin/sh
 test "$1" = bag && exec "{python}" "{stand_in}" "$@"
 exec "{python}" -c 'import sys; from ros2cli.cli import main; sys.exit(main())' "$@"
 """
+ONE_AFTER_THE_OTHER = """
+import json, sys
+from ros2cli.cli import main
+for words in json.loads(sys.argv[1]):
+    try:
+        code = main(argv=words)
+    except SystemExit as ended:
+        code = ended.code
+    print(f"\\n=== ended with {code or 0}", flush=True)
+"""
 
 
 class Ros2:
@@ -47,6 +59,18 @@ class Ros2:
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             timeout=timeout,
         )  # fmt: skip
+
+    def run_all(self, *commands: tuple[object, ...]) -> list[tuple[int, str]]:
+        """Exit code and output of each, in one process: to start one for each takes seconds."""
+        words = json.dumps([[str(word) for word in command] for command in commands])
+        done = subprocess.run(
+            [sys.executable, "-c", ONE_AFTER_THE_OTHER, words],
+            cwd=self.folder, env=self.environment, text=True, timeout=120.0,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+        parts = re.split(r"^=== ended with (\d+)$", done.stdout, flags=re.M)
+        assert len(parts) == 2 * len(commands) + 1, done.stdout
+        return [(int(code), said) for said, code in zip(parts[::2], parts[1::2], strict=False)]
 
     def ask(self, *words: object) -> str:
         """What a command that asks the graph prints, once the daemon has found the node."""

@@ -87,42 +87,11 @@ def car(bundled, tmp_path) -> Callable[..., Path]:
     return write
 
 
-def test_live_works_records_and_ends_well(ros2, bench, car, tmp_path):
-    speeds, powers = hear(bench, topics.SPEED), hear(bench, topics.POWER_SMOOTHED)
-    energies = hear(bench, topics.ENERGY_STATE)
-    drive = tmp_path / "drive"
-    given = ("vehicle:=tesla_model_3_lr", f"params_file:={car()}", f"record:={drive}")
-    with ros2.running(*LAUNCH, "evpinn.launch.py", *given) as launch:
-        bench.pump(lambda: len(powers) > 200, 90.0)
-        assert launch.process.poll() is None
-    assert "/ev/typed/power/smoothed" in launch.output  # asked for, wherever it is published
-    assert max(m.twist.twist.linear.x for m in speeds) > 5.0
-    assert numbers(energies[-1])["predicted"] > 1e4
-    with BagReader(drive) as bag:
-        assert bag.problem is None
-        assert bag.topics["/ev/power/smoothed"].count > 150
-        assert "/diagnostics" in bag.topics
-    assert (
-        json.loads((tmp_path / "urban.json").read_text())["learned"]["vehicle"]
-        == "tesla_model_3_lr"
-    )
-
-
 @pytest.mark.nightly
 def test_the_eco_planner_says_that_nothing_is_in_time(ros2, bench):
     """A whole number, too; the line of the README is run in `test_readme_lines`."""
     with ros2.running(*LAUNCH, "eco_speed_planner.launch.py", "deadline:=1") as launch:
         bench.pump(lambda: "nothing is in time: 1 s" in launch.output, 60.0)
-
-
-def test_a_replay_plays_inputs_and_ends_with_the_bag(ros2, bench, monkeypatch):
-    monkeypatch.setitem(ros2.environment, "STAND_IN_SECONDS", "25")
-    measured, powers = hear(bench, topics.POWER_MEASURED), hear(bench, topics.POWER_SMOOTHED)
-    given = (f"bag:={ROOT / 'bags/urban'}", "vehicle:=tesla_model_3_lr", "rate:=4")
-    with ros2.running(*LAUNCH, "replay.launch.py", *given) as launch:
-        bench.pump(lambda: launch.process.poll() is not None, 90.0)
-    assert len(measured) > 200 and len(powers) > 200, launch.output
-    assert powers[0].header.stamp.sec > 10**9
 
 
 def test_nodes_are_kept_after_the_bag_and_a_mistyped_argument_is_reported(
@@ -232,45 +201,46 @@ def test_two_replays_in_one_graph_follow_their_namespaces(ros2, bench, tmp_path)
         assert "qos_overrides./robot2/ev/vehicle/speed.subscription.depth" in found
 
 
-@pytest.mark.parametrize(
-    ("given", "reason"),
-    [
-        ("respawn:=1", "Valid options are"),
-        ("use_sim_time:=yes", "Valid options are"),
-        ("log_level:=loud", "Valid options are"),
-        ("record:=1", "record:=1: give a folder"),
-        ("record:=.", "record:=.: exists already"),
-        ("params_file:=none.yaml", "params_file:=none.yaml: no such file"),
-        ("vehicle:=trabant", "trabant"),
-        ("deadline:=soon", "deadline:=soon: not a number"),
-        ("rate:=fast", "rate:=fast: not a number"),
-    ],
-)
-def test_a_wrong_argument_is_refused_before_anything_starts(ros2, given, reason):
+WRONG = {
+    "respawn:=1": "Valid options are",
+    "use_sim_time:=yes": "Valid options are",
+    "log_level:=loud": "Valid options are",
+    "record:=1": "record:=1: give a folder",
+    "record:=.": "record:=.: exists already",
+    "params_file:=none.yaml": "params_file:=none.yaml: no such file",
+    "vehicle:=trabant": "trabant",
+    "deadline:=soon": "deadline:=soon: not a number",
+    "rate:=fast": "rate:=fast: not a number",
+}
+
+
+def test_a_wrong_argument_is_refused_before_anything_starts(ros2):
     files = {"deadline": "eco_speed_planner.launch.py", "rate": "replay.launch.py"}
-    file = files.get(given.partition(":=")[0], "evpinn.launch.py")
-    done = ros2.run(*LAUNCH, file, "bag:=x", given)
-    assert done.returncode == 1 and reason in done.stdout
-    assert "process started" not in done.stdout
+    named = {given: files.get(given.partition(":=")[0], "evpinn.launch.py") for given in WRONG}
+    done = ros2.run_all(*((*LAUNCH, file, "bag:=x", given) for given, file in named.items()))
+    for (given, reason), (code, said) in zip(WRONG.items(), done, strict=True):
+        assert code == 1 and reason in said, (given, said)
+        assert "process started" not in said
 
 
 def test_arguments_are_the_same_everywhere_and_described(ros2):
     common = {"vehicle", "params_file", "namespace", "respawn", "log_level", "record"}
-    for file in (ROOT / "launch").glob("*.launch.py"):
-        shown = ros2.run(*LAUNCH, file.name, "--show-args").stdout
+    files = [file.name for file in (ROOT / "launch").glob("*.launch.py")]
+    done = ros2.run_all(*((*LAUNCH, file, "--show-args") for file in files))
+    for file, (_, shown) in zip(files, done, strict=True):
         names = {*re.findall(r"^    '(\w+)':$", shown, re.M)}
-        if file.name == "two_cars.launch.py":  # evpinn.launch.py twice, which takes the others
+        if file == "two_cars.launch.py":  # evpinn.launch.py twice, which takes the others
             assert names == {"first", "first_vehicle", "second", "second_vehicle"}
         else:
-            assert names >= common | {"use_sim_time"}, file.name
+            assert names >= common | {"use_sim_time"}, file
         assert "no description given" not in shown
 
 
-def test_killed_nodes_are_back_with_all_they_had_learned_and_counted(
+def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
     ros2, bench, bundled, car, tmp_path
 ):
     learned, said = hear(bench, topics.PARAMETERS), hear(bench, topics.DIAGNOSTICS)
-    totals = hear(bench, topics.ENERGY_TOTALS)
+    totals, drive = hear(bench, topics.ENERGY_TOTALS), tmp_path / "drive"
 
     def idle():
         last = statuses(said, "estimator")[-4:]
@@ -286,7 +256,7 @@ def test_killed_nodes_are_back_with_all_they_had_learned_and_counted(
         return {k: v for k, v in numbers(totals[-1]).items() if k.startswith("lifetime")}
 
     given = ("vehicle:=tesla_model_3_lr", f"params_file:={car()}", "respawn:=true")
-    with ros2.running(*LAUNCH, "evpinn.launch.py", *given) as launch:
+    with ros2.running(*LAUNCH, "evpinn.launch.py", *given, f"record:={drive}") as launch:
         bench.pump(
             lambda: any("at its end" in s.message for s in statuses(said, "can_bridge")), 60.0
         )
@@ -307,6 +277,13 @@ def test_killed_nodes_are_back_with_all_they_had_learned_and_counted(
     assert total["lifetime_drawn"] > 1e4 and total.keys() == counted().keys()
     for name in ("lifetime_drawn", "lifetime_regenerated"):
         assert total[name] - 1e-6 < counted()[name] < total[name] + 1e6
+    assert states[0]["vehicle"] == "tesla_model_3_lr"
+    assert "/ev/typed/power/smoothed" in launch.output  # asked for, wherever it is published
+    with BagReader(drive) as bag:
+        assert bag.problem is None and "/diagnostics" in bag.topics
+        assert bag.topics["/ev/power/smoothed"].count > 150
+        speeds = [record.message for record in bag.records(["/ev/vehicle/speed"])]
+    assert max(speed.twist.twist.linear.x for speed in speeds) > 5.0
 
 
 @pytest.mark.nightly
