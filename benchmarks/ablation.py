@@ -8,15 +8,11 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from benchmarks.unseen.drives import load_car
-from benchmarks.unseen.method import OnlineChain
-from benchmarks.unseen.protocols import run_car
-from benchmarks.unseen.summary import summary
-from benchmarks.variants import ConstantPlace, Variant, replaced
+from benchmarks.variants import ConstantPlace, Variant
 from evpinn_ros.estimation.gaussian import replace_states
 from evpinn_ros.estimation.journey import noise_of
 from evpinn_ros.estimation.posterior import BANK, LOAD_STDS, NETWORK_STDS, CarState, begin_drive
@@ -114,25 +110,3 @@ VARIANTS = (
     Variant("one noise standing and moving", {ConstantPlace("journey", "noise_of"): _one_noise}),
     Variant("a car does not change", {ConstantPlace("posterior", "DRIFT"): 0.0}),
 )
-
-NO_TRIM = Variant("no trim", {ConstantPlace("trim", "REACH"): NOTHING})
-
-
-class SecondsRow(NamedTuple):
-    """RMSE of power of one variant on one car, W, at ages of the last battery sample."""
-
-    variant: str
-    car: str
-    ages: dict[str, float]  # by s since the battery
-
-
-def seconds(data: str, key: str, variant: Variant) -> SecondsRow:
-    """Score the seconds after the last battery sample, which are the trim's.
-
-    Raises:
-        InputError: none of the car's drives can be read.
-    """
-    with replaced(variant.changes):
-        found = summary(run_car(load_car(data, key), OnlineChain))["by_battery_age"]
-    ages = {age: each["rmse_w"] for age, each in found.items() if each}
-    return SecondsRow(variant.name, key, ages)

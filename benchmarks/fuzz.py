@@ -16,7 +16,7 @@ from evpinn_ros.common.errors import InputError
 
 LONGEST_INPUT = 16_384  # bytes; a longer one repeats what a short one says
 MOST_SECONDS = 10  # for one input: more is a hang
-MOST_MEMORY = 2048  # MB of the process
+MOST_MEMORY = 512  # MB of the process, of which instrumented libraries are most
 STATISTICS = {"inputs": "number_of_executed_units", "memory_mb": "peak_rss_mb"}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 import gzip
+from io import BytesIO
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,6 +12,7 @@ from typing import Any
 
 import can
 from mcap.writer import CompressionType, IndexType, Writer
+import polars as pl
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 import zstandard
@@ -104,6 +106,33 @@ def csv_drive() -> list[bytes]:
     rows = (f"{i / 10},{i / 5},{350 - i},{20 + i},,300.5,12,500,0" for i in range(30))
     columns = "t_s,speed_mps,voltage_v,current_a,power_w,elevation_m,ambient_c,heating_w,aircon_w"
     return ["\n".join((columns, *rows)).encode()]
+
+
+def zipped_drive() -> list[bytes]:
+    """A gzipped table of a drive."""
+    return [gzip.compress(each, mtime=0) for each in csv_drive()]
+
+
+def workbooks() -> list[bytes]:
+    """A workbook of openpyxl, of the extra `tables`."""
+    from openpyxl import Workbook
+
+    book = Workbook(write_only=True)
+    sheet = book.create_sheet("drive")
+    for line in csv_drive()[0].decode().splitlines():
+        sheet.append(line.split(","))
+    book.save(file := BytesIO())
+    return [file.getvalue()]
+
+
+def parquet_files() -> list[bytes]:
+    """Parquet of polars, in three compressions."""
+    files = []
+    for compression in ("zstd", "snappy", "uncompressed"):
+        table = pl.read_csv(csv_drive()[0])
+        table.write_parquet(file := BytesIO(), compression=compression)
+        files.append(file.getvalue())
+    return files
 
 
 def plan_files() -> list[bytes]:

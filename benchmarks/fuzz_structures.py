@@ -7,10 +7,14 @@ does not parse as it should comes back cut or with a byte changed.
 from __future__ import annotations
 
 from collections.abc import Callable
+import gzip
+from io import BytesIO
 import json
 from random import Random
 import struct
 from typing import Any, TypeAlias
+from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
+import zlib
 
 from lz4.frame import compress as lz4  # type: ignore[import-untyped]
 from mcap.opcode import Opcode
@@ -195,6 +199,35 @@ def mutate_table(data: bytes, chance: Random) -> bytes:
     written = ending.join(separator.join(row) for row in rows)
     encoding = chance.choice(("utf-8", "utf-8", "utf-8", "utf-8-sig", "utf-16", "cp1252"))
     return written.encode(encoding, "replace")
+
+
+def mutate_packed(data: bytes, chance: Random) -> bytes:
+    """A gzip or zip file that is damaged inside its packing: its checksums are right."""
+    try:
+        if data[:2] == b"\x1f\x8b":
+            return gzip.compress(_flipped(gzip.decompress(data), chance), mtime=0)
+        with ZipFile(BytesIO(data)) as whole:
+            members = {name: whole.read(name) for name in whole.namelist()}
+    except (OSError, EOFError, ValueError, RuntimeError, zlib.error, struct.error, BadZipFile):
+        return _any(data, chance)
+    if members:
+        name = chance.choice(sorted(members))
+        members[name] = _flipped(members[name], chance)
+    with ZipFile(file := BytesIO(), "w", ZIP_DEFLATED) as whole:
+        for name, content in members.items():
+            whole.writestr(name, content)
+    return file.getvalue()
+
+
+def _flipped(data: bytes, chance: Random) -> bytes:
+    """One to eight damages: a number at the end of its range, a part cut out or repeated."""
+    for _ in range(chance.choice((1, 1, 2, 4, 8))):
+        at = chance.randrange(len(data) + 1)
+        part = data[at : at + chance.choice((1, 8, 64, 512))]
+        repeated = part * chance.choice((0, 3, MOST_GROWTH))
+        changed = data[:at] + repeated + data[at + len(part) :]
+        data = chance.choice((_any(data, chance), _field(data, chance), changed))
+    return data
 
 
 def _change_table(rows: list[list[str]], chance: Random) -> None:

@@ -18,7 +18,14 @@ import numpy as np
 
 from benchmarks import fuzz_seeds as seeds
 from benchmarks.fuzz_seeds import READINGS, VEHICLE
-from benchmarks.fuzz_structures import Mutate, mutate_json, mutate_mcap, mutate_table, mutate_yaml
+from benchmarks.fuzz_structures import (
+    Mutate,
+    mutate_json,
+    mutate_mcap,
+    mutate_packed,
+    mutate_table,
+    mutate_yaml,
+)
 from evpinn_ros import topics
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.metadata import METADATA
@@ -51,6 +58,7 @@ from evpinn_ros.topics.readings import READING_TOPICS, to_reading
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 SLOW = 0.25  # part of the inputs for a parser that takes several times as long as most
+APART = 0.002  # of one that starts a process for each
 
 _PACKED_METADATA = """rosbag2_bagfile_information:
   compression_mode: FILE
@@ -251,8 +259,11 @@ TARGETS = (
         Target(suffix.strip("."), f"drive{suffix}", partial(seeds.can_log, suffix), _log)
         for suffix in (".log", ".asc", ".trc", ".csv", ".blf")
     ),
-    Target("log.gz", "drive.log.gz", seeds.zipped_log, _log),
+    Target("log.gz", "drive.log.gz", seeds.zipped_log, _log, mutate=mutate_packed),
     Target("drive", "drive.csv", seeds.csv_drive, _csv_drive, mutate=mutate_table),
+    Target("drive.gz", "drive.csv.gz", seeds.zipped_drive, _csv_drive, mutate=mutate_packed),
+    Target("xlsx", "drive.xlsx", seeds.workbooks, _csv_drive, weight=APART, mutate=mutate_packed),
+    Target("parquet", "drive.parquet", seeds.parquet_files, _csv_drive, weight=APART),
     Target("route", "plan", seeds.plan_files, read_plan, mutate=mutate_json),
     Target("legs", "plan.csv", seeds.plan_tables, read_plan, mutate=mutate_table),
     Target("dbc", "input.dbc", _bundled("can/tesla_model_3.dbc"), _dbc, _profile_beside, SLOW),

@@ -8,7 +8,7 @@ out, which makes an hour of driving a matter of seconds.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 import math
 from typing import Any
 
@@ -17,7 +17,6 @@ import numpy as np
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.parameter_set import identifiable_shares, parameter_set
-from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.estimation.published import Published, published
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.interval import Interval
@@ -25,18 +24,16 @@ from evpinn_ros.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.simulation.car import Trace
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, IntervalMotion
-from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE, SimulatedDrive, simulate
+from evpinn_ros.simulation.simulate import RMS_GRADE, SimulatedDrive, simulate
 from evpinn_ros.simulation.truth import Truth, prior_parameters, true_values
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
-from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 PROFILE = "tesla_model_3"  # of the bus, whatever the car: all that is on it is what is needed
 VEHICLES = ("tesla_model_3_lr", "nissan_leaf", "bmw_i3")
 MARKS = (60, 120, 300, 600)  # s of the drive at which estimates are held against truth
 INTERVAL = 1.96  # sigmas to either side that cover 95 %
-STOP_GAP = 10  # s between two drives of one car
 
 
 class CarChain:
@@ -44,12 +41,10 @@ class CarChain:
 
     Attributes:
         car: what is learned.
-        motion: s driven in the intervals learned from.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.car = LearnedCar.new(Equation(vehicle))
-        self.motion = 0.0
         self._stream = SampleStream(
             StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
         )
@@ -64,9 +59,6 @@ class CarChain:
     def take(self, interval: Interval) -> None:
         """Learn from an interval."""
         self.car = self.car.after([interval])
-        steps = interval.steps
-        moves = steps.distance > STANDSTILL_SPEED * steps.duration
-        self.motion += float(steps.duration @ moves)
         self._newest_ns = interval.end_ns
 
     def parameters(self) -> ParameterSet:
@@ -177,70 +169,6 @@ def summaries(found: Iterable[TruthCheck]) -> list[TruthSummary]:
     for one in found:
         groups.setdefault((one.seconds, one.name), []).append(one)
     return [_summary(group) for group in groups.values()]
-
-
-@dataclass(frozen=True, slots=True)
-class LoadStep:
-    """A change of payload at a stop and what was found of it.
-
-    `detected_after` is s of motion (NaN: never), `error` kg of the change as estimated at the end.
-    """
-
-    vehicle: str
-    seed: int
-    delta_mass: float
-    detected_after: float
-    error: float
-
-
-def load_steps(
-    vehicles: Sequence[str],
-    seeds: Iterable[int],
-    load: float = 150.0,
-    *,
-    before: int = 900,
-    after: int = 240,
-) -> Iterator[LoadStep]:
-    """Drive in town, stop, change the load by so many kg, up or down in turn, and drive on."""
-    for number, seed in enumerate(seeds):
-        vehicle = load_vehicle(vehicles[number % len(vehicles)])
-        delta = load if number % 2 else -load
-        first = simulate(DriveKind.URBAN, vehicle, before, seed, can_profile=PROFILE)
-        second = simulate(
-            DriveKind.URBAN,
-            vehicle,
-            after,
-            seed + 1_000_000,
-            can_profile=PROFILE,
-            car=replace(first.car, mass=first.car.mass + delta),
-            start_ns=EPOCH_NS + (before + STOP_GAP) * NANOSECONDS,
-        )
-        chain = CarChain(vehicle)
-        for reading in first.readings:
-            chain.add_reading(reading)
-        chain.motion = 0.0
-        detected: float = math.nan
-        change: PayloadChange | None = None
-        for reading in second.readings:
-            known = chain.car.payload.found
-            chain.add_reading(reading)
-            if chain.car.payload.found > known and math.isnan(detected):
-                detected = chain.motion
-            if chain.car.payload.change is not None and chain.motion <= 90.0:
-                change = chain.car.payload.change
-        error = change.delta_mass - delta if change is not None else math.nan
-        yield LoadStep(vehicle.key, seed, delta, detected, error)
-
-
-def false_alarms(
-    kind: DriveKind, vehicles: Sequence[str], seeds: Iterable[int]
-) -> Iterator[tuple[int, int]]:
-    """Changes of load found and withdrawn, of drives on which there were none."""
-    for drive in simulated_drives([kind], vehicles, seeds, 3600.0):
-        chain = CarChain(drive.vehicle)
-        for reading in drive.readings:
-            chain.add_reading(reading)
-        yield chain.car.payload.found, chain.car.payload.withdrawn
 
 
 def _compared(chain: CarChain, drive: SimulatedDrive, seconds: int) -> Iterator[TruthCheck]:

@@ -35,9 +35,6 @@ FIRST_SEED = 12_000  # none of those that constants were chosen by
 def breakdown(
     drives: Annotated[int, typer.Option(min=1, help="Drives, each of another car.")] = 60,
     seconds: Annotated[float, typer.Option(min=60.0, help="Length of each.")] = 600.0,
-    plausible: Annotated[
-        bool, typer.Option("--plausible", help="Plausible cars, nearer than priors claim.")
-    ] = False,
     rms_grade: GradeOption = RMS_GRADE,
     altitude: AltitudeOption = False,
     temperature: Annotated[
@@ -78,7 +75,7 @@ def breakdown(
             VEHICLES,
             seeds,
             seconds=seconds,
-            from_priors=not plausible,
+            from_priors=True,
             rms_grade=rms_grade,
             altitude=altitude,
             temperature=temperature,

@@ -1,31 +1,57 @@
-"""Options and output that the commands of `evpinn bench` have in common."""
+"""Options, work and output that the commands of `evpinn bench` have in common."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 
-from evpinn_ros.cli.console import write_json
+from benchmarks.unseen.drives import cars_in
+from evpinn_ros.cli.console import progress_bar, write_json
+from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.plain_table import PlainTable
 
 GradeOption = Annotated[float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")]
 AltitudeOption = Annotated[bool, typer.Option("--altitude", help="With a barometer.")]
-BUSY = 0.3  # load of other programs from which figures are not those of what is measured alone
+DataArgument = Annotated[str, typer.Argument(help="Folder of data, as in `evpinn bench unseen`.")]
+JobsOption = Annotated[int, typer.Option(min=1, help="Processes.")]
 TABLE_WIDTH = 140  # characters; in narrower tables numbers would be broken
+Result = TypeVar("Result")
 
 
-def number(value: float | None, form: str) -> str:
-    """A number in this format, a dash where it is not known."""
-    return "-" if value is None else format(value, form)
+def cars_option(cars: Sequence[str]) -> Any:
+    """The option `--cars` of a command that scores these cars by default."""
+    return typer.Option(help=f"By comma; else {', '.join(cars)}, those that are there.")
+
+
+def chosen_cars(data: str, wanted: str, default: Sequence[str]) -> list[str]:
+    """The cars that are wanted by comma, else those of the default that are there."""
+    if wanted:
+        return names_in(wanted)
+    there = cars_in(data)
+    return [key for key in default if key in there]
 
 
 def names_in(text: str) -> list[str]:
     """The names in a list with commas."""
     return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def in_parallel(
+    title: str, jobs: int, work: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]
+) -> Iterator[Result]:
+    """Results of work on each task's arguments, in order, by so many processes."""
+    with (
+        ProcessPoolExecutor(jobs, initializer=limit_blas_threads) as pool,
+        progress_bar(title, len(tasks), unit="done") as progress,
+    ):
+        for number, result in enumerate(pool.map(work, *zip(*tasks, strict=True)), start=1):
+            progress(number)
+            yield result
 
 
 @contextmanager

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
-from functools import partial
 from typing import Annotated, Any
 
-import typer
-
-from benchmarks.cli.output import TABLE_WIDTH, json_at_the_end, table_of
+from benchmarks.cli.output import (
+    TABLE_WIDTH,
+    DataArgument,
+    JobsOption,
+    cars_option,
+    chosen_cars,
+    in_parallel,
+    json_at_the_end,
+    table_of,
+)
 from benchmarks.settings import (
     CARS,
     PRODUCT,
@@ -21,22 +26,17 @@ from benchmarks.settings import (
     others,
     support,
 )
-from benchmarks.unseen.drives import cars_in
-from benchmarks.variants import SCORE_COLUMNS, RecordedCar, Variant, VariantRow, read_car, score
-from evpinn_ros.cli.console import progress_bar, show
+from benchmarks.variants import SCORE_COLUMNS, Variant, VariantRow, read_car, score
+from evpinn_ros.cli.console import show
 from evpinn_ros.cli.options import MetricsOption
-from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 
 
 def settings(
-    data: Annotated[str, typer.Argument(help="Folder of data, as in `evpinn bench unseen`.")],
-    cars: Annotated[
-        str,
-        typer.Option(help=f"By comma; else {', '.join(CARS)}, those that are there."),
-    ] = "",
-    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    data: DataArgument,
+    cars: Annotated[str, cars_option(CARS)] = "",
+    jobs: JobsOption = 2,
     metrics: MetricsOption = None,
 ) -> None:
     """Score each car with constants that the other cars chose.
@@ -46,8 +46,7 @@ def settings(
 
     Example: evpinn bench settings $DATA --cars model3,e208,leaf2013
     """
-    there = cars_in(data)
-    keys = cars.split(",") if cars else [key for key in CARS if key in there]
+    keys = chosen_cars(data, cars, CARS)
     lonely = [key for key in keys if not others(key, keys)]
     if lonely:
         raise InputError(f"--cars: {lonely[0]} needs another car, which chooses for it")
@@ -55,27 +54,16 @@ def settings(
     finals: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     chosen: dict[str, list[Variant]] = {}
     with json_at_the_end(metrics, lambda: _found(scores, chosen, finals)):
-        with ProcessPoolExecutor(jobs, initializer=limit_blas_threads) as pool:
-            recorded = list(pool.map(partial(read_car, data), keys))
-            tasks = [(each, car) for car in recorded for each in alternatives()]
-            _score(pool, "alternatives on cars", tasks, scores)
-            chosen |= {key: final_variants(scores, key) for key in keys}
-            tasks = [(each, car) for car in recorded for each in chosen[car.key]]
-            _score(pool, "chosen constants", tasks, finals)
+        recorded = list(in_parallel("cars read", jobs, read_car, [(data, key) for key in keys]))
+        tasks = [(each, car) for car in recorded for each in alternatives()]
+        for row in in_parallel("alternatives on cars", jobs, score, tasks):
+            scores[row.car][row.variant] = row
+        chosen |= {key: final_variants(scores, key) for key in keys}
+        tasks = [(each, car) for car in recorded for each in chosen[car.key]]
+        for row in in_parallel("chosen constants", jobs, score, tasks):
+            finals[row.car][row.variant] = row
         _show_alternatives(scores)
         _show_chosen(chosen, finals)
-
-
-def _score(
-    pool: ProcessPoolExecutor,
-    title: str,
-    tasks: Sequence[tuple[Variant, RecordedCar]],
-    scores: dict[str, dict[str, VariantRow]],
-) -> None:
-    with progress_bar(title, len(tasks), unit="done") as progress:
-        for number, row in enumerate(pool.map(score, *zip(*tasks, strict=True)), start=1):
-            scores[row.car][row.variant] = row
-            progress(number)
 
 
 def _found(

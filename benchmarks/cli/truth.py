@@ -11,12 +11,9 @@ import typer
 from benchmarks.cli.output import AltitudeOption, GradeOption, json_at_the_end, table_of
 from benchmarks.truth import (
     VEHICLES,
-    LoadStep,
     TruthCheck,
     TruthSummary,
     compare,
-    false_alarms,
-    load_steps,
     summaries,
 )
 from evpinn_ros.cli.console import progress_bar, say, show
@@ -26,7 +23,6 @@ from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import RMS_GRADE
 
 FIRST_SEED = 7000
-IN_TIME, NEAR = 90.0, 25.0  # s of motion and kg within which a change of load is to be detected
 
 COLUMNS = (
     ("quantity", "{0.name}"),
@@ -51,12 +47,6 @@ def truth(
     ] = False,
     rms_grade: GradeOption = RMS_GRADE,
     altitude: AltitudeOption = False,
-    load: Annotated[
-        bool, typer.Option("--load", help="Also change the load at a stop, by 150 kg.")
-    ] = False,
-    hours: Annotated[
-        int, typer.Option(min=0, help="Hours without a change of load, to count false alarms.")
-    ] = 0,
     json_file: JsonOption = None,
 ) -> None:
     """Compare published parameters with the truth of simulated cars.
@@ -68,10 +58,6 @@ def truth(
     road: dict[str, Any] = {"rms_grade": rms_grade, "altitude": altitude}
     with json_at_the_end(json_file, lambda: figures):
         _compare(figures, compare(kind, VEHICLES, seeds, from_priors=from_priors, **road), drives)
-        if load:
-            _show_loads(figures, list(load_steps(VEHICLES, seeds)))
-        if hours:
-            _show_alarms(figures, kind, hours)
 
 
 def _compare(figures: dict[str, Any], compared: Iterable[TruthCheck], drives: int) -> None:
@@ -99,20 +85,3 @@ def _unobservable(found: Sequence[TruthCheck]) -> str:
     shares = [one.prior_share for one in found if one.name == "c_d" and one.seconds == end]
     flagged = sum(share > UNOBSERVABLE_ABOVE for share in shares)
     return f"C_d flagged as unobservable: {flagged} of {len(shares)} drives"
-
-
-def _show_loads(figures: dict[str, Any], steps: Sequence[LoadStep]) -> None:
-    in_time = sum(step.detected_after <= IN_TIME for step in steps)
-    near = sum(abs(step.error) <= NEAR for step in steps)
-    figures["load"] = {"steps": len(steps), "in_time": in_time, "near": near}
-    say(
-        f"Load: {in_time} of {len(steps)} found within {IN_TIME:.0f} s of motion, "
-        f"{near} within {NEAR:.0f} kg"
-    )
-
-
-def _show_alarms(figures: dict[str, Any], kind: DriveKind, hours: int) -> None:
-    quiet = list(false_alarms(kind, VEHICLES, range(FIRST_SEED, FIRST_SEED + hours)))
-    alarms, withdrawn = sum(one[0] for one in quiet), sum(one[1] for one in quiet)
-    figures["false_alarms"] = {"hours": hours, "alarms": alarms, "withdrawn": withdrawn}
-    say(f"False alarms in {hours} h: {alarms}, withdrawn {withdrawn}")

@@ -12,7 +12,6 @@ import random
 import time
 import tty
 
-from benchmarks.can_traffic import GROUP, INTERFACE, bus_options, own_port
 from benchmarks.faults.chain import ChainFault, NodeChain, Process, running, start_node
 from benchmarks.faults.drive import RATE, readings
 from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
@@ -26,11 +25,18 @@ from evpinn_ros.topics.node_parameters import Value
 
 PROFILE, OTHER_PROFILE = "tesla_model_3", "tesla_model_3_2019"
 LONGEST = 15.0  # s in which a fault must be named
+INTERFACE, GROUP, FIRST_PORT = "udp_multicast", "239.74.163.5", 20_000
+"""The one kind of bus of python-can that crosses processes on any machine."""
+
+
+def bus_options() -> dict[str, int]:
+    """Options of python-can for a bus that stays on this machine, of this process alone."""
+    return {"port": FIRST_PORT + os.getpid() % FIRST_PORT, "hop_limit": 0}
 
 
 def bus_arguments() -> tuple[str, ...]:
     """Arguments of `evpinn run`: a bus of this machine, on which nothing happens."""
-    options = " ".join(f"{name}={value}" for name, value in bus_options(own_port()).items())
+    options = " ".join(f"{name}={value}" for name, value in bus_options().items())
     fixed = ("--can-interface", INTERFACE, "--can-channel", GROUP, "--bitrate", "0")
     return (*fixed, "--bus-options", options, "--can-profile", PROFILE)
 

@@ -23,14 +23,9 @@ COMMANDS = (
     "plans",
     "truth",
     "breakdown",
-    "can",
     "speed",
     "soak",
     "fuzz",
-    "attacks",
-    "mqtt",
-    "report",
-    "recover",
     "faults",
 )
 

@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from benchmarks.recovery import STORAGES, write_bag
+from test.bags.broken import STORAGES, write_bag
 
 
 @pytest.fixture(scope="module")

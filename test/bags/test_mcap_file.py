@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 import pytest
 
-from benchmarks.recovery import STORAGES, chunks_of, messages_of
 from evpinn_ros.bags.limits import LONGEST_CHUNK
 from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.units import MEBIBYTE
+from test.bags.broken import STORAGES, chunks_of, messages_of
 
 pytestmark = pytest.mark.slow
 

@@ -19,7 +19,6 @@ from typer.testing import CliRunner
 import yaml
 import zstandard
 
-from benchmarks.recovery import FAULTS, STORAGES, campaign, chunks_of, messages_of
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import encode, new_message
@@ -28,6 +27,7 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.topics.messages import scalar
+from test.bags.broken import FAULTS, STORAGES, campaign, chunks_of, messages_of
 
 pytestmark = pytest.mark.slow
 

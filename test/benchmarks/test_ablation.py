@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks import variants
-from benchmarks.ablation import NO_TRIM, VARIANTS, seconds
+from benchmarks.ablation import VARIANTS
 from benchmarks.variants import RecordedCar, VariantRow, read_car, score
 from evpinn_ros.cli.main import app
 
@@ -63,16 +63,6 @@ def test_seeds_are_averaged(car):
     one, other, both = (score(VARIANTS[0], car, seeds) for seeds in ([0], [1], [0, 1]))
     assert one.carried_crps != other.carried_crps
     assert both.carried_crps == pytest.approx((one.carried_crps + other.carried_crps) / 2)
-
-
-def test_the_trim_counts_while_the_battery_is_measured(tmp_path):
-    speed = 15.0 + 3.0 * np.sin(np.arange(750) / 25.0)
-    rows = (f"{i / 5},{v},360,{v + 9.0 * (i % 50 < 25)}\n" for i, v in enumerate(speed))
-    (tmp_path / "a.csv").write_text("t_s,speed_mps,voltage_v,current_a\n" + "".join(rows))
-    car = f"{tmp_path / 'a.csv'}=generic"
-    whole, without = (seconds("", car, each) for each in (VARIANTS[0], NO_TRIM))
-    assert whole.ages["0.1"] != without.ages["0.1"]
-    assert NO_TRIM.changes and without.variant == "no trim"
 
 
 def test_the_command(tmp_path):

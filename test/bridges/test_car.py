@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
 from evpinn_ros.bridges.car import BridgedCar
 from evpinn_ros.bridges.layouts import Layout, read_layout
 from evpinn_ros.bridges.sensors import SENSORS
@@ -12,6 +11,7 @@ from evpinn_ros.bridges.snapshot import Snapshots
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.signals.readings import SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
+from test.bridges.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
 
 SECOND = 1_000_000_000
 

@@ -16,7 +16,6 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
 from evpinn_ros.bridges.broker import BrokerSettings, Connection
 from evpinn_ros.bridges.layouts import read_layout
 from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
@@ -26,6 +25,7 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.vehicle.files import load_vehicle
 from test.bridges.conftest import Broker, Client
+from test.bridges.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
 from test.conftest import wait_for
 
 pytestmark = pytest.mark.slow

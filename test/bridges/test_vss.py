@@ -19,12 +19,12 @@ from typing import Any
 
 import pytest
 
-from benchmarks.published_topics import VEHICLE, drive, energy
 from evpinn_ros.bridges.car import BridgedCar
 from evpinn_ros.bridges.vss import INPUTS, METRES, OUTPUTS, DatabrokerFeed, signals
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
+from test.bridges.published_topics import VEHICLE, drive, energy
 
 pytestmark = pytest.mark.slow
 

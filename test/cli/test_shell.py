@@ -151,13 +151,10 @@ def test_json_goes_to_stdout_alone(short, tmp_path):
     replayed = run("replay", short, "--metrics", "-", "--warm-up", 5, cwd=tmp_path)
     assert json.loads(replayed.stdout)["input"]["samples"] > 500
     assert "Parameters of the car" in replayed.stderr
-    bench = run(*BENCH, "--files", 2, "--reads", 0, "--json", "-", cwd=tmp_path)
-    assert [each["kind"] for each in json.loads(bench.stdout)["files"]] == ["csv"]
-    assert "largest memory" in bench.stderr
+    bench = run("bench", "breakdown", "--drives", 1, "--seconds", 60, "--json", "-", cwd=tmp_path)
+    assert {"air", "tyres"} <= {row["name"] for row in json.loads(bench.stdout)}
+    assert "rms error" in bench.stderr
     assert not (tmp_path / "-").exists()
-
-
-BENCH = ("bench", "attacks", "--only", "csv")
 
 
 def interrupted(*arguments: object, cwd: Path, once) -> subprocess.CompletedProcess:
@@ -216,18 +213,6 @@ def test_ctrl_c_leaves_what_was_converted(drive, tmp_path):
     )
     assert_stopped(done)
     assert 1000 < read_bag(tmp_path / "out") < 4 * 72_000 - 1000
-
-
-def test_ctrl_c_leaves_the_rows_of_a_bench(tmp_path):
-    stderr = tmp_path / "stderr"
-    done = interrupted(
-        *(*BENCH, "--only", "asc", "--files", 30, "--reads", 0, "--json", "rows.json"),
-        cwd=tmp_path,
-        once=lambda: "csv: 30 files" in stderr.read_text(),
-    )
-    assert done.returncode == INTERRUPTED and "Traceback" not in done.stderr
-    (row,) = json.loads((tmp_path / "rows.json").read_text())["files"]
-    assert row["kind"] == "csv"
 
 
 def test_a_full_disk_is_one_line(on_a_full_disk, short, tmp_path):

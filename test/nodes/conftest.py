@@ -210,9 +210,9 @@ def can_bus() -> Iterator[tuple[Any, dict[str, Any]]]:
     # Here, for python-can takes long to import and most tests need none of it.
     import can
 
-    from benchmarks.can_traffic import GROUP, INTERFACE, bus_options, own_port
+    from benchmarks.faults.bus import GROUP, INTERFACE, bus_options
 
-    options = bus_options(own_port())
+    options = bus_options()
     try:
         bus = can.Bus(GROUP, interface=INTERFACE, **options)
     except (OSError, can.CanError) as error:

@@ -12,7 +12,7 @@ from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
 
-BAGS = Path(__file__).resolve().parents[1] / "bags"
+BAGS = Path(__file__).resolve().parents[2] / "bags"
 VEHICLE = "tesla_model_3_lr"
 
 
