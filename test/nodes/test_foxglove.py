@@ -23,6 +23,7 @@ from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import decode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.cli.view import view
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.live.foxglove import LOOPBACK, MOST_CONNECTIONS, FoxgloveServer, is_loopback
 from evpinn_ros.live.foxglove_node import FoxgloveNode
@@ -197,23 +198,15 @@ def test_beyond_loopback_it_warns(bench):
     assert not is_loopback("my-laptop.example")
 
 
-def test_a_port_in_use_and_a_bag_without_messages_are_one_line(tmp_path):
+def test_a_port_in_use_and_a_bag_without_messages_are_refused(tmp_path):
     with FoxgloveServer(LOOPBACK, 0, {}) as server:
         port = int(server.address.rpartition(":")[2])
         with pytest.raises(InputError, match=rf"127\.0\.0\.1:{port}: .*in use"):
-            FoxgloveServer(LOOPBACK, port, {})
-        done = subprocess.run(
-            [sys.executable, "-m", "evpinn_ros", "view", str(URBAN), "--port", str(port)],
-            cwd=ROOT, capture_output=True, text=True, timeout=60,
-        )  # fmt: skip
-    assert done.returncode == 1 and "in use" in done.stderr.splitlines()[-1]
+            view(URBAN, port=port)
     with BagWriter(tmp_path / "bag"):
         pass
-    done = subprocess.run(
-        [sys.executable, "-m", "evpinn_ros", "view", str(tmp_path / "bag"), "--port", "0"],
-        cwd=ROOT, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
-    assert done.returncode == 1 and "holds no messages" in done.stderr.splitlines()[-1]
+    with pytest.raises(InputError, match="holds no messages"):
+        view(tmp_path / "bag", port=0)
 
 
 @pytest.mark.parametrize(

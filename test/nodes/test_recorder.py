@@ -1,5 +1,6 @@
 """A recording that is killed: what of the frames and topics is still there."""
 
+from collections import deque
 import itertools
 import json
 import subprocess
@@ -11,13 +12,17 @@ import pytest
 
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.writer import Split
 from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.drives.bus_sources import CanLogSource
 from evpinn_ros.drives.can_logs import open_can_log
 from evpinn_ros.drives.sources import open_source
+from evpinn_ros.nodes.recorder import RecorderNode
 from evpinn_ros.signals.readings import SpeedReading
+from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.vehicle.files import load_vehicle
 
 PERIOD = 0.002
@@ -124,31 +129,13 @@ def test_a_full_disk_ends_the_recording_alone(tmp_path):
     assert len(list(open_can_log(next(folder.glob("*.mcap"))).frames())) >= 500
 
 
-SPLITTING = """
-from collections import deque
-import pathlib, sys
-import rclpy
-from evpinn_ros.bags.writer import Split
-from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.nodes.recorder import RecorderNode
-
-rclpy.init()
-start = 1_700_000_000_000_000_000
-frames = deque((start + i * 10_000_000, CanFrame(0, i, b"12345678")) for i in range(1000))
-node = RecorderNode(pathlib.Path(sys.argv[1]), frames, Split(seconds=3.0))
-while frames:
-    rclpy.spin_once(node, timeout_sec=0.1)
-node.close()
-"""
-
-
-def test_a_recording_goes_on_in_another_file(tmp_path):
-    folder = tmp_path / "bag"
-    command = [sys.executable, "-c", SPLITTING, str(folder)]
-    done = subprocess.run(
-        command, cwd=share_directory(), capture_output=True, text=True, timeout=90
-    )
-    assert done.returncode == 0, done.stderr
+def test_a_recording_goes_on_in_another_file(bench, tmp_path):
+    folder, start = tmp_path / "bag", 1_700_000_000 * 10**9
+    frames = deque((start + i * 10**7, CanFrame(0, i, b"12345678")) for i in range(1000))
+    split = Split(seconds=3.0)
+    node = bench.start(lambda **_: RecorderNode(folder, frames, split, namespace=NAMESPACE))
+    bench.pump(lambda: not frames)
+    node.close()
     assert sorted(path.name for path in folder.iterdir()) == [
         *(f"bag_{i}.mcap" for i in range(4)),
         "metadata.yaml",
