@@ -23,9 +23,8 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import Legs, PlanError, points_of
 from evpinn_ros.energy.power_model import PowerModel
-from evpinn_ros.energy.remaining import Ahead, Cost, Route, cost_spread, remaining
+from evpinn_ros.energy.remaining import Ahead, Cost, Route, cost_spread, remaining, usual_cost
 from evpinn_ros.energy.trip import Stretch, TripLog
-from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.terms import equation_of

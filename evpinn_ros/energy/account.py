@@ -14,7 +14,7 @@ from typing import Annotated, NamedTuple
 from evpinn_ros.common.saved_fields import ADDED, SAME, Range, Saveable
 from evpinn_ros.energy.battery_model import BatteryModel, SavedBattery
 from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
-from evpinn_ros.energy.dropout import Dropout
+from evpinn_ros.energy.dropout import Dropout, Reconciled, Verdict, reconcile
 from evpinn_ros.energy.forecast import Forecast
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState, SavedMeter
 from evpinn_ros.energy.plan import Plan
@@ -27,7 +27,6 @@ from evpinn_ros.energy.plausible import (
     power_is_possible,
     speed_is_possible,
 )
-from evpinn_ros.energy.reconciliation import Reconciled, Verdict, reconcile
 from evpinn_ros.energy.remaining import Cost, Remaining, Route, cost_spread, remaining
 from evpinn_ros.energy.trip import SavedTrip, Stretch, TripLog
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -137,8 +136,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         gauge: state of charge and capacity.
         battery: its charge and voltage, for the end of a plan.
         reconciled: of the last battery dropout that ended, None before.
-        usual: energy per distance of usual driving (`energy.usual`), J/m, NaN if unknown; who
-            learns the car sets it.
+        usual: `remaining.usual_cost`, J/m, NaN if unknown; who learns the car sets it.
         route: of the last plan (`follow`), None before any.
         refused: readings of what no car can do, by reason, since the process began.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from evpinn_ros.energy.plan import COARSE, Plan, plan_from_speed_profile
+from evpinn_ros.energy.plan import COARSE, Plan, plan_from_speed_profile, travelled
 
 PLAN_STEP = 1.0  # s between points of a plan
 ELEVATION_STEP = 5.0  # m
@@ -27,17 +27,11 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
     rough = float(np.median(np.diff(time))) > COARSE
     grid = time if rough else np.arange(0.0, time[-1], PLAN_STEP)
     at = np.maximum(np.interp(grid, time, speeds), 0.0)
-    # Distance as the plan's speeds make it, so that both agree.
-    distance = travelled(grid, at)
     if not len(altitude):
-        return plan_from_speed_profile(grid, distance, at)
+        return plan_from_speed_profile(grid, None, at)
     seen = np.interp(altitude[:, 0] - speed[0, 0], time, travelled(time, speeds))
-    return plan_from_speed_profile(grid, distance, at, road_height(seen, altitude[:, 1], distance))
-
-
-def travelled(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Distance, m, since the first of n times, s, with speeds, m/s; shape (n,)."""
-    return np.concatenate(([0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)))
+    height = road_height(seen, altitude[:, 1], travelled(grid, at))
+    return plan_from_speed_profile(grid, None, at, height)
 
 
 def road_height(along: np.ndarray, height: np.ndarray, distance: np.ndarray) -> np.ndarray:

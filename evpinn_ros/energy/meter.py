@@ -20,18 +20,10 @@ from evpinn_ros.energy.dropout import Bridge, Dropout, Dropouts
 from evpinn_ros.energy.plausible import MAX_POWER, ROUNDING, Seconds, UnknownJoules
 from evpinn_ros.energy.power_interpolation import (
     LONGEST,
-    EnergyCorrection,
     MeasuredStep,
     PowerInterpolation,
-    PredictedPower,
 )
-from evpinn_ros.energy.quadrature import (
-    MAX_GAP,
-    CompensatedSum,
-    EnergyIntegral,
-    SavedIntegral,
-    Step,
-)
+from evpinn_ros.energy.quadrature import MAX_GAP, EnergyIntegral, SavedIntegral, Step
 from evpinn_ros.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.energy.uncertainty import LASTING_SHARE, CorrelatedError
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -157,7 +149,7 @@ class EnergyMeter(Saveable[SavedMeter]):
         """Go on from what was counted; the next sample starts a new step, not a gap."""
         self._measured = EnergyIntegral(MAX_GAP, saved.measured)
         self._predicted = EnergyIntegral(self._max_gap, saved.predicted)
-        self._rknn, self._rknn_power = CompensatedSum(saved.rknn), math.nan
+        self._rknn, self._rknn_power = saved.rknn, math.nan
         self._measured_error = CorrelatedError(start_sigma=saved.measured_sigma)
         self._predicted_error = CorrelatedError(start_sigma=saved.predicted_sigma)
         self._newest_ns = 0
@@ -199,13 +191,11 @@ class EnergyMeter(Saveable[SavedMeter]):
         if self._dropout_since_ns is None:
             self._dropout_since_ns = stamp_ns
         if self._predicted.dropped == dropped:
-            self._correct(
-                self._interpolation.add_predicted(PredictedPower(stamp_ns, power, sigma))
-            )
+            self._correct(self._interpolation.add_predicted(stamp_ns, power, sigma))
         if step is None:
             return
         energy = float(self._network.step(step.power, step.power_next, step.dt))
-        self._rknn.add(energy)
+        self._rknn += energy
         self._rknn_power = energy / step.dt
         self._predicted_error.integrate(sigma, step.dt)
         self._dropout_error.integrate(sigma, step.dt)
@@ -233,9 +223,9 @@ class EnergyMeter(Saveable[SavedMeter]):
         self._dropout_error = CorrelatedError()
         self._anchor = self._predicted_parts()
 
-    def _correct(self, corrections: Iterable[EnergyCorrection]) -> None:
-        for correction in corrections:
-            self._dropouts = self._dropouts.corrected(correction.bridge, correction.variance)
+    def _correct(self, corrections: Iterable[tuple[Bridge, float]]) -> None:
+        for bridge, variance in corrections:
+            self._dropouts = self._dropouts.corrected(bridge, variance)
 
     def _end_dropout(self, stamp_ns: int) -> Dropout:
         ended = self._dropout_until(stamp_ns)
@@ -283,7 +273,7 @@ class EnergyMeter(Saveable[SavedMeter]):
             stamp_ns=self._newest_ns,
             measured=Flow(self._measured.energy, measured_power, self._measured_error.sigma),
             predicted=Flow(self._predicted.energy, self._predicted.last_power, sigma),
-            rknn=Flow(self._rknn.value, self._rknn_power, sigma),
+            rknn=Flow(self._rknn, self._rknn_power, sigma),
             regenerated=Flow(
                 self._measured.regenerated + now.bridged.regenerated,
                 power if math.isnan(power) else max(-power, 0.0),
@@ -304,7 +294,7 @@ class EnergyMeter(Saveable[SavedMeter]):
         return SavedMeter(
             measured=self._measured.saved(),
             predicted=self._predicted.saved(),
-            rknn=self._rknn.value,
+            rknn=self._rknn,
             measured_sigma=self._measured_error.sigma,
             predicted_sigma=self._predicted_error.sigma,
             bridged=now.bridged,
@@ -321,9 +311,8 @@ class EnergyMeter(Saveable[SavedMeter]):
 
     def _predicted_parts(self) -> Bridge:
         whole = self._predicted
-        by_network = self._integrator is Integrator.RKNN
-        energy = self._rknn.value if by_network else whole.energy
-        return Bridge(energy, whole.regenerated, whole.gross, whole.covered_s)
+        energy = self._rknn if self._integrator is Integrator.RKNN else whole.energy
+        return Bridge(energy, whole.regenerated, whole.drawn + whole.regenerated, whole.covered_s)
 
     def _dropout_seconds(self, stamp_ns: int) -> float:
         """Time from the last word of the battery (or the first stamp) to this stamp, s."""

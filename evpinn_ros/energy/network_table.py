@@ -50,10 +50,10 @@ class Places(NamedTuple):
     """Places of steps on the grid; arrays of any shape, numpy or torch.
 
     Attributes:
-        speed: number of the node below, a float.
-        force: likewise.
+        speed: number of the node of speed below, a float.
+        force: number of the node of force below, a float.
         faster: share of the way from there to the next node of speed, 0..1.
-        stronger: the same of force.
+        stronger: share of the way to the next node of force, 0..1.
     """
 
     speed: Any
@@ -61,10 +61,14 @@ class Places(NamedTuple):
     faster: Any
     stronger: Any
 
-    def moments(self, way: Any) -> tuple[Any, Any, Any, Any]:
-        """Metres of each step; these by `faster`, by `stronger`, and by both."""
-        faster = way * self.faster
-        return way, faster, way * self.stronger, faster * self.stronger
+    def shares(self, way: Any) -> Iterator[tuple[int, int, Any]]:
+        """Metres of steps at the four nodes around: shift of speed and force, metres there."""
+        faster, stronger = way * self.faster, way * self.stronger
+        both = faster * self.stronger
+        yield 0, 0, way - stronger - faster + both
+        yield 0, 1, stronger - both
+        yield 1, 0, faster - both
+        yield 1, 1, both
 
 
 def places_of(wheels: Wheels) -> Places:
@@ -79,22 +83,6 @@ def places_of(wheels: Wheels) -> Places:
     return Places(below_x, below_y, x - below_x, y - below_y)
 
 
-def shares_of(way: Any, faster: Any, stronger: Any, both: Any) -> Iterator[tuple[int, int, Any]]:
-    """Metres at the four nodes around steps: shift of speed and of force, and the metres there.
-
-    Args:
-        way: moments of the steps (`Places.moments`), or their sums over steps of one cell.
-        faster: likewise; so are the others.
-        stronger: likewise.
-        both: likewise.
-    """
-    faster = faster - both
-    yield 0, 0, way - stronger - faster
-    yield 0, 1, stronger - both
-    yield 1, 0, faster
-    yield 1, 1, both
-
-
 def looked_up(wheels: Wheels, distance: Any, table: np.ndarray) -> Any:
     """Energy of the network before its share of the terms is taken away, (batch, NETWORK).
 
@@ -107,10 +95,9 @@ def looked_up(wheels: Wheels, distance: Any, table: np.ndarray) -> Any:
     first = speeds * forces * np.arange(batch) - (slow * forces + weak)
     node = whole(i * forces + j + like(first.astype(float), i)[:, None]).ravel()
     count = batch * speeds * forces
-    sums = (sums_at(node, each.ravel(), count) for each in places.moments(abs(distance)))
     weights = zeros((count,), distance)
-    for faster, stronger, share in shares_of(*sums):
+    for faster, stronger, share in places.shares(abs(distance)):
         shift = faster * forces + stronger
-        weights[shift:] += share[: count - shift]
+        weights[shift:] += sums_at(node, share.ravel(), count - shift)
     table = table[slow : slow + speeds, weak : weak + forces]
     return weights.reshape(batch, -1) @ like(table.reshape(-1, table.shape[2]), distance)

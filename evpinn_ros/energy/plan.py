@@ -213,12 +213,17 @@ def plan_from_speed_profile(
     check_size(len(time))
     time, speed = as_floats(time), as_floats(speed)
     check_arrays({"time": time, "speed": speed})
-    made = np.concatenate(([0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)))
+    made = travelled(time, speed)
     distance = made if distance is None else as_floats(distance)
     height = np.zeros_like(time) if elevation is None else as_floats(elevation)
     if distance.shape == time.shape and (np.diff(time) > 0).all():
         _check_units(float(made[-1]), float(distance[-1] - distance[0]))
     return Plan(time - time[:1], distance - distance[:1], speed, height)
+
+
+def travelled(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Distance, m, since the first of n times, s, with speeds, m/s; shape (n,)."""
+    return np.concatenate(([0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)))
 
 
 def legs_of(length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None) -> Legs:

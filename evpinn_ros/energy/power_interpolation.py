@@ -62,17 +62,11 @@ class MeasuredStep(NamedTuple):
     dropout: Bridge | None = None
 
 
-class EnergyCorrection(NamedTuple):
-    """Correction to what has been counted for a step, and its variance, J^2."""
-
-    bridge: Bridge
-    variance: float
-
-
 class PowerInterpolation:
     """Corrects what was counted between samples of the battery once predictions have passed.
 
-    A step that no prediction ever passes, or that holds too few, stays as it was counted.
+    A correction is what is added to what was counted for a step, and the variance of that, J^2. A
+    step that no prediction ever passes, or that holds too few, stays as it was counted.
     """
 
     def __init__(self, max_gap: float, network: Rknn | None) -> None:
@@ -86,17 +80,19 @@ class PowerInterpolation:
         self._predictions: deque[PredictedPower] = deque(maxlen=WAITING)
         self._steps: deque[MeasuredStep] = deque(maxlen=WAITING)
 
-    def add_predicted(self, prediction: PredictedPower) -> Iterator[EnergyCorrection]:
-        """Take a prediction newer than the last; gives the steps that it completes."""
-        self._predictions.append(prediction)
+    def add_predicted(
+        self, stamp_ns: int, power: float, sigma: float
+    ) -> Iterator[tuple[Bridge, float]]:
+        """Take a predicted power, W, newer than the last; gives corrections of what it ends."""
+        self._predictions.append(PredictedPower(stamp_ns, power, sigma))
         return self._completed()
 
-    def add_measured(self, step: MeasuredStep) -> Iterator[EnergyCorrection]:
-        """Take a step newer than the last; gives it if it is complete."""
+    def add_measured(self, step: MeasuredStep) -> Iterator[tuple[Bridge, float]]:
+        """Take a step newer than the last; gives its correction if it is complete."""
         self._steps.append(step)
         return self._completed()
 
-    def _completed(self) -> Iterator[EnergyCorrection]:
+    def _completed(self) -> Iterator[tuple[Bridge, float]]:
         while self._steps and self._predictions:
             if self._predictions[-1].stamp_ns < self._steps[0].end_ns:
                 return
@@ -107,8 +103,8 @@ class PowerInterpolation:
             if correction is not None:
                 yield correction
 
-    def _correction(self, step: MeasuredStep) -> EnergyCorrection | None:
-        """Correction by the predictions around and in a step to what was counted for it."""
+    def _correction(self, step: MeasuredStep) -> tuple[Bridge, float] | None:
+        """Correction by the predictions around and in a step."""
         near = [*self._predictions]
         end = next(i for i, each in enumerate(near) if each.stamp_ns >= step.end_ns)
         near = near[: end + 1]
@@ -122,10 +118,10 @@ class PowerInterpolation:
         time, power = _joined(step, near)
         found = self._integral(time, power)
         if step.dropout is not None:
-            return EnergyCorrection(found.less(step.dropout)._replace(covered_s=0.0), 0.0)
+            return found.less(step.dropout)._replace(covered_s=0.0), 0.0
         sigma = math.fsum(each.sigma for each in inside) / len(inside)
         counted = Bridge.of_parts(*step.line.parts)
-        return EnergyCorrection(found.less(counted), (sigma * step.line.dt) ** 2 / 2)
+        return found.less(counted), (sigma * step.line.dt) ** 2 / 2
 
     def _integral(self, time: np.ndarray, power: np.ndarray) -> Bridge:
         """Energy of a step, from the course of power at these times since its start, s."""

@@ -20,7 +20,6 @@ from evpinn_ros.energy.network_table import (
     FORCES,
     looked_up,
     places_of,
-    shares_of,
     table_of,
     units_of,
 )
@@ -207,7 +206,7 @@ class PowerModel:
             found = columns.T @ np.stack([power, *rest[list(moving)]])
             places = places_of(wheels)
             node = whole(places.speed * FORCES + places.force)
-            for faster, stronger, share in shares_of(*places.moments(steps.distance)):
+            for faster, stronger, share in places.shares(steps.distance):
                 found += network[node + (faster * FORCES + stronger)] * share[:, None]
             return np.asarray(found)
 

@@ -1,4 +1,4 @@
-"""Energy as the integral of sampled power: the trapezoid rule with compensated sums.
+"""Energy as the integral of sampled power: the trapezoid rule.
 
 dE/dt = P does not depend on E, so the classical Runge-Kutta step of the paper is a quadrature
 rule; between samples nothing but the samples is known, and the trapezoid is exact for power that
@@ -27,29 +27,6 @@ Count: TypeAlias = Annotated[int, Range(0, MOST_COUNTED)]
 def trapezoid(values: np.ndarray, at: np.ndarray) -> float:
     """The integral of samples, both of shape (n,); numpy calls it by another name before 2.0."""
     return float((np.diff(at) * (values[1:] + values[:-1]) / 2.0).sum())
-
-
-class CompensatedSum:
-    """A running sum whose rounding error does not grow with the number of terms (Neumaier)."""
-
-    __slots__ = ("_carry", "_sum")
-
-    def __init__(self, start: float = 0.0) -> None:
-        self._sum, self._carry = start, 0.0
-
-    @property
-    def value(self) -> float:
-        """The sum so far."""
-        return self._sum + self._carry
-
-    def add(self, term: float) -> None:
-        """Add a finite term."""
-        total = self._sum + term
-        if abs(self._sum) >= abs(term):
-            self._carry += (self._sum - total) + term
-        else:
-            self._carry += (term - total) + self._sum
-        self._sum = total
 
 
 class Step(NamedTuple):
@@ -82,9 +59,10 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SavedIntegral:
-    """Totals and counters of an integral; the last sample is not among them.
+    """Totals and counters of an `EnergyIntegral`.
 
-    Without it an integral restored the next morning does not count the night as a gap.
+    The last sample is not among them, so that one restored the next morning does not count the
+    night as a gap.
     """
 
     drawn: Amount = 0.0
@@ -111,6 +89,9 @@ class EnergyIntegral:
     newer than the last one, or not finite, is dropped and counted.
 
     Attributes:
+        drawn: integral of the power where it is positive, J.
+        regenerated: integral of the power where it is negative, as positive J.
+        covered_s: time that was integrated, s.
         gaps: steps longer than `longest_step`.
         gap_s: their duration, s.
         out_of_order: samples dropped because of their stamp.
@@ -127,9 +108,8 @@ class EnergyIntegral:
         """
         self._cadence = Cadence(max_gap)
         self._last: tuple[int, float] | None = None
-        self._drawn = CompensatedSum(saved.drawn)
-        self._regenerated = CompensatedSum(saved.regenerated)
-        self._covered = CompensatedSum(saved.covered_s)
+        self.drawn, self.regenerated = saved.drawn, saved.regenerated
+        self.covered_s = saved.covered_s
         self.gaps, self.gap_s = saved.gaps, saved.gap_s
         self.out_of_order, self.not_finite = saved.out_of_order, saved.not_finite
 
@@ -142,26 +122,6 @@ class EnergyIntegral:
     def energy(self) -> float:
         """Net energy, J: drawn minus regenerated."""
         return self.drawn - self.regenerated
-
-    @property
-    def drawn(self) -> float:
-        """Integral of the power where it is positive, J."""
-        return self._drawn.value
-
-    @property
-    def regenerated(self) -> float:
-        """Integral of the power where it is negative, as positive J."""
-        return self._regenerated.value
-
-    @property
-    def gross(self) -> float:
-        """Drawn and regenerated energy together, J."""
-        return self.drawn + self.regenerated
-
-    @property
-    def covered_s(self) -> float:
-        """Time that was integrated, s."""
-        return self._covered.value
 
     @property
     def dropped(self) -> int:
@@ -199,9 +159,9 @@ class EnergyIntegral:
             return None
         step = Step(since, last[1], power)
         drawn, regenerated = step.parts
-        self._drawn.add(drawn)
-        self._regenerated.add(regenerated)
-        self._covered.add(since)
+        self.drawn += drawn
+        self.regenerated += regenerated
+        self.covered_s += since
         return step
 
     def saved(self) -> SavedIntegral:

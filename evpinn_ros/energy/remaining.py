@@ -1,7 +1,8 @@
 """Distance to empty with the energy in the battery.
 
-What the next metres cost is mostly what the learned car's usual legs do at the temperature and
-with the loads of now (`energy.usual`): what the last kilometres taught is in its states. Over
+What the next metres cost is mostly what the learned car's usual legs of a minute do, as its
+earlier drives had them, at the temperature and with the loads of now (`usual_cost`): a cold
+morning or a roof box counts before its kilometres are driven. Over
 `MEMORY` that returns to the mean of the last 100 km. So the energy of the next d metres is
 
     E(d) = c_long d + (c_near - c_long) L (1 - exp(-d / L)),    L = MEMORY
@@ -20,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 import math
 import sys
 from typing import Annotated, NamedTuple, Protocol, TypeAlias
@@ -31,14 +33,19 @@ from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import Forecast
 from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.plausible import Joules, Metres
+from evpinn_ros.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.energy.trip import Stretch
 from evpinn_ros.energy.uncertainty import relaxed, walked
+from evpinn_ros.estimation.car_model import CarModel
+from evpinn_ros.estimation.unevenness import DURATIONS, MIDDLES
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MEMORY = 10e3  # m
 # Share of the usual legs in the next metres, beside the long run, chosen on the e-208, the Leaf
 # and the Changchun sedan; where none are known, that of the last 10 km.
 USUAL, RECENT = 0.75, 0.5
+USUAL_LEG = 60.0  # s
+LEAST_METRES = 3000.0  # driven in legs of this, before anything is usual
 FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
 FARTHEST = 2.0**21  # m; what is beyond is no answer
 HALVINGS = 21  # down to a metre
@@ -104,6 +111,19 @@ class Cost(NamedTuple):
         """1-sigma of that, J."""
         level = self.spread * max(self.near, self.long)
         return level * math.sqrt(max(walked(distance, MEMORY), 0.0))
+
+
+@lru_cache(maxsize=4)  # asked with every prediction, and learned every ten seconds
+def usual_cost(car: CarModel) -> float:
+    """Energy per distance of a car's usual mix of legs, J/m; NaN while no mix is known."""
+    metres = car.unevenness.metres[:, int(np.searchsorted(DURATIONS, USUAL_LEG))]
+    if metres.sum() < LEAST_METRES:
+        return math.nan
+    legs = even_steps(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, 0.0 * MIDDLES)
+    rows = PowerModel(car).rows(legs, Weather(car.equation.vehicle.air_density))
+    rows += car.unevenness.of_legs(car.equation, legs)
+    cost = float(metres @ (rows @ car.mean / legs.distance) / metres.sum())
+    return cost if math.isfinite(cost) and cost > 0.0 else math.nan
 
 
 @dataclass(slots=True, eq=False)

@@ -16,9 +16,9 @@ import numpy as np
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecast import Forecast, forecast_plan
+from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.path_plan import NOMINAL_SPEED
-from evpinn_ros.energy.plan import Plan
+from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather
 from evpinn_ros.vehicle.files import Vehicle
 
@@ -36,7 +36,7 @@ class RmfEnergy:
     Attributes:
         voltage: of the battery, V.
         capacity: A h that it holds at this voltage, and 1-sigma; NaN where not known.
-        mass: kg; see the module's text.
+        mass: kg, with which RMF finds the energy, not that of the scales.
         friction: coefficient.
         ambient: power whether it moves or not, W.
         speed: at which these hold, m/s.
@@ -71,14 +71,14 @@ def rmf_energy(
     if speed is None:
         speed = NOMINAL_SPEED if math.isnan(vehicle.nominal_speed) else vehicle.nominal_speed
     weather = Weather(vehicle.air_density, heating=0.0)
+    time = np.arange(0.0, STANDING + 1.0)
+    rest = plan_from_speed_profile(time, None, 0.0 * time)
     short, long = (_trip(each, speed) for each in CRUISES)
-    less, more = (forecast_plan(each, model, weather) for each in (short, long))
-    rest = _energy(forecast_plan(_standing(), model, weather))
-    ambient = max(rest.value / STANDING, 0.0)
+    standing, less, more = (_energy(each, model, weather) for each in (rest, short, long))
+    ambient = max(standing.value / STANDING, 0.0)
     duration, length = long.time[-1] - short.time[-1], long.distance[-1] - short.distance[-1]
-    force = ((_energy(more).value - _energy(less).value) - ambient * duration) / length
-    rolled = _energy(more).value - ambient * long.time[-1] - force * long.distance[-1]
-    mass = rolled / speed**2
+    force = (more.value - less.value - ambient * duration) / length
+    mass = (more.value - ambient * long.time[-1] - force * long.distance[-1]) / speed**2
     if not (mass > 0.0 and force > 0.0):
         raise InputError(
             f"by what is known of {vehicle.key} now it costs nothing to drive: let it learn on"
@@ -91,7 +91,7 @@ def rmf_energy(
         friction=force / (mass * RMF_GRAVITY),
         ambient=ambient,
         speed=speed,
-        trip=_energy(more),
+        trip=more,
         trip_metres=float(long.distance[-1]),
     )
 
@@ -100,16 +100,9 @@ def _trip(cruise: float, speed: float) -> Plan:
     """Plan from rest to rest, with so many s at a speed, a point each second or less."""
     ends = np.array([0.0, RAMP, RAMP + cruise, 2.0 * RAMP + cruise])
     time = np.unique(np.concatenate((np.arange(0.0, ends[-1], 1.0), ends)))
-    speeds = np.interp(time, ends, [0.0, speed, speed, 0.0])
-    steps = np.diff(time) * (speeds[1:] + speeds[:-1]) / 2.0
-    distance = np.concatenate(([0.0], np.cumsum(steps)))
-    return Plan(time, distance, speeds, np.zeros_like(time))
+    return plan_from_speed_profile(time, None, np.interp(time, ends, [0.0, speed, speed, 0.0]))
 
 
-def _standing() -> Plan:
-    time = np.arange(0.0, STANDING + 1.0)
-    return Plan(time, *np.zeros((3, len(time))))
-
-
-def _energy(found: Forecast) -> Uncertain:
+def _energy(plan: Plan, model: PowerModel, weather: Weather) -> Uncertain:
+    found = forecast_plan(plan, model, weather)
     return Uncertain(float(found.energy[-1]), float(found.sigma[-1]))

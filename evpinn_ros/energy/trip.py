@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
 from evpinn_ros.common.saved_fields import Saveable
 from evpinn_ros.energy.plausible import Joules, Metres
-from evpinn_ros.energy.quadrature import MAX_GAP, CompensatedSum, EnergyIntegral, SavedIntegral
+from evpinn_ros.energy.quadrature import MAX_GAP, EnergyIntegral, SavedIntegral
 from evpinn_ros.signals.readings import MAX_SPEED
 
 WINDOWS = (1e3, 1e4, 1e5)  # m
@@ -21,6 +20,13 @@ class Stretch(NamedTuple):
 
     distance: Metres
     energy: Joules
+
+    def plus(self, distance: float, energy: float) -> Stretch:
+        """With so much more."""
+        return Stretch(self.distance + distance, self.energy + energy)
+
+
+NOTHING = Stretch(0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +57,14 @@ class DistanceWindow:
     20th more than its length, and energy over distance is exact for what it spans.
     """
 
-    def __init__(self, length: float, buckets: tuple[Stretch, ...] = (Stretch(0.0, 0.0),)) -> None:
+    def __init__(self, length: float, buckets: tuple[Stretch, ...] = (NOTHING,)) -> None:
         """A window of this length, m, empty or with buckets, the one being filled last."""
-        self.length = length
-        self._full = deque(buckets[:-1])
-        self._distance, self._energy = (CompensatedSum(each) for each in buckets[-1])
+        self.length, self.buckets = length, buckets
 
     @property
     def whole(self) -> tuple[Stretch, ...]:
         """The buckets that are full, oldest first."""
-        return tuple(self._full)
+        return self.buckets[:-1]
 
     @property
     def known(self) -> bool:
@@ -72,21 +76,16 @@ class DistanceWindow:
         """Sum of its whole span."""
         return Stretch(*(math.fsum(column) for column in zip(*self.buckets, strict=True)))
 
-    @property
-    def buckets(self) -> tuple[Stretch, ...]:
-        """All buckets, the one being filled last."""
-        return (*self._full, Stretch(self._distance.value, self._energy.value))
-
     def add(self, stretch: Stretch) -> None:
         """Take what was driven since the last."""
-        self._distance.add(stretch.distance)
-        self._energy.add(stretch.energy)
-        if self._distance.value < self.length / BUCKETS:
+        *full, last = self.buckets
+        last = last.plus(*stretch)
+        if last.distance < self.length / BUCKETS:
+            self.buckets = (*full, last)
             return
-        self._full.append(Stretch(self._distance.value, self._energy.value))
-        self._distance, self._energy = CompensatedSum(), CompensatedSum()
-        while self.total.distance - self._full[0].distance >= self.length:
-            self._full.popleft()
+        self.buckets = (*full, last, NOTHING)
+        while self.total.distance - self.buckets[0].distance >= self.length:
+            self.buckets = self.buckets[1:]
 
 
 class TripLog(Saveable[SavedTrip]):
@@ -110,7 +109,7 @@ class TripLog(Saveable[SavedTrip]):
     @property
     def total(self) -> Stretch:
         """Since the last reset."""
-        return Stretch(self._speed.drawn, self._energy.value)
+        return Stretch(self._speed.drawn, self._energy)
 
     def update(self, stamp_ns: int, speed: float, energy: float) -> None:
         """Take a speed, m/s, and the net energy since whenever, J, at that moment."""
@@ -121,18 +120,18 @@ class TripLog(Saveable[SavedTrip]):
             return
         if step is not None and self._energy_before is not None:
             stretch = Stretch(step.energy, energy - self._energy_before)
-            self._energy.add(stretch.energy)
+            self._energy += stretch.energy
             for window in self.windows:
                 window.add(stretch)
         self._energy_before = energy
 
     def correct(self, energy: float) -> None:
         """Add energy, J, that turned out later to belong to the trip."""
-        self._energy.add(energy)
+        self._energy += energy
 
     def reset_trip(self) -> None:
         """Count the trip from zero."""
-        self._energy = CompensatedSum()
+        self._energy = 0.0
         self._go_on(SavedIntegral())
 
     def begin_anew(self) -> None:
@@ -142,10 +141,10 @@ class TripLog(Saveable[SavedTrip]):
     def saved(self) -> SavedTrip:
         """Trip and windows."""
         windows = tuple(window.buckets for window in self.windows)
-        return SavedTrip(self._speed.saved(), self._energy.value, windows)
+        return SavedTrip(self._speed.saved(), self._energy, windows)
 
     def take(self, saved: SavedTrip) -> None:
         """Go on from a trip and its windows; the next speed joins to none before."""
         self.windows = tuple(map(DistanceWindow, WINDOWS, saved.windows))
-        self._energy = CompensatedSum(saved.energy)
+        self._energy = saved.energy
         self._go_on(saved.speed)

@@ -17,8 +17,8 @@ from evpinn_ros.energy.forecaster import Basis, Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.energy.path_plan import NOMINAL_SPEED
 from evpinn_ros.energy.plan import Plan, PlanError
+from evpinn_ros.energy.remaining import usual_cost
 from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.state_file import Half
 from evpinn_ros.nodes.base import NOT_ACTIVE

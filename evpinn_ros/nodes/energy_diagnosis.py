@@ -6,9 +6,9 @@ import math
 
 from evpinn_ros.common.units import JOULES_PER_WH
 from evpinn_ros.energy.account import EnergyAccount
+from evpinn_ros.energy.dropout import Reconciled, Verdict
 from evpinn_ros.energy.forecast import Air
 from evpinn_ros.energy.forecaster import Basis, PlanAnswer, PlanLog
-from evpinn_ros.energy.reconciliation import Reconciled, Verdict
 from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Condition, Status, rounded, with_health
 from evpinn_ros.topics.messages import Level
 

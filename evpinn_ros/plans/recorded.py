@@ -16,9 +16,9 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
-from evpinn_ros.energy.driven import PLAN_STEP, drive_plan, travelled
+from evpinn_ros.energy.driven import PLAN_STEP, drive_plan
 from evpinn_ros.energy.path_plan import NOMINAL_SPEED
-from evpinn_ros.energy.plan import Plan, PlanError
+from evpinn_ros.energy.plan import Plan, PlanError, travelled
 from evpinn_ros.plans.way import plausible_heights
 from evpinn_ros.signals.readings import (
     NANOSECONDS,

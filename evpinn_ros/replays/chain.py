@@ -9,8 +9,8 @@ from typing import Any, TypeAlias
 
 from evpinn_ros.energy.account import AccountSummary, EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter, EnergyState
+from evpinn_ros.energy.remaining import usual_cost
 from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.energy.usual import usual_cost
 from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator, Output
 from evpinn_ros.estimation.worker import InlineWorker

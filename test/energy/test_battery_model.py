@@ -99,7 +99,7 @@ def test_without_a_capacity_in_the_vehicle_file_it_waits_for_one():
     model = BatteryModel(math.nan)
     drive(model.add_reading, 100)
     assert not model.known
-    drive(model.add_reading, 4000, begin=200)
+    drive(model.add_reading, 4000, begin=200, every=5)
     assert model.saved().full_charge.capacity.value == pytest.approx(FULL, rel=0.02)
     assert model.known
 
@@ -127,7 +127,7 @@ def test_readings_of_no_battery_change_nothing(wrong):
 @pytest.mark.slow
 def test_saved_and_restored_it_forecasts_the_same():
     account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
-    charge = drive(account.add_reading, 3000)
+    charge = drive(account.add_reading, 3000, every=5)
     again = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
     again.restore(json.loads(json.dumps(account.export(), allow_nan=False)))
     ends = [

@@ -1,6 +1,6 @@
 """Legs of a trip and what they are as points."""
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from evpinn_ros.energy.plan import Plan, PlanError, legs_of, legs_of_trip, point
 from evpinn_ros.energy.power_model import Weather, vehicle_model
 from evpinn_ros.estimation.states import PHYSICS
 from evpinn_ros.estimation.unevenness import Path, even_rows
-from test.energy.cars import CAR
+from test.energy.cars import CAR, FEW
 
 MODEL = vehicle_model(CAR)
 LEG = st.tuples(st.floats(1.0, 600.0), st.floats(0.5, 40.0) | st.just(0.0), st.floats(-0.1, 0.1))
@@ -26,7 +26,7 @@ def test_points_keep_length_duration_and_climb_of_every_leg(rows):
     np.testing.assert_allclose(np.diff(plan.elevation), legs.climb, rtol=1e-6, atol=1e-6)
 
 
-@settings(deadline=None)  # the first waits for the prior
+@FEW
 @given(st.lists(LEG, min_size=1, max_size=30))
 def test_a_leg_costs_the_same_whatever_is_before_and_after_it_but_for_its_ends(rows):
     """Rows of legs add up: the whole is the sum, and beyond even speed nothing is below zero."""
@@ -40,10 +40,10 @@ def test_a_leg_costs_the_same_whatever_is_before_and_after_it_but_for_its_ends(r
 
 
 def test_unevenness_vanishes_as_steps_become_short():
-    """Ten minutes in legs of less and less duration: what uneven speed takes goes to zero."""
+    """Two minutes in legs of less and less duration: what uneven speed takes goes to zero."""
     shares = []
     for seconds in (60.0, 1.0, 0.1, 0.01):
-        count = round(600.0 / seconds)
+        count = round(120.0 / seconds)
         one, zero = np.full(count, seconds), np.zeros(count)
         path = Path(one, 15.0 * one, zero, zero, zero, zero + 1.2, zero)
         whole, beyond = MODEL.leg_rows(path, Weather(1.2))

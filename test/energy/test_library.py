@@ -4,7 +4,7 @@ from dataclasses import replace
 import subprocess
 import sys
 
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ import evpinn_ros.energy
 from evpinn_ros.energy.forecast import Profiles, forecast, forecast_plan
 from evpinn_ros.energy.plan import PlanError, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather
-from evpinn_ros.estimation.states import PHYSICS, State
-from test.energy.cars import CAR, COMBINED, SIGMAS, plain, taught
+from evpinn_ros.estimation.states import State
+from test.energy.cars import CAR, COMBINED, FEW, SIGMAS, plain, taught
 
 SIMPLE = plain(COMBINED, SIGMAS)
 LEARNED = pytest.param("learned", marks=pytest.mark.slow)
@@ -34,23 +34,8 @@ def profiles(seed=0, batch=5, points=60, hills=True):
     return Profiles(np.arange(float(points)), speed, elevation if hills else None)
 
 
-def closed(seed):
-    """A flat trip from rest to rest."""
-    found = profiles(seed, 1, hills=False)
-    speed = found.speed.copy()
-    speed[:, [0, -1]] = 0.0
-    return found._replace(speed=speed)
-
-
 def energy(found, model):
     return forecast(found, CAR, model).energy[0]
-
-
-def changed(model, state, amount):
-    """A car with more of one state."""
-    mean = model.car.mean.copy()
-    mean[state] += amount
-    return PowerModel(replace(model.car, mean=mean))
 
 
 def test_the_package_has_it():
@@ -157,6 +142,7 @@ def test_what_is_no_profile_is_refused(change, reason, model):
 
 
 @MODELS
+@FEW
 @given(st.integers(0, 10_000), st.integers(1, 58))
 def test_a_profile_cut_in_two_adds_up(model, seed, cut):
     # Tyres, cabin and the load of now fade from the start of a plan, so a cut starts them anew.
@@ -170,23 +156,8 @@ def test_a_profile_cut_in_two_adds_up(model, seed, cut):
     assert parts == pytest.approx(energy(whole, model), rel=1e-9, abs=1e-4)
 
 
-@given(st.floats(1.0, 1e5))
-def test_standing_costs_auxiliary_power(duration):
-    found = Profiles(np.array([0.0, duration]), np.zeros((1, 2)))
-    assert energy(found, SIMPLE) == pytest.approx(COMBINED.p_aux * duration, rel=1e-9)
-
-
 @MODELS
-@given(
-    st.integers(0, 10_000),
-    st.sampled_from([State.DRAG, State.ROLLING, State.P_AUX, State.LOAD_DRIVE, State.TURNING]),
-)
-def test_more_drag_rolling_or_load_is_never_cheaper(model, seed, state):
-    more = changed(model, state, 0.1 * max(abs(model.car.mean[state]), 1.0))
-    assert energy(profiles(seed, 1), more) >= energy(profiles(seed, 1), model) - 1e-6
-
-
-@MODELS
+@FEW
 @given(st.integers(0, 10_000))
 def test_what_is_not_known_only_adds_to_sigma(model, seed):
     found = forecast(profiles(seed), CAR, model)
@@ -194,29 +165,7 @@ def test_what_is_not_known_only_adds_to_sigma(model, seed):
     assert (forecast(profiles(seed), CAR, certain).sigma <= found.sigma).all()
 
 
-# What holds for the physics alone: a network that was learned need not be convex.
-
-
-@example(21.5, 0.375)
-@given(st.floats(1, 40), st.floats(0, 4.0))
-def test_hills_never_save_energy(speed, climb):
-    """Holds for the prior car, which decides whether a step drives; another may save a little."""
-    car = SIMPLE.car
-    mean = car.mean.copy()
-    mean[PHYSICS] = car.equation.mean[PHYSICS]
-    prior = PowerModel(replace(car, mean=mean))
-    height = min(climb, 0.2 * speed) * np.arange(30.0)
-    base = Profiles(np.arange(30.0), np.full((1, 30), speed))
-    up, down = (energy(base._replace(elevation=way * height), prior) for way in (1, -1))
-    assert up + down - 2 * energy(base, prior) >= -1e-3
-
-
-@given(st.integers(0, 10_000))
-def test_more_mass_is_never_cheaper_from_rest_to_rest(seed):
-    heavy = plain(COMBINED._replace(mass_over_eta=1.2 * COMBINED.mass_over_eta), SIGMAS)
-    assert energy(closed(seed), heavy) >= energy(closed(seed), SIMPLE) - 1e-6
-
-
+@FEW
 @given(st.floats(5, 35), st.floats(0.3, 3.0))
 def test_driving_slower_saves_drag_and_costs_auxiliary_power(speed, slower):
     """One way at constant speed, and in `slower` times the time."""

@@ -13,7 +13,7 @@ from evpinn_ros.energy.forecaster import Forecaster
 from evpinn_ros.energy.path_plan import BEND, COMFORT_LATERAL
 from evpinn_ros.energy.plan import MAX_POINTS, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.energy.usual import usual_cost
+from evpinn_ros.energy.remaining import usual_cost
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.unevenness import Unevenness
 from evpinn_ros.nodes.diagnosis import LATELY

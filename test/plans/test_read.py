@@ -1,6 +1,7 @@
 """One function for every file: told by what is in it, and recorded drives as plans."""
 
 import gzip
+from itertools import islice
 import json
 import os
 
@@ -125,10 +126,11 @@ def test_a_planner_s_bag_is_its_newest_plan_and_a_drive_s_is_the_drive(tmp_path)
     with pytest.raises(PlanError, match="back: /plan: time goes back"):
         read_plan(tmp_path / "back")
     with BagReader(URBAN) as drive, BagWriter(tmp_path / "both") as bag:
-        for record in drive.records():
+        for record in islice(drive.records(), 4000):
             bag.write(record.topic, record.message, record.log_time_ns)
         bag.write("/plan", new, record.log_time_ns)
-    assert (read_plan(tmp_path / "both").speed == read_plan(URBAN).speed).all()
+    begin = read_plan(tmp_path / "both").speed[:-2]
+    assert len(begin) > 20 and (begin == read_plan(URBAN).speed[: len(begin)]).all()
 
 
 def readings_of(rows):

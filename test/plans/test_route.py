@@ -188,6 +188,7 @@ def test_a_polyline_comes_back(points, scale, dimensions):
     np.testing.assert_allclose(found, rows, atol=0.51 / min(scales[-1], scale), rtol=0)
 
 
+@settings(max_examples=25)
 @given(st.text(max_size=40), st.sampled_from([2, 3]))
 def test_any_text_is_a_polyline_or_refused(text, dimensions):
     with suppress(PlanError):

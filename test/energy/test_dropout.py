@@ -3,8 +3,7 @@ import math
 import pytest
 
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
-from evpinn_ros.energy.dropout import Bridge, Dropout
-from evpinn_ros.energy.reconciliation import Verdict, reconcile
+from evpinn_ros.energy.dropout import Bridge, Dropout, Verdict, reconcile
 
 WH = 3600.0
 
