@@ -41,7 +41,7 @@ class Fault(NamedTuple):
 
 FAULTS = (
     Fault("sign of battery power", "signals/readings", "-volts * amperes", "volts * amperes"),
-    Fault("trapezoid twice as large", "signals/battery", "@ step) / 2", "@ step)"),
+    Fault("trapezoid twice as large", "signals/power", "@ step) / 2", "@ step)"),
     Fault("kinetic energy doubled", "signals/interval",
           "np.diff(speed**2) / 2", "np.diff(speed**2)"),
     Fault("uphill is downhill", "signals/interval", "np.diff(np.array(h", "-np.diff(np.array(h"),

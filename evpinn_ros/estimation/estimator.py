@@ -205,7 +205,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         usable = taken and self._stuck.detected != BATTERY_STUCK
         if isinstance(reading, BatteryReading) and usable:
             power = self._stream.measured_power(reading)
-            if power is not None:
+            if not math.isnan(power):
                 coarse = 0.0 if math.isnan(reading.power_std) else reading.power_std
                 sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power, coarse)
                 self._learner.battery_measured(reading.stamp_ns)

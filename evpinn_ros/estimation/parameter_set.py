@@ -21,6 +21,7 @@ from evpinn_ros.estimation.published import (
     P_AUX,
     Published,
 )
+from evpinn_ros.signals.detector import FAR_FROM_PRIOR
 from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits
 
@@ -47,8 +48,6 @@ RESTS_ON = {
 BOUND_SIGMAS = 2.0
 INTERVAL = (0.025, 0.975)  # of the posterior of what cannot exceed 1
 STAYS_BELOW = 1.6  # times the limit of a share, until which a state that holds goes on holding
-IMPOSSIBLE_BEYOND = 6.0  # prior sigmas, then the value is no car's of this model
-POSSIBLE_WITHIN = 5.0  # where a value that was impossible counts as possible again
 TYRES = Limits(0.004, 0.02)  # C_rr of tyres on roads
 # Values that cars have; outside a parameter is never valid.
 POSSIBLE = {"c_rr": TYRES, "c_d": Limits(0.15, 1.0), "eta": Limits(0.0, 0.995)}
@@ -146,8 +145,7 @@ class StateHysteresis:
 
     def _next(self, name: str, now: ParameterEstimate, away: float, suspected: bool) -> Trust:
         before = self._states.get(name)
-        limit = POSSIBLE_WITHIN if before is Trust.INVALID else IMPOSSIBLE_BEYOND
-        if suspected or abs(away) > limit:
+        if suspected or FAR_FROM_PRIOR.judge(before is Trust.INVALID, abs(away)):
             return Trust.INVALID
         stays = now.progress >= _progress(VALID_BELOW * STAYS_BELOW)
         stays = stays and now.prior_share <= OWN_VALID_BELOW * 1.1 and now.possible

@@ -65,7 +65,7 @@ class Hysteresis(NamedTuple):
 
 CURRENT_SIGN, GRADE_SIGN = "current_sign", "grade_sign"
 SPEED_STUCK, BATTERY_STUCK, SPEED_REPEATS = "speed_stuck", "battery_stuck", "speed_repeats"
-ALTITUDE_STUCK, PAYLOAD = "altitude_stuck", "payload"
+ALTITUDE_STUCK, PAYLOAD, PARAMETER = "altitude_stuck", "payload", "invalid"
 NEVER = -math.inf  # of `off`: the verdict stays until another value or stop begins anew
 OF_BUS = "`evpinn can inspect` and diagnostics report it"
 NOT_LEARNED = "nothing is learned of the time of repetition"
@@ -106,8 +106,12 @@ ANOTHER_MASS = Hysteresis(
     PAYLOAD, "likelihood ratio of another mass after a stop, as sigmas", "sigma",
     4.8, NEVER, 70.0, "s of motion since the stop", "the other mass is that of the car",
 )  # fmt: skip
+FAR_FROM_PRIOR = Hysteresis(
+    PARAMETER, "distance of a parameter from the vehicle file", "prior sigma",
+    6.0, 5.0, 0.0, "", "the parameter is invalid",
+)  # fmt: skip
 
 TABLE = (
     AGAINST_INERTIA, AGAINST_CHARGE, DRAWN_AT_REST, AGAINST_HILLS, FINE_SPEED, COARSE_SPEED,
-    FINE_DOUBT, COARSE_DOUBT, BATTERY_REPEATS, ONE_ALTITUDE, ANOTHER_MASS,
+    FINE_DOUBT, COARSE_DOUBT, BATTERY_REPEATS, ONE_ALTITUDE, ANOTHER_MASS, FAR_FROM_PRIOR,
 )  # fmt: skip

@@ -23,10 +23,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.signals.battery import BatteryTrack
 from evpinn_ros.signals.height import REACH, HeightProfile
 from evpinn_ros.signals.kinematics import LAG_TOLERANCE_NS, SpeedTrack
-from evpinn_ros.signals.motor import MotorTrack
+from evpinn_ros.signals.power import BatteryTrack, MotorTrack
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.road import Conditions, Road
 
@@ -245,7 +244,7 @@ class IntervalBuilder:
                 doubted_load=float(np.mean([edge.conditions.doubted_load for edge in edges])),
             ),
             height_known=known,
-            energy=math.nan if measured is None else measured.energy,
-            sampling_variance=math.nan if measured is None else measured.variance,
+            energy=measured.energy,
+            sampling_variance=measured.variance,
             leaps=any(edge.leapt for edge in edges[1:]),
         )

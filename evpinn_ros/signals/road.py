@@ -178,7 +178,7 @@ class Road:
             since_ns = max(self._placed_ns, stamps[0] - 1)
             for stamp_ns in self._altitudes.within(since_ns, stamps[-1] + 1):
                 place = float(np.interp(stamp_ns, stamps, odometers))
-                self._altitude = self._altitude.after(place, self._altitudes.at(stamp_ns) or 0.0)
+                self._altitude = self._altitude.after(place, self._altitudes.at(stamp_ns))
                 self._placed_ns, rise = stamp_ns, self._altitude.rise
                 if rise is not None:
                     yield rise.since, self._height  # not given yet where the altitude was stuck

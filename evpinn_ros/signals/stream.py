@@ -19,7 +19,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 
-from evpinn_ros.signals.battery import BatteryTrack
 from evpinn_ros.signals.interval import IntervalBuilder
 from evpinn_ros.signals.kinematics import (
     LAG_TOLERANCE_NS,
@@ -27,7 +26,7 @@ from evpinn_ros.signals.kinematics import (
     CausalDifferentiator,
     SpeedTrack,
 )
-from evpinn_ros.signals.motor import MotorTrack
+from evpinn_ros.signals.power import BatteryTrack, MotorTrack
 from evpinn_ros.signals.readings import (
     MAX_SPEED,
     NANOSECONDS,
@@ -131,14 +130,12 @@ class SampleStream:
         """Nanoseconds without the battery after which a dropout begins, by its own rate."""
         return self._battery.gap_ns
 
-    def measured_power(self, reading: BatteryReading) -> float | None:
-        """Power that a reading measures, W; of a current alone, with the latest voltage."""
-        if math.isnan(reading.current):
-            return None
-        if not math.isnan(reading.voltage):
-            return reading.power
-        voltage = self._battery.latest_voltage(reading.stamp_ns)
-        return None if voltage is None else drawn_power(voltage, reading.current)
+    def measured_power(self, reading: BatteryReading) -> float:
+        """Power that a reading measures, W, or NaN; of a current alone, with the last voltage."""
+        voltage = reading.voltage
+        if math.isnan(voltage):
+            voltage = self._battery.latest_voltage(reading.stamp_ns)
+        return drawn_power(voltage, reading.current)
 
     def add_reading(self, reading: Reading) -> Iterator[StreamEvent]:
         """Take one reading and give what it completes, in order."""
@@ -257,7 +254,7 @@ class SampleStream:
                 return
             sample = self._unmeasured.popleft()
             power = self._battery.at(sample.stamp_ns)
-            if power is not None:
+            if not math.isnan(power):
                 yield MeasuredSample(sample, power)
 
     def _drop_hopeless(self) -> None:

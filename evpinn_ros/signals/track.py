@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import deque
+import math
 
 import numpy as np
 
@@ -69,15 +70,22 @@ class SignalTrack:
         index = bisect_left(self.stamps, stamp_ns)
         return self.stamps[index] if index < len(self.stamps) else None
 
-    def at(self, stamp_ns: int) -> float | None:
-        """Value at a moment, linear between its neighbours; None where it was not measured."""
+    def last(self, stamp_ns: int) -> float:
+        """Last value at a moment or before it; NaN where it is too long ago."""
+        index = bisect_right(self.stamps, stamp_ns) - 1
+        if index < 0 or stamp_ns - self.stamps[index] > self.cadence.gap_ns:
+            return math.nan
+        return self.values[index]
+
+    def at(self, stamp_ns: int) -> float:
+        """Value at a moment, linear between its neighbours; NaN where it was not measured."""
         index = bisect_left(self.stamps, stamp_ns)
         if index == len(self.stamps):
-            return None
+            return math.nan
         if self.stamps[index] == stamp_ns:
             return self.values[index]
         if index == 0 or self.stamps[index] - self.stamps[index - 1] > self.cadence.gap_ns:
-            return None
+            return math.nan
         before, after = self.stamps[index - 1], self.stamps[index]
         share = (stamp_ns - before) / (after - before)
         return self.values[index - 1] + share * (self.values[index] - self.values[index - 1])

@@ -9,9 +9,7 @@ import pytest
 from evpinn_ros.estimation.estimate import Trust
 from evpinn_ros.estimation.parameter_set import (
     ESTIMATING_BELOW,
-    IMPOSSIBLE_BEYOND,
     OWN_VALID_BELOW,
-    POSSIBLE_WITHIN,
     STAYS_BELOW,
     TYRES,
     UNOBSERVABLE_ABOVE,
@@ -22,6 +20,7 @@ from evpinn_ros.estimation.parameter_set import (
 from evpinn_ros.estimation.posterior import initial_state
 from evpinn_ros.estimation.published import Driven, Published, published
 from evpinn_ros.estimation.terms import equation_of
+from evpinn_ros.signals.detector import FAR_FROM_PRIOR
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES
 
 UNESTIMATED, ESTIMATING, VALID, INVALID = (
@@ -168,10 +167,10 @@ def test_valid_stays_until_much_is_forgotten(judge):
 
 
 def test_an_impossible_value_is_invalid_until_it_is_well_possible_again(judge):
-    assert judge(0.1, away=IMPOSSIBLE_BEYOND - 0.1) is VALID
-    assert judge(0.1, away=-IMPOSSIBLE_BEYOND - 0.1) is INVALID and not judge.set.reliable
-    assert judge(0.1, away=(POSSIBLE_WITHIN + IMPOSSIBLE_BEYOND) / 2) is INVALID
-    assert judge(0.1, away=POSSIBLE_WITHIN - 0.1) is VALID and judge.set.reliable
+    assert judge(0.1, away=FAR_FROM_PRIOR.on - 0.1) is VALID
+    assert judge(0.1, away=-FAR_FROM_PRIOR.on - 0.1) is INVALID and not judge.set.reliable
+    assert judge(0.1, away=(FAR_FROM_PRIOR.off + FAR_FROM_PRIOR.on) / 2) is INVALID
+    assert judge(0.1, away=FAR_FROM_PRIOR.off - 0.1) is VALID and judge.set.reliable
 
 
 def test_a_suspicion_makes_all_invalid_while_it_lasts(judge):

@@ -8,11 +8,9 @@ from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     GradeReading,
-    MotorReading,
     PressureReading,
     TemperatureReading,
     WindReading,
-    why_impossible,
 )
 from evpinn_ros.signals.road import GradeSource, Road
 from test.signals.test_kinematics import at
@@ -165,26 +163,3 @@ def test_what_no_input_tells_is_named():
     ):
         road.add_reading(reading)
     assert road.unknown(at(1)) == ("temperature", "wind")
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9, -1e9])
-@pytest.mark.parametrize(
-    ("kind", "what"),
-    [
-        (AltitudeReading, "altitude"),
-        (AuxiliaryReading, "auxiliary"),
-        (GradeReading, "grade"),
-        (MotorReading, "motor_torque"),
-        (TemperatureReading, "temperature"),
-        (WindReading, "wind"),
-    ],
-)
-def test_what_cannot_be_is_named(kind, what, value):
-    assert why_impossible(kind(0, value)) == f"{what}_out_of_range"
-    assert why_impossible(kind(0, 0.1)) is None
-
-
-@pytest.mark.parametrize("speed", [math.inf, 5000.0, -5000.0])
-def test_a_motor_speed_that_cannot_be_voids_the_torque(speed):
-    assert why_impossible(MotorReading(0, 100.0, speed)) == "motor_torque_out_of_range"
-    assert why_impossible(MotorReading(0, 100.0, math.nan)) is None

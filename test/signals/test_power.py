@@ -1,12 +1,12 @@
-"""Voltage and current, each with its own stamps."""
+"""Voltage and current, each with its own stamps, and the power of the motor."""
 
 import math
 
 import numpy as np
 import pytest
 
-from evpinn_ros.signals.battery import BatteryTrack
-from evpinn_ros.signals.readings import BatteryReading
+from evpinn_ros.signals.power import NOMINAL_RATIO, UNMEASURED, BatteryTrack, MotorTrack
+from evpinn_ros.signals.readings import BatteryReading, MotorReading
 from test.signals.conftest import stamp_at as at
 
 
@@ -71,9 +71,9 @@ def test_the_slower_the_less_certain_and_the_error_is_within():
 
 def test_what_was_not_measured_has_no_energy():
     found = track(seconds=20.0)
-    assert found.energy(at(-1.0), at(5.0)) is None and found.energy(at(18.0), at(24.0)) is None
+    assert found.energy(at(-1.0), at(5.0)) is UNMEASURED is found.energy(at(18.0), at(24.0))
     found.add(at(30.0), 380.0, -1.0)
-    assert found.energy(at(18.0), at(24.0)) is None, "across a gap nothing is joined"
+    assert found.energy(at(18.0), at(24.0)) is UNMEASURED, "across a gap nothing is joined"
     only_voltage = BatteryTrack(2.5)
     only_voltage.add(at(0.0), 380.0, math.nan)
     assert only_voltage.newest_ns is None and only_voltage.next_ns(at(0.0)) is None
@@ -82,7 +82,7 @@ def test_what_was_not_measured_has_no_energy():
 def test_the_latest_voltage_serves_a_current_alone():
     found = track(step=1.2, shift=0.6, paired=False, seconds=6.0)
     assert found.latest_voltage(at(5.5)) == pytest.approx(voltage(4.8))
-    assert found.latest_voltage(at(-0.1)) is None and found.latest_voltage(at(60.0)) is None
+    assert all(math.isnan(found.latest_voltage(at(t))) for t in (-0.1, 60.0))
     assert found.next_ns(at(1.0)) == at(1.8) and found.next_ns(at(5.5)) is None
     assert not found.add(at(4.8), 99.0, math.nan), "doubled"
 
@@ -109,3 +109,35 @@ def test_whole_kilowatts_are_as_unsure_as_their_energies_are_off():
         shares.append(math.sqrt(own) / (std * 10.0))
     assert 0.8 < np.std(deviates) < 1.2
     assert min(shares) < 0.4 and max(shares) == pytest.approx(1.0)
+
+
+def torque(t):
+    return 100.0 * np.sin(t)
+
+
+def test_energy_of_driving_and_braking_stand_apart():
+    """A torque that changes its sign, at 200 rad/s: 2 s of either sign, 100 N m at most."""
+    found = MotorTrack(2.5, math.nan)
+    for t in np.arange(0.0, 2 * math.pi + 0.02, 0.01).tolist():
+        found.add(MotorReading(at(t), float(torque(t)), 200.0), math.nan)
+    drive, brake = found.energy(at(0.0), at(2 * math.pi))
+    assert drive == pytest.approx(200.0 * 200.0, rel=1e-4)
+    assert brake == pytest.approx(200.0 * 200.0, rel=1e-4)
+    assert found.energy(at(0.0), at(math.pi))[1] == pytest.approx(0.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("ratio", "taken"), [(27.0, 27.0), (math.nan, NOMINAL_RATIO)])
+def test_turning_comes_from_the_car_where_the_motor_is_silent(ratio, taken):
+    found = MotorTrack(2.5, ratio)
+    for t in (0.0, 0.5, 1.0):
+        found.add(MotorReading(at(t), 100.0), 15.0)
+    assert found.scaled != math.isnan(ratio)
+    assert found.at(at(0.7)) == pytest.approx(100.0 * taken * 15.0)
+
+
+def test_the_last_reading_holds_for_a_while_and_no_longer():
+    found = MotorTrack(2.5, math.nan)
+    found.add(MotorReading(at(0.0), 50.0, 100.0), math.nan)
+    assert found.at(at(2.0)) == 5000.0 and math.isnan(found.at(at(3.0)))
+    assert math.isnan(found.at(at(-1.0)))
+    assert all(map(math.isnan, found.energy(at(0.0), at(1.0))))
