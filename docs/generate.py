@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from datetime import datetime
 from enum import Enum
 import inspect
+from itertools import chain
 import math
 from pathlib import Path
 import sys
@@ -301,10 +302,9 @@ def detectors_page() -> str:
         "| reading | quantity | from | to | unknown |",
         "|---|---|---|---|---|",
     ]
-    for what, limits in RANGES.values():
-        for name, (low, high, unknown) in limits.items():
-            most = f"{high:g}" if math.isfinite(high) else ""
-            lines.append(f"| {what} | {name} | {low:g} | {most} | {'yes' if unknown else ''} |")
+    for what, field, low, high, unknown in chain.from_iterable(RANGES.values()):
+        most = f"{high:g}" if math.isfinite(high) else ""
+        lines.append(f"| {what} | {field} | {low:g} | {most} | {'yes' if unknown else ''} |")
     return "\n".join([*lines, ""])
 
 

@@ -26,7 +26,7 @@ LAG_TOLERANCE_NS = 10_000_000  # ns a reading may come early and still count as 
 
 # Spans around a moment whose slope of speed is in the acceleration profile, s after it.
 PROFILE_EDGES = np.array([(0.1, 0.3), (-0.3, -0.1), (-0.6, -0.4)])
-PROFILE = len(PROFILE_EDGES)
+PROFILE, PROFILE_SPAN = len(PROFILE_EDGES), -float(PROFILE_EDGES.min())
 
 TAPS = 10  # speed differences in the causal differentiator
 TAP_PERIOD = 0.1  # s between them
@@ -135,11 +135,8 @@ class SpeedTrack(SignalTrack):
             Mean slope of speed over each span of `PROFILE_EDGES` less the acceleration, m/s^2,
             shape (PROFILE,); 0 where speed is not known.
         """
-        last = bisect_right(self.stamps, until_ns)
-        first = bisect_left(self.stamps, stamp_ns - int(_PROFILE_SPAN * NANOSECONDS))
-        first = max(0, first - 1)
-        time = np.array([s - stamp_ns for s in self.stamps[first:last]]) / NANOSECONDS
-        ends = np.interp(PROFILE_EDGES, time, self.values[first:last])
+        time, speed = self._around(stamp_ns, PROFILE_SPAN, until_ns)
+        ends = np.interp(PROFILE_EDGES, time, speed)
         slopes = (ends[:, 1] - ends[:, 0]) / (PROFILE_EDGES[:, 1] - PROFILE_EDGES[:, 0])
         tolerance = LAG_TOLERANCE_NS / NANOSECONDS
         known = (PROFILE_EDGES[:, 1] <= time[-1] + tolerance) & (PROFILE_EDGES[:, 0] >= time[0])
@@ -151,13 +148,17 @@ class SpeedTrack(SignalTrack):
         Between readings speed is taken as linear; before the first as constant.
         """
         newest = self.stamps[-1]
-        first = bisect_left(self.stamps, newest - int((TAPS + 1) * TAP_PERIOD * NANOSECONDS))
-        first = max(0, first - 1)
-        time = np.array([s - newest for s in self.stamps[first:]]) / NANOSECONDS
         grid = -TAP_PERIOD * np.arange(TAPS + 1)
-        speed = np.interp(grid, time, self.values[first:])
+        speed = np.interp(grid, *self._around(newest, (TAPS + 1) * TAP_PERIOD, newest))
         slopes: np.ndarray = (speed[:-1] - speed[1:]) / TAP_PERIOD
         return slopes
+
+    def _around(self, stamp_ns: int, back: float, until_ns: int) -> tuple[np.ndarray, np.ndarray]:
+        """Times after a moment, s, and speeds, from the last reading before `back` s before it."""
+        last = bisect_right(self.stamps, until_ns)
+        first = max(0, bisect_left(self.stamps, stamp_ns - int(back * NANOSECONDS)) - 1)
+        time = np.array([s - stamp_ns for s in self.stamps[first:last]]) / NANOSECONDS
+        return time, np.array(self.values[first:last])
 
 
 class CausalDifferentiator:
@@ -194,6 +195,3 @@ class CausalDifferentiator:
     def forget_pending(self) -> None:
         """Drop what waits for the smoother, after a gap or a jump of time."""
         self._pending.clear()
-
-
-_PROFILE_SPAN = -float(PROFILE_EDGES.min())

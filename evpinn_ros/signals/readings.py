@@ -25,13 +25,8 @@ MAX_SPEED = 100.0  # m/s, no production car
 MIN_VOLTAGE = 10.0  # V, below it no traction battery is connected, and there is no power
 MAX_VOLTAGE = 2000.0  # V
 MAX_CURRENT = 5000.0  # A
-MAX_TORQUE = 20_000.0  # N m, more than the axle of any production car
-MAX_MOTOR_SPEED = 4_000.0  # rad/s, 38,000 rpm, faster than any traction motor turns
-MAX_AUXILIARY = 50_000.0  # W
 MAX_WIND = 60.0  # m/s, a hurricane
 GRADE_LIMIT = 0.3  # rad; steeper than any public road, so a fault of the source
-ALTITUDES = (-500.0, 9000.0)  # m, where roads are
-PRESSURES = (30e3, 110e3)  # Pa, from the highest road to a fair day below the sea
 TEMPERATURES = (-70.0, 70.0)  # degrees Celsius
 
 Numbers = TypeVar("Numbers", float, np.ndarray)
@@ -169,46 +164,43 @@ Reading: TypeAlias = (
 
 
 class Bounds(NamedTuple):
-    """Least and most of a quantity, and whether NaN, unknown, is as good."""
+    """Range of a field of a reading; `unknown` where NaN is as good."""
 
+    what: str  # in the reason for which a reading is dropped
+    field: str
     least: float
     most: float
     unknown: bool = False
 
 
-RANGES: Mapping[type[Reading], tuple[str, Mapping[str, Bounds]]] = {
-    SpeedReading: ("speed", {"speed": Bounds(-MAX_SPEED, MAX_SPEED)}),
+RANGES: Mapping[type[Reading], tuple[Bounds, ...]] = {
+    SpeedReading: (Bounds("speed", "speed", -MAX_SPEED, MAX_SPEED),),
     BatteryReading: (
-        "battery",
-        {
-            "voltage": Bounds(MIN_VOLTAGE, MAX_VOLTAGE, unknown=True),
-            "current": Bounds(-MAX_CURRENT, MAX_CURRENT, unknown=True),
-        },
+        Bounds("battery", "voltage", MIN_VOLTAGE, MAX_VOLTAGE, unknown=True),
+        Bounds("battery", "current", -MAX_CURRENT, MAX_CURRENT, unknown=True),
     ),
-    GradeReading: ("grade", {"grade": Bounds(-GRADE_LIMIT, GRADE_LIMIT)}),
-    AltitudeReading: ("altitude", {"altitude": Bounds(*ALTITUDES)}),
-    TemperatureReading: ("temperature", {"celsius": Bounds(*TEMPERATURES)}),
-    PressureReading: ("pressure", {"pascal": Bounds(*PRESSURES)}),
-    WindReading: ("wind", {"head": Bounds(-MAX_WIND, MAX_WIND)}),
+    GradeReading: (Bounds("grade", "grade", -GRADE_LIMIT, GRADE_LIMIT),),
+    AltitudeReading: (Bounds("altitude", "altitude", -500.0, 9000.0),),  # where roads are
+    TemperatureReading: (Bounds("temperature", "celsius", *TEMPERATURES),),
+    # From the highest road to a fair day below the sea.
+    PressureReading: (Bounds("pressure", "pascal", 30e3, 110e3),),
+    WindReading: (Bounds("wind", "head", -MAX_WIND, MAX_WIND),),
     AuxiliaryReading: (
-        "auxiliary",
-        {"heating": Bounds(0.0, math.inf), "load": Bounds(0.0, MAX_AUXILIARY)},
+        Bounds("auxiliary", "heating", 0.0, math.inf),
+        Bounds("auxiliary", "load", 0.0, 50e3),
     ),
     MotorReading: (
-        "motor_torque",
-        {
-            "torque": Bounds(-MAX_TORQUE, MAX_TORQUE),
-            "speed": Bounds(-MAX_MOTOR_SPEED, MAX_MOTOR_SPEED, unknown=True),
-        },
+        # More than the axle of any production car; 38,000 rpm, more than any traction motor.
+        Bounds("motor_torque", "torque", -20e3, 20e3),
+        Bounds("motor_torque", "speed", -4e3, 4e3, unknown=True),
     ),
 }
 
 
 def why_impossible(reading: Reading) -> str | None:
     """Reason why a reading is impossible, or None."""
-    what, limits = RANGES[type(reading)]
-    for name, (least, most, unknown) in limits.items():
-        value = getattr(reading, name)
+    for what, field, least, most, unknown in RANGES[type(reading)]:
+        value = getattr(reading, field)
         if not (least <= value <= most or (unknown and math.isnan(value))):
             return f"{what}_out_of_range"
     return None
