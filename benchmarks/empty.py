@@ -21,9 +21,9 @@ from benchmarks.plans import intervals_of, plan_of, weather_of
 from benchmarks.unseen.drives import UnseenCar, load_car
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.plan import Legs, PlanError, points_of
+from evpinn_ros.energy.plan import PlanError, points_of
 from evpinn_ros.energy.power_model import PowerModel
-from evpinn_ros.energy.remaining import Ahead, Cost, Route, cost_spread, remaining, usual_cost
+from evpinn_ros.energy.remaining import Cost, Route, RouteAhead, cost_spread, remaining, usual_cost
 from evpinn_ros.energy.trip import Stretch, TripLog
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.car_model import CarModel
@@ -144,7 +144,7 @@ def _piece(
     return Kilometre(drive, driven, intervals, model, cost, recent, long)
 
 
-def _along_route(pieces: list[Kilometre], index: int) -> Ahead | None:
+def _along_route(pieces: list[Kilometre], index: int) -> RouteAhead | None:
     """The rest of the drive after a piece as a route; None at its end and before a cost."""
     here, after = pieces[index], pieces[index + 1 :]
     done = [each for piece in after if piece.drive == here.drive for each in piece.intervals]
@@ -155,12 +155,12 @@ def _along_route(pieces: list[Kilometre], index: int) -> Ahead | None:
     except PlanError:
         return None
     found = forecast_plan(legs, PowerModel(here.model), weather_of(done))
-    points = points_of(legs) if isinstance(legs, Legs) else legs
+    points = points_of(legs)
     return Route.from_here(points, found, 0.0, 0).ahead(0.0, here.cost)
 
 
 def _errors(
-    pieces: list[Kilometre], ahead: list[Ahead | None], horizon: float
+    pieces: list[Kilometre], ahead: list[RouteAhead | None], horizon: float
 ) -> Iterator[tuple[float, float, float, bool, float, bool]]:
     """Relative errors after each piece: ours, by the last 10 km, by 100; is it in our band?
 

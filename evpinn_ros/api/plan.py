@@ -135,11 +135,10 @@ def planned_energy(
     if account is not None:
         battery, gauge, charge = account.battery, account.gauge, account.charge()
     given = as_plan(plan, vehicle)
-    trip = points_of(given) if isinstance(given, Legs) else given
     basis = basis_of(model, conditions, air_density)
     found = forecast_plan(given, *basis)
     along = battery.along(found, conditions.charge_from(charge), gauge.capacity)
-    return PlannedEnergy(given, trip, basis, found, along, gauge)
+    return PlannedEnergy(given, points_of(given), basis, found, along, gauge)
 
 
 def what_if(plan: Any, car: Any, conditions: PlanConditions = UNSAID) -> list[Change]:

@@ -152,20 +152,18 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.meter, self.trip, self.gauge = meter, TripLog(), ChargeGauge(capacity)
         self.battery = BatteryModel(capacity)
         self.usual = math.nan
-        self.route: Route | None = None
         self._vehicle = vehicle
         self.refused: Counter[str] = Counter()
-        self._shown = EnergyTotals()  # of the lifetime, in the last summary
         self.reset()
 
     def reset(self) -> None:
         """Forget all, as if nothing had ever been counted."""
-        self._shown = EnergyTotals()
+        self._shown = EnergyTotals()  # of the lifetime, in the last summary
         self.meter.reset()
         self.trip = TripLog()
         self.gauge.reset()
         self.battery.reset()
-        self.route = None
+        self.route: Route | None = None
         self._begin(EnergyTotals(), TripCorrection())
 
     def _begin(self, before: EnergyTotals, correction: TripCorrection) -> None:
@@ -249,9 +247,8 @@ class EnergyAccount(Saveable[SavedAccount]):
         if not 0.0 <= charge <= 1.0:
             return
         if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:
-            dropout, before = self._awaits_charge
+            self._reconcile(*self._awaits_charge, charge)
             self._awaits_charge = None
-            self._reconcile(dropout, self._by_charge(dropout, before, charge))
         lifetime, silent = self.lifetime(), self.meter.in_dropout(stamp_ns)
         if not silent:
             self._charge_before = charge
@@ -264,12 +261,11 @@ class EnergyAccount(Saveable[SavedAccount]):
         if self.route is not None:
             self.route.see(stamp_ns)
 
-    def _by_charge(self, dropout: Dropout, before: float, after: float) -> Uncertain:
-        """Energy of a dropout by the state of charge; nothing where no car can do that."""
-        found = self.gauge.energy_between(before, after)
-        return found if abs(found.value) <= MAX_POWER * dropout.duration else UNKNOWN
-
-    def _reconcile(self, dropout: Dropout, by_charge: Uncertain) -> None:
+    def _reconcile(self, dropout: Dropout, before: float, after: float) -> None:
+        """Join a dropout with its states of charge, unless no car can do what they say."""
+        by_charge = self.gauge.energy_between(before, after)
+        if not abs(by_charge.value) <= MAX_POWER * dropout.duration:
+            by_charge = UNKNOWN
         found = self.reconciled = reconcile(dropout, by_charge)
         if found.verdict is Verdict.JOINED:
             self.trip.correct(found.correction)

@@ -45,7 +45,7 @@ LEVEL_TIME = 20.0  # s over which what it lacks now is averaged
 PRIOR_SHARE = np.array([0.08, 0.1, 1.0])
 DRIFT_SHARE = np.array([0.01, 0.005, 0.1])
 SLOPE_SHARE = 0.15  # of U, from empty to full: typical of lithium-ion cells
-RESISTANCE_SHARE = 0.013  # of U / (current that empties the battery in an hour), likewise
+RESISTANCE_SHARE = 0.013  # of U / (current that empties the battery in an hour), typical too
 USUAL_CHARGE = 3600 * 100.0  # A s, where the vehicle file has no capacity
 CHARGE_LIMITS = (3600.0, 3.6e7)  # A s
 STEPS, LONGEST_STEP = 200, 60.0  # of a forecast; s
@@ -182,7 +182,7 @@ class BatteryModel(Saveable[SavedBattery]):
         """State of charge at each point of one plan and its 1-sigma, shape (2, n).
 
         It is energy over capacity while too little is known of the battery itself; NaN where
-        unknown, below 0 where the battery would be empty. The arguments are those of `after`.
+        unknown, below 0 where the battery would be empty.
         """
         if charge.known and self.known:
             full = self._gauge.capacity

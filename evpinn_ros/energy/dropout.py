@@ -60,7 +60,7 @@ class Dropout(NamedTuple):
         duration: s.
         bridge: what the prediction says of it.
         short_sigma: 1-sigma of its energy by errors of power that pass, J.
-        sigma: the same with the error that lasts, J.
+        sigma: 1-sigma of its energy with the error that lasts too, J.
     """
 
     end_ns: int

@@ -154,16 +154,6 @@ class Change(NamedTuple):
     seconds: float
 
 
-class Parts(NamedTuple):
-    """Energies of a trip by part: J, and 1-sigma, J, shape (COUNT + 1,) each.
-
-    In the order of `terms.Part`; the last is what uneven speed between the points takes.
-    """
-
-    energy: np.ndarray
-    sigma: np.ndarray
-
-
 def forecast(
     profiles: Profiles,
     vehicle: Vehicle,
@@ -195,16 +185,22 @@ def forecast(
     model = vehicle_model(vehicle) if model is None else model
     density = vehicle.air_density if air_density is None else air_density
     batch = max(1, min(TOGETHER, POINTS_TOGETHER // speed.shape[1]))
-    parts = [
-        _sums(Profiles(*(_rows(a, slice(i, i + batch)) for a in profiles)), model, density)
-        for i in range(0, len(speed), batch)
-    ]
+    parts = []
+    for begin in range(0, len(speed), batch):
+        some = (
+            each if each is None or each.ndim == 1 else each[begin : begin + batch]
+            for each in profiles
+        )
+        parts.append(_sums(Profiles(*some), model, density))
     if not parts:
         return Energies(speed[:, 0], speed[:, 0])
-    concatenate = namespace(speed).concatenate
-    rows, elapsed, stood, square, unseen = map(concatenate, zip(*parts, strict=True))
+    xp = namespace(speed)
+    rows, elapsed, stood, square, unseen = map(xp.concatenate, zip(*parts, strict=True))
     noise = model.noise(elapsed, stood, square)
-    return _checked(Energies(*model.predicted(rows, elapsed, noise, unseen)))
+    found = Energies(*model.predicted(rows, elapsed, noise, unseen))
+    if not bool(xp.isfinite(found.energy + found.sigma).all()):
+        raise PlanError("a number of the profiles is not finite")
+    return found
 
 
 def forecast_plan(
@@ -232,7 +228,7 @@ def forecast_plan(
     Raises:
         PlanError: the model gives no finite energy.
     """
-    points = points_of(plan) if isinstance(plan, Legs) else plan
+    points = points_of(plan)
     wind, elapsed = _wind(points, head_wind), points.time - points.time[..., :1]
     duration, length = np.diff(points.time), np.diff(points.distance)
     if isinstance(plan, Legs):
@@ -275,17 +271,19 @@ def forecast_plan(
 
 def plan_parts(
     plan: Plan | Legs, found: Forecast, model: PowerModel, weather: Weather, head_wind: float = 0.0
-) -> Parts:
-    """Energies of one trip by part.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Energies of one trip by part and their 1-sigma, J, shape (COUNT + 1,) each.
+
+    They are in the order of `terms.Part`; the last is what uneven speed between the points takes.
 
     Args:
         plan: the trip.
-        found: its forecast, with the same arguments.
+        found: its forecast, with the arguments that follow.
         model: of the car.
         weather: on the way.
         head_wind: against the car at the start, m/s over ground.
     """
-    points = points_of(plan) if isinstance(plan, Legs) else plan
+    points = points_of(plan)
     wind = _wind(points, head_wind)
     steps = _steps(points, wind)
     if _is_coarse(points):
@@ -297,7 +295,7 @@ def plan_parts(
     car = model.car
     variance = car.trust * np.einsum("ij,jk,ik->i", rows, model.covariance, rows)
     variance[-1] += (car.unevenness.share * found.end.uneven) ** 2
-    return Parts(rows @ car.mean, np.sqrt(np.maximum(variance, 0.0)))
+    return rows @ car.mean, np.sqrt(np.maximum(variance, 0.0))
 
 
 def _is_coarse(points: Plan) -> bool:
@@ -362,13 +360,3 @@ def _sums(profiles: Profiles, model: PowerModel, density: float) -> tuple[Any, .
     stood, square = standing(duration, length).sum(-1), 0.5 * (twice * length).sum(-1)
     unseen = length.sum(-1) * (elevation is None)
     return rows, xp.broadcast_to(duration.sum(-1), stood.shape), stood, square, unseen
-
-
-def _rows(array: Any, rows: slice) -> Any:
-    return array if array is None or array.ndim == 1 else array[rows]
-
-
-def _checked(found: Energies) -> Energies:
-    if not bool(namespace(found.sigma).isfinite(found.energy + found.sigma).all()):
-        raise PlanError("a number of the profiles is not finite")
-    return found

@@ -54,8 +54,8 @@ class PlanLog:
     """Plans so far, and the outcome of the last.
 
     Attributes:
-        answered: how many were.
-        refused: likewise.
+        answered: how many were answered.
+        refused: how many were refused.
         problem: why the last was refused, None when it was answered.
         charge_after: state of charge, 0..1, at the end of the last that was answered.
     """

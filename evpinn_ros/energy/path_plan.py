@@ -18,6 +18,7 @@ from evpinn_ros.energy.plan import (
     check_arrays,
     check_size,
     refuse,
+    sums,
 )
 
 MAX_LEG = 10e3  # m between two points without stamps: farther is a teleport
@@ -47,10 +48,10 @@ def plan_from_path(
     `COMFORT_LATERAL` and else drives `nominal_speed`.
 
     Args:
-        x: shape (n,), m, n >= 2; so are y and z.
+        x: m, shape (n,) as all, n >= 2.
         y: m.
         z: m, elevation.
-        stamps: shape (n,), s, or None.
+        stamps: s, or None.
         nominal_speed: m/s.
 
     Raises:
@@ -68,7 +69,7 @@ def plan_from_path(
         time = None
     farthest = MAX_LEG if time is None else MAX_SPEED * LONGEST
     refuse(legs > farthest, f"jumps farther than {farthest / 1e3:g} km")
-    distance = np.concatenate(([0.0], np.cumsum(legs)))
+    distance = sums(legs)
     if time is None:
         return _nominal_plan(distance, points, nominal_speed)
     duration = np.diff(time)
@@ -123,7 +124,7 @@ def _nominal_plan(
     squared = np.minimum.accumulate((squared + gained)[::-1])[::-1] - gained
     squared[1:-1] = np.maximum(squared[1:-1], TINY)  # rounding of a long way
     speed = np.sqrt(np.maximum(squared, 0.0))
-    time = np.concatenate(([0.0], np.cumsum(2 * np.diff(s) / (speed[1:] + speed[:-1]))))
+    time = sums(2 * np.diff(s) / (speed[1:] + speed[:-1]))
     return Plan(time, s, speed, np.interp(s, distance, points["z"]))
 
 

@@ -90,7 +90,7 @@ class Legs:
     """Legs of road that a car drives, checked when made; `legs_of_trip` makes those of a trip.
 
     Attributes:
-        length: shape (n,), m along the road; a leg without length is a stop. So are the others:
+        length: m along the road, shape (n,) as all; a leg without length is a stop.
         duration: s, above 0.
         climb: m from its start to its end; 0 where unknown.
         height_known: True where `climb` is known.
@@ -217,13 +217,23 @@ def plan_from_speed_profile(
     distance = made if distance is None else as_floats(distance)
     height = np.zeros_like(time) if elevation is None else as_floats(elevation)
     if distance.shape == time.shape and (np.diff(time) > 0).all():
-        _check_units(float(made[-1]), float(distance[-1] - distance[0]))
+        length = float(distance[-1] - distance[0])
+        if made[-1] > UNITS_APART * max(length, LEAST_LENGTH):
+            raise PlanError(
+                f"its speeds make {made[-1]:.0f} m, its distance is {length:.0f} m; both in SI "
+                "units?"
+            )
     return Plan(time - time[:1], distance - distance[:1], speed, height)
 
 
 def travelled(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Distance, m, since the first of n times, s, with speeds, m/s; shape (n,)."""
-    return np.concatenate(([0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)))
+    return sums(np.diff(time) * (speed[1:] + speed[:-1]) / 2)
+
+
+def sums(steps: np.ndarray) -> np.ndarray:
+    """Sums of n steps up to each of n + 1 points, the first 0."""
+    return np.concatenate(([0.0], np.cumsum(steps)))
 
 
 def legs_of(length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None) -> Legs:
@@ -243,7 +253,7 @@ def legs_of(length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None =
 def legs_of_trip(
     length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None
 ) -> Legs:
-    """The legs of one trip, in order; arguments as of `legs_of`.
+    """The legs of one trip, in order, from what `legs_of` takes.
 
     Raises:
         PlanError: the legs are no trip, or so slow that their lengths are in km.
@@ -260,22 +270,13 @@ def legs_of_trip(
     return legs
 
 
-def points_of(legs: Legs) -> Plan:
-    """Points at the ends of legs, in order; the speed at a point is the mean about it."""
-    time, distance, height = (
-        np.concatenate(([0.0], np.cumsum(each)))
-        for each in (legs.duration, legs.length, legs.climb)
-    )
-    mean = np.concatenate(([0.0], legs.length / legs.duration, [0.0]))
-    return Plan(time, distance, (mean[1:] + mean[:-1]) / 2.0, height)
-
-
-def _check_units(by_speed: float, length: float) -> None:
-    """Refuse lengths of one profile, m, by its speeds and its distance, of different units."""
-    if by_speed > UNITS_APART * max(length, LEAST_LENGTH):
-        raise PlanError(
-            f"its speeds make {by_speed:.0f} m, its distance is {length:.0f} m; both in SI units?"
-        )
+def points_of(plan: Plan | Legs) -> Plan:
+    """Points of a plan; at the ends of legs, in order, with the mean of the speeds about each."""
+    if isinstance(plan, Plan):
+        return plan
+    mean = np.concatenate(([0.0], plan.length / plan.duration, [0.0]))
+    speed = (mean[1:] + mean[:-1]) / 2.0
+    return Plan(sums(plan.duration), sums(plan.length), speed, sums(plan.climb))
 
 
 def check_size(points: int) -> None:

@@ -180,17 +180,13 @@ class PowerModel:
         return rows
 
     def projected(self, weather: Weather, onto: np.ndarray) -> Callable[[Steps], np.ndarray]:
-        """Function of steps, tyres and cabin warm, that gives their rows times `onto`.
+        """Function of n steps, tyres and cabin warm, that gives their rows times `onto`, (n, k).
 
-        The network is by the same table. The rows themselves would be five times as much to
-        compute.
+        The network is by the table; the rows themselves would be five times as much to compute.
 
         Args:
             weather: on the way.
             onto: combinations of the states, shape (SIZE, k).
-
-        Returns:
-            Of columns of shape (n,) it makes an array of shape (n, k).
         """
         equation, conditions = self.car.equation, self._conditions(weather)
         network = (self._table @ onto[WEIGHTS]).reshape(-1, onto.shape[1])
@@ -236,7 +232,7 @@ class PowerModel:
         return rows @ mean, xp.sqrt(within(variance, 0.0, math.inf))
 
     def noise(self, elapsed: Any, stood: Any, square: Any) -> Any:
-        """Variance of energy that no state explains, J^2; arguments as `unexplained` has them."""
+        """Variance of energy that no state explains, J^2, from what `unexplained` takes."""
         still, moving = unexplained(elapsed, stood, square)
         return self.car.noise[0] * still + self.car.noise[1] * moving
 
@@ -268,7 +264,7 @@ class PowerModel:
                 drive cold.
             prewarmed: share of the cabin's warmth that the charger gave.
         """
-        found = self._now
+        found = Warmth.after(self.car.seconds)
         if stood is not None:
             found = Warmth.after(self.car.seconds or self.car.last_drive).stood(stood)
         return found._replace(cabin=found.cabin * (1.0 - prewarmed))
@@ -288,10 +284,6 @@ class PowerModel:
         share = CLIMATE_SHARE * math.exp(-car.seconds / CLIMATE_SHOWN)
         strays[CLIMATE_LIKELY] = share * car.mean[CLIMATE_LIKELY]
         return np.asarray(car.covariance + np.outer(strays, strays) / max(car.trust, LEAST_TRUST))
-
-    @property
-    def _now(self) -> Warmth:
-        return Warmth.after(self.car.seconds)
 
     @cached_property
     def _table(self) -> np.ndarray:
@@ -319,7 +311,7 @@ class PowerModel:
     def _surroundings(self, steps: Path | Steps, weather: Weather) -> tuple[Conditions, Warmth]:
         """Conditions, and coldness of tyres and cabin in the middle of each step."""
         duration = steps.duration
-        start = self._now if weather.start is None else weather.start
+        start = Warmth.after(self.car.seconds) if weather.start is None else weather.start
         warmth = start.driven(namespace(duration).cumsum(duration, -1) - duration / 2)
         return self._conditions(weather), warmth
 

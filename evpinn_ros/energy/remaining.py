@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 import math
 import sys
-from typing import Annotated, NamedTuple, Protocol, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -62,20 +62,6 @@ class Remaining(NamedTuple):
     sigma: float
     lower: float
     upper: float
-
-
-class Ahead(Protocol):
-    """The road ahead, by the energy that it takes."""
-
-    @property
-    def known(self) -> bool:
-        """True if there is an answer."""
-
-    def energy(self, distance: float) -> float:
-        """Energy that the battery must give within these metres, J; it never falls."""
-
-    def sigma(self, distance: float) -> float:
-        """1-sigma of that, J."""
 
 
 class Cost(NamedTuple):
@@ -242,7 +228,7 @@ def cost_spread(pieces: Sequence[Stretch]) -> float:
     return math.sqrt(variance / (FIRST_SPREAD_PIECES + len(pieces)))
 
 
-def remaining(usable: Uncertain, ahead: Ahead) -> Remaining | None:
+def remaining(usable: Uncertain, ahead: Cost | RouteAhead) -> Remaining | None:
     """Distance to empty, None while it cannot be known.
 
     Args:

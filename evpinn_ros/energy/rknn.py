@@ -113,7 +113,7 @@ class Rknn:
         """Energy of one step, or of many independent ones, J.
 
         Args:
-            power: P(t), W, a float or shape (n,); so are all others.
+            power: P(t), W, a float or shape (n,) as all.
             power_next: P(t + dt), W.
             dt: s; beyond `STEP_LIMIT`, as beyond `POWER_LIMIT`, Simpson's rule stands in.
             power_mid: P(t + dt/2), W; None for the mean of both ends.

@@ -18,7 +18,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.energy.driven import PLAN_STEP, drive_plan
 from evpinn_ros.energy.path_plan import NOMINAL_SPEED
-from evpinn_ros.energy.plan import Plan, PlanError, travelled
+from evpinn_ros.energy.plan import Plan, PlanError, sums, travelled
 from evpinn_ros.plans.way import plausible_heights
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -102,7 +102,7 @@ def _driven(speed: np.ndarray) -> np.ndarray:
     gap = steps > max(LEAST_GAP, GAP_STEPS * float(np.minimum(steps, LONG_GAP).mean()))
     moving = np.maximum(np.abs(speed[:-1, 1]), np.abs(speed[1:, 1])) > STANDING
     left_out = gap & (moving | (steps > LONG_GAP))
-    return np.concatenate(([0.0], np.cumsum(np.where(left_out, PLAN_STEP, steps))))
+    return sums(np.where(left_out, PLAN_STEP, steps))
 
 
 def planned_in_bag(path: Path, vehicle: Vehicle) -> Plan | None:

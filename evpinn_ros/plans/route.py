@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.energy.plan import MAX_POINTS, Legs, PlanError
+from evpinn_ros.energy.plan import MAX_POINTS, Legs, PlanError, sums
 from evpinn_ros.plans.way import Heights, legs_between, way_length
 
 Json: TypeAlias = Mapping[str, Any]
@@ -75,7 +75,7 @@ def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
     if not parts:
         raise PlanError("its route has no parts")
     length, duration = _lasting(np.array(parts, float)).T
-    return legs_between(_sums(duration), _sums(length), heights)
+    return legs_between(sums(duration), sums(length), heights)
 
 
 def _lasting(parts: np.ndarray) -> np.ndarray:
@@ -89,11 +89,6 @@ def _lasting(parts: np.ndarray) -> np.ndarray:
     if lasted < SETTLED and len(begins) > 1:
         del begins[-1]
     return np.asarray(np.add.reduceat(parts, begins))
-
-
-def _sums(steps: np.ndarray) -> np.ndarray:
-    """Sum up to each point; one longer."""
-    return np.concatenate(([0.0], np.cumsum(steps)))
 
 
 def _scaled(parts: Sequence[float] | np.ndarray, total: float) -> np.ndarray:
@@ -201,7 +196,7 @@ def _line(line: Any, total: float, scale: float) -> Heights | None:
         rows = np.array([[*point[:3], math.nan][:3] for point in line["coordinates"]], float)
         places = way_length(rows[:, 0], rows[:, 1]), rows[:, 2]
     along, height = places
-    return Heights(_sums(_scaled(np.diff(along), total)), height)
+    return Heights(sums(_scaled(np.diff(along), total)), height)
 
 
 def _decoded(line: str, scale: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -17,7 +17,7 @@ from xml.etree.ElementTree import ParseError, XMLParser
 import numpy as np
 import polars as pl
 
-from evpinn_ros.energy.plan import MAX_POINTS, Legs, PlanError
+from evpinn_ros.energy.plan import MAX_POINTS, Legs, PlanError, sums
 from evpinn_ros.plans.way import Heights, legs_between, way_length
 
 MILLISECONDS_FROM = 1e11  # as seconds since 1970 it would be the year 5138
@@ -65,8 +65,7 @@ def legs_of_track(track: GeoTrack) -> Legs:
     length, mean = np.diff(along), (speed[1:] + speed[:-1]) / 2
     if (stuck := (length > 0) & (mean <= 0)).any():
         raise PlanError(f"it has no times, and its speed is 0 from point {stuck.argmax()} on")
-    duration = length / np.where(length > 0, mean, 1.0)
-    elapsed = np.concatenate(([0.0], np.cumsum(duration)))
+    elapsed = sums(length / np.where(length > 0, mean, 1.0))
     return legs_between(elapsed, along, Heights(along, place[:, 2]))
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.energy.driven import road_height
-from evpinn_ros.energy.plan import LONGEST, MAX_SPEED, Legs, PlanError, legs_of_trip
+from evpinn_ros.energy.plan import LONGEST, MAX_SPEED, Legs, PlanError, legs_of_trip, sums
 from evpinn_ros.signals.height import AltitudeDetector
 
 FARTHEST = MAX_SPEED * LONGEST  # m that a trip can be long
@@ -88,4 +88,4 @@ def way_length(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
     across = np.cos(y[1:]) * np.cos(y[:-1]) * np.sin(np.diff(x) / 2) ** 2
     part = np.sqrt(np.sin(np.diff(y) / 2) ** 2 + across)
     steps = 2 * EARTH_RADIUS * np.arcsin(np.minimum(part, 1.0))
-    return np.concatenate(([0.0], np.cumsum(steps)))
+    return sums(steps)

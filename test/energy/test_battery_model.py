@@ -4,7 +4,6 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.battery_model import LEAST_SAMPLES, BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
@@ -145,25 +144,3 @@ def test_a_file_without_a_battery_is_of_before_and_is_read():
     drive(account.add_reading, 100)
     account.restore(saved)
     assert account.battery.samples == 0
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("samples", -1),
-        ("samples", math.inf),
-        ("state", [370.0, 50.0]),
-        ("state", [1e5, 50.0, 0.1]),
-        ("state", [370.0, 50.0, 1e300]),
-        ("covariance", [-1.0, 0, 0, 0, 1, 0, 0, 0, 1]),
-        ("covariance", [1.0, 5, 0, 0, 1, 0, 0, 0, 1]),
-        ("covariance", [1e300] * 9),
-        ("full_charge", None),
-    ],
-)
-def test_a_wrong_saved_battery_is_refused_and_changes_nothing(learned, key, value):
-    model, _ = learned
-    before = model.export()
-    with pytest.raises(InputError, match="saved"):
-        model.restore({**before, key: value})
-    assert model.export() == before

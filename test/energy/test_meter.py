@@ -277,26 +277,6 @@ def test_saved_and_restored_it_goes_on(silent):
     assert later.gaps == before.gaps
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"measured": None},
-        {"rknn": "many"},
-        {"rknn": math.inf},
-        {"unmeasured_s": math.nan},
-        {"predicted": {}},
-        {"bridged": [0.0]},
-        {"bridged_sigma": "wide"},
-    ],
-)
-def test_a_wrong_saved_state_is_refused_and_changes_nothing(wrong):
-    kept = drive(meter(), range(10))
-    before = repr(kept.state)
-    with pytest.raises(InputError, match="saved"):
-        kept.restore({**kept.export(), **wrong})
-    assert repr(kept.state) == before
-
-
 def test_what_an_older_version_kept_besides_does_not_void_a_file():
     kept = drive(meter(), range(10))
     other = meter()

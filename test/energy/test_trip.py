@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.trip import BUCKETS, WINDOWS, DistanceWindow, Stretch, TripLog
 
 SECOND = 1_000_000_000
@@ -96,32 +95,3 @@ def test_saved_and_restored_it_goes_on():
     assert copy.export() == log.export()
     drive(copy, 100.0, start=5000.0)  # the night between is no gap and no distance
     assert copy.total.distance == pytest.approx(2 * log.total.distance)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"windows": None},
-        {"windows": [[[0.0, 0.0]]]},
-        {"windows": [[], [], []]},
-        {"windows": [[[0.0, 0.0]], [["far", 0.0]], [[0.0, 0.0]]]},
-        {"windows": [[[0.0, 0.0]], [[0.0, 0.0]], [[-1.0, 0.0]]]},
-        {"energy": None},
-        {"speed": {}},
-    ],
-)
-def test_a_wrong_saved_trip_is_refused_and_changes_nothing(wrong):
-    log = drive(TripLog(), 100.0)
-    before = log.export()
-    with pytest.raises(InputError, match="saved"):
-        log.restore({**before, **wrong})
-    assert log.export() == before
-
-
-@pytest.mark.parametrize("wrong", [{"drawn": math.nan}, {"gaps": -1}, {"regenerated": "x"}])
-def test_a_wrong_saved_integral_is_refused_and_changes_nothing(wrong):
-    log = drive(TripLog(), 100.0)
-    before = log.export()
-    with pytest.raises(InputError, match="saved"):
-        log.restore({**before, "speed": {**before["speed"], **wrong}})
-    assert log.export() == before
