@@ -11,18 +11,24 @@ from evpinn_ros.energy.forecast import Forecast
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.plan import Plan
 from evpinn_ros.energy.plausible import MAX_POWER
-from evpinn_ros.energy.rknn import load_rknn
+from evpinn_ros.energy.rknn import Rknn
 from evpinn_ros.signals.readings import MAX_SPEED
 
 START = 1_700_000_000_000_000_000
 CAPACITY = 70e6  # J
 SPEED = 20.0  # m/s
 NEVER = range(0)
-RKNN = load_rknn()
+
+
+def itself(power, energy=0.0):
+    return power
+
+
+CLASSICAL = Rknn((itself, itself, itself, itself))  # the network is tested elsewhere
 
 
 def account(capacity=CAPACITY, vehicle="bmw_i3"):
-    return EnergyAccount(EnergyMeter(RKNN), vehicle, capacity)
+    return EnergyAccount(EnergyMeter(CLASSICAL), vehicle, capacity)
 
 
 def drive(
