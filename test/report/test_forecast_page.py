@@ -26,13 +26,13 @@ COLD = PlanConditions(temperature=-10.0, head_wind=5.0)
 @pytest.mark.parametrize("plan", [FINE, COARSE])
 def test_parts_add_up_to_the_forecast(plan):
     found = planned_energy(plan, "bmw_i3", COLD)
-    parts = plan_parts(plan, found.found, *found.basis)
-    whole = parts.energy[WHOLE].sum() + parts.energy[-1]
+    energy, sigma = plan_parts(plan, found.found, *found.basis)
+    whole = energy[WHOLE].sum() + energy[-1]
     assert whole == pytest.approx(found.found.energy[-1], rel=1e-9)
-    uneven = parts.energy[-1]
+    uneven = energy[-1]
     assert uneven > 1e4 if plan is COARSE else abs(uneven) < 1.0
-    assert parts.energy[Part.SLOPE] > 0.0 and parts.energy[Part.CLIMATE] > 0.0
-    assert (parts.sigma[[Part.AIR, Part.TYRES]] > 0.0).all()
+    assert energy[Part.SLOPE] > 0.0 and energy[Part.CLIMATE] > 0.0
+    assert (sigma[[Part.AIR, Part.TYRES]] > 0.0).all()
 
 
 def test_faster_takes_more_and_less_time_and_colder_takes_more():
