@@ -16,8 +16,8 @@ from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.live.data import WATCHED, LiveData
 from evpinn_ros.live.screen import screen
-from evpinn_ros.live.state import WATCHED, LiveState
 from evpinn_ros.nodes.diagnosis import WELL, Condition
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
 from evpinn_ros.replays.chain import Chain
@@ -49,7 +49,7 @@ FRAME = """<svg viewBox="0 0 {width} {height}" xmlns="http://www.w3.org/2000/svg
 """
 
 
-def drive(state: LiveState) -> float:
+def drive(data: LiveData) -> float:
     """Let the view hear the drive; gives the time at its end, s."""
     chain = Chain(load_vehicle(VEHICLE), EstimatorSettings(), InlineWorker(time.perf_counter))
     now = begin = 0.0
@@ -59,31 +59,31 @@ def drive(state: LiveState) -> float:
             begin = begin or now
             if topic not in (SPEED, BATTERY) or now - begin > SECONDS:
                 continue
-            state.take(topic, record.message, now)
+            data.take(topic, record.message, now)
             for output in chain.add_reading(to_reading(topic.type_name, record.message)):
                 for shown, message in output_messages(new_message, output):
                     if shown in WATCHED:
-                        state.take(shown, message, now)
+                        data.take(shown, message, now)
     now = begin + SECONDS
     found = breakdown_messages(new_message, int(now * NANOSECONDS), chain.estimator.breakdown())
     for shown, message in found:
-        state.take(shown, message, now)
+        data.take(shown, message, now)
     condition = Condition(WELL, 0.0, 0, None)
     name, level, text, values = estimator_status(chain.estimator.status(), condition)
     status = (f"{NAMESPACE}/estimator: {name}", level, text, values)
-    state.take(DIAGNOSTICS, diagnostics(new_message, int(now * NANOSECONDS), [status]), now)
+    data.take(DIAGNOSTICS, diagnostics(new_message, int(now * NANOSECONDS), [status]), now)
     return now
 
 
 def main() -> None:
     """Write docs/live_view.svg."""
     limit_blas_threads()
-    state = LiveState()
-    now = drive(state)
+    data = LiveData()
+    now = drive(data)
     console = Console(
         record=True, width=WIDTH, height=HEIGHT, file=io.StringIO(), force_terminal=True
     )
-    console.print(screen(state, now, WIDTH, HEIGHT))
+    console.print(screen(data, now, WIDTH, HEIGHT))
     svg = console.export_svg(title="", theme=MONOKAI, code_format=FRAME, unique_id="live")
     (ROOT / "docs" / "live_view.svg").write_text(svg, encoding="utf-8")
 

@@ -12,8 +12,8 @@ from rich.text import Text
 from evpinn_ros import topics
 from evpinn_ros.common.errors import printable
 from evpinn_ros.estimation.operating_range import MANNERS
+from evpinn_ros.live.data import NOTHING, POWERS, LiveData, ParameterRow
 from evpinn_ros.live.power_line import BIN_NS, DOT_COLUMNS, braille_line, power_axis
-from evpinn_ros.live.state import NOTHING, POWERS, LiveState, ParameterRow
 from evpinn_ros.report.parameter_text import MEANINGS, UNITS, number
 from evpinn_ros.topics.messages import Level
 
@@ -62,17 +62,17 @@ COLUMNS = (
 )
 
 
-def screen(state: LiveState, now: float, width: int, height: int) -> Text:
+def screen(data: LiveData, now: float, width: int, height: int) -> Text:
     """The view, never wider or higher than asked; what does not fit is left out, by weight."""
-    problems = state.problems(now)
-    breakdown = list(_breakdown(state, width))
+    problems = data.problems(now)
+    breakdown = list(_breakdown(data, width))
     # In the order of their weight, with the rows that each needs.
     needs = {
         "title": 1,
         "problems": min(len(problems), 1),
         "owner": 1,
         "breakdown": len(breakdown),
-        "parameters": 1 + len(state.parameters()),
+        "parameters": 1 + len(data.parameters()),
         "power": 1 + len(POWERS),
         "coverage": 1 + len(MANNERS),
     }
@@ -84,12 +84,12 @@ def screen(state: LiveState, now: float, width: int, height: int) -> Text:
     more_problems = min(max(len(problems) - 1, 0), MOST_PROBLEMS - 1, left)
     chart_rows = min(1 + (left - more_problems) // len(POWERS), MOST_CHART_ROWS)
     parts: dict[str, Iterable[Text]] = {
-        "title": [_title(state, now, width)],
-        "owner": [_owner(state)],
+        "title": [_title(data, now, width)],
+        "owner": [_owner(data)],
         "breakdown": breakdown,
-        "parameters": _parameters(state, width),
-        "power": _power(state, now, width, chart_rows),
-        "coverage": _coverage(state, now, width),
+        "parameters": _parameters(data, width),
+        "power": _power(data, now, width, chart_rows),
+        "coverage": _coverage(data, now, width),
         "problems": _problems(problems[: 1 + more_problems]),
     }
     lines = [line for name, part in parts.items() if name in kept for line in part]
@@ -98,44 +98,44 @@ def screen(state: LiveState, now: float, width: int, height: int) -> Text:
     return Text("\n").join(lines)
 
 
-def plain_line(state: LiveState, now: float) -> str:
+def plain_line(data: LiveData, now: float) -> str:
     """The state in one line without styles, for pipes and files."""
-    if not state.received:
+    if not data.received:
         return NOTHING
-    parts = [f"{_number(3.6 * state.fresh_speed(now), 1)} km/h", _owner(state).plain]
+    parts = [f"{_number(3.6 * data.fresh_speed(now), 1)} km/h", _owner(data).plain]
     for topic, name in POWERS.items():
-        found = state.power(topic, now)
+        found = data.power(topic, now)
         parts.append(f"{name} {_kilowatts(found.value)}{_sigma(found.sigma)} kW drawn")
-    parts.append(f"Wh went to {', '.join(_amounts(state)) or UNKNOWN}")
+    parts.append(f"Wh went to {', '.join(_amounts(data)) or UNKNOWN}")
     parts += [
         f"{row.name} {_parameter(row, row.value)} +- {_parameter(row, row.sigma)}"
-        + (f" {row.state}" if row.state else "")
-        for row in state.parameters()
+        + (f" {row.status}" if row.status else "")
+        for row in data.parameters()
         if math.isfinite(row.value)
     ]
     return "; ".join(parts)
 
 
-def problem_lines(state: LiveState, now: float) -> list[str]:
+def problem_lines(data: LiveData, now: float) -> list[str]:
     """Missing inputs and their reasons, one line each."""
-    return [f"{level.name.lower()}: {text}" for level, text in state.problems(now)]
+    return [f"{level.name.lower()}: {text}" for level, text in data.problems(now)]
 
 
-def _title(state: LiveState, now: float, width: int) -> Text:
-    battery = state.fresh_battery(now)
-    right = f"{_number(3.6 * state.fresh_speed(now), 1)} km/h "
+def _title(data: LiveData, now: float, width: int) -> Text:
+    battery = data.fresh_battery(now)
+    right = f"{_number(3.6 * data.fresh_speed(now), 1)} km/h "
     if battery is not None:
         drawn = f"{_number(0.0 - battery.current, 1)} A drawn"  # as power: + is drawn
         right = f"{_number(battery.voltage, 0)} V  {drawn}  {right}"
     room = max(width - len(right) - 1, 0)
-    left = set_cell_size(f" evpinn  {state.activity(now) or _silent(state)}", room)
+    left = set_cell_size(f" evpinn  {data.activity(now) or _silent(data)}", room)
     return Text(f"{left} {right}", style=TITLE)
 
 
-def _parameters(state: LiveState, width: int) -> Iterable[Text]:
+def _parameters(data: LiveData, width: int) -> Iterable[Text]:
     columns = [column for column in COLUMNS if width >= WIDE or not column.wide_only]
     yield Text(f"{_row(columns, {c.title: c.title for c in columns})} state", style=HEADING)
-    for row in state.parameters():
+    for row in data.parameters():
         bounds = f"{_parameter(row, row.lower, '')} .. {_parameter(row, row.upper, '')}"
         texts = {
             "": row.name,
@@ -146,8 +146,8 @@ def _parameters(state: LiveState, width: int) -> Iterable[Text]:
             "prior": _percent(100 * row.prior_share),
             "data": _percent(row.progress),
         }
-        shown = row.state or UNKNOWN
-        yield Text(f"{_row(columns, texts)} ").append(shown, STATE_STYLES.get(row.state, FAINT))
+        shown = row.status or UNKNOWN
+        yield Text(f"{_row(columns, texts)} ").append(shown, STATE_STYLES.get(row.status, FAINT))
 
 
 def _row(columns: Iterable[ScreenColumn], texts: Mapping[str, str]) -> str:
@@ -155,17 +155,17 @@ def _row(columns: Iterable[ScreenColumn], texts: Mapping[str, str]) -> str:
     return "".join(_cell(texts[c.title], c.width, right=c.title not in words) for c in columns)
 
 
-def _power(state: LiveState, now: float, width: int, rows: int) -> Iterable[Text]:
+def _power(data: LiveData, now: float, width: int, rows: int) -> Iterable[Text]:
     room = max(width - AXIS_WIDTH, 0)
     bins = room * DOT_COLUMNS
-    lines = {name: state.line.last(name, bins) for name in POWERS.values()}
+    lines = {name: data.line.last(name, bins) for name in POWERS.values()}
     axis = power_axis([value for line in lines.values() for value in line])
     heading = Text("kW drawn", style=HEADING)
     for topic, name in POWERS.items():
-        found = state.power(topic, now)
+        found = data.power(topic, now)
         heading.append(f"  {name} ", "not bold")
         heading.append(f"{_kilowatts(found.value)}{_sigma(found.sigma)}", POWER_STYLES[name])
-    coverage = state.band_coverage()
+    coverage = data.band_coverage()
     if math.isfinite(coverage):
         heading.append(f"  {100 * coverage:.0f} % in band", f"not bold {FAINT}")
     heading.append(f"  {bins * BIN_NS / 1e9:.0f} s", f"not bold {FAINT}")
@@ -179,34 +179,34 @@ def _power(state: LiveState, now: float, width: int, rows: int) -> Iterable[Text
             )
 
 
-def _owner(state: LiveState) -> Text:
+def _owner(data: LiveData) -> Text:
     """An owner's line: charge, range with its 90 % band, consumption, energy of the trip."""
-    energy = state.vector(topics.ENERGY_STATE)
+    energy = data.vector(topics.ENERGY_STATE)
     words = (
-        f"  {_percent(100 * state.charge())}",
-        f"  range {_range(state)}",
-        f"  {_number(state.consumption(), 0)} Wh/km",
+        f"  {_percent(100 * data.charge())}",
+        f"  range {_range(data)}",
+        f"  {_number(data.consumption(), 0)} Wh/km",
         f"  used {_watt_hours(energy, 'consumed')} Wh",
         f"  regained {_watt_hours(energy, 'regenerated')} Wh",
     )
     return Text("charge", style=HEADING).append("".join(words), "not bold")
 
 
-def _range(state: LiveState) -> str:
+def _range(data: LiveData) -> str:
     """Distance to empty with its 90 % band; why there is none, if the charge is known."""
-    found = state.vector(topics.ENERGY_RANGE)
+    found = data.vector(topics.ENERGY_RANGE)
     ends = ("to_empty", "lower", "upper")
     middle, low, high = (_number(found.get(f"distance_{e}", math.nan) / 1e3, 0) for e in ends)
     if "distance_to_empty" in found:
         return f"{middle} km ({low}-{high})"
-    return UNKNOWN if math.isnan(state.charge()) else "from 10 km on"
+    return UNKNOWN if math.isnan(data.charge()) else "from 10 km on"
 
 
-def _breakdown(state: LiveState, width: int) -> Iterable[Text]:
+def _breakdown(data: LiveData, width: int) -> Iterable[Text]:
     """Parts of the energy so far, the largest first, in as many rows as they need, but two."""
     title = "Wh went to"
     rows = [""]
-    for each in _amounts(state) or [UNKNOWN]:
+    for each in _amounts(data) or [UNKNOWN]:
         if rows[-1] and len(title) + len(rows[-1]) + len(each) + 2 > width:
             rows.append("")
         rows[-1] += f"  {each}"
@@ -215,10 +215,10 @@ def _breakdown(state: LiveState, width: int) -> Iterable[Text]:
         yield Text(head, style=HEADING).append(row, "not bold")
 
 
-def _amounts(state: LiveState) -> list[str]:
+def _amounts(data: LiveData) -> list[str]:
     """Each part with its 1-sigma, Wh, the largest first."""
-    values = state.vector(topics.ENERGY_BREAKDOWN)
-    sigmas = state.sigmas(topics.ENERGY_BREAKDOWN)
+    values = data.vector(topics.ENERGY_BREAKDOWN)
+    sigmas = data.sigmas(topics.ENERGY_BREAKDOWN)
     names = sorted(set(values) - BESIDE, key=lambda name: -abs(values[name]))
     return [
         f"{printable(name)} {_watt_hours(values, name)}+-{_watt_hours(sigmas, name)}"
@@ -227,16 +227,16 @@ def _amounts(state: LiveState) -> list[str]:
     ]
 
 
-def _silent(state: LiveState) -> str:
-    return "estimator silent" if state.received else "no nodes"
+def _silent(data: LiveData) -> str:
+    return "estimator silent" if data.received else "no nodes"
 
 
-def _coverage(state: LiveState, now: float, width: int) -> Iterable[Text]:
+def _coverage(data: LiveData, now: float, width: int) -> Iterable[Text]:
     """Data coverage, and beside it the rates of messages."""
-    seen = state.seen()
+    seen = data.seen()
     most = max([1.0, *(n for row in seen for n in row if math.isfinite(n))])
     cell, gap = (8, 4 * " ") if width >= WIDE else (6, " ")
-    rates = [f"{gap}{name} {state.rate(topic, now):.1f}/s" for name, topic in RATES.items()]
+    rates = [f"{gap}{name} {data.rate(topic, now):.1f}/s" for name, topic in RATES.items()]
     heading = "".join(_cell(title, cell, right=True) for title in SPEED_HEADINGS)
     yield (
         Text("samples km/h", HEADING)
@@ -301,42 +301,42 @@ def _cell(text: str, width: int, *, right: bool = False) -> str:
     return short.rjust(width) if right else short.ljust(width)
 
 
-def as_json(state: LiveState, now: float) -> dict[str, Any]:
+def as_json(data: LiveData, now: float) -> dict[str, Any]:
     """State of the system for scripts, ready for `json_text`: `evpinn watch --json`.
 
     SI units; None or NaN where nothing is known. The current keeps the sign of `battery/state`;
     power and energy are positive when drawn from the battery.
     """
-    battery = state.fresh_battery(now)
-    parts, sigmas = state.vector(topics.ENERGY_BREAKDOWN), state.sigmas(topics.ENERGY_BREAKDOWN)
+    battery = data.fresh_battery(now)
+    parts, sigmas = data.vector(topics.ENERGY_BREAKDOWN), data.sigmas(topics.ENERGY_BREAKDOWN)
     return {
-        "speed_mps": state.fresh_speed(now),
+        "speed_mps": data.fresh_speed(now),
         "voltage_v": battery.voltage if battery else None,
         "current_a": battery.current if battery else None,
-        "power_w": {name: _estimate(*state.power(topic, now)) for topic, name in POWERS.items()},
-        "receiving": state.received,
-        "state_of_charge": state.charge(),
-        "wh_per_km": state.consumption(),
-        "energy_j": state.vector(topics.ENERGY_STATE),
+        "power_w": {name: _estimate(*data.power(topic, now)) for topic, name in POWERS.items()},
+        "receiving": data.received,
+        "state_of_charge": data.charge(),
+        "wh_per_km": data.consumption(),
+        "energy_j": data.vector(topics.ENERGY_STATE),
         "breakdown_j": {
             name: _estimate(value, sigmas.get(name, math.nan)) for name, value in parts.items()
         },
-        "consumption": state.vector(topics.ENERGY_CONSUMPTION),
-        "range_m": state.vector(topics.ENERGY_RANGE),
+        "consumption": data.vector(topics.ENERGY_CONSUMPTION),
+        "range_m": data.vector(topics.ENERGY_RANGE),
         "parameters": {
             row.name: {
                 **_estimate(row.value, row.sigma),
                 "prior_share": row.prior_share,
                 "lower": row.lower,
                 "upper": row.upper,
-                "state": row.state or None,
+                "state": row.status or None,
             }
-            for row in state.parameters()
+            for row in data.parameters()
         },
-        "per_second": {name: state.rate(topic, now) for name, topic in RATES.items()},
-        "doing": state.activity(now) or None,
+        "per_second": {name: data.rate(topic, now) for name, topic in RATES.items()},
+        "doing": data.activity(now) or None,
         "problems": [
-            {"level": level.name.lower(), "text": text} for level, text in state.problems(now)
+            {"level": level.name.lower(), "text": text} for level, text in data.problems(now)
         ],
     }
 

@@ -22,8 +22,8 @@ from rich.live import Live
 
 from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.common.json_text import json_text
+from evpinn_ros.live.data import NOTHING, WATCHED, LiveData
 from evpinn_ros.live.screen import as_json, plain_line, problem_lines, screen
-from evpinn_ros.live.state import NOTHING, WATCHED, LiveState
 from evpinn_ros.nodes.factory import installed, message_class, qos_profile
 from evpinn_ros.topics import NAMESPACE, QUEUE_DEPTH, Qos
 
@@ -32,14 +32,14 @@ PLAIN_PERIOD = 1.0  # s between two lines
 YIELDS = 5  # of niceness: the nodes come first
 END_TIMEOUT = 5.0  # s for the view to leave the terminal as it was
 
-Show = Callable[[LiveState, float], None]
+Show = Callable[[LiveData, float], None]
 
 
 class LiveListener(Node):
     """Receives what the view shows and sends nothing itself.
 
     Attributes:
-        state: received messages.
+        data: received messages.
     """
 
     def __init__(self, namespace: str) -> None:
@@ -50,7 +50,7 @@ class LiveListener(Node):
             enable_rosout=False,
             start_parameter_services=False,
         )
-        self.state = LiveState(self.get_namespace())
+        self.data = LiveData(self.get_namespace())
         profile = qos_profile(Qos(reliable=False, transient_local=False, depth=QUEUE_DEPTH))
         self._inputs = {
             topic: self.create_subscription(
@@ -71,7 +71,7 @@ class LiveListener(Node):
                     taken = subscription.handle.take_message(subscription.msg_type, False)
                 if taken is None:
                     break
-                self.state.take(topic, taken[0], time.monotonic())
+                self.data.take(topic, taken[0], time.monotonic())
 
     def _never_called(self, _: Any) -> None:
         """There is no executor."""
@@ -121,12 +121,12 @@ def watch(namespace: str = NAMESPACE, *, plain: bool = False, for_scripts: bool 
     finally:
         rclpy.try_shutdown()
     if multiprocessing.parent_process() is None:
-        print(printable(_ending(listener.state)), file=sys.stderr)
+        print(printable(_ending(listener.data)), file=sys.stderr)
 
 
-def _ending(state: LiveState) -> str:
+def _ending(data: LiveData) -> str:
     """Words for the end of a view of its own: what was saved, and what to do next."""
-    if not state.received:
+    if not data.received:
         return f"evpinn: {NOTHING}"
     return (
         "evpinn: the view has ended and saved nothing; the nodes go on. To keep a drive and what "
@@ -134,27 +134,27 @@ def _ending(state: LiveState) -> str:
     )
 
 
-def _picture(live: Live, state: LiveState, now: float) -> None:
-    live.update(screen(state, now, *live.console.size), refresh=True)
+def _picture(live: Live, data: LiveData, now: float) -> None:
+    live.update(screen(data, now, *live.console.size), refresh=True)
 
 
 def _plain(out: TextIO) -> Show:
     """Prints a line a second, and problems when they change."""
     shown: list[str] = []
 
-    def show(state: LiveState, now: float) -> None:
-        found = problem_lines(state, now)
+    def show(data: LiveData, now: float) -> None:
+        found = problem_lines(data, now)
         for line in found:
             if line not in shown:
                 print(printable(line), file=out)
         shown[:] = found
-        print(printable(plain_line(state, now)), file=out, flush=True)
+        print(printable(plain_line(data, now)), file=out, flush=True)
 
     return show
 
 
-def _print_json(state: LiveState, now: float) -> None:
-    print(json_text({"time_s": time.time(), **as_json(state, now)}), flush=True)
+def _print_json(data: LiveData, now: float) -> None:
+    print(json_text({"time_s": time.time(), **as_json(data, now)}), flush=True)
 
 
 def _follow(listener: LiveListener, period: float, show: Show) -> None:
@@ -164,7 +164,7 @@ def _follow(listener: LiveListener, period: float, show: Show) -> None:
         listener.take_all()
         now = time.monotonic()
         if now >= due:
-            show(listener.state, now)
+            show(listener.data, now)
             due = max(due + period, now)
         time.sleep(min(max(due - time.monotonic(), 0.0), PERIOD))
 

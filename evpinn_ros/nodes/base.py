@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from inspect import iscoroutinefunction
+from inspect import isawaitable
 import math
 from pathlib import Path
 from typing import Any
@@ -166,29 +166,19 @@ class GuardedNode(ABC, Node):
         A parameter of a type that there is not raises in rclpy, and would end the node.
         """
 
-        def failed(error: Exception) -> Any:
-            self.count_fault(f"{name}: {type(error).__name__}", str(error))
-            response = kind.Response()
-            if hasattr(response, "message"):
-                response.message = f"internal fault: {type(error).__name__}"
-            return response
-
-        def safe(request: Any, response: Any) -> Any:
+        async def safe(request: Any, response: Any) -> Any:
             self.calls[name] += 1
             try:
-                return callback(request, response)
+                found = callback(request, response)
+                return await found if isawaitable(found) else found
             except Exception as error:
-                return failed(error)
+                self.count_fault(f"{name}: {type(error).__name__}", str(error))
+                response = kind.Response()
+                if hasattr(response, "message"):
+                    response.message = f"internal fault: {type(error).__name__}"
+                return response
 
-        async def safe_later(request: Any, response: Any) -> Any:
-            self.calls[name] += 1
-            try:
-                return await callback(request, response)
-            except Exception as error:
-                return failed(error)
-
-        taken = safe_later if iscoroutinefunction(callback) else safe
-        service = super().create_service(kind, name, taken, **options)
+        service = super().create_service(kind, name, safe, **options)
         self._made.append(partial(self.destroy_service, service))
         return service
 

@@ -22,8 +22,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
 from evpinn_ros.nodes.factory import is_installed, new_message
-from evpinn_ros.nodes.frame_topic import FrameTopic, frame_topic
-from evpinn_ros.nodes.log_player import LogPlayer
+from evpinn_ros.nodes.frame_sources import FrameTopic, LogPlayer, frame_topic
 from evpinn_ros.nodes.managed import ManagedNode
 from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.signals.readings import Reading

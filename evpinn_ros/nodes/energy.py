@@ -31,8 +31,7 @@ from evpinn_ros.nodes.energy_diagnosis import (
     plan_status,
 )
 from evpinn_ros.nodes.factory import installed, is_installed, message_class, new_message
-from evpinn_ros.nodes.plan_desk import Job, PlanDesk
-from evpinn_ros.nodes.plan_service import BATCH, SERVICE, Moment, PlanCall
+from evpinn_ros.nodes.plan_answers import BATCH, SERVICE, Job, Moment, PlanCall, PlanDesk
 from evpinn_ros.nodes.stateful import StatefulNode
 from evpinn_ros.nodes.typed import (
     PACKAGE,

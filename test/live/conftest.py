@@ -7,7 +7,7 @@ import pytest
 
 from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message
-from evpinn_ros.live.state import LiveState
+from evpinn_ros.live.data import LiveData
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import Level, diagnostics, named_vector
@@ -79,14 +79,14 @@ def heard(now: float) -> list[tuple[Topic, Any]]:
 
 
 @pytest.fixture
-def well() -> Callable[[float], LiveState]:
+def well() -> Callable[[float], LiveData]:
     """A state that heard everything ten times a second from second 100 to this one."""
 
-    def make(until: float) -> LiveState:
-        state = LiveState()
+    def make(until: float) -> LiveData:
+        data = LiveData()
         for tenth in range(1000, int(10 * until) + 1):
             for topic, message in heard(tenth / 10):
-                state.take(topic, message, tenth / 10)
-        return state
+                data.take(topic, message, tenth / 10)
+        return data
 
     return make

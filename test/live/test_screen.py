@@ -9,16 +9,16 @@ from rich.cells import cell_len
 from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.common.json_text import json_text
+from evpinn_ros.live.data import NOTHING, LiveData
 from evpinn_ros.live.screen import as_json, plain_line, problem_lines, screen
-from evpinn_ros.live.state import NOTHING, LiveState
 from evpinn_ros.signals.readings import BatteryReading
 from evpinn_ros.topics.messages import Level, diagnostics, named_vector
 from evpinn_ros.topics.readings import battery_message
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 
-def lines(state, now, width, height):
-    return [line.rstrip() for line in screen(state, now, width, height).plain.splitlines()]
+def lines(data, now, width, height):
+    return [line.rstrip() for line in screen(data, now, width, height).plain.splitlines()]
 
 
 def without_dots(found):
@@ -50,10 +50,10 @@ def test_80_by_24_shows_everything(well):
 
 
 def test_60_by_20_leaves_out_what_can_be_missed(well):
-    state = well(160.0)
+    data = well(160.0)
     warning = ("/ev/energy: meter", Level.WARN, "predicting: no power/measured", {})
-    state.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, [warning]), 160.0)
-    found = lines(state, 160.0, 60, 20)
+    data.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, [warning]), 160.0)
+    found = lines(data, 160.0, 60, 20)
     assert len(found) == 19  # a row that both lines of power cannot share
     assert without_dots(found) == [
         " evpinn  learning: 3 of 4 up 352 V  41.5 A drawn  45.0 km/h",
@@ -77,7 +77,7 @@ def test_60_by_20_leaves_out_what_can_be_missed(well):
 
 
 def test_nothing_heard_is_a_screen_too():
-    found = lines(LiveState(), 0.0, 80, 24)
+    found = lines(LiveData(), 0.0, 80, 24)
     assert found[0] == f" evpinn  no nodes{'- km/h':>62}"
     assert found[-1] == f"! {NOTHING}"
     assert found[1:3] == [
@@ -100,8 +100,8 @@ def test_nothing_heard_is_a_screen_too():
     ],
 )
 def test_the_weightiest_is_kept_when_there_is_little_room(height, kept):
-    assert any(kept in line for line in lines(LiveState(), 0.0, 80, height))
-    assert not any(kept in line for line in lines(LiveState(), 0.0, 80, height - 1))
+    assert any(kept in line for line in lines(LiveData(), 0.0, 80, height))
+    assert not any(kept in line for line in lines(LiveData(), 0.0, 80, height - 1))
 
 
 TEXT = st.text(max_size=60)
@@ -115,9 +115,9 @@ NUMBER = st.floats(allow_nan=False, allow_infinity=False)
     power=NUMBER,
     statuses=st.lists(st.tuples(st.sampled_from(Level), TEXT, TEXT, TEXT), max_size=6),
 )
-@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=50, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 def test_never_wider_or_higher_than_asked(width, height, values, power, statuses):
-    state = LiveState()
+    data = LiveData()
     for topic, names, numbers in (
         (topics.PARAMETERS, PARAMETER_NAMES, values),
         (topics.BOUNDS, [f"{name}_lower" for name in PARAMETER_NAMES], values),
@@ -127,7 +127,7 @@ def test_never_wider_or_higher_than_asked(width, height, values, power, statuses
         (topics.ENERGY_BREAKDOWN, ["air", "a\nb", "x" * 90, "slope", "e", "f"], values),
         (topics.ENERGY_RANGE, ["distance_to_empty"], [power]),
     ):
-        state.take(topic, named_vector(new_message, 10**9, list(names), numbers), 1.0)
+        data.take(topic, named_vector(new_message, 10**9, list(names), numbers), 1.0)
     found = [
         (
             f"/ev/estimator: {name}",
@@ -142,14 +142,14 @@ def test_never_wider_or_higher_than_asked(width, height, values, power, statuses
         for _, _, text, _ in statuses
     ]
     message = diagnostics(new_message, 10**9, found)
-    state.take(topics.DIAGNOSTICS, message, 1.0)
-    drawn = screen(state, 1.0, width, height).plain
+    data.take(topics.DIAGNOSTICS, message, 1.0)
+    drawn = screen(data, 1.0, width, height).plain
     rows = drawn.split("\n") if drawn else []
     assert len(rows) <= height
     assert all(cell_len(row) <= width for row in rows)
     assert all(char.isprintable() or char == "\n" for char in drawn)
-    assert "\n" not in plain_line(state, 1.0)
-    assert all(line.isprintable() for line in problem_lines(state, 1.0))
+    assert "\n" not in plain_line(data, 1.0)
+    assert all(line.isprintable() for line in problem_lines(data, 1.0))
 
 
 def test_a_plain_line_says_the_same(well):
@@ -163,64 +163,64 @@ def test_a_plain_line_says_the_same(well):
 
 
 def test_what_rounds_to_nothing_has_no_sign(well):
-    state = well(110.0)
+    data = well(110.0)
     parts = ["air", "slope"], [-700.0, -7200.0], [3600.0, 3600.0]
-    state.take(topics.ENERGY_BREAKDOWN, named_vector(new_message, 110 * 10**9, *parts), 110.0)
-    assert "Wh went to slope -2+-1, air 0+-1" in plain_line(state, 110.0)
+    data.take(topics.ENERGY_BREAKDOWN, named_vector(new_message, 110 * 10**9, *parts), 110.0)
+    assert "Wh went to slope -2+-1, air 0+-1" in plain_line(data, 110.0)
 
 
 def test_a_plain_line_knows_what_is_not_known():
-    assert plain_line(LiveState(), 0.0) == NOTHING
-    state = LiveState()
-    state.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, []), 0.0)
-    assert plain_line(state, 0.0).startswith("- km/h; charge  -  range -  - Wh/km  used")
+    assert plain_line(LiveData(), 0.0) == NOTHING
+    data = LiveData()
+    data.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, []), 0.0)
+    assert plain_line(data, 0.0).startswith("- km/h; charge  -  range -  - Wh/km  used")
 
 
 def test_what_is_drawn_has_one_sign_on_screen(well):
     """Current and power of a car that brakes are both negative, and both are said to be drawn."""
-    state = well(110.0)
+    data = well(110.0)
     braking = BatteryReading(110 * 10**9, 352.0, 80.0)  # of BatteryState: + charges
-    state.take(topics.BATTERY, battery_message(new_message, braking), 110.0)
+    data.take(topics.BATTERY, battery_message(new_message, braking), 110.0)
     power = named_vector(new_message, 110 * 10**9, ["power"], [-28160.0])
-    state.take(topics.POWER_MEASURED, power, 110.0)
-    found = lines(state, 110.0, 80, 24)
+    data.take(topics.POWER_MEASURED, power, 110.0)
+    found = lines(data, 110.0, 80, 24)
     assert "-80.0 A drawn" in found[0]
     assert any(line.startswith("kW drawn  measured -28.2") for line in found)
 
 
 def test_consumption_of_the_first_kilometre_is_shown(well):
-    state = well(110.0)
+    data = well(110.0)
     for metres, shown in ((60.0, math.nan), (550.0, 2000.0)):
         trip = named_vector(new_message, 110 * 10**9, ["distance_trip"], [metres])
-        state.take(topics.ENERGY_CONSUMPTION, trip, 110.0)
-        assert state.consumption() == pytest.approx(shown, nan_ok=True)
+        data.take(topics.ENERGY_CONSUMPTION, trip, 110.0)
+        assert data.consumption() == pytest.approx(shown, nan_ok=True)
 
 
 def test_charge_is_that_of_the_battery_until_the_node_projects_it():
-    state = LiveState()
+    data = LiveData()
     reading = BatteryReading(10**9, 352.0, 1.0, 0.5)
-    state.take(topics.BATTERY, battery_message(new_message, reading), 1.0)
-    assert state.charge() == 0.5
+    data.take(topics.BATTERY, battery_message(new_message, reading), 1.0)
+    assert data.charge() == 0.5
     message = named_vector(new_message, 10**9, ["state_of_charge"], [0.49])
-    state.take(topics.ENERGY_RANGE, message, 1.0)
-    assert state.charge() == 0.49
-    assert "range from 10 km on" in lines(state, 1.0, 80, 24)[1]  # what it costs is not known yet
+    data.take(topics.ENERGY_RANGE, message, 1.0)
+    assert data.charge() == 0.49
+    assert "range from 10 km on" in lines(data, 1.0, 80, 24)[1]  # what it costs is not known yet
 
 
 def test_what_others_write_cannot_move_the_cursor(well):
-    state = well(110.0)
+    data = well(110.0)
     evil = ("/ev/estimator: x", Level.ERROR, "\x1b[2J\x1b]0;owned\a\r\nhello", {})
-    state.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, [evil]), 110.0)
-    for text in (*lines(state, 110.0, 80, 24), *problem_lines(state, 110.0)):
+    data.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, [evil]), 110.0)
+    for text in (*lines(data, 110.0, 80, 24), *problem_lines(data, 110.0)):
         assert text.isprintable()
 
 
 def test_values_beyond_reason_stay_in_their_columns():
-    state = LiveState()
+    data = LiveData()
     names, huge = list(PARAMETER_NAMES), 6 * [-1.7e308]
-    state.take(topics.PARAMETERS, named_vector(new_message, 10**9, names, huge), 1.0)
-    assert math.isclose(state.parameters()[0].value, -1.7e308)
-    row = next(line for line in lines(state, 1.0, 80, 24) if line.startswith("eta"))
+    data.take(topics.PARAMETERS, named_vector(new_message, 10**9, names, huge), 1.0)
+    assert math.isclose(data.parameters()[0].value, -1.7e308)
+    row = next(line for line in lines(data, 1.0, 80, 24) if line.startswith("eta"))
     assert row == "eta   motor        -1.7e+308        -                  -     -     - -"
 
 
@@ -244,7 +244,7 @@ def test_a_script_reads_the_same(well):
 
 
 def test_a_script_reads_that_nothing_is_known_and_what_fell_silent(well):
-    found = json.loads(json_text(as_json(LiveState(), 0.0)))
+    found = json.loads(json_text(as_json(LiveData(), 0.0)))
     assert found["speed_mps"] is found["voltage_v"] is found["parameters"]["eta"]["value"] is None
     assert found["problems"][0]["level"] == "warn" and found["energy_j"] == {}
     assert found["receiving"] is False and found["problems"][0]["text"] == NOTHING

@@ -23,7 +23,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.live.state import NOTHING, WATCHED
+from evpinn_ros.live.data import NOTHING, WATCHED
 from evpinn_ros.live.view import LiveListener, watch
 from evpinn_ros.signals.readings import SpeedReading
 from evpinn_ros.topics.readings import to_reading
@@ -282,8 +282,8 @@ def test_a_listener_takes_all_that_has_come_at_once(bench, urban):
         time.sleep(0.004)
     time.sleep(0.5)
     listener.take_all()
-    assert listener.state.rate(topics.SPEED, time.monotonic()) >= 40  # in the first second
-    assert listener.state.speed == message.twist.twist.linear.x
+    assert listener.data.rate(topics.SPEED, time.monotonic()) >= 40  # in the first second
+    assert listener.data.speed == message.twist.twist.linear.x
     listener.destroy_node()
 
 

@@ -23,7 +23,7 @@ from evpinn_ros.nodes.base import NOT_ACTIVE
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.plan_service import SERVICE
+from evpinn_ros.nodes.plan_answers import SERVICE
 from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED, TYPED_FORECAST, quantities
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import named_vector

@@ -1,4 +1,4 @@
-"""State of a running system, from its messages alone: the model of the live view.
+"""Messages of a running system, newest of each kind: all that the live view shows.
 
 Reads no clock and knows no ROS: messages come with the time of their arrival, s of any steady
 clock, and every question is asked for such a time.
@@ -16,11 +16,11 @@ from evpinn_ros.common.errors import printable
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.estimation.operating_range import MANNERS, SPEEDS
 from evpinn_ros.live.power_line import PowerHistory
-from evpinn_ros.signals.readings import BatteryReading
+from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.estimates import POWER, bounds_of
 from evpinn_ros.topics.messages import BadMessage, Level, NamedVector, read_named_vector
-from evpinn_ros.topics.readings import battery_reading, speed_reading
+from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 VECTORS = (
@@ -55,7 +55,7 @@ class ParameterRow(NamedTuple):
     upper: float
     prior_share: float
     progress: float
-    state: str
+    status: str
 
 
 class PartStatus(NamedTuple):
@@ -67,7 +67,7 @@ class PartStatus(NamedTuple):
     arrived: float
 
 
-class LiveState:
+class LiveData:
     """Takes messages, answers what a screen shows.
 
     Attributes:
@@ -108,10 +108,12 @@ class LiveState:
         if topic is topics.DIAGNOSTICS:
             for status in message.status:
                 self._take_status(status, now)
-        elif topic in topics.SPEEDS:
-            self.speed = speed_reading(message).speed
-        elif topic is topics.BATTERY:
-            self.battery = battery_reading(message)
+        elif topic not in VECTORS:
+            reading = to_reading(topic.type_name, message)
+            if isinstance(reading, SpeedReading):
+                self.speed = reading.speed
+            elif isinstance(reading, BatteryReading):
+                self.battery = reading
         else:
             vector = self._vectors[topic] = read_named_vector(message)
             if topic in POWERS and POWER in vector.values:
@@ -200,7 +202,7 @@ class LiveState:
                 sigmas.get(name, math.nan),
                 **bounds_of(bounds, name),
                 progress=_number(status.get(f"progress.{name}")),
-                state=status.get(f"state.{name}", ""),
+                status=status.get(f"state.{name}", ""),
             )
             for name in PARAMETER_NAMES
         ]

@@ -1,9 +1,15 @@
-"""Answers plans of `evpinn_msgs`: service `EstimatePlan` and action `EstimatePlans`."""
+"""Answers plans beside what counts: a thread for all, and calls of `evpinn_msgs`.
+
+A call is of the service `EstimatePlan` or of the action `EstimatePlans`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
-from typing import Any, NamedTuple
+from queue import SimpleQueue
+import threading
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -15,6 +21,51 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.typed import PLAN_RESULT, assumed_conditions, given_conditions
 
 UNKNOWN = dict.fromkeys(("energy", "energy_sigma", "end_charge", "end_charge_sigma"), math.nan)
+MOST_WAITING = 100  # plans or calls; who asks faster than is answered is refused
+LONGEST_STOP = 5.0  # s to wait for the plan in work; the thread is a daemon
+
+Job: TypeAlias = Callable[[Forecaster], object]
+
+
+class PlanDesk:
+    """Does one job after the other, in a thread, with a forecaster that is its own."""
+
+    def __init__(self, forecaster: Forecaster) -> None:
+        """Begin to wait for jobs; what `forecaster` shall know comes by `tell`."""
+        self._forecaster = forecaster
+        self._jobs: SimpleQueue[Job | None] = SimpleQueue()
+        self._places = threading.Semaphore(MOST_WAITING)
+        self._thread = threading.Thread(target=self._work, name="plans", daemon=True)
+        self._thread.start()
+
+    def tell(self, update: Job) -> None:
+        """Let the forecaster know something, before all that is asked from now on."""
+        self._jobs.put(update)
+
+    def ask(self, job: Job) -> bool:
+        """Have a plan answered, by a job that must not raise; False while too many wait."""
+        if not self._places.acquire(blocking=False):
+            return False
+
+        def counted(forecaster: Forecaster) -> None:
+            try:
+                job(forecaster)
+            finally:
+                self._places.release()
+
+        self._jobs.put(counted)
+        return True
+
+    def close(self) -> None:
+        """End the thread after the job in work; what waits is dropped."""
+        while not self._jobs.empty():
+            self._jobs.get()
+        self._jobs.put(None)
+        self._thread.join(LONGEST_STOP)
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            job(self._forecaster)
 
 
 class Moment(NamedTuple):
