@@ -3,7 +3,7 @@
 from itertools import pairwise
 import math
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 import torch
@@ -38,6 +38,7 @@ def jacobian_of(network: PowerNetwork, inputs: torch.Tensor) -> tuple[torch.Tens
 
 
 @given(seed=st.integers(0, 1000), samples=st.integers(2, 120))
+@settings(max_examples=10)
 def test_gram_is_jacobian_times_its_transpose(seed: int, samples: int) -> None:
     network, inputs, target = drawn(seed, samples)
     _, jacobian = jacobian_of(network, inputs)

@@ -83,11 +83,11 @@ def test_before_the_first_update_it_says_what_the_physics_says(vehicle):
 @pytest.mark.parametrize("form", list(RegenForm))
 def test_the_loss_falls_from_update_to_update(vehicle, synthetic, form):
     learner, drive = PaperLearner(vehicle, form=form), synthetic(TRUTH)
-    teach(learner, drive, 100, 400)
+    teach(learner, drive, 100, 250)
     losses = []
     for _ in range(3):
-        train(learner, 3)
-        data, physics = loss(learner, drive, 100, 400)
+        train(learner, 1)
+        data, physics = loss(learner, drive, 100, 250)
         losses.append(data + PHYSICS_LOSS * physics)
     assert losses[0] > losses[1] > losses[2]
 
@@ -143,7 +143,7 @@ def test_power_drawn_back_at_standstill_is_no_negative_load(vehicle):
 def test_what_is_published_is_within_its_limits(vehicle, synthetic):
     """A car that gives twice the power: eta is driven up; what is published stays possible."""
     drive = synthetic(TRUTH._replace(eta=1.0, p_aux=300.0))
-    learner = train(teach(PaperLearner(vehicle), drive, 100, 400), 15)
+    learner = train(teach(PaperLearner(vehicle), drive, 100, 200), 15)
     found = learner.parameters().parameters
     for name, estimate in found.items():
         assert LIMITS[name].lower <= estimate.value <= LIMITS[name].upper
@@ -246,7 +246,7 @@ def test_gauss_newton_comes_nearer_to_the_least_loss_and_finds_the_parameters(ve
     for optimizer in PaperOptimizer:
         form = RegenForm.WHEEL_POWER  # the car's
         learner = teach(PaperLearner(vehicle, form=form, optimizer=optimizer), drive, 300, 600)
-        train(learner, 6)
+        train(learner, 4)
         data, physics = loss(learner, drive, 300, 600)
         losses[optimizer] = data + PHYSICS_LOSS * physics
         found = learner.parameters()

@@ -129,7 +129,7 @@ def test_tables_say_what_the_results_say(outcome: Outcome) -> None:
 def test_finished_trainings_are_not_run_again(
     make_log: Callable[..., DriveLog], vehicle: Vehicle, tmp_path: Path
 ) -> None:
-    settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=12, energy_epochs=12)
+    settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=4, energy_epochs=4)
     first = Experiment(make_log(), vehicle, settings, tmp_path).run(lambda *_: None)
     kept = sorted(path.name for path in tmp_path.iterdir())
     told: list[str] = []
@@ -159,7 +159,7 @@ def test_what_a_poor_drive_does_not_tell_is_said(
     vehicle: Vehicle,
     tmp_path: Path,
 ) -> None:
-    settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=12, energy_epochs=5)
+    settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=4, energy_epochs=2)
     found = results_of(
         Experiment(make_log(speed), vehicle, settings, tmp_path).run(lambda *_: None)
     )

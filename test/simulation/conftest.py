@@ -12,12 +12,12 @@ def _drive(kind: DriveKind, seed: int) -> SimulatedDrive:
     return simulate(kind, load_vehicle("tesla_model_3_lr"), 240.0, seed)
 
 
-@pytest.fixture(params=[(kind, seed) for kind in DriveKind for seed in (1, 2)], ids=str)
+@pytest.fixture(params=DriveKind)
 def drive(request) -> SimulatedDrive:
     """A few minutes of every kind of driving."""
-    return _drive(*request.param)
+    return _drive(request.param, 1)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def urban() -> SimulatedDrive:
     return _drive(DriveKind.URBAN, 1)

@@ -13,6 +13,7 @@ from evpinn_ros.signals.readings import (
     SpeedReading,
     TemperatureReading,
 )
+from evpinn_ros.simulation.car import draw_car
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
 from evpinn_ros.vehicle.files import load_vehicle
@@ -209,5 +210,6 @@ def test_motor_torque_needs_no_motor_in_the_profile():
         can_profile="tesla_model_3", motor_torque=True, equation=RegenForm.RECOVERY,
     )  # fmt: skip
     assert of(drive, MotorReading)
-    spread = [simulate(DriveKind.URBAN, CAR, 20.0, seed).car.torque_gain for seed in range(30)]
+    rngs = map(np.random.default_rng, range(30))
+    spread = [draw_car(CAR, CAR.initial, rng).torque_gain for rng in rngs]
     assert 0.01 < np.std(spread) < 0.03

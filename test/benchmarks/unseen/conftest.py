@@ -64,7 +64,11 @@ def make_drive(true_power) -> Callable[..., UnseenDrive]:
 @pytest.fixture(scope="session")
 def car(vehicle, make_drive) -> UnseenCar:
     """Two drives of ten and five minutes, five readings a second."""
-    return UnseenCar("made", vehicle, (make_drive(700.0, period=0.2), make_drive(500.0, start=5000.0, period=0.2)))
+    return UnseenCar(
+        "made",
+        vehicle,
+        (make_drive(700.0, period=0.2), make_drive(500.0, start=5000.0, period=0.2)),
+    )
 
 
 def speed_at(time: np.ndarray) -> np.ndarray:
