@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from benchmarks.unseen.drives import UnseenCar, UnseenDrive, load_car
-from benchmarks.unseen.scores import QUANTILE_90
+from benchmarks.unseen.scores import QUANTILE_90, crps
 from evpinn_ros.energy.forecast import forecast_plan
 from evpinn_ros.energy.plan import Legs, Plan, PlanError, plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather
@@ -255,6 +255,7 @@ def _score(car: str, rows: list[PlannedDrive]) -> PlanScore:
     measured, gross = (np.array([getattr(row, n) for row in rows]) for n in ("measured", "gross"))
     sigma = np.array([row.sigma for row in rows])
     share = 100.0 * np.abs(error / measured)
+    scores = [crps(e, 0.0 if math.isnan(s) else s) for e, s in zip(error, sigma, strict=True)]
     return PlanScore(
         car=car,
         resolution=rows[0].resolution,
@@ -263,16 +264,7 @@ def _score(car: str, rows: list[PlannedDrive]) -> PlanScore:
         bias=float(100.0 * error.sum() / measured.sum()),
         median=float(np.median(share)),
         mean=float(np.mean(share)),
-        crps=float(np.mean(100.0 * _crps(error, sigma) / gross)),
+        crps=float(np.mean(100.0 * np.array(scores) / gross)),
         covered=float(100.0 * np.mean(np.abs(error) <= QUANTILE_90 * sigma)),
         width=float(np.median(200.0 * QUANTILE_90 * sigma / gross)),
     )
-
-
-def _crps(error: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """CRPS of normal predictions, J; of sure ones (sigma NaN) the size of the error."""
-    away = error / sigma
-    density = np.exp(-(away**2) / 2.0) / math.sqrt(2.0 * math.pi)
-    erf = np.array([math.erf(each / math.sqrt(2.0)) for each in away])
-    found = sigma * (away * erf + 2.0 * density - 1.0 / math.sqrt(math.pi))
-    return np.asarray(np.where(np.isnan(sigma), np.abs(error), found))

@@ -15,7 +15,7 @@ import tty
 from benchmarks.faults.chain import ChainFault, NodeChain, Process, running, start_node
 from benchmarks.faults.drive import RATE, readings
 from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
-from benchmarks.faults.rig import SLACK, NodeStatus, Rig, Sent, nothing
+from benchmarks.faults.rig import LONGEST, SLACK, Rig, Sent, nothing
 from evpinn_ros import topics
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
@@ -24,7 +24,6 @@ from evpinn_ros.nodes import factory
 from evpinn_ros.topics.node_parameters import Value
 
 PROFILE, OTHER_PROFILE = "tesla_model_3", "tesla_model_3_2019"
-LONGEST = 15.0  # s in which a fault must be named
 INTERFACE, GROUP, FIRST_PORT = "udp_multicast", "239.74.163.5", 20_000
 """The one kind of bus of python-can that crosses processes on any machine."""
 
@@ -121,10 +120,10 @@ def _bridge(rig: Rig, adapter: _Adapter, **parameters: Value) -> Process:
 
 
 def _finding(
-    arrivals: _SpeedArrivals, end: float, lost: str, status: NodeStatus | None
+    arrivals: _SpeedArrivals, end: float, status: str | None, lost: str = "what was sent meanwhile"
 ) -> FaultEffect:
     took = arrivals.since(end)
-    return FaultEffect(lost, took < math.inf, took, None if status is None else status.text)
+    return FaultEffect(lost, took < math.inf, took, status)
 
 
 def _await_receiving(rig: Rig, adapter: _Adapter, arrivals: _SpeedArrivals) -> None:
@@ -162,7 +161,7 @@ def _unplug(rig: Rig) -> FaultEffect:
         rig.rest(3.0)
         status = rig.status("can_bridge", "plugged in", begin)
         end = _drive_again(rig, adapter, arrivals)
-    return _finding(arrivals, end, "what was sent meanwhile", status)
+    return _finding(arrivals, end, status)
 
 
 def _no_adapter(rig: Rig) -> FaultEffect:
@@ -175,7 +174,7 @@ def _no_adapter(rig: Rig) -> FaultEffect:
         rig.rest(1.0)
         status = rig.status("can_bridge", "plugged in", begin)
         end = _drive_again(rig, adapter, arrivals)
-    return _finding(arrivals, end, "what was sent meanwhile", status)
+    return _finding(arrivals, end, status)
 
 
 def _silent(rig: Rig) -> FaultEffect:
@@ -210,12 +209,12 @@ def _while(rig: Rig, send: Callable[[_Adapter], None], *words: str) -> FaultEffe
         while status is None and time.monotonic() - begin < LONGEST:
             send(adapter)
             rig.rest(1 / RATE)
-            status = next(filter(None, (rig.status("can_bridge", w, begin) for w in words)), None)
+            status = rig.status_of("can_bridge", words, begin)
         end = time.monotonic()
         while time.monotonic() - end < 4 * RECOVERY and not arrivals.since(end) < math.inf:
             adapter.drive(rig, 0.2)
         adapter.unplug()
-    return _finding(arrivals, end, "what was sent meanwhile", status)
+    return _finding(arrivals, end, status)
 
 
 def _wrong_profile(rig: Rig) -> FaultEffect:
@@ -236,7 +235,7 @@ def _wrong_profile(rig: Rig) -> FaultEffect:
         ready = time.monotonic()
         _await_receiving(rig, adapter, arrivals)
         adapter.unplug()
-    finding = _finding(arrivals, ready, f"everything; {let_out} wrong readings let out", status)
+    finding = _finding(arrivals, ready, status, f"everything; {let_out} wrong readings let out")
     return finding if not let_out else replace(finding, kept=False)
 
 
@@ -244,7 +243,7 @@ class _Two(ChainFault):
     """A second driver of the same topic, as a bag played beside the car."""
 
     def inject(self, rig: Rig) -> FaultEffect:
-        begin, sent = time.monotonic(), rig.sent
+        watch = rig.watch()
         second = factory.advertise(rig.node, topics.SPEED)
 
         def doubled(messages: Iterable[Sent]) -> Iterator[Sent]:
@@ -254,12 +253,8 @@ class _Two(ChainFault):
                 yield topic, message
 
         word = "2 publishers"
-        rig.drive(LONGEST, doubled, until=lambda: bool(rig.status("estimator", word, begin)))
+        rig.drive(LONGEST, doubled, until=lambda: bool(rig.status("estimator", word, watch.begin)))
         rig.node.destroy_publisher(second)
-        end = time.monotonic()
-        rig.drive(RECOVERY, until=lambda: rig.recovered(end) < math.inf)
-        status = rig.status("estimator", word, begin)
-        missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
-        kept = missing <= SLACK and rig.faulty(begin) is None
-        lost = f"{max(missing, 0)} of {rig.sent - sent} predictions"
-        return FaultEffect(lost, kept, rig.recovered(end), None if status is None else status.text)
+        took = rig.drive_until_recovered(time.monotonic(), most=RECOVERY)
+        kept = watch.missing <= SLACK and rig.faulty(watch.begin) is None
+        return FaultEffect(watch.lost, kept, took, rig.status("estimator", word, watch.begin))

@@ -18,13 +18,11 @@ from benchmarks.faults.drive import RATE
 from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.inputs import MOST_MOVED
 from benchmarks.faults.rig import SLACK, Rig
-from evpinn_ros import topics
 from evpinn_ros.nodes.factory import message_class, new_message
 from evpinn_ros.signals.readings import NANOSECONDS
 
 CLOCK = "rosgraph_msgs/msg/Clock"
 BEGIN_NS = 5000 * NANOSECONDS
-LONGEST = 15.0  # s in which a fault must be named
 DEAF = 2.0  # s without messages when the clock is set: docs/project/benchmark_history.md
 
 
@@ -127,22 +125,17 @@ def _late(rig: Rig) -> FaultEffect:
                 chain.start(name)
             for process in chain.processes.values():
                 process.await_ready()
-            sent, since = rig.sent, time.monotonic()
-            rig.drive(LONGEST, until=lambda: rig.status("estimator", "/clock", begin) is not None)
+            watch = rig.watch()
+            rig.drive_until_said("estimator", "/clock", begin)
             clock.ticks = True
-            end = time.monotonic()
-            rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
+            took = rig.drive_until_recovered(time.monotonic())
             rig.drive(2.0)
-            missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, since)
+            lost, missing = watch.lost, watch.missing
         finally:
             chain.stop()
-    status, harm = rig.status("estimator", "/clock", begin), rig.faulty(begin)
-    return FaultEffect(
-        harm or f"{max(missing, 0)} of {rig.sent - sent} predictions",
-        missing <= SLACK and harm is None,
-        rig.recovered(end),
-        None if status is None else status.text,
-    )
+    harm = rig.faulty(begin)
+    kept = missing <= SLACK and harm is None
+    return FaultEffect(harm or lost, kept, took, rig.status("estimator", "/clock", begin))
 
 
 @dataclass(frozen=True)
@@ -167,7 +160,8 @@ class _Jump:
             try:
                 chain.await_well()
                 rig.drive(3.0)
-                begin, sent, learned = time.monotonic(), rig.sent, rig.learned()
+                watch, learned = rig.watch(), rig.learned()
+                begin = watch.begin
                 clock.jump(self.seconds)
                 rig.drive(
                     2 * RECOVERY,
@@ -177,15 +171,15 @@ class _Jump:
                     ),
                 )
                 rig.drive(1.5)
-                missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
+                missing = watch.missing
             finally:
                 chain.stop()
         most = SLACK + (DEAF * RATE if self.system else 0)
         moved = abs(rig.learned() / learned - 1.0)
-        status, harm = rig.status("estimator", self.word, begin), rig.faulty(begin)
+        harm = rig.faulty(begin)
         return FaultEffect(
             harm or f"{max(missing, 0)} predictions, mass/eta moved {moved:.1%}",
             missing <= most and harm is None and moved <= MOST_MOVED,
             rig.recovered(begin),
-            None if status is None else status.text,
+            rig.status("estimator", self.word, begin),
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 import json
-import math
 from pathlib import Path
 import resource
 import shutil
@@ -60,9 +59,9 @@ class _BadState:
         estimator = start_node(rig, "estimator", state_file=str(path))
         with running(estimator):
             ready = begin + estimator.await_ready()
-            rig.drive(RECOVERY, until=lambda: rig.recovered(begin, OUTPUTS) < math.inf)
-            rig.drive(1.5, until=lambda: rig.status("estimator", self._word, begin) is not None)
-            took = max(begin + rig.recovered(begin, OUTPUTS) - ready, 0.0)
+            first = begin + rig.drive_until_recovered(begin, OUTPUTS, RECOVERY)
+            rig.drive_until_said("estimator", self._word, begin, 1.5)
+            took = max(first - ready, 0.0)
             named = rig.status("estimator", self._word, begin)
             code = estimator.stop().code
         refused = path.with_name(path.name + ".refused")
@@ -70,7 +69,7 @@ class _BadState:
         kept = kept and read_state(path) is not None
         refused.unlink(missing_ok=True)
         lost = "what was learned; set aside" if kept else "the file"
-        return FaultEffect(lost, kept, took, None if named is None else named.text)
+        return FaultEffect(lost, kept, took, named)
 
 
 def _noise(path: Path) -> None:
@@ -109,7 +108,7 @@ def _no_folder(rig: Rig) -> FaultEffect:
         code = estimator.stop().code
     refused = answer is not None and not answer.success
     kept = refused and code == 0 and rig.faulty(begin) is None
-    return FaultEffect("saving", kept, took, None if named is None else named.text)
+    return FaultEffect("saving", kept, took, named)
 
 
 def _state_disk_full(rig: Rig) -> FaultEffect:
@@ -132,7 +131,7 @@ def _state_disk_full(rig: Rig) -> FaultEffect:
     kept = whole and answer is not None and not answer.success
     kept = kept and again is not None and again.success and rig.faulty(begin) is None
     lost = "saving meanwhile; the old file stayed whole" if kept else "the old file"
-    return FaultEffect(lost, kept, took, None if named is None else named.text)
+    return FaultEffect(lost, kept, took, named)
 
 
 def limit_files(process: Process, size: int | None) -> None:
@@ -149,13 +148,8 @@ def _bag_full(rig: Rig) -> FaultEffect:
         rig.drive(3.0)
         begin = time.monotonic()
         limit_files(run, file_of(folder).stat().st_size + 1000)
-        rig.drive(
-            2 * RECOVERY,
-            until=lambda: rig.status("recorder", "recording ended", begin) is not None,
-        )
-        end = time.monotonic()
-        rig.drive(RECOVERY, until=lambda: rig.recovered(end) < math.inf)
-        took = rig.recovered(end)
+        rig.drive_until_said("recorder", "recording ended", begin, 2 * RECOVERY)
+        took = rig.drive_until_recovered(time.monotonic(), most=RECOVERY)
         named = rig.status("recorder", "recording ended", begin)
         limit_files(run, None)
         code = run.stop(signal.SIGINT).code
@@ -163,7 +157,7 @@ def _bag_full(rig: Rig) -> FaultEffect:
         messages = sum(1 for _ in bag.records())
     kept = code == 0 and messages > 2 * RATE and rig.faulty(begin) is None
     lost = f"recording from there; {messages} messages stayed readable"
-    return FaultEffect(lost, kept, took, None if named is None else named.text)
+    return FaultEffect(lost, kept, took, named)
 
 
 def file_of(folder: Path) -> Path:
@@ -196,6 +190,4 @@ def _bag_corrupt(rig: Rig) -> FaultEffect:
         named = rig.status("can_bridge", "damaged", begin)
     lost = 20 * seconds - len(received)
     kept = lost <= 20 * 2 and rig.faulty(begin) is None
-    return FaultEffect(
-        f"{lost} of {20 * seconds} readings", kept, 0.0, None if named is None else named.text
-    )
+    return FaultEffect(f"{lost} of {20 * seconds} readings", kept, 0.0, named)

@@ -9,12 +9,11 @@ import time
 from typing import Any
 
 from benchmarks.faults.chain import ChainFault, NodeChain
-from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
-from benchmarks.faults.rig import SLACK, Change, Rig, Sent, nothing, stamped
+from benchmarks.faults.fault import Fault, FaultEffect
+from benchmarks.faults.rig import LONGEST, SLACK, Change, Rig, Sent, nothing, stamped
 from evpinn_ros import topics
 from evpinn_ros.signals.readings import NANOSECONDS
 
-LONGEST = 15.0  # s of a fault, in which it must be named
 SHORTEST = 4.0  # s
 MOST_MOVED = 0.05  # of mass over eta, that a fault may teach
 HOUR_NS = 3600 * NANOSECONDS
@@ -31,27 +30,25 @@ class Disturbance(ChainFault):
 
     def inject(self, rig: Rig) -> FaultEffect:
         """Disturb, and look."""
-        begin, sent, learned = time.monotonic(), rig.sent, rig.learned()
+        watch, learned = rig.watch(), rig.learned()
+        begin = watch.begin
         rig.drive(SHORTEST, self.change)
         rig.drive(
             LONGEST - SHORTEST,
             self.change,
             until=lambda: rig.status("estimator", self.word, begin) is not None,
         )
-        end = time.monotonic()
-        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
-        missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
+        took = rig.drive_until_recovered(time.monotonic())
+        lost, kept = watch.lost, watch.missing <= self.may_lose * watch.sent + SLACK
         rig.drive(1.5)  # until what was learned is published again
         moved = abs(rig.learned() / learned - 1.0)
         harm = rig.faulty(begin)
-        lost = f"{max(missing, 0)} of {rig.sent - sent} predictions, mass/eta moved {moved:.1%}"
-        kept = missing <= self.may_lose * (rig.sent - sent) + SLACK
-        named = rig.status("estimator", self.word, begin)
+        lost = f"{lost}, mass/eta moved {moved:.1%}"
         return FaultEffect(
             lost if harm is None else f"{lost}; {harm}",
             kept and harm is None and (self.forgets or moved <= MOST_MOVED),
-            rig.recovered(end),
-            None if named is None else named.text,
+            took,
+            rig.status("estimator", self.word, begin),
         )
 
 
@@ -237,11 +234,7 @@ class _SignFlip(ChainFault):
         named = rig.status("estimator", "sign of current", begin)
         rig.call("estimator/reset")
         end = time.monotonic()
-        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
+        took = rig.drive_until_recovered(end)
         harm = rig.faulty(begin)
-        return FaultEffect(
-            harm or f"learning, until reported after {end - begin:.0f} s",
-            harm is None,
-            rig.recovered(end),
-            None if named is None else named.text,
-        )
+        lost = harm or f"learning, until reported after {end - begin:.0f} s"
+        return FaultEffect(lost, harm is None, took, named)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-import math
 import os
 import signal
 import subprocess
@@ -20,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from benchmarks.faults.chain import ChainFault, NodeChain, Process, running, start_node
 from benchmarks.faults.drive import RATE, learned_state, vehicle
 from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
-from benchmarks.faults.rig import OUTPUTS, SLACK, Rig
+from benchmarks.faults.rig import LONGEST, OUTPUTS, SLACK, Rig
 from benchmarks.processor import processor_seconds
 from evpinn_ros import topics
 from evpinn_ros.nodes import factory
@@ -29,7 +28,6 @@ from evpinn_ros.nodes.processes import node_command
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import stamp_ns
 
-LONGEST = 15.0  # s in which a fault must be named
 BACKLOG = 20.0  # s
 FULL_RATE = 1000.0  # Hz
 LATENCY_RATE, LATENCY_SECONDS, LATENCY_GOAL = 100.0, 30.0, 0.010  # Hz, s, s (p99)
@@ -84,26 +82,24 @@ def _finding(
     rig: Rig, begin: float, end: float, lost: str, kept: bool, *words: str
 ) -> FaultEffect:
     """Drive until recovered, and look."""
-    rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
-    rig.drive(1.5, until=lambda: any(rig.status("e", word, begin) for word in words))
-    status = next(filter(None, (rig.status("e", word, begin) for word in words)), None)
+    took = rig.drive_until_recovered(end)
+    rig.drive(1.5, until=lambda: rig.status_of("e", words, begin) is not None)
     harm = rig.faulty(begin)
-    text = "" if status is None else status.text
-    return FaultEffect(harm or lost, kept and harm is None, rig.recovered(end), text or None)
+    return FaultEffect(harm or lost, kept and harm is None, took, rig.status_of("e", words, begin))
 
 
 class _FullRate(ChainFault):
     def inject(self, rig: Rig) -> FaultEffect:
-        begin, sent = time.monotonic(), rig.sent
+        watch = rig.watch()
         rig.drive(5.0, rate=FULL_RATE)
         end = time.monotonic()
         newest = rig.received[topics.POWER_PREDICTED][-1]
         age = (rig.clock() - stamp_ns(newest[1])) / NANOSECONDS
-        rate = (rig.sent - sent) / (end - begin)
+        rate = watch.sent / (end - watch.begin)
         rig.drive(1.5)
-        lost = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
-        text = f"{lost} of {rig.sent - sent} at {rate:.0f} Hz, the newest {age:.2f} s old"
-        found = _finding(rig, begin, end, text, age < RECOVERY, "lost")
+        lost = watch.missing
+        text = f"{lost} of {watch.sent} at {rate:.0f} Hz, the newest {age:.2f} s old"
+        found = _finding(rig, watch.begin, end, text, age < RECOVERY, "lost")
         return found if lost > SLACK else FaultEffect(text, found.kept, found.seconds, "none lost")
 
 
@@ -129,16 +125,14 @@ class _Quiet(ChainFault):
 
     def inject(self, rig: Rig) -> FaultEffect:
         rig.drive(11.0, until=lambda: False)
-        begin, sent = time.monotonic(), rig.sent
+        watch = rig.watch()
         with self.during(rig):
             rig.drive(6.0)
-        end = time.monotonic()
-        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end) < math.inf)
-        missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
-        wolf = rig.complaints(begin)
+        took = rig.drive_until_recovered(time.monotonic())
+        wolf = rig.complaints(watch.begin)
         status = "rightly nothing" if not wolf else None
-        lost = f"{max(missing, 0)} of {rig.sent - sent} predictions" + "; ".join(["", *wolf])
-        return FaultEffect(lost, missing <= SLACK, rig.recovered(end), status)
+        lost = watch.lost + "; ".join(["", *wolf])
+        return FaultEffect(lost, watch.missing <= SLACK, took, status)
 
 
 @contextmanager
@@ -201,31 +195,24 @@ def _qos_input(rig: Rig) -> FaultEffect:
             estimator.await_ready()
             rig.drive(3.0)
             rig.replace_publisher(topics.SPEED, factory.qos_profile(topics.SPEED.publisher_qos))
-            end = time.monotonic()
-            rig.drive(2 * RECOVERY, until=lambda: rig.recovered(end, OUTPUTS) < math.inf)
+            took = rig.drive_until_recovered(time.monotonic(), OUTPUTS)
     finally:
         rig.replace_publisher(topics.SPEED, factory.qos_profile(topics.SPEED.publisher_qos))
-    status = rig.status("estimator", "QoS", begin)
-    harm = rig.faulty(begin)
-    took = rig.recovered(end, OUTPUTS)
-    return FaultEffect(
-        harm or "speed, until mended", harm is None, took, None if status is None else status.text
-    )
+    harm, status = rig.faulty(begin), rig.status("estimator", "QoS", begin)
+    return FaultEffect(harm or "speed, until mended", harm is None, took, status)
 
 
 class _QosOutput(ChainFault):
     def inject(self, rig: Rig) -> FaultEffect:
-        begin, sent = time.monotonic(), rig.sent
+        watch = rig.watch()
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         topic = topics.POWER_PREDICTED
         kind = factory.message_class(topic.type_name)
         listener = rig.node.create_subscription(kind, topic.under(), lambda _: None, latched)
-        rig.drive(LONGEST, until=lambda: rig.status("estimator", "QoS", begin) is not None)
+        rig.drive_until_said("estimator", "QoS", watch.begin)
         rig.node.destroy_subscription(listener)
-        end = time.monotonic()
-        missing = rig.sent - sent - rig.count(topic, begin)
-        lost = "what he asked for; nothing of others"
-        return _finding(rig, begin, end, lost, missing <= SLACK, "QoS")
+        lost, kept = "what he asked for; nothing of others", watch.missing <= SLACK
+        return _finding(rig, watch.begin, time.monotonic(), lost, kept, "QoS")
 
 
 class _Stall(ChainFault):
@@ -233,15 +220,14 @@ class _Stall(ChainFault):
 
     def inject(self, rig: Rig) -> FaultEffect:
         process = self.chain.processes["estimator"]
-        begin, sent = time.monotonic(), rig.sent
+        watch = rig.watch()
         process.signal(signal.SIGSTOP)
         rig.drive(8.0)
         process.signal(signal.SIGCONT)
         end = time.monotonic()
-        found = _finding(rig, begin, end, "", True, "lost", "no power/smoothed")
-        missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
-        lost = f"{max(missing, 0)} of {rig.sent - sent} predictions"
-        return FaultEffect(lost, missing <= 8.0 * RATE + SLACK, found.seconds, found.said)
+        found = _finding(rig, watch.begin, end, "", True, "lost", "no power/smoothed")
+        kept = watch.missing <= 8.0 * RATE + SLACK
+        return FaultEffect(watch.lost, kept, found.seconds, found.said)
 
 
 def _overrun(rig: Rig) -> FaultEffect:
@@ -251,13 +237,12 @@ def _overrun(rig: Rig) -> FaultEffect:
     estimator = Process(rig, "estimator", [sys.executable, "-c", SLOW_UPDATES, *command[3:]])
     with running(estimator):
         estimator.await_ready()
-        begin, sent = time.monotonic(), rig.sent
-        rig.drive(4 * LONGEST, until=lambda: bool(rig.status("estimator", "longer than", begin)))
+        watch = rig.watch()
+        rig.drive_until_said("estimator", "longer than", watch.begin, 4 * LONGEST)
         rig.drive(0.5)
-        status = rig.status("estimator", "longer than", begin)
-        missing = rig.sent - sent - rig.count(topics.POWER_PREDICTED, begin)
-    lost = f"updates; {max(missing, 0)} of {rig.sent - sent} predictions"
-    return FaultEffect(lost, missing <= SLACK, 0.0, None if status is None else status.text)
+        status = rig.status("estimator", "longer than", watch.begin)
+        lost, missing = watch.lost, watch.missing
+    return FaultEffect(f"updates; {lost}", missing <= SLACK, 0.0, status)
 
 
 def _latency(rig: Rig) -> FaultEffect:

@@ -84,29 +84,23 @@ class _Order:
             for name in self.order:
                 processes.append(start_node(rig, name))
                 processes[-1].await_ready()
-            ready = time.monotonic()
-            rig.drive(2 * RECOVERY, until=lambda: rig.recovered(ready) < math.inf)
+            took = rig.drive_until_recovered(time.monotonic())
         finally:
             codes = [process.stop().code for process in processes]
         waiting = rig.status("", "waiting for", begin)
         harm = rig.faulty(begin)
         kept = not any(codes) and harm is None
-        status = _text(waiting) or UNNAMED  # the first of them may have nothing to wait for
-        return FaultEffect(harm or "nothing", kept, rig.recovered(ready), status)
-
-
-def _text(status: object) -> str | None:
-    return None if status is None else str(getattr(status, "text", status))
+        status = waiting or UNNAMED  # the first of them may have nothing to wait for
+        return FaultEffect(harm or "nothing", kept, took, status)
 
 
 def _warm_start(rig: Rig) -> FaultEffect:
     path = rig.folder / "warm.json"
     shutil.copy(learned_state(rig.folder), path)
     estimator = start_node(rig, "estimator", state_file=str(path))
-    wanted, begin = (topics.POWER_PREDICTED,), estimator.started
     with running(estimator):
-        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(begin, wanted) < math.inf)
-    return FaultEffect("nothing", True, rig.recovered(begin, wanted), UNNAMED)
+        took = rig.drive_until_recovered(estimator.started, (topics.POWER_PREDICTED,))
+    return FaultEffect("nothing", True, took, UNNAMED)
 
 
 def _start_together(rig: Rig) -> FaultEffect:
@@ -116,12 +110,12 @@ def _start_together(rig: Rig) -> FaultEffect:
         Process(rig, name, node_command(name, car), rest=0.0) for name in (*LEADING, "can_bridge")
     ]
     with running(*nodes):
-        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(begin) < math.inf)
+        took = rig.drive_until_recovered(begin)
         rig.drive(SETTLE)
         memory = sum(resident_mb(node.pid) for node in nodes)
     predicted = rig.recovered(begin, (topics.POWER_PREDICTED,))
     found = f"first prediction after {predicted:.2f} s; {memory:.0f} MB resident"
-    return FaultEffect(found, True, rig.recovered(begin), UNNAMED)
+    return FaultEffect(found, True, took, UNNAMED)
 
 
 @dataclass(frozen=True)
@@ -189,14 +183,13 @@ class _Restart(ChainFault):
         fresh = self.chain.start(self.name)
         fresh.await_ready()
         ready = time.monotonic()
-        rig.drive(2 * RECOVERY, until=lambda: rig.recovered(ready) < math.inf)
-        took = rig.recovered(ready)
+        took = rig.drive_until_recovered(ready)
         rig.drive(2.0)
         moved = abs(rig.learned() / before - 1.0)
         status = (
             rig.status("energy", "no power/smoothed", begin) if self.name == "estimator" else None
         )
-        named = f"dropout of {self.name}" if status is None and silent else _text(status)
+        named = f"dropout of {self.name}" if status is None and silent else status
         lost = f"{fresh.name} for {ready - begin:.1f} s; mass/eta moved {moved:.1%}"
         kept = moved < 0.05 and rig.faulty(begin) is None
         return FaultEffect(lost, kept, took, named)
@@ -230,7 +223,7 @@ class _Kills:
     def _live(self, rig: Rig, run: Process, chance: random.Random) -> None:
         """Drive for a random time; half of the kills strike near a save."""
         begin = time.monotonic()
-        rig.drive(RECOVERY, until=lambda: rig.recovered(begin, OUTPUTS) < math.inf)
+        rig.drive_until_recovered(begin, OUTPUTS, RECOVERY)
         rig.drive(chance.uniform(0.0, LONGEST_LIFE))
         if chance.random() < 0.5:
             rig.begin_call("estimator/save")

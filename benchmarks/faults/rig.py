@@ -16,6 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
 from benchmarks.faults.drive import RATE, readings
+from benchmarks.faults.fault import RECOVERY
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes import factory
@@ -28,9 +29,11 @@ from evpinn_ros.topics.readings import reading_message
 
 OUTPUTS = (topics.POWER_PREDICTED, topics.POWER_SMOOTHED, topics.POWER_MEASURED)
 RECORDED = (*OUTPUTS, topics.ENERGY_STATE, topics.IDENTIFIABLE)
+WELL = (*OUTPUTS, topics.ENERGY_STATE)
 MOST_KEPT = 50_000
 SPIN = 0.01  # s
 SLACK = 10  # predictions on their way when one looks
+LONGEST = 15.0  # s in which a fault must be named
 ANSWER_TIMEOUT = 10.0  # s
 
 Sent: TypeAlias = tuple[Topic, Any]
@@ -94,12 +97,20 @@ class Rig:
 
     # --- receiving ------------------------------------------------------------------------------
 
-    def status(self, node: str, word: str, since: float) -> NodeStatus | None:
-        """The first status of a node since then whose text has the word."""
+    def status(self, node: str, word: str, since: float) -> str | None:
+        """The first text of a node since then that has the word."""
         for each in self._statuses:
             if each.arrived > since and each.name.startswith(node) and word in each.text:
-                return each
+                return each.text
         return None
+
+    def status_of(self, node: str, words: Iterable[str], since: float) -> str | None:
+        """The text for the first of several words that a node has used since then."""
+        return next(filter(None, (self.status(node, word, since) for word in words)), None)
+
+    def watch(self) -> Watch:
+        """Count what happens from now on."""
+        return Watch(self, time.monotonic(), self.sent)
 
     def complaints(self, since: float) -> list[str]:
         """Texts of all that was not OK since then."""
@@ -122,16 +133,14 @@ class Rig:
         """Internal fault that a node reported, or a number that is not finite in what it sent."""
         fault = self.status("", "internal fault", since)
         if fault is not None:
-            return fault.text
+            return fault
         for topic, messages in self.received.items():
             for arrived, message in messages:
                 if arrived > since and not all(map(math.isfinite, message.position)):
                     return f"{topic.name} is not finite"
         return None
 
-    def recovered(
-        self, since: float, wanted: Iterable[Topic] = (*OUTPUTS, topics.ENERGY_STATE)
-    ) -> float:
+    def recovered(self, since: float, wanted: Iterable[Topic] = WELL) -> float:
         """Seconds after which the first of each output came, inf while one is missing."""
         firsts = (
             next((arrived for arrived, _ in self.received[topic] if arrived > since), math.inf)
@@ -163,6 +172,17 @@ class Rig:
             for topic, message in change(list(self.moment(self.clock()))):
                 self.send(topic, message)
         raise AssertionError
+
+    def drive_until_recovered(
+        self, since: float, wanted: Iterable[Topic] = WELL, most: float = 2 * RECOVERY
+    ) -> float:
+        """Drive until each output came since then; gives the seconds until it did."""
+        self.drive(most, until=lambda: self.recovered(since, wanted) < math.inf)
+        return self.recovered(since, wanted)
+
+    def drive_until_said(self, node: str, word: str, since: float, most: float = LONGEST) -> None:
+        """Drive until a node's diagnostics have a word, for a time at most."""
+        self.drive(most, until=lambda: self.status(node, word, since) is not None)
 
     def moment(self, stamp_ns: int) -> Iterator[Sent]:
         """Speed and battery of a moment."""
@@ -237,6 +257,30 @@ class Rig:
             level = int.from_bytes(status.level, "little")
             name = status.name.rpartition("/")[2]  # all nodes are under one namespace here
             self._statuses.append(NodeStatus(now, name, level, status.message))
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What the rig sent and received since a moment, s of a monotonic clock."""
+
+    rig: Rig
+    begin: float
+    sent_before: int
+
+    @property
+    def sent(self) -> int:
+        """Speeds sent since then."""
+        return self.rig.sent - self.sent_before
+
+    @property
+    def missing(self) -> int:
+        """Speeds sent since then that were not predicted."""
+        return self.sent - self.rig.count(topics.POWER_PREDICTED, self.begin)
+
+    @property
+    def lost(self) -> str:
+        """What is missing, in words."""
+        return f"{max(self.missing, 0)} of {self.sent} predictions"
 
 
 def stamped(message: Any, stamp_ns: int) -> Any:

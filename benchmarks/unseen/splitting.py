@@ -1,9 +1,8 @@
 """A log that holds several drives, and charging between them, into its drives.
 
-A drive ends where no speed comes for `LONGEST_PAUSE`, and where the car charges: it
-stands for `LEAST_CHARGING` or longer and takes on average more than `CHARGING_POWER`. What was
-logged while charging is left out. Pieces shorter than `LEAST_DISTANCE` are manoeuvres, left out
-too.
+As `evpinn_ros.drives.trips`, but a drive goes on across a stop of any length, and is of 1 km at
+least: the recorded scores, and those of `docs/project/benchmarks.md`, are of drives cut in this
+way (109 of the Leaf, whose logs hold 123 trips).
 """
 
 from __future__ import annotations
@@ -14,13 +13,11 @@ import math
 import numpy as np
 
 from benchmarks.unseen.lines import DrivePart, battery_power, common, speed_line
+from evpinn_ros.drives.trips import CHARGING_POWER, LONGEST_PAUSE, stands
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
 
-LONGEST_PAUSE = 600.0  # s
-LEAST_CHARGING, CHARGING_POWER = 120.0, 300.0  # s, W
 EPSILON = 1e-3  # s, so that the first and last moment of charging belong to it
-STANDING = 0.3  # m/s
-LEAST_DISTANCE = 1000.0  # m
+LEAST_DISTANCE = 1000.0  # m; shorter pieces are manoeuvres
 
 
 def split(readings: Sequence[Reading]) -> Iterator[tuple[Reading, ...]]:
@@ -50,19 +47,9 @@ def _driving(readings: Sequence[Reading]) -> list[DrivePart]:
         return []
     pauses = np.flatnonzero(np.diff(speed.time) > LONGEST_PAUSE)
     between = [DrivePart(float(speed.time[i]), float(speed.time[i + 1])) for i in pauses]
-    for stand in _standing(speed.time, speed.value):
-        known = [part.length for part in common(power.spans(), [stand])]
-        if known and -power.over(stand) > CHARGING_POWER * sum(known):
-            between.append(DrivePart(stand.begin - EPSILON, stand.end + EPSILON))
+    for begin, end in stands(speed.time, np.abs(speed.value)):
+        known = [part.length for part in common(power.spans(), [DrivePart(begin, end)])]
+        if known and -power.over(DrivePart(begin, end)) > CHARGING_POWER * sum(known):
+            between.append(DrivePart(begin - EPSILON, end + EPSILON))
     ends = [-math.inf, *(end for span in sorted(between) for end in span), math.inf]
     return [DrivePart(begin, end) for begin, end in zip(ends[::2], ends[1::2], strict=True)]
-
-
-def _standing(time: np.ndarray, speed: np.ndarray) -> Iterator[DrivePart]:
-    """Stands of `LEAST_CHARGING` or longer, not across pauses."""
-    still = np.abs(speed) < STANDING
-    ends = np.flatnonzero((still[1:] != still[:-1]) | (np.diff(time) > LONGEST_PAUSE))
-    begins = np.concatenate(([0], ends + 1))
-    for begin, end in zip(begins, np.concatenate((ends, [time.size - 1])), strict=True):
-        if still[begin] and time[end] - time[begin] >= LEAST_CHARGING:
-            yield DrivePart(float(time[begin]), float(time[end]))

@@ -185,7 +185,7 @@ def trips_of(readings: Iterable[Reading]) -> Trips:
     time, fast = _series(speed, start_ns)
     drawn = _series(power, start_ns)
     breaks, charged = [(-math.inf, -math.inf)], 0.0
-    for begin, end in sorted([*_pauses(time), *_stands(time, fast)]):
+    for begin, end in sorted([*_pauses(time), *stands(time, fast)]):
         taken = _charged(*drawn, begin, end)
         if taken > CHARGING_POWER * (end - begin) and end - begin >= LEAST_CHARGING:
             charged += taken
@@ -222,7 +222,7 @@ def _pauses(time: np.ndarray) -> Iterator[tuple[float, float]]:
         yield float(time[i]), float(time[i + 1])
 
 
-def _stands(time: np.ndarray, speed: np.ndarray) -> Iterator[tuple[float, float]]:
+def stands(time: np.ndarray, speed: np.ndarray) -> Iterator[tuple[float, float]]:
     """Times in which the car stands for `LEAST_CHARGING` or longer, none across a pause."""
     still = speed < STANDING
     ends = np.flatnonzero((still[1:] != still[:-1]) | (np.diff(time) > LONGEST_PAUSE))
