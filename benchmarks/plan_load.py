@@ -5,7 +5,8 @@ The planner publishes and receives bytes, for what it does with a message is no 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 import time
 from typing import Any, NamedTuple
 
@@ -65,22 +66,15 @@ def measure_plans(plans: int, points: int, progress: Callable[[float], None]) ->
     Raises:
         InputError: the node did not come up, or left a plan without an answer.
     """
-    own_network()
-    rclpy.init(args=[])
-    planner = _Planner()
-    try:
-        with node_process("energy", {"vehicle": VEHICLE}) as node:
-            planner.await_node()
-            times, begin = [], 0.0
-            for number in range(WARM_UP + plans):
-                if number == WARM_UP:
-                    begin = processor_seconds(node.pid)
-                times.append(planner.ask(speed_profile(number, points)))
-                progress(number)
-                time.sleep(PAUSE)
-            node_seconds = processor_seconds(node.pid) - begin
-    finally:
-        rclpy.try_shutdown()
+    times, begin = [], 0.0
+    with _planning() as (planner, node):
+        for number in range(WARM_UP + plans):
+            if number == WARM_UP:
+                begin = processor_seconds(node)
+            times.append(planner.ask(speed_profile(number, points)))
+            progress(number)
+            time.sleep(PAUSE)
+        node_seconds = processor_seconds(node) - begin
     p50, p99, largest = np.quantile(times[WARM_UP:], (0.5, 0.99, 1.0)).tolist()
     each = node_seconds / plans
     return PlanLoad(plans, points, *(1e3 * seconds for seconds in (p50, p99, largest, each)))
@@ -95,25 +89,18 @@ def measure_rounds(
         InputError: the node did not come up, left a plan without an answer, or a pair of plans
             without its difference.
     """
-    own_network()
-    rclpy.init(args=[])
-    planner = _Planner()
     together, refused = [], []
-    try:
-        with node_process("energy", {"vehicle": VEHICLE}):
-            planner.await_node()
-            for number in range(WARM_UP + rounds):
-                asked = [speed_profile(index, points) for index in range(plans)]
-                for index, plan in enumerate(asked):
-                    plan.header = header(new_message, (number + 1) * NANOSECONDS, f"bench/{index}")
-                together.append(planner.ask_together(asked))
-                backwards = speed_profile(number, points)
-                backwards.points.reverse()
-                refused.append(planner.ask_together([backwards]))
-                progress(number)
-                time.sleep(PAUSE)
-    finally:
-        rclpy.try_shutdown()
+    with _planning() as (planner, _):
+        for number in range(WARM_UP + rounds):
+            asked = [speed_profile(index, points) for index in range(plans)]
+            for index, plan in enumerate(asked):
+                plan.header = header(new_message, (number + 1) * NANOSECONDS, f"bench/{index}")
+            together.append(planner.ask_together(asked))
+            backwards = speed_profile(number, points)
+            backwards.points.reverse()
+            refused.append(planner.ask_together([backwards]))
+            progress(number)
+            time.sleep(PAUSE)
     quantiles = [
         1e3 * float(np.quantile(times[WARM_UP:], share))
         for times in (together, refused)
@@ -143,6 +130,20 @@ def speed_profile(number: int, points: int) -> Any:
             for second, (along, height, v) in enumerate(rows)
         ],
     )
+
+
+@contextmanager
+def _planning() -> Iterator[tuple[_Planner, int]]:
+    """A planner, and the id of the process of a node that it knows."""
+    own_network()
+    rclpy.init(args=[])
+    try:
+        planner = _Planner()
+        with node_process("energy", {"vehicle": VEHICLE}) as node:
+            planner.await_node()
+            yield planner, node.pid
+    finally:
+        rclpy.try_shutdown()
 
 
 class _Planner:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from benchmarks.logs import find_logs
 from benchmarks.unseen.fastsim_cars import (
     FASTSIM_CARS,
     fastsim_is_there,
@@ -20,6 +19,7 @@ from benchmarks.unseen.splitting import split
 from benchmarks.unseen.sumo_cars import SUMO_CARS, simulate_sumo, sumo_is_there, sumo_truth
 from benchmarks.unseen.truth import CARRIED_VEHICLE, CHANGCHUN, carried_drives
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.formats import recordings
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import (
@@ -106,10 +106,11 @@ class UnseenCar:
 class Folder:
     """Folder of a car's drives, with the vehicle file and what of them is hidden or known."""
 
-    pattern: str
+    pattern: str  # of files in the folder of data
     vehicle: str
     hidden: tuple[type, ...] = (MotorReading,)
     truth: Mapping[str, float] = field(default_factory=dict)
+    can_profile: str | None = None  # where it is not the vehicle's own
 
 
 ALL_BUT_SPEED = (AltitudeReading, AuxiliaryReading, MotorReading, TemperatureReading)
@@ -173,28 +174,29 @@ def load_car(data: str, key: str) -> UnseenCar:
         cycles = enumerate(fastsim_readings(traces))
         drives = tuple(UnseenDrive(f"{key} {i}", readings) for i, readings in cycles)
         return UnseenCar(key, generic, drives, fastsim_truth(traces, generic))
-    if key not in FOLDERS:
-        path, _, vehicle = key.rpartition("=")
-        car = load_vehicle(vehicle.partition(",")[0])
-        logs = find_logs(key, vehicle)
-        sources: Iterable[tuple[Path, str | None]] = [(log.path, log.can_profile) for log in logs]
-        return UnseenCar(Path(path).name, car, tuple(_drives(sources, car, lambda _: True)))
-    folder = FOLDERS[key]
+    known = FOLDERS.get(key)
+    folder = known or _own_folder(key)
     car = load_vehicle(folder.vehicle)
-    paths = sorted(Path(data).glob(folder.pattern))
-    drives = tuple(
-        _drives([(path, None) for path in paths], car, lambda r: not isinstance(r, folder.hidden))
-    )
+    logs = Path(data).glob(known.pattern) if known else recordings(Path(folder.pattern))
+    drives = tuple(_drives(sorted(logs), car, folder))
     if not drives:
         raise InputError(f"{data}: no drive of {key} can be read")
     return UnseenCar(key, car, drives, dict(folder.truth))
 
 
-def _drives(
-    sources: Iterable[tuple[Path, str | None]], car: Vehicle, keep: Callable[[Reading], bool]
-) -> Iterator[UnseenDrive]:
-    for path, profile in sources:
-        readings = tuple(filter(keep, open_source(path, car, profile).readings()))
+def _own_folder(key: str) -> Folder:
+    """Path and car of `PATH=VEHICLE` or `PATH=VEHICLE,PROFILE`, whose logs are all drives."""
+    path, _, vehicle = key.rpartition("=")
+    if not Path(path).exists():
+        raise InputError(f"{path}: no such file or folder")
+    vehicle, _, profile = vehicle.partition(",")
+    return Folder(path, vehicle, hidden=(), can_profile=profile or None)
+
+
+def _drives(paths: Sequence[Path], car: Vehicle, folder: Folder) -> Iterator[UnseenDrive]:
+    for path in paths:
+        source = open_source(path, car, folder.can_profile)
+        readings = tuple(each for each in source.readings() if not isinstance(each, folder.hidden))
         for number, part in enumerate(split(readings), start=1):
             drive = UnseenDrive(f"{path.name.split('.')[0]}{LOG_PART}{number}", part)
             if drive.spans:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.truth import PROFILE, VEHICLES
+from benchmarks.truth import PROFILE, VEHICLES, simulated_drives
 from benchmarks.unseen.method import NAMES, Estimate, Factory
 from evpinn_ros.estimation.network import reference_driving
 from evpinn_ros.signals.readings import NANOSECONDS, Reading
@@ -86,17 +86,8 @@ def run_truth(key: str, factory: Factory) -> dict[str, dict[str, Any]]:
 @lru_cache(maxsize=1)
 def truth_drives(key: str) -> tuple[SimulatedDrive, ...]:
     """The drives of a kind, of cars of three models in turn; no height, as on most cars."""
-    vehicles = [load_vehicle(name) for name in VEHICLES]
-    return tuple(
-        simulate(
-            KINDS[key],
-            vehicles[number % len(vehicles)],
-            SECONDS,
-            FIRST_SEED + number,
-            can_profile=PROFILE,
-        )
-        for number in range(DRIVES)
-    )
+    seeds = range(FIRST_SEED, FIRST_SEED + DRIVES)
+    return tuple(simulated_drives([KINDS[key]], VEHICLES, seeds, SECONDS))
 
 
 def carried_drives() -> Iterator[tuple[Reading, ...]]:
