@@ -155,7 +155,8 @@ def _bag_full(rig: Rig) -> FaultEffect:
         code = run.stop(signal.SIGINT).code
     with BagReader(file_of(folder)) as bag:
         messages = sum(1 for _ in bag.records())
-    kept = code == 0 and messages > 2 * RATE and rig.faulty(begin) is None
+    # What could not be kept is an exit code of 1.
+    kept = code == 1 and messages > 2 * RATE and rig.faulty(begin) is None
     lost = f"recording from there; {messages} messages stayed readable"
     return FaultEffect(lost, kept, took, named)
 

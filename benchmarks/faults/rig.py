@@ -261,7 +261,7 @@ class Rig:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What the rig sent and received since a moment, s of a monotonic clock."""
+    """Messages sent and received by the rig since a moment, s of a monotonic clock."""
 
     rig: Rig
     begin: float
@@ -279,7 +279,7 @@ class Watch:
 
     @property
     def lost(self) -> str:
-        """What is missing, in words."""
+        """The missing predictions, in words."""
         return f"{max(self.missing, 0)} of {self.sent} predictions"
 
 
