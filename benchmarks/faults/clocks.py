@@ -126,7 +126,7 @@ def _late(rig: Rig) -> FaultEffect:
             for process in chain.processes.values():
                 process.await_ready()
             watch = rig.watch()
-            rig.drive_until_said("estimator", "/clock", begin)
+            rig.drive_until_named("estimator", "/clock", begin)
             clock.ticks = True
             took = rig.drive_until_recovered(time.monotonic())
             rig.drive(2.0)

@@ -60,7 +60,7 @@ class _BadState:
         with running(estimator):
             ready = begin + estimator.await_ready()
             first = begin + rig.drive_until_recovered(begin, OUTPUTS, RECOVERY)
-            rig.drive_until_said("estimator", self._word, begin, 1.5)
+            rig.drive_until_named("estimator", self._word, begin, 1.5)
             took = max(first - ready, 0.0)
             named = rig.status("estimator", self._word, begin)
             code = estimator.stop().code
@@ -148,7 +148,7 @@ def _bag_full(rig: Rig) -> FaultEffect:
         rig.drive(3.0)
         begin = time.monotonic()
         limit_files(run, file_of(folder).stat().st_size + 1000)
-        rig.drive_until_said("recorder", "recording ended", begin, 2 * RECOVERY)
+        rig.drive_until_named("recorder", "recording ended", begin, 2 * RECOVERY)
         took = rig.drive_until_recovered(time.monotonic(), most=RECOVERY)
         named = rig.status("recorder", "recording ended", begin)
         limit_files(run, None)

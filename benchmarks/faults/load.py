@@ -209,7 +209,7 @@ class _QosOutput(ChainFault):
         topic = topics.POWER_PREDICTED
         kind = factory.message_class(topic.type_name)
         listener = rig.node.create_subscription(kind, topic.under(), lambda _: None, latched)
-        rig.drive_until_said("estimator", "QoS", watch.begin)
+        rig.drive_until_named("estimator", "QoS", watch.begin)
         rig.node.destroy_subscription(listener)
         lost, kept = "what he asked for; nothing of others", watch.missing <= SLACK
         return _finding(rig, watch.begin, time.monotonic(), lost, kept, "QoS")
@@ -238,7 +238,7 @@ def _overrun(rig: Rig) -> FaultEffect:
     with running(estimator):
         estimator.await_ready()
         watch = rig.watch()
-        rig.drive_until_said("estimator", "longer than", watch.begin, 4 * LONGEST)
+        rig.drive_until_named("estimator", "longer than", watch.begin, 4 * LONGEST)
         rig.drive(0.5)
         status = rig.status("estimator", "longer than", watch.begin)
         lost, missing = watch.lost, watch.missing

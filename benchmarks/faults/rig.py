@@ -180,7 +180,7 @@ class Rig:
         self.drive(most, until=lambda: self.recovered(since, wanted) < math.inf)
         return self.recovered(since, wanted)
 
-    def drive_until_said(self, node: str, word: str, since: float, most: float = LONGEST) -> None:
+    def drive_until_named(self, node: str, word: str, since: float, most: float = LONGEST) -> None:
         """Drive until a node's diagnostics have a word, for a time at most."""
         self.drive(most, until=lambda: self.status(node, word, since) is not None)
 
