@@ -62,8 +62,8 @@ OUR_CLOCK = frozenset(
 epoch (kvaser, pcan, vector) add the time of the opening to the adapter's counter: they drift."""
 
 
-class BusState(Enum):
-    """State of the adapter."""
+class BusCondition(Enum):
+    """Condition of the adapter."""
 
     CLOSED = "closed"
     OPEN = "open"
@@ -77,7 +77,7 @@ class BusState(Enum):
 class BusStatus:
     """One look at the adapter."""
 
-    state: BusState  # now
+    condition: BusCondition  # now
     problem: str | None  # the last fault in one line with what to do about it, or None
     # since the start: `frames`, `opened`, `lost`, `bus_off`, `error_frames`, `remote_frames`,
     # `garbled` (the driver could not read a frame), `callback_errors`, `close_errors`
@@ -112,7 +112,7 @@ class BusReader:
         self._on_frame, self._now_ns = on_frame, now_ns
         self._bus: Any = None
         self._stop = threading.Event()
-        self._state = BusState.CLOSED
+        self._condition = BusCondition.CLOSED
         self._problem: str | None = None
         self._counters: Counter[str] = Counter()
         self._begin()
@@ -141,7 +141,7 @@ class BusReader:
             self._problem = _explain(error, self._interface, self._channel)
             raise InputError(self._problem) from error
         _deepen_queue(self._bus)
-        self._state = BusState.OPEN
+        self._condition = BusCondition.OPEN
         self._counters["opened"] += 1
         self._begin()
 
@@ -159,7 +159,7 @@ class BusReader:
                 if self._bus is not None or self._reopen():
                     self._receive()
         finally:
-            self._close(BusState.CLOSED)
+            self._close(BusCondition.CLOSED)
 
     def stop(self) -> None:
         """Make `run` return, within about a tenth of a second plus the driver's own time."""
@@ -177,14 +177,14 @@ class BusReader:
         return True
 
     def status(self) -> BusStatus:
-        """The state, the last problem and the counters so far."""
-        return BusStatus(self._state, self._problem, dict(self._counters))
+        """The condition, the last problem and the counters so far."""
+        return BusStatus(self._condition, self._problem, dict(self._counters))
 
     def _reopen(self) -> bool:
         try:
             self.open()
         except InputError:  # the reason stays in `problem`
-            self._state = BusState.LOST
+            self._condition = BusCondition.LOST
             self._back_off()
             return False
         return True
@@ -206,7 +206,7 @@ class BusReader:
             if off:
                 self._counters["bus_off"] += 1
                 self._was_off = True
-                self._lose(_explain_bus_off(self._interface, self._channel), BusState.OFF)
+                self._lose(_explain_bus_off(self._interface, self._channel), BusCondition.OFF)
             elif message is None:
                 self._note_quiet()
             else:
@@ -218,10 +218,10 @@ class BusReader:
             return bool(message.arbitration_id & SOCKETCAN_BUS_OFF)
         return self._bus.state is can.BusState.ERROR
 
-    def _lose(self, problem: str, state: BusState = BusState.LOST) -> None:
+    def _lose(self, problem: str, condition: BusCondition = BusCondition.LOST) -> None:
         self._counters["lost"] += 1
         self._problem = problem
-        self._close(state)
+        self._close(condition)
         self._back_off()
 
     def _stumble(self, error: Exception) -> None:
@@ -240,7 +240,7 @@ class BusReader:
     def _note_quiet(self) -> None:
         self._silent_s += RECEIVE_TIMEOUT_S
         if self._silent_s >= SILENT_AFTER_S:
-            self._state = BusState.OFF if self._was_off else BusState.SILENT
+            self._condition = BusCondition.OFF if self._was_off else BusCondition.SILENT
 
     def _take(self, message: Any) -> None:
         self._silent_s = 0.0
@@ -248,10 +248,10 @@ class BusReader:
             self._counters["error_frames"] += 1
             self._errors += 1
             if self._errors >= MANY_ERRORS:
-                self._state = BusState.ERRORS
+                self._condition = BusCondition.ERRORS
             return
         # Only a frame proves the bus: one that opens and fails at once keeps backing off.
-        self._state, self._backoff_s = BusState.OPEN, FIRST_BACKOFF_S
+        self._condition, self._backoff_s = BusCondition.OPEN, FIRST_BACKOFF_S
         self._errors, self._was_off = 0, False
         if message.is_remote_frame:
             self._counters["remote_frames"] += 1
@@ -283,9 +283,9 @@ class BusReader:
             return nanoseconds(seconds)
         return self._clock.convert(nanoseconds(seconds), self._now_ns())
 
-    def _close(self, state: BusState) -> None:
+    def _close(self, condition: BusCondition) -> None:
         bus, self._bus = self._bus, None
-        self._state = state
+        self._condition = condition
         if bus is None:
             return
         try:
@@ -323,7 +323,7 @@ def _explain(error: BaseException, interface: str, channel: str | int) -> str:
 
 def _explain_bus_off(interface: str, channel: str | int) -> str:
     restart = f"; `sudo ip link set {channel} type can restart-ms 100` lets it begin again"
-    off = f"CAN bus {interface} {channel}: {BusState.OFF.value}"
+    off = f"CAN bus {interface} {channel}: {BusCondition.OFF.value}"
     return off + (restart if interface == "socketcan" else "")
 
 

@@ -1,15 +1,17 @@
-"""From frames to readings: what a profile says of a bus, frame by frame."""
+"""From frames, and from answers to questions, to readings: what a profile says of a bus."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 import math
 from typing import Any
 
+from evpinn_ros.can.control_unit import Answer
 from evpinn_ros.can.fit import MessageFit, ProfileFit
 from evpinn_ros.can.frame import MOST_IDS, CanFrame
-from evpinn_ros.can.profile import CanProfile, MessageRule
+from evpinn_ros.can.profile import ONLY_ASKED, CanProfile, MessageRule
+from evpinn_ros.can.request import AnswerField
 from evpinn_ros.can.signal_rule import SignalRule
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
@@ -33,6 +35,14 @@ second; logs of slow adapters hold one of each about every 0.1 s."""
 
 ALONE_AFTER_NS = 2 * NANOSECONDS
 """A car whose second motor sent nothing for so long since the first has none."""
+
+PARTS = ("voltage", "current")
+JOIN_NS = NANOSECONDS // 5
+"""Voltage and current of two answers at most this far apart are of one moment. A pack's current
+can change by 100 A in it, its voltage by 2 %; profiles ask for the voltage first, so that the
+stamp, of the later answer, is the current's. What is farther apart, behind a slow adapter, are two
+readings with stamps of their own."""
+
 Unpack = Callable[[bytes], dict[str, int]]
 """From a payload to the raw bits by name, of those signals that lie in it whole."""
 
@@ -59,8 +69,7 @@ class Decoder:
         self.uncounted = 0
         self.dropped: Counter[str] = Counter()
         self._readers: dict[tuple[int, bool], list[_Reader]] = {}
-        self._charge_stamp_ns = 0
-        self._charge = math.nan
+        self._charge = _Charge()
         self._second_motor = _SecondMotor() if "second_motor" in profile.messages else None
         makers: dict[str, _Maker] = {
             "state_of_charge": self._keep_charge,
@@ -105,16 +114,14 @@ class Decoder:
         return tuple(readings)
 
     def _speed(self, frame: CanFrame, rule: MessageRule, values: list[float]) -> SpeedReading:
-        # A rounded number is off by a uniform error of one step: variance step^2 / 12.
-        return SpeedReading(frame.stamp_ns, values[0], rule.signals[0].resolution ** 2 / 12)
+        return _speed_reading(frame.stamp_ns, values[0], rule.signals[0].resolution)
 
     def _battery(self, frame: CanFrame, _rule: MessageRule, values: list[float]) -> BatteryReading:
-        fresh = abs(frame.stamp_ns - self._charge_stamp_ns) <= CHARGE_HOLD_NS
-        charge = self._charge if fresh else math.nan
+        charge = self._charge.at(frame.stamp_ns)
         return BatteryReading(frame.stamp_ns, values[0], values[1], charge)
 
     def _keep_charge(self, frame: CanFrame, _rule: MessageRule, values: list[float]) -> None:
-        self._charge_stamp_ns, self._charge = frame.stamp_ns, values[0]
+        self._charge.keep(frame.stamp_ns, values[0])
 
     def _motor(
         self, frame: CanFrame, _rule: MessageRule, values: list[float]
@@ -131,6 +138,25 @@ class Decoder:
     ) -> None:
         assert self._second_motor is not None
         self._second_motor.update(frame.stamp_ns, values[0] if values else math.nan)
+
+
+def _speed_reading(stamp_ns: int, speed: float, step: float) -> SpeedReading:
+    # A rounded number is off by a uniform error of one step: variance step^2 / 12.
+    return SpeedReading(stamp_ns, speed, step**2 / 12)
+
+
+class _Charge:
+    """The state of charge that goes with battery readings, 0..1."""
+
+    def __init__(self) -> None:
+        self._stamp_ns, self._charge = 0, math.nan
+
+    def keep(self, stamp_ns: int, charge: float) -> None:
+        self._stamp_ns, self._charge = stamp_ns, charge
+
+    def at(self, stamp_ns: int) -> float:
+        """The charge at a moment, NaN when it is too old."""
+        return self._charge if abs(stamp_ns - self._stamp_ns) <= CHARGE_HOLD_NS else math.nan
 
 
 class _SecondMotor:
@@ -279,3 +305,73 @@ class _Field:
         self.mask = (1 << signal.length) - 1
         # Two's complement: (x ^ sign) - sign is x below the sign bit, x - 2 sign from it on.
         self.sign = 1 << signal.length - 1 if signal.is_signed else 0
+
+
+class AnswerDecoder:
+    """Makes readings of the answers of one car; for one thread at a time.
+
+    Attributes:
+        dropped: values not used, by reason: `not_available`, `out_of_range`, `not_together` (the
+            voltage or current beside one that is neither, in one answer).
+        auxiliary_voltage: of the 12 V battery in the last answer, V, NaN when not in it.
+    """
+
+    def __init__(self, profile: CanProfile) -> None:
+        self.dropped: Counter[str] = Counter()
+        self.auxiliary_voltage = math.nan
+        self._fields: dict[str, list[AnswerField]] = {}
+        for fields in profile.asked.values():
+            for field in fields:
+                self._fields.setdefault(field.request.name, []).append(field)
+        self._waiting: dict[str, tuple[int, float]] = {}
+        self._charge = _Charge()
+
+    def decode(self, answer: Answer) -> tuple[Reading, ...]:
+        """The readings that this answer makes or completes."""
+        readings: list[Reading] = []
+        values = self._values(answer)
+        stamp_ns = answer.stamp_ns
+        self.auxiliary_voltage, _ = values.get(ONLY_ASKED, (math.nan, math.nan))
+        if "state_of_charge" in values:
+            self._charge.keep(stamp_ns, values["state_of_charge"][0])
+        if "speed" in values:
+            readings.append(_speed_reading(stamp_ns, *values["speed"]))
+        asked = {field.signal.name for field in self._fields[answer.request.name]}
+        if asked.issuperset(PARTS) and not values.keys() >= {*PARTS}:
+            self.dropped["not_together"] += any(part in values for part in PARTS)
+            return tuple(readings)
+        for part in PARTS:
+            if part in values:
+                readings += self._late(stamp_ns, part)
+                self._waiting[part] = stamp_ns, values[part][0]
+        if len(self._waiting) == len(PARTS):
+            found, self._waiting = self._waiting, {}
+            readings.append(self._reading(found))
+        return tuple(readings)
+
+    def _values(self, answer: Answer) -> dict[str, tuple[float, float]]:
+        """Value and step, SI, of each quantity in the answer that may be used."""
+        values = {}
+        for field in self._fields[answer.request.name]:
+            raw = field.raw(answer.data)
+            if reason := field.signal.refusal(raw):
+                self.dropped[reason] += 1
+            else:
+                values[field.signal.name] = field.signal.value(raw), field.signal.resolution
+        return values
+
+    def _late(self, stamp_ns: int, part: str) -> list[BatteryReading]:
+        """Reading of a value that waited for its other half in vain."""
+        late = {
+            name: at
+            for name, at in self._waiting.items()
+            if name == part or abs(stamp_ns - at[0]) > JOIN_NS
+        }
+        for name in late:
+            del self._waiting[name]
+        return [self._reading({name: at}) for name, at in late.items()]
+
+    def _reading(self, parts: Mapping[str, tuple[int, float]]) -> BatteryReading:
+        stamp_ns = max(at for at, _ in parts.values())
+        voltage, current = (parts.get(name, (0, math.nan))[1] for name in PARTS)
+        return BatteryReading(stamp_ns, voltage, current, self._charge.at(stamp_ns))

@@ -13,8 +13,8 @@ import math
 import threading
 import time
 
-from evpinn_ros.can.answers import AnswerDecoder
 from evpinn_ros.can.control_unit import ControlUnit, Send
+from evpinn_ros.can.decoder import AnswerDecoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import ONLY_ASKED, CanProfile
 from evpinn_ros.can.read_only import ReadOnlyGate

@@ -154,7 +154,7 @@ def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
     thread.join(LONGEST_STOP)
     if not status.counters.get("frames"):
         silent = (
-            f"{status.state.value}; many cars say nothing at the plug until asked "
+            f"{status.condition.value}; many cars say nothing at the plug until asked "
             "(docs/explanation/can.md)"
         )
         raise InputError(f"no frame came: {status.problem or silent}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from evpinn_ros.can.bridge import BridgeStatus
-from evpinn_ros.can.bus import BusState, BusStatus
+from evpinn_ros.can.bus import BusCondition, BusStatus
 from evpinn_ros.can.poller import PollStatus
 from evpinn_ros.nodes.diagnosis import Health, Status, flat, rounded, with_health
 from evpinn_ros.topics.messages import Level
@@ -12,7 +12,7 @@ from evpinn_ros.topics.messages import Level
 def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
     """The health of the CAN bridge."""
     values = {
-        "bus": bus.state.name.lower(),
+        "bus": bus.condition.name.lower(),
         "frames": bridge.frames,
         "unknown_frames": bridge.unknown_frames,
         "unknown_ids": bridge.unknown_ids,
@@ -29,11 +29,11 @@ def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
         values["suspicion"] = bridge.fault
     if bus.problem:
         values["bus.last_problem"] = bus.problem
-    if bus.state in (BusState.LOST, BusState.OFF):
-        verdict = Level.ERROR, bus.problem or bus.state.value
-    elif bus.state in (BusState.SILENT, BusState.ERRORS):
-        verdict = Level.WARN, bus.state.value
-    elif bus.state is BusState.CLOSED:
+    if bus.condition in (BusCondition.LOST, BusCondition.OFF):
+        verdict = Level.ERROR, bus.problem or bus.condition.value
+    elif bus.condition in (BusCondition.SILENT, BusCondition.ERRORS):
+        verdict = Level.WARN, bus.condition.value
+    elif bus.condition is BusCondition.CLOSED:
         verdict = Level.WARN, bus.problem or "closed"
     else:
         verdict = _level(bridge), bridge.text

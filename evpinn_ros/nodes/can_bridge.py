@@ -13,7 +13,7 @@ from rclpy.exceptions import InvalidTopicNameException
 from evpinn_ros import topics
 from evpinn_ros.can import elm327
 from evpinn_ros.can.bridge import WAITING, BridgeStatus, CanBridge
-from evpinn_ros.can.bus import BusReader, BusState
+from evpinn_ros.can.bus import BusCondition, BusReader
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
@@ -38,7 +38,7 @@ PUBLISHES = (
     topics.BATTERY_CURRENT,
     topics.MOTOR_TORQUE,
 )
-BEGINNINGS = (BusState.CLOSED.value, WAITING)  # how every bus begins is no news
+BEGINNINGS = (BusCondition.CLOSED.value, WAITING)  # how every bus begins is no news
 LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the process ends anyway
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from evpinn_ros.bags.can_frames import read_frame
 from evpinn_ros.bags.types import FRAME_TYPE
-from evpinn_ros.can.bus import MANY_ERRORS, SILENT_AFTER_S, BusState, BusStatus
+from evpinn_ros.can.bus import MANY_ERRORS, SILENT_AFTER_S, BusCondition, BusStatus
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.can_logs import open_can_log
@@ -133,9 +133,9 @@ class FrameTopic:
         """State of the bus, as far as the topic shows it."""
         problem = None
         if not self._publishers():
-            state, problem = BusState.CLOSED, f"no publisher of {self._name}"
+            condition, problem = BusCondition.CLOSED, f"no publisher of {self._name}"
         elif self._newest_s is None or steady_s - self._newest_s > SILENT_AFTER_S:
-            state = BusState.SILENT
+            condition = BusCondition.SILENT
         else:
-            state = BusState.ERRORS if self._errors >= MANY_ERRORS else BusState.OPEN
-        return BusStatus(state, problem, dict(self._counters))
+            condition = BusCondition.ERRORS if self._errors >= MANY_ERRORS else BusCondition.OPEN
+        return BusStatus(condition, problem, dict(self._counters))

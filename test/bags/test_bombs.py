@@ -16,14 +16,13 @@ import pytest
 import zstandard
 
 from benchmarks.fuzz_seeds import database
-from evpinn_ros.bags import mcap_file, mcap_summary, salvage
+from evpinn_ros.bags import mcap_file, salvage
 from evpinn_ros.bags.limits import most_messages
 from evpinn_ros.bags.mcap_content import HEAD, MAGIC
 from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
-from evpinn_ros.can.log_readers import LARGEST_OBJECT
-from evpinn_ros.can.logs import LogFile
+from evpinn_ros.can.logs import LARGEST_OBJECT, LogFile
 from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
@@ -152,7 +151,7 @@ def test_each_limit_holds_with_and_without_a_summary(
     tmp_path, monkeypatch, write, name, limit, most, reason
 ):
     """Chunks of some ten messages and one of one; a sound summary is no leave to go beyond."""
-    for module in (salvage, mcap_summary):
+    for module in (salvage, mcap_file):
         monkeypatch.setattr(module, name, limit)
     path = write(tmp_path / "a.mcap")
     with BagReader(path) as reader:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from evpinn_ros.bags import mcap_part
+from evpinn_ros.bags import writer
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter, Split
@@ -141,7 +141,7 @@ def test_a_name_that_goes_while_the_disk_is_looked_at_is_no_fault(tmp_path, monk
 
 @pytest.mark.parametrize("split", [None, Split(seconds=3.0)])
 def test_a_recording_loses_its_last_second_at_most(tmp_path, monkeypatch, split):
-    monkeypatch.setattr(mcap_part, "SYNC_SECONDS", 0.0)
+    monkeypatch.setattr(writer, "SYNC_SECONDS", 0.0)
     disk = Disk(tmp_path / "bag", monkeypatch)
     written: list[int] = []
     lost: list[str] = []  # an assertion in the thread that syncs would be lost as well

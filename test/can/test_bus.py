@@ -16,7 +16,7 @@ import can
 import pytest
 
 from evpinn_ros.can import bus as bus_module
-from evpinn_ros.can.bus import BusReader, BusState
+from evpinn_ros.can.bus import BusCondition, BusReader
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
@@ -40,7 +40,7 @@ def running(reader):
         reader.stop()
         thread.join(5)
     assert not thread.is_alive()
-    assert reader.status().state is BusState.CLOSED
+    assert reader.status().condition is BusCondition.CLOSED
 
 
 SENDER = """
@@ -76,7 +76,7 @@ def test_frames_from_another_process_decode_as_the_log_does(tmp_path):
     with running(reader):
         subprocess.run([sys.executable, "-c", SENDER, log, GROUP, str(port)], check=True)
         wait_for(lambda: len(received) == len(frames))
-        wait_for(lambda: reader.status().state is BusState.SILENT)
+        wait_for(lambda: reader.status().condition is BusCondition.SILENT)
     assert reader.status().counters == {"opened": 1, "frames": len(frames)}
     live, offline = Decoder(profile), Decoder(profile)
     for frame, logged in zip(received, LogFile(log).frames(), strict=True):
@@ -132,20 +132,20 @@ def test_adapter_unplugged_in_the_stream_and_plugged_again(tmp_path):
             time.sleep(0.002)
 
     with running(reader):
-        wait_for(lambda: reader.status().state is BusState.OPEN)
+        wait_for(lambda: reader.status().condition is BusCondition.OPEN)
         stream(100)
         adapter.unplug()
-        wait_for(lambda: reader.status().state is BusState.LOST)
+        wait_for(lambda: reader.status().condition is BusCondition.LOST)
         cpu, wall = time.process_time(), time.monotonic()
         time.sleep(3.0)
         assert time.process_time() - cpu < 0.05 * (time.monotonic() - wall)
-        assert reader.status().state is BusState.LOST
+        assert reader.status().condition is BusCondition.LOST
         assert "adapter" in reader.status().problem and "\n" not in reader.status().problem
 
         adapter.plug()
-        wait_for(lambda: reader.status().state is BusState.OPEN)
+        wait_for(lambda: reader.status().condition is BusCondition.OPEN)
         stream(100)
-        wait_for(lambda: reader.status().state is BusState.SILENT)
+        wait_for(lambda: reader.status().condition is BusCondition.SILENT)
     counters = reader.status().counters
     assert counters["opened"] == 2 and counters["lost"] == 1
     assert counters["frames"] == len(received) >= 200
@@ -184,7 +184,7 @@ def test_garbled_serial_line_is_no_loss(tmp_path, quick):
     received = []
     reader = serial_reader(adapter.link, received.append)
     with running(reader):
-        wait_for(lambda: reader.status().state is BusState.OPEN)
+        wait_for(lambda: reader.status().condition is BusCondition.OPEN)
         adapter.send(b"tXYZ\r")
         adapter.send(b"t1326989467000000\r")
         wait_for(lambda: len(received) == 1)
@@ -277,7 +277,7 @@ def test_failing_callback_is_no_failing_bus(scripted):
     reader = BusReader("virtual", "x", fail, lambda: NOW)
     with running(reader):
         wait_for(lambda: reader.status().counters.get("callback_errors") == 2)
-        assert reader.status().state is not BusState.LOST
+        assert reader.status().condition is not BusCondition.LOST
     counters = reader.status().counters
     assert counters == {"opened": 1, "frames": 2, "callback_errors": 2, "close_errors": 1}
     assert "ZeroDivisionError('mine')" in reader.status().problem
@@ -298,9 +298,9 @@ def test_error_frames_alone_are_told_until_a_frame_comes(quick):
     with can.Bus("errors", interface="virtual") as bus, running(reader):
         for _ in range(bus_module.MANY_ERRORS):
             bus.send(can.Message(is_error_frame=True))
-        wait_for(lambda: reader.status().state is BusState.ERRORS)
+        wait_for(lambda: reader.status().condition is BusCondition.ERRORS)
         bus.send(can.Message())
-        wait_for(lambda: reader.status().state is BusState.OPEN)
+        wait_for(lambda: reader.status().condition is BusCondition.OPEN)
     assert reader.status().counters["error_frames"] == bus_module.MANY_ERRORS
 
 
@@ -311,11 +311,11 @@ def test_bus_off_is_told_until_a_frame_comes(scripted):
     reader = BusReader("socketcan", "can0", print, lambda: NOW)
     with running(reader):
         wait_for(lambda: not reopened.script and reader.status().counters.get("opened") == 2)
-        wait_for(lambda: reader.status().state is BusState.OFF)
+        wait_for(lambda: reader.status().condition is BusCondition.OFF)
         assert "type can restart-ms 100" in reader.status().problem
         reopened.script.append(message(0.1))
         wait_for(lambda: reader.status().counters["frames"] == 2)
-        wait_for(lambda: reader.status().state is BusState.SILENT)
+        wait_for(lambda: reader.status().condition is BusCondition.SILENT)
     assert reader.status().counters["bus_off"] == reader.status().counters["lost"] == 1
 
 
@@ -325,7 +325,7 @@ def test_driver_that_tells_bus_off_by_its_state(scripted, monkeypatch):
     reader = BusReader("ixxat", 0, print, lambda: NOW)
     with running(reader):
         wait_for(lambda: reader.status().counters.get("bus_off") == 2)
-        assert reader.status().state is BusState.OFF
+        assert reader.status().condition is BusCondition.OFF
         assert "check bit rate and wiring" in reader.status().problem
 
 
@@ -356,7 +356,7 @@ def test_stop_interrupts_the_wait():
     reader = BusReader("slcan", "/nowhere/adapter", print, lambda: NOW)
     start = time.monotonic()
     with running(reader):
-        wait_for(lambda: reader.status().state is BusState.LOST)
+        wait_for(lambda: reader.status().condition is BusCondition.LOST)
     assert time.monotonic() - start < 0.4
 
 

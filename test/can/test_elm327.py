@@ -17,7 +17,7 @@ import tty
 import can
 import pytest
 
-from evpinn_ros.can.bus import BusReader, BusState
+from evpinn_ros.can.bus import BusCondition, BusReader
 from evpinn_ros.can.elm327 import Elm327Bus
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
@@ -263,7 +263,7 @@ def test_refusals_name_the_fix(adapter, answers, banner, why):
     reader = BusReader("elm327", car.place, print, time.time_ns, tty_baudrate=38400)
     with pytest.raises(InputError, match=why.replace("?", r"\?").replace("(", r"\(")):
         reader.open()
-    assert reader.status().state is BusState.CLOSED
+    assert reader.status().condition is BusCondition.CLOSED
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from evpinn_ros.can.answers import AnswerDecoder
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.control_unit import Answer
+from evpinn_ros.can.decoder import AnswerDecoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError

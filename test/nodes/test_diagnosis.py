@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
-from evpinn_ros.can.bus import BusState, BusStatus
+from evpinn_ros.can.bus import BusCondition, BusStatus
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.charge import Uncertain
 from evpinn_ros.energy.forecast import Air, Forecast
@@ -139,16 +139,16 @@ def test_every_number_of_an_answer_is_read_by_any_language():
 @pytest.mark.parametrize(
     ("state", "ok", "level", "text"),
     [
-        (BusState.OPEN, True, Level.OK, "receiving"),
-        (BusState.OPEN, False, Level.WARN, "receiving"),
-        (BusState.SILENT, True, Level.WARN, "silent"),
-        (BusState.ERRORS, True, Level.WARN, "wrong bit rate"),
-        (BusState.OFF, True, Level.ERROR, "check bit rate and wiring"),
-        (BusState.LOST, True, Level.ERROR, "is the adapter plugged in"),
+        (BusCondition.OPEN, True, Level.OK, "receiving"),
+        (BusCondition.OPEN, False, Level.WARN, "receiving"),
+        (BusCondition.SILENT, True, Level.WARN, "silent"),
+        (BusCondition.ERRORS, True, Level.WARN, "wrong bit rate"),
+        (BusCondition.OFF, True, Level.ERROR, "check bit rate and wiring"),
+        (BusCondition.LOST, True, Level.ERROR, "is the adapter plugged in"),
     ],
 )
 def test_states_of_the_bus(state, ok, level, text):
-    problem = "CAN bus: is the adapter plugged in" if state is BusState.LOST else None
+    problem = "CAN bus: is the adapter plugged in" if state is BusCondition.LOST else None
     status = bus_status(
         BusStatus(state, problem, {"lost": 1}), dataclasses.replace(BRIDGE, ok=ok), WELL
     )
@@ -162,7 +162,7 @@ def test_states_of_a_log():
 
 
 def test_a_refused_profile_is_an_error_and_a_wrong_sign_a_warning():
-    bus = BusStatus(BusState.OPEN, None, {})
+    bus = BusStatus(BusCondition.OPEN, None, {})
     refused = dataclasses.replace(BRIDGE, ok=False, text="no", refusal="no")
     suspected = dataclasses.replace(BRIDGE, ok=False, text="current_sign: x", fault="x")
     for status in (bus_status(bus, refused, WELL), log_status("playing", None, refused, WELL)):
