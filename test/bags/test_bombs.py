@@ -23,7 +23,7 @@ from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.can.logs import LARGEST_OBJECT, LogFile
-from evpinn_ros.common import opener
+from evpinn_ros.common import opener, yaml_section
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
 from evpinn_ros.common.yaml_section import load_plain
@@ -103,10 +103,11 @@ def test_chunks_that_overlap_are_put_in_order_once(tmp_path, monkeypatch):
     assert time.process_time() - begun < 10.0  # it takes 1 s
 
 
-def test_messages_packed_into_nothing_are_bounded(tmp_path):
-    """3 kB of chunks that unpack to 64 MB of the smallest messages there are."""
+def test_messages_packed_into_nothing_are_bounded(tmp_path, monkeypatch):
+    """3 kB of chunks that unpack to 4 MB of the smallest messages there are."""
+    monkeypatch.setattr(opener, "FREE_BYTES", 1 << 16)  # or the messages take seconds
     message = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(12))
-    body = message * (1_000_000 // len(message))
+    body = message * ((1 << 16) // len(message))
     packed = chunk(zstd(body), len(body), "zstd", start=5)
     path = few_types(tmp_path / "a.mcap", packed * 64)
     assert path.stat().st_size < 30_000
@@ -376,8 +377,9 @@ def test_a_training_that_unpacks_to_too_much(tmp_path, monkeypatch):
         checkpoint.load_checkpoint(path, "x")
 
 
-def test_metadata_of_many_values_is_refused_early(tmp_path):
+def test_metadata_of_many_values_is_refused_early(tmp_path, monkeypatch):
     """1 MB of empty lists took 15 s and 345 MB."""
+    monkeypatch.setattr(yaml_section, "MOST_NODES", 2000)
     path = tmp_path / "metadata.yaml"
     path.write_text(f"{INFORMATION}: [{'[],' * (MOST_METADATA // 4)}[]]\n")
     with pytest.raises(InputError, match=r"metadata\.yaml:1: not YAML: over \d+ values"):

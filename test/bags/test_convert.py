@@ -42,7 +42,7 @@ def same(first: Reading, second: Reading) -> bool:
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(readings=st.lists(READINGS, min_size=1, max_size=30))
 def test_readings_survive_a_bag(tmp_path_factory, readings):
     folder = tmp_path_factory.mktemp("convert") / "drive"

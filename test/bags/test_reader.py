@@ -175,7 +175,7 @@ def test_every_cut_is_read_as_far_as_it_goes(tmp_path, options):
     whole = write_mcap(tmp_path / "a.mcap", **options).read_bytes()
     cut = tmp_path / "cut.mcap"
     before = 0
-    for size in range(8, len(whole), 97):
+    for size in [*range(8, len(whole), 307), len(whole) - 1]:
         cut.write_bytes(whole[:size])
         values, problem = numbers(cut)
         assert values == list(range(len(values)))
@@ -186,7 +186,7 @@ def test_every_cut_is_read_as_far_as_it_goes(tmp_path, options):
 
 @pytest.mark.slow
 @settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(st.data())
 def test_a_damaged_byte_costs_a_chunk_and_is_reported(drive, tmp_path, data):
@@ -213,19 +213,6 @@ def test_damage_says_how_much_was_lost(drive, tmp_path):
         assert reader.problem == (
             f"{path}: 1 of 30 chunks are damaged, 20 messages lost; 580 messages are readable"
         )
-
-
-@pytest.mark.slow
-@settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(tail=st.binary(max_size=300), keep=st.integers(8, 3000))
-def test_garbage_never_escapes_as_another_error(drive, tmp_path, tail, keep):
-    path = tmp_path / "garbage.mcap"
-    path.write_bytes(mcap_of(drive).read_bytes()[:keep] + tail)
-    with BagReader(path) as reader:
-        list(reader.records())
-        assert reader.problem
 
 
 def test_unknown_types_and_encodings_are_counted(tmp_path):

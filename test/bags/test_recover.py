@@ -9,8 +9,6 @@ import struct
 import subprocess
 import sys
 
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 import pytest
@@ -47,10 +45,10 @@ def saved(folder: Path, data: bytes):
 
 
 def test_every_message_of_undamaged_chunks_comes_back():
-    found = list(campaign(60, 40_000))
+    found = list(campaign(24, 40_000))
     assert len(found) == len(STORAGES) * len(FAULTS)
     for *kind, tally in found:
-        assert tally.cases == 5 and tally.messages > 0, kind
+        assert tally.cases == 2 and tally.messages > 0, kind
         assert (tally.missing, tally.miscounted, tally.unread) == (0, 0, 0), kind
         # No checksum covers the message that was hit where it is in no chunk.
         allowed = tally.cases if kind == ["loose", "bit flipped"] else 0
@@ -96,31 +94,6 @@ def test_bytes_that_are_overwritten_or_missing_cost_what_they_hit(wholes, tmp_pa
         assert len(set(found) - set(whole)) <= (storage == "loose")
         assert len(whole) * 0.6 < len(found) < len(whole)
         assert found[-1] == whole[-1] and found[0] == whole[0]
-
-
-@settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(
-    storage=st.sampled_from(STORAGES),
-    begin=st.integers(0, 100_000),
-    hole=st.binary(max_size=300),
-    cut=st.integers(0, 30_000),
-)
-def test_any_damage_gives_messages_or_one_line(
-    wholes, tmp_path_factory, storage, begin, hole, cut
-):
-    data = wholes[storage].read_bytes()
-    folder = tmp_path_factory.mktemp("any")
-    broken = data[:begin] + hole + data[begin + 100 : len(data) - cut]
-    try:
-        report, found = saved(folder, broken)
-    except InputError as error:
-        assert "\n" not in str(error)
-        return
-    alien = set(found) - set(messages_of(wholes[storage]))
-    # Two messages of one length, spliced where bytes are missing, look like one.
-    assert len(alien) <= (1 if report.unproven else 0) or storage == "loose"
 
 
 def test_topics_whose_definition_was_in_the_lost_chunk(wholes, tmp_path):

@@ -30,9 +30,23 @@ def send(to: BridgedCar, layout: Layout, sets: object, shift_ns: int = 0) -> Non
 
 
 @pytest.fixture(scope="module")
-def tesla() -> BridgedCar:
-    found = car()
+def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("car") / "1.json"
+
+
+@pytest.fixture(scope="module")
+def tesla(state: Path) -> BridgedCar:
+    """A car behind TeslaMate, after a drive; nothing is saved yet."""
+    found = car(state)
     send(found, read_layout("teslamate"), as_teslamate())
+    return found
+
+
+@pytest.fixture(scope="module")
+def ovms() -> BridgedCar:
+    """The same behind OVMS, whose numbers are not rounded."""
+    found = car()
+    send(found, read_layout("ovms"), as_ovms())
     return found
 
 
@@ -42,30 +56,26 @@ def test_teslamate_gives_the_energy_of_its_rounded_power(tesla: BridgedCar) -> N
     assert counted == pytest.approx(energy(drive()), rel=0.01)
 
 
-def test_the_energy_of_whole_kilowatts_is_as_unsure_as_they_are(tesla: BridgedCar) -> None:
-    exact = car()
-    send(exact, read_layout("ovms"), as_ovms())
-    coarse, fine = tesla.documents()["energy"], exact.documents()["energy"]
+def test_the_energy_of_whole_kilowatts_is_as_unsure_as_they_are(
+    tesla: BridgedCar, ovms: BridgedCar
+) -> None:
+    coarse, fine = tesla.documents()["energy"], ovms.documents()["energy"]
     error = abs(coarse["trip_kwh"] - energy(drive()))
     assert coarse["trip_sigma_kwh"] > 1.5 * fine["trip_sigma_kwh"]
     assert error < 2 * coarse["trip_sigma_kwh"]
 
 
-def test_ovms_gives_the_energy_that_was_drawn() -> None:
-    found = car()
-    send(found, read_layout("ovms"), as_ovms())
-    assert found.documents()["energy"]["trip_kwh"] == pytest.approx(energy(drive()), rel=1e-4)
+def test_ovms_gives_the_energy_that_was_drawn(ovms: BridgedCar) -> None:
+    assert ovms.documents()["energy"]["trip_kwh"] == pytest.approx(energy(drive()), rel=1e-4)
 
 
-def test_whole_kilowatts_teach_what_exact_ones_do(tesla: BridgedCar) -> None:
+def test_whole_kilowatts_teach_what_exact_ones_do(tesla: BridgedCar, ovms: BridgedCar) -> None:
     """Within the sigma that either claims; a town tells little of drag and tyres.
 
     The load of a standing car is one number that is rounded, so it is less sure.
     """
-    exact = car()
-    send(exact, read_layout("ovms"), as_ovms())
     for name, coarse in tesla.documents()["parameters"]["combinations"].items():
-        fine = exact.documents()["parameters"]["combinations"][name]
+        fine = ovms.documents()["parameters"]["combinations"][name]
         before = car().documents()["parameters"]["combinations"][name]
         assert abs(coarse["value"] - fine["value"]) < 2 * fine["std"], name
         most = 1.8 if name == "p_aux" else 1.2
@@ -85,9 +95,9 @@ def test_each_sensor_finds_its_number(tesla: BridgedCar) -> None:
 
 def test_a_long_stop_begins_another_drive_and_the_lifetime_goes_on(tmp_path: Path) -> None:
     found = car(tmp_path / "1.json")
-    send(found, read_layout("teslamate"), as_teslamate())
+    send(found, read_layout("teslamate"), as_teslamate(seconds=120))
     first = found.documents()["energy"]
-    send(found, read_layout("teslamate"), as_teslamate(), shift_ns=3600 * SECOND)
+    send(found, read_layout("teslamate"), as_teslamate(seconds=120), shift_ns=3600 * SECOND)
     second = found.documents()["energy"]
     assert second["trip_kwh"] == pytest.approx(first["trip_kwh"], rel=0.05)
     assert second["drawn_kwh"] == pytest.approx(2 * first["drawn_kwh"], rel=0.05)
@@ -104,12 +114,9 @@ def test_one_wild_stamp_ends_no_drive() -> None:
     assert found.newest_ns == sets[-1][0]
 
 
-def test_what_was_learned_outlives_the_process(tmp_path: Path) -> None:
-    found = car(tmp_path / "1.json")
-    send(found, read_layout("teslamate"), as_teslamate())
-    found.save()
-    again = car(tmp_path / "1.json")
-    before, after = found.documents(), again.documents()
+def test_what_was_learned_outlives_the_process(tesla: BridgedCar, state: Path) -> None:
+    tesla.save()
+    before, after = tesla.documents(), car(state).documents()
     assert after["energy"]["drawn_kwh"] == pytest.approx(before["energy"]["drawn_kwh"])
     assert after["energy"]["trip_kwh"] == 0.0
     mass = {d["parameters"]["combinations"]["mass_over_eta"]["std"] for d in (before, after)}

@@ -25,7 +25,13 @@ CONFIG = share_directory() / "config" / "can"
 ALL = bundled_profiles()
 PROFILES = {profile.key: profile for profile in ALL if profile.messages}
 ASKING = {profile.key: profile for profile in ALL if profile.requests}
-SECONDS = 120.0
+SECONDS = 60.0
+# The published answer of a Kona to 22 01 01, as quoted in issue 44 of
+# JejuSoul/OBD-PIDs-for-HKMC-EVs.
+KONA = """
+103E620101FFF7E7 21FFBC16AE430800 2200000FCF090808 2308080900000ACE 2430CE4A00007800
+250015B2000012F4 2600000840000006 27D10005F7060900 28030000000003E8
+"""
 
 
 @cache

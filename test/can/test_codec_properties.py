@@ -37,7 +37,7 @@ def frames(draw):
 
 
 @given(st.lists(frames(), min_size=1, max_size=8))
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_every_payload_gives_a_plausible_reading_or_a_reason(cases):
     for profile, frame in cases:
         decoder = Decoder(profile)
@@ -77,7 +77,7 @@ def assert_within(profile, reading):
 
 
 @given(st.lists(frames(), max_size=30), st.booleans())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_guard_and_inspection_take_whatever_comes(cases, patient):
     profile = cases[0][0] if cases else PROFILES["nissan_leaf"]
     guard = FitGuard(profile, PROFILES.values(), patient=patient)
@@ -102,7 +102,7 @@ def test_guard_and_inspection_take_whatever_comes(cases, patient):
     current=st.floats(-500, 400),
     charge=st.floats(0, 1),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_round_trip_within_half_a_step(name, speed, voltage, current, charge):
     profile = PROFILES[name]
     encoder, decoder = Encoder(profile), Decoder(profile)

@@ -231,7 +231,7 @@ def bounds(profile, quantity, index=0):
 @pytest.mark.slow
 @given(conversations(), st.booleans())
 @example((ASKING["obd2_speed"], [(ASKING["obd2_speed"].requests[0].address, b"")]), True)
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_whatever_comes_is_a_plausible_reading_or_none(case, asking):
     profile, frames = case
     sent = []

@@ -17,7 +17,7 @@ SECOND = 10**9
 
 @pytest.fixture(scope="module")
 def drive():
-    return simulate(DriveKind.URBAN, load_vehicle("tesla_model_3_lr"), 240.0, 4).readings
+    return simulate(DriveKind.URBAN, load_vehicle("tesla_model_3_lr"), 120.0, 4).readings
 
 
 def flipped(reading):

@@ -76,8 +76,12 @@ def write(tmp_path_factory):
     return make
 
 
-def test_a_mapping_file_anywhere_reads_a_loose_dbc(write):
-    profile = load_profile(write(HEAD + SPEED + BATTERY))
+@pytest.fixture(scope="session")
+def profile(write):
+    return load_profile(write(HEAD + SPEED + BATTERY))
+
+
+def test_a_mapping_file_anywhere_reads_a_loose_dbc(profile):
     assert profile.key == "my_car"
     decoder = Decoder(profile)
     (speed,) = decoder.decode(CanFrame(1, 256, bytes.fromhex("2710")))
@@ -93,9 +97,9 @@ def test_a_mapping_file_anywhere_reads_a_loose_dbc(write):
 
 
 @given(can_id=st.sampled_from([256, 512]), data=st.binary(max_size=64))
-@settings(max_examples=300, deadline=None)
-def test_no_payload_of_a_users_file_is_an_exception(write, can_id, data):
-    decoder = Decoder(_loaded(write))
+@settings(max_examples=100, deadline=None)
+def test_no_payload_of_a_users_file_is_an_exception(profile, can_id, data):
+    decoder = Decoder(profile)
     for reading in decoder.decode(CanFrame(0, can_id, data)):
         if isinstance(reading, BatteryReading):
             assert 200 <= reading.voltage <= 500 and -500 <= reading.current <= 500
@@ -103,17 +107,10 @@ def test_no_payload_of_a_users_file_is_an_exception(write, can_id, data):
             assert 0 <= reading.speed <= 250 / 3.6
 
 
-def _loaded(write, cache={}):  # noqa: B006
-    if "profile" not in cache:
-        cache["profile"] = load_profile(write(HEAD + SPEED + BATTERY))
-    return cache["profile"]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
         ("message: MotorSpeed", "message: Motorspeed", "'Motorspeed'; did you mean MotorSpeed"),
-        ("message: MotorSpeed", "message: Xyz", "the DBC file has no message 'Xyz'"),
         ("signal: VehicleSpeed", "signal: vehicle_speed", "did you mean VehicleSpeed"),
         ("signal: VehicleSpeed", "signal: SpeedFloat", "is a floating-point signal"),
         ("signal: VehicleSpeed", "signal: TooFar", "'TooFar' hangs over the 8 bytes"),
@@ -132,12 +129,9 @@ def _loaded(write, cache={}):  # noqa: B006
             "valid: [0, 250], counter: VehicleSpeed}",
             "'VehicleSpeed' and 'VehicleSpeed' overlap",
         ),
-        (" positive_means: discharge,", "", "'positive_means' is missing"),
         ("unit: km/h, ", "", "'unit' is missing"),
         (", valid: [0, 250]", "", "'valid' is missing"),
-        ("source: measured\n", "", "'source' is missing"),
         ("dbc: my.dbc\n", "", "'dbc' is missing"),
-        ("dbc: my.dbc", "dbc: other.dbc", "other.dbc: No such file"),
     ],
 )
 def test_a_mistake_is_told_with_its_line(write, old, new, reason):
@@ -208,12 +202,12 @@ def test_a_message_of_very_many_signals_is_refused(write):
 
 
 def test_what_no_profile_names_costs_next_to_nothing(write):
-    names = " ".join(f"Node{i}" for i in range(400_000))
+    names = " ".join(f"Node{i}" for i in range(200_000))
     path = write(HEAD + SPEED, DBC.replace("BU_: Car", f"BU_: Car {names}"))
     tracemalloc.start()
     try:
         load_profile(path)
-        assert tracemalloc.get_traced_memory()[1] < 60_000_000
+        assert tracemalloc.get_traced_memory()[1] < 30_000_000
     finally:
         tracemalloc.stop()
 

@@ -41,34 +41,29 @@ def test_stamp_keeps_the_digits_of_the_log():
     assert nanoseconds(12.345678901) == 12345678901
 
 
-def test_speed_of_model_3(tesla):
-    # raw 1500: 1500 * 0.08 - 40 = 80 km/h
-    (reading,) = tesla.decode(tesla_speed(1500))
+@pytest.mark.parametrize(("raw", "kmh"), [(1500, 80.0), (500, 0.0), (375, -10.0)])
+def test_speed_of_model_3(tesla, raw, kmh):
+    """1500 * 0.08 - 40 = 80 km/h; reverse is negative, and standstill exactly zero."""
+    (reading,) = tesla.decode(tesla_speed(raw))
     assert isinstance(reading, SpeedReading)
-    assert reading.speed == pytest.approx(80 / 3.6)
+    assert reading.speed == (pytest.approx(kmh / 3.6) if kmh else 0.0)
     assert reading.variance == pytest.approx((0.08 / 3.6) ** 2 / 12)
 
 
-def test_standstill_is_exactly_zero(tesla):
-    assert tesla.decode(tesla_speed(500))[0].speed == 0.0
-    old = Decoder(load_profile("tesla_model_3_2019"))
-    assert old.decode(tesla_speed(500))[0].speed == 0.0
+SPEED = tesla_speed(1500)
+DROPPED = [
+    (tesla_speed(4095), "not_available"),
+    (CanFrame(0, 0x257, bytes([SPEED.data[0] ^ 1]) + SPEED.data[1:]), "bad_checksum"),
+    *((frame(0x132, payload), "short_frame") for payload in ("", "98", "989467")),
+    (frame(0x132, "FF" * 8), "out_of_range"),
+    (frame(0x132, "7695EA2600000000"), "out_of_range"),  # the firmware of 2019
+]
 
 
-def test_reverse_is_negative(tesla):
-    assert tesla.decode(tesla_speed(375))[0].speed == pytest.approx(-10 / 3.6)
-
-
-def test_speed_not_available_is_dropped(tesla):
-    assert tesla.decode(tesla_speed(4095)) == ()
-    assert tesla.dropped == Counter(not_available=1)
-
-
-def test_checksum_is_checked(tesla):
-    good = tesla_speed(1500)
-    bad = CanFrame(0, good.can_id, bytes([good.data[0] ^ 1]) + good.data[1:])
+@pytest.mark.parametrize(("bad", "reason"), DROPPED)
+def test_what_may_not_be_used_is_dropped_and_counted(tesla, bad, reason):
     assert tesla.decode(bad) == ()
-    assert tesla.dropped == Counter(bad_checksum=1)
+    assert tesla.dropped == Counter({reason: 1})
 
 
 @pytest.mark.parametrize("payload", ["989467000000", "9894670000000000", "98946700"])
@@ -95,27 +90,12 @@ def test_discharge_of_model_3_is_negative(tesla):
 def test_battery_of_2019_has_the_old_offset():
     # 9962: 1000 - 996.2 = 3.8 A drawn
     old = Decoder(load_profile("tesla_model_3_2019"))
+    assert old.decode(tesla_speed(500))[0].speed == 0.0
     (reading,) = old.decode(frame(0x132, "7695EA2600000000"))
     assert reading.voltage == pytest.approx(382.62)
     assert reading.current == pytest.approx(-3.8)
-
-
-def test_wrong_firmware_is_out_of_range(tesla):
-    assert tesla.decode(frame(0x132, "7695EA2600000000")) == ()
-    old = Decoder(load_profile("tesla_model_3_2019"))
-    assert old.decode(frame(0x132, "9894670000000000")) == ()
-    assert tesla.dropped == old.dropped == Counter(out_of_range=1)
-
-
-@pytest.mark.parametrize("payload", ["", "98", "989467"])
-def test_too_short_a_frame_is_counted(tesla, payload):
-    assert tesla.decode(frame(0x132, payload)) == ()
-    assert tesla.dropped == Counter(short_frame=1)
-
-
-def test_all_ones_is_dropped(tesla):
-    assert tesla.decode(frame(0x132, "FFFFFFFFFFFFFFFF")) == ()
-    assert tesla.dropped == Counter(out_of_range=1)
+    assert old.decode(frame(0x132, "9894670000000000")) == ()  # of today's firmware
+    assert old.dropped == Counter(out_of_range=1)
 
 
 def test_speed_of_model_s():

@@ -1,3 +1,4 @@
+from functools import cache
 import itertools
 import math
 
@@ -8,11 +9,17 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.inspection import MOST_IDS, Inspection, frame_bits
 from evpinn_ros.can.profile import MOTORS, load_profile
 from evpinn_ros.signals.readings import BatteryReading
-from test.can.conftest import ALL, PROFILES
+from test.can.conftest import ALL, KONA, PROFILES
 
 pytestmark = pytest.mark.slow
 
 MS = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def reports(bus):
+    """The report of each profile's bus."""
+    return cache(lambda name: inspected(bus(name)).report())
 
 
 def inspected(frames, bitrate=500_000):
@@ -23,8 +30,8 @@ def inspected(frames, bitrate=500_000):
 
 
 @pytest.mark.parametrize("name", sorted(PROFILES))
-def test_the_own_profile_of_every_simulated_bus_comes_first(name, bus):
-    report = inspected(bus(name)).report()
+def test_the_own_profile_of_every_simulated_bus_comes_first(name, reports):
+    report = reports(name)
     own = next(each for each in report.profiles if each.fit.profile == name)
     assert own.fit.score == report.best.fit.score and own.contradicted is None
     heard = [message for message in own.fit.messages if message.frames]
@@ -95,13 +102,6 @@ def flipped(frame):
     return CanFrame(frame.stamp_ns, 0x132, frame.data[:2] + opposite + frame.data[4:])
 
 
-# The published answer of a Kona to 22 01 01 (test_request.py).
-KONA = """
-103E620101FFF7E7 21FFBC16AE430800 2200000FCF090808 2308080900000ACE 2430CE4A00007800
-250015B2000012F4 2600000840000006 27D10005F7060900 28030000000003E8
-"""
-
-
 def test_what_another_tester_asks_for_is_told():
     inspection = Inspection(ALL, 500_000)
     for stamp, data in enumerate(KONA.split() * 3):
@@ -123,9 +123,9 @@ def test_answers_of_another_car_fit_nothing():
     assert "no_answer" in own.contradicted
 
 
-def test_firmware_is_told_apart(bus):
+def test_firmware_is_told_apart(reports):
     for right, wrong in itertools.permutations(("tesla_model_3", "tesla_model_3_2019")):
-        report = inspected(bus(right)).report()
+        report = reports(right)
         assert report.best.fit.profile == right
         other = next(each for each in report.profiles if each.fit.profile == wrong)
         assert "battery (0x132)" in other.contradicted

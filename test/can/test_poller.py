@@ -125,26 +125,6 @@ def test_only_read_requests_and_flow_control_are_on_the_wire(channel, unit):
     assert sent == set(map(bytes.fromhex, wanted))
 
 
-def test_another_tester_is_listened_to_and_left_alone(channel, unit):
-    """Its answers decode; its flow control is its own affair."""
-    with can.Bus(channel, interface="virtual") as listener, live(channel, KONA, poll=False) as car:
-        payload = pack_answer(-14, 7190)
-        first = bytes((0x10, len(payload))) + payload[:6]
-        rest = [payload[start : start + 7] for start in range(6, len(payload), 7)]
-        for data in [first, *(bytes((0x21 + i,)) + part for i, part in enumerate(rest))]:
-            listener.send(can.Message(arbitration_id=0x7EC, data=data, is_extended_id=False))
-        wait_for(lambda: car.readings)
-        assert listener.recv(0.2) is None
-    assert (car.readings[0].voltage, car.readings[0].current) == (719.0, pytest.approx(1.4))
-
-
-def test_pending_answers_are_waited_for(channel, unit):
-    kona(unit, lambda: [bytes.fromhex("7F2278"), pack_answer(250, 3600)])
-    with live(channel, KONA) as car:
-        wait_for(lambda: len(car.of(BatteryReading)) >= 3)
-        assert car.counters["pending"] >= 3 and not car.counters.get("silent")
-
-
 def test_a_refusal_retires_its_request_and_says_so(channel, unit):
     pack, _ = kona(unit, lambda: [bytes.fromhex("7F2231")])
     with live(channel, KONA) as car:
@@ -163,26 +143,6 @@ def test_a_silent_unit_does_not_hold_up_another(channel, unit):
         assert not car.of(BatteryReading)
         wait_for(lambda: car.counters.get("silent"))
         assert car.bridge.poller.status().ok
-
-
-def test_wrong_and_short_answers_and_garbage(channel, unit):
-    turns = itertools.cycle(
-        [
-            [bytes.fromhex("6201050102")],
-            [PACK.echo + bytes(10)],
-            [pack_answer(0, 65535)],
-            [pack_answer(250, 3600)],
-        ]
-    )
-    kona(unit, lambda: next(turns))
-    with can.Bus(channel, interface="virtual") as noise, live(channel, KONA) as car:
-        for data in (b"", b"\xff" * 8, b"\x25" * 8, b"\x10"):
-            noise.send(can.Message(arbitration_id=0x7EC, data=data, is_extended_id=False))
-        wait_for(lambda: len(car.of(BatteryReading)) >= 2, 20.0)
-        counters = car.counters
-    assert {(r.voltage, r.current) for r in car.of(BatteryReading)} == {(360.0, -25.0)}
-    assert counters["unexpected_answer"] and counters["short_answer"] and counters["garbled"]
-    assert car.bridge.status(0).dropped["out_of_range"]
 
 
 @pytest.mark.nightly

@@ -162,7 +162,10 @@ def test_a_bus_is_sent_to_in_one_place_alone():
     """Only the bus reader may call the `send` of python-can."""
     package, callers = Path(evpinn_ros.__file__).parent, set()
     for path in package.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+        text = path.read_text()
+        if "bus.send" not in text and "send_periodic" not in text and "Notifier" not in text:
+            continue
+        for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.Call) and ast.unparse(node.func) == "bus.send":
                 callers.add(path.name)
             if isinstance(node, ast.Attribute) and node.attr in ("send_periodic", "Notifier"):

@@ -12,15 +12,10 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from test.can.conftest import ASKING
+from test.can.conftest import ASKING, KONA
 
 CONFIG = share_directory() / "config" / "can"
 
-# As quoted in issue 44 of JejuSoul/OBD-PIDs-for-HKMC-EVs.
-KONA = """
-103E620101FFF7E7 21FFBC16AE430800 2200000FCF090808 2308080900000ACE 2430CE4A00007800
-250015B2000012F4 2600000840000006 27D10005F7060900 28030000000003E8
-"""
 # A published answer of an EV6 that charges at a wallbox with some 1 kW.
 EV6 = """
 103E620101EFFBE7 21EF6B2040017200 22FFF21C16201E20 23201F1E20004BBB 240DBB3D00008D00

@@ -26,7 +26,7 @@ def by_cantools(message, data):
 
 
 @given(message=st.sampled_from(MESSAGES), data=st.binary(max_size=12))
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=300, deadline=None)
 def test_every_payload_of_every_profile_reads_as_by_cantools(message, data):
     names = [signal.name for signal in message.signals]
     assert unpacker(message, names)(data) == by_cantools(message, data)
@@ -47,7 +47,7 @@ def layouts(draw):
 
 @pytest.mark.slow
 @given(message=layouts(), data=st.binary(max_size=12))
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_any_layout_reads_as_by_cantools(message, data):
     assert unpacker(message, ["S"])(data) == by_cantools(message, data)
 
