@@ -139,8 +139,8 @@ class McapFile:
                 yield log_time_ns, (block.begin, position), id_, data
 
 
-def _salvaged(file: FileBytes) -> _Found:
-    """What going through the file finds."""
+def _salvaged(file: FileBytes) -> _Survey:
+    """Messages that going through the file finds."""
     salvage, counts = Salvage(file), Counter[int]()
     blocks: list[Block] = []
     losses: list[Loss] = []
@@ -164,7 +164,7 @@ def _salvaged(file: FileBytes) -> _Found:
     elif losses and salvage.stated is not None:
         notes.append(f"{max(salvage.stated - counts.total(), 0)} messages lost")
     lost_chunks = sum(loss.chunk for loss in losses)
-    return _Found(salvage.definitions, counts, blocks, notes, lost_chunks)
+    return _Survey(salvage.definitions, counts, blocks, notes, lost_chunks)
 
 
 def _channels(known: Definitions) -> dict[int, Channel]:
@@ -179,7 +179,7 @@ def _channels(known: Definitions) -> dict[int, Channel]:
 
 
 @dataclass(slots=True)
-class _Found:
+class _Survey:
     """Facts of a file that are known before its messages are read."""
 
     definitions: Definitions  # of schemas and channels
@@ -189,7 +189,7 @@ class _Found:
     lost_chunks: int = 0  # damaged ones that are in no block
 
 
-def _sound(file: FileBytes) -> _Found | None:
+def _sound(file: FileBytes) -> _Survey | None:
     """Read the summary at a file's end; None when anything there is missing, or contradicts.
 
     The checksum of the summary must hold, and the records before it must follow each other from
@@ -211,7 +211,7 @@ def _sound(file: FileBytes) -> _Found | None:
         or sum(block.head.size for block in blocks if block.head) > most_unpacked(file.size)
     ):
         return None
-    return _Found(known, Counter(statistics.channel_message_counts), blocks)
+    return _Survey(known, Counter(statistics.channel_message_counts), blocks)
 
 
 def _blocks(file: FileBytes, chunks: list[ChunkIndex], end: int) -> list[Block] | None:

@@ -44,7 +44,7 @@ def tesla(state: Path) -> BridgedCar:
 
 @pytest.fixture(scope="module")
 def ovms() -> BridgedCar:
-    """The same behind OVMS, whose numbers are not rounded."""
+    """A car behind OVMS, whose numbers are not rounded, after that drive."""
     found = car()
     send(found, read_layout("ovms"), as_ovms())
     return found
