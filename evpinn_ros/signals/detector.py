@@ -54,9 +54,15 @@ class Hysteresis(NamedTuple):
     rests_on: str
     effect: str
 
-    def judge(self, before: bool | None, evidence: float, on: float = math.inf) -> bool | None:
-        """Verdict on evidence that rests `on` so much, after the verdict before; None is none."""
-        if on < self.least:
+    def judge(self, before: bool | None, evidence: float, amount: float = math.inf) -> bool | None:
+        """The verdict after the one before; None while there is none.
+
+        Args:
+            before: the verdict so far.
+            evidence: now; NaN where there is none.
+            amount: of what it rests on.
+        """
+        if amount < self.least:
             return before
         if evidence > self.on:
             return True

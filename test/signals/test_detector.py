@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from evpinn_ros.estimation.payload import PayloadDetector
 from evpinn_ros.signals.detector import AGAINST_INERTIA, TABLE, Detector
 from evpinn_ros.signals.height import AltitudeDetector
 from evpinn_ros.signals.sign_detectors import ChargeDetector, GradeDetector, SignDetector
@@ -29,7 +30,10 @@ def test_a_limit_is_none_of_its_own():
 
 @pytest.mark.parametrize(
     "detector",
-    [AltitudeDetector(), ChargeDetector(), GradeDetector(), SignDetector(), StuckDetector()],
+    [
+        *(AltitudeDetector(), ChargeDetector(), GradeDetector()),
+        *(PayloadDetector(), SignDetector(), StuckDetector()),
+    ],
 )
 def test_of_nothing_nothing_is_learned(detector: Detector):
     """An altitude alone counts as stuck until it moves."""
