@@ -352,3 +352,31 @@ def test_plans_asked_together_are_compared(bench):
     assert third["difference/planner/0"] == pytest.approx(more)
     assert third["difference_sigma/planner/0"] < math.hypot(first["sigma"], third["sigma"])
     assert third["difference_sigma/planner/1"] == third["difference_sigma/planner/0"]
+
+
+def conditions(**given: float):
+    found = named_vector(new_message, NOW, [*given], [0.0] * len(given), [])
+    found.position = [*given.values()]  # NaN is for heating that is not known
+    return found
+
+
+def test_plans_after_it_take_the_conditions(bench):
+    node = bench.start(EnergyNode)
+    bench.listen(*ANSWERS, topics.FORECAST_STATUS)
+
+    def cost() -> float:
+        (found,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+        return found.points[-1].positions[0]
+
+    mild = cost()
+    bench.deliver(node, topics.CONDITIONS, conditions(temperature=-10.0, heating=math.nan))
+    cold = cost()
+    bench.deliver(node, topics.CONDITIONS, conditions(temperature=300.0))  # refused, and counted
+    assert cost() == cold > 1.1 * mild
+    bench.pump(lambda: len(bench.heard[topics.FORECAST_STATUS]) > 0)
+    values = {
+        each.key: each.value for each in bench.heard[topics.FORECAST_STATUS][-1].status[0].values
+    }
+    assert values["conditions"] == "1.0"
+    bench.deliver(node, topics.CONDITIONS, conditions())
+    assert cost() == mild

@@ -5,7 +5,6 @@ another. Without either these tests are skipped.
 """
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 import importlib.util
 import json
@@ -78,11 +77,6 @@ class Ros2:
         while (said := self.run(*words).stdout).strip() == "Node not found":
             assert time.monotonic() < end, f"{words}: {said}"
         return said
-
-    def ask_together(self, *commands: tuple[object, ...]) -> list[str]:
-        """What each prints; they wait for discovery side by side."""
-        with ThreadPoolExecutor(len(commands)) as pool:
-            return list(pool.map(lambda words: self.ask(*words), commands))
 
     @contextmanager
     def running(self, *words: object) -> Iterator["Running"]:

@@ -284,21 +284,3 @@ def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
         assert bag.topics["/ev/power/smoothed"].count > 150
         speeds = [record.message for record in bag.records(["/ev/vehicle/speed"])]
     assert max(speed.twist.twist.linear.x for speed in speeds) > 5.0
-
-
-@pytest.mark.nightly
-def test_parameters_over_the_command_line(ros2, bench):
-    def speed(*value):
-        return ("param", "set", "/ev/energy", "nominal_speed", *value)
-
-    with ros2.running("run", "evpinn_ros", "energy", "--ros-args", "-r", "__ns:=/ev"):
-        bench.pump(lambda: bench.node.count_publishers("/ev/energy/state"), 60.0)
-        described, nan, far, good = ros2.ask_together(
-            ("param", "describe", "/ev/energy", "nominal_speed"),
-            speed(".nan"),
-            speed("1e9"),
-            speed("12.5"),
-        )
-        assert "Speed assumed for a plan" in described and "Max value: 100.0" in described
-        assert "failed" in nan and "failed" in far and "successful" in good
-        assert "nominal_speed: 12.5" in ros2.ask("param", "dump", "/ev/energy")
