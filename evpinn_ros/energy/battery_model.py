@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -187,9 +187,7 @@ class BatteryModel(Saveable[SavedBattery]):
         if charge.known and self.known:
             full = self._gauge.capacity
             left = np.interp(result.time, *self._path(result, charge.value))
-            base, slope = self._state[:2]
-            voltage = np.maximum(base + slope * (left - 0.5) + self._level, MIN_VOLTAGE)
-            own = result.sigma / (full.value * voltage)
+            own = result.sigma / (full.value * np.maximum(self._line(left), MIN_VOLTAGE))
         else:
             full = capacity
             left = charge.value - result.energy / full.value
@@ -218,9 +216,12 @@ class BatteryModel(Saveable[SavedBattery]):
         return slope, slope, slope, slope
 
     def _open_voltage(self, charge: float) -> float:
-        """U at a state of charge, with what the straight line lacks now, V."""
-        base, slope = map(float, self._state[:2])
-        return max(base + slope * (charge - 0.5) + self._level, MIN_VOLTAGE)
+        return max(float(self._line(charge)), MIN_VOLTAGE)
+
+    def _line(self, charge: Any) -> Any:
+        """U at states of charge, with what the straight line lacks now, V."""
+        base, slope = self._state[:2].tolist()
+        return base + slope * (charge - 0.5) + self._level
 
     def _resistance(self) -> float:
         return max(float(self._state[2]), 0.0)

@@ -225,8 +225,7 @@ class PowerModel:
         mean, covariance = like(car.mean, rows), like(self.covariance, rows)
         states = xp.moveaxis(rows, -1, 0)
         variance = xp.einsum("i...,i...->...", xp.tensordot(covariance, states, 1), states)
-        variance = variance + car.load_variance * rest
-        variance = variance + noise
+        variance = variance + car.load_variance * rest + noise
         variance = car.trust * (variance + car.growth * car.weight_over_eta**2 * unseen)
         variance = variance + (car.unevenness.share * uneven) ** 2  # which is judged by itself
         return rows @ mean, xp.sqrt(within(variance, 0.0, math.inf))
