@@ -150,8 +150,8 @@ class EnergyMeter(Saveable[SavedMeter]):
         self._measured = EnergyIntegral(MAX_GAP, saved.measured)
         self._predicted = EnergyIntegral(self._max_gap, saved.predicted)
         self._rknn, self._rknn_power = saved.rknn, math.nan
-        self._measured_error = CorrelatedError(start_sigma=saved.measured_sigma)
-        self._predicted_error = CorrelatedError(start_sigma=saved.predicted_sigma)
+        self._measured_error = CorrelatedError(saved.measured_sigma)
+        self._predicted_error = CorrelatedError(saved.predicted_sigma)
         self._newest_ns = 0
         self._dropout_since_ns: int | None = None
         self.last_dropout: Dropout | None = None

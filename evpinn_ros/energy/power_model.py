@@ -340,9 +340,9 @@ def _loaded(model: PowerModel, payload: float) -> PowerModel:
     return PowerModel(replace(car, mean=mean))
 
 
-def vehicle_model(vehicle: Vehicle, seed: int = 0) -> PowerModel:
+def vehicle_model(vehicle: Vehicle) -> PowerModel:
     """The car of a vehicle file, of which nothing was learned yet."""
-    return PowerModel(model_of_file(vehicle, seed))
+    return PowerModel(model_of_file(vehicle))
 
 
 def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicle) -> PowerModel:

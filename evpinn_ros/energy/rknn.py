@@ -23,7 +23,7 @@ where the midpoint is known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
 from pathlib import Path
@@ -107,7 +107,7 @@ class Subnetwork:
 class Rknn:
     """A trained Runge-Kutta network, evaluated with numpy."""
 
-    networks: tuple[Slope, Slope, Slope, Slope]
+    networks: tuple[Slope, ...]  # N1 to N4
 
     def step(self, power: Any, power_next: Any, dt: Any, power_mid: Any = None) -> Any:
         """Energy of one step, or of many independent ones, J.
@@ -152,17 +152,12 @@ class Rknn:
         return float(np.sum(self.step(power[begins], power[ends], end - start, middle)))
 
 
-def load_rknn(path: Path = SHIPPED_WEIGHTS) -> Rknn:
-    """The network of the weights that come with the package, or of others trained like them."""
-    with np.load(path, allow_pickle=False) as weights:
-        n1, n2, n3, n4 = (_subnetwork(weights, number) for number in (1, 2, 3, 4))
-    return Rknn((n1, n2, n3, n4))
-
-
-def _subnetwork(weights: Mapping[str, np.ndarray], number: int) -> Subnetwork:
-    return Subnetwork(
-        tuple(
-            (weights[f"n{number}_weight{layer}"], weights[f"n{number}_bias{layer}"])
-            for layer in range(len(HIDDEN) + 1)
-        )
-    )
+def load_rknn() -> Rknn:
+    """The network of the weights that come with the package."""
+    networks = []
+    with np.load(SHIPPED_WEIGHTS, allow_pickle=False) as weights:
+        for name in ("n1", "n2", "n3", "n4"):
+            layers = range(len(HIDDEN) + 1)
+            pairs = ((weights[f"{name}_weight{i}"], weights[f"{name}_bias{i}"]) for i in layers)
+            networks.append(Subnetwork(tuple(pairs)))
+    return Rknn(tuple(networks))

@@ -48,16 +48,8 @@ class CorrelatedError:
     NaN from there on: an integral with an unknown part is unknown.
     """
 
-    def __init__(
-        self, correlation_time: float = CORRELATION_TIME, start_sigma: float = 0.0
-    ) -> None:
-        """An error that starts afresh.
-
-        Args:
-            correlation_time: tau, s.
-            start_sigma: 1-sigma of the energy so far, J, unrelated to what comes.
-        """
-        self._tau = correlation_time
+    def __init__(self, start_sigma: float = 0.0) -> None:
+        """Start afresh; start_sigma: 1-sigma of the energy so far, J, unrelated to what comes."""
         self._covariance = 0.0
         self._variance = start_sigma**2
 
@@ -68,7 +60,7 @@ class CorrelatedError:
 
     def integrate(self, sigma: float, dt: float) -> None:
         """Integrate over dt, s, with a 1-sigma of power, W, constant in it."""
-        tau = self._tau
+        tau = CORRELATION_TIME
         forgotten = -math.expm1(-dt / tau)  # 1 - exp(-dt / tau)
         start = self._covariance * tau * forgotten
         own = sigma * tau * (dt - tau * forgotten)

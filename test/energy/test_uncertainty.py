@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.energy.uncertainty import (
+    CORRELATION_TIME,
     CorrelatedError,
     walked,
 )
@@ -17,22 +18,23 @@ def test_limits_of_the_model():
     assert long == pytest.approx(2 * 5.0 * 1e5, rel=1e-3)  # 2 tau t
 
 
-@given(st.lists(st.floats(0.01, 3.0), min_size=1, max_size=50), st.floats(0.1, 60.0))
-def test_step_by_step_equals_the_closed_form(steps, tau):
-    error = CorrelatedError(tau)
+@given(st.lists(st.floats(0.01, 30.0), min_size=1, max_size=50))
+def test_step_by_step_equals_the_closed_form(steps):
+    error = CorrelatedError()
     for dt in steps:
         error.integrate(250.0, dt)
-    assert error.sigma == pytest.approx(250.0 * math.sqrt(walked(sum(steps), tau)), rel=1e-6)
+    expected = 250.0 * math.sqrt(walked(sum(steps), CORRELATION_TIME))
+    assert error.sigma == pytest.approx(expected, rel=1e-6)
 
 
 def test_against_simulated_errors():
     random = np.random.default_rng(1)
-    tau, dt, count = 3.0, 0.1, 4000
+    tau, dt, count = CORRELATION_TIME, 0.1, 4000
     keep = math.exp(-dt / tau)
     sigma = np.where(np.arange(200) < 100, 500.0, 1500.0)
     u = random.normal(size=count)
     energy = np.zeros(count)
-    error = CorrelatedError(tau)
+    error = CorrelatedError()
     for now in sigma:
         after = keep * u + math.sqrt(1 - keep**2) * random.normal(size=count)
         energy += now * (u + after) / 2 * dt
@@ -50,7 +52,7 @@ def test_unknown_stays_unknown():
 
 
 def test_start_sigma_adds_as_an_independent_error():
-    error, fresh = CorrelatedError(5.0, start_sigma=300.0), CorrelatedError(5.0)
+    error, fresh = CorrelatedError(300.0), CorrelatedError()
     for each in (error, fresh):
         each.integrate(100.0, 2.0)
     assert error.sigma == pytest.approx(math.hypot(300.0, fresh.sigma))
