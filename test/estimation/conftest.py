@@ -1,6 +1,7 @@
 """Cars that are exactly what the model believes a car to be, so that errors are the learner's."""
 
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
 import math
@@ -161,6 +162,29 @@ def new_estimator(vehicle) -> Callable[..., OnlineEstimator]:
         return OnlineEstimator(vehicle, SETTINGS[mode](**settings), worker or InlineWorker(clock))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def taught(vehicle, drive) -> Callable[[float], OnlineEstimator]:
+    """A copy of an estimator that has seen so many seconds of the drive of seed 1."""
+    readings, kept = drive(1, 240.0).readings, {}
+
+    def up_to(seconds: float) -> OnlineEstimator:
+        if seconds not in kept:
+            earlier = max((each for each in kept if each < seconds), default=0.0)
+            fresh = OnlineEstimator(vehicle, SETTINGS[Mode.HYBRID](), InlineWorker(lambda: 0.0))
+            estimator = deepcopy(kept.get(earlier, fresh))
+            first, last = (
+                readings[0].stamp_ns + round(each * NANOSECONDS) for each in (earlier, seconds)
+            )
+            for reading in readings:
+                if first <= reading.stamp_ns < last:
+                    for _ in estimator.add_reading(reading):
+                        pass
+            kept[seconds] = estimator
+        return deepcopy(kept[seconds])
+
+    return up_to
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """Bands hold what they claim: by numbers drawn, and on simulated drives with the battery off."""
 
+from functools import reduce
 from itertools import pairwise
 import math
 
@@ -11,7 +12,7 @@ import pytest
 from benchmarks.truth import PROFILE
 from evpinn_ros.estimation.bands import CASES_KEPT, GROWTHS, Bands, PredictedEnergy, Spread
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.journey import NOWHERE
+from evpinn_ros.estimation.journey import Journey
 from evpinn_ros.estimation.posterior import passed
 from evpinn_ros.estimation.terms import Equation, equation_of
 from evpinn_ros.signals.interval import Interval
@@ -86,12 +87,15 @@ def intervals_of(readings, vehicle: Vehicle) -> list[Interval]:
 
 def errors(equation: Equation, states: list[LearnedCar], drive: list[Interval], count: int):
     """Errors in sigmas of dropouts of so many intervals that begin along a drive."""
+    journeys = [
+        passed(equation, one, car.state.seconds).journey
+        for one, car in zip(drive, states, strict=False)
+    ]
     for first in range(12, len(drive) - count, 3):
-        state, journey, drawn = states[first].state, NOWHERE, 0.0
-        for one in drive[first : first + count]:
-            journey = journey.plus(passed(equation, one, state.seconds + journey.seconds).journey)
-            drawn += one.energy
-        energy, sigma = state.model(equation).predicted(journey)
+        end = first + count
+        drawn = sum(one.energy for one in drive[first:end])
+        whole = reduce(Journey.plus, journeys[first:end])
+        energy, sigma = states[first].state.model(equation).predicted(whole)
         yield (drawn - energy) / sigma
 
 

@@ -61,7 +61,7 @@ class Replayed:
         return float(np.mean(np.abs(error) <= GAUSSIAN_90 * sigma))
 
 
-@pytest.fixture(scope="module", params=[1, 2])
+@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.nightly)])
 def simulated(request, drive):
     driven = drive(request.param, 240.0)
     return driven.truth, Replayed(driven.readings)

@@ -83,9 +83,9 @@ def test_parameters_come_once_a_second(new_estimator, play, cruise, at_start):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_the_same_readings_give_the_same_bits(new_estimator, play, drive, mode):
-    readings = up_to(drive(1, 240.0).readings, 25.0 if mode is Mode.HYBRID else 9.0)
+    readings = up_to(drive(1, 240.0).readings, 25.0 if mode is Mode.HYBRID else 5.0)
     first, second = (play(new_estimator(mode=mode), readings) for _ in range(2))
-    assert text(first) == text(second) and len(first) > 250
+    assert text(first) == text(second) and len(first) > 150
 
 
 @pytest.mark.torch
@@ -134,12 +134,15 @@ def test_no_prediction_knows_the_battery_of_its_moment_or_later(
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_without_a_battery_predictions_go_on(new_estimator, play, powers, drive, mode):
+def test_without_a_battery_predictions_go_on(new_estimator, taught, play, powers, drive, mode):
     """As long with as without; sigma at one and the same sample does not shrink meanwhile."""
     seconds = 40.0 if mode is Mode.HYBRID else 12.0
     readings = up_to(drive(1, 240.0).readings, 2 * seconds)
-    estimator = new_estimator(mode=mode)
-    play(estimator, up_to(readings, seconds))
+    if mode is Mode.HYBRID:
+        estimator = taught(seconds)
+    else:
+        estimator = new_estimator(mode=mode)
+        play(estimator, up_to(readings, seconds))
     assert estimator.status().activity is Activity.LEARNING
     updates = estimator.status().updates
     silent = [r for r in from_on(readings, seconds) if not isinstance(r, BatteryReading)]
@@ -159,12 +162,11 @@ def test_without_a_battery_predictions_go_on(new_estimator, play, powers, drive,
 @pytest.mark.slow
 @pytest.mark.parametrize("unlearned", ["stuck speed", "pause"])
 def test_energy_of_a_dropout_begins_where_the_battery_was_last_measured(
-    new_estimator, play, powers, drive, unlearned
+    taught, play, powers, drive, unlearned
 ):
     """Also where what was measured before it taught nothing; and it has no end."""
-    readings = list(up_to(drive(1, 240.0).readings, 230.0))
-    begin_ns, estimator = readings[0].stamp_ns, new_estimator()
-    play(estimator, up_to(readings, 40.0))
+    readings = list(up_to(drive(1, 240.0).readings, 170.0))
+    begin_ns, estimator = readings[0].stamp_ns, taught(40.0)
     estimator.enabled = unlearned != "pause"
     held = next(r.speed for r in from_on(readings, CUT) if isinstance(r, SpeedReading))
     before = [
@@ -190,10 +192,8 @@ def probe_sigma(estimator) -> float:
 
 
 @pytest.mark.slow
-def test_parameters_are_stale_after_five_minutes_of_silence(new_estimator, play, drive, cruise):
-    estimator = new_estimator()
-    readings = drive(1, 240.0).readings
-    play(estimator, up_to(readings, 230.0))
+def test_parameters_are_stale_after_five_minutes_of_silence(taught, play, drive, cruise):
+    estimator, readings = taught(230.0), drive(1, 240.0).readings
     assert estimator.parameters().identifiable_states["mass_over_eta"] is Trust.VALID
     eta = estimator.parameters().parameters["eta"].state
     begin = (readings[0].stamp_ns - cruise(0, 1)[0].stamp_ns) / NANOSECONDS + 230.0
@@ -236,7 +236,7 @@ def test_paused_it_predicts_and_does_not_learn(new_estimator, play, powers, driv
 
 
 def test_a_reset_forgets_what_was_learned_and_keeps_counters(new_estimator, play, drive):
-    readings = up_to(drive(1, 240.0).readings, 30.0)
+    readings = up_to(drive(1, 240.0).readings, 22.0)
     estimator, fresh = new_estimator(), new_estimator()
     first = play(estimator, readings)
     updates = estimator.status().updates
@@ -246,10 +246,8 @@ def test_a_reset_forgets_what_was_learned_and_keeps_counters(new_estimator, play
     assert estimator.status().updates == 2 * updates > 0
 
 
-def test_a_time_jump_keeps_what_was_learned(new_estimator, play, powers, drive):
-    readings = drive(1, 240.0).readings
-    estimator = new_estimator()
-    play(estimator, up_to(readings, 40.0))
+def test_a_time_jump_keeps_what_was_learned(taught, play, powers, drive):
+    readings, estimator = drive(1, 240.0).readings, taught(40.0)
     before = estimator.parameters().identifiable
     estimator.handle_time_jump()
     # All but p_aux: what is switched on may be something else now.

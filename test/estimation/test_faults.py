@@ -151,8 +151,8 @@ def test_battery_readings_within_the_allowed_lateness_change_nothing(new_estimat
 @pytest.mark.slow
 def test_a_heavier_car_has_the_ratio_of_its_mass(vehicle):
     """One drive with a tenth more in the car: m/eta tells the ratio, whatever eta is."""
-    first = simulate(DriveKind.URBAN, vehicle, 900.0, 5, car={"mass": 1750.0})
-    heavier = simulate(DriveKind.URBAN, vehicle, 900.0, 5, car={"mass": 1925.0})
+    first = simulate(DriveKind.URBAN, vehicle, 600.0, 5, car={"mass": 1750.0})
+    heavier = simulate(DriveKind.URBAN, vehicle, 600.0, 5, car={"mass": 1925.0})
     found = []
     for driven in (first, heavier):
         chain = CarChain(vehicle)

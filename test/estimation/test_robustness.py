@@ -74,7 +74,7 @@ def rides(draw):
 
 @given(readings=rides())
 @settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @pytest.mark.slow
 def test_hybrid_takes_anything(new_estimator, readings):
@@ -85,10 +85,9 @@ def test_hybrid_takes_anything(new_estimator, readings):
     estimator.export()
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.torch
-def test_paper_takes_a_drive_full_of_nonsense(new_estimator, drive, seed):
-    rng = np.random.default_rng(seed)
+def test_paper_takes_a_drive_full_of_nonsense(new_estimator, drive):
+    rng = np.random.default_rng(0)
     readings = list(drive(1, 240.0).readings[: 20 * 30])
     for _ in range(60):
         stamp = readings[0].stamp_ns + int(rng.integers(0, 30)) * NANOSECONDS

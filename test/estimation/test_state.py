@@ -19,17 +19,19 @@ from evpinn_ros.paper.settings import SETTINGS
 from evpinn_ros.signals.readings import NANOSECONDS
 
 MODES = [Mode.HYBRID, pytest.param(Mode.PAPER, marks=pytest.mark.torch)]
-LEARNED_FOR = 25  # s
+LEARNED_FOR = 15  # s
 
 
 @pytest.fixture(scope="module")
-def learned(drive, new_of):
+def learned(drive, taught, new_of):
     """An estimator of a mode after LEARNED_FOR seconds."""
     readings = drive(1, 240.0).readings
     cut = readings[0].stamp_ns + LEARNED_FOR * NANOSECONDS
 
     @cache
     def of(mode: Mode) -> OnlineEstimator:
+        if mode is Mode.HYBRID:
+            return taught(LEARNED_FOR)
         estimator = new_of(mode)
         for reading in readings:
             if reading.stamp_ns < cut:
@@ -52,7 +54,7 @@ def test_a_round_trip_through_a_file_is_exact(learned, new_estimator, tmp_path, 
 
 
 @pytest.mark.slow
-def test_a_restart_goes_on_within_a_fifth_of_sigma(new_estimator, play, drive):
+def test_a_restart_goes_on_within_a_fifth_of_sigma(taught, new_estimator, play, drive):
     """Six seconds later, beside one that was never stopped.
 
     Not bit for bit: the interval under way is not saved. In paper mode nothing but the window is
@@ -61,8 +63,7 @@ def test_a_restart_goes_on_within_a_fifth_of_sigma(new_estimator, play, drive):
     readings = drive(1, 240.0).readings
     begin = readings[0].stamp_ns + 200 * NANOSECONDS
     later = [r for r in readings if begin <= r.stamp_ns < begin + 6 * NANOSECONDS]
-    on, stopped, again = (new_estimator() for _ in range(3))
-    play(on, [r for r in readings if r.stamp_ns < begin])
+    on, stopped, again = taught(200.0), new_estimator(), new_estimator()
     for estimator in (stopped, again):
         estimator.restore(json.loads(json.dumps(on.export())))
     for estimator in (on, stopped, again):
@@ -141,7 +142,7 @@ def paths(value, prefix=()) -> list[tuple]:
 
 
 @given(st.data())
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=40, deadline=None)
 @pytest.mark.slow
 def test_whatever_a_state_holds(learned, new_of, drive, data):
     """One place of a good state is spoilt: refused as a whole, or good for finite predictions."""
@@ -156,7 +157,7 @@ def test_whatever_a_state_holds(learned, new_of, drive, data):
         estimator.restore(state)
     except ValueError:
         return
-    readings = drive(1, 240.0).readings[1200:1240]
+    readings = drive(1, 240.0).readings[1200:1220]
     for reading in readings:
         for output in estimator.add_reading(reading):
             if hasattr(output, "power"):
@@ -234,14 +235,14 @@ def test_a_file_that_is_no_state(tmp_path, content, reason):
 
 @pytest.mark.slow
 def test_the_largest_state_takes_no_200_mb(tmp_path):
-    """JSON of empty lists becomes thirty times as large: 20 MB took 594 MB."""
+    """JSON of empty lists becomes thirty times as large: 20 MB took 594 MB. Here a quarter."""
     path = tmp_path / "state.json"
-    path.write_text('{"a":[' + "[]," * ((MAX_FILE_BYTES - 10) // 3) + "[]]}")
+    path.write_text('{"a":[' + "[]," * ((MAX_FILE_BYTES // 4 - 10) // 3) + "[]]}")
     tracemalloc.start()
     read_state(path)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert most < 200e6
+    assert most < 200e6 / 4
 
 
 def test_a_place_that_is_no_file(tmp_path):
