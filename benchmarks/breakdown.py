@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.truth import INTERVAL, PROFILE, CarChain, simulated_drives
 from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.estimation.breakdown import DISTANCE, Breakdown
+from evpinn_ros.estimation.breakdown import DIFFERENCE_METRES, Breakdown
 from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.terms import WHOLE, Equation, Part
@@ -151,7 +151,7 @@ def difference_checks(
         difference = found.difference(1, 0)
         for part in Part:
             base, other = (
-                truth[part.name.lower()] / whole.distance * DISTANCE / JOULES_PER_KWH
+                truth[part.name.lower()] / whole.distance * DIFFERENCE_METRES / JOULES_PER_KWH
                 for truth, whole in zip(truths, found.drives, strict=True)
             )
             amount = difference.of(part)
@@ -164,7 +164,7 @@ def difference_checks(
                 kwh=amount.kwh,
                 sigma_kwh=amount.sigma_kwh,
                 true_kwh=other - base,
-                total_kwh=total * DISTANCE / JOULES_PER_KWH,
+                total_kwh=total * DIFFERENCE_METRES / JOULES_PER_KWH,
             )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,8 @@ MOST_DEVIATE_HILLS = 3.0  # the same, when hills are judged
 # err by more than their sigmas say, simulated ones by less.
 PRIOR_CASES, PRIOR_SCALE = 4.0, 1.5
 CASES_KEPT = 40.0  # remembered
-LEAST_KNOWN = 10e3  # m of known heights, before `Hills` says anything
-HILLS_MEMORY = 300e3  # m within which what was driven before is forgotten to a third
+LEAST_HEIGHTS_METRES = 10e3  # m of known heights, before `Hills` says anything
+HILLS_MEMORY_METRES = 300e3  # m within which what was driven before is forgotten to a third
 
 
 class PredictedEnergy(NamedTuple):
@@ -39,6 +39,10 @@ class PredictedEnergy(NamedTuple):
     mean: float
     variance: float
     hills: float
+
+    def with_hills(self, growth: Any) -> Any:
+        """Variance with unseen hills of this size, m^2 per m, J^2."""
+        return self.variance + growth * self.hills
 
 
 class Spread(NamedTuple):
@@ -91,7 +95,7 @@ class Bands:
 
     def after_drive(self, energy: PredictedEnergy, drawn: float) -> Bands:
         """With one more drive, predicted whole, that drew so many J."""
-        sigma = math.sqrt(energy.variance + self.growth * energy.hills)
+        sigma = math.sqrt(energy.with_hills(self.growth))
         return replace(self, drive=self.drive.after((drawn - energy.mean) / sigma))
 
     def after_dropout(self, energy: PredictedEnergy, drawn: float, *, long: bool) -> Bands:
@@ -99,11 +103,11 @@ class Bands:
         error = drawn - energy.mean
         bands = self
         if long:
-            sigma = math.sqrt(energy.variance + self.growth * energy.hills)
+            sigma = math.sqrt(energy.with_hills(self.growth))
             bands = replace(self, dropout=self.dropout.after(error / sigma))
         if energy.hills == 0.0:
             return bands
-        variance = energy.variance + GROWTHS * energy.hills
+        variance = energy.with_hills(GROWTHS)
         square = np.minimum(error**2 / variance, MOST_DEVIATE_HILLS**2)
         odds = HILLS_KEPT * np.array(self.hills) - 0.5 * (square + np.log(variance))
         return replace(bands, hills=tuple((odds - odds.max()).tolist()))
@@ -128,7 +132,7 @@ class Hills:
     @property
     def growth(self) -> float:
         """Variance of height per length of road, m; 0 while unknown."""
-        return self.squares / self.metres if self.metres >= LEAST_KNOWN else 0.0
+        return self.squares / self.metres if self.metres >= LEAST_HEIGHTS_METRES else 0.0
 
     def plus(self, way: float, climb: float) -> Hills:
         """With more of this drive, m, whose height was known."""
@@ -136,6 +140,6 @@ class Hills:
 
     def next_drive(self) -> Hills:
         """At the start of another drive."""
-        kept = math.exp(-self.way / HILLS_MEMORY)
+        kept = math.exp(-self.way / HILLS_MEMORY_METRES)
         squares, metres = kept * self.squares + self.climb**2, kept * self.metres + self.way
         return Hills(min(squares, MOST_SUM), min(metres, MOST_SUM))

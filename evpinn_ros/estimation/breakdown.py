@@ -35,7 +35,7 @@ OWN += [State.CLIMBED, State.CLIMB]  # states that are of a drive alone
 # whole drive it counts at both ends.
 HEIGHT_STRAYS = 0.5  # m, 1-sigma
 REGAINED_SHARE = 0.015  # of it, 1-sigma: a step of half a second may hold driving and braking
-DISTANCE = 1e5  # m that a difference of drives is of
+DIFFERENCE_METRES = 1e5  # m that a difference of drives is of
 EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
 STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
 # Where no height is known, the net climb of a drive is as unknown as roads make it: so many m,
@@ -51,8 +51,8 @@ MOSTLY_UNSEEN = 0.5  # of the way without heights, from here on worth saying
 # has air, the part that grows with speed most, account for it.
 MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
 TOGETHER = 0.5  # a sum this much surer than its less sure part is known, its parts are not
-LEAST_DISTANCE = 100.0  # m; over less no consumption is known
-LEAST_SHARE = 0.02  # of what went in and out: a part less unsure than that is known well enough
+CONSUMPTION_METRES = 100.0  # m; over less no consumption is known
+KNOWN_SHARE = 0.02  # of what went in and out: a part less unsure than that is known well enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class Breakdown(Totals):
 
     def together(self) -> list[tuple[Part, ...]]:
         """Groups of parts that the data do not tell apart: their sum is much surer than they."""
-        scale = LEAST_SHARE * float(np.abs(self.energy[WHOLE]).sum())
+        scale = KNOWN_SHARE * float(np.abs(self.energy[WHOLE]).sum())
         groups: list[tuple[Part, ...]] = [(part,) for part in list(Part)[WHOLE]]
         while True:
             unsure = [group for group in groups if self._sigma(group) > scale]
@@ -138,12 +138,12 @@ class Breakdown(Totals):
         return math.sqrt(max(0.0, self._variance(group)))
 
     def _amount(self, energy: float, variance: float) -> Amount:
-        known = self.distance >= LEAST_DISTANCE
+        known = self.distance >= CONSUMPTION_METRES
         kwh = energy / JOULES_PER_KWH
         return Amount(
             kwh=kwh,
             sigma_kwh=math.sqrt(max(0.0, variance)) / JOULES_PER_KWH,
-            kwh_per_100km=kwh / self.distance * 1e5 if known else None,
+            kwh_per_100km=kwh / self.distance * DIFFERENCE_METRES if known else None,
             share=energy / self.measured if self.measured > 0.0 else None,
         )
 
@@ -175,11 +175,11 @@ class Breakdowns:
 
         What is not known of the car is the same in both, and mostly gone from the difference. What
         stays is that its efficiency is a map: the more the power of the drives differs, the more.
-        Both must be longer than `LEAST_DISTANCE`.
+        Both must be longer than `CONSUMPTION_METRES`.
         """
         pair = [drive, base]
         more, less = (self.drives[each] for each in pair)
-        scale = np.array([DISTANCE / more.distance, -DISTANCE / less.distance])
+        scale = np.array([DIFFERENCE_METRES / more.distance, -DIFFERENCE_METRES / less.distance])
         covariance = np.einsum("a,aibj,b->ij", scale, self.covariance[pair][:, :, pair], scale)
         drawn = [self.drives[each].measured + self.energy[each, Part.REGAINED] for each in pair]
         lasted = more.seconds, less.seconds
@@ -191,8 +191,8 @@ class Breakdowns:
             covariance=covariance,
             measured=float(scale @ [more.measured, less.measured]),
             measured_variance=float(scale**2 @ [more.measured_variance, less.measured_variance]),
-            distance=DISTANCE,
-            unseen=DISTANCE * max(each.unseen / each.distance for each in (more, less)),
+            distance=DIFFERENCE_METRES,
+            unseen=DIFFERENCE_METRES * max(each.unseen / each.distance for each in (more, less)),
             noise=float(scale**2 @ [more.noise, less.noise]),
         )
 

@@ -1,7 +1,6 @@
 """Bands that cover what they claim: sigma is scaled by how errors really spread.
 
-Of a few cases (`Chance`) by their root mean square. Of power by adaptive conformal scaling: the
-sigma of a model is only as true as the model. Here the ratio of error to sigma that 90 % of
+The sigma of a model is only as true as the model. Here the ratio of error to sigma that 90 % of
 the samples stay under is followed online (Gibbs and Candes, 2021, adaptive conformal inference,
 on a logarithmic scale), and sigma is scaled so that +-1.645 sigma covers 90 %.
 """
@@ -9,7 +8,6 @@ on a logarithmic scale), and sigma is scaled so that +-1.645 sigma covers 90 %.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 import math
 from typing import Annotated, NamedTuple
 
@@ -22,28 +20,7 @@ GAUSSIAN_QUANTILE = 1.6449  # of |z| at COVERAGE
 RATE = 0.02  # of the logarithm: up by 0.9 of it after a miss, down by 0.1 of it otherwise
 RATIO_RANGE = (0.05, 20.0)
 RECENT = 600  # samples over which coverage is reported, a minute at 10 Hz
-KEPT = 40.0  # cases that `Chance` is learned from
-PRIOR_CASES = 8.0  # that its prior, true sigmas, weighs
 MOST_SUM = 1e15  # of squares and products over a car's life
-
-
-@dataclass(frozen=True, slots=True)
-class Chance:
-    """Scatter of normalised errors: `count` cases seen, sum of `squares` of sigmas."""
-
-    count: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
-    squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
-
-    def after(self, deviate: float) -> Chance:
-        """With one more case: how far it strayed over its 1-sigma."""
-        keep = min(1.0, (KEPT - 1.0) / max(self.count, 1.0))
-        return Chance(keep * self.count + 1.0, keep * self.squares + deviate**2)
-
-    @property
-    def scale(self) -> float:
-        """By which sigmas are too small, at least 1."""
-        mean = (PRIOR_CASES + self.squares) / (PRIOR_CASES + self.count)
-        return math.sqrt(max(1.0, mean))
 
 
 class SavedBand(NamedTuple):

@@ -66,5 +66,5 @@ class CarModel:
     def predicted(self, journey: Journey) -> tuple[float, float]:
         """Energy of a journey from here on, J, and its 1-sigma, J, as far as to be trusted."""
         energy = self.energy(journey)
-        variance = self.trust * (energy.variance + self.growth * energy.hills)
+        variance = self.trust * energy.with_hills(self.growth)
         return energy.mean, math.sqrt(max(variance, 0.0))

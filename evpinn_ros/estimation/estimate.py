@@ -36,7 +36,7 @@ class ParameterEstimate:
         prior_share: 0 when all from data, 1 when all from the prior.
         lower: bound from the combinations and eta, mu <= 1, or the limit of the parameter.
         upper: the same.
-        state: how far to trust it.
+        trust: how far to trust it.
         progress: percent of the way to a combination that the data determine.
         possible: False where the value cannot be trusted however much was learned: no car has
             such a one, or the heights are unknown that it needs.
@@ -47,7 +47,7 @@ class ParameterEstimate:
     prior_share: float
     lower: float
     upper: float
-    state: Trust
+    trust: Trust
     progress: float = 0.0
     possible: bool = True
 
@@ -62,7 +62,7 @@ class ParameterSet:
         identifiable: what the data alone determine.
         identifiable_std: its 1-sigma.
         reliable: whether every validity check is passed.
-        identifiable_states: how far each combination can be trusted.
+        identifiable_trust: how far each combination can be trusted.
     """
 
     stamp_ns: int
@@ -70,20 +70,20 @@ class ParameterSet:
     identifiable: Identifiable
     identifiable_std: Identifiable
     reliable: bool
-    identifiable_states: Mapping[str, Trust] = field(default_factory=dict)
+    identifiable_trust: Mapping[str, Trust] = field(default_factory=dict)
 
     def stale(self) -> ParameterSet:
         """Parameters whose trust says that nothing was measured for long."""
-        states = {Trust.VALID: Trust.STALE}
+        fades = {Trust.VALID: Trust.STALE}
         return replace(
             self,
             parameters={
-                name: replace(p, state=states.get(p.state, p.state))
+                name: replace(p, trust=fades.get(p.trust, p.trust))
                 for name, p in self.parameters.items()
             },
             reliable=False,
-            identifiable_states={
-                name: states.get(state, state) for name, state in self.identifiable_states.items()
+            identifiable_trust={
+                name: fades.get(trust, trust) for name, trust in self.identifiable_trust.items()
             },
         )
 

@@ -99,7 +99,7 @@ class EstimatorStatus:
         durations: seconds that each of the latest updates took (`worker.DURATIONS_KEPT`).
         report: changes of payload and suspicions.
         progress: percent learned of each parameter.
-        states: trustworthiness of each parameter.
+        trust: of each parameter.
         seen: samples learned from, by speed and acceleration.
         band_coverage: share of recent samples inside the 90 % band, by kind of prediction.
         newest_ns: stamp of the newest speed, None before the first.
@@ -118,7 +118,7 @@ class EstimatorStatus:
     unknown: tuple[str, ...] = ()
     report: LearnerReport = field(default_factory=LearnerReport)
     progress: Mapping[str, float] = field(default_factory=dict)
-    states: Mapping[str, Trust] = field(default_factory=dict)
+    trust: Mapping[str, Trust] = field(default_factory=dict)
     seen: Mapping[str, int] = field(default_factory=dict)
     band_coverage: Mapping[str, float] = field(default_factory=dict)
     stuck: str | None = None
@@ -263,7 +263,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             unknown=self._stream.unknown,
             report=self.detections(),
             progress={name: p.progress for name, p in parameters.items()},
-            states={name: p.state for name, p in parameters.items()},
+            trust={name: p.trust for name, p in parameters.items()},
             seen=self._seen.counts(),
             band_coverage={kind.value: band.coverage for kind, band in self._bands.items()},
             stuck=self._stuck.detected,
@@ -338,7 +338,10 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             self._collect()
         if self._news and not self._waiting and self._activity() is not Activity.PAUSED:
             self._news = False
-            self._begin_update()
+            if (work := self._learner.prepare_update()) is not None:
+                self._updates += 1
+                self._waiting = True
+                self._worker.submit(work)
         yield replace(self._parameters(), stamp_ns=stamp_ns)
 
     def _collect(self) -> None:
@@ -358,13 +361,6 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             self._accepted += 1
         else:
             self._rejected[reason] += 1
-
-    def _begin_update(self) -> None:
-        work = self._learner.prepare_update()
-        if work is not None:
-            self._updates += 1
-            self._waiting = True
-            self._worker.submit(work)
 
     def _silent_for(self, duration_ns: int) -> bool:
         """True if the battery has dropped out for this long, by stamps."""

@@ -1,4 +1,4 @@
-"""From the posterior to what is published: values, bounds, shares and states."""
+"""From the posterior to what is published: values, bounds, shares and trust."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ RESTS_ON = {
 }
 BOUND_SIGMAS = 2.0
 INTERVAL = (0.025, 0.975)  # of the posterior of what cannot exceed 1
-STAYS_BELOW = 1.6  # times the limit of a share, until which a state that holds goes on holding
+STAYS_BELOW = 1.6  # times the limit of a share, until which trust that holds goes on holding
 TYRES = Limits(0.004, 0.02)  # C_rr of tyres on roads
 # Values that cars have; outside a parameter is never valid.
 POSSIBLE = {"c_rr": TYRES, "c_d": Limits(0.15, 1.0), "eta": Limits(0.0, 0.995)}
@@ -82,7 +82,7 @@ def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
             prior_share=share,
             lower=bounds.lower,
             upper=bounds.upper,
-            state=_state(rests, share, possible=possible),
+            trust=_trust(rests, share, possible=possible),
             progress=_progress(rests),
             possible=possible,
         )
@@ -93,7 +93,7 @@ def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
         Identifiable(*(combined[name].value for name in IDENTIFIABLE_NAMES)),
         Identifiable(*(combined[name].std for name in IDENTIFIABLE_NAMES)),
         reliable,
-        {name: _combination_state(one) for name, one in combined.items()},
+        {name: _trust(one.share, 0.0, possible=True) for name, one in combined.items()},
     )
 
 
@@ -110,17 +110,17 @@ def identifiable_shares(source: Published) -> Identifiable:
     return Identifiable(*(combined[name].share for name in IDENTIFIABLE_NAMES))
 
 
-class StateHysteresis:
-    """Hysteresis of states: one that holds goes on holding a little beyond where it began."""
+class TrustHysteresis:
+    """Hysteresis of trust: one that holds goes on holding a little beyond where it began."""
 
     def __init__(self) -> None:
         """Nothing judged yet."""
-        self._states: dict[str, Trust] = {}
+        self._trust: dict[str, Trust] = {}
 
     def judge(
         self, found: ParameterSet, away: Mapping[str, float], *, suspected: bool
     ) -> ParameterSet:
-        """The set with states that have hysteresis.
+        """The set with trust that has hysteresis.
 
         Args:
             found: as made by `parameter_set`.
@@ -128,32 +128,32 @@ class StateHysteresis:
             suspected: whether the signals contradict each other.
         """
         parameters = {
-            name: replace(p, state=self._next(name, p, away[name], suspected))
+            name: replace(p, trust=self._next(name, p, away[name], suspected))
             for name, p in found.parameters.items()
         }
-        self._states = {name: p.state for name, p in parameters.items()}
-        wrong = Trust.INVALID in self._states.values()
-        combined = found.identifiable_states
+        self._trust = {name: p.trust for name, p in parameters.items()}
+        wrong = Trust.INVALID in self._trust.values()
+        combined = found.identifiable_trust
         if suspected:
             combined = dict.fromkeys(combined, Trust.INVALID)
         return replace(
             found,
             parameters=parameters,
             reliable=found.reliable and not wrong,
-            identifiable_states=combined,
+            identifiable_trust=combined,
         )
 
     def _next(self, name: str, now: ParameterEstimate, away: float, suspected: bool) -> Trust:
-        before = self._states.get(name)
+        before = self._trust.get(name)
         if suspected or FAR_FROM_PRIOR.judge(before is Trust.INVALID, abs(away)):
             return Trust.INVALID
         stays = now.progress >= _progress(VALID_BELOW * STAYS_BELOW)
         stays = stays and now.prior_share <= OWN_VALID_BELOW * 1.1 and now.possible
         if before is Trust.VALID and stays:
             return Trust.VALID
-        if now.state is Trust.UNESTIMATED and before in (Trust.VALID, Trust.ESTIMATING):
+        if now.trust is Trust.UNESTIMATED and before in (Trust.VALID, Trust.ESTIMATING):
             return Trust.ESTIMATING if now.progress > 0.0 else Trust.UNESTIMATED
-        return now.state
+        return now.trust
 
 
 def _combined(source: Published) -> dict[str, _Combined]:
@@ -222,17 +222,11 @@ def _bounds(name: str, limits: Limits, combined: Mapping[str, _Combined], area: 
     return Limits(*(float(end) for end in np.clip(ends, *limits)))
 
 
-def _state(combined_share: float, own_share: float, *, possible: bool) -> Trust:
+def _trust(combined_share: float, own_share: float, *, possible: bool) -> Trust:
     if combined_share > ESTIMATING_BELOW or own_share > UNOBSERVABLE_ABOVE:
         return Trust.UNESTIMATED
     valid = combined_share < VALID_BELOW and own_share <= OWN_VALID_BELOW
     return Trust.VALID if valid and possible else Trust.ESTIMATING
-
-
-def _combination_state(one: _Combined) -> Trust:
-    if one.share > ESTIMATING_BELOW:
-        return Trust.UNESTIMATED
-    return Trust.VALID if one.share < VALID_BELOW else Trust.ESTIMATING
 
 
 def _possible(name: str, value: float, *, hills_seen: bool) -> bool:

@@ -8,7 +8,7 @@ driving its m/eta rests on what came after the stop alone. Once it differs from 
 stop by more than chance and by more than `LEAST_CHANGE`, this state becomes the car's.
 
 What chance does is learned from the stops at which nothing changed: their changes over their
-sigmas have a root mean square (`calibration.Chance`). A car whose stops are not known yet is given
+sigmas have a root mean square (`Chance`). A car whose stops are not known yet is given
 no change. The limit is far out because there are 5000 stops in 100 hours.
 
 A change is reported as soon as it is certain that there is one, and sharpened for `MOST_MOTION`
@@ -27,7 +27,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.estimation.calibration import Chance
+from evpinn_ros.estimation.calibration import MOST_SUM
 from evpinn_ros.estimation.posterior import OUTLIER, CarState, Learned, PassedInterval, learn
 from evpinn_ros.estimation.published import Driven, mass_over_eta
 from evpinn_ros.estimation.states import State
@@ -44,8 +44,29 @@ LEAST_STOPS = 3.0  # without a change, before one is reported
 FORKS = 4  # stops on trial at once, the likeliest
 PROBATION = 600.0  # s of motion in which a change may be withdrawn
 MOST_MASS = 1e6  # kg
+CHANCE_KEPT = 40.0  # stops that `Chance` is learned from
+PRIOR_STOPS = 8.0  # that its prior, true sigmas, weighs
 Stamp: TypeAlias = Annotated[int, Range(0, 2**62)]  # ns; to the year 2116
 Share: TypeAlias = Annotated[float, Range(0.0, 20.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class Chance:
+    """Scatter of normalised errors: `count` cases seen, sum of `squares` of sigmas."""
+
+    count: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+
+    def after(self, deviate: float) -> Chance:
+        """With one more case: how far it strayed over its 1-sigma."""
+        keep = min(1.0, (CHANCE_KEPT - 1.0) / max(self.count, 1.0))
+        return Chance(keep * self.count + 1.0, keep * self.squares + deviate**2)
+
+    @property
+    def scale(self) -> float:
+        """By which sigmas are too small, at least 1."""
+        mean = (PRIOR_STOPS + self.squares) / (PRIOR_STOPS + self.count)
+        return math.sqrt(max(1.0, mean))
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,18 +26,30 @@ from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.car_model import CarModel
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.estimation.evidence import Evidence
-from evpinn_ros.estimation.journey import FORCE_NOISE, POWER_NOISE, Journey, wandered
+from evpinn_ros.estimation.journey import (
+    FORCE_NOISE,
+    MAX_STEP,
+    POWER_NOISE,
+    Journey,
+    Tail,
+    wandered,
+)
 from evpinn_ros.estimation.learner import LearnerReport, PowerPrediction, gate
-from evpinn_ros.estimation.parameter_set import StateHysteresis, deviations, parameter_set
+from evpinn_ros.estimation.parameter_set import TrustHysteresis, deviations, parameter_set
 from evpinn_ros.estimation.payload import PayloadDetector, SavedPayload, Stamp
 from evpinn_ros.estimation.published import Driven, evidence_of, published
 from evpinn_ros.estimation.rehearsal import Rehearsal, Rehearsals
-from evpinn_ros.estimation.saved_car import SavedState, saved_state, state_of
+from evpinn_ros.estimation.saved_car import (
+    SavedState,
+    SavedUnevenness,
+    saved_state,
+    saved_unevenness,
+    state_of,
+    unevenness_of,
+)
 from evpinn_ros.estimation.states import State
-from evpinn_ros.estimation.tail import MAX_STEP, Tail
 from evpinn_ros.estimation.terms import Warmth, equation_of
-from evpinn_ros.estimation.trim import MOST_EVIDENCE, Persistence, Trim
-from evpinn_ros.estimation.unevenness import SavedUnevenness, saved_unevenness, unevenness_of
+from evpinn_ros.estimation.trim import MOST_TRIM_EVIDENCE, Persistence, Trim
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
@@ -60,7 +72,7 @@ class SavedPinn:
     payload: SavedPayload
     grade: GradeDetector
     current_suspicion: SignDetector
-    trim: Annotated[float, Range(-MOST_EVIDENCE, MOST_EVIDENCE)]
+    trim: Annotated[float, Range(-MOST_TRIM_EVIDENCE, MOST_TRIM_EVIDENCE)]
     seen_ns: Stamp | None
     persistence: Persistence
     hills: Annotated[Hills | None, ADDED] = None
@@ -75,7 +87,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._equation = equation_of(vehicle, seed)
         self._trim = Trim(seed)
         self._sign = SignDetector()
-        self._states = StateHysteresis()
+        self._trust = TrustHysteresis()
         self._waiting: list[Interval] = []
         self._last_ns: int | None = None  # of what was learned from
         self._seen_ns: int | None = None  # of what was predicted
@@ -171,7 +183,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """Present estimate of the parameters, in the sense of eq. 12-21."""
         found = published(self._car.state, self._equation, self._car.driven)
         now = parameter_set(self._last_ns or 0, found)
-        return self._states.judge(now, deviations(found), suspected=bool(self._sign.detected))
+        return self._trust.judge(now, deviations(found), suspected=bool(self._sign.detected))
 
     def breakdowns(self) -> Breakdowns | None:
         """Energy of this drive, and of those kept before it, by where it went."""

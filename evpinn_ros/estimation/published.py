@@ -157,7 +157,10 @@ def published(state: CarState, equation: Equation, driven: Driven) -> Published:
     celsius = None if driven.load_known else state.celsius
     now = _pushed(state.mixture(), equation, driven, celsius)
     before = _pushed(_prior(state, equation), equation, driven, celsius)
-    now = _trusted(now, before, state.bands.dropout.seen)
+    # On real roads errors of neighbouring intervals are alike, which rehearsed dropouts show.
+    most = np.diag(before.covariance) / np.diag(now.covariance)
+    grow = np.sqrt(np.clip(most, 1.0, max(1.0, state.bands.dropout.seen)))
+    now = now._replace(covariance=now.covariance * np.outer(grow, grow))
     for index, std in enumerate(MAP_STD):
         now.covariance[index, index] += std**2
     share = driven.unseen or 0.0
@@ -166,17 +169,6 @@ def published(state: CarState, equation: Equation, driven: Driven) -> Published:
         own, widest = (float(each.covariance[index, index]) for each in (now, before))
         now.covariance[index, index] = max(own, min(own + std**2, widest))
     return Published(now, before, equation.vehicle.frontal_area, hills_seen=share <= MOSTLY_UNSEEN)
-
-
-def _trusted(now: Gaussian, before: Gaussian, scale: float) -> Gaussian:
-    """The parameters with sigmas that grow by `scale` of variance, up to those before driving.
-
-    On real roads errors of neighbouring intervals are alike, which the posterior does not know and
-    rehearsed dropouts show.
-    """
-    most = np.diag(before.covariance) / np.diag(now.covariance)
-    grow = np.sqrt(np.clip(most, 1.0, max(1.0, scale)))
-    return now._replace(covariance=now.covariance * np.outer(grow, grow))
 
 
 def _prior(state: CarState, equation: Equation) -> Gaussian:

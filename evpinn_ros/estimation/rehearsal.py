@@ -20,9 +20,9 @@ from evpinn_ros.estimation.posterior import CarState
 from evpinn_ros.estimation.terms import Equation
 
 LENGTHS = (60.0, 200.0)  # s of a rehearsed dropout; the longer ones scale the band
-LEAST_WAY = 2.5  # m for each second of it; a car that stands proves nothing
-LEAST_SHARE = 0.25  # of its nominal speed, which is less for a robot
-LEAST_DRIVE = 500.0  # m of a whole drive that is compared
+LEAST_SPEED = 2.5  # m/s in the mean of a dropout; a car that stands proves nothing
+LEAST_SPEED_SHARE = 0.25  # of the nominal speed, which is less for a robot
+LEAST_DRIVE_METRES = 500.0  # of a whole drive that is compared
 
 
 class Rehearsal(NamedTuple):
@@ -56,12 +56,12 @@ class Rehearsals:
     ) -> tuple[Rehearsals, Bands]:
         """Take a measured interval of `way` m and `drawn` J, with the car as it was before it."""
         running, bands = {}, state.bands
-        least_way = np.fmin(LEAST_WAY, LEAST_SHARE * equation.vehicle.nominal_speed)
+        least_speed = np.fmin(LEAST_SPEED, LEAST_SPEED_SHARE * equation.vehicle.nominal_speed)
         for length in LENGTHS:
             rehearsal = self.dropouts.get(length, Rehearsal(state)).plus(journey, way, drawn)
             if rehearsal.journey.seconds < length:
                 running[length] = rehearsal
-            elif rehearsal.way >= least_way * length:
+            elif rehearsal.way >= least_speed * length:
                 energy, long = rehearsal.predicted(equation), length == max(LENGTHS)
                 bands = bands.after_dropout(energy, rehearsal.drawn, long=long)
         return Rehearsals(self.drive.plus(journey, way, drawn), running), bands
@@ -69,6 +69,6 @@ class Rehearsals:
     def end_drive(self, bands: Bands, equation: Equation) -> Bands:
         """The bands with the drive that was, unless it is the first: nothing was known of it."""
         drive = self.drive
-        if drive.state.intervals or drive.way < LEAST_DRIVE or not drive.state.known:
+        if drive.state.intervals or drive.way < LEAST_DRIVE_METRES or not drive.state.known:
             return bands
         return bands.after_drive(drive.predicted(equation), drive.drawn)

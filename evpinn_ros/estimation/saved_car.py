@@ -1,4 +1,4 @@
-"""A state of a car as it is saved: with names of its states, so that a new one voids no file."""
+"""A car as it is saved: with names of its states, so that a new one voids no file."""
 
 from __future__ import annotations
 
@@ -18,8 +18,16 @@ from evpinn_ros.estimation.posterior import (
     CarState,
     initial_state,
 )
-from evpinn_ros.estimation.states import LASTING, NAMES, OFFSETS, known_names
+from evpinn_ros.estimation.states import LASTING, NAMES, OFFSETS, SIZE, known_names
 from evpinn_ros.estimation.terms import Equation
+from evpinn_ros.estimation.unevenness import (
+    MOST_DRIVES,
+    MOST_SHARE,
+    MOST_SQUARES,
+    SHAPE,
+    Unevenness,
+    prior_rows,
+)
 from evpinn_ros.signals.readings import TEMPERATURES
 
 MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
@@ -102,3 +110,38 @@ def state_of(saved: SavedState, equation: Equation) -> CarState:
         raise ValueError("a variance of the state is negative")
     plain = {name: getattr(saved, name) for name in PLAIN}
     return fresh.with_gaussian(found, offset_variance=variance[OFFSETS], **plain)
+
+
+@dataclass(frozen=True, slots=True)
+class SavedUnevenness:
+    """An `Unevenness` with the names of its states."""
+
+    names: tuple[str, ...]
+    metres: Annotated[np.ndarray, Range(0.0, 1e12)]
+    rows: tuple[Annotated[float, Range(-1e18, 1e18)], ...]
+    squares: Annotated[float, Range(0.0, MOST_SQUARES)]
+    drives: Annotated[float, Range(1.0, MOST_DRIVES)]
+
+
+def saved_unevenness(found: Unevenness) -> SavedUnevenness:
+    """Form that is saved."""
+    rows = tuple(found.rows.ravel().tolist())
+    return SavedUnevenness(NAMES, found.metres, rows, found.squares, found.drives)
+
+
+def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
+    """Unevenness that was saved; a state that the file lacks has that of simulated drives.
+
+    Raises:
+        ValueError: numbers are missing or no car drives so.
+    """
+    if len(saved.rows) != SHAPE[0] * SHAPE[1] * len(saved.names):
+        raise ValueError("numbers of the unevenness are missing")
+    rows, (theirs, ours) = np.zeros((*SHAPE, SIZE)), known_names(saved.names)
+    if len(ours) < SIZE:
+        rows += saved.metres[..., None] * prior_rows(equation)
+    rows[..., ours] = np.reshape(saved.rows, (*SHAPE, len(saved.names)))[..., theirs]
+    found = Unevenness(saved.metres, rows, saved.squares, saved.drives)
+    if found.share > MOST_SHARE:
+        raise ValueError("the scatter of the unevenness is out of range")
+    return found

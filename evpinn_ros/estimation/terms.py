@@ -54,7 +54,7 @@ CLIMATE = [
     State.REPORTED, State.DOUBTED, State.CLIMATE_DRIVE,
 ]  # fmt: skip
 EXPLAINED = [State.FORCE_SQUARED, *range(WEIGHTS.start, WEIGHTS.stop)]  # beside eq. 21
-STANDING = [State.P_AUX, State.LOAD_DRIVE, State.LOAD]
+STANDING_LOADS = [State.P_AUX, State.LOAD_DRIVE, State.LOAD]
 TYRES = [State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]  # of rolling
 WHEELS = [*PHYSICS, *TYRES]  # that the motor's energy stands in for
 
@@ -283,13 +283,13 @@ class Equation:
         by_step[..., State.ETA] = by_step @ prior / self.eta
         found[:4] = by_step.sum(1)
         moving = rows.copy()
-        moving[:, CLIMATE + STANDING] = 0.0
+        moving[:, CLIMATE + STANDING_LOADS] = 0.0
         lost = moving - by_step.sum(0)
         braking = 1.0 - wheels.driving
         found[Part.DRIVETRAIN], found[Part.BRAKES] = wheels.driving @ lost, braking @ lost
         found[Part.REGAINED] = -(braking @ moving)
         found[Part.CLIMATE, CLIMATE] = rows[:, CLIMATE].sum(0)
-        found[Part.STANDING, STANDING] = rows[:, STANDING].sum(0)
+        found[Part.STANDING, STANDING_LOADS] = rows[:, STANDING_LOADS].sum(0)
         return found
 
     def motor_rows(
@@ -330,7 +330,7 @@ class Equation:
 
 def standing_powers(conditions: Conditions, warmth: Warmth) -> dict[State, float]:
     """Standing power by state, W per unit; what is not among them is zero."""
-    found = dict.fromkeys(STANDING, 1.0)
+    found = dict.fromkeys(STANDING_LOADS, 1.0)
     if conditions.load_known:
         found |= {State.REPORTED: conditions.load, State.DOUBTED: conditions.doubted_load}
         return found

@@ -3,10 +3,9 @@
 Battery power is that of the car (`estimation.terms`, physics and network) plus v T(u; w), with T
 tanh units of speed, acceleration and its profile. All weights are learned by an extended Kalman
 filter at every sample: Gauss-Newton with an arrival cost (Bell and Cathey, 1993). They return to
-their prior within `MEMORY`: the trim holds what this road, this wind and this second have beside
-the car, and is gone soon after a dropout begins. How soon what it holds stops being so is learned
-(`Persistence`), and whether it counts at all: it stands beside a trim of zero, and the two are
-weighted by their evidence.
+their prior within `TRIM_SECONDS`: the trim holds what this road, this wind and this second have
+beside the car, and is gone soon after a dropout begins. How soon that is, and if the trim counts
+at all, is learned (`Persistence`; the evidence of the trim against one of zero).
 
 It is not the network of the car, which lasts and is learned with the parameters.
 """
@@ -30,8 +29,8 @@ INPUTS = 2 + PROFILE
 INPUT_CENTRE = np.array([10.0, 0.0, *([0.0] * PROFILE)])  # m/s, m/s^2
 INPUT_SCALE = np.array([15.0, 1.2, *([0.5] * PROFILE)])
 SPREAD = np.array([1.2, 1.2, *([0.7] * PROFILE)])  # 1-sigma of the first input weights
-REACH = 1000.0  # N, 1-sigma of the force that the trim may add
-MEMORY = 10.0  # s of driving in which weights return to the prior
+TRIM_FORCE = 1000.0  # N, 1-sigma of the force that the trim may add
+TRIM_SECONDS = 10.0  # s of driving in which weights return to the prior
 WEIGHT_STD = 0.5  # of input weights about where they start
 CORRELATED = 2.0  # samples of 10 Hz that count as one
 EVIDENCE_TIME = 300.0  # s of driving over which the trim is judged
@@ -39,11 +38,11 @@ TEMPERATURE = 9.0  # by which the evidence of one sample is blunted: heavy tails
 MOST_LOSS = 20.0
 OUTLIER = 3.0  # sigmas
 MOST_ODDS = 30.0  # logarithm; a share nearer to 0 or 1 is rounding
-MOST_EVIDENCE = 1e6  # no saved one is larger
+MOST_TRIM_EVIDENCE = 1e6  # no saved one is larger
 AHEAD = 1.0  # s after which a correction is compared with what came, or at the next sample
 # Before any is compared, half of a correction holds after `AHEAD`: as sure as ten of 100 N say it.
 PRIOR_SQUARES, PRIOR_SHARE = 10.0 * 100.0**2, 0.5
-LEAST_SHARE = 0.01  # that holds
+LEAST_PERSISTENCE = 0.01  # that holds
 MOST_SQUARES = 1e15  # N^2, sum over `EVIDENCE_TIME`
 
 
@@ -82,14 +81,7 @@ class Persistence:
         squares = PRIOR_SQUARES + self.squares
         share = (PRIOR_SQUARES * PRIOR_SHARE + self.products) / squares
         delay = (PRIOR_SQUARES * AHEAD + self.delays) / squares
-        return float(min(max(share, LEAST_SHARE), 1.0) ** (seconds / delay))
-
-
-class Snapshot(NamedTuple):
-    """Weights at a moment, and the seconds since."""
-
-    weights: np.ndarray
-    age: float
+        return float(min(max(share, LEAST_PERSISTENCE), 1.0) ** (seconds / delay))
 
 
 class Trim:
@@ -109,12 +101,13 @@ class Trim:
         bias = rng.normal(0.0, 1.0, UNITS)
         self._start = np.concatenate((inner.ravel(), bias, np.zeros(UNITS + 1)))
         inner_std = np.full(UNITS * (INPUTS + 1), WEIGHT_STD)
-        outer_std = np.full(UNITS, REACH / math.sqrt(UNITS))
-        self._prior = np.concatenate((inner_std, outer_std, [REACH])) ** 2
+        outer_std = np.full(UNITS, TRIM_FORCE / math.sqrt(UNITS))
+        self._prior = np.concatenate((inner_std, outer_std, [TRIM_FORCE])) ** 2
         self._weights, self._covariance = self._start.copy(), np.diag(self._prior)
         self.evidence, self.persistence = 0.0, Persistence()
         self._age = 0.0  # s since it last learned
-        self._snapshot: Snapshot | None = None  # to be compared
+        # Weights at a moment and the s since, to be compared with what comes.
+        self._snapshot: tuple[np.ndarray, float] | None = None
 
     @property
     def share(self) -> float:
@@ -131,11 +124,12 @@ class Trim:
 
     def advance(self, duration: float) -> None:
         """Let s pass: weights return to the prior."""
-        keep = math.exp(-duration / MEMORY)
+        keep = math.exp(-duration / TRIM_SECONDS)
         self._weights = self._faded(self._weights, duration)
         self._age += duration
         if self._snapshot is not None:
-            self._snapshot = Snapshot(self._snapshot.weights, self._snapshot.age + duration)
+            weights, age = self._snapshot
+            self._snapshot = weights, age + duration
         self._covariance *= keep**2
         self._covariance[np.diag_indices_from(self._covariance)] += (1.0 - keep**2) * self._prior
 
@@ -160,20 +154,22 @@ class Trim:
         self._weights = self._weights + gain * error
         self._covariance -= np.outer(gain, along)
         self._age = 0.0
-        self._snapshot = self._snapshot or Snapshot(self._weights, 0.0)
+        self._snapshot = self._snapshot or (self._weights, 0.0)
 
     def _compare(self, sample: Sample, force: float) -> None:
         """Compare the force that is measured, N, with what the trim gave `AHEAD` before."""
-        if self._snapshot is None or self._snapshot.age < AHEAD:
+        if self._snapshot is None or self._snapshot[1] < AHEAD:
             return
         (weights, age), self._snapshot = self._snapshot, None
-        if age < MEMORY:
+        if age < TRIM_SECONDS:
             given, _ = self._output(sample, self._faded(weights, age))
             self.persistence.learn(given, force, age)
 
     def _faded(self, weights: np.ndarray, duration: float) -> np.ndarray:
         """Weights some s later, on their way back to the prior."""
-        return np.asarray(self._start + math.exp(-duration / MEMORY) * (weights - self._start))
+        return np.asarray(
+            self._start + math.exp(-duration / TRIM_SECONDS) * (weights - self._start)
+        )
 
     def _output(self, sample: Sample, weights: np.ndarray) -> tuple[float, np.ndarray]:
         """Output with these weights, a force, N, and its gradient, (weights,)."""

@@ -17,13 +17,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 import math
-from typing import Annotated, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from evpinn_ros.common.package_data import bundled_lines
-from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.estimation.states import NAMES, SIZE, State, known_names
+from evpinn_ros.estimation.states import SIZE, State
 from evpinn_ros.estimation.terms import Equation
 from evpinn_ros.signals.interval import Steps
 
@@ -35,8 +34,8 @@ LEG_SECONDS = (10.0, 30.0, 60.0, 200.0, 600.0, 1200.0)  # by which drives are cu
 LEG_METRES = (100.0, 200.0, 500.0, 2000.0, 5000.0)
 JUDGED_METRES = 500.0  # legs by which the scatter from drive to drive is judged
 PRIOR_METRES = 2000.0  # that the simulated drives count for at each node
-LEAST_METRES = 200.0  # of them at a node, else its neighbour stands in
-MEMORY = 150e3  # m of driving within which what was before is forgotten to a third
+NODE_METRES = 200.0  # of them at a node, else its neighbour stands in
+MEMORY_METRES = 150e3  # m of driving within which what was before is forgotten to a third
 PRIOR_SHARE, PRIOR_DRIVES = 0.25, 4.0  # scatter before any drive, and how many it counts for
 OF_LEGS = 2.8  # variance that legs have of their own, of their energy times that of a stop
 MOST_RATIO = 9.0  # of a drive's variance over the size of what was expected: an odd one
@@ -44,9 +43,8 @@ MOST_SHARE = 100.0  # of that scatter, whatever a file claims
 SPREAD_KEPT = 0.97  # of the scatter's sums, from drive to drive
 MOST_DRIVES = 1.0 / (1.0 - SPREAD_KEPT) + 1.0  # that these sums can hold
 MOST_SQUARES = MOST_DRIVES * MOST_RATIO
-LEAST_DRIVE = 1000.0  # m of a drive that scatter is judged by
+JUDGED_DRIVE_METRES = 1000.0  # m of a drive that scatter is judged by
 SHAPE = (len(MIDDLES), len(DURATIONS))
-Numbers: TypeAlias = tuple[Annotated[float, Range(-1e18, 1e18)], ...]
 
 
 class Path(NamedTuple):
@@ -113,7 +111,7 @@ class Unevenness:
 
     def per_metre(self, equation: Equation) -> np.ndarray:
         """Expected rows per metre at each node of speed and duration, shape (*SHAPE, SIZE)."""
-        table = self.rows + PRIOR_METRES * _prior(equation)
+        table = self.rows + PRIOR_METRES * prior_rows(equation)
         return np.asarray(table / (self.metres + PRIOR_METRES)[..., None])
 
     def after(self, equation: Equation, mean: np.ndarray, drive: Path) -> Unevenness:
@@ -122,7 +120,7 @@ class Unevenness:
             return self
         driven = _moving(equation, drive)
         found = self._judged(equation, mean, drive, driven)
-        kept = math.exp(-float(np.abs(drive.distance).sum()) / MEMORY)
+        kept = math.exp(-float(np.abs(drive.distance).sum()) / MEMORY_METRES)
         metres, rows = kept * self.metres, kept * self.rows
         _add_drive(metres, rows, equation, drive, driven)
         return replace(found, metres=metres, rows=rows)
@@ -131,7 +129,7 @@ class Unevenness:
         self, equation: Equation, mean: np.ndarray, drive: Path, driven: np.ndarray
     ) -> Unevenness:
         """With the scatter of one more drive about what was expected of it."""
-        if np.abs(drive.distance).sum() < LEAST_DRIVE:
+        if np.abs(drive.distance).sum() < JUDGED_DRIVE_METRES:
             return self
         legs = drive.legs(_cut(np.abs(drive.distance), JUDGED_METRES))
         each = self.of_legs(equation, legs) @ mean
@@ -167,47 +165,12 @@ def size_of(energy: np.ndarray, stops: np.ndarray) -> np.ndarray:
     return np.sqrt(np.cumsum(energy) ** 2 + OF_LEGS * np.cumsum(energy * stops))
 
 
-@dataclass(frozen=True, slots=True)
-class SavedUnevenness:
-    """An `Unevenness` with the names of its states."""
-
-    names: tuple[str, ...]
-    metres: Annotated[np.ndarray, Range(0.0, 1e12)]
-    rows: Numbers
-    squares: Annotated[float, Range(0.0, MOST_SQUARES)]
-    drives: Annotated[float, Range(1.0, MOST_DRIVES)]
-
-
 def per_leg(legs: Path | Steps, table: np.ndarray) -> np.ndarray:
     """Numbers of n legs, (n, k), from such per metre at each node, shape (*SHAPE, k)."""
     way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
     found = np.zeros((len(way), table.shape[-1]))
     for speed, duration, share in _nodes(legs):
         found += table[speed, duration] * (share * way)[:, None]
-    return found
-
-
-def saved_unevenness(found: Unevenness) -> SavedUnevenness:
-    """Form that is saved."""
-    rows = tuple(found.rows.ravel().tolist())
-    return SavedUnevenness(NAMES, found.metres, rows, found.squares, found.drives)
-
-
-def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
-    """Unevenness that was saved; a state that the file lacks has that of simulated drives.
-
-    Raises:
-        ValueError: numbers are missing or no car drives so.
-    """
-    if len(saved.rows) != SHAPE[0] * SHAPE[1] * len(saved.names):
-        raise ValueError("numbers of the unevenness are missing")
-    rows, (theirs, ours) = np.zeros((*SHAPE, SIZE)), known_names(saved.names)
-    if len(ours) < SIZE:
-        rows += saved.metres[..., None] * _prior(equation)
-    rows[..., ours] = np.reshape(saved.rows, (*SHAPE, len(saved.names)))[..., theirs]
-    found = Unevenness(saved.metres, rows, saved.squares, saved.drives)
-    if found.share > MOST_SHARE:
-        raise ValueError("the scatter of the unevenness is out of range")
     return found
 
 
@@ -311,7 +274,7 @@ def _between(values: np.ndarray, nodes: np.ndarray) -> list[tuple[np.ndarray, np
 
 
 @lru_cache(maxsize=8)
-def _prior(equation: Equation) -> np.ndarray:
+def prior_rows(equation: Equation) -> np.ndarray:
     """Rows per metre of simulated drives, shape (*SHAPE, SIZE).
 
     They are of cars in traffic: what is slower drives evenly until it has shown otherwise.
@@ -323,7 +286,7 @@ def _prior(equation: Equation) -> np.ndarray:
         drive = _drive_of(np.array(line.split(","), float), equation.vehicle.air_density)
         _add_drive(metres, rows, equation, drive, _moving(equation, drive))
     places = np.indices(SHAPE).reshape(2, -1).T
-    there = places[metres.ravel() >= LEAST_METRES]
+    there = places[metres.ravel() >= NODE_METRES]
     away = np.abs(places[:, None] - there) @ (1, len(MIDDLES))  # rather of another speed
     found = tuple(there[away.argmin(1)].T)
     return np.asarray((rows[found] / metres[found][:, None]).reshape(rows.shape))

@@ -44,7 +44,7 @@ def estimator_status(status: EstimatorStatus, condition: Condition) -> Status:
         **flat("dropped", status.dropped),
         **flat("gated", status.gated),
         **flat("progress", {name: round(p) for name, p in status.progress.items()}),
-        **flat("state", {name: state.value for name, state in status.states.items()}),
+        **flat("state", {name: trust.value for name, trust in status.trust.items()}),
         **flat("seen", status.seen),
         **flat("in_90_band", bands),
         **_detections(status.report),
@@ -59,8 +59,8 @@ def estimator_status(status: EstimatorStatus, condition: Condition) -> Status:
 
 def estimator_phases(status: EstimatorStatus, condition: Condition) -> list[Status]:
     """Text that is logged when it changes: nothing in it counts."""
-    states, learner = status.states, status.report
-    valid = [name for name, state in states.items() if state is Trust.VALID]
+    learner = status.report
+    valid = [name for name, trust in status.trust.items() if trust is Trust.VALID]
     phases = [Status("estimate", *_estimator_verdict(status, condition), {})]
     phases.append(Status("valid", Level.OK, f"valid: {', '.join(valid) or 'nothing yet'}", {}))
     if learner.payload_change is not None:

@@ -221,7 +221,7 @@ class PaperLearner(Learner, Saveable[SavedPaper]):
                 prior_share=float(share[i]),
                 lower=LIMITS[name].lower,
                 upper=LIMITS[name].upper,
-                state=Trust.UNESTIMATED if share[i] > UNOBSERVABLE_ABOVE else Trust.ESTIMATING,
+                trust=Trust.UNESTIMATED if share[i] > UNOBSERVABLE_ABOVE else Trust.ESTIMATING,
             )
             for i, name in enumerate(LEARNED)
         }

@@ -10,7 +10,7 @@ from typing import Any
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.sources import Source
-from evpinn_ros.estimation.breakdown import LEAST_DISTANCE, Breakdown, Breakdowns
+from evpinn_ros.estimation.breakdown import CONSUMPTION_METRES, Breakdown, Breakdowns
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.drive_names import short_names
@@ -87,7 +87,7 @@ def compare(car: CarReplay, sources: Iterable[Source], *, progress: Bar) -> Comp
         found = _breakdowns(car)
         new = found.drives[len(owners) :]
         owners += [number for each in new if each.seconds]
-        if sum(each.distance for each in new) < LEAST_DISTANCE:
+        if sum(each.distance for each in new) < CONSUMPTION_METRES:
             raise InputError(f"{source.path}: where its energy went is {NOTHING}")
         paths.append(source.path)
     return Comparison(

@@ -288,7 +288,7 @@ def parameter_metrics(final: ParameterSet | None) -> dict[str, dict[str, Any]]:
             "prior_share": p.prior_share,
             "lower": p.lower,
             "upper": p.upper,
-            "state": p.state.value,
+            "state": p.trust.value,
         }
         for name, p in final.parameters.items()
     }

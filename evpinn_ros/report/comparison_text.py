@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
 from evpinn_ros.estimation.breakdown import (
-    DISTANCE,
+    DIFFERENCE_METRES,
     REGAINED,
     UNEXPLAINED,
     Amount,
@@ -98,7 +98,8 @@ def _explained(difference: Breakdown, units: Units) -> str:
         return "No single part differs by more than 2 sigma: these drives do not show the cause."
     largest = sorted(sure, key=lambda group: -abs(sure[group].kwh))
     listed = "; ".join(
-        f"{name_of(group)} {rate_text(sure[group], DISTANCE, True, units)}" for group in largest
+        f"{name_of(group)} {rate_text(sure[group], DIFFERENCE_METRES, True, units)}"
+        for group in largest
     )
     return f"Statistically significant: {listed}."
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
-from evpinn_ros.estimation.breakdown import LEAST_DISTANCE
+from evpinn_ros.estimation.breakdown import CONSUMPTION_METRES
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import DrivenSteps, charged, measured_steps, travelled
 from evpinn_ros.replays.events import drive_events
@@ -270,7 +270,7 @@ def drive_tiles(
     """Energy over distance, then the rest that is known of the drive."""
     far, energy = float(travelled.distance.sum()), float(measured.energy.sum())
     known = float(measured.distance.sum())
-    if known >= LEAST_DISTANCE:
+    if known >= CONSUMPTION_METRES:
         part = "" if known > NEARLY_WHOLE * far else f", over {_distance(known, units)} measured"
         yield units.consumption(energy, known), f"{units.economy}{part}"
     if len(measured.energy):

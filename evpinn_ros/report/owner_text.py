@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, kwh_digits
-from evpinn_ros.estimation.breakdown import LEAST_DISTANCE
+from evpinn_ros.estimation.breakdown import CONSUMPTION_METRES
 from evpinn_ros.replays.driven import charged, measured_steps, travelled
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.vehicle_fit import vehicle_doubt
@@ -121,7 +121,7 @@ def _figures(drive: Drive, found: Mapping[str, Any], units: Units) -> tuple[str,
         f"{metres / units.metres:.1f}",
         f"{drive.duration / 60:.0f}",
         "-" if kwh is None else f"{kwh:.{kwh_digits(kwh, 2)}f}",
-        "-" if joules is None or known < LEAST_DISTANCE else units.consumption(joules, known),
+        "-" if joules is None or known < CONSUMPTION_METRES else units.consumption(joules, known),
     )
 
 

@@ -194,14 +194,14 @@ def probe_sigma(estimator) -> float:
 @pytest.mark.slow
 def test_parameters_are_stale_after_five_minutes_of_silence(taught, play, drive, cruise):
     estimator, readings = taught(230.0), drive(1, 240.0).readings
-    assert estimator.parameters().identifiable_states["mass_over_eta"] is Trust.VALID
-    eta = estimator.parameters().parameters["eta"].state
+    assert estimator.parameters().identifiable_trust["mass_over_eta"] is Trust.VALID
+    eta = estimator.parameters().parameters["eta"].trust
     begin = (readings[0].stamp_ns - cruise(0, 1)[0].stamp_ns) / NANOSECONDS + 230.0
     for seconds, state in ((299.0, Trust.VALID), (302.0, Trust.STALE)):
         play(estimator, cruise(begin + seconds - 1, begin + seconds, battery=False))
         found = estimator.parameters()
-        assert found.identifiable_states["mass_over_eta"] is state
-        assert found.parameters["eta"].state is (state if eta is Trust.VALID else eta)
+        assert found.identifiable_trust["mass_over_eta"] is state
+        assert found.parameters["eta"].trust is (state if eta is Trust.VALID else eta)
 
 
 def test_reverse_and_charging_teach_nothing(new_estimator, play, cruise):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from evpinn_ros.estimation.bands import HILLS_MEMORY, LEAST_KNOWN, Hills
+from evpinn_ros.estimation.bands import HILLS_MEMORY_METRES, LEAST_HEIGHTS_METRES, Hills
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.simulation.drive import DriveKind
@@ -21,7 +21,7 @@ def test_up_and_down_a_town_on_a_slope_tells_how_hilly_it_is():
 
 
 def test_few_roads_with_heights_tell_nothing_and_level_ones_that_all_is_level():
-    assert Hills().plus(LEAST_KNOWN - 1.0, 160.0).next_drive().growth == 0.0
+    assert Hills().plus(LEAST_HEIGHTS_METRES - 1.0, 160.0).next_drive().growth == 0.0
     hills = Hills().plus(20e3, 400.0).next_drive()
     assert hills.plus(20e3, 0.0).next_drive().growth < 0.6 * hills.growth
 
@@ -30,7 +30,7 @@ def test_hills_of_long_ago_are_forgotten():
     """A car that moved from mountains to plains: a mean over all its roads would fall slower."""
     hills = Hills().plus(100e3, 300.0).next_drive()
     for _ in range(3):
-        flat = hills.plus(HILLS_MEMORY, 0.0).next_drive()
+        flat = hills.plus(HILLS_MEMORY_METRES, 0.0).next_drive()
         assert flat.growth < 0.4 * hills.growth
         hills = flat
 

@@ -14,7 +14,7 @@ from evpinn_ros.estimation.parameter_set import (
     TYRES,
     UNOBSERVABLE_ABOVE,
     VALID_BELOW,
-    StateHysteresis,
+    TrustHysteresis,
     parameter_set,
 )
 from evpinn_ros.estimation.posterior import initial_state
@@ -67,8 +67,8 @@ def learned(prior: Published, share: float, own: float = 0.0, **moved) -> Publis
 def test_states_by_what_the_data_have_told_of_all_and_of_each(prior, share, own, state):
     """States of eta by the shares of prior variance left in m / eta and in eta itself."""
     found = parameter_set(0, learned(prior, share, own))
-    assert found.parameters["eta"].state is state
-    combined = found.identifiable_states["mass_over_eta"]
+    assert found.parameters["eta"].trust is state
+    combined = found.identifiable_trust["mass_over_eta"]
     assert combined is (
         VALID if share < VALID_BELOW else ESTIMATING if share < ESTIMATING_BELOW else UNESTIMATED
     )
@@ -79,13 +79,13 @@ def test_states_by_what_the_data_have_told_of_all_and_of_each(prior, share, own,
     "c_rr", [0.5 * TYRES.lower, 0.95 * TYRES.lower, 1.05 * TYRES.upper, 0.036]
 )
 def test_rolling_resistance_that_no_tyre_has_is_never_valid(prior, c_rr):
-    judge = StateHysteresis()
+    judge = TrustHysteresis()
     good = judge.judge(parameter_set(0, learned(prior, 0.01, c_rr=0.01)), CALM, suspected=False)
-    assert good.parameters["c_rr"].state is VALID
+    assert good.parameters["c_rr"].trust is VALID
     found = parameter_set(0, learned(prior, 0.01, c_rr=c_rr))
-    assert found.parameters["c_rr"].state is ESTIMATING
+    assert found.parameters["c_rr"].trust is ESTIMATING
     later = judge.judge(found, CALM, suspected=False)
-    assert later.parameters["c_rr"].state is ESTIMATING, "not even where it was valid before"
+    assert later.parameters["c_rr"].trust is ESTIMATING, "not even where it was valid before"
 
 
 @pytest.mark.parametrize(
@@ -93,18 +93,18 @@ def test_rolling_resistance_that_no_tyre_has_is_never_valid(prior, c_rr):
 )
 def test_values_that_no_car_has_are_never_valid(prior, name, value):
     found = parameter_set(0, learned(prior, 0.001, **{name: value})).parameters[name]
-    assert found.state is ESTIMATING and not found.possible
+    assert found.trust is ESTIMATING and not found.possible
 
 
 def test_rolling_resistance_is_not_valid_where_a_climb_looks_like_it(prior):
-    judge = StateHysteresis()
+    judge = TrustHysteresis()
     seen = learned(prior, 0.01, c_rr=0.01)
     good = judge.judge(parameter_set(0, seen), CALM, suspected=False)
     unseen = parameter_set(0, seen._replace(hills_seen=False))
     later = judge.judge(unseen, CALM, suspected=False)
-    assert good.parameters["c_rr"].state is VALID
-    assert later.parameters["c_rr"].state is ESTIMATING, "not even where it was valid before"
-    assert later.parameters["mass"].state is VALID and later.reliable
+    assert good.parameters["c_rr"].trust is VALID
+    assert later.parameters["c_rr"].trust is ESTIMATING, "not even where it was valid before"
+    assert later.parameters["mass"].trust is VALID and later.reliable
 
 
 def test_an_efficiency_at_its_bound_is_published_as_an_interval(prior):
@@ -141,15 +141,15 @@ def test_bounds_by_hand(prior):
 
 
 class Judge:
-    """One parameter through a `StateHysteresis`."""
+    """One parameter through a `TrustHysteresis`."""
 
     def __init__(self, prior) -> None:
-        self._judge, self._prior = StateHysteresis(), prior
+        self._judge, self._prior = TrustHysteresis(), prior
 
     def __call__(self, share, *, away: float = 0.0, suspected: bool = False) -> Trust:
         found = parameter_set(0, learned(self._prior, share))
         self.set = self._judge.judge(found, {**CALM, "mass": away}, suspected=suspected)
-        return self.set.parameters["mass"].state
+        return self.set.parameters["mass"].trust
 
 
 @pytest.fixture
@@ -176,18 +176,18 @@ def test_an_impossible_value_is_invalid_until_it_is_well_possible_again(judge):
 def test_a_suspicion_makes_all_invalid_while_it_lasts(judge):
     judge(0.1)
     assert judge(0.1, suspected=True) is INVALID
-    assert {p.state for p in judge.set.parameters.values()} == {INVALID}
-    assert set(judge.set.identifiable_states.values()) == {INVALID}
-    assert judge(0.1) is VALID and VALID in judge.set.identifiable_states.values()
+    assert {p.trust for p in judge.set.parameters.values()} == {INVALID}
+    assert set(judge.set.identifiable_trust.values()) == {INVALID}
+    assert judge(0.1) is VALID and VALID in judge.set.identifiable_trust.values()
 
 
 def test_what_is_stale_was_valid(prior):
     found = parameter_set(0, learned(prior, 0.1))
     stale = found.stale()
-    assert {p.state for p in stale.parameters.values()} == {Trust.STALE}
-    assert set(stale.identifiable_states.values()) == {Trust.STALE} and not stale.reliable
-    one = replace(found.parameters["mass"], state=ESTIMATING)
-    assert replace(found, parameters={"mass": one}).stale().parameters["mass"].state is ESTIMATING
+    assert {p.trust for p in stale.parameters.values()} == {Trust.STALE}
+    assert set(stale.identifiable_trust.values()) == {Trust.STALE} and not stale.reliable
+    one = replace(found.parameters["mass"], trust=ESTIMATING)
+    assert replace(found, parameters={"mass": one}).stale().parameters["mass"].trust is ESTIMATING
 
 
 @pytest.mark.parametrize(("std", "state"), [(0.2, VALID), (0.3, ESTIMATING)])
@@ -201,4 +201,4 @@ def test_a_value_that_is_unsure_by_a_quarter_is_not_valid_however_wide_its_prior
     wide = source.prior._replace(covariance=100.0 * source.prior.covariance)
     wide.covariance[c_d, c_d] = 10.0
     found = parameter_set(0, source._replace(prior=wide)).parameters["c_d"]
-    assert found.state is state
+    assert found.trust is state

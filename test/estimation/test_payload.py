@@ -8,8 +8,7 @@ import math
 import pytest
 
 from benchmarks.truth import CarChain
-from evpinn_ros.estimation.calibration import KEPT, Chance
-from evpinn_ros.estimation.payload import LEAST_CHANGE, PayloadDetector
+from evpinn_ros.estimation.payload import CHANCE_KEPT, LEAST_CHANGE, Chance, PayloadDetector
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.published import mass_over_eta
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -94,7 +93,7 @@ def test_where_chance_does_much_more_is_asked():
     for _ in range(60):
         chance = chance.after(4.0)
     assert chance.scale == pytest.approx(4.0, rel=0.15)
-    assert chance.count == pytest.approx(KEPT)
+    assert chance.count == pytest.approx(CHANCE_KEPT)
 
 
 def test_a_saved_detector_that_does_not_fit_is_refused(vehicle):

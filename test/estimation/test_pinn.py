@@ -42,8 +42,8 @@ def learner(vehicle, town) -> PinnLearner:
 
 def test_before_anything_no_parameter_is_estimated(vehicle):
     learner = PinnLearner(vehicle)
-    states = {found.state for found in learner.parameters().parameters.values()}
-    assert states == {Trust.UNESTIMATED} and not learner.parameters().reliable
+    trusts = {found.trust for found in learner.parameters().parameters.values()}
+    assert trusts == {Trust.UNESTIMATED} and not learner.parameters().reliable
     assert learner.prepare_update() is None
     assert learner.report() == (None, 0, 0, None)
     prediction = learner.predict(sample(0))

@@ -181,7 +181,7 @@ def test_motor_torque_tells_the_mass_in_kilograms(name, most):
         mass = chain.parameters().parameters["mass"]
         shares[torque] = mass.prior_share
     assert shares[True] < most and shares[True] < 0.7 * shares[False]
-    assert mass.state.value == "valid"
+    assert mass.trust.value == "valid"
     assert abs(mass.value - drive.truth.parameters.mass) < 2.0 * mass.std
 
 
@@ -199,7 +199,7 @@ def test_rolling_resistance_without_heights_is_as_unsure_as_the_climb(vehicle, i
     assert std[False] >= min(climb, math.sqrt(found[False].prior.covariance[C_RR, C_RR]))
     assert std[False] > std[True]
     assert (found[True].hills_seen, found[False].hills_seen) == (True, False)
-    assert parameter_set(0, found[False]).parameters["c_rr"].state is not Trust.VALID
+    assert parameter_set(0, found[False]).parameters["c_rr"].trust is not Trust.VALID
 
 
 def test_the_road_of_a_drive_that_begins_is_as_the_last_one(vehicle, intervals):
@@ -251,6 +251,6 @@ def test_motor_torque_without_heights_tells_the_same_car():
             if seen or not isinstance(reading, AltitudeReading):
                 chain.add_reading(reading)
         found[seen] = chain.parameters().parameters["eta"]
-    assert found[True].state.value == "valid"
+    assert found[True].trust.value == "valid"
     assert abs(found[False].value - drive.truth.parameters.eta) < 2.0 * found[False].std
     assert found[False].std < 2.0 * found[True].std

@@ -77,7 +77,7 @@ def test_a_vehicle_of_a_part_of_a_car_s_size_is_learned_as_that_car(vehicle, dri
         one, other = ours.parameters[name], theirs.parameters[name]
         assert scale * one.value == pytest.approx(other.value)
         assert scale * one.std == pytest.approx(other.std)
-        assert one.state == other.state
+        assert one.trust == other.trust
     assert SIZE * ours.identifiable.mass_over_eta == pytest.approx(
         theirs.identifiable.mass_over_eta
     )

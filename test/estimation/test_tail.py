@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.estimation.journey import NOWHERE
+from evpinn_ros.estimation.journey import MAX_STEP, NOWHERE, SAMPLES_KEPT, Tail
 from evpinn_ros.estimation.states import State
-from evpinn_ros.estimation.tail import KEPT, MAX_STEP, Tail
 from evpinn_ros.estimation.terms import Warmth, equation_of
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.signals.sample import Sample
@@ -93,7 +92,7 @@ def test_after_a_gap_a_sample_stands_for_no_more_than_some_seconds():
 @pytest.mark.slow
 def test_of_hours_the_newest_are_kept_and_before_any_there_is_nothing():
     assert Tail(EQUATION).between(0, 10**18, WARM) is NOWHERE
-    samples = town(3 * KEPT)
+    samples = town(3 * SAMPLES_KEPT)
     tail = Tail(EQUATION)
     for sample in samples:
         tail.add(sample)

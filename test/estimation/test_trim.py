@@ -7,8 +7,8 @@ import pytest
 
 from evpinn_ros.estimation.trim import (
     AHEAD,
-    MEMORY,
     PRIOR_SHARE,
+    TRIM_SECONDS,
     Persistence,
     Trim,
 )
@@ -63,10 +63,10 @@ def test_it_fades_once_nothing_is_measured():
     network = taught(lambda moment: 300.0 * moment.speed)
     moment = sample(120.0, 15.0, 0.5)
     before = network.correct(moment)
-    network.advance(MEMORY)
+    network.advance(TRIM_SECONDS)
     later = network.correct(moment)
     assert abs(later.power) < 0.6 * abs(before.power) and later.sigma > before.sigma
-    network.advance(20 * MEMORY)
+    network.advance(20 * TRIM_SECONDS)
     assert abs(network.correct(moment).power) < 1.0
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from evpinn_ros.estimation.saved_car import saved_unevenness, unevenness_of
 from evpinn_ros.estimation.states import PHYSICS, SIZE, State
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.estimation.unevenness import (
@@ -12,9 +13,7 @@ from evpinn_ros.estimation.unevenness import (
     Path,
     Unevenness,
     even_rows,
-    saved_unevenness,
     size_of,
-    unevenness_of,
 )
 from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed
 from evpinn_ros.vehicle.files import load_vehicle

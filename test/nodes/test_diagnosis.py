@@ -179,7 +179,7 @@ def test_what_was_noticed_of_the_car_is_told():
         STATUS,
         report=noticed,
         progress={"mass": 73.4},
-        states={"mass": Trust.ESTIMATING},
+        trust={"mass": Trust.ESTIMATING},
         seen={"30_60_kmh_steady": 12},
         band_coverage={"smoothed": 0.9},
     )

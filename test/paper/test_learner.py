@@ -77,7 +77,7 @@ def test_before_the_first_update_it_says_what_the_physics_says(vehicle):
     assert learner.predict(sample).power == pytest.approx(power + 200.0)
     found = learner.parameters()
     assert [found.parameters[n].value for n in PARAMETER_NAMES] == pytest.approx(vehicle.initial)
-    assert {p.state for p in found.parameters.values()} == {Trust.UNESTIMATED}
+    assert {p.trust for p in found.parameters.values()} == {Trust.UNESTIMATED}
 
 
 @pytest.mark.parametrize("form", list(RegenForm))
