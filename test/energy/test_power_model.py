@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.truth import CarChain
+from evpinn_ros.energy.forecast import forecast_plan
+from evpinn_ros.energy.plan import plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.journey import NOWHERE, noise_of
 from evpinn_ros.estimation.states import TABLE, WEIGHTS, State
@@ -137,3 +139,24 @@ def test_payload_is_mass_and_rolling():
 
 def test_nowhere_takes_nothing():
     assert vehicle_model(CAR).car.predicted(NOWHERE) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("along", [True, False])
+def test_heating_goes_on_as_in_this_drive_unless_the_planner_gives_it(along):
+    """A car that reports its heating takes 500 W more than its temperature makes likely."""
+    car, time = vehicle_model(CAR).car, np.arange(0.0, 600.0)
+    plan = plan_from_speed_profile(time, None, np.full(600, 15.0))
+    mean = car.mean.copy()
+    mean[State.CLIMATE_DRIVE] += 500.0
+
+    def energy(weather, mean, reports):
+        model = PowerModel(replace(car, mean=mean, reports=reports))
+        return forecast_plan(plan, model, weather, along=along).energy[-1]
+
+    for weather, reports, extra in (
+        (MILD, True, 500.0 * 599.0),
+        (MILD, False, 0.0),
+        (MILD._replace(heating=900.0), True, 0.0),
+    ):
+        more = energy(weather, mean, reports) - energy(weather, car.mean, reports)
+        assert more == pytest.approx(extra, abs=1e-3)
