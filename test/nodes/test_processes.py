@@ -153,25 +153,40 @@ def test_a_node_that_cannot_start_says_why_and_fails():
 
 def test_the_bridge_reads_a_bus_of_another_process(bench, can_bus):
     (bus, options), heard = can_bus, bench.heard
-    with process(*node("can_bridge", **options)):
-        bench.listen(topics.SPEED, topics.BATTERY, topics.BATTERY_VOLTAGE, topics.DIAGNOSTICS)
-        bench.pump(lambda: "bus" in said(bench, "can_bridge"))
-        encoder, before = Encoder(PROFILE), time.time()
-        for index in range(100):
-            send(bus, encoder.battery(BatteryReading(0, 350.0, -index / 2)))
-            send(bus, encoder.speed(SpeedReading(0, index / 5)))
-            bench.pump(lambda n=index: len(heard[topics.SPEED]) > n)
-        bench.pump(lambda: len(heard[topics.BATTERY]) == 100)
-        while said(bench, "can_bridge")["bus"][1] != "receiving":  # it reports once a second
-            send(bus, encoder.battery(BatteryReading(0, 350.0, 0.0)))
-            send(bus, encoder.speed(SpeedReading(0, 0.0)))
+    encoder, before = Encoder(PROFILE), time.time()
+
+    def drive(index):
+        send(bus, encoder.battery(BatteryReading(0, 350.0, -index / 2)))
+        send(bus, encoder.speed(SpeedReading(0, index / 5)))
+
+    def stand_until(condition):
+        while not condition():
+            drive(0)
             bench.executor.spin_once(timeout_sec=0.02)
-    readings = [to_reading(topics.SPEED_TYPE, message) for message in heard[topics.SPEED][:100]]
-    assert [r.speed for r in readings] == pytest.approx([i / 5 for i in range(100)], abs=0.02)
-    stamps = [r.stamp_ns / 1e9 for r in readings]
+
+    def moving():
+        readings = (to_reading(topics.SPEED_TYPE, message) for message in heard[topics.SPEED])
+        return [reading for reading in readings if reading.speed > 0.0]
+
+    def drawn():
+        return [message.current for message in heard[topics.BATTERY] if message.current < 0.0]
+
+    with process(*node("can_bridge", **options)):
+        measured = (topics.SPEED, topics.BATTERY, topics.BATTERY_VOLTAGE)
+        bench.listen(*measured, topics.DIAGNOSTICS)
+        # Each publisher finds its listener at its own time, and what comes before that is lost.
+        stand_until(lambda: all(heard[topic] for topic in measured))
+        for index in range(1, 101):
+            drive(index)
+            bench.pump(lambda n=index: len(moving()) == n)
+        bench.pump(lambda: len(drawn()) == 100)
+        # It reports once a second.
+        stand_until(lambda: said(bench, "can_bridge").get("bus", (None, ""))[1] == "receiving")
+    speeds = [reading.speed for reading in moving()]
+    assert speeds == pytest.approx([i / 5 for i in range(1, 101)], abs=0.02)
+    stamps = [reading.stamp_ns / 1e9 for reading in moving()]
     assert stamps == sorted(stamps) and before - 1 < stamps[0] < before + 30
-    currents = [message.current for message in heard[topics.BATTERY][:100]]
-    assert currents == pytest.approx([-i / 2 for i in range(100)], abs=0.06)
+    assert drawn() == pytest.approx([-i / 2 for i in range(1, 101)], abs=0.06)
     assert heard[topics.BATTERY_VOLTAGE][0].data == pytest.approx(350.0, abs=0.01)
 
 
