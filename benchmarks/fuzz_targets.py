@@ -38,7 +38,7 @@ from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.drives.can_logs import open_can_log
+from evpinn_ros.drives.bus_sources import open_can_log
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.forecast import forecast_plan

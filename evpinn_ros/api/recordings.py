@@ -19,7 +19,7 @@ from evpinn_ros.common.arguments import (
     text_of,
     truth_of,
 )
-from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.drives.trips import split
 from evpinn_ros.replays.car import CarReplay, mode_of

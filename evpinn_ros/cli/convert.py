@@ -19,7 +19,8 @@ from evpinn_ros.cli.options import CanProfileOption, TrustProfileOption, complet
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.quantities import QUANTITIES
-from evpinn_ros.drives.sources import Source, open_source
+from evpinn_ros.drives.source import Source
+from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.progress import reported
 from evpinn_ros.vehicle.files import load_vehicle
 

@@ -24,7 +24,7 @@ from evpinn_ros.report.fleet_page import (
     population_cells,
     write_fleet_page,
 )
-from evpinn_ros.vehicle.written import write_vehicle
+from evpinn_ros.vehicle.files import write_vehicle
 
 REPORT = "report.html"
 MOST_SHOWN = 20  # problems printed; the tables hold all

@@ -30,7 +30,7 @@ from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.drives.formats import files_of
-from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.drives.trips import joined, split
 from evpinn_ros.estimation.estimator import Mode

@@ -9,7 +9,7 @@ from evpinn_ros.cli.console import note
 
 if TYPE_CHECKING:
     from evpinn_ros.drives.column import Column
-    from evpinn_ros.drives.sources import Source
+    from evpinn_ros.drives.source import Source
 
 
 # Units are looked up in small letters.

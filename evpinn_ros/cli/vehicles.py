@@ -14,9 +14,8 @@ from evpinn_ros.cli.options import complete_vehicle
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.vehicle.certified import certified_cars
-from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle
+from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle, write_vehicle
 from evpinn_ros.vehicle.rated import rated_cars
-from evpinn_ros.vehicle.written import write_vehicle
 
 vehicles = typer.Typer(cls=ReadableGroup, invoke_without_command=True)
 

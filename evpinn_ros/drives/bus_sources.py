@@ -1,27 +1,123 @@
-"""Sources of a replay that come from a bus: bags of our topics or of raw frames, CAN logs."""
+"""Recorded buses: bags of our topics or of raw frames, and CAN logs."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
+from typing import TypeAlias
 
+from evpinn_ros.bags.can_frames import read_frame
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.names import is_bag
 from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.can.bridge import CanBridge
+from evpinn_ros.can.frame import CanFrame, FirstBus
 from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.inspection import BusReport, Inspection
 from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.can_logs import BagFrames, CanLog, holds_frames
 from evpinn_ros.drives.formats import suffix_of
-from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics.readings import Rotation
 from evpinn_ros.vehicle.files import Vehicle
+
+BITRATE = 500_000  # bit/s; the load of the bus is not known here
+INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
+_SENT = "to_can_bus"  # the topic by which ros2_socketcan sends frames
+
+
+class BagFrames:
+    """The frames of the `can_msgs/Frame` topics of a bag.
+
+    Of several topics each id is read from one, see `FirstBus`. Stamps are those of the messages'
+    headers, or the log time where a header has none.
+
+    Attributes:
+        path: of the file or folder.
+        count: frames read so far.
+        skipped: what is not a data frame, by kind; complete once all are read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Find the topics; InputError when it is no bag, or has no frames."""
+        self.path = path
+        self.count = 0
+        self.skipped: Counter[str] = Counter()
+        self._reader = BagReader(path)
+        self._topics = _frame_topics(self._reader)
+        if not self._topics:
+            raise InputError(f"{path}: no CAN frames ({FRAME_TYPE}) in this bag")
+
+    @property
+    def seconds(self) -> float | None:
+        """Length that the bag's metadata states, s."""
+        return stated_seconds(self.path)
+
+    @property
+    def problem(self) -> str | None:
+        """Losses of the bag, in one line."""
+        return self._reader.problem
+
+    def frames(self) -> Iterator[CanFrame]:
+        """Every data frame in order of log time; InputError when there is none."""
+        first_bus = FirstBus()
+        with self._reader:
+            for record in self._reader.records(self._topics):
+                message = record.message
+                if message.is_error or message.is_rtr:
+                    self.skipped["error_frame" if message.is_error else "remote_frame"] += 1
+                elif not first_bus.takes(message.id, message.is_extended, record.topic):
+                    self.skipped["other_bus"] += 1
+                else:
+                    self.count += 1
+                    yield read_frame(message, record.log_time_ns)
+        self.skipped.update(self._reader.dropped)
+        if self.count == 0:
+            raise InputError(self.problem or f"{self.path}: no CAN data frame in it")
+
+
+CanLog: TypeAlias = LogFile | BagFrames
+"""A recorded bus, read once by `frames()`."""
+
+
+def open_can_log(path: Path) -> CanLog:
+    """A CAN log of any kind: a file of frames, or a bag with a topic of them.
+
+    Raises:
+        InputError: it is neither; the text has the file and the reason.
+    """
+    return BagFrames(path) if is_bag(path) else LogFile(path)
+
+
+def holds_frames(path: Path) -> bool:
+    """True if a bag has raw frames; InputError when it is no bag."""
+    with BagReader(path) as reader:
+        return bool(_frame_topics(reader))
+
+
+def _frame_topics(reader: BagReader) -> list[str]:
+    """Topics with received frames."""
+    return [
+        name
+        for name, info in reader.topics.items()
+        if info.type_name == FRAME_TYPE and not name.endswith(_SENT)
+    ]
+
+
+def inspected(log: CanLog) -> BusReport:
+    """Report on the first frames of a log, with the bundled profile that fits them."""
+    inspection = Inspection(bundled_profiles(), BITRATE)
+    for frame in islice(log.frames(), INSPECTED):
+        inspection.add_frame(frame)
+    return inspection.report()
 
 
 class BagSource(Source):
@@ -129,12 +225,6 @@ def open_bus_source(
     else:
         known = ", ".join(LOG_SUFFIXES)
         raise InputError(f"{path}: neither a bag, a CAN log ({known}) nor a table")
-    return CanLogSource(log, _bridge(path, vehicle, can_profile, trust_profile))
-
-
-def _bridge(
-    path: Path, vehicle: Vehicle, can_profile: str | None, trust_profile: bool
-) -> CanBridge:
     name = can_profile or vehicle.can_profile
     if name is None:
         raise InputError(
@@ -143,4 +233,4 @@ def _bridge(
         )
     profile = load_profile(name)
     guard = None if trust_profile else FitGuard(profile, bundled_profiles(), patient=True)
-    return CanBridge(profile, guard=guard)
+    return CanLogSource(log, CanBridge(profile, guard=guard))

@@ -8,13 +8,15 @@ from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from evpinn_ros.bags.names import is_bag
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, data_coverage
 from evpinn_ros.drives.formats import is_drive_table
-from evpinn_ros.drives.sources import Source, open_source
+from evpinn_ros.drives.source import Source
+from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.progress import reported
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
 
 GENERIC = "generic"
 
@@ -75,17 +77,42 @@ def contents(
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
-        return with_drive(Contents(path, "table"), None, columns, bar)
+        return _with_drive(Contents(path, "table"), columns, bar)
     # What reads buses takes half a second to import: who opens a table does not wait for it.
-    from evpinn_ros.drives.bus_contents import bus_contents
+    from evpinn_ros.drives import bus_sources
 
-    return bus_contents(path, bar)
+    found = Contents(path, "CAN log")
+    if is_bag(path):
+        found = Contents(path, "bag", topics=_topics(path))
+        if not bus_sources.holds_frames(path):
+            return _with_drive(found, (), bar)
+    report = bus_sources.inspected(bus_sources.open_can_log(path))
+    profile = report.best.fit.profile if report.best is not None else None
+    cars = map(load_vehicle, vehicle_names())
+    names = tuple(car.key for car in cars if profile and car.can_profile == profile)
+    found = replace(found, frames=report.frames, profile=profile, vehicles=names)
+    if profile is None and found.kind != "bag":
+        return replace(found, notes=("no known CAN profile fits: evpinn can inspect says why",))
+    return _with_drive(found, (), bar)
 
 
-def with_drive(found: Contents, profile: str | None, columns: Sequence[str], bar: Bar) -> Contents:
+def _topics(path: Path) -> tuple[TopicContents, ...]:
+    from evpinn_ros.bags.reader import BagReader
+
+    with BagReader(path) as reader:
+        flows = {name: ReadingFlow() for name in reader.topics}
+        for name, log_time_ns in reader.log_times():
+            flows[name].add(log_time_ns)
+        return tuple(
+            TopicContents(name, info.type_name, flows[name])
+            for name, info in reader.topics.items()
+        )
+
+
+def _with_drive(found: Contents, columns: Sequence[str], bar: Bar) -> Contents:
     """Add what the estimator can use."""
     try:
-        source = _source(found, profile, columns)
+        source = _source(found, columns)
         with bar(source.seconds) as progress:
             drive = data_coverage(reported(source.readings(), progress))
     except InputError as error:
@@ -104,10 +131,10 @@ def with_drive(found: Contents, profile: str | None, columns: Sequence[str], bar
     )
 
 
-def _source(found: Contents, profile: str | None, columns: Sequence[str]) -> Source:
+def _source(found: Contents, columns: Sequence[str]) -> Source:
     """The drive in a recording; topics of ours are preferred to the frames of a bag."""
     vehicle = load_vehicle(GENERIC)
     if found.kind == "bag":
         with suppress(InputError):
             return open_source(found.path, vehicle)
-    return open_source(found.path, vehicle, profile, columns=columns)
+    return open_source(found.path, vehicle, found.profile, columns=columns)

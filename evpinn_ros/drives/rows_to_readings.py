@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import math
 
 import numpy as np
@@ -23,6 +23,8 @@ from evpinn_ros.signals.readings import (
 
 AMBIENT_C = (-60.0, 70.0)  # what lies outside is no weather but a sensor that says nothing
 
+# A value that repeats longer is taken again, as of a steady car.
+LONGEST_HELD_NS = 1_500_000_000
 STRAGGLING_NS = 10 * NANOSECONDS  # rows that are late by less are put in order
 MOST = 1e12  # of anything in SI; beyond, products would be infinite
 
@@ -70,6 +72,33 @@ def _alone(times: NDArray[np.int64]) -> NDArray[np.bool_]:
         ahead = times[1:-1] - times[2:] > STRAGGLING_NS
         found[1:-1] = ahead & (times[2:] >= times[:-2])
     return found
+
+
+class HeldSignals:
+    """Takes repeated cells out of held columns, batch by batch."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        """Begin, for these quantities."""
+        self._last: dict[str, tuple[int, float]] = dict.fromkeys(names, (0, np.nan))
+
+    def drop_repeats(
+        self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
+    ) -> None:
+        """Set repeated cells to NaN.
+
+        Args:
+            stamps: of all rows of the batch, ns, shape (n,).
+            values: of these, by quantity; changed here.
+            rows: those that are used, in order of time.
+        """
+        for name, (since_ns, last) in self._last.items():
+            for row in rows.tolist():
+                value, stamp_ns = float(values[name][row]), int(stamps[row])
+                if value == last and stamp_ns - since_ns < LONGEST_HELD_NS:
+                    values[name][row] = np.nan
+                elif value == value:
+                    since_ns, last = stamp_ns, value
+            self._last[name] = since_ns, last
 
 
 class RowReadings:

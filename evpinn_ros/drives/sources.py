@@ -1,16 +1,12 @@
-"""Sources of a replay: bags, CAN logs and tables of drives, each as one stream of readings."""
+"""Opens recorded drives: bags, CAN logs and tables."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.formats import (
     CONVERTERS,
     TABLE_SUFFIXES,
@@ -18,8 +14,8 @@ from evpinn_ros.drives.formats import (
     is_drive_table,
     suffix_of,
 )
+from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.text_table import ConvertedTable, TextTable
-from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import Vehicle
 
 if TYPE_CHECKING:
@@ -28,53 +24,6 @@ if TYPE_CHECKING:
     from evpinn_ros.topics.readings import Rotation
 
 NOMINAL_VOLTAGE = 350.0  # V, of a car that is not known
-
-
-class Source(ABC):
-    """A recorded drive.
-
-    Attributes:
-        path: where it lies.
-        dropped: what was not used, by reason; complete once the readings are exhausted.
-        rules: columns of a table that are used, in the order of the file.
-        ignored: names of those that are not, each with the reason.
-        dated: what tells the day of a table: `log`, `name` of the file, "" for nothing; None of
-            what has stamps.
-        zoned: the clock is UTC or names its zone.
-    """
-
-    rules: tuple[Column, ...] = ()
-    ignored: Mapping[str, str] = MappingProxyType({})
-    dated: str | None = None
-    zoned = True
-
-    def __init__(self, path: Path) -> None:
-        """Nothing was dropped yet."""
-        self.path = path
-        self.dropped: Counter[str] = Counter()
-
-    @property
-    @abstractmethod
-    def seconds(self) -> float | None:
-        """Length of the drive, s; None where only reading it tells."""
-
-    @property
-    @abstractmethod
-    def problem(self) -> str | None:
-        """Unreadable part, in one line; None while all is well, final when exhausted."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes for a person on how it was read; complete once exhausted."""
-        return ()
-
-    @abstractmethod
-    def readings(self) -> Iterator[Reading]:
-        """The readings in recorded order, up to where the drive can be read.
-
-        Raises:
-            InputError: there is none in it.
-        """
 
 
 def open_source(

@@ -16,10 +16,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 import re
-from typing import Protocol
+from typing import TypeAlias
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.quantities import QUANTITIES, known_unit, may_be_of_use, score
+from evpinn_ros.drives.text_table import Row, TextTable
 
 # The columns of a table with one value a row.
 NAMES = ("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item")
@@ -32,7 +33,6 @@ ROWS_THAT_TELL = 2000  # whether a table can be read at all
 MOST_CELLS = 500_000  # kept
 MOST_ROWS = 300_000  # looked at: eight hours at 10 Hz
 
-Row = tuple[int, list[str]]
 # LeafSpy: the columns of its logs of 2017 and 2018, in three versions of the app.
 _CELLS = 96
 _LEAFSPY_BEGIN = [
@@ -52,20 +52,6 @@ _LEAFSPY_LATER = ("Speed1", "Speed2", "Wiper Status", "Torque Nm")
 _DATE_TIME = re.compile(r"\d\d/\d\d/\d{4} \d{1,2}:\d\d:\d\d")
 _CELL_MILLIVOLTS = range(2000, 4500)
 MOST_SIGNALS = 10_000
-
-
-class Table(Protocol):
-    """Rows of text cells, each with its number in the file."""
-
-    @property
-    def torn(self) -> int:
-        """Lines that are no row; complete after `rows`."""
-
-    def rows(self) -> Iterator[Row]:
-        """The rows from the first, header and all."""
-
-    def last_row(self) -> list[str]:
-        """The cells of the last row, none where only reading all rows shows it."""
 
 
 @dataclass(slots=True)
@@ -310,3 +296,6 @@ class LongTable:
 
     def _unit_of(self, row: Sequence[str]) -> str:
         return row[self._unit] if self._unit is not None else ""
+
+
+Table: TypeAlias = TextTable | LongTable

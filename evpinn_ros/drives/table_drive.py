@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.clock_choice import choose_clock, start_by_date
-from evpinn_ros.drives.column import Column, check_columns, columns_by_name
-from evpinn_ros.drives.contradictions import contradictions, power_beside
-from evpinn_ros.drives.held import HeldSignals, held_columns
+from evpinn_ros.drives.column import NO_USE, Column, check_columns, columns_by_name, unused_columns
 from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
 from evpinn_ros.drives.quantities import PLACES, QUANTITIES, Unit
-from evpinn_ros.drives.rows_to_readings import MOST, RowOrder, RowReadings
-from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.rows_to_readings import MOST, HeldSignals, RowOrder, RowReadings
+from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.survey import (
     MOST_ROWS,
     LongTable,
-    Row,
     Survey,
     Table,
     data_rows,
@@ -31,20 +28,31 @@ from evpinn_ros.drives.survey import (
     long_form,
     look_through,
 )
-from evpinn_ros.drives.terrain import Terrain
+from evpinn_ros.drives.text_table import Row
 from evpinn_ros.drives.times import (
     LAST_TIME_NS,
     NONE,
     RELATIVE_BELOW_S,
     Clock,
+    choose_clock,
     date_of_name,
     days_of_name,
     is_newest_first,
+    start_by_date,
     start_of_comments,
 )
-from evpinn_ros.drives.units_by_values import Signal, seconds, stands_still, with_units
-from evpinn_ros.drives.unused import NO_USE, unused_columns
+from evpinn_ros.drives.values import (
+    Signal,
+    contradictions,
+    held_columns,
+    power_beside,
+    stands_still,
+    with_units,
+)
 from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS, Reading
+
+if TYPE_CHECKING:
+    from evpinn_ros.drives.terrain import Terrain
 
 BATCH, BATCH_CELLS = 16_384, 500_000  # rows, and cells of them, converted at once
 NEEDED = {"time", "speed", "voltage", "current", "power"}
@@ -182,29 +190,6 @@ class TableDrive(Source):
             nothing = f"{self.path}: no reading in it; dropped: {reasons or 'nothing'}"
             raise InputError(self.first_bad or nothing)
 
-    def series(self, names: Sequence[str]) -> dict[str, Signal]:
-        """Columns that are no readings of ours, as they are: for benchmarks and a closer look.
-
-        Names that are not there are left out.
-
-        Returns:
-            times, s since 1970, and numbers by name, NaN where there is none.
-        """
-        header = self._head.names
-        found: dict[str, list[NDArray[np.float64]]] = {n: [] for n in names if n in header}
-        times = [np.empty(0)]
-
-        def numbers(batch: Batch, _: Stamps) -> Numbers:
-            cells = {name: _cells(batch, header.index(name)) for name in found}
-            return {name: to_floats(each, style_of(each) or POINT) for name, each in cells.items()}
-
-        for stamps, values in self._blocks(numbers):
-            times.append(np.where(stamps == NONE, np.nan, seconds(stamps, -self._start_ns)))
-            for name, each in values.items():
-                found[name].append(each)
-        time = np.concatenate(times)
-        return {name: Signal(time, np.concatenate(values)) for name, values in found.items()}
-
     def _look_through(self, found: Sequence[Column], limit: int) -> Survey:
         """Cells of these columns."""
         return look_through(
@@ -230,7 +215,7 @@ class TableDrive(Source):
         order = RowOrder()
         makers = RowReadings(self.rules, self._nominal_voltage, self.dropped)
         held = HeldSignals(self._held)
-        for stamps, values in self._blocks(self._values):
+        for stamps, values in self._blocks():
             there = stamps != NONE
             stamps = np.where(there, stamps, 0) + self._start_ns
             late = there & ((stamps >= LAST_TIME_NS) | (stamps <= 0))
@@ -248,19 +233,17 @@ class TableDrive(Source):
         for reason in [reason for reason, count in self.dropped.items() if not count]:
             del self.dropped[reason]
 
-    def _blocks(
-        self, numbers: Callable[[Batch, Stamps], Numbers]
-    ) -> Iterator[tuple[Stamps, Numbers]]:
+    def _blocks(self) -> Iterator[tuple[Stamps, Numbers]]:
         """Times by the clock, which run on, and numbers of whole rows, some thousand at a time.
 
         What a broken file still gives comes before the error.
         """
         broken: list[InputError] = []
         running = self.clock.running()
-        places = self.clock.columns
         batches = _batches(self._until_broken(broken))
+        places = self.clock.columns
         timed = ((b, self.clock.stamps({i: _cells(b, i) for i in places})) for b in batches)
-        blocks = ((stamps, numbers(batch, stamps)) for batch, stamps in timed)
+        blocks = ((stamps, self._values(batch, stamps)) for batch, stamps in timed)
         if self._newest_first:  # databases export so; there is no end to begin from in a stream
             blocks = (
                 (stamps[::-1], {name: each[::-1] for name, each in values.items()})
@@ -431,10 +414,9 @@ def _cells(batch: Batch, place: int) -> list[str]:
 
 def _seconds(stamps: Stamps) -> NDArray[np.float64]:
     """Times since the first one that is known, s; NaN where there is none."""
-    there = stamps[stamps != NONE]
-    times = seconds(stamps, int(there[0]) if there.size else 0)
-    times[stamps == NONE] = np.nan
-    return times
+    there = stamps != NONE
+    first = int(stamps[there.argmax()]) if there.any() else 0
+    return np.where(there, (stamps - first) / NANOSECONDS, math.nan)
 
 
 def _styles(survey: Survey) -> dict[int, Style]:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.source import Source
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     BatteryReading,

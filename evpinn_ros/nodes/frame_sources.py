@@ -14,7 +14,7 @@ from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.can.bus import MANY_ERRORS, SILENT_AFTER_S, BusCondition, BusStatus
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.can_logs import open_can_log
+from evpinn_ros.drives.bus_sources import open_can_log
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import Topic
 

@@ -10,7 +10,8 @@ import time
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, as_input_error
-from evpinn_ros.drives.sources import Source, open_source
+from evpinn_ros.drives.source import Source
+from evpinn_ros.drives.sources import open_source
 from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter

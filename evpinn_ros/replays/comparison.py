@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.source import Source
 from evpinn_ros.estimation.breakdown import CONSUMPTION_METRES, Breakdown, Breakdowns
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.replays.car import CarReplay

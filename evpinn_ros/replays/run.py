@@ -16,7 +16,7 @@ import numpy as np
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.trips import STRAGGLING
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.replays.chain import Chain, ChainOutput

@@ -19,9 +19,9 @@ from evpinn_ros.paper.network import PowerNetwork
 from evpinn_ros.paper.settings import PaperSettings
 from evpinn_ros.reproduction.experiment import Outcome
 from evpinn_ros.reproduction.problem import Problem
+from evpinn_ros.vehicle.files import write_vehicle
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters, Prior
 from evpinn_ros.vehicle.physics import RegenForm
-from evpinn_ros.vehicle.written import write_vehicle
 
 LEAST_RELATIVE_STD = 0.005  # of a prior written: no car is the same from one day to the next
 

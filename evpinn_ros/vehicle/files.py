@@ -1,4 +1,4 @@
-"""Vehicle files: one YAML file per car model, read strictly; certified and rated cars by name.
+"""Vehicle files: one YAML file per car model, read strictly and written; other cars by name.
 
 A wrong file is refused with its path, the line and the reason; nothing is guessed.
 """
@@ -6,18 +6,21 @@ A wrong file is refused with its path, the line and the reason; nothing is guess
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from difflib import get_close_matches
+from functools import cache
 from itertools import combinations
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 
 from evpinn_ros.common.arguments import path_of, text_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.common.writer import replaced
 from evpinn_ros.common.yaml_section import Section, compose
 from evpinn_ros.vehicle.certified import FRONTAL_AREA, certified_cars, words_of
 from evpinn_ros.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits, Parameters, Prior
@@ -246,9 +249,14 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:FEW]) + (", ..." if len(names) > FEW else "")
 
 
+@cache
+def _generic() -> Vehicle:
+    return _parse(_file("generic"))
+
+
 def _rated(key: str) -> Vehicle:
     """Any car, given what this one is sold with."""
-    any_car, car = _parse(_file("generic")), rated_cars()[key]
+    any_car, car = _generic(), rated_cars()[key]
     priors, correlations = car.given(any_car.priors, any_car.correlation)
     return replace(
         any_car,
@@ -370,3 +378,39 @@ def _prior(section: Section, name: str, limits: Limits) -> Prior:
     value = section.number("value", least, limits.upper)
     std = section.number("std", 1e-9, limits.upper)
     return Prior(value, std, section.text("source"))
+
+
+def write_vehicle(path: Path, vehicle: Vehicle) -> None:
+    """Write a vehicle file, and read it back; the constants are of the file it came from.
+
+    Raises:
+        OSError: it cannot be written.
+        InputError: it would not be a valid vehicle file.
+    """
+    document: dict[str, Any] = {"name": vehicle.name}
+    if vehicle.can_profile is not None:
+        document["can_profile"] = _profile_text(vehicle.can_profile)
+    for name in CONSTANTS:
+        value = getattr(vehicle, name)
+        if math.isfinite(value) and value != OPTIONAL_CONSTANTS.get(name):
+            document[name] = {"value": value, "source": f"vehicle {vehicle.key}"}
+    document["parameters"] = _plain_priors(vehicle.priors)
+    if vehicle.correlations:
+        document["correlations"] = {"source": f"vehicle {vehicle.key}"}
+        for (one, other), value in vehicle.correlations.items():
+            document["correlations"].setdefault(one, {})[other] = value
+    if vehicle.paper_start:
+        document["paper_start"] = _plain_priors(vehicle.paper_start)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replaced(path) as draft:
+        draft.write_text(yaml.safe_dump(document, sort_keys=False, width=99), encoding="utf-8")
+    load_vehicle(path)
+
+
+def _plain_priors(priors: Mapping[str, Prior]) -> dict[str, Any]:
+    return {name: asdict(priors[name]) for name in PARAMETER_NAMES}
+
+
+def _profile_text(name: str) -> str:
+    """A profile's name; a path is relative to the vehicle file, so from another place absolute."""
+    return str(Path(name).resolve()) if Path(name).suffix in (".yaml", ".yml") else name

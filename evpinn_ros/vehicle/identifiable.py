@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.parameters import Parameters
-from evpinn_ros.vehicle.physics import drag_force, grade_force, inertia_force, rolling_force
+from evpinn_ros.vehicle.physics import RegenForm, battery_power
 
 
 class Identifiable(NamedTuple):
@@ -48,21 +48,28 @@ def combined_power(
     grade: Any = 0.0,
     rotating_mass_factor: float = 1.0,
 ) -> Any:
-    """Battery power in the `wheel_power` form from the identifiable combinations, W.
+    """Battery power, W, of every car with these combinations (`physics.battery_power`).
 
-    Equals `physics.battery_power` of any parameters with these combinations, up to the inertia
-    of rotating parts, which scales the acceleration term here.
+    The inertia of rotating parts scales the acceleration; grade in rad, air density in kg/m^3.
     """
-    mass = combined.mass_over_eta
-    force = (
-        drag_force(speed, combined.drag_area_over_eta, air_density)
-        + grade_force(mass, grade)
-        + inertia_force(mass * rotating_mass_factor, acceleration)
+    car = Parameters(
+        eta=1.0,
+        mu=combined.regeneration,
+        mass=combined.mass_over_eta,
+        c_rr=combined.c_rr,
+        c_d=combined.drag_area_over_eta,
+        p_aux=combined.p_aux,
     )
-    # W / eta of `battery_power`: power at the wheels as the battery gives it
-    traction = speed * force + abs(speed) * rolling_force(mass, combined.c_rr, grade)
-    driving = traction * (traction > 0)
-    return driving + (traction - driving) * combined.regeneration + combined.p_aux
+    return battery_power(
+        speed,
+        rotating_mass_factor * acceleration,
+        car,
+        area=1.0,
+        air_density=air_density,
+        form=RegenForm.WHEEL_POWER,
+        beta=0.0,
+        grade=grade,
+    )
 
 
 def prior_identifiable(vehicle: Vehicle) -> tuple[Identifiable, Identifiable]:

@@ -15,8 +15,7 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.bus_sources import BagSource, CanLogSource
-from evpinn_ros.drives.can_logs import BagFrames, open_can_log
+from evpinn_ros.drives.bus_sources import BagFrames, BagSource, CanLogSource, open_can_log
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle

@@ -129,7 +129,7 @@ def assert_honest(path):
         assert values and all(map(math.isfinite, values)), reading
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=FOLDER)
+@settings(max_examples=40, deadline=None, suppress_health_check=FOLDER)
 @given(style=styles(), seed=st.integers(0, 2**32), changes=st.integers(1, 40))
 def test_a_damaged_table_never_lies(tmp_path, style, seed, changes):
     chance = random.Random(seed)

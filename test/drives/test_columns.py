@@ -15,7 +15,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import columns_by_name
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.drives.table_drive import TableDrive
-from evpinn_ros.drives.units_by_values import Signal, at_times
+from evpinn_ros.drives.values import Signal, at_times
 from evpinn_ros.signals.readings import DRIVE_START_NS, BatteryReading, SpeedReading
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
@@ -211,10 +211,10 @@ def test_any_header_is_taken_or_left(header):
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
-@pytest.mark.parametrize("name", ["TripA01", "TripB11"])
-def test_a_real_drive_under_other_names(tmp_path, name):
-    ours = open_drive(DATA / "bmw_i3" / f"{name}.csv.gz", NOMINAL)
-    with gzip.open(DATA / "bmw_i3" / f"{name}.csv.gz", "rt") as file:
+def test_a_real_drive_under_other_names(tmp_path):
+    path = DATA / "bmw_i3" / "TripB11.csv.gz"
+    ours = open_drive(path, NOMINAL)
+    with gzip.open(path, "rt") as file:
         header, *table = csv.reader(file)
     at = {n: i for i, n in enumerate(header)}
     lines = (

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from evpinn_ros.drives.held import held_columns
 from evpinn_ros.drives.sources import open_drive
-from evpinn_ros.drives.units_by_values import Signal
+from evpinn_ros.drives.values import Signal, held_columns
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 
 

@@ -17,6 +17,7 @@ here = pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
 @pytest.mark.parametrize("name", VERSIONS)
 def test_a_continuation_of_leafspy_is_read_as_the_whole_log(tmp_path, name):
     text = gzip.decompress((DATA / f"{name}.csv.gz").read_bytes()).decode("latin-1")
+    text = "".join(text.splitlines(keepends=True)[:400])
     header, _, below = text.partition("\n")
     (tmp_path / "whole.csv").write_text(text, "latin-1")
     (tmp_path / "continued.csv").write_text(below, "latin-1")

@@ -147,7 +147,7 @@ CELLS = st.one_of(
 
 @pytest.mark.slow
 @settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(rows=st.lists(st.lists(CELLS, min_size=5, max_size=5), max_size=8))
 def test_any_cells_give_finite_readings_in_order(tmp_path, rows):

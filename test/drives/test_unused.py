@@ -1,6 +1,6 @@
 """Each column that is not used has a reason that its owner understands."""
 
-from evpinn_ros.drives.unused import by_reason
+from evpinn_ros.drives.column import by_reason
 from test.drives.test_columns import drive_of, rows
 
 

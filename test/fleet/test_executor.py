@@ -93,8 +93,8 @@ def test_a_scheduler_that_wants_the_certificates_of_dasks_configuration(tmp_path
 
     pair = {"cert": str(tmp_path / "cert.pem"), "key": str(tmp_path / "key.pem")}
     subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost",
-         "-keyout", pair["key"], "-out", pair["cert"]],
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
+         "-nodes", "-subj", "/CN=localhost", "-keyout", pair["key"], "-out", pair["cert"]],
         check=True, capture_output=True,
     )  # fmt: skip
     parts = {

@@ -6,8 +6,7 @@ import pytest
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.fleet.manifest import cars_by_folder, cars_by_manifest
-from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.written import write_vehicle
+from evpinn_ros.vehicle.files import load_vehicle, write_vehicle
 
 LEAF = load_vehicle("nissan_leaf")
 

@@ -11,9 +11,8 @@ from evpinn_ros.estimation.published import evidence_of
 from evpinn_ros.fleet.population import COMBINATIONS, Population
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.vehicle.files import load_vehicle, write_vehicle
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
-from evpinn_ros.vehicle.written import write_vehicle
 
 LEAF = load_vehicle("nissan_leaf")
 SIGMA = np.array(

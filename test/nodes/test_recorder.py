@@ -17,8 +17,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.drives.bus_sources import CanLogSource
-from evpinn_ros.drives.can_logs import open_can_log
+from evpinn_ros.drives.bus_sources import CanLogSource, open_can_log
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.nodes.recorder import RecorderNode
 from evpinn_ros.signals.readings import SpeedReading

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from docs.metric_table import METRICS
-from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.source import Source
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replays.chain import Chain

@@ -14,7 +14,7 @@ import pytest
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.source import Source
 from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.paper.settings import SETTINGS

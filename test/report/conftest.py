@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from evpinn_ros.drives.sources import Source
+from evpinn_ros.drives.source import Source
 from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.replays import history

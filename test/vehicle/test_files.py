@@ -13,9 +13,9 @@ from evpinn_ros.vehicle.files import (
     limits_of,
     load_vehicle,
     vehicle_names,
+    write_vehicle,
 )
 from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Parameters
-from evpinn_ros.vehicle.written import write_vehicle
 
 NAMES = [
     "bmw_i3",
@@ -227,7 +227,7 @@ def refused_or_read(path: Path) -> None:
 
 
 @given(st.one_of(st.binary(max_size=300), st.text(max_size=300).map(lambda t: t.encode("utf8"))))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 def test_whatever_a_file_holds(tmp_path_factory, content):
     path = tmp_path_factory.getbasetemp() / "anything.yaml"
     path.write_bytes(content)
@@ -239,7 +239,7 @@ def test_whatever_a_file_holds(tmp_path_factory, content):
     st.integers(0, 40),
     st.one_of(st.text(max_size=12), st.text("{}[]:-,&*!|>'\"%@`\\?# \n\tUux0F~", max_size=12)),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_whatever_is_done_to_a_good_file(tmp_path_factory, start, length, new):
     path = tmp_path_factory.getbasetemp() / "damaged.yaml"
     path.write_bytes((GOOD[:start] + new + GOOD[start + length :]).encode("utf8"))

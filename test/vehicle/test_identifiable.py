@@ -1,6 +1,5 @@
 from hypothesis import given
 from hypothesis import strategies as st
-import numpy as np
 import pytest
 
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
@@ -64,12 +63,3 @@ def test_rotating_parts_scale_the_inertia_alone():
     assert turning - plain == pytest.approx(0.03 * 2000.0 * 1.5 * 10.0)
     steady = combined_power(10.0, 0.0, combined, air_density=1.2, rotating_mass_factor=1.03)
     assert steady == combined_power(10.0, 0.0, combined, air_density=1.2)
-
-
-def test_arrays_are_taken_elementwise():
-    combined = identifiable(Parameters(0.8, 0.6, 1600.0, 0.01, 0.24, 500.0), 2.0)
-    v, a = np.array([0.0, 10.0, 20.0]), np.array([0.0, -2.0, 1.0])
-    one_by_one = [
-        combined_power(*pair, combined, air_density=1.2) for pair in zip(v, a, strict=True)
-    ]
-    np.testing.assert_allclose(combined_power(v, a, combined, air_density=1.2), one_by_one)

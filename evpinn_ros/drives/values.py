@@ -1,16 +1,23 @@
-"""Units and signs that no name tells, by what is in the columns."""
+"""Units, signs, repeated cells and contradictions, as the values of columns tell them.
+
+A logger that writes a row whenever anything is new, and fills the other cells with what was last
+known (the Vehicle Energy Dataset), makes steps of a speed: the change of a second seems to happen
+within a tenth. Where rows come unevenly, a fine signal that repeats to the last digit was not
+measured again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evpinn_ros.drives.column import SIGNED, Column
-from evpinn_ros.drives.quantities import QUANTITIES, UNITS_OF_APPS, Unit, known_unit
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.column import SIGNED, Column, column_of
+from evpinn_ros.drives.quantities import QUANTITIES, UNITS_OF_APPS, Unit, known_unit, score
 
 FASTEST = 45.0  # m/s: what is larger is hardly a speed of a car in m/s
 STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is no speed in m/s
@@ -28,6 +35,14 @@ LIKE = 0.4  # correlation of power with speed times acceleration from which on i
 USUAL_MASS = 2000.0  # kg
 WEAKEST = 1000.0  # W: a car that takes no more than this in its whole drive does not drive
 HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
+LOADS = ("heating", "aircon", "auxiliary")
+ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
+SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
+MAY_BE_HELD = ("speed", "current", "power")
+UNEVEN = 0.5  # of the usual step between rows: one step in twenty is shorter
+LEAST_REPEATS = 0.1  # of the steps
+FINE = 10.0  # resolutions that a signal usually changes by
+LEAST_ROWS = 100
 
 FloatArray = NDArray[np.float64]
 
@@ -300,7 +315,83 @@ _BY_VALUES = {
 """Rules for the unit of a quantity that has none, by its values; in this order."""
 
 
-def seconds(stamps_ns: NDArray[np.int64], first_ns: int) -> FloatArray:
-    """Times as floats, since the first."""
-    found: FloatArray = (stamps_ns - first_ns) / NANOSECONDS
-    return found
+def held_columns(signals: Mapping[str, Signal]) -> frozenset[str]:
+    """Quantities whose cells repeat the last value where nothing was measured."""
+    return frozenset(name for name in MAY_BE_HELD if name in signals and _is_held(signals[name]))
+
+
+def _is_held(signal: Signal) -> bool:
+    time, value = signal.points()
+    steps = np.diff(time)
+    if len(steps) < LEAST_ROWS or np.quantile(steps, 0.05) > UNEVEN * np.median(steps):
+        return False
+    changes = np.abs(np.diff(value))
+    changed = changes[changes > 0.0]
+    if not changed.size or np.mean((changes == 0.0) & (value[1:] != 0.0)) < LEAST_REPEATS:
+        return False
+    resolution = np.quantile(np.diff(np.unique(value)), 0.05)
+    return bool(np.median(changed) > FINE * resolution)
+
+
+def power_beside(header: Sequence[str], used: Sequence[Column]) -> Column | None:
+    """A column of the battery's power that is not needed, for voltage and current are there."""
+    taken = {column.quantity: column.place for column in used}
+    if not {"voltage", "current"} <= taken.keys() or "power" in taken:
+        return None
+    scores = {place: score("power", name) for place, name in enumerate(header)}
+    for place, name in enumerate(header):
+        if place in taken.values() or any(score(each, name) > 0.0 for each in LOADS):
+            scores[place] = 0.0
+    place = max(scores, key=lambda i: scores[i])
+    if scores[place] <= 0.0:
+        return None
+    with suppress(InputError):  # of a unit that is not known it tells nothing
+        return column_of("power", header, place)
+    return None
+
+
+def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> Iterator[str]:
+    """Sentences on columns that contradict each other, or the car.
+
+    Args:
+        used: columns with units and signs, by quantity; with voltage and current, `power` is
+            compared with them.
+        cells: their signals in the file's units.
+    """
+    signals = {name: _in_si(cells[name], column) for name, column in used.items()}
+    drawn = signals.get("power")
+    if {"voltage", "current"} <= signals.keys():
+        current = signals["current"]
+        drawn = Signal(current.time, current.value * at_times(signals["voltage"], current.time))
+        if "power" in signals:
+            yield from _compared(used["power"].name, signals["power"], drawn)
+    if drawn is not None and pull(signals["speed"], drawn) < 0.0:
+        column = used["current" if "current" in used else "power"]
+        unit = column.unit.lstrip("-") or next(iter(QUANTITIES[column.quantity].units))
+        turned = unit if column.unit.startswith("-") else f"-{unit}"
+        yield (
+            f"the car speeds up while its battery is charged: the sign of {column.name!r} is "
+            f"probably wrong; --column '{column.quantity}={column.name}:{turned}' turns it"
+        )
+
+
+def _in_si(signal: Signal, column: Column) -> Signal:
+    return Signal(signal.time, signal.value * column.factor + column.offset)
+
+
+def _compared(name: str, power: Signal, drawn: Signal) -> Iterator[str]:
+    """Sentences on a column of power beside voltage times current, W."""
+    at = at_times(power, drawn.time)
+    known = np.isfinite(at) & np.isfinite(drawn.value)
+    one, other = at[known], drawn.value[known]
+    if one.size < LEAST_EVENTS or not np.ptp(one) or not np.ptp(other):
+        return
+    alike = float(np.corrcoef(one, other)[0, 1])
+    if abs(alike) < ALIKE:
+        yield f"{name!r} has little in common with voltage times current, which are used"
+        return
+    ratio = float(np.std(one) / np.std(other))
+    if alike < 0.0:
+        yield f"{name!r} has the other sign than voltage times current, which are used"
+    if not SAME_SIZE[0] < ratio < SAME_SIZE[1]:
+        yield f"{name!r} is {ratio:.2g} times voltage times current, which are used"
