@@ -144,7 +144,7 @@ for number in range(1, count + 1):
 
 @pytest.mark.slow
 def test_two_processes_tear_and_lose_nothing(tmp_path):
-    path, count = tmp_path / "car.json", 150
+    path, count = tmp_path / "car.json", 60
     command = [sys.executable, "-c", WRITER, str(path)]
     processes = [subprocess.Popen([*command, half.value, str(count)]) for half in Half]
     reads = 0
