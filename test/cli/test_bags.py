@@ -132,7 +132,6 @@ def test_a_full_disk_is_one_line(folder):
     for arguments, *words in (
         (("convert", URBAN, "full_1"), "full_1", "File too large"),
         (("recover", "broken.mcap", "full_2"), "full_2", "File too large"),
-        (("replay", "my.csv", "--out", "full_3"), "full_3", "File too large"),
         (("convert", URBAN, "full_4", "--storage", "sqlite3"), "full_4"),
     ):
         assert_fails_in_one_line(on_a_full_disk(*arguments, cwd=folder), *words)
@@ -150,18 +149,6 @@ def test_a_bag_of_several_files_is_replayed(evpinn, folder):
 def test_splitting_needs_a_recording(evpinn, folder):
     done = evpinn("run", "--vehicle", "generic", "--split-time", 60, cwd=folder)
     assert done.returncode == 2 and "need --record" in done.stderr
-
-
-@pytest.mark.nightly
-def test_bench_recover(evpinn, folder):
-    done = evpinn(
-        *("bench", "recover", "--cases", 12, "--megabytes", 1, "--json", "b.json"), cwd=folder
-    )
-    assert done.returncode == 0, done.stderr
-    found = json.loads((folder / "b.json").read_text())
-    assert sum(each["cases"] for each in found["campaign"]) == 12
-    assert sum(each["missing"] for each in found["campaign"]) == 0
-    assert [each["storage"] for each in found["speed"]] == ["zstd", "lz4", "chunks", "loose"]
 
 
 def test_a_csv_without_one_usable_time_makes_no_bag(evpinn, folder):

@@ -21,6 +21,14 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory):
+    """A folder with the state of a robot that has hardly driven."""
+    folder = tmp_path_factory.mktemp("begun")
+    learned(1, minutes=0.5).save(folder / "robot.json")
+    return folder
+
+
 @pytest.mark.nightly
 def test_the_learned_robot_for_a_fleet_adapter(evpinn, folder):
     given = ("--capacity", 25, "--charging-current", 5, "--radius", 0.4, "--tool", 12.5)
@@ -40,13 +48,13 @@ def test_the_learned_robot_for_a_fleet_adapter(evpinn, folder):
     assert fleet["ambient_system"]["power"] == pytest.approx(ours.COMPUTER, rel=0.15)
 
 
-def test_what_is_not_known_of_the_battery_is_asked_for(evpinn, folder):
-    done = evpinn("export", "rmf", "robot.json", cwd=folder)
+def test_what_is_not_known_of_the_battery_is_asked_for(evpinn, begun):
+    done = evpinn("export", "rmf", "robot.json", cwd=begun)
     assert (done.returncode, done.stdout) == (1, "")
     asked = "the capacity of the battery of mobile_robot is not known: give --capacity"
     assert asked in done.stderr
 
 
-def test_a_state_of_another_vehicle_is_refused(evpinn, folder):
-    done = evpinn("export", "rmf", "robot.json", "--vehicle", "bmw_i3", cwd=folder)
+def test_a_state_of_another_vehicle_is_refused(evpinn, begun):
+    done = evpinn("export", "rmf", "robot.json", "--vehicle", "bmw_i3", cwd=begun)
     assert done.returncode == 1 and "mobile_robot" in done.stderr and done.stdout == ""

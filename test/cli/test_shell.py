@@ -104,7 +104,7 @@ def on_terminal(*arguments: object, cwd: Path, **environment: str) -> str:
 
 
 @pytest.mark.parametrize(
-    "arguments", [("can", "--help"), ("simulate", "out", "--duration", 60), ("info", URBAN)]
+    "arguments", [("can", "--help"), ("simulate", "out", "--duration", 10), ("info", URBAN)]
 )
 def test_no_color_is_honoured(arguments, tmp_path):
     (tmp_path / "a").mkdir()

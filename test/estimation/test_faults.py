@@ -95,10 +95,10 @@ def steady(begin_ns: int, seconds: int, speed: float, power: float):
 
 @pytest.mark.parametrize(
     ("speed", "power", "seconds", "sigmas"),
-    [pytest.param(25.0, 15e3, 3 * 3600, 0.8, marks=pytest.mark.slow), (0.0, 1e3, 1200, 0.05)],
+    [pytest.param(25.0, 15e3, 5400, 0.8, marks=pytest.mark.slow), (0.0, 1e3, 1200, 0.05)],
 )
 def test_hours_without_excitation_move_nothing(vehicle, drive, speed, power, seconds, sigmas):
-    """Three hours at one speed, which show how even the road is, and twenty minutes standing.
+    """Ninety minutes at one speed, which show how even the road is, and twenty standing.
 
     What is published of eta is by energy, so hours of cruising do move it: the cruise is in it.
     """

@@ -167,7 +167,10 @@ def test_faults_of_sensors_move_little(vehicle, drive, kind):
     assert abs(moved - log) < 2 * std
 
 
-@pytest.mark.parametrize(("name", "most"), [("nissan_leaf", 0.25), ("generic", 0.05)])
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [pytest.param("nissan_leaf", 0.25, marks=pytest.mark.nightly), ("generic", 0.05)],
+)
 @pytest.mark.slow
 def test_motor_torque_tells_the_mass_in_kilograms(name, most):
     """Little is left of its prior share, and the truth is within its interval."""

@@ -100,10 +100,8 @@ def test_a_plan_of_a_vehicle_never_driven_goes_with_its_size(vehicle):
     assert by_robot.sigma == pytest.approx(SIZE * by_car.sigma)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed", [1, *(pytest.param(each, marks=pytest.mark.nightly) for each in (2, 3))]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_what_a_robot_teaches_in_ten_minutes(seed):
     """Energy of a path within 3 sigma and a fifth; the file alone is off by as much as it says."""
     never, known = (vehicle_model(load_vehicle("mobile_robot")), learned(seed).model)
