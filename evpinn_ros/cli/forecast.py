@@ -189,7 +189,7 @@ def _texts(row: dict[str, Any]) -> list[str]:
         charge = f"empty at {row['empty_at_m'] / 1e3:.1f} km"
     digits = kwh_digits(kwh, 3)
     return [
-        Path(row["plan"]).stem,
+        Path(row["plan"].removesuffix(".gz")).stem,
         f"{km:.2f}",
         f"{60 * hours:.1f}",
         f"{km / hours:.0f}",
