@@ -8,7 +8,7 @@ import pytest
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.terms import Warmth, equation_of
 from evpinn_ros.signals.detector import GRADE_SIGN
-from evpinn_ros.signals.sign_detectors import GradeDetector
+from evpinn_ros.signals.sign_detectors import ALIKE, GradeDetector
 
 
 class Hills:
@@ -58,6 +58,20 @@ def test_a_flipped_grade_is_found_within_ten_kilometres_and_mended(hills):
     assert hills.car.grade.detected == GRADE_SIGN
     hills.drive(2400, 1.0)
     assert not hills.car.grade.detected
+
+
+@pytest.mark.parametrize(
+    ("fall", "before", "after"),
+    [(1.0, True, True), (1.0, False, False), (-1.0, True, False), (4.5, False, True)],
+)
+def test_a_verdict_stays_between_its_limits(intervals, fall, before, after):
+    """`fall` is the evidence, in sigmas; one more interval changes that of 50 km by little."""
+    one = next(iter(intervals(np.full(1100, 15.0), height=lambda odometer: 0.0 * odometer)))
+    road = 50e3
+    correlation = -fall / np.hypot(fall, np.sqrt(road / ALIKE))
+    sums = (road, 0.0, 0.0, 1e-4 * road, 1e-4 * correlation * road, 1e-4 * road)
+    found = GradeDetector(sums, before).after(one, 0.0, 2e4)
+    assert found.detected == (GRADE_SIGN if after else None)
 
 
 def test_a_verdict_keeps_its_six_sums(hills):
