@@ -96,7 +96,7 @@ FAULTS = (
           "max(-self.energy, 0.0), max(self.energy, 0.0)"),
     Fault("a dropout's regenerated energy is drawn", "energy/dropout",
           "drawn - regenerated, regenerated", "drawn + regenerated, regenerated"),
-    Fault("the state of charge believed by its own sigma", "energy/dropout",
+    Fault("the state of charge taken for as sure as it says", "energy/dropout",
           "gain = (dropout.sigma / both) ** 2", "gain = (by_charge.sigma / both) ** 2"),
     Fault("the last kilometre is never forgotten", "energy/trip",
           "self.buckets = self.buckets[1:]", "break"),

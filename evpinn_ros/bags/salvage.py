@@ -361,7 +361,11 @@ class McapScan:
         return len(data) == LENGTH.size and at + LENGTH.size + LENGTH.unpack(data)[0] + 4 == end
 
     def message_indexes(self, position: int) -> tuple[MessageIndex, int]:
-        """Those that begin here, behind a chunk, and where they end."""
+        """Indexes of the messages of a chunk, by channel, and the position behind them.
+
+        Args:
+            position: byte behind the chunk, where the first index begins.
+        """
         found: MessageIndex = {}
         first = position
         while True:

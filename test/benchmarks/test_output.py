@@ -1,4 +1,4 @@
-"""What the commands of `evpinn bench` have in common."""
+"""Options and tables that the commands of `evpinn bench` share."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What was saved and is wrong is refused, and changes nothing."""
+"""Refusal of what was saved and is wrong: nothing changes by it."""
 
 import math
 

@@ -58,7 +58,7 @@ def readings() -> list[Reading]:
 
 @pytest.fixture(scope="module")
 def undisturbed(readings) -> dict[float, OnlineEstimator]:
-    """What the first 60 and the first 75 s of the drive teach."""
+    """Cars that learned from the first 60 and the first 75 s of the drive."""
     car = load_vehicle("tesla_model_3_lr")
     estimator = OnlineEstimator(car, EstimatorSettings(), InlineWorker(time.perf_counter))
     found: dict[float, OnlineEstimator] = {}

@@ -154,7 +154,7 @@ class Bench:
         return future.result()
 
     def diagnosis(self, node: GuardedNode) -> dict[str, Any]:
-        """What a node reports of itself now: (level, text, values) by the name of the part."""
+        """Diagnostics of a node now: (level, text, values) by the name of the part."""
         reported: list[tuple[Topic, Any]] = []
         with mock.patch.object(node, "publish", reported.extend):
             node.report()
