@@ -15,6 +15,7 @@ from evpinn_ros.estimation.bands import (
 )
 from evpinn_ros.estimation.car import LearnedCar
 from evpinn_ros.estimation.posterior import passed
+from evpinn_ros.estimation.rehearsal import LENGTHS
 from evpinn_ros.estimation.terms import equation_of
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.vehicle.files import load_vehicle
@@ -40,6 +41,16 @@ def test_energy_that_strays_for_minutes_widens_the_band_and_little_noise_narrows
     calm = learned(intervals, lambda _: rng.normal(0.0, 100.0)).state.bands.dropout
     assert wild.cases == calm.cases > 3.0
     assert wild.scale > 1.0 > calm.scale
+
+
+def test_a_rehearsal_lasts_as_long_as_the_dropout_it_stands_for(intervals):
+    car, longest = LearnedCar.new(EQUATION), dict.fromkeys(LENGTHS, 0.0)
+    for one in intervals((DriveKind.URBAN, 1.1 * max(LENGTHS), 0), begin_ns=0):
+        car = car.after([replace(one, energy=3e3, sampling_variance=0.0)])
+        for length, rehearsal in car.rehearsals.dropouts.items():
+            longest[length] = max(longest[length], rehearsal.journey.seconds)
+    for length, seconds in longest.items():
+        assert length - 15.0 < seconds < length
 
 
 def test_nothing_is_proved_by_a_dropout_or_a_car_that_stands(intervals):
