@@ -259,7 +259,7 @@ class Equation:
 
         Those of `WHOLE` add up to `rows`. At the wheels there are air, tyres, slope and speed,
         each of which gives back what it took; what is lost on the way is the drivetrain's while
-        the car drives and the brakes' while it brakes. ETA divides the same energy between wheels
+        the car drives, and the brakes' while it brakes, but for what turning takes. ETA divides the same energy between wheels
         and drivetrain, so the whole does not depend on it.
 
         Args:
@@ -284,13 +284,28 @@ class Equation:
         found[:4] = by_step.sum(1)
         moving = rows.copy()
         moving[:, CLIMATE + STANDING_LOADS] = 0.0
-        lost = moving - by_step.sum(0)
-        braking = 1.0 - wheels.driving
-        found[Part.DRIVETRAIN], found[Part.BRAKES] = wheels.driving @ lost, braking @ lost
-        found[Part.REGAINED] = -(braking @ moving)
+        back = self._braked(moving, wheels)
+        lost = moving.sum(0) - found[:4].sum(0)
+        found[Part.BRAKES] = back - (1.0 - wheels.driving) @ by_step.sum(0)
+        found[Part.DRIVETRAIN] = lost - found[Part.BRAKES]
+        found[Part.REGAINED] = -back
         found[Part.CLIMATE, CLIMATE] = rows[:, CLIMATE].sum(0)
         found[Part.STANDING, STANDING_LOADS] = rows[:, STANDING_LOADS].sum(0)
         return found
+
+    def _braked(self, moving: np.ndarray, wheels: Wheels) -> np.ndarray:
+        """Energy by state, J per unit, shape (SIZE,), of what moves the car while it brakes.
+
+        Where the motor's torque is known it tells braking itself: its reports lag by some 0.1 s,
+        so the steps in which the prior car brakes hold some of the energy of driving.
+        """
+        back = (1.0 - wheels.driving) @ moving
+        back[State.TURNING] = 0.0
+        back[State.MOTOR_DRIVE] = 0.0
+        back[State.MOTOR_BRAKE] = moving[:, State.MOTOR_BRAKE].sum()
+        if moving[:, State.MOTOR_RATIO].any():
+            back[State.MOTOR_RATIO] = self.mean[State.MOTOR_BRAKE] * back[State.MOTOR_BRAKE]
+        return np.asarray(back)
 
     def motor_rows(
         self, steps: Steps, conditions: Conditions, warmth: Warmth, wheels: Wheels

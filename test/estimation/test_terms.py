@@ -165,3 +165,23 @@ def test_lifting_a_car_takes_its_weight_times_the_height():
     steps = Steps(one, 20.0 * one, 8000.0 * one, 0.0 * one, one, none, none)
     parts = parts_of(steps, MILD) @ EQUATION.mean
     assert parts[Part.SLOPE] == pytest.approx(GRAVITY * CAR.initial.mass)
+
+
+def test_a_drivetrain_that_turns_loses_as_much_while_the_car_brakes():
+    one, none = np.ones(1), np.full(1, math.nan)
+    braking = Steps(one, 20.0 * one, 8000.0 * one, -30.0 * one, 0.0 * one, none, none)
+    parts = parts_of(braking, MILD)
+    assert parts[Part.REGAINED, State.BACK] > 0.0
+    assert parts[Part.DRIVETRAIN, State.TURNING] == pytest.approx(1.5)
+    assert parts[Part.BRAKES, State.TURNING] == parts[Part.REGAINED, State.TURNING] == 0.0
+
+
+@pytest.mark.parametrize("scaled", [True, False])
+def test_braking_is_what_the_motor_reports_in_whichever_step(scaled):
+    steps = steps_of(5, motor=True)._replace(motor_scaled=scaled)
+    regained = parts_of(steps, MILD)[Part.REGAINED]
+    whole = steps.motor_brake.sum()
+    assert regained[State.MOTOR_BRAKE] == pytest.approx(whole)
+    assert regained[State.MOTOR_DRIVE] == 0.0
+    ratio = 0.0 if scaled else EQUATION.mean[State.MOTOR_BRAKE] * whole
+    assert regained[State.MOTOR_RATIO] == pytest.approx(ratio)
