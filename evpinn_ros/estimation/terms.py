@@ -259,8 +259,8 @@ class Equation:
 
         Those of `WHOLE` add up to `rows`. At the wheels there are air, tyres, slope and speed,
         each of which gives back what it took; what is lost on the way is the drivetrain's while
-        the car drives, and the brakes' while it brakes, but for what turning takes. ETA divides the same energy between wheels
-        and drivetrain, so the whole does not depend on it.
+        the car drives, and the brakes' while it brakes, but for what turning takes. ETA
+        divides the same energy between wheels and drivetrain, so the whole does not depend on it.
 
         Args:
             rows: of the steps, as `rows` has them, shape (n, SIZE).
