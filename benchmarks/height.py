@@ -1,9 +1,10 @@
-"""Breakdowns without heights compared with those of the same drives with heights.
+"""Breakdowns of recorded drives: without their heights, or learned alone, against more.
 
 A recorded drive is learned from twice: as it is, and with its heights taken out. Every part of the
 second breakdown has an interval, and the part that was found with height should lie in it. Each
 drive begins at the vehicle file, as a stranger's only log does; the difference of two drives in a
-row (`evpinn compare`) is checked in the same way.
+row (`evpinn compare`) is checked in the same way. Or it is learned alone, and then with all drives
+of its car, from which every part is known better.
 """
 
 from __future__ import annotations
@@ -39,11 +40,29 @@ def height_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartC
             yield from _checks(car, "difference", seed, pair)
 
 
+def alone_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartCheck]:
+    """Each part of drives of each car, learned alone, against all of its drives."""
+    for key in cars:
+        car = load_car(data, key)
+        found = [list(drive.intervals(car.vehicle)) for drive in car.drives[:drives]]
+        usable = [intervals for intervals in found if _way(intervals).sum() > LEAST_DISTANCE]
+        whole = learned(car.vehicle, usable)
+        for seed, intervals in enumerate(usable):
+            true, alone = whole.of(seed), learned(car.vehicle, [intervals]).of(0)
+            if true is not None and alone is not None:
+                for part in Part:
+                    yield _check(car.key, car.key, seed, part, true, alone)
+
+
 def has_height(intervals: Sequence[Interval]) -> bool:
     """True if a drive is long enough, and its height known nearly all the way."""
-    way = np.array([abs(each.distance) for each in intervals])
+    way = _way(intervals)
     known = np.array([each.height_known for each in intervals])
     return bool(way.sum() > LEAST_DISTANCE and way[known].sum() > HEIGHT_KNOWN * way.sum())
+
+
+def _way(intervals: Sequence[Interval]) -> np.ndarray:
+    return np.array([abs(each.distance) for each in intervals])
 
 
 def without_height(interval: Interval) -> Interval:

@@ -9,7 +9,7 @@ import typer
 
 from benchmarks.breakdown import PartCheck, difference_checks, part_checks, part_summaries
 from benchmarks.cli.output import AltitudeOption, GradeOption, table_of
-from benchmarks.height import CARS, height_checks
+from benchmarks.height import CARS, alone_checks, height_checks
 from benchmarks.truth import VEHICLES
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
@@ -49,8 +49,16 @@ def breakdown(
     heights: Annotated[
         str, typer.Option(metavar="DATA", help="Recorded drives with heights taken out instead.")
     ] = "",
+    alone: Annotated[
+        str,
+        typer.Option(metavar="DATA", help="Recorded drives learned one by one instead."),
+    ] = "",
     cars: Annotated[
-        str, typer.Option(help="Cars of --heights, by comma; else all.", show_default=False)
+        str,
+        typer.Option(
+            help="Cars of --heights and --alone, by comma.",
+            show_default=False,
+        ),
     ] = ",".join(CARS),
     json_file: JsonOption = None,
 ) -> None:
@@ -58,7 +66,8 @@ def breakdown(
 
     The cars are drawn from the priors; they drive in town, on a motorway and on both in turn. With
     --heights DATA, recorded drives are used instead: the breakdown without their heights is
-    compared with the one with heights.
+    compared with the one with heights. With --alone DATA, that of a drive learned alone is
+    compared with what all drives of its car tell of it.
 
     Example: evpinn bench breakdown --drives 30
     """
@@ -67,6 +76,8 @@ def breakdown(
     seeds = range(FIRST_SEED, FIRST_SEED + drives)
     if heights:
         checks = height_checks(heights, cars.split(","), drives)
+    elif alone:
+        checks = alone_checks(alone, cars.split(","), drives)
     elif pairs:
         checks = difference_checks(VEHICLES, seeds, seconds=seconds, altitude=altitude)
     else:
@@ -85,7 +96,7 @@ def breakdown(
         with progress_bar("drives", drives, unit="drives") as progress:
             for check in checks:
                 found.append(check)
-                progress(len(found) if heights else check.seed - FIRST_SEED + 1)
+                progress(len(found) if heights or alone else check.seed - FIRST_SEED + 1)
     finally:  # Ctrl-C leaves the drives so far
         rows = part_summaries(found)
         show(table_of("", rows, COLUMNS), at_least=WIDTH)

@@ -23,7 +23,7 @@ import numpy as np
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.estimation.journey import unseen_of
 from evpinn_ros.estimation.posterior import CarState
-from evpinn_ros.estimation.states import LASTING, SIZE, State
+from evpinn_ros.estimation.states import LASTING, PHYSICS, SIZE, State
 from evpinn_ros.estimation.terms import COUNT, WHOLE, Equation, Part
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.vehicle.physics import GRAVITY
@@ -41,7 +41,11 @@ STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
 # and a load that is on while the car drives looks like tyres: share of the air's and of the
 # standing energy, 1-sigma. By likelihood of 60 simulated drives that no benchmark scores.
 AS_TYRES = 0.05
-AS_BRAKES = 0.015  # of what is regained: a step of half a second may hold driving and braking
+# Of what is regained, 1-sigma: lost in the brakes instead, and less in the drivetrain, for the sum
+# is known. A step of half a second may hold driving and braking. Where no torque shows it, brakes
+# blend in differently from drive to drive: by the likelihood of 24 recorded drives of an i3 and a
+# Leaf, each learned alone, against all of that car (`evpinn bench breakdown --alone`).
+NOT_REGAINED, NOT_REGAINED_UNSEEN = 0.015, 0.08
 # Where no height is known, the net climb of a drive is as unknown as roads make it: so many m,
 # 1-sigma, once a drive is longer than `HILL`, m. By drives of an i3 and a Leaf whose heights were
 # taken out (`evpinn bench breakdown --heights`): what a climb took is booked elsewhere then, as
@@ -55,6 +59,7 @@ MOSTLY_UNSEEN = 0.5  # of the way without heights, from here on worth saying
 # has air, the part that grows with speed most, account for it.
 MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
 TOGETHER = 0.5  # a sum this much surer than its less sure part is known, its parts are not
+_TERMS = [LASTING.index(state) for state in PHYSICS]  # columns of `EndedDrive.rows`
 CONSUMPTION_METRES = 100.0  # m; over less no consumption is known
 KNOWN_SHARE = 0.02  # of what went in and out: a part less unsure than that is known well enough
 
@@ -283,6 +288,7 @@ def breakdowns(
     drives = (*ended, now.ended(state))
     mean, covariance = state.mixture()
     rows = np.concatenate([each.rows for each in drives])
+    unseen = [float(each.rows[Part.REGAINED, _TERMS] @ mean[PHYSICS]) for each in drives]
     energy = rows @ mean[LASTING] + np.concatenate([each.offset for each in drives])
     whole = rows @ covariance[np.ix_(LASTING, LASTING)] @ rows.T
     weight = GRAVITY * equation.eta * float(mean[State.MASS])
@@ -290,15 +296,22 @@ def breakdowns(
     shape = len(drives), COUNT
     energy, whole = energy.reshape(shape), whole.reshape(shape + shape)
     for number, each in enumerate(drives):
-        whole[number, :, number] += each.own + _beside(energy[number], each.totals, weight, growth)
+        beside = _beside(energy[number], unseen[number], each.totals, weight, growth)
+        whole[number, :, number] += each.own + beside
     return Breakdowns(energy, whole, tuple(each.totals for each in drives))
 
 
-def _beside(energy: np.ndarray, totals: Totals, weight: float, growth: float) -> np.ndarray:
+def _beside(
+    energy: np.ndarray, regained: float, totals: Totals, weight: float, growth: float
+) -> np.ndarray:
     """Covariance that no state holds, J^2: heights that stray, edges, wind and maps of losses.
 
-    `weight` is in N; `growth` is the variance of the unseen climb per length of floors, m, NaN for
-    roads.
+    Args:
+        energy: of each part, J, shape (COUNT,).
+        regained: what the terms of eq. 21 have of it, J; nothing where torque shows braking.
+        totals: of the drive.
+        weight: over eta, N.
+        growth: variance of the unseen climb per length of floors, m, NaN for roads.
     """
     own = np.zeros((COUNT, COUNT))
     if totals.unseen < totals.distance:
@@ -308,14 +321,15 @@ def _beside(energy: np.ndarray, totals: Totals, weight: float, growth: float) ->
         on_roads = math.isnan(growth)
         climb = net_climb(totals.unseen) ** 2 if on_roads else growth * totals.unseen
         own += weight**2 * climb * np.outer(climbed, climbed)
+    unit = np.eye(COUNT)
+    braking = unit[Part.REGAINED] - unit[Part.BRAKES] + unit[Part.DRIVETRAIN]
     mistaken = (
-        (Part.AIR, Part.TYRES, AS_TYRES),
-        (Part.STANDING, Part.TYRES, AS_TYRES),
-        (Part.REGAINED, Part.BRAKES, AS_BRAKES),
+        AS_TYRES * energy[Part.AIR] * (unit[Part.AIR] - unit[Part.TYRES]),
+        AS_TYRES * energy[Part.STANDING] * (unit[Part.STANDING] - unit[Part.TYRES]),
+        NOT_REGAINED * energy[Part.REGAINED] * braking,
+        NOT_REGAINED_UNSEEN * regained * braking,
     )
-    for part, other, share in mistaken:
-        exchanged = share * energy[part] * (np.eye(COUNT)[part] - np.eye(COUNT)[other])
-        own += np.outer(exchanged, exchanged)
+    own += sum(np.outer(each, each) for each in mistaken)
     # (m v dv)^2 at both ends
     own[Part.SPEED, Part.SPEED] += 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])
     return own
