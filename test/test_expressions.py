@@ -5,6 +5,7 @@ how long it can be.
 """
 
 import ast
+from functools import cache
 from pathlib import Path
 import re
 import time
@@ -88,7 +89,10 @@ def _expressions():
                     yield str(path.relative_to(PACKAGE.parent)), pattern
 
 
-EXPRESSIONS = sorted(set(_expressions()), key=repr)
+@cache
+def expressions():
+    """Every file and its expressions, in order; not while tests are collected: it takes 2 s."""
+    return sorted(set(_expressions()), key=repr)
 
 
 def _flags(pattern):
@@ -101,7 +105,7 @@ def _methods(path, compiled):
 
 
 def test_the_expressions_are_found():
-    assert len(EXPRESSIONS) > 20 and {path for path, _ in EXPRESSIONS} >= set(CUT)
+    assert len(expressions()) > 20 and {path for path, _ in expressions()} >= set(CUT)
 
 
 @pytest.mark.nightly
@@ -109,7 +113,7 @@ def test_the_expressions_are_found():
 @pytest.mark.timeout(300)
 def test_no_expression_takes_the_square_of_its_text():
     slow = []
-    for path, pattern in EXPRESSIONS:
+    for path, pattern in expressions():
         compiled, length = re.compile(pattern, _flags(pattern)), CUT.get(path, LONGEST)
         worst = 0.0
         for start in STARTS:
