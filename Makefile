@@ -67,6 +67,8 @@ quick: $(INSTALLED)
 
 # The loop of an edit to what learns: signals, estimation and energy, without what costs.
 # Where nothing is installed yet, it installs the group `core` alone: no torch, no DDS, no SUMO.
+# None of them waits, so there is one worker for each core.
+core: JOBS := 2
 core: $(CORE)
 	@$(CORE_PYTHON) -m pytest $(IN_PARALLEL) --hypothesis-profile=quick --quick $(ROOMS)
 

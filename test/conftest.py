@@ -34,8 +34,8 @@ COSTS = frozenset({"ros", "browser", "build", "torch", "slow", "nightly"})
 HEAVY = ("rclpy", "torch")
 """Modules that no test without such a mark may load: each takes seconds."""
 
-# Thousands of tests and what they import are live objects: to look through them for cycles as often
-# as Python does by itself takes 7 % of the processor's time.
+# Thousands of tests and what they import are live objects: to look through them for cycles as
+# often as Python does by itself takes 7 % of the processor's time.
 gc.set_threshold(100_000, 50, 100)
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
