@@ -41,6 +41,9 @@ MSGS_INSTALLED := $(MSGS)/installed
 endif
 endif
 
+# What tests load, compiled once: else all workers compile the same modules at the same time.
+COMPILED := $(VENV)/compiled
+
 # What `make core` runs with: all of the environment where there is one, else what the core needs.
 ROOMS := test/signals test/estimation test/energy
 CORE_VENV := .venv-core
@@ -53,7 +56,7 @@ demo: $(INSTALLED)
 	@$(EVPINN) demo
 
 test:
-	@$(MAKE) --no-print-directory -j 2 lint $(ROS2_INSTALLED) $(MSGS_INSTALLED)
+	@$(MAKE) --no-print-directory -j 2 lint $(COMPILED) $(ROS2_INSTALLED) $(MSGS_INSTALLED)
 	@$(BIN)/python -m pytest $(IN_PARALLEL) --hypothesis-profile=ci -m "$(CHOSEN)"
 
 # What every change runs, and with it the insides of benchmarks, captures and one case more of each.
@@ -129,6 +132,9 @@ clean:
 	rm -rf $(VENV) $(CORE_VENV) $(JAZZY) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
 
 # With them those that tests send as other stacks do: CAN frames, Autoware, Nav2's bond.
+$(COMPILED): $(INSTALLED)
+	@$(BIN)/python -m pytest --collect-only -qq >/dev/null 2>&1; touch $@
+
 $(MSGS)/installed: $(INSTALLED) $(shell find evpinn_msgs test/messages -type f)
 	@echo "Building evpinn_msgs and messages of others into $(MSGS); it takes a minute."
 	@scripts/install.sh $(BIN)/python -c $(CONSTRAINTS) -r evpinn_msgs/requirements-build.txt
