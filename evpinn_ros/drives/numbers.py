@@ -88,4 +88,4 @@ def to_floats(cells: Sequence[str], style: Style) -> NDArray[np.float64]:
         again = written.cast(pl.Float64, strict=False)
         keep = again if style == COMMA else values.fill_null(again)
         values = keep
-    return values.fill_null(float("nan")).to_numpy()
+    return np.asarray(values.fill_null(float("nan")))

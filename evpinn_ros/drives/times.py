@@ -164,7 +164,7 @@ def _parsed(text: pl.Series, formats: str) -> NDArray[np.int64]:
         # Digits below a microsecond are for logs whose stamps are numbers.
         far = micros.abs() > LAST_TIME_NS // 1000
         parsed = pl.select(pl.when(~far).then(micros * 1000)).to_series()
-    return parsed.fill_null(NONE).to_numpy().astype(np.int64)
+    return np.asarray(parsed.fill_null(NONE), np.int64)
 
 
 def is_newest_first(times: NDArray[Any]) -> bool:

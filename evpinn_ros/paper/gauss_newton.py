@@ -78,7 +78,7 @@ def gauss_newton_step(
     """
     linearised = Linearised(network, inputs, target)
     while damping <= MOST_DAMPING:
-        step = linearised.step(damping)
+        step: torch.Tensor | None = linearised.step(damping)
         if step is not None:
             return step
         damping *= 10.0

@@ -136,7 +136,7 @@ class AdamThenLbfgs(Adam):
         if self._epoch <= ADAM_EPOCHS_BEFORE_LBFGS:
             super().step()
         else:
-            self._lbfgs.step(self.loss)  # type: ignore[no-untyped-call]
+            self._lbfgs.step(self.loss)
 
     def state(self) -> dict[str, torch.Tensor]:
         """As `Adam`, and how far it is."""
