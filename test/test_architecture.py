@@ -168,6 +168,7 @@ def test_only_nodes_know_ros() -> None:
     assert known(without_ros(), ros_packages()) == []
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_everything_but_the_nodes_loads_without_ros() -> None:
     names = [f"evpinn_ros.{name}".rstrip(".") for name in without_ros() if name != "__main__"]

@@ -31,7 +31,7 @@ DOCS = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [path for path in DOCS if path.stem != "benchmark_history"]
 PAGES += [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 LONG = {"add_your_car", "compare", "fleet", "obd", "plan", "python", "replay", "rmf"}
-LONG |= {"robot", "viewing"}
+LONG |= {"robot", "uncertainty", "viewing"}
 NOTHING_RUNS = {"planning", "ros"}  # their blocks need ROS, nodes or a window
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 REASON = re.compile(r"<!-- not run: (\S.*) -->\n\Z")
