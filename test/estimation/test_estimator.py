@@ -81,11 +81,7 @@ def test_parameters_come_once_a_second(new_estimator, play, cruise, at_start):
     assert [f.stamp_ns - at_start for f in found] == [k * NANOSECONDS for k in (1, 2, 3, 4, 5)]
 
 
-@pytest.mark.parametrize(
-    "mode",
-    # Each change compares a replay of the paper's mode with its record (`test_golden.py`).
-    [Mode.HYBRID, pytest.param(Mode.PAPER, marks=[pytest.mark.torch, pytest.mark.nightly])],
-)
+@pytest.mark.parametrize("mode", MODES)
 def test_the_same_readings_give_the_same_bits(new_estimator, play, drive, mode):
     readings = up_to(drive(1, 240.0).readings, 25.0 if mode is Mode.HYBRID else 9.0)
     first, second = (play(new_estimator(mode=mode), readings) for _ in range(2))
