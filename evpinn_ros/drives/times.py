@@ -198,7 +198,6 @@ def clock_of_numbers(
     if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", filled[0].strip()):
         return None  # 20240305070809 is a date
     known = _forward(known)
-    steps = np.diff(known)
     if unit is None and (serial := _serial_clock(column, known, style)):
         return serial
     size = float(np.median(np.abs(known)))
@@ -207,7 +206,7 @@ def clock_of_numbers(
         name = unit or since_1970
         why = "since 1970, by its values"
         return Clock((column,), "number", unit=name, zoned=True, why=why, style=style)
-    name = "s" if in_seconds else unit or _unit_of_steps(steps)
+    name = "s" if in_seconds else unit or _unit_of_steps(known)
     why = "by its name" if unit or in_seconds else "by the step between rows"
     daily = _begins_anew(known, DAY_NS / _NS[name])
     return Clock((column,), "number", unit=name, why=why, style=style, daily=daily)
@@ -228,7 +227,9 @@ def _serial_clock(column: int, known: NDArray[np.float64], style: Style) -> Cloc
     return None
 
 
-def _unit_of_steps(steps: NDArray[np.float64]) -> str:
+def _unit_of_steps(times: NDArray[np.float64]) -> str:
+    """Unit of times by how far apart they are, in whichever order the rows stand."""
+    steps = np.diff(np.sort(times))
     forward = steps[steps > 0]
     step = float(np.median(forward)) if forward.size else 0.0
     if step <= SLOWEST_STEP:

@@ -85,6 +85,13 @@ def test_no_units_at_all_and_milliseconds(tmp_path):
     assert tuple(drive.ignored) == ("rpm",)
 
 
+def test_seconds_out_of_order_are_seconds(tmp_path):
+    lines = np.array([f"{t:.1f},{3.6 * v:.4f},{u},{i:.4f}" for t, v, u, i in rows()])
+    mixed = np.random.default_rng(1).permutation(lines)
+    drive = drive_of(tmp_path, "time,speed_kmh,voltage,current", mixed)
+    assert {rule.quantity: rule.unit for rule in drive.rules}["time"] == "s"
+
+
 @pytest.mark.parametrize("name", ["kW", "Battery Power kW", "hvPower_kW"])
 def test_a_power_named_by_its_unit_alone(tmp_path, name):
     lines = (f"{t:.1f},{3.6 * v:.4f},{u * i / 1000:.6f}" for t, v, u, i in rows())
