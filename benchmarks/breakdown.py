@@ -28,6 +28,8 @@ from evpinn_ros.simulation.truth import prior_parameters
 from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.vehicle.physics import GRAVITY
 
+CLIMB = Part.SLOPE, Part.BRAKES, Part.DRIVETRAIN  # that a climb looks like, without heights
+
 
 @dataclass(frozen=True, slots=True)
 class PartCheck:
@@ -103,7 +105,7 @@ def part_checks(
         # No load of a simulated car is heating: climate and standing load have one truth.
         loads = Part.CLIMATE, Part.STANDING
         groups: list[tuple[Part, ...]] = [(part,) for part in Part if part not in loads]
-        groups += [loads, tuple(list(Part)[WHOLE])]
+        groups += [loads, CLIMB, tuple(list(Part)[WHOLE])]
         groups += [group for group in found.together() if group not in groups]
         for group in groups:
             amount = found.of(*group)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.breakdown import PartCheck, difference_checks, part_checks, part_summaries
+from benchmarks.breakdown import CLIMB, PartCheck, difference_checks, part_checks, part_summaries
 from benchmarks.truth import VEHICLES
 from evpinn_ros.estimation.terms import Part
 from evpinn_ros.simulation.drive import DriveKind
@@ -30,8 +30,8 @@ def test_parts_lie_within_their_sigmas(checks):
 def test_sigmas_are_not_so_wide_that_they_say_nothing(checks):
     """Without heights, parts that a climb looks like say something together alone."""
     sigmas = {row.name: row.sigma_percent for row in part_summaries(checks)}
-    climb = {"slope", "brakes", "drivetrain"}
-    assert climb | {"slope+brakes+drivetrain"} <= sigmas.keys()
+    climb = {part.name.lower() for part in CLIMB}
+    assert climb <= sigmas.keys() and sigmas["slope+brakes+drivetrain"] < 10.0
     assert max(sigma for name, sigma in sigmas.items() if name not in climb) < 15.0
 
 
