@@ -162,3 +162,19 @@ def test_what_one_hard_braking_leaves_unexplained_is_no_reason_to_doubt_the_mode
     )
     assert abs(calm.kwh) < 3.0 * calm.sigma_kwh
     assert braked.kwh > 0.08 and braked.kwh < 3.0 * braked.sigma_kwh
+
+
+def test_parts_of_a_known_car_are_as_unsure_as_they_are_mistaken_for_each_other(town):
+    """Wind looks like tyres, and brakes blend in differently; the sum stays known."""
+    learned = LearnedCar.new(EQUATION).after(replace(one, height_known=True) for one in town)
+    state = learned.state
+    mean = np.repeat(state.mixture().mean[None], len(state.mean), axis=0)
+    known = replace(state, mean=mean, covariance=1e-9 * state.covariance)
+    found = replace(learned, state=known).breakdowns().of(0)
+    energy, std = found.energy, np.sqrt(np.diagonal(found.covariance))
+    for part, share in {Part.AIR: 0.05, Part.STANDING: 0.05}.items():
+        assert std[part] == pytest.approx(share * energy[part], rel=0.1)
+    # No torque shows braking here, and what brakes took is missing in what was regained.
+    assert 0.08 < std[Part.REGAINED] / energy[Part.REGAINED] < 0.15
+    assert std[Part.BRAKES] == pytest.approx(std[Part.REGAINED], rel=0.1)
+    assert np.sqrt(found.covariance[WHOLE, WHOLE].sum()) < 0.5 * std[Part.REGAINED]
