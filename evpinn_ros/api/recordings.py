@@ -44,6 +44,7 @@ def replay(
     can_profile: str | None = None,
     trust_profile: bool = False,
     columns: Sequence[str] = (),
+    car: str | None = None,
     elevation: str | os.PathLike[str] | None = None,
 ) -> Result:
     """Replay a recorded drive; the numbers are exactly those of `evpinn replay`.
@@ -69,6 +70,8 @@ def replay(
         can_profile: profile of a CAN log; that of the vehicle if not given.
         trust_profile: True to use the profile even if the traffic contradicts it.
         columns: corrections for the columns of a table, `speed=NAME` or `speed=NAME:km/h`.
+        car: which one, if a table or bag holds several: as its column of cars names it, or the
+            namespace of its topics.
         elevation: folder of SRTM (`N48E011.hgt`) or GeoTIFF tiles, which give heights to a drive
             that has positions.
 
@@ -91,9 +94,10 @@ def replay(
         can_profile=can_profile,
         trust_profile=truth_of("trust_profile", trust_profile),
         columns=columns,
+        car=car,
         elevation=elevation,
-    ) as (car, source):
-        return _result(car, source)
+    ) as (car_replay, source):
+        return _result(car_replay, source)
 
 
 def replay_trips(
@@ -118,8 +122,8 @@ def replay_trips(
         vehicle: the same.
         withhold_battery_after: s of each trip from which on the battery is hidden.
         warm_up: s at the start of each trip that are not scored.
-        options: `mode`, `params`, `state`, `can_profile`, `trust_profile`, `columns`, `elevation`
-            of `replay`.
+        options: `mode`, `params`, `state`, `can_profile`, `trust_profile`, `columns`, `car`,
+            `elevation` of `replay`.
 
     Raises:
         InputError: the drive, the vehicle or a file cannot be used; the text says why.
@@ -128,8 +132,8 @@ def replay_trips(
         finite_or_none("withhold_battery_after", withhold_battery_after),
         finite("warm_up", warm_up),
     )
-    with _opened(drive, vehicle, scored, **options) as (car, source):
-        return [_result(car, trip) for trip in split(source)[0]]
+    with _opened(drive, vehicle, scored, **options) as (car_replay, source):
+        return [_result(car_replay, trip) for trip in split(source)[0]]
 
 
 @contextmanager
@@ -144,11 +148,12 @@ def _opened(
     can_profile: str | None = None,
     trust_profile: bool = False,
     columns: Sequence[str] = (),
+    car: str | None = None,
     elevation: str | os.PathLike[str] | None = None,
 ) -> Iterator[tuple[CarReplay, Source]]:
     """The car and its drive; what was learned is written when nothing went wrong."""
     written = None if state is None else path_of("state", state)
-    car = CarReplay(
+    car_replay = CarReplay(
         vehicle,
         options,
         mode=None if mode is None else mode_of(mode),
@@ -162,13 +167,18 @@ def _opened(
     with TemporaryDirectory() as folder:
         path = _path_of(drive, Path(folder))
         yield (
-            car,
-            car.open(
-                path, can_profile, trust_profile=trust_profile, columns=columns, terrain=terrain
+            car_replay,
+            car_replay.open(
+                path,
+                can_profile,
+                trust_profile=trust_profile,
+                columns=columns,
+                car=None if car is None else text_of("car", car),
+                terrain=terrain,
             ),
         )
     if written is not None:
-        car.write_state(written)
+        car_replay.write_state(written)
 
 
 def _result(car: CarReplay, source: Source) -> Result:

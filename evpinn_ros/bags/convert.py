@@ -48,22 +48,22 @@ class BagReadings:
     """
 
     def __init__(
-        self, reader: BagReader, namespace: str | None = None, mounting: Rotation | None = None
+        self, reader: BagReader, car: str | None = None, mounting: Rotation | None = None
     ) -> None:
         """Find the topics by name and type.
 
-        `namespace` is that of the car, None when the bag holds one car only; `mounting` that of
-        its IMU, see `grade_reading`.
+        `car` is its namespace, None when the bag holds one car only; `mounting` that of its IMU,
+        see `grade_reading`.
 
         Raises:
             InputError: none of the topics is there, or the bag holds several cars.
         """
         self.dropped: Counter[str] = Counter()
         self._reader, self._mounting = reader, mounting
-        speeds = (_named(reader, topic, namespace) for topic in topics.SPEEDS)
+        speeds = (_named(reader, topic, car) for topic in topics.SPEEDS)
         wanted_topics = [topic for topic in READING_TOPICS.values() if topic is not topics.SPEED]
         found = [next(filter(None, speeds), None)]
-        found += [_named(reader, topic, namespace) for topic in wanted_topics]
+        found += [_named(reader, topic, car) for topic in wanted_topics]
         self.topics = tuple(name for name in found if name)
         missing = {topics.SPEED, topics.BATTERY} - {topic_of(name) for name in self.topics}
         if found[0]:
@@ -96,14 +96,17 @@ def _near_topics(reader: BagReader, missing: Iterable[Topic]) -> Iterator[str]:
             yield f"topic {name} is not known{near}"
 
 
-def _named(reader: BagReader, topic: Topic, namespace: str | None) -> str | None:
+def _named(reader: BagReader, topic: Topic, car: str | None) -> str | None:
     """The full name of a topic in a bag, or None."""
     names = [
         name
         for name, info in reader.topics.items()
         if info.type_name == topic.type_name
-        and (topic.matches(name) if namespace is None else name == topic.under(namespace))
+        and (topic.matches(name) if car is None else name == topic.under(f"/{car.strip('/')}"))
     ]
     if len(names) > 1:
-        raise InputError(f"{reader.path}: several cars: {', '.join(names)}; give a namespace")
+        cars = ", ".join(name.removesuffix(f"/{topic.name}") or "/" for name in names)
+        raise InputError(
+            f"{reader.path}: topics of {len(names)} cars, {cars}; say --car NAME for one of them"
+        )
     return names[0] if names else None

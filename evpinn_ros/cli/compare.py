@@ -10,6 +10,7 @@ import typer
 from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import (
     CanProfileOption,
+    CarOption,
     ColumnOption,
     ElevationOption,
     JsonOption,
@@ -54,6 +55,7 @@ def compare(
     ] = None,
     params: ParamsOption = None,
     column: ColumnOption = None,
+    car_name: CarOption = None,
     elevation: ElevationOption = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
@@ -80,6 +82,7 @@ def compare(
             can_profile,
             trust_profile=trust_profile,
             columns=column or (),
+            car=car_name,
             terrain=terrain,
         )
         for path in drives

@@ -15,7 +15,12 @@ from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, say, writing
 from evpinn_ros.cli.interruption import Interruption
-from evpinn_ros.cli.options import CanProfileOption, TrustProfileOption, complete_vehicle
+from evpinn_ros.cli.options import (
+    CanProfileOption,
+    CarOption,
+    TrustProfileOption,
+    complete_vehicle,
+)
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.quantities import QUANTITIES
@@ -49,6 +54,7 @@ def convert(
             "while it discharges. " + f"Quantities: {', '.join(QUANTITIES)}."
         ),
     ] = None,
+    car_name: CarOption = None,
     storage: Annotated[
         Storage | None,
         typer.Option(help="Only change the storage of a bag, and keep every topic."),
@@ -70,7 +76,12 @@ def convert(
         return
     car = load_vehicle(vehicle)
     source = open_source(
-        source_path, car, can_profile, trust_profile=trust_profile, columns=column or ()
+        source_path,
+        car,
+        can_profile,
+        trust_profile=trust_profile,
+        columns=column or (),
+        car=car_name,
     )
     explain_columns(source)
     with Interruption() as interruption:

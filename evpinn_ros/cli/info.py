@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import moment, note, progress_bar, say, show, show_json
-from evpinn_ros.cli.options import ColumnOption, JsonTextOption
+from evpinn_ros.cli.options import CarOption, ColumnOption, JsonTextOption
 from evpinn_ros.cli.table_columns import choice, shorter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
@@ -33,6 +33,7 @@ def info(
         list[Path], typer.Argument(help="Bags, CAN logs, tables, or a folder of them.")
     ],
     column: ColumnOption = None,
+    car_name: CarOption = None,
     as_json_text: JsonTextOption = False,
 ) -> None:
     """Show what recordings contain, and which part of them the estimator can use.
@@ -43,7 +44,7 @@ def info(
     problems = 0
     for path in chain.from_iterable(map(files_of, inputs)):
         try:
-            found.append(contents(path, column or (), partial(progress_bar, path.name)))
+            found.append(contents(path, column or (), car_name, partial(progress_bar, path.name)))
         except InputError as error:
             problems += 1
             note(f"evpinn: {error}")

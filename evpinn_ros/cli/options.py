@@ -55,6 +55,14 @@ ColumnOption = Annotated[
     list[str] | None,
     typer.Option(help="Correct a column: speed=NAME:km/h (see evpinn convert --help)."),
 ]
+CarOption = Annotated[
+    str | None,
+    typer.Option(
+        "--car",
+        metavar="NAME",
+        help="Which car of a table or bag of several: its name there, or its namespace.",
+    ),
+]
 ElevationOption = Annotated[
     Path | None,
     typer.Option(

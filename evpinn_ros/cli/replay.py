@@ -16,6 +16,7 @@ from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, 
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
     CanProfileOption,
+    CarOption,
     ColumnOption,
     ElevationOption,
     MetricsOption,
@@ -108,6 +109,7 @@ def replay(
     ] = 1,
     whole: Annotated[bool, typer.Option("--whole", help="Each file is one drive.")] = False,
     column: ColumnOption = None,
+    car_name: CarOption = None,
     elevation: ElevationOption = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
@@ -138,6 +140,7 @@ def replay(
         can_profile=can_profile,
         trust_profile=trust_profile,
         columns=column or (),
+        car=car_name,
         terrain=None if elevation is None else Terrain(elevation),
     )
     first, unreadable = _opened(open_input, inputs, whole)

@@ -22,7 +22,7 @@ from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.formats import suffix_of
+from evpinn_ros.drives.formats import suffix_of, unknown_kind
 from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.signals.readings import Reading
@@ -124,12 +124,19 @@ class BagSource(Source):
     """A rosbag2 folder, a bare `.mcap` or `.db3`."""
 
     def __init__(
-        self, path: Path, mounting: Rotation | None = None, terrain: Terrain | None = None
+        self,
+        path: Path,
+        car: str | None = None,
+        mounting: Rotation | None = None,
+        terrain: Terrain | None = None,
     ) -> None:
-        """Open the bag; InputError when it is none or has none of our topics."""
+        """Open the bag; InputError when it is none or has none of our topics.
+
+        The arguments are those of `sources.open_source`.
+        """
         super().__init__(path)
         self._reader, self._terrain = BagReader(path), terrain
-        self._readings = BagReadings(self._reader, mounting=mounting)
+        self._readings = BagReadings(self._reader, car, mounting)
         self.dropped = self._readings.dropped
 
     @property
@@ -202,6 +209,7 @@ def open_bus_source(
     can_profile: str | None,
     *,
     trust_profile: bool,
+    car: str | None,
     mounting: Rotation | None,
     terrain: Terrain | None,
 ) -> Source:
@@ -215,7 +223,7 @@ def open_bus_source(
         # Recorded topics of ours; raw frames when asked by a profile, or if they are all there is.
         if can_profile is None or not holds_frames(path):
             try:
-                return BagSource(path, mounting, terrain)
+                return BagSource(path, car, mounting, terrain)
             except InputError:
                 if not holds_frames(path):
                     raise
@@ -223,8 +231,7 @@ def open_bus_source(
     elif suffix_of(path) in LOG_SUFFIXES:
         log = LogFile(path)
     else:
-        known = ", ".join(LOG_SUFFIXES)
-        raise InputError(f"{path}: neither a bag, a CAN log ({known}) nor a table")
+        raise unknown_kind(path)
     name = can_profile or vehicle.can_profile
     if name is None:
         raise InputError(

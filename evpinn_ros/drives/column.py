@@ -10,6 +10,7 @@ from evpinn_ros.common.errors import InputError, near_names
 from evpinn_ros.drives.quantities import (
     BY_COLUMN,
     COLUMNS_OF_APPS,
+    NEEDED,
     QUANTITIES,
     Unit,
     known_unit,
@@ -70,7 +71,7 @@ def columns_by_name(
 
     Raises:
         InputError: a choice that names no quantity, no column or no unit, or a bracketed unit
-            that is not known.
+            that is not known, of a quantity that is needed; without others a drive can be read.
     """
     own = [
         Column(BY_COLUMN[name], name, place=i)
@@ -99,12 +100,20 @@ def columns_by_name(
         free = (i for i in range(len(header)) if i not in taken and i not in empty)
         scores = {i: score(quantity, header[i]) for i in free}
         scores |= {i: most for i, most in _of_app(quantity, header).items() if i not in empty}
+        if quantity not in NEEDED:
+            scores = {i: each for i, each in scores.items() if not _foreign(quantity, header[i])}
         best = max(scores, key=lambda i: scores[i], default=None)
         if best is not None and scores[best] > 0:
             found.append(column_of(quantity, header, best))
             known.add(quantity)
             taken.add(best)
     return found
+
+
+def _foreign(quantity: str, name: str) -> str:
+    """The unit that a name has in brackets where it is none of the quantity's; empty if not."""
+    text, unit = unit_of(quantity, name)
+    return text if unit is None else ""
 
 
 def _of_app(quantity: str, header: Sequence[str]) -> dict[int, float]:
@@ -208,6 +217,9 @@ def _reason(name: str, taken: Mapping[str, Column]) -> str:
     for quantity, column in taken.items():
         if score(quantity, name) > 0.0:
             return f"{quantity} is read from {column.name!r}"
+    for quantity in QUANTITIES.keys() - taken.keys() - NEEDED:
+        if score(quantity, name) > 0.0 and (text := _foreign(quantity, name)):
+            return f"the unit [{text}] of {quantity} is not known"
     if score("power", name) > 0.0 and {"voltage", "current"} <= taken.keys():
         return "power is voltage times current"
     parts = (why for quantity, why in OF_PARTS.items() if speaks_of(quantity, name))

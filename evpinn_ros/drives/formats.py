@@ -34,6 +34,12 @@ def suffix_of(path: Path) -> str:
     return Path(path.name.lower().removesuffix(".gz")).suffix
 
 
+def unknown_kind(path: Path) -> InputError:
+    """Error for a file that is no recording; it names the kinds that are."""
+    logs, tables = ", ".join(LOG_SUFFIXES), ", ".join(TABLE_SUFFIXES)
+    return InputError(f"{path}: neither a bag, a CAN log ({logs}) nor a table ({tables})")
+
+
 def is_drive_table(path: Path) -> bool:
     """True if a path is that of a table which is no log of a CAN bus.
 

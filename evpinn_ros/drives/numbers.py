@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 import polars as pl
 
-# What apps write where a value is missing.
-MISSING = frozenset(("", "na", "n/a", "none", "null", "-", "--", "---", "?", "no data"))
+# What apps write where a value is missing; NaN is MATLAB's and pandas'.
+MISSING = frozenset(("", "na", "n/a", "nan", "none", "null", "-", "--", "---", "?", "no data"))
 _GROUPS = re.compile(r"[+-]?\d{1,3}(?:([.,])\d{3})(?:\1\d{3})*")
 _SPACES = "[ \u00a0\u202f'\u2019_]"
 
@@ -24,6 +24,11 @@ class Style(NamedTuple):
 
 
 POINT, COMMA = Style(".", ","), Style(",", ".")
+
+
+def is_missing(cell: str) -> bool:
+    """True if a cell says that there is no value."""
+    return cell.strip().lower() in MISSING
 
 
 def style_of(cells: Iterable[str], fallback: Style | None = None) -> Style | None:

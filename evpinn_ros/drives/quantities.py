@@ -60,9 +60,18 @@ _TEMPERATURE |= {"k": Unit(1.0, -273.15)}
 _LENGTH = _units(m=1.0, meters=1.0, ft=0.3048, feet=0.3048)
 _DISTANCE = _units(km=1e3, kilometers=1e3, mi=1609.344, miles=1609.344, m=1.0)
 _DEGREES = {"deg": Unit(1.0), "°": Unit(1.0), "degrees": Unit(1.0)}
-_PERCENT = {"%": Unit(1.0), "pct": Unit(1.0), "percent": Unit(1.0), "fraction": Unit(100.0)}
+_PERCENT = {
+    "%": Unit(1.0),
+    "per": Unit(1.0),
+    "pct": Unit(1.0),
+    "percent": Unit(1.0),
+    "fraction": Unit(100.0),
+}
 
-_BATTERY = "battery,batt,bat,pack,hv,ht,traction,dc,total,v b,batterie,batería,batteria,bateria"
+_BATTERY = (
+    "battery,batt,bat,pack,hv,ht,traction,dc,total,v b,batterie,batteri,batterij,batería,batteria,"
+    "bateria,baterii,baterie"
+)
 _OTHERS = (
     "motor,engine,cell,min,max,limit,charger,aux,auxiliary,lv,12v,phase,target,set,heating,heater,"
     "htr,aircon,ac,a c,regen,available,fan,accuracy,acc,wind,rear,gps2,temp,temperature,module,"
@@ -74,7 +83,9 @@ _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outle
 QUANTITIES: Mapping[str, Quantity] = {
     "time": Quantity(
         "t_s",
-        "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,secs,elapsed,stamp,utc,epoch",
+        "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,secs,elapsed,stamp,utc,epoch,"
+        "zeitstempel,temps,heure,horodatage,tiempo,fecha,hora,tempo,tijd,tid,czas,čas,время,"
+        "时间,数据时间,采集时间,時刻,日時,시간",
         _TIME,
         better="time,timestamp,elapsed,epoch,phase",
         worse="since,trip",
@@ -83,33 +94,42 @@ QUANTITIES: Mapping[str, Quantity] = {
     "speed": Quantity(
         "speed_mps",
         "speed,velocity,spd,geschwindigkeit,fahrzeuggeschwindigkeit,vehiclespeed,kmh,kph,mph,mps,"
-        "vitesse,velocidad,velocità,velocidade,snelheid,hastighet,prędkość,rychlost,скорость,车速",
+        "vitesse,velocidad,velocità,velocidade,snelheid,hastighet,hastighed,prędkość,rychlost,"
+        "скорость,车速,車速,차속,v veh,vveh",
         _SPEED,
         better="vehicle,car,obd,v p",
         worse="gps,gnss,ground",
-        never=_OTHERS + ",wheel,shaft,rpm,angular,air,daschedule",
+        never=_OTHERS + ",wheel,shaft,rpm,angular,air,schedule",
     ),
     "voltage": Quantity(
         "voltage_v",
-        "voltage,volt,volts,spannung,batteriespannung,tension,tensión,tensione,spänning,"
-        "reessvoltage",
+        "voltage,volt,volts,spannung,tension,tensión,tensione,tensão,spanning,spænding,spänning,"
+        "spenning,napięcie,napětí,напряжение,总电压,电压,電圧,전압,"
+        "u bat,u batt,ubat,ubatt,v bat,v batt,vbat,vbatt",
         _units(v=1.0, volts=1.0, mv=1e-3),
         better=_BATTERY,
         never=_OTHERS + ",12,control",
     ),
     "current": Quantity(
         "current_a",
-        "current,amps,ampere,amperage,strom,batteriestrom,courant,corriente,corrente,reesscurrent",
+        "current,curr,amps,ampere,amperage,strom,courant,corriente,corrente,stroom,ström,strøm,"
+        "prąd,proud,ток,总电流,电流,電流,전류,i bat,i batt,ibat,ibatt",
         _units(a=1.0, amps=1.0, ma=1e-3),
         better=_BATTERY,
         never=_OTHERS,
     ),
     "power": Quantity(
-        "power_w", "power,pwr,leistung,kw", _POWER, better=_BATTERY, never=_OTHERS + ",sw"
+        "power_w",
+        "power,pwr,kw,leistung,puissance,potencia,potenza,potência,vermogen,"
+        "effekt,moc,výkon,мощность,功率,電力,전력",
+        _POWER,
+        better=_BATTERY,
+        never=_OTHERS + ",sw",
     ),
     "elevation": Quantity(
         "elevation_m",
-        "elevation,altitude,alt,elv,height,höhe",
+        "elevation,altitude,alt,elv,height,höhe,altitud,altitudine,quota,hoogte,höjd,høyde,"
+        "wysokość,výška,высота,海拔,高度,標高,고도",
         _LENGTH,
         better="v p",
         never="accuracy,error",
@@ -118,7 +138,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "longitude": Quantity("longitude", "longitude,long,lon,lng", _DEGREES, never=_NO_PLACE),
     "ambient": Quantity(
         "ambient_c",
-        "ambient,outside,outdoor,ext temp,außentemperatur,aussentemperatur,v e temp,temp amb,oat",
+        "ambient,outside,outdoor,ext temp,außentemperatur,aussentemperatur,v e temp,temp amb,oat,"
+        "extérieure,exterieure,exterior,ambiente,esterna,buiten,buitentemperatuur,utetemperatur,udetemperatur,"
+        "zewnętrzna,venkovní,环境温度,外気温",
         _TEMPERATURE,
         better="temperature,temp,air",
         never="pressure,humidity,light",
@@ -148,7 +170,8 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "charge": Quantity(
         "soc_pct",
-        "soc,stateofcharge,state of charge,battery level,ladezustand",
+        "soc,stateofcharge,state of charge,battery level,ladezustand,état de charge,"
+        "estado de carga,stato di carica,laadtoestand,stan naładowania,stav nabití,荷电状态",
         _PERCENT,
         better="battery,displayed,display,hv",
         worse="usable",
@@ -168,12 +191,13 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "odometer": Quantity(
         "odometer_km",
-        "odo,odometer,kilometerstand,v p odometer",
+        "odo,odometer,kilometerstand,v p odometer,累计里程",
         _DISTANCE,
         never="temperature,since",
     ),
 }
-PLACES = ("latitude", "longitude")  # only shown: one in another unit ends no file, it is left out
+PLACES = ("latitude", "longitude")
+NEEDED = frozenset(("time", "speed", "voltage", "current", "power"))  # of these, or most
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
 # In brackets behind a name, but no unit: where the number comes from.
 QUALIFIERS = _phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start,real")
@@ -197,8 +221,12 @@ def words_of(name: str) -> tuple[str, tuple[str, ...]]:
     brackets = re.findall(r"[\[(]([^\])]*)[\])]", rest)
     bare = re.sub(r"[\[(][^\])]*[\])]?", " ", rest)
     bare = bare.replace("_", " ")
-    bare = re.sub(r"(?<=[a-z])(?<!\bk)(?<!\bm)(?=[A-Z])", " ", bare)  # kW and mV are one word
-    words = re.findall(r"[^\W_]+", bare.lower())
+    # kW, mV and SoC are one word, vehicleSpeed and HVBatt two.
+    bare = re.sub(r"(?<=[a-z])(?<!\bk)(?<!\bm)(?<!\bSo)(?=[A-Z])", " ", bare)
+    bare = re.sub(r"(?<=[A-Z])(?=[A-Z][a-z])", " ", bare)
+    # So are the words of batteriespannung and batteristrøm.
+    bare = re.sub(r"\b(battery|batterie|batterij|batteri)(?=\w{5})", r"\1 ", bare.lower())
+    words = re.findall(r"[^\W_]+", bare)
     return f" {' '.join(words)} ", tuple(text.strip().lower() for text in brackets)
 
 
@@ -217,8 +245,6 @@ def score(quantity: str, name: str) -> float:
     spelled = words if not brackets else f"{words}{re.sub(r'[^a-z]', '', brackets[-1])} "
     needed = not known.needs or any(f" {phrase} " in spelled for phrase in _phrases(known.needs))
     if not has(known.words) or has(known.never) or not needed:
-        return 0.0
-    if quantity in PLACES and unit_of(quantity, name)[0] not in ("", *known.units):
         return 0.0
     return 1.0 + has(known.better) - 0.5 * min(1, has(known.worse))
 

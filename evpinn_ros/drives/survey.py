@@ -16,11 +16,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 import re
-from typing import TypeAlias
+from typing import Protocol
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.numbers import is_missing
 from evpinn_ros.drives.quantities import QUANTITIES, known_unit, may_be_of_use, score
-from evpinn_ros.drives.text_table import Row, TextTable
+from evpinn_ros.drives.text_table import Row
 
 # The columns of a table with one value a row.
 NAMES = ("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item")
@@ -52,6 +53,20 @@ _LEAFSPY_LATER = ("Speed1", "Speed2", "Wiper Status", "Torque Nm")
 _DATE_TIME = re.compile(r"\d\d/\d\d/\d{4} \d{1,2}:\d\d:\d\d")
 _CELL_MILLIVOLTS = range(2000, 4500)
 MOST_SIGNALS = 10_000
+
+
+class Table(Protocol):
+    """Rows of cells, which can be gone through again."""
+
+    @property
+    def torn(self) -> int:
+        """Lines that are no row; complete after `rows`."""
+
+    def rows(self) -> Iterator[Row]:
+        """Every row that is not blank, header and all; InputError where it breaks off."""
+
+    def last_row(self) -> list[str]:
+        """The cells of the last row, none where it is not known without reading all."""
 
 
 @dataclass(slots=True)
@@ -178,7 +193,7 @@ def look_through(
         width = len(row)
         widths[width] += 1
         if empty:
-            empty -= {place for place in empty if place < width and row[place].strip()}
+            empty -= {at for at in empty if at < width and not is_missing(row[at])}
         if index == ROWS_THAT_TELL:
             early(seen())
         if index % stride:
@@ -296,6 +311,3 @@ class LongTable:
 
     def _unit_of(self, row: Sequence[str]) -> str:
         return row[self._unit] if self._unit is not None else ""
-
-
-Table: TypeAlias = TextTable | LongTable

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.cars import table_of_car
 from evpinn_ros.drives.column import NO_USE, Column, check_columns, columns_by_name, unused_columns
-from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
-from evpinn_ros.drives.quantities import PLACES, QUANTITIES, Unit
+from evpinn_ros.drives.numbers import POINT, Style, is_missing, style_of, to_floats
+from evpinn_ros.drives.quantities import NEEDED, PLACES, QUANTITIES, Unit
 from evpinn_ros.drives.rows_to_readings import MOST, HeldSignals, RowOrder, RowReadings
 from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.survey import (
@@ -55,7 +56,6 @@ if TYPE_CHECKING:
     from evpinn_ros.drives.terrain import Terrain
 
 BATCH, BATCH_CELLS = 16_384, 500_000  # rows, and cells of them, converted at once
-NEEDED = {"time", "speed", "voltage", "current", "power"}
 FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed
 
 Stamps = NDArray[np.int64]
@@ -82,6 +82,7 @@ class TableDrive(Source):
         nominal_voltage: float,
         chosen: Sequence[str] = (),
         *,
+        car: str | None = None,
         battery: bool = True,
         terrain: Terrain | None = None,
     ) -> None:
@@ -89,11 +90,12 @@ class TableDrive(Source):
 
         The path is for messages, and a date in its name. Power alone becomes current at
         `nominal_voltage`, V; `chosen` are columns that are given, see `column.columns_by_name`;
-        without `battery` none of its columns is needed. Heights are those of the `terrain` at its
-        places, if given.
+        the rows are those of the `car`, of several; without `battery` none of its columns is
+        needed. Heights are those of the `terrain` at its places, if given.
 
         Raises:
-            InputError: empty, columns are missing, a choice is wrong or a unit is not known.
+            InputError: empty, columns are missing, a choice is wrong, a unit is not known, or it
+                is of several cars.
         """
         super().__init__(path)
         self._table, self._terrain = table, terrain
@@ -107,6 +109,7 @@ class TableDrive(Source):
             if long := long_form(self._head):
                 self._table = LongTable(table, self._head, long)
                 self._head = find_head(self._table)
+            self._table = table_of_car(self._table, self._head, car)
             header = self._head.names
             found = columns_by_name(header, chosen)
             check_columns(found, header, battery=battery)
@@ -143,7 +146,7 @@ class TableDrive(Source):
         """Time from the first row to the last, s; None where only reading it tells."""
         clock, cells = self.clock, self._survey.cells
         if not self._looked_at_all:
-            last = [] if clock.period_ns else self._table.last_row()
+            last = [] if clock.begins_anew else self._table.last_row()
             if max(clock.columns) >= len(last):
                 return None
             first = -1 if self._newest_first else 0  # of the file; what was kept is turned
@@ -289,7 +292,7 @@ class TableDrive(Source):
         cells = _cells(batch, rule.place)
         values = to_floats(cells, self._styles[rule.place])
         for i in np.flatnonzero(~np.isfinite(values)):
-            if cells[i].strip().lower() not in MISSING:
+            if not is_missing(cells[i]):
                 self.dropped[f"{QUANTITIES[rule.quantity].column}_not_a_number"] += 1
                 self._say_bad(batch[i][0], rule, cells[i], "is no number")
         values = values * rule.factor + rule.offset
@@ -301,7 +304,7 @@ class TableDrive(Source):
         cells = _cells(batch, place)
         for i in np.flatnonzero(stamps == NONE):
             self.dropped["no_time"] += 1
-            if cells[i].strip().lower() not in MISSING:
+            if not is_missing(cells[i]):
                 self.dropped["t_s_not_a_number"] += 1
                 rule = Column("time", self._head.names[place])
                 self._say_bad(batch[i][0], rule, cells[i], "is no time like the others")
@@ -370,7 +373,7 @@ def _filled(
         for column in found
         if column.why != "as given"
         and not column.is_ours
-        and not any(cell.strip() for cell in survey.cells[column.place])
+        and all(map(is_missing, survey.cells[column.place]))
     }
     others = columns_by_name(header, chosen, empty) if empty else found
     lost = {column.quantity for column in found} - {column.quantity for column in others}
@@ -432,7 +435,7 @@ def _styles(survey: Survey) -> dict[int, Style]:
 
 def _no_time(found: Sequence[Column], survey: Survey) -> str:
     column = next(column for column in found if column.quantity == "time")
-    cell = next((cell for cell in survey.cells[column.place] if cell.strip()), "")
+    cell = next((cell for cell in survey.cells[column.place] if not is_missing(cell)), "")
     if not survey.widths.total():
         return "no row below the header"
     return (

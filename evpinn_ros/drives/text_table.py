@@ -10,6 +10,7 @@ import csv
 from io import SEEK_END, TextIOWrapper
 from itertools import islice
 from pathlib import Path
+import re
 from tempfile import TemporaryDirectory
 from typing import IO, Any
 import zlib
@@ -24,6 +25,7 @@ MOST_BLANK = 100_000  # lines in a row
 SEPARATORS = ",;\t|"
 LOOKED_AT = 20  # lines that tell the separator
 LOOKED_AT_BYTES = 4096
+MOSTLY_PAIRS = 0.8  # of the bytes that are not ASCII
 END = 1 << 16  # bytes that hold the last line
 BLANK = "\r\n\t ,;"  # what a row of nothing is made of
 
@@ -191,10 +193,23 @@ def _outside_quotes(line: str, sign: str) -> int:
 
 
 def _encoding(start: bytes) -> str:
-    """UTF-8 unless a mark or the zeros of UTF-16 say otherwise."""
+    """UTF-8 unless a mark, the zeros of UTF-16 or the pairs of Chinese text say otherwise."""
     if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
     even, odd = start[0::2].count(0), start[1::2].count(0)
     if len(start) > 3 and max(even, odd) > len(start) // 8:
         return "utf-16-be" if even > odd else "utf-16-le"
-    return "utf-8-sig"
+    return "gb18030" if _is_chinese(start) else "utf-8-sig"
+
+
+def _is_chinese(start: bytes) -> bool:
+    """True if most that is not ASCII are common characters of GB 2312, and it is no UTF-8.
+
+    Each is a pair of high bytes. In European code pages such bytes stand alone, but for Cyrillic,
+    whose small letters lie above the first bytes of common characters.
+    """
+    with suppress(UnicodeDecodeError):
+        codecs.getincrementaldecoder("utf-8")().decode(start)
+        return False
+    pairs = re.findall(rb"[\xa1-\xd7][\xa1-\xfe]", start)
+    return 2 * len(pairs) > MOSTLY_PAIRS * len(re.findall(rb"[\x80-\xff]", start))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 import polars as pl
 
 from evpinn_ros.drives.column import Column
-from evpinn_ros.drives.numbers import MISSING, POINT, Style, to_floats
+from evpinn_ros.drives.numbers import POINT, Style, is_missing, to_floats
 from evpinn_ros.drives.quantities import QUANTITIES, score
 from evpinn_ros.drives.survey import Survey
 from evpinn_ros.signals.readings import DAY_NS, NANOSECONDS
@@ -31,6 +31,9 @@ HALF_DAY_NS = DAY_NS // 2
 LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
 LARGEST = 1e19  # of a number that is a time: ns since 1970 to the end of 64 bits
 RELATIVE_BELOW_S = 1e8  # a first time below this (3 years) counts from the start of something
+BACK_NS = 10 * NANOSECONDS  # to where it began, about: a clock that begins anew with each drive
+SELDOM = 0.05  # of the rows lie behind the one before, in a table whose drives are in order
+PAUSE_NS = 3600 * NANOSECONDS  # between such drives; it is not known, but a drive has ended
 SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is smaller
 # Spreadsheets store a moment as days since 30 December 1899, and a time of day as a part of one.
 SERIAL_ZERO_NS = -25_569 * DAY_NS
@@ -91,6 +94,7 @@ class Clock:
     style: Style = POINT  # of numbers
     daily: bool = False  # numbers begin anew at midnight
     zero_ns: int = 0  # moment that numbers count from, ns since 1970
+    drives_from_ns: int | None = None  # time that each drive begins at; None if there is one
 
     @property
     def period_ns(self) -> int:
@@ -99,9 +103,14 @@ class Clock:
             return 0
         return HALF_DAY_NS if self.twelve and "%p" not in self.formats else DAY_NS
 
+    @property
+    def begins_anew(self) -> bool:
+        """True if its times do not run on, at midnight or with the next drive."""
+        return self.period_ns > 0 or self.drives_from_ns is not None
+
     def running(self) -> RunningClock:
         """Counter that lets its times run on where it begins anew."""
-        return RunningClock(self.period_ns)
+        return RunningClock(self.period_ns, self.drives_from_ns)
 
     @property
     def dated(self) -> bool:
@@ -192,7 +201,7 @@ def clock_of_numbers(
     """
     values = to_floats(cells, style)
     known = values[np.abs(values) < LARGEST]
-    filled = [cell for cell in cells if cell.strip().lower() not in MISSING]
+    filled = [cell for cell in cells if not is_missing(cell)]
     if known.size == 0 or known.size < ENOUGH * len(filled):
         return None
     if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", filled[0].strip()):
@@ -208,8 +217,13 @@ def clock_of_numbers(
         return Clock((column,), "number", unit=name, zoned=True, why=why, style=style)
     name = "s" if in_seconds else unit or _unit_of_steps(known)
     why = "by its name" if unit or in_seconds else "by the step between rows"
-    daily = _begins_anew(known, DAY_NS / _NS[name])
-    return Clock((column,), "number", unit=name, why=why, style=style, daily=daily)
+    clock = Clock((column,), "number", unit=name, why=why, style=style)
+    if _begins_anew(known, DAY_NS / _NS[name]):
+        return replace(clock, daily=True)
+    if _holds_drives(known, BACK_NS / _NS[name]):
+        why = f"{why}, anew with each drive"
+        return replace(clock, drives_from_ns=int(known[0] * _NS[name]), why=why)
+    return clock
 
 
 def _serial_clock(column: int, known: NDArray[np.float64], style: Style) -> Clock | None:
@@ -229,7 +243,7 @@ def _serial_clock(column: int, known: NDArray[np.float64], style: Style) -> Cloc
 
 def _unit_of_steps(times: NDArray[np.float64]) -> str:
     """Unit of times by how far apart they are, in whichever order the rows stand."""
-    steps = np.diff(np.sort(times))
+    steps = np.diff(times if _is_in_order(times) else np.sort(times))
     forward = steps[steps > 0]
     step = float(np.median(forward)) if forward.size else 0.0
     if step <= SLOWEST_STEP:
@@ -243,6 +257,29 @@ def _begins_anew(times: NDArray[np.float64], day: float) -> bool:
     return bool(inside and (np.diff(times) < -0.9 * day).any())
 
 
+def _is_in_order(times: NDArray[np.float64]) -> bool:
+    """True if nearly every time is later than the one before."""
+    return times.size > 1 and float(np.mean(np.diff(times) < 0)) <= SELDOM
+
+
+def _holds_drives(times: NDArray[np.float64], back: float) -> bool:
+    """True if times go back to the first one, by more than `back`, and on from there."""
+    return _is_in_order(times) and bool(_begin_drives(times, times[[0, 0]], times[0], back).any())
+
+
+def _begin_drives(
+    times: NDArray[Any], before: NDArray[Any], first: float, back: float
+) -> NDArray[np.bool_]:
+    """True where a drive begins: it and the next row lie behind the two before, so none is wrong.
+
+    `before` are the two times before these; `first` is where drives begin, about.
+    """
+    padded = np.concatenate((before, times))
+    least = np.minimum(padded[1:-1], padded[:-2]) - back
+    following = np.append(times[1:], times[-1:])
+    return np.asarray((np.maximum(times, following) < least) & (times <= first + back))
+
+
 def clock_of_text(
     columns: tuple[int, ...], cells: Sequence[Sequence[str]], days: Collection[int] = ()
 ) -> Clock | None:
@@ -252,7 +289,7 @@ def clock_of_text(
     """
     text = _joined(cells)
     text = text.filter(text.str.contains(r"\d\D\d|\d{8}"))
-    filled = max(sum(bool(cell.strip()) for cell in column) for column in cells)
+    filled = max(sum(not is_missing(cell) for cell in column) for column in cells)
     if len(text) == 0 or len(text) < 0.5 * filled:
         return None
     first = text.head(200)
@@ -320,36 +357,43 @@ def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
 
 
 class RunningClock:
-    """Times of day made to run on over midnight, batch by batch.
+    """Times made to run on over midnight, or from drive to drive, batch by batch.
 
     A 12 h clock without AM and PM goes from 12:59 to 1:00; what falls by about half a day and was
     never above 12 is such a one.
     """
 
-    def __init__(self, period_ns: int) -> None:
-        """Make times run on that begin anew after a period; those of none are as they should."""
-        self._period = period_ns
+    def __init__(self, period_ns: int, drives_from_ns: int | None = None) -> None:
+        """Make times run on that begin anew after a period, or at a time with each drive."""
+        self._period, self._first = period_ns, drives_from_ns
         self._added = 0
-        self._before: int | None = None
+        self._before: NDArray[np.int64] | None = None  # the last two times
 
     def add(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
         """The times of the next rows."""
         there = np.flatnonzero(stamps != NONE)
-        if there.size == 0 or not self._period:
+        if there.size == 0 or not (self._period or self._first is not None):
             return stamps
         known = stamps[there]
-        before = known[0] if self._before is None else self._before
-        steps = np.diff(known, prepend=before)
-        turns = np.where(steps < -self._period // 2, self._period, 0)
-        # A straggler from before midnight belongs to the day before.
-        turns = turns - np.where(steps > self._period // 2, self._period, 0) * (
-            (np.cumsum(turns) + self._added) > 0
-        )
-        added = self._added + np.cumsum(turns)
-        self._added, self._before = int(added[-1]), int(known[-1])
+        before = known[[0, 0]] if self._before is None else self._before
+        steps = np.diff(known, prepend=before[1])
+        added = self._added + np.cumsum(self._turns(known, before, steps))
+        self._added, self._before = int(added[-1]), np.append(before, known)[-2:]
         found = stamps.copy()
         found[there] = known + added
         return found
+
+    def _turns(
+        self, known: NDArray[np.int64], before: NDArray[np.int64], steps: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Time to add from each row on, ns."""
+        if self._first is not None:
+            begins = _begin_drives(known, before, self._first, BACK_NS)
+            return np.where(begins, PAUSE_NS - steps, 0)
+        turns = np.where(steps < -self._period // 2, self._period, 0)
+        # A straggler from before midnight belongs to the day before.
+        straggles = (steps > self._period // 2) & (np.cumsum(turns) + self._added > 0)
+        return turns - np.where(straggles, self._period, 0)
 
 
 def start_of_comments(comments: Sequence[str]) -> int | None:

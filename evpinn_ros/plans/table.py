@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.errors import InputError, as_input_error
-from evpinn_ros.drives.numbers import MISSING, POINT, Style, style_of, to_floats
+from evpinn_ros.drives.numbers import POINT, Style, is_missing, style_of, to_floats
 from evpinn_ros.drives.quantities import score, unit_of, words_of
 from evpinn_ros.drives.survey import data_rows, find_head
 from evpinn_ros.drives.text_table import TextTable
@@ -173,8 +173,7 @@ def _numbers(name: str, values: Any) -> np.ndarray:
     if isinstance(values, Cells):
         numbers = to_floats(*values)
         for place in np.flatnonzero(np.isnan(numbers)):
-            if values.cells[place].strip().lower() not in MISSING | {"nan"}:
-                cell = values.cells[place][:40]
+            if not is_missing(cell := values.cells[place][:40]):
                 raise InputError(f"{name} holds what is no number, {cell!r} in row {place + 1}")
         return numbers
     with as_input_error(f"{name} holds what is no number", TypeError, ValueError, OverflowError):

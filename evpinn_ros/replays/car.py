@@ -82,6 +82,7 @@ class CarReplay:
         *,
         trust_profile: bool = False,
         columns: Sequence[str] = (),
+        car: str | None = None,
         terrain: Terrain | None = None,
     ) -> Source:
         """A drive to replay, as `open_source` opens it."""
@@ -91,6 +92,7 @@ class CarReplay:
             can_profile,
             trust_profile=trust_profile,
             columns=columns,
+            car=car,
             mounting=self._mounting,
             terrain=terrain,
         )

@@ -95,12 +95,12 @@ def test_any_namespace_is_read(tmp_path, namespace):
         assert [reading.speed for reading in readings] == [1.0]
 
 
-def test_two_cars_need_a_namespace(tmp_path):
+def test_of_two_cars_one_is_asked_for(tmp_path):
     with BagWriter(tmp_path / "a") as writer:
         write_readings([SpeedReading(START, 1.0)], writer, "/one")
         write_readings([SpeedReading(START, 2.0)], writer, "/two")
     with BagReader(tmp_path / "a") as reader:
-        with pytest.raises(InputError, match="/one/vehicle/speed, /two/vehicle/speed"):
+        with pytest.raises(InputError, match="topics of 2 cars, /one, /two; say --car NAME"):
             BagReadings(reader)
         assert [reading.speed for reading in BagReadings(reader, "/two")] == [2.0]
 

@@ -52,6 +52,35 @@ def check(drive: TableDrive, start_ns: int = DRIVE_START_NS) -> None:
         assert b.power == pytest.approx(voltage * current, abs=2.0)
 
 
+LANGUAGES = {
+    "chinese": "数据时间(s),车速(km/h),总电压(V),总电流(A),环境温度(℃),SOC",
+    "danish": "Tid (s),Hastighed (km/h),Batterispænding (V),Batteristrøm (A),Udetemperatur,SoC",
+    "dutch": "Tijd (s),Snelheid (km/h),Spanning batterij (V),Stroom batterij (A),Buiten (°C),SoC",
+    "french": "Temps (s),Vitesse (km/h),Tension batterie (V),Courant batterie (A),"
+    "Température extérieure (°C),SoC",
+    "italian": "Tempo (s),Velocità (km/h),Tensione batteria (V),Corrente batteria (A),"
+    "Temperatura esterna (°C),SoC",
+    "laboratory": "Time[s]_RawFacilities,Dyno_Spd[km/h],HVBatt_Volt_Hioki_U1[V],"
+    "HVBatt_Curr_Hioki_I1[A],Ambient[C],Veh_soc_CAN[per]",
+    "matlab": "time_s,v_veh_kmh,U_bat,I_bat,T_ambient,SoC",
+    "polish": "Czas (s),Prędkość (km/h),Napięcie baterii (V),Prąd baterii (A),"
+    "Temperatura zewnętrzna (°C),SoC",
+    "spanish": "Tiempo (s),Velocidad (km/h),Tensión batería (V),Corriente batería (A),"
+    "Temperatura exterior (°C),SoC",
+}
+
+
+@pytest.mark.parametrize(
+    ("language", "encoding"),
+    [*((each, "utf-8") for each in LANGUAGES), ("chinese", "gb18030"), ("french", "cp1252")],
+)
+def test_names_in_the_owners_language(tmp_path, language, encoding):
+    lines = (f"{t:.1f},{3.6 * v:.3f},{u},{i:.3f},20.5,80" for t, v, u, i in rows())
+    drive = drive_of(tmp_path, LANGUAGES[language], lines, encoding)
+    check(drive)
+    assert {"ambient", "charge"} <= {rule.quantity for rule in drive.rules}
+
+
 ROWS = list(enumerate(rows()))
 
 

@@ -63,7 +63,7 @@ def test_discharge_is_positive_in_the_file_and_negative_in_the_reading(tmp_path)
 
 
 def test_a_state_of_charge_that_is_none_is_left_out(tmp_path):
-    lines = [f"{i},1,400,50,{percent}" for i, percent in enumerate((100, 0, "", 101, -1, "nan"))]
+    lines = [f"{i},1,400,50,{percent}" for i, percent in enumerate((100, 0, "NaN", 101, -1, "?!"))]
     drive = drive_of(tmp_path, "\n".join(["t_s,speed_mps,voltage_v,current_a,soc_pct", *lines]))
     found = [r.state_of_charge for r in drive.readings() if isinstance(r, BatteryReading)]
     assert found[:2] == [1.0, 0.0] and len(found) == 6 and all(map(math.isnan, found[2:]))
@@ -97,7 +97,7 @@ def test_what_is_dropped_is_counted(tmp_path):
         tmp_path,
         "t_s,speed_mps,power_w,note\n"
         "0,1,1,x\n"
-        "1,fast,1,x\n2,nan,inf,x\n"
+        "1,fast,1,x\n2,slow,inf,x\n"
         "2,1,1,x\n1.5,1,1,x\n"
         ",1,1,x\nsoon,1,1,x\n"
         "3,1\n\n"

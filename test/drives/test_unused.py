@@ -18,13 +18,23 @@ def test_columns_that_are_not_used_are_told_apart_by_the_reason(tmp_path):
     }
 
 
+def test_a_unit_that_is_not_known_costs_no_drive_that_can_do_without(tmp_path):
+    lines = (f"{t:.1f},{v:.3f},{u},{i:.3f},80,15" for t, v, u, i in rows())
+    header = "t_s,Speed [m/s],Pack Volts,Pack Amps,SOC [bars],Ambient [gas mark]"
+    drive = drive_of(tmp_path, header, lines)
+    assert drive.ignored == {
+        "SOC [bars]": "the unit [bars] of charge is not known",
+        "Ambient [gas mark]": "the unit [gas mark] of ambient is not known",
+    }
+
+
 def test_an_empty_column_loses_to_a_full_one_of_the_vehicle_energy_dataset(tmp_path):
     header = (
         "DayNum,Timestamp(s),Vehicle Speed[km/h],OAT[DegC],Air Conditioning Power[kW],"
         "Air Conditioning Power[Watts],HV Battery Current[A],HV Battery Voltage[V]"
     )
     lines = (
-        f"197.5,{t:.1f},{3.6 * v:.3f},14.0,,{400 + t:.0f},{-i:.3f},{u}" for t, v, u, i in rows()
+        f"197.5,{t:.1f},{3.6 * v:.3f},14.0,NaN,{400 + t:.0f},{-i:.3f},{u}" for t, v, u, i in rows()
     )
     drive = drive_of(tmp_path, header, lines)
     used = {rule.quantity: rule.name for rule in drive.rules}

@@ -53,7 +53,7 @@ WRONG = [
     (contents, "a.mcap", b"", "empty"),
     (contents, "a.csv", b"x,y\n1,2\n", "no column of time and speed"),
     (contents, "a.log", b"", "empty"),
-    (contents, "a.dat", b"hello", "not a CAN log"),
+    (contents, "a.dat", b"hello", r"neither a bag, a CAN log \(.*\) nor a table \(.csv, .*\)"),
     (contents, "a.txt", b"hello", "no column of time"),
 ]
 
