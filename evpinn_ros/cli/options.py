@@ -60,7 +60,7 @@ CarOption = Annotated[
     typer.Option(
         "--car",
         metavar="NAME",
-        help="Which car of a table or bag of several: its name there, or its namespace.",
+        help="One of several cars: its name in a table, its namespace in a bag.",
     ),
 ]
 ElevationOption = Annotated[
