@@ -36,7 +36,7 @@ from evpinn_ros.drives.times import (
     RELATIVE_BELOW_S,
     Clock,
     choose_clock,
-    date_of_name,
+    day_of_name,
     days_of_name,
     is_newest_first,
     start_by_date,
@@ -352,7 +352,7 @@ class TableDrive(Source):
             self.zoned = dated[1].zoned
             return dated[0], "log"
         # A time of day, or seconds since midnight as Car Scanner's long form has them.
-        day = date_of_name(self.path.name, first, certain=clock.kind == "time of day")
+        day = day_of_name(self.path.name, first, certain=clock.kind == "time of day")
         if day is not None:
             return day, "name"
         started = start_of_comments(self._head.comments)

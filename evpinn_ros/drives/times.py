@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from itertools import permutations, product
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -410,39 +410,48 @@ def start_of_comments(comments: Sequence[str]) -> int | None:
     return None
 
 
-def days_of_name(name: str) -> frozenset[int]:
-    """Days since 1970 that a file's name may hold, as 20181101 or 181101."""
-    found = set()
-    for match in re.finditer(r"(?<!\d)(?:20)?(\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?!\d)", name):
-        year, month, day = (int(part) for part in match.groups())
+class NamedDate(NamedTuple):
+    """A date in the name of a file: midnight, ns since 1970, and the time of day if it has one."""
+
+    day_ns: int
+    clock_ns: int | None
+
+
+_NAMED_DATE = re.compile(
+    r"(?<!\d)(?:20)?(\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)"
+    r"(?:[ T_-]*([0-2]\d)[-_.:]?([0-5]\d)(?:[-_.:]?[0-5]\d)?)?(?!\d)"
+)
+
+
+def dates_of_name(name: str) -> list[NamedDate]:
+    """Dates that a file's name may hold: 20181101, 181101, 2018-11-01_12-40-45 and the like."""
+    found = []
+    for match in _NAMED_DATE.finditer(name):
+        year, month, day = (int(part) for part in match.groups()[:3])
         with suppress(ValueError):
             moment = datetime(2000 + year, month, day, tzinfo=timezone.utc)
-            found.add(int(moment.timestamp()) * NANOSECONDS // DAY_NS)
-    return frozenset(found)
+            minutes = int(match[4]) * 60 + int(match[5]) if match[4] else None
+            clock = None if minutes is None else minutes * 60 * NANOSECONDS
+            found.append(NamedDate(int(moment.timestamp()) * NANOSECONDS, clock))
+    return found
 
 
-def date_of_name(stem: str, first_ns: int, *, certain: bool) -> int | None:
+def days_of_name(name: str) -> frozenset[int]:
+    """Days since 1970 that a file's name may hold."""
+    return frozenset(date.day_ns // DAY_NS for date in dates_of_name(name))
+
+
+def day_of_name(name: str, first_ns: int, *, certain: bool) -> int | None:
     """Midnight of the date in a file's name, ns; None without one, or where its clock differs.
 
     `first_ns` is the first time in the file, and `certain` says that it is a time of day;
     otherwise the name must have the same one.
     """
-    match = re.search(
-        r"(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?:[ T_-]+([0-2]\d)[-_.:]?([0-5]\d))?", stem
-    )
-    if match is None:
-        return None
-    try:
-        day = datetime(int(match[1]), int(match[2]), int(match[3]), tzinfo=timezone.utc)
-    except ValueError:
-        return None
-    if match[4] is None and not certain:
-        return None
-    if match[4] is not None:
-        named = (int(match[4]) * 60 + int(match[5])) * 60 * NANOSECONDS
-        if abs(named - first_ns % DAY_NS) > 3600 * NANOSECONDS:
-            return None
-    return int(day.timestamp()) * NANOSECONDS
+    for day_ns, clock_ns in dates_of_name(name):
+        alike = clock_ns is not None and abs(clock_ns - first_ns % DAY_NS) <= 3600 * NANOSECONDS
+        if alike or (clock_ns is None and certain):
+            return day_ns
+    return None
 
 
 def choose_clock(

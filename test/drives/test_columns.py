@@ -52,6 +52,29 @@ def check(drive: TableDrive, start_ns: int = DRIVE_START_NS) -> None:
         assert b.power == pytest.approx(voltage * current, abs=2.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "day"),
+    [
+        ("2024-03-05_07-08-09", "2024-03-05"),
+        ("20240305070809", "2024-03-05"),
+        ("log_240305", "2024-03-05"),
+        ("car7 2024.03.05", "2024-03-05"),
+        ("trip 2024-03-05 00-10", ""),  # of another time of day than the rows have
+        ("120240305", ""),
+        ("car7_1520240305_x", ""),
+        ("2024-13-05", ""),
+    ],
+)
+def test_a_day_in_the_files_name_is_that_of_its_times_of_day(tmp_path, name, day):
+    path = tmp_path / f"{name}.csv"
+    lines = (f"07:08:{t:06.3f},{v:.3f},{u},{i:.3f}" for t, v, u, i in rows(600))
+    path.write_text("\n".join(["time,speed [m/s],pack volts,pack amps", *lines]))
+    drive = open_drive(path, NOMINAL)
+    first = next(iter(drive.readings())).stamp_ns
+    found = str(np.datetime64(first, "ns").astype("datetime64[D]"))
+    assert (found if drive.dated == "name" else "") == day
+
+
 LANGUAGES = {
     "chinese": "数据时间(s),车速(km/h),总电压(V),总电流(A),环境温度(℃),SOC",
     "danish": "Tid (s),Hastighed (km/h),Batterispænding (V),Batteristrøm (A),Udetemperatur,SoC",
