@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evpinn_ros.drives.column import Column
+from evpinn_ros.drives.times import STRAGGLING_NS
 from evpinn_ros.signals.readings import (
-    NANOSECONDS,
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
@@ -25,7 +25,6 @@ AMBIENT_C = (-60.0, 70.0)  # what lies outside is no weather but a sensor that s
 
 # A value that repeats longer is taken again, as of a steady car.
 LONGEST_HELD_NS = 1_500_000_000
-STRAGGLING_NS = 10 * NANOSECONDS  # rows that are late by less are put in order
 MOST = 1e12  # of anything in SI; beyond, products would be infinite
 
 FloatArray = NDArray[np.float64]

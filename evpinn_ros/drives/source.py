@@ -23,12 +23,14 @@ class Source(ABC):
         dated: what tells the day of a table: `log`, `name` of the file, "" for nothing; None of
             what has stamps.
         zoned: the clock is UTC or names its zone.
+        in_order: False for a table whose rows stood in no order of time, and were sorted.
     """
 
     rules: tuple[Column, ...] = ()
     ignored: Mapping[str, str] = MappingProxyType({})
     dated: str | None = None
     zoned = True
+    in_order = True
 
     def __init__(self, path: Path) -> None:
         """Nothing was dropped yet."""

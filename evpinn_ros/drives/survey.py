@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 import re
 from typing import Protocol
@@ -156,6 +156,11 @@ class Survey:
     widths: Counter[int]  # how many rows have so many cells
     width: int  # of the header
     empty: frozenset[int] = frozenset()  # places of columns without a cell in the rows looked at
+
+    def in_order(self, rows: Sequence[int]) -> Survey:
+        """Survey with its kept rows in this order of their places."""
+        cells = {place: [column[row] for row in rows] for place, column in self.cells.items()}
+        return replace(self, cells=cells)
 
     def is_whole(self, width: int) -> bool:
         """True if a row of so many cells is one of this table and not torn."""

@@ -35,10 +35,10 @@ from evpinn_ros.drives.times import (
     NONE,
     RELATIVE_BELOW_S,
     Clock,
-    choose_clock,
+    Order,
+    clocks_of,
     day_of_name,
     days_of_name,
-    is_newest_first,
     start_by_date,
     start_of_comments,
 )
@@ -61,6 +61,7 @@ FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed
 Stamps = NDArray[np.int64]
 Batch = tuple[Row, ...]
 Numbers = dict[str, NDArray[np.float64]]
+Block = tuple[Stamps, Numbers]  # times of some rows, and their values, SI
 
 
 class TableDrive(Source):
@@ -123,33 +124,34 @@ class TableDrive(Source):
         filled = _filled(found, survey, header, chosen)
         if filled != found:
             found, survey = filled, self._look_through(filled, limit)
-        self._survey = survey
         self._looked_at_all = survey.widths.total() < limit
         self._styles = _styles(survey)
-        self.clock = self._chosen_clock(found, survey)
+        self.clock, *clocks = self._clocks(found, survey)
         self.zoned = self.clock.zoned
+        self.in_order = self.clock.order is not Order.SHUFFLED
         stamps = self.clock.stamps(survey.cells)
-        self._newest_first = is_newest_first(stamps[stamps != NONE])
-        if self._newest_first:
-            stamps = stamps[::-1]
-            for cells in survey.cells.values():
-                cells.reverse()
+        if self.clock.order is not Order.OLDEST_FIRST:
+            rows = self.clock.order.rows(stamps)
+            stamps, survey = stamps[rows], survey.in_order(rows.tolist())
+        self._survey = survey
         self._contradictions: tuple[str, ...] = ()
         self.rules = self._ruled(found, own, stamps)
         self.ignored = unused_columns(header, self.rules, self.clock.columns, survey.empty)
         if isinstance(self._table, LongTable):
             self.ignored |= dict.fromkeys(self._table.others, NO_USE)
-        self._start_ns, self.dated = self._start(found, stamps)
+        self._start_ns, self.dated = self._start(clocks, stamps)
 
     @property
     def seconds(self) -> float | None:
         """Time from the first row to the last, s; None where only reading it tells."""
         clock, cells = self.clock, self._survey.cells
         if not self._looked_at_all:
-            last = [] if clock.begins_anew else self._table.last_row()
+            ends_last = self.in_order and not clock.begins_anew
+            last = self._table.last_row() if ends_last else []
             if max(clock.columns) >= len(last):
                 return None
-            first = -1 if self._newest_first else 0  # of the file; what was kept is turned
+            # Of the file; what was kept is turned.
+            first = -1 if clock.order is Order.NEWEST_FIRST else 0
             cells = {place: [cells[place][first], last[place]] for place in clock.columns}
         ends = clock.running().add(clock.stamps(cells))
         there = ends[ends != NONE]
@@ -159,6 +161,8 @@ class TableDrive(Source):
     def notes(self) -> tuple[str, ...]:
         """Notes for a person on how it was read; complete once exhausted."""
         notes = [*self._contradictions]
+        if not self.in_order:
+            notes.append("rows stand in no order of time, so they were sorted by it")
         if self._held:
             names = " and ".join(sorted(self._held))
             notes.append(f"{names}: cells that repeat the last value are not used")
@@ -199,17 +203,17 @@ class TableDrive(Source):
             self._table,
             self._head,
             sorted({column.place for column in (*found, *filter(None, [self._beside]))}),
-            early=partial(self._chosen_clock, found),
+            early=partial(self._clocks, found),
             limit=limit,
         )
 
-    def _chosen_clock(self, found: Sequence[Column], survey: Survey) -> Clock:
-        """The clock of the table; InputError when no column of time can be read."""
+    def _clocks(self, found: Sequence[Column], survey: Survey) -> list[Clock]:
+        """The clocks of the table, the best first; InputError when no time can be read."""
         days = days_of_name(self.path.name)
-        clock = choose_clock(found, survey, _styles(survey), self._head.names, days)
-        if clock is None:
+        clocks = clocks_of(found, survey, _styles(survey), self._head.names, days)
+        if not clocks:
             raise InputError(f"{self.path}: {_no_time(found, survey)}")
-        return clock
+        return clocks
 
     def _readings(self) -> Iterator[Reading]:
         self.dropped.clear()
@@ -236,7 +240,7 @@ class TableDrive(Source):
         for reason in [reason for reason, count in self.dropped.items() if not count]:
             del self.dropped[reason]
 
-    def _blocks(self) -> Iterator[tuple[Stamps, Numbers]]:
+    def _blocks(self) -> Iterator[Block]:
         """Times by the clock, which run on, and numbers of whole rows, some thousand at a time.
 
         What a broken file still gives comes before the error.
@@ -247,12 +251,7 @@ class TableDrive(Source):
         places = self.clock.columns
         timed = ((b, self.clock.stamps({i: _cells(b, i) for i in places})) for b in batches)
         blocks = ((stamps, self._values(batch, stamps)) for batch, stamps in timed)
-        if self._newest_first:  # databases export so; there is no end to begin from in a stream
-            blocks = (
-                (stamps[::-1], {name: each[::-1] for name, each in values.items()})
-                for stamps, values in reversed(list(blocks))
-            )
-        for stamps, values in blocks:
+        for stamps, values in _oldest_first(blocks, self.clock.order):
             yield running.add(stamps), values
         if broken:
             raise broken[0]
@@ -341,14 +340,13 @@ class TableDrive(Source):
         cells, style = self._survey.cells[column.place], self._styles[column.place]
         return Signal(times, to_floats(cells, style))
 
-    def _start(self, found: Sequence[Column], stamps: Stamps) -> tuple[int, str]:
+    def _start(self, others: Sequence[Clock], stamps: Stamps) -> tuple[int, str]:
         """Offset to add to the times of the clock, ns, and the source of the date."""
         clock, known = self.clock, stamps[stamps != NONE]
         first = int(known[0]) if known.size else NONE
         if clock.dated or first >= RELATIVE_BELOW_S * NANOSECONDS:
             return 0, "log"
-        days = days_of_name(self.path.name)
-        if dated := start_by_date(clock, found, self._survey, self._styles, days):
+        if dated := start_by_date(clock, others, self._survey):
             self.zoned = dated[1].zoned
             return dated[0], "log"
         # A time of day, or seconds since midnight as Car Scanner's long form has them.
@@ -409,6 +407,26 @@ def _batches(rows: Iterator[Row]) -> Iterator[Batch]:
             batch, cells = [], 0
     if batch:
         yield tuple(batch)
+
+
+def _oldest_first(blocks: Iterator[Block], order: Order) -> Iterator[Block]:
+    """Blocks in order of time; in any other order all numbers are held, though no text."""
+    if order is Order.OLDEST_FIRST:
+        yield from blocks
+        return
+    if order is Order.NEWEST_FIRST:  # times of a day may begin anew, so they are not sorted
+        for stamps, values in reversed(list(blocks)):
+            yield stamps[::-1], {name: each[::-1] for name, each in values.items()}
+        return
+    held = list(blocks)
+    stamps = np.concatenate([each for each, _ in held] or [np.empty(0, np.int64)])
+    names = held[0][1] if held else {}
+    values = {name: np.concatenate([each[name] for _, each in held]) for name in names}
+    del held
+    rows = order.rows(stamps)
+    for begin in range(0, rows.size, BATCH):
+        block = rows[begin : begin + BATCH]
+        yield stamps[block], {name: each[block] for name, each in values.items()}
 
 
 def _cells(batch: Batch, place: int) -> list[str]:

@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
+from enum import Enum
 from itertools import permutations, product
 import re
 from typing import Any, NamedTuple
@@ -40,6 +41,8 @@ SERIAL_ZERO_NS = -25_569 * DAY_NS
 SERIALS = (39_448.0, 50_424.0)  # days, from 2008 to the end of ROS time
 SERIAL_STEP = 60.0 / 86_400.0  # days: less is no step between rows in seconds
 MOSTLY = 0.8  # of the steps between rows
+STRAGGLING_NS = 10 * NANOSECONDS  # rows that are late by less are put in order as they come
+SHUFFLED = 0.2  # of the rows lie farther behind the one before: no drive is of so few rows
 ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
 
 # Orders of a date, the likeliest first among equals: ISO, then day first as most of the world has
@@ -80,6 +83,20 @@ _NS["day"] = float(DAY_NS)  # of spreadsheets alone
 _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s"))
 
 
+class Order(Enum):
+    """Order in which the rows of a table stand."""
+
+    OLDEST_FIRST = "oldest first"
+    NEWEST_FIRST = "newest first"  # as a database exports them
+    SHUFFLED = "in no order"  # as a database exports them that was not asked to sort
+
+    def rows(self, times: NDArray[Any]) -> NDArray[np.intp]:
+        """Places of rows from the oldest to the newest; shape (n,) as their times."""
+        if self is Order.SHUFFLED:
+            return np.argsort(times, kind="stable")
+        return np.arange(times.size)[:: -1 if self is Order.NEWEST_FIRST else 1]
+
+
 @dataclass(frozen=True, slots=True)
 class Clock:
     """Reader of the cells of the time columns."""
@@ -95,6 +112,7 @@ class Clock:
     daily: bool = False  # numbers begin anew at midnight
     zero_ns: int = 0  # moment that numbers count from, ns since 1970
     drives_from_ns: int | None = None  # time that each drive begins at; None if there is one
+    order: Order = Order.OLDEST_FIRST  # of the rows
 
     @property
     def period_ns(self) -> int:
@@ -176,14 +194,23 @@ def _parsed(text: pl.Series, formats: str) -> NDArray[np.int64]:
     return np.asarray(parsed.fill_null(NONE), np.int64)
 
 
-def is_newest_first(times: NDArray[Any]) -> bool:
-    """True if times run backwards on the whole, as a database exports them."""
+def _order_of(clock: Clock, stamps: NDArray[np.int64]) -> Order:
+    """Order of rows that have these times of a clock."""
+    if _is_newest_first(stamps[stamps != NONE]):
+        return Order.NEWEST_FIRST
+    times = clock.running().add(stamps)
+    back = np.diff(times[times != NONE]) < -STRAGGLING_NS
+    return Order.SHUFFLED if back.size >= 3 and np.mean(back) > SHUFFLED else Order.OLDEST_FIRST
+
+
+def _is_newest_first(times: NDArray[Any]) -> bool:
+    """True if times run backwards on the whole, in whichever unit."""
     steps = np.diff(times)
     return steps.size >= 3 and float(np.mean(steps < 0)) > MOSTLY
 
 
 def _forward(times: NDArray[Any]) -> NDArray[Any]:
-    return times[::-1] if is_newest_first(times) else times
+    return times[::-1] if _is_newest_first(times) else times
 
 
 def clock_of_numbers(
@@ -454,21 +481,22 @@ def day_of_name(name: str, first_ns: int, *, certain: bool) -> int | None:
     return None
 
 
-def choose_clock(
+def clocks_of(
     found: Sequence[Column],
     survey: Survey,
     styles: Mapping[int, Style],
     header: Sequence[str],
     days: Collection[int] = (),
-) -> Clock | None:
-    """The clock of a table; None when no column of time can be read.
+) -> list[Clock]:
+    """The clocks of a table, the best first; none when no column of time can be read.
 
     `days` since 1970 decide where a date can be read in two ways.
 
     The best reads most rows, never runs backwards, tells rows apart, and knows the date: LeafSpy's
     `epoch time` goes on where its `Date/Time` jumps with the phone's time zone.
     """
-    clocks = _clocks(found, survey, styles, days)
+    columns = [column for column in found if column.quantity == "time"]
+    clocks = [clock for column in columns if (clock := _clock(column, survey, styles, days))]
     by_place = {clock.columns[0]: clock for clock in clocks}
     for date, time in permutations(clocks, 2):
         # A date in one column and the time of day in another; half a clock each.
@@ -476,28 +504,26 @@ def choose_clock(
             cells = [survey.cells[date.columns[0]], survey.cells[time.columns[0]]]
             if joined := clock_of_text((date.columns[0], time.columns[0]), cells, days):
                 by_place[date.columns[0]] = joined
-    merits = {
-        clock: _merit(clock, survey, header)
-        for clock in by_place.values()
-        if not _is_day_alone(clock, survey)
-    }
-    return max(merits, key=lambda clock: merits[clock], default=None)
+    merits: dict[Clock, tuple[float, ...]] = {}
+    for clock in by_place.values():
+        if not _is_day_alone(clock, survey):
+            stamps = clock.stamps(survey.cells)
+            clock = replace(clock, order=_order_of(clock, stamps))
+            merits[clock] = _merit(clock, stamps, header)
+    return sorted(merits, key=lambda clock: merits[clock], reverse=True)
 
 
 def start_by_date(
-    clock: Clock,
-    found: Sequence[Column],
-    survey: Survey,
-    styles: Mapping[int, Style],
-    days: Collection[int] = (),
+    clock: Clock, others: Sequence[Clock], survey: Survey
 ) -> tuple[int, Clock] | None:
-    """Stamp of time 0 of a clock without a date, ns, by another column, and the clock of that.
+    """Stamp of time 0 of a clock without a date, ns, by another one, and that.
 
-    None where no other column has the date and the time of day.
+    The rows of the survey stand from the oldest to the newest. None where no other clock has the
+    date.
     """
     own = clock.running().add(clock.stamps(survey.cells))
-    for other in _clocks(found, survey, styles, days):
-        if not other.dated or _is_day_alone(other, survey):
+    for other in others:
+        if not other.dated:
             continue
         dates = other.stamps(survey.cells)
         both = (own != NONE) & (dates != NONE)
@@ -505,16 +531,6 @@ def start_by_date(
             first = int(np.argmax(both))
             return int(dates[first] - own[first]), other
     return None
-
-
-def _clocks(
-    found: Sequence[Column],
-    survey: Survey,
-    styles: Mapping[int, Style],
-    days: Collection[int] = (),
-) -> list[Clock]:
-    columns = [column for column in found if column.quantity == "time"]
-    return [clock for column in columns if (clock := _clock(column, survey, styles, days))]
 
 
 def _clock(
@@ -537,9 +553,8 @@ def _is_day_alone(clock: Clock, survey: Survey) -> bool:
     return known.size > 1 and not (known % DAY_NS).any()
 
 
-def _merit(clock: Clock, survey: Survey, header: Sequence[str]) -> tuple[float, ...]:
-    stamps = clock.stamps(survey.cells)
-    if is_newest_first(stamps[stamps != NONE]):
+def _merit(clock: Clock, stamps: NDArray[np.int64], header: Sequence[str]) -> tuple[float, ...]:
+    if clock.order is Order.NEWEST_FIRST:
         stamps = stamps[::-1]
     stamps = clock.running().add(stamps)
     known = stamps[stamps != NONE]

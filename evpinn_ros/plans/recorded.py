@@ -52,8 +52,8 @@ def driven_plan(path: Path, vehicle: Vehicle) -> Plan:
     readings = [reading for reading in source.readings() if type(reading) in FIELDS]
     if source.problem:
         raise InputError(source.problem)
-    if (late := source.dropped["time_not_increasing"]) > len(readings):
-        raise PlanError(f"the times of {late} readings of it do not rise, so they are no times")
+    if not source.in_order or source.dropped["time_not_increasing"] > len(readings):
+        raise PlanError("its times do not rise, so they are no times")
     return plan_of_readings(readings)
 
 

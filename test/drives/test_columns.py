@@ -137,11 +137,21 @@ def test_no_units_at_all_and_milliseconds(tmp_path):
     assert tuple(drive.ignored) == ("rpm",)
 
 
-def test_seconds_out_of_order_are_seconds(tmp_path):
-    lines = np.array([f"{t:.1f},{3.6 * v:.4f},{u},{i:.4f}" for t, v, u, i in rows()])
-    mixed = np.random.default_rng(1).permutation(lines)
-    drive = drive_of(tmp_path, "time,speed_kmh,voltage,current", mixed)
-    assert {rule.quantity: rule.unit for rule in drive.rules}["time"] == "s"
+@pytest.mark.parametrize("clock", ["{:.2f}", "2024-03-05 07:08:{:05.2f}"])
+def test_rows_in_no_order_are_sorted(tmp_path, clock, monkeypatch):
+    monkeypatch.setattr("evpinn_ros.drives.table_drive.BATCH", 100)
+    lines = [f"{clock.format(t / 2.1)},{3.6 * v:.4f},{u},{i:.4f}" for t, v, u, i in rows()]
+    header = "time,speed_kmh,voltage,current"
+    drive = drive_of(tmp_path, header, lines)
+    wanted = [*map(repr, drive.readings())]
+    mixed = np.random.default_rng(1).permutation(np.array(lines))
+    again = drive_of(tmp_path, header, mixed)
+    assert ([*map(repr, again.readings())], again.rules) == (wanted, drive.rules)
+    assert (again.seconds, again.dropped) == (drive.seconds, drive.dropped)
+    assert [note for note in again.notes if note not in drive.notes] == [
+        "rows stand in no order of time, so they were sorted by it"
+    ]
+    assert drive.in_order and not again.in_order
 
 
 @pytest.mark.parametrize("name", ["kW", "Battery Power kW", "hvPower_kW"])

@@ -8,6 +8,7 @@ import time
 import tracemalloc
 import zipfile
 
+import numpy as np
 import pytest
 
 from evpinn_ros.common.errors import InputError
@@ -107,12 +108,15 @@ def test_a_long_comment_costs_no_square_of_its_length(tmp_path):
 
 @pytest.mark.nightly
 @pytest.mark.slow
-def test_a_table_newest_first_is_not_held_as_text(tmp_path):
-    rows = 200_000
-    path = tmp_path / "newest.csv"
+@pytest.mark.parametrize("order", ["newest first", "in no order"])
+def test_a_table_not_oldest_first_is_not_held_as_text(tmp_path, order):
+    rows = np.arange(200_000, 0, -1)
+    if order == "in no order":
+        np.random.default_rng(1).shuffle(rows)
+    path = tmp_path / "drive.csv"
     with path.open("w") as file:
         file.write("Timestamp,Speed (km/h),Voltage (V),Current (A),Note\n")
-        for i in range(rows, 0, -1):
+        for i in rows.tolist():
             file.write(f"{1_700_000_000 + i},{i % 90},360,{i % 50},{i:060d}\n")
     drive = open_drive(path)
     tracemalloc.start()

@@ -183,9 +183,11 @@ def test_a_cycle_as_vehicle_simulators_have_it_is_a_plan(read):
 
 
 def test_times_that_do_not_rise_are_no_times(read):
-    rows = "".join(f"2024-05-01 10:00:{i // 20:02d},9.9,{i}\n" for i in range(400))
-    with pytest.raises(PlanError, match="do not rise, so they are no times"):
-        read("Time,Speed (km/h),n\n" + rows, "log.csv")
+    still = "".join(f"2024-05-01 10:00:{i // 20:02d},9.9,{i}\n" for i in range(400))
+    lasting = "".join(f"{i * 37 % 101},9.9,{i}\n" for i in range(100))  # the times of legs
+    for rows in (still, lasting):
+        with pytest.raises(PlanError, match="do not rise, so they are no times"):
+            read("Time,Speed (km/h),n\n" + rows, "log.csv")
 
 
 def test_readings_out_of_order_and_without_a_number_are_no_harm():
