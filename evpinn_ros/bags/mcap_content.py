@@ -160,18 +160,16 @@ def parsed_from(opcode: int, stream: Any, length: int) -> Any:
     return None
 
 
-def records_in(
-    data: bytes, definitions: Definitions, *, strict: bool = False, first: int = 0
-) -> Records:
+def records_in(data: bytes, definitions: Definitions, *, strict: bool = False) -> Records:
     """Go from record to record, as far as messages and definitions reach.
 
     Definitions in the data are added to those that are known. Where it is `strict`, a message of
     an unknown channel ends it too.
     """
-    found = Records(last=first, end=first)
+    found = Records()
     index: dict[int, list[int]] = {}
     unpack, size = MESSAGE_HEAD.unpack_from, len(data)
-    position = first
+    position = 0
     while position + HEAD.size <= size:
         opcode, length = HEAD.unpack_from(data, position)
         end = position + HEAD.size + length

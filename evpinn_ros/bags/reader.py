@@ -6,7 +6,7 @@ What rosbag2 compressed, file by file or message by message, is unpacked within 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Container, Iterator
+from collections.abc import Collection, Container, Iterator
 from dataclasses import dataclass
 import heapq
 from operator import itemgetter
@@ -190,7 +190,7 @@ def _files(folder: Path, storage: str) -> list[Path]:
 
 def _open_compressed(path: Path, mode: str) -> BagFile:
     if path.suffix == PACKED:
-        return open_packed(path, _open_file)
+        return _open_packed(path)
     return CompressedMessages(_open_file(path), path) if mode == "message" else _open_file(path)
 
 
@@ -219,19 +219,15 @@ def _metadata(path: Path, problems: list[str]) -> dict[str, Any]:
     return {}
 
 
-def open_packed(packed: Path, open_plain: Callable[[Path], PlainFile]) -> PlainFile:
-    """Unpack a `.zstd` file and open it.
-
-    Raises:
-        InputError: it cannot be read, does not unpack, or to more than is allowed.
-    """
+def _open_packed(packed: Path) -> PlainFile:
+    """A `.zstd` file unpacked, within limits, and opened."""
     # Once it is open, it can be read without its name.
     with TemporaryDirectory() as folder:
         path = Path(folder) / packed.stem
         try:
             with as_input_error(f"{packed}: cannot be unpacked", zstandard.ZstdError):
                 _unpack(packed, path)
-                file = open_plain(path)
+                file = _open_file(path)
         except InputError as error:
             raise InputError(str(error).replace(str(path), str(packed))) from error
     file.path = packed  # which the person knows

@@ -144,7 +144,7 @@ def _recover_files(
     topics: dict[str, WrittenTopic] = {}
     written: list[WrittenFile] = []
     for path in paths:
-        copy = McapCopy(out / f"{out.resolve().name}_{len(files)}.mcap", LIBRARY)
+        copy = McapCopy(out / f"{out.resolve().name}_{len(files)}.mcap")
         files.append(copy.path)
         before = sum(each.size for each in found)
         try:
@@ -304,7 +304,7 @@ class McapCopy:
         written: number and log times of all of them.
     """
 
-    def __init__(self, path: Path, library: str) -> None:
+    def __init__(self, path: Path) -> None:
         """Make the file; InputError when it is there or cannot be made."""
         self.path = path
         self.counts: Counter[int] = Counter()
@@ -318,7 +318,7 @@ class McapCopy:
             self._file = path.open("xb")
         self._file.write(MAGIC)
         # Readers that know ROS 2 refuse any other profile; the types are in the schemas.
-        self._add(Header(profile="ros2", library=library))
+        self._add(Header(profile="ros2", library=LIBRARY))
 
     def copy(self, head: ChunkHead, packed: bytes, found: Records, known: Definitions) -> None:
         """Add a chunk as it was packed."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import math
 
 from evpinn_ros.common.errors import InputError, near_names
+from evpinn_ros.drives.apps import app_of
 from evpinn_ros.drives.quantities import (
     BY_COLUMN,
-    COLUMNS_OF_APPS,
     NEEDED,
     QUANTITIES,
     Unit,
@@ -87,6 +87,7 @@ def columns_by_name(
         return found
     known = {column.quantity for column in found}
     taken = {column.place for column in found}
+    app = app_of(header)
     for quantity in QUANTITIES:
         if quantity in known:
             continue
@@ -98,8 +99,10 @@ def columns_by_name(
         if quantity == "power" and {"voltage", "current"} <= known:
             continue
         free = (i for i in range(len(header)) if i not in taken and i not in empty)
-        scores = {i: score(quantity, header[i]) for i in free}
-        scores |= {i: most for i, most in _of_app(quantity, header).items() if i not in empty}
+        best_name = app.columns.get(quantity) if app else None
+        scores = {
+            i: math.inf if header[i] == best_name else score(quantity, header[i]) for i in free
+        }
         if quantity not in NEEDED:
             scores = {i: each for i, each in scores.items() if not _foreign(quantity, header[i])}
         best = max(scores, key=lambda i: scores[i], default=None)
@@ -114,12 +117,6 @@ def _foreign(quantity: str, name: str) -> str:
     """The unit that a name has in brackets where it is none of the quantity's; empty if not."""
     text, unit = unit_of(quantity, name)
     return text if unit is None else ""
-
-
-def _of_app(quantity: str, header: Sequence[str]) -> dict[int, float]:
-    """The column that an app has for it whatever names say, at a score above all others."""
-    names = [own.get(quantity) for mark, own in COLUMNS_OF_APPS.items() if mark in header]
-    return {header.index(name): math.inf for name in names if name in header}
 
 
 def is_complete(quantities: set[str]) -> bool:
@@ -159,9 +156,8 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
         raise InputError(f"--column {text}: no such column{near}; there are {', '.join(header)}")
     place = list(header).index(name)
     if not unit:
-        given_unit, meant = unit_of(quantity, name)
-        column = Column(quantity, name, why="as given", place=place)
-        return column.measured_in(given_unit, meant, "as given") if meant else column
+        column, _ = _named(quantity, header, place)
+        return replace(column, why="as given")
     bare = unit.lstrip("-")
     meant = known_unit(quantity, bare.lower())
     if meant is None:
@@ -171,22 +167,31 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
 
 
 def column_of(quantity: str, header: Sequence[str], place: int) -> Column:
-    """A column for a quantity with the unit that its name tells, or none.
+    """A column for a quantity with the unit that its name or the app tells, or none.
 
     Raises:
         InputError: its name has a unit that is not known.
     """
-    name = header[place]
-    text, unit = unit_of(quantity, name)
-    column = Column(quantity, name, place=place)
-    if unit is not None:
-        return column.measured_in(text, unit, "by its name")
-    if text and quantity != "time":
+    column, foreign = _named(quantity, header, place)
+    if foreign and quantity != "time":
         raise InputError(
-            f"column {name!r}: the unit [{text}] of {quantity} is not known; say "
-            f"--column '{quantity}={name}:UNIT' with one of {_spellings(quantity)}"
+            f"column {column.name!r}: the unit [{foreign}] of {quantity} is not known; say "
+            f"--column '{quantity}={column.name}:UNIT' with one of {_spellings(quantity)}"
         )
     return column
+
+
+def _named(quantity: str, header: Sequence[str], place: int) -> tuple[Column, str]:
+    """A column with the unit that its name or the app tells; and one that is not known, if any."""
+    name, app = header[place], app_of(header)
+    column = Column(quantity, name, place=place)
+    text, unit = unit_of(quantity, name)
+    if unit is not None:
+        return column.measured_in(text, unit, "by its name"), ""
+    by_app = app.units.get(name, "") if app else ""
+    if app and (unit := known_unit(quantity, by_app)):
+        return column.measured_in(by_app, unit, f"as in logs with a column {app.mark!r}"), ""
+    return column, text
 
 
 def _spellings(quantity: str) -> str:

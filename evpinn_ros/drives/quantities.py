@@ -202,14 +202,6 @@ BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
 # In brackets behind a name, but no unit: where the number comes from.
 QUALIFIERS = _phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start,real")
 
-# By an unmistakable column of an app: what its other names do not tell. LeafSpy writes the ambient
-# temperature in degrees F beside packs in both ("LeafSpy Log file format", lstech.io). Its Speed
-# is the phone's GPS, which freezes and is silent in pockets; Speed2 is the car's own, in 0.01
-# km/h: it agrees with the odometer within 1 % ("Reading logs of apps" in
-# docs/project/benchmarks.md).
-UNITS_OF_APPS: Mapping[str, Mapping[str, str]] = {"Gids": {"Ambient": "f", "Speed2": "0.01 km/h"}}
-COLUMNS_OF_APPS: Mapping[str, Mapping[str, str]] = {"Gids": {"speed": "Speed2"}}
-
 
 @lru_cache(maxsize=4096)
 def words_of(name: str) -> tuple[str, tuple[str, ...]]:

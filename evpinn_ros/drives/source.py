@@ -32,10 +32,13 @@ class Source(ABC):
     zoned = True
     in_order = True
 
-    def __init__(self, path: Path) -> None:
-        """Nothing was dropped yet."""
+    def __init__(self, path: Path, log: Source | None = None) -> None:
+        """Nothing was dropped yet; columns and clock are those of the log that it is made of."""
         self.path = path
         self.dropped: Counter[str] = Counter()
+        if log is not None:
+            self.rules, self.ignored, self.in_order = log.rules, log.ignored, log.in_order
+            self.dated, self.zoned = log.dated, log.zoned
 
     @property
     @abstractmethod

@@ -1,7 +1,7 @@
 """A look through a whole table before it is read: header, widths of rows, some cells.
 
-A log may come without a header, because it continues a full one; those of known apps are known by
-their cells. A table with one value a row (time, name of the signal, value, unit) is read as a wide
+A log may come without a header, because it continues a full one: some apps are known by their
+cells. A table with one value a row (time, name of the signal, value, unit) is read as a wide
 one: Car Scanner's "All in one" export is `SECONDS;PID;VALUE;UNITS;LATITUDE;LONGTITUDE`, its
 seconds counted from midnight and on over the next one, every cell quoted, each line with a
 separator at its end, the names in the language of the phone (as its readers say: obd2_viewer's
@@ -15,10 +15,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice
-import re
 from typing import Protocol
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.apps import layout_of
 from evpinn_ros.drives.numbers import is_missing
 from evpinn_ros.drives.quantities import QUANTITIES, known_unit, may_be_of_use, score
 from evpinn_ros.drives.text_table import Row
@@ -34,24 +34,6 @@ ROWS_THAT_TELL = 2000  # whether a table can be read at all
 MOST_CELLS = 500_000  # kept
 MOST_ROWS = 300_000  # looked at: eight hours at 10 Hz
 
-# LeafSpy: the columns of its logs of 2017 and 2018, in three versions of the app.
-_CELLS = 96
-_LEAFSPY_BEGIN = [
-    *("Date/Time", "Lat", "Long", "Elv", "Speed", "Gids", "SOC", "AHr", "Pack Volts"),
-    *("Pack Amps", "Max CP mV", "Min CP mV", "Avg CP mV", "CP mV Diff", "Judgment Value"),
-    *(f"Pack T{number} {unit}" for number in range(1, 5) for unit in "FC"),
-]
-_LEAFSPY_END = [
-    *("12v Bat Amps", "VIN", "Hx", "12v Bat Volts", "Odo(km)", "QC", "L1/L2"),
-    *("TP-FL", "TP-FR", "TP-RR", "TP-RL", "Ambient", "SOH", "RegenWh", "BLevel", "epoch time"),
-    *("Motor Pwr(w)", "Aux Pwr(100w)", "A/C Pwr(250w)", "A/C Comp(0.1MPa)"),
-    *("Est Pwr A/C(50w)", "Est Pwr Htr(250w)", "Plug State", "Charge Mode", "OBC Out Pwr"),
-    *("Gear", "HVolt1", "HVolt2", "GPS Status", "Power SW", "BMS", "OBC", "Debug"),
-    *("Motor Temp", "Inverter 2 Temp", "Inverter 4 Temp"),
-]
-_LEAFSPY_LATER = ("Speed1", "Speed2", "Wiper Status", "Torque Nm")
-_DATE_TIME = re.compile(r"\d\d/\d\d/\d{4} \d{1,2}:\d\d:\d\d")
-_CELL_MILLIVOLTS = range(2000, 4500)
 MOST_SIGNALS = 10_000
 
 
@@ -226,24 +208,6 @@ def data_rows(table: Table, head: Head) -> Iterator[Row]:
         if cell.strip() == first and [each.strip() for each in row[:5]] == again:
             continue
         yield number, row
-
-
-def layout_of(row: Sequence[str]) -> list[str]:
-    """The names of the columns of a row that a known app wrote; none where it is of no such app.
-
-    LeafSpy's rows begin with a date and have the voltages of 96 cells at their place.
-    """
-    begin = len(_LEAFSPY_BEGIN)
-    base = begin + _CELLS + len(_LEAFSPY_END)
-    most = base + len(_LEAFSPY_LATER) + 1  # the newest of these writes a cell beyond its header
-    if not base <= len(row) <= most or not _DATE_TIME.match(row[0]):
-        return []
-    # A minus before a cell says that it is being balanced.
-    cells = [cell.strip().lstrip("-") for cell in row[begin : begin + _CELLS]]
-    if not all(cell.isdigit() and int(cell) in _CELL_MILLIVOLTS for cell in cells):
-        return []
-    names = (f"CP{number + 1}" for number in range(_CELLS))
-    return [*_LEAFSPY_BEGIN, *names, *_LEAFSPY_END, *_LEAFSPY_LATER][: len(row)]
 
 
 class LongTable:

@@ -329,7 +329,7 @@ class TableDrive(Source):
         beside = {"power": self._beside} if self._beside else {}
         signals = {name: self._signal(each, times) for name, each in {**used, **beside}.items()}
         if not own:
-            used = with_units(used, signals, frozenset(header))
+            used = with_units(used, signals)
             self._no_speed = stands_still(used, signals)
         self._held = held_columns(signals)
         self._contradictions = tuple(contradictions({**used, **beside}, signals))

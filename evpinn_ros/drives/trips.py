@@ -55,11 +55,7 @@ class JoinedLog(Source):
 
     def __init__(self, files: Sequence[Source]) -> None:
         """The files in order; the first has the name and the columns that are shown."""
-        first = files[0]
-        super().__init__(first.path)
-        self.rules, self.ignored, self.dated, self.zoned = (
-            first.rules, first.ignored, first.dated, first.zoned,
-        )  # fmt: skip
+        super().__init__(files[0].path, files[0])
         self._files = files
 
     @property
@@ -121,10 +117,8 @@ class TripSource(Source):
 
     def __init__(self, log: Source, number: int, trips: Sequence[Trip]) -> None:
         """Trip of this number, from 1 on; its name is that of the log with the number."""
-        super().__init__(log.path.with_name(f"{log.path.name.partition('.')[0]}:{number}"))
-        self.rules, self.ignored, self.dated, self.zoned = (
-            log.rules, log.ignored, log.dated, log.zoned,
-        )  # fmt: skip
+        name = f"{log.path.name.partition('.')[0]}:{number}"
+        super().__init__(log.path.with_name(name), log)
         self._log, self._trip = log, trips[number - 1]
         self._last = number == len(trips)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import SIGNED, Column, column_of
-from evpinn_ros.drives.quantities import QUANTITIES, UNITS_OF_APPS, Unit, known_unit, score
+from evpinn_ros.drives.quantities import QUANTITIES, Unit, score
 
 FASTEST = 45.0  # m/s: what is larger is hardly a speed of a car in m/s
 STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is no speed in m/s
@@ -65,14 +65,9 @@ class Signal:
         return self.value[np.isfinite(self.value)]
 
 
-def with_units(
-    found: Mapping[str, Column], cells: Mapping[str, Signal], header: frozenset[str]
-) -> dict[str, Column]:
-    """The columns, each with a unit and a sign.
-
-    The names of all columns, `header`, may tell the app.
-    """
-    done = {name: _by_app(column, header) for name, column in found.items()}
+def with_units(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> dict[str, Column]:
+    """The columns, each with a unit and a sign."""
+    done = dict(found)
     if "odometer" in done and not done["odometer"].unit:
         done["odometer"] = done["odometer"].in_unit("km", "assumed")
     for name, decide in _BY_VALUES.items():  # the speed's needs the unit of power
@@ -90,19 +85,6 @@ def with_units(
 
 def _is_known(column: Column) -> bool:
     return bool(column.unit) or column.is_ours
-
-
-def _by_app(column: Column, header: frozenset[str]) -> Column:
-    for mark, units in UNITS_OF_APPS.items():
-        if mark in header and column.name in units and not column.unit:
-            text = units[column.name]
-            unit = known_unit(column.quantity, text)
-            return (
-                column.measured_in(text, unit, f"as in logs with a column {mark!r}")
-                if unit
-                else column
-            )
-    return column
 
 
 def _road(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> float:

@@ -1,0 +1,65 @@
+"""Columns of log apps that their names alone do not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+import re
+from typing import NamedTuple
+
+
+class App(NamedTuple):
+    """An app, known by a column that no other has."""
+
+    mark: str  # the name of that column
+    columns: Mapping[str, str]  # by quantity the column to take, whatever other names say
+    units: Mapping[str, str]  # by column, as `QUANTITIES` spells them
+
+
+# LeafSpy writes the ambient temperature in degrees F beside packs in both ("LeafSpy Log file
+# format", lstech.io). Its Speed is the phone's GPS, which freezes and is silent in pockets; Speed2
+# is the car's own, in 0.01 km/h: it agrees with the odometer within 1 % ("Reading logs of apps" in
+# docs/project/benchmarks.md).
+APPS = (App("Gids", {"speed": "Speed2"}, {"Ambient": "f", "Speed2": "0.01 km/h"}),)
+
+
+def app_of(header: Collection[str]) -> App | None:
+    """The app that wrote a table of these columns; None where it is not known, or needs not be."""
+    return next((app for app in APPS if app.mark in header), None)
+
+
+# LeafSpy: the columns of its logs of 2017 and 2018, in three versions of the app.
+_CELLS = 96
+_LEAFSPY_BEGIN = [
+    *("Date/Time", "Lat", "Long", "Elv", "Speed", "Gids", "SOC", "AHr", "Pack Volts"),
+    *("Pack Amps", "Max CP mV", "Min CP mV", "Avg CP mV", "CP mV Diff", "Judgment Value"),
+    *(f"Pack T{number} {unit}" for number in range(1, 5) for unit in "FC"),
+]
+_LEAFSPY_END = [
+    *("12v Bat Amps", "VIN", "Hx", "12v Bat Volts", "Odo(km)", "QC", "L1/L2"),
+    *("TP-FL", "TP-FR", "TP-RR", "TP-RL", "Ambient", "SOH", "RegenWh", "BLevel", "epoch time"),
+    *("Motor Pwr(w)", "Aux Pwr(100w)", "A/C Pwr(250w)", "A/C Comp(0.1MPa)"),
+    *("Est Pwr A/C(50w)", "Est Pwr Htr(250w)", "Plug State", "Charge Mode", "OBC Out Pwr"),
+    *("Gear", "HVolt1", "HVolt2", "GPS Status", "Power SW", "BMS", "OBC", "Debug"),
+    *("Motor Temp", "Inverter 2 Temp", "Inverter 4 Temp"),
+]
+_LEAFSPY_LATER = ("Speed1", "Speed2", "Wiper Status", "Torque Nm")
+_DATE_TIME = re.compile(r"\d\d/\d\d/\d{4} \d{1,2}:\d\d:\d\d")
+_CELL_MILLIVOLTS = range(2000, 4500)
+
+
+def layout_of(row: Sequence[str]) -> list[str]:
+    """The names of the columns of a row that a known app wrote; none where it is of no such app.
+
+    LeafSpy's rows begin with a date and have the voltages of 96 cells at their place.
+    """
+    begin = len(_LEAFSPY_BEGIN)
+    base = begin + _CELLS + len(_LEAFSPY_END)
+    most = base + len(_LEAFSPY_LATER) + 1  # the newest of these writes a cell beyond its header
+    if not base <= len(row) <= most or not _DATE_TIME.match(row[0]):
+        return []
+    # A minus before a cell says that it is being balanced.
+    cells = [cell.strip().lstrip("-") for cell in row[begin : begin + _CELLS]]
+    if not all(cell.isdigit() and int(cell) in _CELL_MILLIVOLTS for cell in cells):
+        return []
+    names = (f"CP{number + 1}" for number in range(_CELLS))
+    return [*_LEAFSPY_BEGIN, *names, *_LEAFSPY_END, *_LEAFSPY_LATER][: len(row)]
