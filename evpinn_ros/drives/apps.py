@@ -21,6 +21,8 @@ class App(NamedTuple):
 # docs/project/benchmarks.md).
 APPS = (App("Gids", {"speed": "Speed2"}, {"Ambient": "f", "Speed2": "0.01 km/h"}),)
 
+ANNOTATIONS = ("#group", "#datatype", "#default")  # of InfluxDB's columns, above their names
+
 
 def app_of(header: Collection[str]) -> App | None:
     """The app that wrote a table of these columns; None where it is not known, or needs not be."""

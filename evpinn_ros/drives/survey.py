@@ -18,14 +18,17 @@ from itertools import islice
 from typing import Protocol
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.apps import layout_of
+from evpinn_ros.drives.apps import ANNOTATIONS, layout_of
 from evpinn_ros.drives.numbers import is_missing
 from evpinn_ros.drives.quantities import QUANTITIES, known_unit, may_be_of_use, score
 from evpinn_ros.drives.text_table import Row
 
 # The columns of a table with one value a row.
-NAMES = ("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item")
-VALUES = ("value", "reading", "wert", "val")
+NAMES = (
+    *("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item"),
+    *("variable", "_field"),  # of pandas' melt and of InfluxDB
+)
+VALUES = ("value", "reading", "wert", "val", "_value")
 UNITS = ("units", "unit", "einheit")
 HEADER_WITHIN = 60  # rows
 LEAST_SHARE = 0.02  # of rows that are wider than the header: an app that was updated
@@ -103,6 +106,8 @@ def long_form(head: Head) -> tuple[int, int, int | None] | None:
 
 def _names_some(row: Sequence[str]) -> bool:
     """True if two cells of a row or more are names of quantities."""
+    if row[0] in ANNOTATIONS:
+        return False
     names = [cell.strip() for cell in row if 0 < len(cell) < 100]
     names = [name for name in names if not name[:1].isdigit()][:1000]
     found = {
@@ -215,6 +220,7 @@ class LongTable:
 
     Attributes:
         others: names of signals that have no column.
+        by_signal: all rows of a signal stand together, as pandas and InfluxDB write them.
     """
 
     def __init__(self, table: Table, head: Head, places: tuple[int, int, int | None]) -> None:
@@ -264,10 +270,12 @@ class LongTable:
 
     def _find(self) -> None:
         seen: set[tuple[str, str]] = set()
+        runs, before = 0, None
         for number, row in self._table.rows():
             if number <= self._head.row or len(row) <= self._last:
                 continue
             key = row[self._name], self._unit_of(row)
+            runs, before = runs + (key != before), key
             if key in seen or len(seen) >= MOST_SIGNALS:
                 continue
             seen.add(key)
@@ -277,6 +285,7 @@ class LongTable:
                 self._names.append(f"{name} ({unit})" if unit else name)
             else:
                 self.others.append(name)
+        self.by_signal = 1 < runs == len(seen)
 
     def _unit_of(self, row: Sequence[str]) -> str:
         return row[self._unit] if self._unit is not None else ""

@@ -107,8 +107,10 @@ class TableDrive(Source):
         self.first_bad: str | None = None
         try:
             self._head = find_head(table)
+            self._by_signal = False
             if long := long_form(self._head):
-                self._table = LongTable(table, self._head, long)
+                self._table = long_table = LongTable(table, self._head, long)
+                self._by_signal = long_table.by_signal
                 self._head = find_head(self._table)
             self._table = table_of_car(self._table, self._head, car)
             header = self._head.names
@@ -210,7 +212,8 @@ class TableDrive(Source):
     def _clocks(self, found: Sequence[Column], survey: Survey) -> list[Clock]:
         """The clocks of the table, the best first; InputError when no time can be read."""
         days = days_of_name(self.path.name)
-        clocks = clocks_of(found, survey, _styles(survey), self._head.names, days)
+        styles, header = _styles(survey), self._head.names
+        clocks = clocks_of(found, survey, styles, header, days, by_signal=self._by_signal)
         if not clocks:
             raise InputError(f"{self.path}: {_no_time(found, survey)}")
         return clocks

@@ -487,10 +487,13 @@ def clocks_of(
     styles: Mapping[int, Style],
     header: Sequence[str],
     days: Collection[int] = (),
+    *,
+    by_signal: bool = False,
 ) -> list[Clock]:
     """The clocks of a table, the best first; none when no column of time can be read.
 
-    `days` since 1970 decide where a date can be read in two ways.
+    `days` since 1970 decide where a date can be read in two ways. A table `by_signal` has one
+    signal after the other, each from the first time to the last.
 
     The best reads most rows, never runs backwards, tells rows apart, and knows the date: LeafSpy's
     `epoch time` goes on where its `Date/Time` jumps with the phone's time zone.
@@ -508,7 +511,10 @@ def clocks_of(
     for clock in by_place.values():
         if not _is_day_alone(clock, survey):
             stamps = clock.stamps(survey.cells)
-            clock = replace(clock, order=_order_of(clock, stamps))
+            if by_signal:
+                clock = replace(clock, order=Order.SHUFFLED, daily=False, drives_from_ns=None)
+            else:
+                clock = replace(clock, order=_order_of(clock, stamps))
             merits[clock] = _merit(clock, stamps, header)
     return sorted(merits, key=lambda clock: merits[clock], reverse=True)
 

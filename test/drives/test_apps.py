@@ -155,6 +155,44 @@ def typed():
     }
 
 
+MELTED = {
+    "pandas": ("t,variable,value", "{t},{name},{value}"),
+    "pandas, dated": ("time,variable,value", "{at:%Y-%m-%d %H:%M:%S},{name},{value}"),
+    "influx": (
+        "#group,false,false,false,false,true\n"
+        "#datatype,string,long,dateTime:RFC3339,double,string\n#default,_result,,,,\n"
+        ",result,table,_time,_value,_field",
+        ",,0,{at:%Y-%m-%dT%H:%M:%SZ},{value},{name}",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", MELTED)
+def test_signals_that_follow_each_other_are_read_together(tmp_path, kind):
+    header, row = MELTED[kind]
+    signals = {"speed_kmh": 2, "pack_voltage": 3, "pack_current": 4, "rpm": 0}
+    lines = [
+        row.format(t=moment[0], at=moment[1], name=name, value=f"{moment[place]:.6f}")
+        for name, place in signals.items()
+        for moment in moments()
+    ]
+    path = tmp_path / "drive.csv"
+    path.write_text("\n".join([header, *lines]) + "\n")
+    drive = open_drive(path)
+    readings = list(drive.readings())
+    stamps = [reading.stamp_ns for reading in readings]
+    assert stamps == sorted(stamps) and not drive.dropped and not drive.in_order
+    assert drive.seconds == SECONDS - 1
+    for kind, place, of in (
+        (SpeedReading, 2, lambda one: 3.6 * one.speed),
+        (BatteryReading, 3, lambda one: one.voltage),
+        (BatteryReading, 4, lambda one: -one.current),
+    ):
+        found = [of(one) for one in readings if isinstance(one, kind)]
+        found = [value for value in found if not math.isnan(value)]
+        assert found == pytest.approx([moment[place] for moment in moments()], abs=1e-5)
+
+
 def test_parquet_and_spreadsheets(tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     columns = typed()
