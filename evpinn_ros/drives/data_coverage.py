@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import math
 from typing import TypeAlias
 
+from evpinn_ros.drives.source import STRAGGLING_NS
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.signals.stream import StreamSettings
 
 MOVING = 1.0  # m/s
 SHORTEST = 10.0  # s, of a span that is worth naming
-STRAGGLING_NS = 10 * NANOSECONDS  # stamps that go back further are no stragglers: time began anew
 MAX_GAP_NS = int(StreamSettings().max_gap * NANOSECONDS)
 # A signal that comes every 5 s is bridged over some of its own steps, but never over a stop.
 STEPS_BRIDGED = 6

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evpinn_ros.drives.column import Column
-from evpinn_ros.drives.times import STRAGGLING_NS
+from evpinn_ros.drives.source import STRAGGLING_NS
 from evpinn_ros.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,

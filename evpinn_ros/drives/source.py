@@ -9,7 +9,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from evpinn_ros.drives.column import Column
-from evpinn_ros.signals.readings import Reading
+from evpinn_ros.signals.readings import NANOSECONDS, Reading
+
+STRAGGLING_NS = 10 * NANOSECONDS  # by which readings may be late; further back time began anew
 
 
 class Source(ABC):

@@ -13,13 +13,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import islice
 from typing import Protocol
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.apps import ANNOTATIONS, layout_of
-from evpinn_ros.drives.numbers import is_missing
+from evpinn_ros.drives.numbers import POINT, Style, is_missing, style_of
 from evpinn_ros.drives.quantities import QUANTITIES, known_unit, may_be_of_use, score
 from evpinn_ros.drives.text_table import Row
 
@@ -135,7 +136,7 @@ def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:
     return cells if len(units) >= 2 else []
 
 
-@dataclass(slots=True)
+@dataclass
 class Survey:
     """Survey of a table."""
 
@@ -144,10 +145,21 @@ class Survey:
     width: int  # of the header
     empty: frozenset[int] = frozenset()  # places of columns without a cell in the rows looked at
 
-    def in_order(self, rows: Sequence[int]) -> Survey:
-        """Survey with its kept rows in this order of their places."""
-        cells = {place: [column[row] for row in rows] for place, column in self.cells.items()}
-        return replace(self, cells=cells)
+    @cached_property
+    def styles(self) -> dict[int, Style]:
+        """Number style of each wanted column; an undecided one takes that of the others."""
+        found = {place: style_of(cells) for place, cells in self.cells.items()}
+        given = Counter(style for style in found.values() if style is not None)
+        common = given.most_common(1)[0][0] if given else POINT
+        return {
+            place: style or style_of(self.cells[place], common) or common
+            for place, style in found.items()
+        }
+
+    def put_in_order(self, rows: Sequence[int]) -> None:
+        """Let the rows that were kept follow each other like this, by their places."""
+        for column in self.cells.values():
+            column[:] = [column[row] for row in rows]
 
     def is_whole(self, width: int) -> bool:
         """True if a row of so many cells is one of this table and not torn."""

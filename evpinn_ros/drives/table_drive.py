@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
 import math
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.cars import table_of_car
 from evpinn_ros.drives.column import NO_USE, Column, check_columns, columns_by_name, unused_columns
-from evpinn_ros.drives.numbers import POINT, Style, is_missing, style_of, to_floats
+from evpinn_ros.drives.numbers import is_missing, to_floats
 from evpinn_ros.drives.quantities import NEEDED, PLACES, QUANTITIES, Unit
 from evpinn_ros.drives.rows_to_readings import MOST, HeldSignals, RowOrder, RowReadings
 from evpinn_ros.drives.source import Source
@@ -107,10 +106,9 @@ class TableDrive(Source):
         self.first_bad: str | None = None
         try:
             self._head = find_head(table)
-            self._by_signal = False
-            if long := long_form(self._head):
-                self._table = long_table = LongTable(table, self._head, long)
-                self._by_signal = long_table.by_signal
+            self._long: LongTable | None = None
+            if places := long_form(self._head):
+                self._table = self._long = LongTable(table, self._head, places)
                 self._head = find_head(self._table)
             self._table = table_of_car(self._table, self._head, car)
             header = self._head.names
@@ -127,20 +125,20 @@ class TableDrive(Source):
         if filled != found:
             found, survey = filled, self._look_through(filled, limit)
         self._looked_at_all = survey.widths.total() < limit
-        self._styles = _styles(survey)
+        self._survey = survey
         self.clock, *clocks = self._clocks(found, survey)
         self.zoned = self.clock.zoned
         self.in_order = self.clock.order is not Order.SHUFFLED
         stamps = self.clock.stamps(survey.cells)
         if self.clock.order is not Order.OLDEST_FIRST:
             rows = self.clock.order.rows(stamps)
-            stamps, survey = stamps[rows], survey.in_order(rows.tolist())
-        self._survey = survey
+            stamps = stamps[rows]
+            survey.put_in_order(rows.tolist())
         self._contradictions: tuple[str, ...] = ()
         self.rules = self._ruled(found, own, stamps)
         self.ignored = unused_columns(header, self.rules, self.clock.columns, survey.empty)
-        if isinstance(self._table, LongTable):
-            self.ignored |= dict.fromkeys(self._table.others, NO_USE)
+        if self._long is not None:
+            self.ignored |= dict.fromkeys(self._long.others, NO_USE)
         self._start_ns, self.dated = self._start(clocks, stamps)
 
     @property
@@ -212,8 +210,8 @@ class TableDrive(Source):
     def _clocks(self, found: Sequence[Column], survey: Survey) -> list[Clock]:
         """The clocks of the table, the best first; InputError when no time can be read."""
         days = days_of_name(self.path.name)
-        styles, header = _styles(survey), self._head.names
-        clocks = clocks_of(found, survey, styles, header, days, by_signal=self._by_signal)
+        by_signal = self._long is not None and self._long.by_signal
+        clocks = clocks_of(found, survey, days, by_signal=by_signal)
         if not clocks:
             raise InputError(f"{self.path}: {_no_time(found, survey)}")
         return clocks
@@ -291,32 +289,32 @@ class TableDrive(Source):
 
     def _numbers(self, batch: Batch, rule: Column) -> NDArray[np.float64]:
         """SI values of a column; NaN where there is none."""
-        cells = _cells(batch, rule.place)
-        values = to_floats(cells, self._styles[rule.place])
-        for i in np.flatnonzero(~np.isfinite(values)):
-            if not is_missing(cells[i]):
-                self.dropped[f"{QUANTITIES[rule.quantity].column}_not_a_number"] += 1
-                self._say_bad(batch[i][0], rule, cells[i], "is no number")
+        values = to_floats(_cells(batch, rule.place), self._survey.styles[rule.place])
+        self._count_bad(batch, rule, ~np.isfinite(values), "is no number")
         values = values * rule.factor + rule.offset
         values[~(np.abs(values) < MOST)] = math.nan
         return values
 
     def _count_times(self, batch: Batch, stamps: Stamps) -> None:
         place = self.clock.columns[0]
-        cells = _cells(batch, place)
-        for i in np.flatnonzero(stamps == NONE):
-            self.dropped["no_time"] += 1
-            if not is_missing(cells[i]):
-                self.dropped["t_s_not_a_number"] += 1
-                rule = Column("time", self._head.names[place])
-                self._say_bad(batch[i][0], rule, cells[i], "is no time like the others")
+        bad = stamps == NONE
+        self.dropped["no_time"] += int(bad.sum())
+        time = Column("time", self._head.names[place], place=place)
+        self._count_bad(batch, time, bad, "is no time like the others")
 
-    def _say_bad(self, line: int, rule: Column, cell: str, what: str) -> None:
-        if self.first_bad is None:
-            self.first_bad = (
-                f"{self.path}:{line}: column {rule.name!r}: {cell[:40]!r} {what}; "
-                f"--column {rule.quantity}=NAME takes another column"
-            )
+    def _count_bad(self, batch: Batch, rule: Column, bad: NDArray[np.bool_], what: str) -> None:
+        """Count the bad cells of a column that are not just missing, and quote the first."""
+        for i in np.flatnonzero(bad):
+            line, row = batch[i]
+            cell = row[rule.place] if rule.place < len(row) else ""
+            if is_missing(cell):
+                continue
+            self.dropped[f"{QUANTITIES[rule.quantity].column}_not_a_number"] += 1
+            if self.first_bad is None:
+                self.first_bad = (
+                    f"{self.path}:{line}: column {rule.name!r}: {cell[:40]!r} {what}; "
+                    f"--column {rule.quantity}=NAME takes another column"
+                )
 
     def _ruled(self, found: Sequence[Column], own: bool, stamps: Stamps) -> tuple[Column, ...]:
         """The columns with units and signs, in the order of the file."""
@@ -340,8 +338,8 @@ class TableDrive(Source):
 
     def _signal(self, column: Column, times: NDArray[np.float64]) -> Signal:
         """The cells of a column that were looked at, in the file's unit."""
-        cells, style = self._survey.cells[column.place], self._styles[column.place]
-        return Signal(times, to_floats(cells, style))
+        survey, place = self._survey, column.place
+        return Signal(times, to_floats(survey.cells[place], survey.styles[place]))
 
     def _start(self, others: Sequence[Clock], stamps: Stamps) -> tuple[int, str]:
         """Offset to add to the times of the clock, ns, and the source of the date."""
@@ -372,9 +370,7 @@ def _filled(
     empty = {
         column.place
         for column in found
-        if column.why != "as given"
-        and not column.is_ours
-        and all(map(is_missing, survey.cells[column.place]))
+        if column.why != "as given" and not column.is_ours and column.place in survey.empty
     }
     others = columns_by_name(header, chosen, empty) if empty else found
     lost = {column.quantity for column in found} - {column.quantity for column in others}
@@ -441,17 +437,6 @@ def _seconds(stamps: Stamps) -> NDArray[np.float64]:
     there = stamps != NONE
     first = int(stamps[there.argmax()]) if there.any() else 0
     return np.where(there, (stamps - first) / NANOSECONDS, math.nan)
-
-
-def _styles(survey: Survey) -> dict[int, Style]:
-    """Number style of each column; an undecided one takes that of the others."""
-    found = {place: style_of(cells) for place, cells in survey.cells.items()}
-    given = Counter(style for style in found.values() if style is not None)
-    common = given.most_common(1)[0][0] if given else POINT
-    return {
-        place: style or style_of(survey.cells[place], common) or common
-        for place, style in found.items()
-    }
 
 
 def _no_time(found: Sequence[Column], survey: Survey) -> str:

@@ -22,6 +22,7 @@ import polars as pl
 from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.numbers import POINT, Style, is_missing, to_floats
 from evpinn_ros.drives.quantities import QUANTITIES, score
+from evpinn_ros.drives.source import STRAGGLING_NS
 from evpinn_ros.drives.survey import Survey
 from evpinn_ros.signals.readings import DAY_NS, NANOSECONDS
 
@@ -29,6 +30,7 @@ STARTED = r"start\w*\s*(?:time)?\s*[=:]\s*(.+)"
 LONGEST_COMMENT = 200  # characters: the expression above takes the square of them
 NONE = np.iinfo(np.int64).min  # where there is no time
 HALF_DAY_NS = DAY_NS // 2
+FIRST_TIME_NS = 1_200_000_000 * NANOSECONDS  # no log of an electric car is older than 2008
 LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
 LARGEST = 1e19  # of a number that is a time: ns since 1970 to the end of 64 bits
 RELATIVE_BELOW_S = 1e8  # a first time below this (3 years) counts from the start of something
@@ -41,7 +43,6 @@ SERIAL_ZERO_NS = -25_569 * DAY_NS
 SERIALS = (39_448.0, 50_424.0)  # days, from 2008 to the end of ROS time
 SERIAL_STEP = 60.0 / 86_400.0  # days: less is no step between rows in seconds
 MOSTLY = 0.8  # of the steps between rows
-STRAGGLING_NS = 10 * NANOSECONDS  # rows that are late by less are put in order as they come
 SHUFFLED = 0.2  # of the rows lie farther behind the one before: no drive is of so few rows
 ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
 
@@ -363,8 +364,8 @@ def _best(found: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
 
 
 def _plausible(stamps: NDArray[np.int64]) -> bool:
-    """No log of an electric car is older than 2008 or from beyond the end of ROS time."""
-    return bool(np.median(stamps) > 1.2e18 and np.median(stamps) < LAST_TIME_NS)
+    """True if most times are those of a log."""
+    return bool(FIRST_TIME_NS < np.median(stamps) < LAST_TIME_NS)
 
 
 def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
@@ -460,7 +461,7 @@ def dates_of_name(name: str) -> list[NamedDate]:
             minutes = int(match[4]) * 60 + int(match[5]) if match[4] else None
             clock = None if minutes is None else minutes * 60 * NANOSECONDS
             found.append(NamedDate(int(moment.timestamp()) * NANOSECONDS, clock))
-    return found
+    return [date for date in found if FIRST_TIME_NS < date.day_ns < LAST_TIME_NS]
 
 
 def days_of_name(name: str) -> frozenset[int]:
@@ -484,8 +485,6 @@ def day_of_name(name: str, first_ns: int, *, certain: bool) -> int | None:
 def clocks_of(
     found: Sequence[Column],
     survey: Survey,
-    styles: Mapping[int, Style],
-    header: Sequence[str],
     days: Collection[int] = (),
     *,
     by_signal: bool = False,
@@ -499,7 +498,8 @@ def clocks_of(
     `epoch time` goes on where its `Date/Time` jumps with the phone's time zone.
     """
     columns = [column for column in found if column.quantity == "time"]
-    clocks = [clock for column in columns if (clock := _clock(column, survey, styles, days))]
+    names = {column.place: column.name for column in columns}
+    clocks = [clock for column in columns if (clock := _clock(column, survey, days))]
     by_place = {clock.columns[0]: clock for clock in clocks}
     for date, time in permutations(clocks, 2):
         # A date in one column and the time of day in another; half a clock each.
@@ -515,7 +515,7 @@ def clocks_of(
                 clock = replace(clock, order=Order.SHUFFLED, daily=False, drives_from_ns=None)
             else:
                 clock = replace(clock, order=_order_of(clock, stamps))
-            merits[clock] = _merit(clock, stamps, header)
+            merits[clock] = _merit(clock, stamps, names[clock.columns[0]])
     return sorted(merits, key=lambda clock: merits[clock], reverse=True)
 
 
@@ -539,11 +539,9 @@ def start_by_date(
     return None
 
 
-def _clock(
-    column: Column, survey: Survey, styles: Mapping[int, Style], days: Collection[int]
-) -> Clock | None:
+def _clock(column: Column, survey: Survey, days: Collection[int]) -> Clock | None:
     cells = survey.cells[column.place]
-    style, unit = styles[column.place], column.unit or None
+    style, unit = survey.styles[column.place], column.unit or None
     numbers = clock_of_numbers(column.place, cells, style, unit, in_seconds=column.is_ours)
     if column.is_ours:  # its name says seconds; cells that are none are counted one by one
         return numbers or Clock((column.place,), "number", style=style)
@@ -559,7 +557,7 @@ def _is_day_alone(clock: Clock, survey: Survey) -> bool:
     return known.size > 1 and not (known % DAY_NS).any()
 
 
-def _merit(clock: Clock, stamps: NDArray[np.int64], header: Sequence[str]) -> tuple[float, ...]:
+def _merit(clock: Clock, stamps: NDArray[np.int64], name: str) -> tuple[float, ...]:
     if clock.order is Order.NEWEST_FIRST:
         stamps = stamps[::-1]
     stamps = clock.running().add(stamps)
@@ -572,5 +570,5 @@ def _merit(clock: Clock, stamps: NDArray[np.int64], header: Sequence[str]) -> tu
         float(rising > 0.5),  # a date that comes in bursts tells no rows apart
         float(clock.dated),
         round(rising, 1),
-        score("time", header[clock.columns[0]]),
+        score("time", name),
     )

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.source import Source
+from evpinn_ros.drives.source import STRAGGLING_NS, Source
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     BatteryReading,
@@ -32,7 +32,6 @@ LEAST_CHARGING, CHARGING_POWER = 120.0, 300.0  # s, W
 STANDING = 0.3  # m/s
 EDGE = 30.0  # s that the car stands before and after a trip and that belong to it
 LEAST_DISTANCE = 500.0  # m; shorter ones are manoeuvres
-STRAGGLING = 10.0  # s by which readings may be late
 
 
 class Trip(NamedTuple):
@@ -141,7 +140,7 @@ class TripSource(Source):
     def readings(self) -> Iterator[Reading]:
         """Readings of the trip in recorded order; what the log lost counts with its last trip."""
         begin, end = self._trip.begin_ns, self._trip.end_ns
-        until = math.inf if self._last else end + STRAGGLING * NANOSECONDS
+        until = math.inf if self._last else end + STRAGGLING_NS
         for reading in takewhile(lambda one: one.stamp_ns <= until, self._log.readings()):
             if begin <= reading.stamp_ns <= end:
                 yield reading

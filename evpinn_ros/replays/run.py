@@ -16,8 +16,7 @@ import numpy as np
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.source import Source
-from evpinn_ros.drives.trips import STRAGGLING
+from evpinn_ros.drives.source import STRAGGLING_NS, Source
 from evpinn_ros.estimation.estimate import ParameterSet
 from evpinn_ros.replays.chain import Chain, ChainOutput
 from evpinn_ros.replays.history import Drive, History
@@ -143,7 +142,7 @@ def _too_seldom(drive: Drive) -> str:
 def span(readings: Iterator[Reading], start: float, duration: float | None) -> Iterator[Reading]:
     """The readings of a part of a drive, by their stamps: from `start` on, for `duration`, s.
 
-    Reading ends where stamps are `STRAGGLING` beyond the part.
+    Reading ends where stamps are `STRAGGLING_NS` beyond the part.
     """
     if start == 0 and duration is None:
         yield from readings
@@ -155,7 +154,7 @@ def span(readings: Iterator[Reading], start: float, duration: float | None) -> I
         seconds = (reading.stamp_ns - first_ns) / NANOSECONDS
         if start <= seconds < end:
             yield reading
-        elif seconds >= end + STRAGGLING:
+        elif seconds >= end + STRAGGLING_NS / NANOSECONDS:
             return
 
 

@@ -63,6 +63,8 @@ def check(drive: TableDrive, start_ns: int = DRIVE_START_NS) -> None:
         ("120240305", ""),
         ("car7_1520240305_x", ""),
         ("2024-13-05", ""),
+        ("box_991231", ""),  # no day of a log, but of a number
+        ("box_070512", ""),
     ],
 )
 def test_a_day_in_the_files_name_is_that_of_its_times_of_day(tmp_path, name, day):
