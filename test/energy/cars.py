@@ -33,7 +33,7 @@ def plain(combined: Identifiable = COMBINED, sigmas: Identifiable = EXACT) -> Po
 
 
 @cache
-def taught(seconds: float = 400.0) -> PowerModel:
+def taught(seconds: float = 200.0) -> PowerModel:
     """A car as an estimator learned it from a drive in town."""
     chain = CarChain(CAR)
     for reading in simulate(DriveKind.URBAN, CAR, seconds, 4).readings:

@@ -48,7 +48,7 @@ def plan(power, seconds):
 @pytest.fixture(scope="module")
 def learned():
     model = BatteryModel(CAPACITY)
-    charge = drive(model.add_reading, 5000)
+    charge = drive(model.add_reading, 5000, every=5)
     return model, charge
 
 

@@ -38,7 +38,26 @@ def town(intervals):
 
 @pytest.fixture(scope="module")
 def learned(town) -> LearnedCar:
+    """From `town`, whose heights nobody knows."""
     return LearnedCar.new(EQUATION).after(town)
+
+
+@pytest.fixture(scope="module")
+def seen(town) -> LearnedCar:
+    """From the same intervals, their heights known."""
+    return LearnedCar.new(EQUATION).after(replace(one, height_known=True) for one in town)
+
+
+@pytest.fixture(scope="module")
+def later(learned, intervals):
+    """Another drive in town, a minute after the first."""
+    begin_ns = learned.end_ns + 60 * 10**9
+    return measured(intervals((DriveKind.URBAN, 300.0, 1), begin_ns=begin_ns), seed=1)
+
+
+@pytest.fixture(scope="module")
+def both(learned, later):
+    return learned.begin_drive(compare=True).after(later).breakdowns()
 
 
 def test_parts_and_the_unexplained_are_the_measured_energy(learned, town):
@@ -59,24 +78,14 @@ def test_parts_have_the_sign_and_size_of_what_they_are(learned):
     assert abs(energy[Part.SLOPE]) < 0.1 * energy[Part.TYRES]  # a flat road
 
 
-def test_what_is_learned_later_moves_the_parts_of_before(learned, intervals):
-    before = learned.breakdowns().of(-1)
-    later = intervals((DriveKind.URBAN, 300.0, 1), begin_ns=town_end(learned))
-    after = learned.begin_drive(compare=True).after(measured(later, seed=1))
-    first = after.breakdowns().of(0)
+def test_what_is_learned_later_moves_the_parts_of_before(learned, both):
+    before, first = learned.breakdowns().of(-1), both.of(0)
     assert first.measured == pytest.approx(before.measured)
     assert first.energy != pytest.approx(before.energy, rel=1e-12)
     assert np.linalg.det(first.covariance[:4, :4]) < np.linalg.det(before.covariance[:4, :4])
 
 
-def town_end(car: LearnedCar) -> int:
-    """A minute after what was driven, ns."""
-    return car.end_ns + 60 * 10**9
-
-
-def test_a_difference_is_the_one_less_the_other_per_100_km(learned, intervals):
-    later = intervals((DriveKind.URBAN, 300.0, 1), begin_ns=town_end(learned))
-    both = learned.begin_drive(compare=True).after(measured(later, seed=1)).breakdowns()
+def test_a_difference_is_the_one_less_the_other_per_100_km(both):
     assert len(both.drives) == 2
     difference = both.difference(1, 0)
     for part in Part:
@@ -86,12 +95,10 @@ def test_a_difference_is_the_one_less_the_other_per_100_km(learned, intervals):
         assert difference.of(part).kwh == pytest.approx(other - base, abs=1e-6)
 
 
-def test_a_drive_that_goes_on_over_a_long_stop_is_one(learned, intervals):
-    later = intervals((DriveKind.URBAN, 300.0, 1), begin_ns=town_end(learned))
-    energies = measured(later, seed=1)
-    on = learned.begin_drive(goes_on=True).after(energies).breakdowns()
+def test_a_drive_that_goes_on_over_a_long_stop_is_one(learned, later):
+    on = learned.begin_drive(goes_on=True).after(later).breakdowns()
     assert len(on.drives) == 1
-    total = learned.breakdowns().of(-1).measured + sum(each.energy for each in energies)
+    total = learned.breakdowns().of(-1).measured + sum(each.energy for each in later)
     assert on.of(-1).measured == pytest.approx(total)
 
 
@@ -114,15 +121,9 @@ def test_before_any_drive_there_is_nothing():
     assert LearnedCar.new(EQUATION).breakdowns().of(-1) is None
 
 
-def test_without_heights_the_net_climb_is_as_unknown_as_roads_make_it(town):
+def test_without_heights_the_net_climb_is_as_unknown_as_roads_make_it(seen, learned):
     """It is no part of what they add up to: what slopes took more, others took less."""
-    seen, unseen = (
-        LearnedCar.new(EQUATION)
-        .after([replace(one, height_known=known) for one in town])
-        .breakdowns()
-        .of(-1)
-        for known in (True, False)
-    )
+    seen, unseen = (car.breakdowns().of(-1) for car in (seen, learned))
     assert (seen.unseen, unseen.unseen) == (0.0, pytest.approx(unseen.distance))
     climb = net_climb(unseen.distance)
     assert unseen.of(Part.SLOPE).sigma_kwh * 3.6e6 >= 0.9 * climb * 9.81 * EQUATION.mean[2]
@@ -141,13 +142,11 @@ def test_an_unseen_climb_is_no_steeper_than_roads_and_no_higher_than_their_net_c
     assert climb_as_rolling(0.0) == 0.0 and climb_as_rolling(1e4) > climb_as_rolling(1e5)
 
 
-def test_the_ends_of_a_drive_without_heights_widen_the_climb_by_little(town):
+def test_the_ends_of_a_drive_without_heights_widen_the_climb_by_little(town, seen):
     """A profile of heights begins some metres late, and the net climb is known all the same."""
-    seen = [replace(one, height_known=True) for one in town]
-    ends = [replace(seen[0], height_known=False), *seen[1:]]
-    all_seen, but_ends = (
-        LearnedCar.new(EQUATION).after(drive).breakdowns().of(-1) for drive in (seen, ends)
-    )
+    ends = (replace(one, height_known=one is not town[0]) for one in town)
+    late = LearnedCar.new(EQUATION).after(ends)
+    all_seen, but_ends = (car.breakdowns().of(-1) for car in (seen, late))
     weight = 9.81 * EQUATION.mean[2] * EQUATION.eta / 3.6e6
     wider = but_ends.of(Part.SLOPE).sigma_kwh - all_seen.of(Part.SLOPE).sigma_kwh
     assert 0.0 <= wider < 0.06 * but_ends.unseen * weight
@@ -157,20 +156,19 @@ def test_what_one_hard_braking_leaves_unexplained_is_no_reason_to_doubt_the_mode
     energies = [one.energy for one in town]
     hard = [*town[:-1], replace(town[-1], energy=energies[-1] + 5e5)]  # friction took it
     calm, braked = (
-        LearnedCar.new(EQUATION).after(one).breakdowns().of(-1).amounts()["unexplained"]
-        for one in (town, hard)
+        car.breakdowns().of(-1).amounts()["unexplained"]
+        for car in (learned, LearnedCar.new(EQUATION).after(hard))
     )
     assert abs(calm.kwh) < 3.0 * calm.sigma_kwh
     assert braked.kwh > 0.08 and braked.kwh < 3.0 * braked.sigma_kwh
 
 
-def test_parts_of_a_known_car_are_as_unsure_as_they_are_mistaken_for_each_other(town):
+def test_parts_of_a_known_car_are_as_unsure_as_they_are_mistaken_for_each_other(seen):
     """Wind looks like tyres, and brakes blend in differently; the sum stays known."""
-    learned = LearnedCar.new(EQUATION).after(replace(one, height_known=True) for one in town)
-    state = learned.state
+    state = seen.state
     mean = np.repeat(state.mixture().mean[None], len(state.mean), axis=0)
     known = replace(state, mean=mean, covariance=1e-9 * state.covariance)
-    found = replace(learned, state=known).breakdowns().of(0)
+    found = replace(seen, state=known).breakdowns().of(0)
     energy, std = found.energy, np.sqrt(np.diagonal(found.covariance))
     for part, share in {Part.AIR: 0.05, Part.STANDING: 0.05}.items():
         assert std[part] == pytest.approx(share * energy[part], rel=0.1)

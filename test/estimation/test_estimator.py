@@ -83,7 +83,7 @@ def test_parameters_come_once_a_second(new_estimator, play, cruise, at_start):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_the_same_readings_give_the_same_bits(new_estimator, play, drive, mode):
-    readings = up_to(drive(1, 240.0).readings, 25.0 if mode is Mode.HYBRID else 9.0)
+    readings = up_to(drive(1, 240.0).readings, 15.0 if mode is Mode.HYBRID else 9.0)
     first, second = (play(new_estimator(mode=mode), readings) for _ in range(2))
     assert text(first) == text(second) and len(first) > 250
 
@@ -111,7 +111,7 @@ def test_no_prediction_knows_the_battery_of_its_moment_or_later(
 
     Also with a battery at 2 Hz, and when it comes long before the speed of its moment.
     """
-    seconds = 18 if mode is Mode.HYBRID else 10
+    seconds = 14 if mode is Mode.HYBRID else 10
     readings = up_to(drive(1, 240.0).readings, seconds + 4.0)
     cut = readings[0].stamp_ns + seconds * NANOSECONDS
     speeds = [r for r in readings if isinstance(r, SpeedReading)]
@@ -236,7 +236,7 @@ def test_paused_it_predicts_and_does_not_learn(new_estimator, play, powers, driv
 
 
 def test_a_reset_forgets_what_was_learned_and_keeps_counters(new_estimator, play, drive):
-    readings = up_to(drive(1, 240.0).readings, 22.0)
+    readings = up_to(drive(1, 240.0).readings, 15.0)
     estimator, fresh = new_estimator(), new_estimator()
     first = play(estimator, readings)
     updates = estimator.status().updates

@@ -45,9 +45,9 @@ class Driver:
 
 @pytest.fixture(scope="module")
 def driven(vehicle) -> Driver:
-    """A quarter of an hour in town: the detector knows what chance does."""
+    """Ten minutes in town: the detector knows what chance does."""
     driver = Driver(vehicle)
-    driver.drive(0.0, 3000, 900)
+    driver.drive(0.0, 3000, 600)
     assert driver.payload.found == 0
     return driver
 

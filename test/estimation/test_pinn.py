@@ -1,5 +1,6 @@
 """The online learner: what it predicts, and what it takes of an update."""
 
+from copy import deepcopy
 from dataclasses import replace
 import json
 import math
@@ -31,13 +32,18 @@ def town(vehicle, as_prior):
     return as_prior(equation_of(vehicle), (DriveKind.URBAN, 120.0, 0))
 
 
-@pytest.fixture
-def learner(vehicle, town) -> PinnLearner:
+@pytest.fixture(scope="module")
+def learned(vehicle, town) -> PinnLearner:
     found = PinnLearner(vehicle)
     for one in town:
         found.add_interval(one)
     assert found.consider(found.prepare_update()()) is None
     return found
+
+
+@pytest.fixture
+def learner(learned) -> PinnLearner:
+    return deepcopy(learned)
 
 
 def test_before_anything_no_parameter_is_estimated(vehicle):
@@ -157,15 +163,16 @@ def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(lea
     assert math.isnan(learner.predict(sample(9001)).energy)
 
 
-def draws_3_kw_more(learner) -> float:
-    """For a minute, to its tick 600; power of the car alone, W."""
-    alone = learner.predict(sample(0)).power
+@pytest.fixture(scope="module")
+def drew_more(learned) -> PinnLearner:
+    """For a minute, to its tick 600, the car drew 3 kW more than it does alone."""
+    found = deepcopy(learned)
+    alone = found.predict(sample(0)).power
     for tick in range(1, 600):
-        learner.advance(sample(tick))
-        learner.predict(sample(tick))
-        learner.battery_measured(sample(tick).stamp_ns)
-        learner.observe(sample(tick), alone + 3000.0)
-    return alone
+        predicted(found, tick)
+        found.battery_measured(sample(tick).stamp_ns)
+        found.observe(sample(tick), alone + 3000.0)
+    return found
 
 
 def predicted(learner, tick: int) -> PowerPrediction:
@@ -173,16 +180,16 @@ def predicted(learner, tick: int) -> PowerPrediction:
     return learner.predict(sample(tick))
 
 
-def test_a_dropout_begins_with_what_the_last_seconds_had_beyond_the_car(learner):
+def test_a_dropout_begins_with_what_the_last_seconds_had_beyond_the_car(learner, drew_more):
     """Energy of its first seconds is the integral of the power that is published."""
-    alone = draws_3_kw_more(learner)
+    alone, learner = learner.predict(sample(0)).power, deepcopy(drew_more)
     found = [predicted(learner, tick) for tick in range(600, 630)]
     assert found[0].power - alone > 1000.0
     assert found[-1].energy == pytest.approx(0.1 * sum(each.power for each in found), rel=0.03)
 
 
-def test_of_a_step_that_the_battery_saw_in_part_the_rest_counts(learner):
-    draws_3_kw_more(learner)
+def test_of_a_step_that_the_battery_saw_in_part_the_rest_counts(drew_more):
+    learner = deepcopy(drew_more)
     predicted(learner, 610)
     learner.battery_measured(sample(619).stamp_ns)
     first, second = predicted(learner, 620), predicted(learner, 630)
@@ -231,38 +238,6 @@ def test_a_car_saved_before_hills_were_known_goes_on(learner, vehicle):
     other = PinnLearner(vehicle)
     other.restore(saved)
     assert other.parameters().identifiable == learner.parameters().identifiable
-
-
-def test_a_saved_car_that_lacks_a_state_begins_it_at_its_prior(learner, vehicle):
-    """And one that has a state more than this version is read without it."""
-    saved = saved_car(learner)
-    car = saved["car"]
-    place = car["names"].index("turning")
-
-    size = len(car["names"])
-
-    def without(name: str, *dimensions: int) -> list[float]:
-        array = np.reshape(car[name], (-1, *dimensions))
-        for axis in range(1, array.ndim):
-            array = np.delete(array, place, axis=axis)
-        return array.ravel().tolist()
-
-    fewer = {
-        **car,
-        "names": [name for name in car["names"] if name != "turning"],
-        "mean": without("mean", size),
-        "covariance": without("covariance", size, size),
-        "offset_variance": without("offset_variance", size),
-    }
-    uneven = saved["unevenness"]
-    other = PinnLearner(vehicle)
-    other.restore({**saved, "car": fewer, "unevenness": uneven})
-    found, kept = other.model(), learner.model()
-    equation = equation_of(vehicle)
-    assert found.mean[State.TURNING] == pytest.approx(equation.mean[State.TURNING], rel=1e-12)
-    variance = equation.covariance[State.TURNING, State.TURNING]
-    assert found.covariance[State.TURNING, State.TURNING] == pytest.approx(variance, rel=1e-3)
-    assert found.mean[State.MASS] == pytest.approx(kept.mean[State.MASS])
 
 
 def test_a_car_that_forecasts_is_the_car_that_was_learned(learner):

@@ -211,7 +211,7 @@ def test_what_is_wrong_while_driving_says_nothing_of_a_car_that_stands(town):
         replace(one, energy=one.energy + (-1) ** i * 2000.0 * one.duration * (0.2 < speed < 5.0))
         for i, (one, speed) in enumerate(zip(town, way, strict=True))
     ]
-    right, spoilt = (learned(8 * each).model(EQUATION) for each in (town, wrong))
+    right, spoilt = (learned(4 * each).model(EQUATION) for each in (town, wrong))
     journeys = [passed(EQUATION, one, 600.0).journey for one in town]
     still, fast = (journeys[way.index(found)] for found in (min(way), max(way)))
     assert spoilt.predicted(fast)[1] > 2.0 * right.predicted(fast)[1]

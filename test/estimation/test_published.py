@@ -1,6 +1,8 @@
 """What is published is the projection of what was learned, as `simulation.truth` defines it."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 import math
 
 import numpy as np
@@ -20,6 +22,7 @@ from evpinn_ros.estimation.published import (
     C_RR,
     MASS,
     Driven,
+    Published,
     mass_over_eta,
     project,
     published,
@@ -188,21 +191,33 @@ def test_motor_torque_tells_the_mass_in_kilograms(name, most):
     assert abs(mass.value - drive.truth.parameters.mass) < 2.0 * mass.std
 
 
-def test_rolling_resistance_without_heights_is_as_unsure_as_the_climb(vehicle, intervals):
-    """Its sigma holds the climb that such a road may have, and it is never valid."""
+@pytest.fixture(scope="module")
+def mixed(vehicle, intervals) -> Callable[[float], LearnedCar]:
+    """A car learned on mixed roads, of whose heights the first share is not known."""
     drive = measured(intervals((DriveKind.MIXED, 600.0, 3), begin_ns=0))
-    found = {}
-    for seen in (True, False):
-        car = LearnedCar.new(equation_of(vehicle))
-        car = car.after(replace(one, height_known=seen) for one in drive)
-        found[seen] = published(car.state, car.equation, car.driven)
-        distance = car.driven.distance
-    std = {seen: math.sqrt(each.now.covariance[C_RR, C_RR]) for seen, each in found.items()}
-    climb = climb_as_rolling(distance)
-    assert std[False] >= min(climb, math.sqrt(found[False].prior.covariance[C_RR, C_RR]))
-    assert std[False] > std[True]
-    assert (found[True].hills_seen, found[False].hills_seen) == (True, False)
-    assert parameter_set(0, found[False]).parameters["c_rr"].trust is not Trust.VALID
+
+    @cache
+    def after(unseen: float) -> LearnedCar:
+        gap = int(unseen * len(drive))
+        seen = (replace(one, height_known=k >= gap) for k, one in enumerate(drive))
+        return LearnedCar.new(equation_of(vehicle)).after(seen)
+
+    return after
+
+
+def publish(car: LearnedCar) -> Published:
+    return published(car.state, car.equation, car.driven)
+
+
+def test_rolling_resistance_without_heights_is_as_unsure_as_the_climb(mixed):
+    """Its sigma holds the climb that such a road may have, and it is never valid."""
+    seen, unseen = publish(mixed(0.0)), publish(mixed(1.0))
+    known, guessed = (math.sqrt(each.now.covariance[C_RR, C_RR]) for each in (seen, unseen))
+    climb = climb_as_rolling(mixed(1.0).driven.distance)
+    assert guessed >= min(climb, math.sqrt(unseen.prior.covariance[C_RR, C_RR]))
+    assert guessed > known
+    assert (seen.hills_seen, unseen.hills_seen) == (True, False)
+    assert parameter_set(0, unseen).parameters["c_rr"].trust is not Trust.VALID
 
 
 def test_the_road_of_a_drive_that_begins_is_as_the_last_one(vehicle, intervals):
@@ -226,19 +241,11 @@ def test_heights_that_begin_late_leave_what_is_known_of_the_road(vehicle, interv
     assert published(car.state, car.equation, car.driven).hills_seen
 
 
-def test_a_short_stretch_without_heights_takes_little_of_what_is_known(vehicle, intervals):
+def test_a_short_stretch_without_heights_takes_little_of_what_is_known(mixed):
     """The climb of 5 % of the road is off by what it is to the whole."""
-    drive = measured(intervals((DriveKind.MIXED, 600.0, 3), begin_ns=0))
-    stds = {}
-    for gaps in (0, len(drive) // 20, len(drive)):
-        car = LearnedCar.new(equation_of(vehicle)).after(
-            replace(one, height_known=number >= gaps) for number, one in enumerate(drive)
-        )
-        found = published(car.state, car.equation, car.driven).now
-        stds[gaps] = [math.sqrt(found.covariance[index, index]) for index in (C_RR, C_D)]
-    all_seen, some, none = stds.values()
-    for seen, most, unseen in zip(all_seen, some, none, strict=True):
-        assert most - seen < 0.2 * (unseen - seen)
+    found = (publish(mixed(unseen)).now.covariance for unseen in (0.0, 0.05, 1.0))
+    all_seen, some, none = (np.sqrt(np.diag(each)[[C_RR, C_D]]) for each in found)
+    assert (some - all_seen < 0.2 * (none - all_seen)).all()
 
 
 @pytest.mark.slow

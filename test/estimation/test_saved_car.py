@@ -27,11 +27,11 @@ FRESH = initial_state(EQUATION)
 
 @pytest.fixture(scope="module")
 def town(intervals):
-    """Eight minutes of a car that is heavier than its prior, on a cold day."""
+    """Five minutes of a car that is heavier than its prior, on a cold day."""
     truth, rng = EQUATION.mean.copy(), np.random.default_rng(2)
     truth[State.MASS] *= 1.1
     found, conditions = [], {"celsius": 5.0}
-    for one in intervals((DriveKind.URBAN, 480.0, 0), begin_ns=0, **conditions):
+    for one in intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0, **conditions):
         energy = float(passed(EQUATION, one, 0.0).journey.row @ truth) + rng.normal(0.0, 1e3)
         found.append(replace(one, energy=energy, sampling_variance=0.0))
     return found
@@ -39,7 +39,7 @@ def town(intervals):
 
 @pytest.fixture(scope="module")
 def learned(town) -> CarState:
-    return LearnedCar.new(EQUATION).after(town[:40]).begin_drive().after(town[40:60]).state
+    return LearnedCar.new(EQUATION).after(town[:30]).begin_drive().after(town[30:]).state
 
 
 def with_states(saved: SavedState, order: list[int | None]) -> SavedState:

@@ -176,8 +176,8 @@ def test_what_is_not_pending_teaches_nothing():
 
 
 def test_the_learned_differentiator_beats_a_plain_difference():
-    """Noisy simulated speed against the true acceleration, the second half of three minutes."""
-    drive = simulate(DriveKind.URBAN, load_vehicle("tesla_model_3_lr"), 180.0, 1)
+    """Noisy simulated speed against the true acceleration, the second half of two minutes."""
+    drive = simulate(DriveKind.URBAN, load_vehicle("tesla_model_3_lr"), 120.0, 1)
     readings = [r for r in drive.readings if isinstance(r, SpeedReading)]
     times = (np.array([r.stamp_ns for r in readings]) - readings[0].stamp_ns) / NANOSECONDS
     times += (readings[0].stamp_ns - 1_735_689_600 * NANOSECONDS) / NANOSECONDS
