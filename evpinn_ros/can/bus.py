@@ -261,18 +261,10 @@ class BusReader:
 
     def _deliver(self, message: Any) -> None:
         try:
-            self._on_frame(self._frame(message))
+            self._on_frame(CanFrame.of(message, self._stamp_ns(message.timestamp)))
         except Exception as error:
             self._counters["callback_errors"] += 1
             self._problem = f"{self._name}: reader of the frames failed: {error!r}"
-
-    def _frame(self, message: Any) -> CanFrame:
-        return CanFrame(
-            self._stamp_ns(message.timestamp),
-            message.arbitration_id,
-            bytes(message.data),
-            message.is_extended_id,
-        )
 
     def _stamp_ns(self, seconds: float) -> int:
         if seconds == 0.0:  # python-can's default: a gs_usb without clock gives no other

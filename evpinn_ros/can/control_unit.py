@@ -153,9 +153,8 @@ class ControlUnit:
         """Send what the link made; flow control only for an answer to our own question."""
         if self._asked is None or self._send is None:
             return
-        frame = CanFrame(0, message.arbitration_id, bytes(message.data), message.is_extended_id)
         try:
-            self._sent = self._send(frame)
+            self._sent = self._send(CanFrame.of(message, 0))
         except Exception:
             # Each driver has its own way to fail; the bus reader finds out whether it is lost.
             self.counters["send_errors"] += 1

@@ -9,10 +9,10 @@ from typing import Any
 
 from evpinn_ros.can.control_unit import Answer
 from evpinn_ros.can.fit import MessageFit, ProfileFit
-from evpinn_ros.can.frame import MOST_IDS, CanFrame
+from evpinn_ros.can.frame import MOST_IDS, BusId, CanFrame
 from evpinn_ros.can.profile import ONLY_ASKED, CanProfile, MessageRule
 from evpinn_ros.can.request import AnswerField
-from evpinn_ros.can.signal_rule import SignalRule
+from evpinn_ros.can.signal_rule import UnusableError
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     BatteryReading,
@@ -36,6 +36,9 @@ second; logs of slow adapters hold one of each about every 0.1 s."""
 ALONE_AFTER_NS = 2 * NANOSECONDS
 """A car whose second motor sent nothing for so long since the first has none."""
 
+READ_ORDER = ("state_of_charge", "second_motor", "motor", "speed", "battery")
+"""Quantities of one message in the order of their readings: what completes others comes first."""
+
 PARTS = ("voltage", "current")
 JOIN_NS = NANOSECONDS // 5
 """Voltage and current of two answers at most this far apart are of one moment. A pack's current
@@ -45,10 +48,6 @@ readings with stamps of their own."""
 
 Unpack = Callable[[bytes], dict[str, int]]
 """From a payload to the raw bits by name, of those signals that lie in it whole."""
-
-
-class _DroppedError(Exception):
-    """The frame holds no value that may be used; the text is the reason to count."""
 
 
 class Decoder:
@@ -68,26 +67,20 @@ class Decoder:
         self.unknown: Counter[int] = Counter()
         self.uncounted = 0
         self.dropped: Counter[str] = Counter()
-        self._readers: dict[tuple[int, bool], list[_Reader]] = {}
-        self._charge = _Charge()
-        self._second_motor = _SecondMotor() if "second_motor" in profile.messages else None
-        makers: dict[str, _Maker] = {
-            "state_of_charge": self._keep_charge,
-            "second_motor": self._keep_second_torque,
-            "motor": self._motor,
-            "speed": self._speed,
-            "battery": self._battery,
-        }
+        self._readers: dict[BusId, list[_Reader]] = {}
+        self._charge, self._second_torque = _HeldValue(CHARGE_HOLD_NS), _HeldValue(TORQUE_HOLD_NS)
+        self._has_second_motor = "second_motor" in profile.messages
+        self._first_torque_ns: int | None = None
         fits = {each.quantity: each for each in fit.messages} if fit is not None else {}
-        for quantity, maker in makers.items():
+        for quantity in READ_ORDER:
             if quantity in profile.messages:
                 rule = profile.messages[quantity]
-                reader = _Reader(rule, maker, fits.get(quantity))
+                reader = _Reader(quantity, rule, fits.get(quantity))
                 self._readers.setdefault(rule.key, []).append(reader)
 
     def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings in a frame, none when it is of another id or may not be used."""
-        readers = self._readers.get((frame.can_id, frame.extended))
+        readers = self._readers.get(frame.key)
         if readers is None:
             if frame.can_id in self.unknown or len(self.unknown) < MOST_IDS:
                 self.unknown[frame.can_id] += 1
@@ -99,7 +92,7 @@ class Decoder:
         for reader in readers:
             try:
                 values = reader.values(frame)
-            except _DroppedError as reason:
+            except UnusableError as reason:
                 self.dropped[str(reason)] += 1
                 if reader.fit is not None:
                     reader.fit.add_bad(frame, str(reason))
@@ -108,36 +101,38 @@ class Decoder:
                 continue
             if reader.fit is not None:
                 reader.fit.add_good(frame, values[0])
-            reading = reader.make(frame, reader.rule, values)
+            reading = self._reading(reader, frame.stamp_ns, values)
             if reading is not None:
                 readings.append(reading)
         return tuple(readings)
 
-    def _speed(self, frame: CanFrame, rule: MessageRule, values: list[float]) -> SpeedReading:
-        return _speed_reading(frame.stamp_ns, values[0], rule.signals[0].resolution)
+    def _reading(self, reader: _Reader, stamp_ns: int, values: list[float]) -> Reading | None:
+        """The reading that the values of a quantity make, None of what completes others."""
+        match reader.quantity:
+            case "speed":
+                return _speed_reading(stamp_ns, values[0], reader.rule.signals[0].resolution)
+            case "battery":
+                charge = self._charge.at(stamp_ns)
+                return BatteryReading(stamp_ns, values[0], values[1], charge)
+            case "state_of_charge":
+                self._charge.keep(stamp_ns, values[0])
+            case "second_motor":  # NaN where the profile knows the message alone
+                self._second_torque.keep(stamp_ns, values[0] if values else math.nan)
+            case "motor":
+                other = self._other_torque(stamp_ns)
+                if not math.isnan(other):
+                    return MotorReading(stamp_ns, values[0] + other, *values[1:])
+        return None
 
-    def _battery(self, frame: CanFrame, _rule: MessageRule, values: list[float]) -> BatteryReading:
-        charge = self._charge.at(frame.stamp_ns)
-        return BatteryReading(frame.stamp_ns, values[0], values[1], charge)
-
-    def _keep_charge(self, frame: CanFrame, _rule: MessageRule, values: list[float]) -> None:
-        self._charge.keep(frame.stamp_ns, values[0])
-
-    def _motor(
-        self, frame: CanFrame, _rule: MessageRule, values: list[float]
-    ) -> MotorReading | None:
-        """The torque of the whole car, None while that of a second motor is not known."""
-        other = 0.0 if self._second_motor is None else self._second_motor.torque(frame.stamp_ns)
-        if math.isnan(other):
-            return None
-        speed = values[1] if len(values) > 1 else math.nan
-        return MotorReading(frame.stamp_ns, values[0] + other, speed)
-
-    def _keep_second_torque(
-        self, frame: CanFrame, _rule: MessageRule, values: list[float]
-    ) -> None:
-        assert self._second_motor is not None
-        self._second_motor.update(frame.stamp_ns, values[0] if values else math.nan)
+    def _other_torque(self, stamp_ns: int) -> float:
+        """Torque of a second motor, N m: 0 in a car without it, NaN while that is not known."""
+        if not self._has_second_motor:
+            return 0.0
+        if self._second_torque.stamp_ns is not None:
+            return self._second_torque.at(stamp_ns)
+        if self._first_torque_ns is None or stamp_ns < self._first_torque_ns:
+            self._first_torque_ns = stamp_ns
+        return 0.0 if stamp_ns - self._first_torque_ns > ALONE_AFTER_NS else math.nan
 
 
 def _speed_reading(stamp_ns: int, speed: float, step: float) -> SpeedReading:
@@ -145,50 +140,27 @@ def _speed_reading(stamp_ns: int, speed: float, step: float) -> SpeedReading:
     return SpeedReading(stamp_ns, speed, step**2 / 12)
 
 
-class _Charge:
-    """The state of charge that goes with battery readings, 0..1."""
+class _HeldValue:
+    """A value that goes with the readings of other messages, for a time."""
 
-    def __init__(self) -> None:
-        self._stamp_ns, self._charge = 0, math.nan
+    def __init__(self, hold_ns: int) -> None:
+        self.stamp_ns: int | None = None
+        self._hold_ns, self._value = hold_ns, math.nan
 
-    def keep(self, stamp_ns: int, charge: float) -> None:
-        self._stamp_ns, self._charge = stamp_ns, charge
+    def keep(self, stamp_ns: int, value: float) -> None:
+        self.stamp_ns, self._value = stamp_ns, value
 
     def at(self, stamp_ns: int) -> float:
-        """The charge at a moment, NaN when it is too old."""
-        return self._charge if abs(stamp_ns - self._stamp_ns) <= CHARGE_HOLD_NS else math.nan
-
-
-class _SecondMotor:
-    """The motor of the other axle, which only some cars of a profile have."""
-
-    def __init__(self) -> None:
-        self._asked_ns: int | None = None
-        self._updated_ns: int | None = None
-        self._torque = math.nan
-
-    def update(self, stamp_ns: int, torque: float) -> None:
-        """Its torque, N m; NaN where the profile knows the message alone."""
-        self._updated_ns, self._torque = stamp_ns, torque
-
-    def torque(self, stamp_ns: int) -> float:
-        """Torque at a moment, N m: 0 in a car without it, NaN while that or it is unknown."""
-        if self._updated_ns is not None:
-            fresh = abs(stamp_ns - self._updated_ns) <= TORQUE_HOLD_NS
-            return self._torque if fresh else math.nan
-        if self._asked_ns is None or stamp_ns < self._asked_ns:
-            self._asked_ns = stamp_ns
-        return 0.0 if stamp_ns - self._asked_ns > ALONE_AFTER_NS else math.nan
-
-
-_Maker = Callable[[CanFrame, MessageRule, list[float]], Reading | None]
+        """The value at a moment, NaN when it never came or is too old."""
+        fresh = self.stamp_ns is not None and abs(stamp_ns - self.stamp_ns) <= self._hold_ns
+        return self._value if fresh else math.nan
 
 
 class _Reader:
     """Reads the signals of one message and remembers its counter."""
 
-    def __init__(self, rule: MessageRule, make: _Maker, fit: MessageFit | None) -> None:
-        self.rule, self.make, self.fit = rule, make, fit
+    def __init__(self, quantity: str, rule: MessageRule, fit: MessageFit | None) -> None:
+        self.quantity, self.rule, self.fit = quantity, rule, fit
         counter = () if rule.counter is None else (rule.counter,)
         self._raw = unpacker(rule.message, {*(signal.name for signal in rule.signals), *counter})
         signals = [rule.message.get_signal_by_name(signal.name) for signal in rule.signals]
@@ -204,7 +176,7 @@ class _Reader:
         """The values of the rule's signals, SI; None for another page of a multiplexed message.
 
         Raises:
-            _DroppedError: the frame is damaged, too short, or one value may not be used.
+            UnusableError: the frame is damaged, too short, or one value may not be used.
         """
         raw = self._unpack(frame.data)
         self._check_checksum(frame)
@@ -212,9 +184,9 @@ class _Reader:
         if any(signal.name not in raw for signal in self.rule.signals):
             other_page = any(page in raw and raw[page] not in pages for page, pages in self._pages)
             if len(frame.data) < self.rule.message.length and not other_page:
-                raise _DroppedError("short_frame")
+                raise UnusableError("short_frame")
             return None
-        return [_value(signal, raw[signal.name]) for signal in self.rule.signals]
+        return [signal.read(raw[signal.name]) for signal in self.rule.signals]
 
     def _unpack(self, data: bytes) -> dict[str, int]:
         """The raw bits of every wanted signal the frame holds."""
@@ -225,16 +197,16 @@ class _Reader:
             # cantools documents DecodeError alone, yet a multiplexer or a layout of a user's
             # file can fail in other ways, and a frame must never stop the bridge.
             paged = self.rule.message.is_multiplexed()
-            raise _DroppedError("unknown_multiplexer" if paged else "undecodable") from None
+            raise UnusableError("unknown_multiplexer" if paged else "undecodable") from None
 
     def _check_checksum(self, frame: CanFrame) -> None:
         checksum, position = self.rule.checksum_of(frame.data), self.rule.checksum_byte
         if checksum is None:
             return
         if len(frame.data) <= position:
-            raise _DroppedError("short_frame")
+            raise UnusableError("short_frame")
         if checksum != frame.data[position]:
-            raise _DroppedError("bad_checksum")
+            raise UnusableError("bad_checksum")
 
     def _check_counter(self, raw: dict[str, int]) -> None:
         if self.rule.counter is None or self.rule.counter not in raw:
@@ -243,13 +215,7 @@ class _Reader:
         self._repeated = self._repeated + 1 if counter == self._counter else 0
         self._counter = counter
         if self._repeated >= STUCK_AFTER:
-            raise _DroppedError("stuck_counter")
-
-
-def _value(signal: SignalRule, raw: int) -> float:
-    if reason := signal.refusal(raw):
-        raise _DroppedError(reason)
-    return signal.value(raw)
+            raise UnusableError("stuck_counter")
 
 
 def unpacker(message: Any, names: Collection[str]) -> Unpack:
@@ -324,7 +290,7 @@ class AnswerDecoder:
             for field in fields:
                 self._fields.setdefault(field.request.name, []).append(field)
         self._waiting: dict[str, tuple[int, float]] = {}
-        self._charge = _Charge()
+        self._charge = _HeldValue(CHARGE_HOLD_NS)
 
     def decode(self, answer: Answer) -> tuple[Reading, ...]:
         """The readings that this answer makes or completes."""
@@ -353,11 +319,12 @@ class AnswerDecoder:
         """Value and step, SI, of each quantity in the answer that may be used."""
         values = {}
         for field in self._fields[answer.request.name]:
-            raw = field.raw(answer.data)
-            if reason := field.signal.refusal(raw):
-                self.dropped[reason] += 1
+            try:
+                value = field.signal.read(field.raw(answer.data))
+            except UnusableError as reason:
+                self.dropped[str(reason)] += 1
             else:
-                values[field.signal.name] = field.signal.value(raw), field.signal.resolution
+                values[field.signal.name] = value, field.signal.resolution
         return values
 
     def _late(self, stamp_ns: int, part: str) -> list[BatteryReading]:

@@ -17,7 +17,7 @@ from enum import Enum
 
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.fit import Contradiction, ProfileFit, contradiction, ranked
-from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.frame import BusId, CanFrame
 from evpinn_ros.can.profile import CanProfile
 from evpinn_ros.signals.readings import NANOSECONDS, MotorReading, Reading
 
@@ -66,7 +66,7 @@ class FitGuard:
         self._held: list[Reading] = []
         self._comparing = True
         self._others: list[ProfileFit] = []
-        self._decoders: dict[tuple[int, bool], list[Decoder]] = {}
+        self._decoders: dict[BusId, list[Decoder]] = {}
         for other in others:
             if other.key != profile.key:
                 self._compare_with(other)
@@ -74,7 +74,7 @@ class FitGuard:
     def pass_on(self, frame: CanFrame, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
         """Readings to publish now that a frame, with these readings in it, was decoded."""
         if self._comparing:
-            for decoder in self._decoders.get((frame.can_id, frame.extended), ()):
+            for decoder in self._decoders.get(frame.key, ()):
                 decoder.decode(frame)
         if self._begin_ns is None and self.fit.frames:
             self._begin_ns = frame.stamp_ns

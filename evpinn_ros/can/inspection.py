@@ -10,7 +10,7 @@ import math
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.fit import MessageFit, ProfileFit, contradiction, ranked
-from evpinn_ros.can.frame import MOST_IDS, CanFrame
+from evpinn_ros.can.frame import MOST_IDS, BusId, CanFrame
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import QUANTITIES, CanProfile
 from evpinn_ros.signals.readings import (
@@ -102,8 +102,8 @@ class ProfileReport:
         self._keys = {rule.key for rule in profile.messages.values()}
         self._decoder, self._poller = Decoder(profile, self.fit), Poller(profile)
         self._sign = CurrentSign()
-        self._answers: Counter[tuple[int, bool]] = Counter()
-        self._asked: list[tuple[MessageFit, tuple[int, bool]]] = []
+        self._answers: Counter[BusId] = Counter()
+        self._asked: list[tuple[MessageFit, BusId]] = []
         for quantity, fields in profile.asked.items():
             if quantity in QUANTITIES:
                 unit = fields[-1].request.address.answers_from
@@ -112,7 +112,7 @@ class ProfileReport:
 
     def add_frame(self, frame: CanFrame) -> None:
         """Take a frame; never raises."""
-        key = frame.can_id, frame.extended
+        key = frame.key
         readings: tuple[Reading, ...] = ()
         if self._poller.is_answer(frame):
             self._answers[key] += 1
@@ -180,7 +180,7 @@ class Inspection:
     def __init__(self, profiles: Iterable[CanProfile], bitrate: float) -> None:
         """Compare with profiles; bitrate, bit/s, is what the load is a share of."""
         self._bitrate = bitrate
-        self._ids: dict[tuple[int, bool], IdStatus] = {}
+        self._ids: dict[BusId, IdStatus] = {}
         self._frames = self._uncounted = 0
         self._bits = [0, 0]
         self._first_ns: int | None = None
@@ -195,7 +195,7 @@ class Inspection:
         self._last_ns = max(self._last_ns, frame.stamp_ns)
         for index, bits in enumerate(frame_bits(len(frame.data), frame.extended)):
             self._bits[index] += bits
-        key = (frame.can_id, frame.extended)
+        key = frame.key
         if key in self._ids or len(self._ids) < MOST_IDS:
             self._ids.setdefault(key, IdStatus(*key)).add_frame(frame)
         else:

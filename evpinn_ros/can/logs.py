@@ -162,16 +162,11 @@ class LogFile:
             elif not _is_possible(message):
                 self.skipped["impossible_frame"] += 1
             elif not self._first_bus.takes(
-                message.arbitration_id, message.is_extended_id, message.channel
+                (message.arbitration_id, message.is_extended_id), message.channel
             ):
                 self.skipped["other_bus"] += 1
             else:
-                yield CanFrame(
-                    nanoseconds(message.timestamp),
-                    message.arbitration_id,
-                    bytes(message.data),
-                    message.is_extended_id,
-                )
+                yield CanFrame.of(message, nanoseconds(message.timestamp))
         # These readers stop where the file stops and are content; gzip notices by itself.
         if isinstance(file, _Lines):
             cut_off = file.cut_off

@@ -15,7 +15,7 @@ import time
 
 from evpinn_ros.can.control_unit import ControlUnit, Send
 from evpinn_ros.can.decoder import AnswerDecoder
-from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.frame import BusId, CanFrame
 from evpinn_ros.can.profile import ONLY_ASKED, CanProfile
 from evpinn_ros.can.read_only import ReadOnlyGate
 from evpinn_ros.can.request import Address, RequestRule
@@ -74,7 +74,7 @@ class Poller:
         for request in profile.requests:
             units.setdefault(request.address, []).append(request)
         self._asked_ids = {(unit.tx_id, unit.extended) for unit in units if send is not None}
-        self._sent_s: dict[tuple[int, bool, bytes], float] = {}
+        self._sent_s: dict[tuple[BusId, bytes], float] = {}
         self._gate = None if send is None else ReadOnlyGate(profile.requests, send, clock)
         transmit = None if send is None else self._transmit
         self._units = {
@@ -86,14 +86,14 @@ class Poller:
 
     def is_answer(self, frame: CanFrame) -> bool:
         """True if the frame is (part of) an answer that the profile knows."""
-        return (frame.can_id, frame.extended) in self._units
+        return frame.key in self._units
 
     def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
         """The readings that this frame completes; never raises."""
         with self._changed:
             now_s = self._clock()
             self._record_traffic(frame, now_s)
-            unit = self._units[frame.can_id, frame.extended]
+            unit = self._units[frame.key]
             answers = unit.answers
             answer = unit.receive(frame, now_s)
             if unit.answers > answers:
@@ -183,7 +183,7 @@ class Poller:
     def _transmit(self, frame: CanFrame) -> bool:
         assert self._gate is not None
         now_s = self._clock()
-        self._sent_s[frame.can_id, frame.extended, frame.data] = now_s
+        self._sent_s[frame.key, frame.data] = now_s
         try:
             sent = self._gate(frame)
         except Exception:
@@ -202,9 +202,9 @@ class Poller:
 
     def _is_foreign(self, frame: CanFrame, now_s: float) -> bool:
         """True if somebody else sends where we do; some adapters echo what we sent ourselves."""
-        if (frame.can_id, frame.extended) not in self._asked_ids:
+        if frame.key not in self._asked_ids:
             return False
-        sent_s = self._sent_s.get((frame.can_id, frame.extended, frame.data), -math.inf)
+        sent_s = self._sent_s.get((frame.key, frame.data), -math.inf)
         return now_s - sent_s > ECHO_S
 
     def _observe(self, readings: Iterable[Reading], now_s: float) -> None:

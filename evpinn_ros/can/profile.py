@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.can.dbc import DbcFile, Place, find_signal, place_of, refuse_other_unit
+from evpinn_ros.can.frame import BusId
 from evpinn_ros.can.request import (
     AnswerField,
     RequestRule,
@@ -62,7 +63,7 @@ class MessageRule:
     counter: str | None  # name of the signal that counts frames, or None
 
     @property
-    def key(self) -> tuple[int, bool]:
+    def key(self) -> BusId:
         """The id of the message, and whether it has 29 bits."""
         return int(self.message.frame_id), bool(self.message.is_extended_frame)
 

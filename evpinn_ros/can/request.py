@@ -12,6 +12,7 @@ import re
 from typing import Literal
 
 from evpinn_ros.can.diagnostic_ids import LAST_11_BIT_ID, refusal
+from evpinn_ros.can.frame import BusId
 from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, refuse_impossible, signal_rule
 from evpinn_ros.common.yaml_section import Section
 
@@ -46,7 +47,7 @@ class Address:
         return b"" if self.target is None else bytes((self.target,))
 
     @property
-    def answers_from(self) -> tuple[int, bool]:
+    def answers_from(self) -> BusId:
         """The id of the answers, and whether it has 29 bits."""
         return self.rx_id, self.extended
 

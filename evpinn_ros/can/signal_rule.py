@@ -28,6 +28,10 @@ POSITIVE_MEANS: Mapping[str, Mapping[str, float]] = {
 RULE_KEYS = ("unit", "scale", "valid", "not_available")
 
 
+class UnusableError(Exception):
+    """Bits of a frame or an answer that may not be used; the text is the reason to count."""
+
+
 @dataclass(frozen=True, slots=True)
 class SignalRule:
     """Conversion of one signal's raw bits to a number in SI units, and its valid range."""
@@ -52,11 +56,18 @@ class SignalRule:
         """The nearest value that the car can show, SI."""
         return min(max(value, self.lower), self.upper)
 
-    def refusal(self, raw: int) -> str | None:
-        """Reason why the raw bits may not be used: `not_available`, `out_of_range`, or None."""
+    def read(self, raw: int) -> float:
+        """The value of the raw bits, SI.
+
+        Raises:
+            UnusableError: `not_available` or `out_of_range`.
+        """
         if raw in self.not_available:
-            return "not_available"
-        return None if self.lower <= self.value(raw) <= self.upper else "out_of_range"
+            raise UnusableError("not_available")
+        value = self.value(raw)
+        if not self.lower <= value <= self.upper:
+            raise UnusableError("out_of_range")
+        return value
 
     @property
     def resolution(self) -> float:

@@ -74,7 +74,7 @@ class BagFrames:
                 message = record.message
                 if message.is_error or message.is_rtr:
                     self.skipped["error_frame" if message.is_error else "remote_frame"] += 1
-                elif not first_bus.takes(message.id, message.is_extended, record.topic):
+                elif not first_bus.takes((message.id, message.is_extended), record.topic):
                     self.skipped["other_bus"] += 1
                 else:
                     self.count += 1

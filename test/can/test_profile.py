@@ -1,6 +1,7 @@
 import pytest
 
 from evpinn_ros.can.profile import load_profile, profile_names
+from evpinn_ros.can.signal_rule import UnusableError
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 
@@ -69,7 +70,8 @@ def test_a_raw_value_may_be_hexadecimal(tmp_path):
     (tmp_path / "mine.yaml").write_text(text.replace("scale: 1.0204", "not_available: [0xFFFF]"))
     (tmp_path / "nissan_leaf.dbc").write_bytes((CONFIG / "nissan_leaf.dbc").read_bytes())
     rule = load_profile(tmp_path / "mine.yaml").messages["speed"].signals[0]
-    assert rule.refusal(0xFFFF) == "not_available"
+    with pytest.raises(UnusableError, match="not_available"):
+        rule.read(0xFFFF)
 
 
 def test_source_is_required(broken):
