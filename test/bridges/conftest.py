@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import getpass
 from pathlib import Path
 import shutil
@@ -30,12 +30,16 @@ def free_port() -> int:
 
 @dataclass
 class Broker:
-    """A mosquitto that can be killed and started again; it remembers nothing then."""
+    """A mosquitto that can be killed and started again; it remembers nothing then.
+
+    Its clients are closed when the test ends.
+    """
 
     folder: Path
     port: int
     lines: str = "allow_anonymous true\n"
     process: subprocess.Popen[bytes] | None = None
+    clients: list[Client] = field(default_factory=list)
 
     def start(self) -> None:
         config = self.folder / "mosquitto.conf"
@@ -57,7 +61,8 @@ class Broker:
             self.process.wait()
 
     def client(self, **of: Any) -> Client:
-        return Client(self.port, **of)
+        self.clients.append(Client(self.port, **of))
+        return self.clients[-1]
 
 
 class Client:
@@ -94,6 +99,8 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
     found = Broker(tmp_path, free_port())
     found.start()
     yield found
+    for client in found.clients:
+        client.close()
     found.kill()
 
 

@@ -65,6 +65,16 @@ def play(sets: Sets, client: Client, bridge: MqttBridge, clock: Clock) -> None:
         bridge.step(0.0)
 
 
+def step_until(bridge: MqttBridge, condition: Callable[[], object]) -> None:
+    """Let a bridge work until something is so."""
+
+    def so() -> object:
+        bridge.step(0.01)
+        return condition()
+
+    wait_for(so)
+
+
 def finish(bridge: MqttBridge, connection: Connection) -> None:
     bridge.close()
     wait_for(lambda: connection.send() or not connection.waiting)
@@ -100,8 +110,6 @@ def test_a_drive_over_the_broker_has_its_energy(
     time.sleep(0.2)
     assert f"evpinn/{car}/power" not in late.newest(), "an old power is of no use"
     assert f"evpinn/{car}/parameters" in late.newest()
-    for client in (reader, writer, late):
-        client.close()
 
 
 def test_each_second_of_a_source_that_jitters_is_answered(broker: Broker, bridged: Make) -> None:
@@ -113,11 +121,9 @@ def test_each_second_of_a_source_that_jitters_is_answered(broker: Broker, bridge
     early = ((begin_ns + i * 980_000_000, messages) for i, messages in sets)
     play(early, writer, bridge, clock)
     last = (begin_ns + 28 * 980_000_000) / NANOSECONDS
-    wait_for(lambda: (bridge.step(0.01) and False) or _times(reader)[-1:] > [last])
+    step_until(bridge, lambda: _times(reader)[-1:] > [last])
     assert np.diff(_times(reader)) == pytest.approx(0.98, abs=0.01)
     assert len(reader.came) > 24  # power is predicted from the third speed on
-    for client in (reader, writer):
-        client.close()
 
 
 def _times(reader: Client) -> list[float]:
@@ -137,7 +143,6 @@ def test_two_cars_are_two(broker: Broker, bridged: Make) -> None:
     assert (one.vehicle.key, two.vehicle.key) == (VEHICLE, "bmw_i3")
     trips = [car.documents()["energy"]["trip_km"] for car in (one, two)]
     assert trips[0] == pytest.approx(trips[1], rel=0.01) and trips[0] > 0.05
-    writer.close()
 
 
 def test_cars_without_a_vehicle_are_ignored(broker: Broker, bridged: Make) -> None:
@@ -147,9 +152,8 @@ def test_cars_without_a_vehicle_are_ignored(broker: Broker, bridged: Make) -> No
     writer = broker.client()
     for car in ("1", "7"):
         writer.publish(f"teslamate/cars/{car}/speed", "36")
-    wait_for(lambda: (bridge.step(0.01) and False) or (bridge.ignored and bridge.cars))
+    step_until(bridge, lambda: bridge.ignored and bridge.cars)
     assert (set(bridge.cars), bridge.ignored) == ({"1"}, {"7"})
-    writer.close()
 
 
 def test_retained_old_values_at_the_start_are_not_now(broker: Broker, bridged: Make) -> None:
@@ -157,15 +161,14 @@ def test_retained_old_values_at_the_start_are_not_now(broker: Broker, bridged: M
     for name, value in (("speed", "90"), ("power", "25"), ("usable_battery_level", "55")):
         writer.publish(f"teslamate/cars/1/{name}", value, retain=True)
     bridge, _ = bridged(settings(read_layout("teslamate")))
-    wait_for(lambda: (bridge.step(0.01) and False) or "1" in bridge.cars)
+    step_until(bridge, lambda: "1" in bridge.cars)
     for _ in range(30):
         bridge.step(0.02)
     assert bridge.cars["1"].readings == 0
     writer.publish("teslamate/cars/1/latitude", "48.1")
-    wait_for(lambda: (bridge.step(0.01) and False) or bridge.cars["1"].readings)
+    step_until(bridge, lambda: bridge.cars["1"].readings)
     assert bridge.cars["1"].readings == 1, "the charge alone"
     assert bridge.cars["1"].documents()["range"]["charge_percent"] == pytest.approx(55.0)
-    writer.close()
 
 
 def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
@@ -179,22 +182,20 @@ def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
     before = bridge.cars["1"].documents()["energy"]["trip_kwh"]
     broker.kill()
     writer.close()
-    wait_for(lambda: (bridge.step(0.01) and False) or not connection.connected)
+    step_until(bridge, lambda: not connection.connected)
     for _ in range(50):
         clock.now_ns += 1_000_000_000
         bridge.step(0.0)
     assert connection.waiting < 100, "of each topic one payload waits"
     broker.start()
-    wait_for(lambda: (bridge.step(0.01) and False) or connection.connections == 2)
-    wait_for(lambda: (bridge.step(0.01) and False) or not connection.waiting)
+    step_until(bridge, lambda: connection.connections == 2)
+    step_until(bridge, lambda: not connection.waiting)
     reader, writer = broker.client(topics=EVERYTHING), broker.client()
     wait_for(lambda: "evpinn/1/parameters" in reader.newest())
     assert any(topic.startswith("homeassistant/sensor/") for topic in reader.newest())
     assert reader.newest()["evpinn/status"] == "online"
     play(halves[60:], writer, bridge, clock)
     assert bridge.cars["1"].documents()["energy"]["trip_kwh"] > before
-    for client in (reader, writer):
-        client.close()
 
 
 def test_a_process_that_is_killed_leaves_its_last_will(broker: Broker, tmp_path: Path) -> None:
@@ -204,21 +205,18 @@ def test_a_process_that_is_killed_leaves_its_last_will(broker: Broker, tmp_path:
     process.kill()
     process.wait()
     wait_for(lambda: reader.newest()["evpinn/status"] == "offline")
-    reader.close()
 
 
 def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) -> None:
     bridge, connection = bridged(settings(read_layout("teslamate")))
     reader, writer = broker.client(topics=("homeassistant/sensor/#",)), broker.client()
     writer.publish("teslamate/cars/1/speed", "36")
-    wait_for(lambda: (bridge.step(0.01) and False) or len(reader.came) >= 28)
-    wait_for(lambda: (bridge.step(0.01) and False) or not connection.waiting)
+    step_until(bridge, lambda: len(reader.came) >= 28)
+    step_until(bridge, lambda: not connection.waiting)
     first = len(reader.newest())
     reader.came.clear()
     writer.publish("homeassistant/status", "online", retain=False)
-    wait_for(lambda: (bridge.step(0.01) and False) or len(reader.newest()) >= first)
-    for client in (reader, writer):
-        client.close()
+    step_until(bridge, lambda: len(reader.newest()) >= first)
 
 
 def test_a_slow_broker_gets_the_newest_and_no_more(broker: Broker, bridged: Make) -> None:
@@ -235,7 +233,6 @@ def test_a_slow_broker_gets_the_newest_and_no_more(broker: Broker, bridged: Make
     time.sleep(0.2)
     assert reader.newest() == {f"slow/{i}": str(4990 + i) for i in range(10)}
     assert len(reader.came) <= 40
-    reader.close()
 
 
 def command(broker: Broker, *options: object, **environment: str) -> subprocess.Popen[str]:
@@ -316,15 +313,12 @@ def test_a_sender_whose_clock_is_set_back_goes_on_to_be_answered(
     last_s = seconds[-1].stamp_ns / 1e9
 
     def answered() -> bool:
-        bridge.step(0.01)
         return json.loads(reader.newest()["evpinn/zoe/power"])["time"] == pytest.approx(last_s)
 
-    wait_for(answered)
+    step_until(bridge, answered)
     assert len(reader.came) > 50, "once a second, before and after"
     trip = bridge.cars["zoe"].documents()["energy"]["trip_kwh"]
     assert trip == pytest.approx(energy(seconds), rel=0.1)
-    for client in (reader, writer):
-        client.close()
 
 
 def certificates(folder: Path) -> None:
@@ -407,8 +401,6 @@ def test_the_command_learns_from_a_mapping_file_and_keeps_it(
     assert json.loads((state / "zoe.json").read_text()).keys() == {"learned", "energy"}
     layout = read_layout(str(tmp_path / "topics.yaml"))
     assert layout.subscriptions == ("my/+",)
-    for client in (reader, writer):
-        client.close()
 
 
 def test_what_would_show_a_password_is_no_address() -> None:

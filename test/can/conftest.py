@@ -1,6 +1,7 @@
 """Buses of simulated cars: what each profile that comes with the package would have on its bus."""
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 import threading
@@ -82,6 +83,22 @@ def broken(tmp_path: Path) -> Callable[[str, str, str], str]:
     return load
 
 
+@contextmanager
+def running(*workers: Any, within_s: float = 10.0) -> Iterator[None]:
+    """Runs readers and pollers in threads; they must end within a time after `stop`."""
+    threads = [threading.Thread(target=worker.run) for worker in workers]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        for worker in workers:
+            worker.stop()
+        for thread in threads:
+            thread.join(within_s)
+    assert not any(thread.is_alive() for thread in threads)
+
+
 class LiveBridge:
     """A bridge on a live bus: its readings, and the threads that read and ask."""
 
@@ -97,8 +114,7 @@ class LiveBridge:
         self.readings: list[Reading] = []
         self.reader = BusReader(interface, channel, self._on_frame, time.time_ns, **options)
         self.bridge = CanBridge(profile, self.reader.send if poll else None)
-        runs = [self.reader.run, *([self.bridge.poller.run] if poll else [])]
-        self.threads = [threading.Thread(target=run) for run in runs]
+        self._running = running(*([self.bridge.poller] if poll else []), self.reader)
 
     def _on_frame(self, frame: CanFrame) -> None:
         self.readings += self.bridge.decode(frame)
@@ -111,14 +127,8 @@ class LiveBridge:
         return self.bridge.poller.status().counters
 
     def __enter__(self) -> "LiveBridge":
-        for thread in self.threads:
-            thread.start()
+        self._running.__enter__()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self.bridge.poller is not None:
-            self.bridge.poller.stop()
-        self.reader.stop()
-        for thread in self.threads:
-            thread.join(10)
-            assert not thread.is_alive()
+    def __exit__(self, *raised: Any) -> None:
+        self._running.__exit__(*raised)

@@ -8,7 +8,6 @@ import socket
 import struct
 import subprocess
 import sys
-import threading
 import time
 import tty
 
@@ -24,6 +23,7 @@ from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from test.can.conftest import running
 from test.conftest import wait_for
 
 GROUP = "239.74.163.77"
@@ -31,15 +31,9 @@ NOW = 1_700_000_000_000_000_000
 
 
 @contextmanager
-def running(reader):
-    thread = threading.Thread(target=reader.run)
-    thread.start()
-    try:
+def reading(reader):
+    with running(reader, within_s=5.0):
         yield
-    finally:
-        reader.stop()
-        thread.join(5)
-    assert not thread.is_alive()
     assert reader.status().condition is BusCondition.CLOSED
 
 
@@ -73,7 +67,7 @@ def test_frames_from_another_process_decode_as_the_log_does(tmp_path):
         reader.open()
     except InputError as error:
         pytest.skip(f"no multicast here: {error}")
-    with running(reader):
+    with reading(reader):
         subprocess.run([sys.executable, "-c", SENDER, log, GROUP, str(port)], check=True)
         wait_for(lambda: len(received) == len(frames))
         wait_for(lambda: reader.status().condition is BusCondition.SILENT)
@@ -131,7 +125,7 @@ def test_adapter_unplugged_in_the_stream_and_plugged_again(tmp_path):
             adapter.send(b"t1326989467000000\r")
             time.sleep(0.002)
 
-    with running(reader):
+    with reading(reader):
         wait_for(lambda: reader.status().condition is BusCondition.OPEN)
         stream(100)
         adapter.unplug()
@@ -183,7 +177,7 @@ def test_garbled_serial_line_is_no_loss(tmp_path, quick):
     adapter = Adapter(tmp_path / "adapter")
     received = []
     reader = serial_reader(adapter.link, received.append)
-    with running(reader):
+    with reading(reader):
         wait_for(lambda: reader.status().condition is BusCondition.OPEN)
         adapter.send(b"tXYZ\r")
         adapter.send(b"t1326989467000000\r")
@@ -236,7 +230,7 @@ def stamps(interface, clock):
     clock, received = list(clock), []
     times = iter(clock)
     reader = BusReader(interface, "x", received.append, lambda: next(times))
-    with running(reader):
+    with reading(reader):
         wait_for(lambda: len(received) == len(clock))
     return [frame.stamp_ns for frame in received]
 
@@ -275,7 +269,7 @@ def test_failing_callback_is_no_failing_bus(scripted):
         raise ZeroDivisionError("mine")
 
     reader = BusReader("virtual", "x", fail, lambda: NOW)
-    with running(reader):
+    with reading(reader):
         wait_for(lambda: reader.status().counters.get("callback_errors") == 2)
         assert reader.status().condition is not BusCondition.LOST
     counters = reader.status().counters
@@ -287,7 +281,7 @@ def test_error_and_remote_frames_are_counted(scripted):
     scripted([message(0.0, is_error_frame=True), message(0.0, is_remote_frame=True)])
     received = []
     reader = BusReader("virtual", "x", received.append, lambda: NOW)
-    with running(reader):
+    with reading(reader):
         wait_for(lambda: reader.status().counters.get("remote_frames") == 1)
     assert not received and reader.status().counters["error_frames"] == 1
 
@@ -295,7 +289,7 @@ def test_error_and_remote_frames_are_counted(scripted):
 def test_error_frames_alone_are_told_until_a_frame_comes(quick):
     reader = BusReader("virtual", "errors", print, lambda: NOW)
     reader.open()
-    with can.Bus("errors", interface="virtual") as bus, running(reader):
+    with can.Bus("errors", interface="virtual") as bus, reading(reader):
         for _ in range(bus_module.MANY_ERRORS):
             bus.send(can.Message(is_error_frame=True))
         wait_for(lambda: reader.status().condition is BusCondition.ERRORS)
@@ -309,7 +303,7 @@ def test_bus_off_is_told_until_a_frame_comes(scripted):
     off.arbitration_id = bus_module.SOCKETCAN_BUS_OFF
     _, reopened = scripted([message(0.0), off], [])
     reader = BusReader("socketcan", "can0", print, lambda: NOW)
-    with running(reader):
+    with reading(reader):
         wait_for(lambda: not reopened.script and reader.status().counters.get("opened") == 2)
         wait_for(lambda: reader.status().condition is BusCondition.OFF)
         assert "type can restart-ms 100" in reader.status().problem
@@ -323,7 +317,7 @@ def test_driver_that_tells_bus_off_by_its_state(scripted, monkeypatch):
     monkeypatch.setattr(FakeBus, "state", can.BusState.ERROR)
     scripted([None], [None])
     reader = BusReader("ixxat", 0, print, lambda: NOW)
-    with running(reader):
+    with reading(reader):
         wait_for(lambda: reader.status().counters.get("bus_off") == 2)
         assert reader.status().condition is BusCondition.OFF
         assert "check bit rate and wiring" in reader.status().problem
@@ -334,7 +328,7 @@ def test_driver_that_only_stumbles_is_opened_again(scripted, monkeypatch):
     scripted([struct.error("short")] * bus_module.MANY_GARBLED, [message(0.0)])
     received = []
     reader = BusReader("virtual", "x", received.append, lambda: NOW)
-    with running(reader):
+    with reading(reader):
         wait_for(lambda: received)
     counters = reader.status().counters
     assert counters["garbled"] == bus_module.MANY_GARBLED and counters["lost"] == 1
@@ -346,7 +340,7 @@ def test_backoff_grows_until_a_frame_comes(scripted):
     received = []
     reader = BusReader("virtual", "x", received.append, lambda: NOW)
     start = time.monotonic()
-    with running(reader):
+    with reading(reader):
         wait_for(lambda: received)
     assert time.monotonic() - start >= 0.05 + 0.1 + 0.2
     assert reader.status().counters["lost"] == 3
@@ -355,7 +349,7 @@ def test_backoff_grows_until_a_frame_comes(scripted):
 def test_stop_interrupts_the_wait():
     reader = BusReader("slcan", "/nowhere/adapter", print, lambda: NOW)
     start = time.monotonic()
-    with running(reader):
+    with reading(reader):
         wait_for(lambda: reader.status().condition is BusCondition.LOST)
     assert time.monotonic() - start < 0.4
 

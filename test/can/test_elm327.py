@@ -23,7 +23,7 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from test import conftest
-from test.can.conftest import LiveBridge
+from test.can.conftest import LiveBridge, running
 
 pytest.importorskip("elm", reason="ELM327-emulator is not installed")
 EMULATOR = Path(__file__).with_name("elm327_emulator.py")
@@ -159,11 +159,8 @@ def test_broadcast_frames_are_monitored_and_nothing_is_sent(adapter):
     leaf = adapter({"ATMA": frames})
     seen = []
     reader = BusReader("elm327", leaf.place, seen.append, time.time_ns, broadcast={0x1DB, 0x284})
-    thread = threading.Thread(target=reader.run)
-    thread.start()
-    wait_for(lambda: len(seen) == 6)
-    reader.stop()
-    thread.join(10)
+    with running(reader):
+        wait_for(lambda: len(seen) == 6)
     assert (seen[0].can_id, seen[0].data.hex()) == (0x1DB, "0037ea4a4f0055f7")
     assert (seen[1].can_id, seen[1].data.hex()) == (0x284, "00000000123456ff")
     # 001 1101 1011 and 010 1000 0100 have these bits in common: 1.. .0.. 1.0. ....
@@ -240,14 +237,11 @@ def test_only_the_questions_of_the_profile_leave(adapter):
 def test_an_adapter_that_begins_anew_is_prepared_anew(adapter):
     car = adapter({"ATMA": b""})
     reader = BusReader("elm327", car.place, lambda _frame: None, time.time_ns)
-    thread = threading.Thread(target=reader.run)
-    thread.start()
-    wait_for(lambda: "ATMA" in car.heard)
-    car.say(b"\r\rELM327 v1.5\r\r>")
-    wait_for(lambda: car.heard.count("ATH1") == 2)
-    assert "began anew" in reader.status().problem
-    reader.stop()
-    thread.join(10)
+    with running(reader):
+        wait_for(lambda: "ATMA" in car.heard)
+        car.say(b"\r\rELM327 v1.5\r\r>")
+        wait_for(lambda: car.heard.count("ATH1") == 2)
+        assert "began anew" in reader.status().problem
 
 
 @pytest.mark.parametrize(

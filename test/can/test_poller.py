@@ -2,7 +2,6 @@
 
 from contextlib import contextmanager
 import itertools
-import threading
 import time
 
 import can
@@ -16,7 +15,7 @@ from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from test.can.conftest import LiveBridge
+from test.can.conftest import LiveBridge, running
 from test.conftest import wait_for
 
 CHANNELS = (f"poller-{number}" for number in itertools.count())
@@ -243,26 +242,18 @@ def test_a_driver_that_fails_is_no_end(monkeypatch):
         raise can.CanOperationError("transmit buffer full")
 
     poller = Poller(KONA, fail)
-    thread = threading.Thread(target=poller.run)
-    thread.start()
-    wait_for(lambda: poller.status().counters.get("send_errors", 0) >= 4)
-    poller.stop()
-    thread.join(1)
-    assert not thread.is_alive()
+    with running(poller, within_s=1.0):
+        wait_for(lambda: poller.status().counters.get("send_errors", 0) >= 4)
 
 
 def test_no_bus_is_waited_for_without_a_stop(monkeypatch):
     now = [0.0]
     poller = Poller(KONA, lambda frame: False, clock=lambda: now[0])
-    thread = threading.Thread(target=poller.run)
-    thread.start()
-    for _ in range(20):
-        now[0] += 10.0
-        time.sleep(0.01)
-    assert poller.status().ok and not poller.status().counters
-    poller.stop()
-    thread.join(1)
-    assert not thread.is_alive()
+    with running(poller, within_s=1.0):
+        for _ in range(20):
+            now[0] += 10.0
+            time.sleep(0.01)
+        assert poller.status().ok and not poller.status().counters
 
 
 def test_a_log_of_a_polled_drive_decodes_like_the_live_bus(channel, unit):
@@ -289,16 +280,13 @@ def test_a_car_that_is_another_is_not_asked(monkeypatch):
         return True
 
     bridge = CanBridge(bolt, send, guard=FitGuard(bolt, ()))
-    thread = threading.Thread(target=bridge.poller.run)
-    thread.start()
-    wait_for(lambda: sent)
-    for index in range(100):  # more than 600 mph, for a second
-        speed = (60_000 + index).to_bytes(2, "big") + bytes(6)
-        bridge.decode(CanFrame(index * 10_000_000, 0x3E9, speed))
-    assert bridge.refusal is not None
-    sent.clear()
-    time.sleep(1.3)  # after a second without an answer the next question would be due
-    bridge.poller.stop()
-    thread.join(1)
+    with running(bridge.poller, within_s=1.0):
+        wait_for(lambda: sent)
+        for index in range(100):  # more than 600 mph, for a second
+            speed = (60_000 + index).to_bytes(2, "big") + bytes(6)
+            bridge.decode(CanFrame(index * 10_000_000, 0x3E9, speed))
+        assert bridge.refusal is not None
+        sent.clear()
+        time.sleep(1.3)  # after a second without an answer the next question would be due
     assert not sent
     assert bridge.poller.status().text.endswith("contradicts the profile")
