@@ -200,8 +200,28 @@ def _order_of(clock: Clock, stamps: NDArray[np.int64]) -> Order:
     if _is_newest_first(stamps[stamps != NONE]):
         return Order.NEWEST_FIRST
     times = clock.running().add(stamps)
-    back = np.diff(times[times != NONE]) < -STRAGGLING_NS
-    return Order.SHUFFLED if back.size >= 3 and np.mean(back) > SHUFFLED else Order.OLDEST_FIRST
+    times = times[times != NONE]
+    back = np.diff(times) < -STRAGGLING_NS
+    if not back.any():
+        return Order.OLDEST_FIRST
+    mixed = back.size >= 3 and np.mean(back) > SHUFFLED
+    return (
+        Order.SHUFFLED
+        if mixed or (clock.dated and _lie_apart(times, back))
+        else Order.OLDEST_FIRST
+    )
+
+
+def _lie_apart(times: NDArray[np.int64], back: NDArray[np.bool_]) -> bool:
+    """True if no two parts of a table, between which time goes back, are of the same hours.
+
+    They are then drives that were put together in the order of their names. A clock that was set
+    back, as in autumn, goes through the same hour twice.
+    """
+    begins = np.append(0, np.flatnonzero(back) + 1)
+    first, last = np.minimum.reduceat(times, begins), np.maximum.reduceat(times, begins)
+    order = np.argsort(first)
+    return bool((last[order][:-1] < first[order][1:]).all())
 
 
 def _is_newest_first(times: NDArray[Any]) -> bool:

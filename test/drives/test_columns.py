@@ -156,6 +156,21 @@ def test_rows_in_no_order_are_sorted(tmp_path, clock, monkeypatch):
     assert drive.in_order and not again.in_order
 
 
+@pytest.mark.parametrize(("hour", "apart"), [(5, True), (7, False)])
+def test_dated_drives_in_the_order_of_their_names_are_sorted(tmp_path, hour, apart):
+    """A clock that goes through the same minutes again was set back: nobody knows how it stood."""
+    lines = [
+        f"2024-03-05 {at:02d}:08:{t / 2.1:05.2f},{3.6 * v:.4f},{u},{i:.4f}"
+        for at in (7, hour)
+        for t, v, u, i in rows()
+    ]
+    drive = drive_of(tmp_path, "time,speed_kmh,voltage,current", lines)
+    readings = list(drive.readings())
+    stamps = [reading.stamp_ns for reading in readings]
+    assert stamps == sorted(stamps) and drive.in_order != apart
+    assert (len(readings), not drive.dropped) == ((4800, True) if apart else (2400, False))
+
+
 @pytest.mark.parametrize("name", ["kW", "Battery Power kW", "hvPower_kW"])
 def test_a_power_named_by_its_unit_alone(tmp_path, name):
     lines = (f"{t:.1f},{3.6 * v:.4f},{u * i / 1000:.6f}" for t, v, u, i in rows())
