@@ -46,10 +46,7 @@ class ReadOnlyGate:
             PermissionError: a request does more than read, or goes to no diagnostic id.
         """
         self._send, self._clock = send, clock
-        self._flow_controls: dict[FrameKey, FrameKey] = {}
-        for request in requests:
-            question, flow_control = frames_of(request)
-            self._flow_controls[question] = flow_control
+        self._flow_controls = dict(map(frames_of, requests))
         self._awaited: set[FrameKey] = set()
         self._sent_s: deque[float] = deque(maxlen=FRAMES_PER_S)
 

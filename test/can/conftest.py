@@ -64,6 +64,15 @@ def bus() -> Callable[[str], list[CanFrame]]:
     return cache(lambda name: list(encoded(PROFILES[name], readings())))
 
 
+def refusal(path: Path) -> str:
+    """The error of loading a profile: one line, which begins with the file."""
+    with pytest.raises(InputError) as error:
+        load_profile(path)
+    text = str(error.value)
+    assert text.startswith(f"{path}:") and "\n" not in text
+    return text
+
+
 @pytest.fixture
 def broken(tmp_path: Path) -> Callable[[str, str, str], str]:
     """Writes a profile with one change; gives the error of loading it, which is one line."""
@@ -74,11 +83,9 @@ def broken(tmp_path: Path) -> Callable[[str, str, str], str]:
         (tmp_path / "mine.yaml").write_text(text.replace(old, new, 1))
         for dbc in CONFIG.glob(f"{name}.dbc"):
             (tmp_path / dbc.name).write_bytes(dbc.read_bytes())
-        with pytest.raises(InputError) as error:
-            load_profile(tmp_path / "mine.yaml")
-        path, line, _ = str(error.value).split(":", 2)
-        assert Path(path).name == "mine.yaml" and int(line) > 0 and "\n" not in str(error.value)
-        return str(error.value)
+        text = refusal(tmp_path / "mine.yaml")
+        assert int(text.split(":")[1]) > 0
+        return text
 
     return load
 

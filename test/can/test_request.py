@@ -9,10 +9,9 @@ from evpinn_ros.can.control_unit import Answer
 from evpinn_ros.can.decoder import AnswerDecoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from test.can.conftest import ASKING, KONA
+from test.can.conftest import ASKING, KONA, refusal
 
 CONFIG = share_directory() / "config" / "can"
 
@@ -186,8 +185,7 @@ requests: {twelve: {tx: 0x797, rx: 0x79A, read: 22 11 03, min_length: 1, period:
 auxiliary_voltage: {request: twelve, first_byte: 0, type: u8, unit: V, valid: [0, 20]}
 """
     (tmp_path / "mine.yaml").write_text(text)
-    with pytest.raises(InputError, match="the car itself broadcasts 0x797"):
-        load_profile(tmp_path / "mine.yaml")
+    assert "the car itself broadcasts 0x797" in refusal(tmp_path / "mine.yaml")
 
 
 def test_12_v_without_requests_is_refused(broken):
