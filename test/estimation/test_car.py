@@ -20,6 +20,11 @@ def town(as_prior):
     return as_prior(EQUATION, (DriveKind.URBAN, 300.0, 0))
 
 
+@pytest.fixture(scope="module")
+def driven(town) -> LearnedCar:
+    return LearnedCar.new(EQUATION).after(town)
+
+
 def test_a_car_is_frozen_and_forks_are_free(town):
     car = LearnedCar.new(EQUATION).after(town[:20])
     one, other = car.after(town[20:30]), car.after(town[20:30])
@@ -29,13 +34,12 @@ def test_a_car_is_frozen_and_forks_are_free(town):
         car.end_ns = 0
 
 
-def test_one_by_one_and_together_are_the_same(town):
-    together = LearnedCar.new(EQUATION).after(town)
+def test_one_by_one_and_together_are_the_same(town, driven):
     alone = LearnedCar.new(EQUATION)
     for one in town:
         alone = alone.after([one])
-    assert np.array_equal(together.state.mean, alone.state.mean)
-    assert np.array_equal(together.state.covariance, alone.state.covariance)
+    assert np.array_equal(driven.state.mean, alone.state.mean)
+    assert np.array_equal(driven.state.covariance, alone.state.covariance)
 
 
 def test_what_cannot_be_is_counted_and_teaches_nothing(town):
@@ -57,10 +61,9 @@ def test_a_dropout_is_driven_and_not_learned(town):
     assert again.measured and again.dropout.seconds == 0.0
 
 
-def test_uneven_speed_is_learned_with_the_drive(town):
-    car = LearnedCar.new(EQUATION).after(town)
-    assert not car.unevenness.metres.any()
-    uneven = car.begin_drive().unevenness
-    driven = sum(one.distance for one in town)
-    assert uneven.metres.max() <= 12 * driven and uneven.metres.sum() > driven
+def test_uneven_speed_is_learned_with_the_drive(town, driven):
+    assert not driven.unevenness.metres.any()
+    uneven = driven.begin_drive().unevenness
+    way = sum(one.distance for one in town)
+    assert uneven.metres.max() <= 12 * way and uneven.metres.sum() > way
     assert not Unevenness.none().metres.any()

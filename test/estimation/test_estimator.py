@@ -111,9 +111,8 @@ def test_no_prediction_knows_the_battery_of_its_moment_or_later(
 
     Also with a battery at 2 Hz, and when it comes long before the speed of its moment.
     """
-    seconds = 14 if mode is Mode.HYBRID else 10
-    readings = up_to(drive(1, 240.0).readings, seconds + 4.0)
-    cut = readings[0].stamp_ns + seconds * NANOSECONDS
+    readings = up_to(drive(1, 240.0).readings, 14.0)
+    cut = readings[0].stamp_ns + 10 * NANOSECONDS
     speeds = [r for r in readings if isinstance(r, SpeedReading)]
     batteries = [r for r in readings if isinstance(r, BatteryReading)][::slower]
     batteries = [b for b in batteries if not math.isnan(b.voltage)]

@@ -50,6 +50,12 @@ def learned(drive):
     return state
 
 
+@pytest.fixture(scope="module")
+def known(town):
+    """The state after that drive."""
+    return learned(town)
+
+
 def test_nothing_in_a_state_changes(town):
     state = learned(town[:10])
     kept = state.mean.copy(), state.covariance.copy(), state.evidence.copy()
@@ -114,8 +120,8 @@ def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
         assert np.abs(apart).max() < 1e-9
 
 
-def test_a_car_is_learned_from_its_energies(town):
-    before, after = initial_state(EQUATION).mixture(), learned(town).mixture()
+def test_a_car_is_learned_from_its_energies(known):
+    before, after = initial_state(EQUATION).mixture(), known.mixture()
     truth = 1.1 * EQUATION.mean[State.MASS]
     assert abs(after.mean[State.MASS] - truth) < 0.7 * abs(before.mean[State.MASS] - truth)
     for state in PHYSICS:
@@ -124,9 +130,9 @@ def test_a_car_is_learned_from_its_energies(town):
     assert abs(after.mean[State.MASS] - truth) < 3.0 * sigma
 
 
-def test_an_outlier_moves_little(town):
+def test_an_outlier_moves_little(town, known):
     wild = [*town[:20], replace(town[20], energy=town[20].energy + 1e7), *town[21:]]
-    calm, shaken = learned(town).mixture(), learned(wild).mixture()
+    calm, shaken = known.mixture(), learned(wild).mixture()
     sigma = np.sqrt(np.diag(calm.covariance))[PHYSICS]
     assert (np.abs(calm.mean - shaken.mean)[PHYSICS] < 2.0 * sigma).all()
 
@@ -140,25 +146,24 @@ def test_the_wandering_load_forgets_itself():
     assert later.covariance[:, State.LOAD, State.LOAD] == pytest.approx(BANK[:, 1] ** 2)
 
 
-def test_another_drive_keeps_the_car_and_part_of_the_offsets(town):
-    state = learned(town)
-    after = begin_drive(state, EQUATION)
-    np.testing.assert_array_equal(after.mean[:, LASTING], state.mean[:, LASTING])
-    assert after.mean[:, OFFSETS] == pytest.approx(posterior.DRIVE_KEPT * state.mean[:, OFFSETS])
-    grown = np.diagonal(after.covariance - state.covariance, axis1=1, axis2=2)[:, LASTING]
+def test_another_drive_keeps_the_car_and_part_of_the_offsets(known):
+    after = begin_drive(known, EQUATION)
+    np.testing.assert_array_equal(after.mean[:, LASTING], known.mean[:, LASTING])
+    assert after.mean[:, OFFSETS] == pytest.approx(posterior.DRIVE_KEPT * known.mean[:, OFFSETS])
+    grown = np.diagonal(after.covariance - known.covariance, axis1=1, axis2=2)[:, LASTING]
     assert (grown >= 0.0).all() and grown.max() > 0.0
     assert (after.seconds, after.intervals) == (0.0, 0)
 
 
-def test_how_drives_differ_is_learned_from_many(town):
-    calm = state = learned(town)
+def test_how_drives_differ_is_learned_from_many(known):
+    state = known
     for sign in (1, -1) * 10:
         mean = state.mean.copy()
         mean[:, State.LOAD_DRIVE] = sign * 2000.0
         state = begin_drive(replace(state, mean=mean, intervals=20), EQUATION)
     index = OFFSETS.index(State.LOAD_DRIVE)
     learned_std = math.sqrt(state.offset_variance[index])
-    assert learned_std > 1000.0 > math.sqrt(calm.offset_variance[index])
+    assert learned_std > 1000.0 > math.sqrt(known.offset_variance[index])
 
 
 def test_reported_heating_teaches_how_it_goes_with_temperature():
@@ -187,9 +192,8 @@ def test_heating_that_the_battery_does_not_give_loses_its_share(intervals):
     assert whole.covariance[State.DOUBTED, State.DOUBTED] < 0.5 * prior
 
 
-def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town):
-    state = learned(town)
-    model, sigmas = state.model(EQUATION), []
+def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town, known):
+    model, sigmas = known.model(EQUATION), []
     first, second = (passed(EQUATION, one, 300.0).journey for one in town[:2])
     both = first.plus(second)
     assert both.less(second).row == pytest.approx(first.row)
