@@ -135,7 +135,7 @@ def test_no_prediction_knows_the_battery_of_its_moment_or_later(
 @pytest.mark.parametrize("mode", MODES)
 def test_without_a_battery_predictions_go_on(new_estimator, taught, play, powers, drive, mode):
     """As long with as without; sigma at one and the same sample does not shrink meanwhile."""
-    seconds = 40.0 if mode is Mode.HYBRID else 12.0
+    seconds = 20.0 if mode is Mode.HYBRID else 12.0
     readings = up_to(drive(1, 240.0).readings, 2 * seconds)
     if mode is Mode.HYBRID:
         estimator = taught(seconds)
@@ -246,7 +246,7 @@ def test_a_reset_forgets_what_was_learned_and_keeps_counters(new_estimator, play
 
 
 def test_a_time_jump_keeps_what_was_learned(taught, play, powers, drive):
-    readings, estimator = drive(1, 240.0).readings, taught(40.0)
+    readings, estimator = drive(1, 240.0).readings, taught(20.0)
     before = estimator.parameters().identifiable
     estimator.handle_time_jump()
     # All but p_aux: what is switched on may be something else now.
