@@ -1,6 +1,6 @@
 """What is published is the projection of what was learned, as `simulation.truth` defines it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 import math
@@ -29,7 +29,13 @@ from evpinn_ros.estimation.published import (
 )
 from evpinn_ros.estimation.states import NETWORK, PHYSICS, State
 from evpinn_ros.estimation.terms import equation_of
-from evpinn_ros.signals.readings import NANOSECONDS, AltitudeReading, MotorReading, SpeedReading
+from evpinn_ros.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    MotorReading,
+    Reading,
+    SpeedReading,
+)
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
@@ -103,11 +109,23 @@ def test_slow_driving_is_projected_beside_the_reference(vehicle):
     assert 0.10 < min(NETWORK_STDS) * rolling / equation.mean[State.ROLLING] < 0.20
 
 
+@pytest.fixture(scope="module")
+def in_town(vehicle) -> Callable[[int], tuple[Sequence[Reading], LearnedCar]]:
+    """Readings of ten minutes in town by their seed, and the car that they taught."""
+
+    @cache
+    def driven(seed: int) -> tuple[Sequence[Reading], LearnedCar]:
+        readings = simulate(DriveKind.URBAN, vehicle, 600.0, seed).readings
+        return readings, learned(vehicle, readings)
+
+    return driven
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_network_taught_in_town_is_hardly_booked_as_drag(vehicle, seed):
+def test_a_network_taught_in_town_is_hardly_booked_as_drag(in_town, seed):
     """Town tells drag from rolling badly: a small network made 0.3 of a car's drag there."""
-    car = learned(vehicle, simulate(DriveKind.URBAN, vehicle, 600.0, seed).readings)
+    _, car = in_town(seed)
     drag, rolling = (car.driven.share(car.equation)[:2, -NETWORK:] ** 2).sum(1) ** 0.5
     one = min(NETWORK_STDS)
     assert 0.0 < one * drag < 0.12 * car.equation.mean[State.DRAG]
@@ -141,11 +159,11 @@ def learned(vehicle, readings) -> LearnedCar:
 
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.slow
-def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, seed):
+def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, in_town, seed):
     """10 Hz thinned to 1.2 s, each signal at a time of its own: within the sigma of both."""
-    readings = simulate(DriveKind.URBAN, vehicle, 600.0, seed).readings
-    dense, thin = (learned(vehicle, each) for each in (readings, list(polled(readings))))
-    one, other = (published(car.state, car.equation, car.driven).now for car in (dense, thin))
+    readings, dense = in_town(seed)
+    thin = learned(vehicle, polled(readings))
+    one, other = publish(dense).now, publish(thin).now
     for weights in ([-1, 0, 1, 0, 0, 0], [1, 1, 0, 0, 0, 0], [0, 0, 0, 1, 0, 0]):
         away = abs(np.dot(weights, one.mean - other.mean))
         assert away < 1.5 * math.sqrt(weights @ other.covariance @ weights), weights
@@ -226,9 +244,9 @@ def test_the_road_of_a_drive_that_begins_is_as_the_last_one(vehicle, intervals):
         replace(one, height_known=False) for one in drive
     )
     car = car.begin_drive()
-    assert not published(car.state, car.equation, car.driven).hills_seen
+    assert not publish(car).hills_seen
     car = car.after(replace(one, height_known=True) for one in drive)
-    assert published(car.state, car.equation, car.driven).hills_seen
+    assert publish(car).hills_seen
 
 
 def test_heights_that_begin_late_leave_what_is_known_of_the_road(vehicle, intervals):
@@ -238,7 +256,7 @@ def test_heights_that_begin_late_leave_what_is_known_of_the_road(vehicle, interv
         replace(one, height_known=True) for one in drive
     )
     car = car.begin_drive().after(replace(one, height_known=False) for one in drive[:15])
-    assert published(car.state, car.equation, car.driven).hills_seen
+    assert publish(car).hills_seen
 
 
 def test_a_short_stretch_without_heights_takes_little_of_what_is_known(mixed):
