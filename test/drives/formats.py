@@ -115,7 +115,7 @@ class Style:
     long: bool = False
     zipped: bool = False
     torn: int = 0
-    newest_first: bool = False
+    rows: str = "oldest first"
     seed: int = 0
 
 
@@ -142,7 +142,9 @@ def write(folder: Path, rows: list[Row], style: Style) -> Path:
     order = list(cells)
     chance.shuffle(order)
     lines = (_long if style.long else _wide)(rows, style, order, cells)
-    if style.newest_first:
+    if style.rows == "in no order":
+        chance.shuffle(lines)
+    elif style.rows == "newest first":
         lines.reverse()
     for line in chance.sample(lines, style.torn):
         torn = line[: chance.randrange(1, line.rfind(style.separator))]

@@ -51,7 +51,7 @@ def styles(draw):
         long=layout == "long",
         zipped=draw(st.booleans()),
         torn=draw(st.integers(0, 5)),
-        newest_first=draw(st.integers(0, 5)) == 0,
+        rows=draw(st.sampled_from(["oldest first"] * 4 + ["newest first", "in no order"])),
         seed=draw(st.integers(0, 99)),
     )
 
