@@ -138,7 +138,7 @@ class BusReader:
         except Exception as error:
             # CanError, OSError, ValueError, NotImplementedError, AttributeError...: each driver
             # has its own way to refuse, and all of them mean that there is no bus now.
-            self._problem = _explain(error, self._interface, self._channel)
+            self._problem = self._explained(error)
             raise InputError(self._problem) from error
         _deepen_queue(self._bus)
         self._condition = BusCondition.OPEN
@@ -198,7 +198,7 @@ class BusReader:
             message = self._bus.recv(RECEIVE_TIMEOUT_S)
             off = (message is None or message.is_error_frame) and self._is_off(message)
         except (can.CanError, OSError) as error:
-            self._lose(_explain(error, self._interface, self._channel))
+            self._lose(self._explained(error))
         except Exception as error:
             self._stumble(error)
         else:
@@ -206,7 +206,7 @@ class BusReader:
             if off:
                 self._counters["bus_off"] += 1
                 self._was_off = True
-                self._lose(_explain_bus_off(self._interface, self._channel), BusCondition.OFF)
+                self._lose(self._explained(BusCondition.OFF), BusCondition.OFF)
             elif message is None:
                 self._note_quiet()
             else:
@@ -287,6 +287,12 @@ class BusReader:
             self._counters["close_errors"] += 1
             self._problem = self._problem or f"{self._name}: closing failed: {one_line(error)}"
 
+    def _explained(self, fault: BaseException | BusCondition) -> str:
+        """A fault in one line: which bus, the driver's message, what a person can do."""
+        what = fault.value if isinstance(fault, BusCondition) else one_line(fault)
+        remedy = _remedy(fault, self._interface, self._channel)
+        return f"CAN bus {self._name}: {what}" + (f"; {remedy}" if remedy else "")
+
     @property
     def _name(self) -> str:
         return f"{self._interface} {self._channel}"
@@ -306,20 +312,11 @@ def _deepen_queue(bus: Any) -> None:
             own.detach()  # it stays the driver's
 
 
-def _explain(error: BaseException, interface: str, channel: str | int) -> str:
-    """The fault in one line: which bus, the driver's message, what a person can do."""
-    what = f"CAN bus {interface} {channel}: {one_line(error)}"
-    remedy = _remedy(error, interface, channel)
-    return f"{what}; {remedy}" if remedy else what
-
-
-def _explain_bus_off(interface: str, channel: str | int) -> str:
-    restart = f"; `sudo ip link set {channel} type can restart-ms 100` lets it begin again"
-    off = f"CAN bus {interface} {channel}: {BusCondition.OFF.value}"
-    return off + (restart if interface == "socketcan" else "")
-
-
-def _remedy(error: BaseException, interface: str, channel: str | int) -> str | None:
+def _remedy(error: BaseException | BusCondition, interface: str, channel: str | int) -> str | None:
+    """Advice to a person about a fault of a bus, None where there is none."""
+    if isinstance(error, BusCondition):
+        restart = f"`sudo ip link set {channel} type can restart-ms 100` lets it begin again"
+        return restart if interface == "socketcan" else None
     if interface not in INTERFACES:
         return f"known interfaces are {', '.join(sorted(INTERFACES))}"
     number = _errno(error)
