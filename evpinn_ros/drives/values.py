@@ -121,7 +121,8 @@ def pull(speed: Signal, power: Signal) -> float:
     in m/s, a thirteenth of it where it is in km/h, and below zero for a power of the other sign.
     """
     times, change = accelerations(speed)
-    kinetic = change * at_times(speed, times)
+    with np.errstate(over="ignore"):  # damaged cells, left out below
+        kinetic = change * at_times(speed, times)
     drawn = at_times(power, times)
     known = np.isfinite(kinetic) & np.isfinite(drawn)
     if known.sum() < LEAST_EVENTS or not kinetic[known].any() or not np.ptp(drawn[known]):

@@ -92,7 +92,8 @@ OPENS |= {
     "MDF",
     "MF4Reader",
 }
-OURS = ("reader", "state_file", "self", "car", "json")  # whose `open` and `load` are not of files
+# Whose `open` and `load` are not of files.
+OURS = ("reader", "state_file", "self", "car", "car_replay", "json")
 
 
 def _opening(tree):

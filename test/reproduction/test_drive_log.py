@@ -88,7 +88,7 @@ def test_only_bad_cells_are_named(
     tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
 ) -> None:
     path = write_csv(tmp_path / "nan.csv", make_log())
-    lines = [line.rsplit(",", 1)[0] + ",nan" for line in path.read_text().splitlines()[1:]]
+    lines = [line.rsplit(",", 1)[0] + ",bad" for line in path.read_text().splitlines()[1:]]
     path.write_text("\n".join(["t_s,speed_mps,power_w", *lines]))
     with pytest.raises(InputError, match="power_w_not_a_number"):
         read_drive_log(path, vehicle)
