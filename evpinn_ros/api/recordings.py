@@ -55,8 +55,9 @@ def replay(
         >>> result.power[["measured_w", "smoothed_w"]].plot()  # doctest: +SKIP
 
     Args:
-        drive: path of a bag, CAN log or table; or a pandas DataFrame with the columns of such a
-            table. Its index is a column too, if it has a name or does not just number the rows.
+        drive: path of a bag, CAN log or table; or a DataFrame of pandas or polars with the columns
+            of such a table. An index is a column too, if it has a name or does not just number
+            the rows.
         vehicle: name or file of a vehicle, or a `Vehicle`.
         mode: `hybrid` or `paper`; if not given, that of `params`, otherwise `hybrid`.
         params: parameter file of the nodes.
@@ -190,6 +191,9 @@ def _result(car: CarReplay, source: Source) -> Result:
 
 def _path_of(drive: str | os.PathLike[str] | DataFrame, folder: Path) -> Path:
     """Path of a drive; a DataFrame is written as a table into the folder first."""
+    if hasattr(drive, "write_csv"):  # of polars, which has no index
+        drive.write_csv(folder / "drive.csv")
+        return folder / "drive.csv"
     if not hasattr(drive, "to_csv"):
         return path_of("drive", drive)
     path, table = folder / "drive.csv", cast("DataFrame", drive)

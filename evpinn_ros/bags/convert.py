@@ -9,7 +9,7 @@ from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.common.errors import InputError, near_names
+from evpinn_ros.common.errors import SAY_CAR, InputError, near_names
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics import NAMESPACE, Topic, topic_of
 from evpinn_ros.topics.messages import BadMessage
@@ -106,7 +106,5 @@ def _named(reader: BagReader, topic: Topic, car: str | None) -> str | None:
     ]
     if len(names) > 1:
         cars = ", ".join(name.removesuffix(f"/{topic.name}") or "/" for name in names)
-        raise InputError(
-            f"{reader.path}: topics of {len(names)} cars, {cars}; say --car NAME for one of them"
-        )
+        raise InputError(f"{reader.path}: topics of {len(names)} cars, {cars}; {SAY_CAR}")
     return names[0] if names else None

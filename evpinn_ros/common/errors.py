@@ -66,6 +66,10 @@ def printable(text: str) -> str:
     return shown if len(shown) <= LONGEST_TEXT else shown[:LONGEST_TEXT] + "..."
 
 
+# Of a recording of several cars; not every command that reads one has the option.
+SAY_CAR = "say --car NAME for one of them, or use what evpinn convert --car NAME writes"
+
+
 def near_names(name: str, known: Iterable[str]) -> str:
     """Words to append to an error: known names near to what was typed, empty if none is."""
     by_lower = {each.lower(): each for each in known}

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import islice
 
-from evpinn_ros.common.errors import InputError, near_names
+from evpinn_ros.common.errors import SAY_CAR, InputError, near_names
 from evpinn_ros.drives.numbers import is_missing
 from evpinn_ros.drives.quantities import words_of
 from evpinn_ros.drives.survey import MOST_ROWS, Head, Table, data_rows
@@ -67,7 +67,7 @@ def table_of_car(table: Table, head: Head, car: str | None) -> Table:
             raise InputError(f"no row of the car {car!r}{near_names(car, cars)}; {there}")
         return CarTable(table, head, place, car)
     if len(cars) > 1:
-        raise InputError(f"rows of {len(cars)} cars; {there}; say --car NAME for one of them")
+        raise InputError(f"rows of {len(cars)} cars; {there}; {SAY_CAR}")
     return table
 
 

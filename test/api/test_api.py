@@ -10,6 +10,7 @@ import re
 
 import numpy as np
 import pandas as pd
+import polars
 import pytest
 from typer.testing import CliRunner
 
@@ -301,12 +302,15 @@ def test_trips_of_a_day_are_results_that_learn_from_each_other(table, tmp_path):
         ev.replay_trips(table, mode="none")
 
 
-def test_a_table_indexed_by_its_time_is_a_drive(table):
+def test_a_table_of_pandas_or_polars_is_a_drive(table):
     frame = pd.read_csv(table).iloc[:250]
     times = pd.to_timedelta(frame["t_s"], unit="s")
     tables = frame, frame.set_index("t_s"), frame.drop(columns="t_s").set_index(times)
-    first, *others = (without_path(ev.replay(each, warm_up=10.0)) for each in tables)
-    assert first["input"]["samples"] > 240 and others == [first, first]
+    polars_table = polars.from_dict({name: frame[name].tolist() for name in frame})
+    first, *others = (
+        without_path(ev.replay(each, warm_up=10.0)) for each in (*tables, polars_table)
+    )
+    assert first["input"]["samples"] > 240 and others == [first, first, first]
 
 
 def without_path(result: ev.Result) -> dict:
