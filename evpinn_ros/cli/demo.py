@@ -15,6 +15,7 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
+from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import live_table, score_table
 from evpinn_ros.common.errors import InputError, as_input_error
@@ -67,8 +68,8 @@ def demo(
         "log_rate": RATE,
         "wait_for_update": True,
     }
-    with progress_bar("evpinn demo", total=duration) as progress:
-        record_through_nodes(parameters, end_ns, bag, progress)
+    with Interruption() as stop, progress_bar("evpinn demo", total=duration) as progress:
+        record_through_nodes(parameters, end_ns, bag, progress, lambda: stop.asked)
     drive = recorded_drive(bag)
     truth = read_truth(source)
     known = truth and identifiable(truth, load_vehicle(VEHICLE).frontal_area)

@@ -13,6 +13,7 @@ import time
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
@@ -35,6 +36,7 @@ def record_through_nodes(
     end_ns: int,
     folder: Path,
     progress: Callable[[float], None],
+    stopped: Callable[[], bool],
 ) -> None:
     """Play a CAN log through the three executables over DDS and record all their topics.
 
@@ -43,22 +45,30 @@ def record_through_nodes(
         end_ns: stamp of the log's last frame.
         folder: of the new bag.
         progress: takes seconds of the drive done.
+        stopped: whether to stop before the end.
 
     Raises:
-        InputError: a node ended or fell silent before the end of the log.
+        InputError: it was stopped, or a node ended or fell silent, before the end of the log.
     """
     own_network()
-    rclpy.init(args=[])
+    # At a signal the caller stops the nodes; rclpy would end its own part and leave an error.
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     recorder = RecorderNode(folder, namespace=NAMESPACE)
     watch = _Watch(end_ns, progress)
     recorder.listen(topics.POWER_SMOOTHED, watch.take)
     executor = SingleThreadedExecutor()
     executor.add_node(recorder)
+
+    def spin() -> None:
+        executor.spin_once(timeout_sec=SPIN)
+        if stopped():
+            raise InputError("before the end of the drive")
+
     try:
         with node_process("estimator", parameters), node_process("energy", parameters):
-            _await_listeners(recorder, executor)
+            _await_listeners(recorder, spin)
             with node_process("can_bridge", parameters) as bridge:
-                watch.follow(executor, bridge)
+                watch.follow(spin, bridge)
     finally:
         recorder.close()
         rclpy.try_shutdown()
@@ -87,20 +97,20 @@ class _Watch:
         self._newest_ns = stamp_ns
         self._progress((stamp_ns - self._first_ns) / NANOSECONDS)
 
-    def follow(self, executor: SingleThreadedExecutor, bridge: subprocess.Popen[bytes]) -> None:
+    def follow(self, spin: Callable[[], None], bridge: subprocess.Popen[bytes]) -> None:
         """Spin until the newest prediction is within a second of the log's end."""
         seen, since = self._newest_ns, time.monotonic()
         while self._newest_ns < self._end_ns - NANOSECONDS:
-            executor.spin_once(timeout_sec=SPIN)
+            spin()
             if self._newest_ns != seen:
                 seen, since = self._newest_ns, time.monotonic()
             waited = time.monotonic() - since
             if bridge.poll() is not None or waited > (OUTPUT_TIMEOUT if seen else START_TIMEOUT):
                 raise InputError("the nodes fell silent before the end of the drive")
-        _spin_for(executor, 1.0)
+        _spin_for(spin, 1.0)
 
 
-def _await_listeners(recorder: RecorderNode, executor: SingleThreadedExecutor) -> None:
+def _await_listeners(recorder: RecorderNode, spin: Callable[[], None]) -> None:
     """Wait until estimator and energy are there, so that they miss nothing."""
     speed, power = (topic.under() for topic in (topics.SPEED, topics.POWER_SMOOTHED))
     given_up = time.monotonic() + START_TIMEOUT
@@ -108,14 +118,14 @@ def _await_listeners(recorder: RecorderNode, executor: SingleThreadedExecutor) -
     while recorder.count_subscribers(speed) < 3 or recorder.count_subscribers(power) < 3:
         if time.monotonic() > given_up:
             raise InputError(f"the nodes did not come up within {START_TIMEOUT:g} s")
-        executor.spin_once(timeout_sec=SPIN)
-    _spin_for(executor, 1.0)
+        spin()
+    _spin_for(spin, 1.0)
 
 
-def _spin_for(executor: SingleThreadedExecutor, seconds: float) -> None:
+def _spin_for(spin: Callable[[], None], seconds: float) -> None:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        executor.spin_once(timeout_sec=SPIN)
+        spin()
 
 
 def node_command(name: str, parameters: Mapping[str, Value]) -> list[str]:

@@ -157,20 +157,25 @@ def test_json_goes_to_stdout_alone(short, tmp_path):
     assert not (tmp_path / "-").exists()
 
 
-def interrupted(*arguments: object, cwd: Path, once) -> subprocess.CompletedProcess:
-    """A command that is sent Ctrl-C as soon as `once` says so."""
+def interrupted(
+    *arguments: object, cwd: Path, once, number: int = signal.SIGINT
+) -> subprocess.CompletedProcess:
+    """A command that is told to stop once it is time: Ctrl-C reaches all its processes."""
     process = subprocess.Popen(
         [sys.executable, "-m", "evpinn_ros", *map(str, arguments)],
         cwd=cwd,
         env=ENVIRONMENT,
         stdout=(cwd / "stdout").open("w"),
         stderr=(cwd / "stderr").open("w"),
+        start_new_session=True,
     )
     deadline = time.monotonic() + 120
     while not once() and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    os.kill(-process.pid if number == signal.SIGINT else process.pid, number)
     process.wait(timeout=120)
+    with pytest.raises(ProcessLookupError):  # none is left
+        os.killpg(process.pid, 0)
     output = ((cwd / name).read_text() for name in ("stdout", "stderr"))
     return subprocess.CompletedProcess(process.args, process.returncode, *output)
 
@@ -187,8 +192,8 @@ def read_bag(folder: Path) -> int:
     return count
 
 
-def assert_stopped(done: subprocess.CompletedProcess) -> None:
-    assert done.returncode == INTERRUPTED, done.stderr
+def assert_stopped(done: subprocess.CompletedProcess, code: int = INTERRUPTED) -> None:
+    assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
     assert done.stderr.strip().splitlines()[-1].startswith("evpinn: stopped: ")
 
@@ -213,6 +218,17 @@ def test_ctrl_c_leaves_what_was_converted(drive, tmp_path):
     )
     assert_stopped(done)
     assert 1000 < read_bag(tmp_path / "out") < 4 * 72_000 - 1000
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_demo_is_stopped_with_its_nodes(number, tmp_path):
+    begins = {
+        signal.SIGINT: lambda: (tmp_path / "bag").exists(),  # the nodes start
+        signal.SIGTERM: lambda: any(path.stat().st_size > 0 for path in tmp_path.rglob("*.mcap")),
+    }
+    done = interrupted("demo", "--out", tmp_path, cwd=tmp_path, once=begins[number], number=number)
+    assert_stopped(done, 128 + number)
 
 
 def test_a_full_disk_is_one_line(on_a_full_disk, short, tmp_path):
