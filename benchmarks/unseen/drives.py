@@ -20,6 +20,7 @@ from benchmarks.unseen.sumo_cars import SUMO_CARS, simulate_sumo, sumo_is_there,
 from benchmarks.unseen.truth import CARRIED_VEHICLE, CHANGCHUN, carried_drives
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.formats import recordings
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.interval import Interval
 from evpinn_ros.signals.readings import (
@@ -195,7 +196,7 @@ def _own_folder(key: str) -> Folder:
 
 def _drives(paths: Sequence[Path], car: Vehicle, folder: Folder) -> Iterator[UnseenDrive]:
     for path in paths:
-        source = open_source(path, car, folder.can_profile)
+        source = open_source(path, car, ReadOptions(folder.can_profile))
         readings = tuple(each for each in source.readings() if not isinstance(each, folder.hidden))
         for number, part in enumerate(split(readings), start=1):
             drive = UnseenDrive(f"{path.name.split('.')[0]}{LOG_PART}{number}", part)

@@ -19,6 +19,7 @@ from evpinn_ros.common.arguments import (
     text_of,
     truth_of,
 )
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.drives.trips import split
@@ -93,7 +94,7 @@ def replay(
         params=params,
         state=state,
         can_profile=can_profile,
-        trust_profile=truth_of("trust_profile", trust_profile),
+        trust_profile=trust_profile,
         columns=columns,
         car=car,
         elevation=elevation,
@@ -161,23 +162,15 @@ def _opened(
         params=None if params is None else path_of("params", params),
         state=written,
     )
-    if can_profile is not None:
-        text_of("can_profile", can_profile)
-    columns = [text_of("columns", each) for each in sequence_of("columns", columns)]
-    terrain = None if elevation is None else Terrain(path_of("elevation", elevation))
+    read_options = ReadOptions(
+        None if can_profile is None else text_of("can_profile", can_profile),
+        truth_of("trust_profile", trust_profile),
+        [text_of("columns", each) for each in sequence_of("columns", columns)],
+        None if car is None else text_of("car", car),
+        None if elevation is None else Terrain(path_of("elevation", elevation)),
+    )
     with TemporaryDirectory() as folder:
-        path = _path_of(drive, Path(folder))
-        yield (
-            car_replay,
-            car_replay.open(
-                path,
-                can_profile,
-                trust_profile=trust_profile,
-                columns=columns,
-                car=None if car is None else text_of("car", car),
-                terrain=terrain,
-            ),
-        )
+        yield car_replay, car_replay.open(_path_of(drive, Path(folder)), read_options)
     if written is not None:
         car_replay.write_state(written)
 

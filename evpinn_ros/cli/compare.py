@@ -9,22 +9,18 @@ import typer
 
 from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import (
-    CanProfileOption,
-    CarOption,
-    ColumnOption,
-    ElevationOption,
     JsonOption,
     ParamsOption,
     StartOption,
-    TrustProfileOption,
     VehicleOption,
+    with_read_options,
 )
 from evpinn_ros.cli.table_columns import explain_columns
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
-from evpinn_ros.drives.terrain import Terrain
+from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.comparison import compare as compare_drives
@@ -33,6 +29,7 @@ from evpinn_ros.report.compare_page import write_comparison
 from evpinn_ros.report.comparison_text import part_rows, sentences, trip_rows
 
 
+@with_read_options
 def compare(
     drives: Annotated[
         list[Path],
@@ -54,11 +51,7 @@ def compare(
         float | None, typer.Option(min=0.0, help="Compare only this many seconds of each drive.")
     ] = None,
     params: ParamsOption = None,
-    column: ColumnOption = None,
-    car_name: CarOption = None,
-    elevation: ElevationOption = None,
-    can_profile: CanProfileOption = None,
-    trust_profile: TrustProfileOption = False,
+    read_options: ReadOptions = READ_DEFAULTS,
     json_file: JsonOption = None,
 ) -> None:
     """Compare drives of one car: where energy went, and what explains a difference.
@@ -75,18 +68,7 @@ def compare(
         raise InputError(f"{state}: no such file")
     options = ReplayOptions(start=start, duration=duration)
     car = CarReplay(vehicle, options, params=params, state=state, keep_drives=True)
-    terrain = None if elevation is None else Terrain(elevation)
-    sources = [
-        car.open(
-            path,
-            can_profile,
-            trust_profile=trust_profile,
-            columns=column or (),
-            car=car_name,
-            terrain=terrain,
-        )
-        for path in drives
-    ]
+    sources = [car.open(path, read_options) for path in drives]
     for source in sources:
         explain_columns(source)
     found = compare_drives(

@@ -15,21 +15,17 @@ from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import note, progress_bar, say, writing
 from evpinn_ros.cli.interruption import Interruption
-from evpinn_ros.cli.options import (
-    CanProfileOption,
-    CarOption,
-    TrustProfileOption,
-    complete_vehicle,
-)
+from evpinn_ros.cli.options import complete_vehicle, with_read_options
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.quantities import QUANTITIES
+from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.progress import reported
 from evpinn_ros.vehicle.files import load_vehicle
 
 
+@with_read_options
 def convert(
     source_path: Annotated[
         Path,
@@ -45,16 +41,7 @@ def convert(
             help="Name or file of the vehicle; CAN logs need it.", autocompletion=complete_vehicle
         ),
     ] = "generic",
-    can_profile: CanProfileOption = None,
-    trust_profile: TrustProfileOption = False,
-    column: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Columns of a table: speed=NAME or speed=NAME:km/h; current=NAME:-A is negative "
-            "while it discharges. " + f"Quantities: {', '.join(QUANTITIES)}."
-        ),
-    ] = None,
-    car_name: CarOption = None,
+    read_options: ReadOptions = READ_DEFAULTS,
     storage: Annotated[
         Storage | None,
         typer.Option(help="Only change the storage of a bag, and keep every topic."),
@@ -75,14 +62,7 @@ def convert(
         _change_storage(source_path, out, storage)
         return
     car = load_vehicle(vehicle)
-    source = open_source(
-        source_path,
-        car,
-        can_profile,
-        trust_profile=trust_profile,
-        columns=column or (),
-        car=car_name,
-    )
+    source = open_source(source_path, car, read_options)
     explain_columns(source)
     with Interruption() as interruption:
         dropped = _write(source, out, interruption)

@@ -9,10 +9,11 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import command_line, note, say, show, write_json
-from evpinn_ros.cli.options import JsonOption, VehicleOption
+from evpinn_ros.cli.options import JsonOption, VehicleOption, with_read_options
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH, kwh_digits
 from evpinn_ros.common.writer import check_outputs
+from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 
 COLUMNS = ("plan", "km", "min", "km/h", "kWh", "1-sigma", "kWh/100 km", "charge after")
 MORE = "kWh more than the first"
@@ -20,6 +21,7 @@ WIDE = 100  # characters of a table that compares
 ENERGIES = ("energy_j", "sigma_j", "more_than_first_j", "more_than_first_sigma_j")
 
 
+@with_read_options
 def forecast(
     plans: Annotated[
         list[Path],
@@ -66,6 +68,7 @@ def forecast(
         bool,
         typer.Option("--prewarmed", help="The cabin was heated or cooled while plugged in."),
     ] = False,
+    read_options: ReadOptions = READ_DEFAULTS,
     report: Annotated[
         Path | None,
         typer.Option(
@@ -87,6 +90,8 @@ def forecast(
     from evpinn_ros.api.estimator import Estimator
     from evpinn_ros.api.plan import planned_energy, what_if
     from evpinn_ros.energy.plan import PlanConditions
+    from evpinn_ros.plans.read import read_plan
+    from evpinn_ros.vehicle.files import load_vehicle
 
     check_outputs((json_file, report), (*plans, state, Path(vehicle)))
     car = vehicle if state is None else Estimator(vehicle, state=state)
@@ -95,7 +100,8 @@ def forecast(
     given = PlanConditions(
         temperature, heating, head_wind, payload, share, seconds, float(prewarmed)
     )
-    found = [planned_energy(path, car, given) for path in plans]
+    own = load_vehicle(vehicle)
+    found = [planned_energy(read_plan(path, own, read_options), car, given) for path in plans]
     rows = [_figures(path, each, found[0]) for path, each in zip(plans, found, strict=True)]
     rows[0] |= dict.fromkeys(ENERGIES[2:], math.nan)
     columns = (*COLUMNS, MORE) if len(rows) > 1 else COLUMNS

@@ -21,6 +21,7 @@ from evpinn_ros.drives.column import by_reason
 from evpinn_ros.drives.contents import Contents, contents
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, Span
 from evpinn_ros.drives.formats import files_of
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.replays.history import FIRST_STAMP_NS
 from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -33,7 +34,7 @@ def info(
         list[Path], typer.Argument(help="Bags, CAN logs, tables, or a folder of them.")
     ],
     column: ColumnOption = None,
-    car_name: CarOption = None,
+    car: CarOption = None,
     as_json_text: JsonTextOption = False,
 ) -> None:
     """Show what recordings contain, and which part of them the estimator can use.
@@ -41,10 +42,11 @@ def info(
     Example: evpinn info bags/urban drive.log drive.csv
     """
     found: list[Contents] = []
+    options = ReadOptions(columns=column or (), car=car)
     problems = 0
     for path in chain.from_iterable(map(files_of, inputs)):
         try:
-            found.append(contents(path, column or (), car_name, partial(progress_bar, path.name)))
+            found.append(contents(path, options, partial(progress_bar, path.name)))
         except InputError as error:
             problems += 1
             note(f"evpinn: {error}")

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
+import inspect
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from evpinn_ros.cli.console import STDOUT, tables_beside
+from evpinn_ros.drives.read_options import ReadOptions
 
 
 def complete_vehicle(incomplete: str) -> list[str]:
@@ -44,7 +48,8 @@ CanProfileOption = Annotated[
 TrustProfileOption = Annotated[
     bool,
     typer.Option(
-        "--trust-profile", help="Use the CAN profile even if the traffic contradicts it."
+        "--trust-profile",
+        help="Use the CAN profile even if the traffic on the bus contradicts it.",
     ),
 ]
 KeptStateOption = Annotated[
@@ -53,7 +58,10 @@ KeptStateOption = Annotated[
 ParamsOption = Annotated[Path | None, typer.Option(help="Parameter file (YAML).")]
 ColumnOption = Annotated[
     list[str] | None,
-    typer.Option(help="Correct a column: speed=NAME:km/h (see evpinn convert --help)."),
+    typer.Option(
+        help="Correct what a column is: speed=NAME:km/h says its unit, current=NAME:-A turns its "
+        "sign."
+    ),
 ]
 CarOption = Annotated[
     str | None,
@@ -61,13 +69,6 @@ CarOption = Annotated[
         "--car",
         metavar="NAME",
         help="One of several cars: its name in a table, its namespace in a bag.",
-    ),
-]
-ElevationOption = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FOLDER",
-        help="Folder of SRTM or GeoTIFF tiles: gives heights to a log that has positions.",
     ),
 ]
 StartOption = Annotated[float, typer.Option(min=0.0, help="Skip the first N seconds.")]
@@ -95,6 +96,44 @@ OriginOption = Annotated[
         help="http://localhost:8080, or another web page that may connect too.",
     ),
 ]
+
+
+def _read_options(
+    column: ColumnOption = None,
+    car: CarOption = None,
+    elevation: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Heights for a log with positions: a folder of SRTM or GeoTIFF tiles.",
+        ),
+    ] = None,
+    can_profile: CanProfileOption = None,
+    trust_profile: TrustProfileOption = False,
+) -> ReadOptions:
+    terrain = None
+    if elevation is not None:
+        from evpinn_ros.drives.terrain import Terrain  # here, for few have such tiles
+
+        terrain = Terrain(elevation)
+    return ReadOptions(can_profile, trust_profile, tuple(column or ()), car, terrain)
+
+
+def with_read_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options on how to read recordings, in place of its `read_options`."""
+    own = inspect.signature(command, eval_str=True)
+    given = inspect.signature(_read_options, eval_str=True).parameters
+
+    @wraps(command)
+    def read_by_options(**values: Any) -> None:
+        options = _read_options(**{name: values.pop(name) for name in given})
+        command(**values, read_options=options)
+
+    parameters: list[inspect.Parameter] = []
+    for name, parameter in own.parameters.items():
+        parameters += given.values() if name == "read_options" else [parameter]
+    vars(read_by_options)["__signature__"] = own.replace(parameters=parameters)
+    return read_by_options
 
 
 def elm327_bus(port: str, interface: str | None, channel: str | None) -> tuple[str, str]:

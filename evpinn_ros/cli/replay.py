@@ -15,15 +15,11 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
-    CanProfileOption,
-    CarOption,
-    ColumnOption,
-    ElevationOption,
     MetricsOption,
     ParamsOption,
     StartOption,
-    TrustProfileOption,
     VehicleOption,
+    with_read_options,
 )
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table, score_table
@@ -31,8 +27,8 @@ from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.drives.formats import files_of
+from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.drives.source import Source
-from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.drives.trips import joined, split
 from evpinn_ros.estimation.estimator import Mode
 from evpinn_ros.paper.settings import PaperOptimizer
@@ -54,6 +50,7 @@ from evpinn_ros.vehicle.files import Vehicle
 WIDE = 110  # characters of the table of drives
 
 
+@with_read_options
 def replay(
     inputs: Annotated[
         list[Path],
@@ -108,11 +105,7 @@ def replay(
         int, typer.Option(min=1, max=1000, help="Replay all inputs this many times.")
     ] = 1,
     whole: Annotated[bool, typer.Option("--whole", help="Each file is one drive.")] = False,
-    column: ColumnOption = None,
-    car_name: CarOption = None,
-    elevation: ElevationOption = None,
-    can_profile: CanProfileOption = None,
-    trust_profile: TrustProfileOption = False,
+    read_options: ReadOptions = READ_DEFAULTS,
 ) -> None:
     """Replay recorded drives: learn the car, and show where the energy went.
 
@@ -135,14 +128,7 @@ def replay(
         note(f"evpinn: {car.missing}")
     elif state is not None and not state.exists():
         note(f"evpinn: {state} does not exist yet: the car starts from its vehicle file")
-    open_input = partial(
-        car.open,
-        can_profile=can_profile,
-        trust_profile=trust_profile,
-        columns=column or (),
-        car=car_name,
-        terrain=None if elevation is None else Terrain(elevation),
-    )
+    open_input = partial(car.open, options=read_options)
     first, unreadable = _opened(open_input, inputs, whole)
     again = (one for _ in range(loop - 1) for one in _opened(open_input, inputs, whole)[0])
     with Interruption() as interruption:

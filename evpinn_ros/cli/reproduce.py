@@ -12,7 +12,8 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.cli.options import CanProfileOption, VehicleOption
+from evpinn_ros.cli.options import VehicleOption, with_read_options
+from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.reproduction.optimizer_name import OptimizerName
 from evpinn_ros.vehicle.physics import RegenForm
 
@@ -24,6 +25,7 @@ class Device(str, Enum):
     CUDA = "cuda"
 
 
+@with_read_options
 def reproduce(
     log: Annotated[Path, typer.Argument(help="CSV, bag or CAN log of one drive.")],
     vehicle: VehicleOption,
@@ -45,14 +47,15 @@ def reproduce(
         bool,
         typer.Option(
             "--quick",
-            help="Take a first look in two minutes, with a faster training than the paper's.",
+            help="Take a first look in two minutes, by a training that is faster than that of the "
+            "paper.",
         ),
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for report, results and trainings; out/reproduce/LOG if none."),
+        typer.Option(help="Folder for report, results and trainings; else out/reproduce/LOG."),
     ] = None,
-    can_profile: CanProfileOption = None,
+    read_options: ReadOptions = READ_DEFAULTS,
 ) -> None:
     """Repeat the experiment of the EV-PINN paper on a drive, and check every claim.
 
@@ -65,4 +68,4 @@ def reproduce(
     from evpinn_ros.cli.reproduction_run import Training, run_reproduction
 
     training = Training(optimizer, epochs, regen_form, seed, device.value, quick)
-    run_reproduction(log, vehicle, training, out, can_profile)
+    run_reproduction(log, vehicle, training, out, read_options)

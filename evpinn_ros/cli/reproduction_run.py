@@ -23,6 +23,7 @@ from evpinn_ros.cli.console import (
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.report.reproduction_page import write_reproduction
 from evpinn_ros.reproduction.drive_log import ReadLog, read_drive_log
 from evpinn_ros.reproduction.experiment import (
@@ -84,7 +85,7 @@ class Training(NamedTuple):
 
 
 def run_reproduction(
-    log: Path, vehicle: str, training: Training, out: Path | None, can_profile: str | None
+    log: Path, vehicle: str, training: Training, out: Path | None, options: ReadOptions
 ) -> None:
     """Train, print verdict and tables, and write report, results and what was found.
 
@@ -96,7 +97,7 @@ def run_reproduction(
     # One thread: small matrices gain nothing from two, and the same run gives the same bits.
     limit_blas_threads()
     car = load_vehicle(vehicle)
-    read = read_drive_log(log, car, can_profile)
+    read = read_drive_log(log, car, options)
     folder = out or Path("out") / "reproduce" / log.stem
     with as_input_error(f"{folder}: cannot be written"):
         folder.mkdir(parents=True, exist_ok=True)

@@ -66,7 +66,7 @@ def printable(text: str) -> str:
     return shown if len(shown) <= LONGEST_TEXT else shown[:LONGEST_TEXT] + "..."
 
 
-# Of a recording of several cars; not every command that reads one has the option.
+# Of a recording of several cars; a command of fleets does not have the option.
 SAY_CAR = "say --car NAME for one of them, or use what evpinn convert --car NAME writes"
 
 

@@ -23,10 +23,9 @@ from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.formats import suffix_of, unknown_kind
+from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.drives.source import Source
-from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.signals.readings import Reading
-from evpinn_ros.topics.readings import Rotation
 from evpinn_ros.vehicle.files import Vehicle
 
 BITRATE = 500_000  # bit/s; the load of the bus is not known here
@@ -123,20 +122,11 @@ def inspected(log: CanLog) -> BusReport:
 class BagSource(Source):
     """A rosbag2 folder, a bare `.mcap` or `.db3`."""
 
-    def __init__(
-        self,
-        path: Path,
-        car: str | None = None,
-        mounting: Rotation | None = None,
-        terrain: Terrain | None = None,
-    ) -> None:
-        """Open the bag; InputError when it is none or has none of our topics.
-
-        The arguments are those of `sources.open_source`.
-        """
+    def __init__(self, path: Path, options: ReadOptions = READ_DEFAULTS) -> None:
+        """Open the bag; InputError when it is none or has none of our topics."""
         super().__init__(path)
-        self._reader, self._terrain = BagReader(path), terrain
-        self._readings = BagReadings(self._reader, car, mounting)
+        self._reader, self._terrain = BagReader(path), options.terrain
+        self._readings = BagReadings(self._reader, options.car, options.mounting)
         self.dropped = self._readings.dropped
 
     @property
@@ -203,17 +193,8 @@ class CanLogSource(Source):
             raise InputError(self.problem or f"{self.path}: {status.text}")
 
 
-def open_bus_source(
-    path: Path,
-    vehicle: Vehicle,
-    can_profile: str | None,
-    *,
-    trust_profile: bool,
-    car: str | None,
-    mounting: Rotation | None,
-    terrain: Terrain | None,
-) -> Source:
-    """Open a bag or a CAN log; the arguments are those of `sources.open_source`.
+def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Source:
+    """Open a bag or a CAN log.
 
     Raises:
         InputError: it is neither, or a CAN log without a profile.
@@ -221,9 +202,9 @@ def open_bus_source(
     log: CanLog
     if is_bag(path):
         # Recorded topics of ours; raw frames when asked by a profile, or if they are all there is.
-        if can_profile is None or not holds_frames(path):
+        if options.can_profile is None or not holds_frames(path):
             try:
-                return BagSource(path, car, mounting, terrain)
+                return BagSource(path, options)
             except InputError:
                 if not holds_frames(path):
                     raise
@@ -232,12 +213,14 @@ def open_bus_source(
         log = LogFile(path)
     else:
         raise unknown_kind(path)
-    name = can_profile or vehicle.can_profile
+    name = options.can_profile or vehicle.can_profile
     if name is None:
         raise InputError(
             f"{path}: vehicle '{vehicle.key}' names no CAN profile; "
             "give the --vehicle of a car that does, or --can-profile"
         )
     profile = load_profile(name)
-    guard = None if trust_profile else FitGuard(profile, bundled_profiles(), patient=True)
+    guard = None
+    if not options.trust_profile:
+        guard = FitGuard(profile, bundled_profiles(), patient=True)
     return CanLogSource(log, CanBridge(profile, guard=guard))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +14,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import Column
 from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, data_coverage
 from evpinn_ros.drives.formats import is_drive_table, suffix_of, unknown_kind
+from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.progress import reported
@@ -65,16 +66,12 @@ class Contents:
 
 
 def contents(
-    path: Path,
-    columns: Sequence[str] = (),
-    car: str | None = None,
-    bar: Bar = lambda _: nullcontext(),
+    path: Path, options: ReadOptions = READ_DEFAULTS, bar: Bar = lambda _: nullcontext()
 ) -> Contents:
     """Look through a bag, a CAN log or a table.
 
-    `columns` are those given of a table (see `column.columns_by_name`); `car` is the one to read,
-    see `open_source`; `bar` takes the length of the drive, s, None while unknown, and gives what
-    takes the seconds of it that are done.
+    `bar` takes the length of the drive, s, None while unknown, and gives what takes the seconds of
+    it that are done.
 
     Raises:
         InputError: it is none of these, or nothing can be read.
@@ -82,7 +79,7 @@ def contents(
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
-        return _with_drive(Contents(path, "table"), columns, car, bar)
+        return _with_drive(Contents(path, "table"), options, bar)
     # What reads buses takes half a second to import: who opens a table does not wait for it.
     from evpinn_ros.drives import bus_sources
 
@@ -90,7 +87,7 @@ def contents(
     if is_bag(path):
         found = Contents(path, "bag", topics=_topics(path))
         if not bus_sources.holds_frames(path):
-            return _with_drive(found, (), car, bar)
+            return _with_drive(found, options, bar)
     elif suffix_of(path) not in LOG_SUFFIXES:
         raise unknown_kind(path)
     report = bus_sources.inspected(bus_sources.open_can_log(path))
@@ -100,7 +97,7 @@ def contents(
     found = replace(found, frames=report.frames, profile=profile, vehicles=names)
     if profile is None and found.kind != "bag":
         return replace(found, notes=("no known CAN profile fits: evpinn can inspect says why",))
-    return _with_drive(found, (), car, bar)
+    return _with_drive(found, options, bar)
 
 
 def _topics(path: Path) -> tuple[TopicContents, ...]:
@@ -116,10 +113,10 @@ def _topics(path: Path) -> tuple[TopicContents, ...]:
         )
 
 
-def _with_drive(found: Contents, columns: Sequence[str], car: str | None, bar: Bar) -> Contents:
+def _with_drive(found: Contents, options: ReadOptions, bar: Bar) -> Contents:
     """Add what the estimator can use."""
     try:
-        source = _source(found, columns, car)
+        source = _source(found, options)
         with bar(source.seconds) as progress:
             drive = data_coverage(reported(source.readings(), progress))
     except InputError as error:
@@ -138,10 +135,10 @@ def _with_drive(found: Contents, columns: Sequence[str], car: str | None, bar: B
     )
 
 
-def _source(found: Contents, columns: Sequence[str], car: str | None) -> Source:
+def _source(found: Contents, options: ReadOptions) -> Source:
     """The drive in a recording; topics of ours are preferred to the frames of a bag."""
     vehicle = load_vehicle(GENERIC)
     if found.kind == "bag":
         with suppress(InputError):
-            return open_source(found.path, vehicle, car=car)
-    return open_source(found.path, vehicle, found.profile, columns=columns, car=car)
+            return open_source(found.path, vehicle, options)
+    return open_source(found.path, vehicle, replace(options, can_profile=found.profile))

@@ -16,6 +16,7 @@ from evpinn_ros.drives.cars import table_of_car
 from evpinn_ros.drives.column import NO_USE, Column, check_columns, columns_by_name, unused_columns
 from evpinn_ros.drives.numbers import is_missing, to_floats
 from evpinn_ros.drives.quantities import NEEDED, PLACES, QUANTITIES, Unit
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.rows_to_readings import MOST, HeldSignals, RowOrder, RowReadings
 from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.survey import (
@@ -80,25 +81,19 @@ class TableDrive(Source):
         table: Table,
         path: Path,
         nominal_voltage: float,
-        chosen: Sequence[str] = (),
-        *,
-        car: str | None = None,
-        battery: bool = True,
-        terrain: Terrain | None = None,
+        options: ReadOptions,
     ) -> None:
         """Look through the table.
 
         The path is for messages, and a date in its name. Power alone becomes current at
-        `nominal_voltage`, V; `chosen` are columns that are given, see `column.columns_by_name`;
-        the rows are those of the `car`, of several; without `battery` none of its columns is
-        needed. Heights are those of the `terrain` at its places, if given.
+        `nominal_voltage`, V.
 
         Raises:
             InputError: empty, columns are missing, a choice is wrong, a unit is not known, or it
                 is of several cars.
         """
         super().__init__(path)
-        self._table, self._terrain = table, terrain
+        self._table, self._terrain = table, options.terrain
         self._nominal_voltage = nominal_voltage
         self._at_nominal_voltage = 0
         self._no_speed = False  # zero throughout while the odometer goes on, so it is not used
@@ -110,10 +105,10 @@ class TableDrive(Source):
             if places := long_form(self._head):
                 self._table = self._long = LongTable(table, self._head, places)
                 self._head = find_head(self._table)
-            self._table = table_of_car(self._table, self._head, car)
+            self._table = table_of_car(self._table, self._head, options.car)
             header = self._head.names
-            found = columns_by_name(header, chosen)
-            check_columns(found, header, battery=battery)
+            found = columns_by_name(header, options.columns)
+            check_columns(found, header, battery=options.battery)
             self._beside = power_beside(header, found)
         except InputError as error:
             text = str(error)
@@ -121,7 +116,7 @@ class TableDrive(Source):
         own = all(not column.why and column.is_ours for column in found)
         limit = FEW_ROWS if own else MOST_ROWS
         survey = self._look_through(found, limit)
-        filled = _filled(found, survey, header, chosen)
+        filled = _filled(found, survey, header, options.columns)
         if filled != found:
             found, survey = filled, self._look_through(filled, limit)
         self._looked_at_all = survey.widths.total() < limit

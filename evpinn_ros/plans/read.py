@@ -13,6 +13,7 @@ from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.common.errors import InputError, as_input_error, with_kind
 from evpinn_ros.common.opener import open_unpacked
 from evpinn_ros.drives.formats import TABLE_SUFFIXES, TEXT_SUFFIXES, suffix_of
+from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.energy.plan import MAX_POINTS, Legs, Plan, PlanError
 from evpinn_ros.plans.recorded import driven_plan, planned_in_bag
 from evpinn_ros.plans.route import legs_of_route
@@ -32,7 +33,9 @@ KNOWN = (
 )
 
 
-def read_plan(path: str | Path, vehicle: Vehicle | None = None) -> Plan | Legs:
+def read_plan(
+    path: str | Path, vehicle: Vehicle | None = None, options: ReadOptions = READ_DEFAULTS
+) -> Plan | Legs:
     """The plan in a file of any kind that docs/reference/inputs.md lists.
 
     A table of speed over time and a recorded drive are points; a table of legs, GPX, GeoJSON and
@@ -41,6 +44,7 @@ def read_plan(path: str | Path, vehicle: Vehicle | None = None) -> Plan | Legs:
     Args:
         path: of the file, or of a bag's folder.
         vehicle: the car whose CAN profile reads a CAN log; None for a car without one.
+        options: of a recorded drive.
 
     Raises:
         InputError: it cannot be read; `PlanError`: it holds no trip. The text names the file.
@@ -48,29 +52,29 @@ def read_plan(path: str | Path, vehicle: Vehicle | None = None) -> Plan | Legs:
     path = Path(path)
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused in words
-            return _plan(path, vehicle or load_vehicle("generic"))
+            return _plan(path, vehicle or load_vehicle("generic"), options)
     except InputError as error:
         text = str(error)
         named = text if text.startswith(str(path)) else f"{path}: {text}"
         raise (PlanError if isinstance(error, PlanError) else InputError)(named) from error
 
 
-def _plan(path: Path, vehicle: Vehicle) -> Plan | Legs:
+def _plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan | Legs:
     if path.is_dir():
-        return planned_in_bag(path, vehicle) or driven_plan(path, vehicle)
+        return planned_in_bag(path, vehicle) or driven_plan(path, vehicle, options)
     begin = _content(path, 64).lstrip(BLANK)[:1]
     if begin == b"{":
         return _json_plan(_whole(path, MOST_JSON))
     if begin == b"<":
         return legs_of_track(gpx_track(_whole(path, MOST_XML)))
     if is_bag(path):
-        return planned_in_bag(path, vehicle) or driven_plan(path, vehicle)
+        return planned_in_bag(path, vehicle) or driven_plan(path, vehicle, options)
     if suffix_of(path) in BINARY:
-        return driven_plan(path, vehicle)
+        return driven_plan(path, vehicle, options)
     if (plan := table_plan(path)) is not None:
         return plan
     try:
-        return driven_plan(path, vehicle)
+        return driven_plan(path, vehicle, options)
     except PlanError:
         raise
     except InputError as error:

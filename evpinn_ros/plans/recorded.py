@@ -6,6 +6,7 @@ The battery of a recorded drive is ignored.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 import math
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.energy.driven import PLAN_STEP, drive_plan
 from evpinn_ros.energy.path_plan import NOMINAL_SPEED
@@ -42,13 +44,13 @@ UNIT_OF_TIME = "a column of times says its unit, as t_s or 'time [ms]' do"
 DRIVEN = {topic.type_name for topic in SPEEDS} | {FRAME_TYPE}
 
 
-def driven_plan(path: Path, vehicle: Vehicle) -> Plan:
+def driven_plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan:
     """The plan that a recorded drive would have been, of any kind that `evpinn replay` reads.
 
     Raises:
         InputError: it cannot be read; `PlanError`: it is no valid plan.
     """
-    source = open_source(path, vehicle, battery=False)
+    source = open_source(path, vehicle, replace(options, battery=False))
     readings = [reading for reading in source.readings() if type(reading) in FIELDS]
     if source.problem:
         raise InputError(source.problem)

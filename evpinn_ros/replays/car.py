@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 import time
@@ -10,9 +10,9 @@ import time
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.drives.source import Source
 from evpinn_ros.drives.sources import open_source
-from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.energy.account import EnergyAccount
 from evpinn_ros.energy.meter import EnergyMeter
 from evpinn_ros.energy.rknn import load_rknn
@@ -75,27 +75,9 @@ class CarReplay:
         )
         self.missing = _restore(self.chain, state)
 
-    def open(
-        self,
-        path: Path,
-        can_profile: str | None = None,
-        *,
-        trust_profile: bool = False,
-        columns: Sequence[str] = (),
-        car: str | None = None,
-        terrain: Terrain | None = None,
-    ) -> Source:
-        """A drive to replay, as `open_source` opens it."""
-        return open_source(
-            path,
-            self.vehicle,
-            can_profile,
-            trust_profile=trust_profile,
-            columns=columns,
-            car=car,
-            mounting=self._mounting,
-            terrain=terrain,
-        )
+    def open(self, path: Path, options: ReadOptions = READ_DEFAULTS) -> Source:
+        """A drive to replay, as `open_source` opens it; the IMU is mounted as parameters say."""
+        return open_source(path, self.vehicle, replace(options, mounting=self._mounting))
 
     def replay(
         self,

@@ -11,6 +11,7 @@ import numpy as np
 
 from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
 from evpinn_ros.signals.road import GradeSource
@@ -45,7 +46,7 @@ class ReadLog(NamedTuple):
     dropped: Mapping[str, int]  # what was not used, by reason
 
 
-def read_drive_log(path: Path, vehicle: Vehicle, can_profile: str | None = None) -> ReadLog:
+def read_drive_log(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAULTS) -> ReadLog:
     """Read a CSV, bag or CAN log; what is not finite or impossible is left out as on the road.
 
     Speed and power reach a log with different delays, and 50 ms more or less move C_rr by several
@@ -55,10 +56,10 @@ def read_drive_log(path: Path, vehicle: Vehicle, can_profile: str | None = None)
         InputError: no such log, fewer than `MIN_SAMPLES` samples with speed and power, or time
             goes back.
     """
-    drive, dropped = _read(path, vehicle, can_profile, 0.0)
+    drive, dropped = _read(path, vehicle, options, 0.0)
     delay = speed_delay(drive, vehicle)
     if delay != 0.0:
-        drive, dropped = _read(path, vehicle, can_profile, delay)
+        drive, dropped = _read(path, vehicle, options, delay)
     return ReadLog(drive, delay, dropped)
 
 
@@ -96,11 +97,11 @@ def _unexplained(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
 
 
 def _read(
-    path: Path, vehicle: Vehicle, can_profile: str | None, delay: float
+    path: Path, vehicle: Vehicle, options: ReadOptions, delay: float
 ) -> tuple[DriveLog, dict[str, int]]:
     settings = StreamSettings(smoothing_lag=SMOOTHING_AHEAD, grade_source=GradeSource.NONE)
     stream, guard = SampleStream(settings, vehicle.air_density), StampGuard(SpeedReading)
-    source = open_source(path, vehicle, can_profile)
+    source = open_source(path, vehicle, options)
     earlier_ns = round(delay * NANOSECONDS)
     rows = []
     for reading in source.readings():

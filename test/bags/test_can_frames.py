@@ -16,6 +16,7 @@ from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.bus_sources import BagFrames, BagSource, CanLogSource, open_can_log
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
@@ -156,5 +157,5 @@ def test_recorded_topics_go_before_frames_unless_a_profile_is_named(tmp_path, dr
         writer.write("/ev/vehicle/speed", twist, NOW)
     car = load_vehicle("tesla_model_3_lr")
     assert isinstance(open_source(tmp_path / "bag", car), BagSource)
-    again = open_source(tmp_path / "bag", car, "tesla_model_3")
+    again = open_source(tmp_path / "bag", car, ReadOptions("tesla_model_3"))
     assert isinstance(again, CanLogSource) and len(list(again.readings())) == len(drive)

@@ -11,6 +11,7 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from evpinn_ros.bags.writer import BagWriter, Split
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_drive
 
 ROOT = Path(__file__).parents[2]
@@ -76,9 +77,8 @@ def test_told_columns_reach_both_commands(evpinn, folder):
     given = ("--column", "time=a", "--column", "speed=b:km/h", "--column", "power=c:kW")
     assert evpinn("convert", "odd.csv", "odd", *given, cwd=folder).returncode == 0
     assert evpinn("replay", "odd.csv", *given, cwd=folder).returncode == 0
-    assert open_drive(folder / "odd.csv", 1.0, given[1::2]).rules[1].factor == pytest.approx(
-        1 / 3.6
-    )
+    read = open_drive(folder / "odd.csv", 1.0, ReadOptions(columns=given[1::2]))
+    assert read.rules[1].factor == pytest.approx(1 / 3.6)
 
 
 def test_start_duration_and_loop(evpinn, folder):

@@ -141,3 +141,16 @@ def test_a_plan_is_what_pandas_reads_of_the_file(folder):
     pd.testing.assert_frame_equal(
         ev.forecast(folder / "slow.csv", CAR), ev.forecast(table.set_index("t_s"), CAR)
     )
+
+
+def test_a_drive_is_read_as_the_options_say(evpinn, folder):
+    """Of two cars in one table the second, whose speed has another unit than it is named by."""
+    rows = [f"{car},{t},{factor * t}" for car, factor in (("a", 1), ("b", 0.1)) for t in range(91)]
+    (folder / "cars.csv").write_text("\n".join(["vehicle id,time [s],v [km/h]", *rows]) + "\n")
+    refused = evpinn("forecast", "cars.csv", cwd=folder)
+    assert refused.returncode == 1 and "2 cars" in refused.stderr
+    options = ("--car", "b", "--column", "speed=v [km/h]:m/s")
+    done = evpinn("forecast", "cars.csv", *options, "--json", "f.json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    (row,) = json.loads((folder / "f.json").read_text())
+    assert row["distance_m"] == pytest.approx(0.1 * 90**2 / 2, rel=1e-3)

@@ -6,6 +6,7 @@ import pytest
 from evpinn_ros.bags.convert import write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.drives.times import PAUSE_NS
 from evpinn_ros.drives.trips import split
@@ -82,5 +83,5 @@ def test_one_car_of_a_bag_is_read(tmp_path):
     with pytest.raises(InputError, match="topics of 2 cars, /fleet/two, /one; say --car NAME"):
         open_source(tmp_path / "bag", vehicle)
     for name in ("fleet/two", "/fleet/two"):
-        found = speeds(open_source(tmp_path / "bag", vehicle, car=name))
+        found = speeds(open_source(tmp_path / "bag", vehicle, ReadOptions(car=name)))
         assert [each.speed for each in found] == [2.0]

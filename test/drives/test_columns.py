@@ -13,6 +13,7 @@ import pytest
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.column import by_reason, columns_by_name
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.drives.table_drive import TableDrive
 from evpinn_ros.drives.values import Signal, at_times
@@ -37,7 +38,7 @@ def rows(count: int = 1200):
 def drive_of(folder: Path, header: str, lines, encoding: str = "utf-8", **options) -> TableDrive:
     text = "\n".join([header, *lines]) + "\n"
     (folder / "drive.csv").write_bytes(text.encode(encoding))
-    return open_drive(folder / "drive.csv", NOMINAL, **options)
+    return open_drive(folder / "drive.csv", NOMINAL, ReadOptions(**options))
 
 
 def check(drive: TableDrive, start_ns: int = DRIVE_START_NS) -> None:

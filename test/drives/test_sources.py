@@ -8,6 +8,7 @@ from evpinn_ros.bags.convert import write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
@@ -51,7 +52,7 @@ def test_a_can_log_that_later_contradicts_the_profile_ends_there(tmp_path, vehic
     assert 29 * 10**9 < end < 36 * 10**9
     assert "two.log: profile 'tesla_model_3' contradicts" in source.problem
     assert "'tesla_model_3_2019' fits better" in source.problem
-    trusting = open_source(tmp_path / "two.log", vehicle, trust_profile=True)
+    trusting = open_source(tmp_path / "two.log", vehicle, ReadOptions(trust_profile=True))
     assert list(trusting.readings())[: len(readings)] == readings and trusting.problem is None
 
 

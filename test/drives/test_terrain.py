@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.drives.terrain import Terrain
 from evpinn_ros.signals.readings import AltitudeReading
@@ -54,7 +55,9 @@ def test_a_log_with_places_alone_gets_heights(tmp_path, tiles):
     (tmp_path / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
     found = {}
     for terrain in (None, Terrain(tiles)):
-        readings = open_drive(tmp_path / "drive.csv", terrain=terrain).readings()
+        readings = open_drive(
+            tmp_path / "drive.csv", options=ReadOptions(terrain=terrain)
+        ).readings()
         found[terrain] = [each for each in readings if isinstance(each, AltitudeReading)]
     without, heights = found.values()
     assert not without and len(heights) == 60
@@ -68,7 +71,9 @@ def test_a_place_may_come_in_two_rows_as_apps_write_one_signal_a_row(tmp_path, t
         rows += [f"{i},10,1000,,", f"{i}.3,,,{48.2 + 1e-4 * i:.6f},", f"{i}.6,,,,11.5"]
     header = "t_s,speed_mps,power_w,latitude,longitude"
     (tmp_path / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
-    readings = open_drive(tmp_path / "drive.csv", terrain=Terrain(tiles)).readings()
+    readings = open_drive(
+        tmp_path / "drive.csv", options=ReadOptions(terrain=Terrain(tiles))
+    ).readings()
     heights = [each.altitude for each in readings if isinstance(each, AltitudeReading)]
     assert len(heights) > 100 and not any(map(math.isnan, heights))
     assert heights[-1] - heights[0] == pytest.approx(900.0 * 59e-4, abs=1.5)
@@ -95,7 +100,9 @@ def test_heights_of_a_log_stay_where_no_tile_has_one(tmp_path, tiles):
     rows = [f"{i},10,1000,{lat},11.5,123" for i, lat in enumerate([48.5] * 30 + [50.5] * 30)]
     header = "t_s,speed_mps,power_w,latitude,longitude,elevation_m"
     (tmp_path / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
-    readings = open_drive(tmp_path / "drive.csv", terrain=Terrain(tiles)).readings()
+    readings = open_drive(
+        tmp_path / "drive.csv", options=ReadOptions(terrain=Terrain(tiles))
+    ).readings()
     heights = [each.altitude for each in readings if isinstance(each, AltitudeReading)]
     assert len(heights) == 60 and set(heights[31:]) == {123.0}
     assert heights[0] == pytest.approx(700.0, abs=1.0)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_drive
 from evpinn_ros.drives.values import Signal, held_columns
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
@@ -28,7 +29,7 @@ def test_a_car_that_speeds_up_while_it_charges_has_a_current_of_the_wrong_sign(t
     (note,) = drive.notes
     assert "speeds up while its battery is charged" in note
     turned = note.partition("--column '")[2].partition("'")[0]
-    assert open_drive(tmp_path / "drive.csv", columns=[turned]).notes == ()
+    assert open_drive(tmp_path / "drive.csv", options=ReadOptions(columns=[turned])).notes == ()
 
 
 @pytest.mark.parametrize("name", ["power_w", "Battery Power (W)"])

@@ -18,6 +18,7 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.drives.bus_sources import CanLogSource, open_can_log
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.nodes.recorder import RecorderNode
 from evpinn_ros.signals.readings import SpeedReading
@@ -60,7 +61,7 @@ def test_a_kill_costs_a_second_at_most(bench, can_bus, tmp_path):
         stamps = [seconds(r.message) for r in bag.records([topics.SPEED.under()])]
     assert alive - stamps[-1] < 1.0
 
-    again = open_source(file, load_vehicle("tesla_model_3_lr"), "tesla_model_3")
+    again = open_source(file, load_vehicle("tesla_model_3_lr"), ReadOptions("tesla_model_3"))
     assert isinstance(again, CanLogSource)
     assert len(list(again.readings())) >= len(stamps) - 1
 

@@ -79,7 +79,7 @@ def outputs(drive: Drive) -> Record:
     chain = Chain(vehicle, SETTINGS[drive.mode](), InlineWorker(time.perf_counter))
     latest, record = {}, {}
     start_ns, due = None, EVERY
-    for reading in open_source(BAGS / drive.bag, vehicle, None).readings():
+    for reading in open_source(BAGS / drive.bag, vehicle).readings():
         start_ns = start_ns or reading.stamp_ns
         now = (reading.stamp_ns - start_ns) / NANOSECONDS
         if now > drive.seconds:

@@ -48,7 +48,7 @@ def test_readings_permuted_within_the_allowed_lateness_change_nothing(vehicle: V
         held_up = isinstance(reading, BatteryReading)
         return reading.stamp_ns + (chance.randrange(late_ns) if held_up else 0)
 
-    readings = list(span(open_source(URBAN, vehicle, None).readings(), 0.0, SECONDS))
+    readings = list(span(open_source(URBAN, vehicle).readings(), 0.0, SECONDS))
     permuted = sorted(readings, key=arrival)
     assert sum(a is not b for a, b in zip(readings, permuted, strict=True)) > 1000
     assert outputs(vehicle, permuted) == outputs(vehicle, readings)
