@@ -25,7 +25,9 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
     """
     time, speeds = speed[:, 0] - speed[0, 0], speed[:, 1]
     rough = float(np.median(np.diff(time))) > COARSE
-    grid = time if rough else np.arange(0.0, time[-1], PLAN_STEP)
+    # The last step is longer or shorter by half at the most, so that the plan ends as the drive.
+    steps = np.arange(0.0, time[-1] - PLAN_STEP / 2, PLAN_STEP)
+    grid = time if rough else np.append(steps, time[-1])
     at = np.maximum(np.interp(grid, time, speeds), 0.0)
     if not len(altitude):
         return plan_from_speed_profile(grid, None, at)

@@ -82,7 +82,7 @@ def gpx_track(content: bytes) -> GeoTrack:
             parser.feed(content[begin : begin + PIECE])
         parser.close()
         found = [_gpx_points(reader.points[kind]) for kind in POINTS]
-    except (ParseError, KeyError, ValueError) as error:
+    except (ParseError, LookupError, ValueError) as error:  # of an encoding as well
         raise PlanError(f"its XML is damaged: {error}") from error
     if not reader.is_gpx:
         raise PlanError("XML that is no GPX")
