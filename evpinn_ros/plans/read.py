@@ -62,6 +62,8 @@ def read_plan(
 def _plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan | Legs:
     if path.is_dir():
         return planned_in_bag(path, vehicle) or driven_plan(path, vehicle, options)
+    if suffix_of(path) in BINARY and not is_bag(path):
+        return driven_plan(path, vehicle, options)
     begin = _content(path, 64).lstrip(BLANK)[:1]
     if begin == b"{":
         return _json_plan(_whole(path, MOST_JSON))
@@ -69,8 +71,6 @@ def _plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan | Legs:
         return legs_of_track(gpx_track(_whole(path, MOST_XML)))
     if is_bag(path):
         return planned_in_bag(path, vehicle) or driven_plan(path, vehicle, options)
-    if suffix_of(path) in BINARY:
-        return driven_plan(path, vehicle, options)
     if (plan := table_plan(path)) is not None:
         return plan
     try:

@@ -144,7 +144,7 @@ def test_a_plan_is_what_pandas_reads_of_the_file(folder):
 
 
 def test_a_drive_is_read_as_the_options_say(evpinn, folder):
-    """Of two cars in one table the second, whose speed has another unit than it is named by."""
+    """The second of two cars in one table, whose speed has another unit than its name says."""
     rows = [f"{car},{t},{factor * t}" for car, factor in (("a", 1), ("b", 0.1)) for t in range(91)]
     (folder / "cars.csv").write_text("\n".join(["vehicle id,time [s],v [km/h]", *rows]) + "\n")
     refused = evpinn("forecast", "cars.csv", cwd=folder)

@@ -27,6 +27,7 @@ READERS = {
     "pipe.csv.gz": (open_drive, is_drive_table),
     "pipe.xlsx": (open_drive,),
     "pipe.parquet": (open_drive,),
+    "pipe.jsonl": (open_drive,),
     "pipe.log": (lambda path: next(LogFile(path).frames()),),
     "pipe.log.gz": (lambda path: next(LogFile(path).frames()),),
     "pipe.json": (read_state,),
@@ -81,7 +82,16 @@ BESIDES = {  # what may open by itself, and why
     "evpinn_ros/fleet/run.py": "a lock, to write to",
 }
 OPENS = {"open", "fdopen", "read_text", "read_bytes", "ZipFile", "GzipFile", "loadtxt", "memmap"}
-OPENS |= {"read_csv", "read_parquet", "read_excel", "scan_parquet", "scan_csv", "load_workbook"}
+OPENS |= {
+    "read_csv",
+    "read_parquet",
+    "read_excel",
+    "scan_parquet",
+    "scan_ipc",
+    "scan_ndjson",
+    "scan_csv",
+    "load_workbook",
+}
 OPENS |= {
     "load",
     "safe_load",

@@ -193,10 +193,13 @@ def test_signals_that_follow_each_other_are_read_together(tmp_path, kind):
         assert found == pytest.approx([moment[place] for moment in moments()], abs=1e-5)
 
 
-def test_parquet_and_spreadsheets(tmp_path):
+def test_tables_of_columns_and_spreadsheets(tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     columns = typed()
-    pl.DataFrame({**columns, "nested": [[1]] * SECONDS}).write_parquet(tmp_path / "d.parquet")
+    table = pl.DataFrame({**columns, "nested": [[1]] * SECONDS})
+    table.write_parquet(tmp_path / "d.parquet")
+    table.write_ipc(tmp_path / "d.feather")
+    table.write_ndjson(tmp_path / "d.jsonl")
     book = openpyxl.Workbook()
     book.active.append(["notes of mine"])
     sheet = book.create_sheet("data")
@@ -205,7 +208,7 @@ def test_parquet_and_spreadsheets(tmp_path):
     for at, *values in zip(*columns.values(), strict=True):
         sheet.append([at.date(), at.time(), *values])
     book.save(tmp_path / "d.xlsx")
-    for name in ("d.parquet", "d.xlsx"):
+    for name in ("d.parquet", "d.feather", "d.jsonl", "d.xlsx"):
         speeds = [r for r in open_drive(tmp_path / name).readings() if isinstance(r, SpeedReading)]
         assert len(speeds) == SECONDS
         assert speeds[0].stamp_ns == START.timestamp() * 1e9

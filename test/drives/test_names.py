@@ -17,7 +17,7 @@ DRIVE = pl.DataFrame({"t_s": TIME, "speed_mps": SPEED, "power_w": 3e3 + 800 * SP
 NAMES = ["drive [1]*{a,b}?", "dr\udcffve [ab]", "x" * 240, "- --out", "%s\t$HOME ~"]
 
 
-READ_BY = {".csv": range(5), ".parquet": (0, 1, 3), ".xlsx": (1, 2, 4)}
+READ_BY = {".csv": range(5), ".parquet": (0, 1, 3), ".jsonl": (0,), ".xlsx": (1, 2, 4)}
 
 
 @pytest.mark.parametrize(
@@ -41,6 +41,8 @@ def write(path: Path) -> None:
                 DRIVE.write_csv(file)
             case ".parquet":
                 DRIVE.write_parquet(file)
+            case ".jsonl":
+                DRIVE.write_ndjson(file)
             case _:
                 openpyxl = pytest.importorskip("openpyxl")
                 book = openpyxl.Workbook()

@@ -1,4 +1,4 @@
-"""Parquet files as text, by polars, which runs apart (`common.apart`)."""
+"""Parquet, Feather and lines of JSON as text, by polars, which runs apart (`common.apart`)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,19 @@ from evpinn_ros.common.opener import open_file
 from evpinn_ros.drives.text_table import MOST_COLUMNS, plain_cell
 
 
-def write_parquet(path: Path, out: Path) -> None:
-    """Write the columns of a Parquet file, their names first, a row a line."""
+def write_columns(path: Path, out: Path) -> None:
+    """Write the columns of such a file, their names first, a row a line."""
     with open_file(path) as file:
         # By its number, for in a name there may be signs of a pattern, or no text at all.
-        frame = pl.scan_parquet(f"/dev/fd/{file.fileno()}", glob=False)
-        # Nested columns hold no signal; a Parquet of ours or of pandas has none.
+        source = f"/dev/fd/{file.fileno()}"
+        match path.suffix.lower():
+            case ".parquet" | ".pq":
+                frame = pl.scan_parquet(source)
+            case ".feather" | ".arrow":
+                frame = pl.scan_ipc(source)
+            case _:  # all lines tell the columns: a logger leaves out what it does not know
+                frame = pl.scan_ndjson(source, infer_schema_length=None)
+        # Nested columns hold no signal; a table of ours or of pandas has none.
         schema = frame.collect_schema()
         flat = {name: kind for name, kind in schema.items() if not kind.is_nested()}
         if len(flat) > MOST_COLUMNS:
