@@ -13,6 +13,14 @@ from numpy.typing import NDArray
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.cars import table_of_car
+from evpinn_ros.drives.clock import LAST_TIME_NS, NONE, Clock, Order
+from evpinn_ros.drives.clock_choice import RELATIVE_BELOW_S, clocks_of
+from evpinn_ros.drives.clock_start import (
+    day_of_name,
+    days_of_name,
+    start_by_date,
+    start_of_comments,
+)
 from evpinn_ros.drives.column import NO_USE, Column, check_columns, columns_by_name, unused_columns
 from evpinn_ros.drives.numbers import is_missing, to_floats
 from evpinn_ros.drives.quantities import NEEDED, PLACES, QUANTITIES, Unit
@@ -30,18 +38,6 @@ from evpinn_ros.drives.survey import (
     look_through,
 )
 from evpinn_ros.drives.text_table import Row
-from evpinn_ros.drives.times import (
-    LAST_TIME_NS,
-    NONE,
-    RELATIVE_BELOW_S,
-    Clock,
-    Order,
-    clocks_of,
-    day_of_name,
-    days_of_name,
-    start_by_date,
-    start_of_comments,
-)
 from evpinn_ros.drives.values import (
     Signal,
     contradictions,

@@ -6,9 +6,9 @@ import pytest
 from evpinn_ros.bags.convert import write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.clock import PAUSE_NS
 from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_source
-from evpinn_ros.drives.times import PAUSE_NS
 from evpinn_ros.drives.trips import split
 from evpinn_ros.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
