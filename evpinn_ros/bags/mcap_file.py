@@ -30,7 +30,8 @@ from evpinn_ros.bags.mcap_content import (
     block_content,
     records_in,
 )
-from evpinn_ros.bags.salvage import Loss, McapScan, Piece, Salvage, summary_of
+from evpinn_ros.bags.mcap_scan import McapScan, summary_of
+from evpinn_ros.bags.salvage import Loss, Piece, Salvage
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FileBytes, most_unpacked
 
