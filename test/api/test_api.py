@@ -56,6 +56,13 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def learned(table, tmp_path_factory) -> tuple[ev.Result, Path]:
+    """That minute replayed, and the state that it left."""
+    state = tmp_path_factory.mktemp("learned") / "car.json"
+    return ev.replay(table, state=state), state
+
+
 def without_timing(metrics: dict) -> dict:
     found = json.loads(json.dumps(metrics, allow_nan=False))
     del found["replay"], found["updates"]["p50_ms"], found["updates"]["p99_ms"]
@@ -115,23 +122,20 @@ def test_a_drive_without_a_battery_has_frames_of_what_is_known(table, tmp_path):
     assert len(found.parameters) == 6 and found.forecasts.empty
 
 
-def test_samples_one_by_one_give_what_a_replay_gives(table, tmp_path):
-    learned = ev.Estimator()
+def test_samples_one_by_one_give_what_a_replay_gives(table, learned, tmp_path):
+    result, car = learned[0], ev.Estimator()
     with table.open() as file:
-        found = [
-            learned.add(**{k: float(v) for k, v in row.items()}) for row in csv.DictReader(file)
-        ]
-    result = ev.replay(table)
+        found = [car.add(**{k: float(v) for k, v in row.items()}) for row in csv.DictReader(file)]
     predicted = result.power["predicted_w"].dropna()
     live = pd.Series({each.t_s: each.power_w for each in found if each is not None})
     assert live.to_numpy().tolist() == predicted.to_numpy().tolist()
-    pd.testing.assert_frame_equal(learned.parameters, result.parameters)
-    pd.testing.assert_frame_equal(learned.breakdown, result.breakdown)
+    pd.testing.assert_frame_equal(car.parameters, result.parameters)
+    pd.testing.assert_frame_equal(car.breakdown, result.breakdown)
     plan = pd.read_csv(table)
-    pd.testing.assert_frame_equal(ev.forecast(plan, learned), ev.forecast(plan, result))
-    learned.save(tmp_path / "car.json")
+    pd.testing.assert_frame_equal(ev.forecast(plan, car), ev.forecast(plan, result))
+    car.save(tmp_path / "car.json")
     again = ev.Estimator(state=tmp_path / "car.json")
-    assert again.parameters.loc["mass", "value"] == learned.parameters.loc["mass", "value"]
+    assert again.parameters.loc["mass", "value"] == car.parameters.loc["mass", "value"]
 
 
 def test_a_result_shows_itself_in_a_line(result):
@@ -170,11 +174,10 @@ def test_a_state_keeps_what_was_learned_of_the_battery(tmp_path):
     assert again.account.lifetime().distance == pytest.approx(car.account.lifetime().distance)
 
 
-def test_an_account_of_another_car_is_refused_by_its_name(table, tmp_path):
-    ev.replay(table, state=tmp_path / "car.json")
+def test_an_account_of_another_car_is_refused_by_its_name(learned, tmp_path):
     other = tmp_path / "other.json"
     ev.Estimator(CAR).save(other)
-    halves = read_state(tmp_path / "car.json") | {"energy": read_state(other)["energy"]}
+    halves = read_state(learned[1]) | {"energy": read_state(other)["energy"]}
     write_state(tmp_path / "car.json", halves)
     with pytest.raises(ev.InputError, match=r"car\.json: saved"):
         ev.Estimator(state=tmp_path / "car.json")
@@ -186,14 +189,13 @@ def test_a_sample_without_speed_predicts_nothing():
     assert learned.add(0.1) is None
 
 
-def test_a_state_is_carried_from_drive_to_drive(table, tmp_path):
+def test_a_state_is_carried_from_drive_to_drive(table, learned, tmp_path):
+    first, before = learned
     state = tmp_path / "car.json"
-    first = ev.replay(table, state=state)
-    learned = read_state(state)["learned"]
-    assert learned["vehicle"] == "generic"
+    state.write_bytes(before.read_bytes())
     second = ev.replay(table, state=state)
-    again = read_state(state)["learned"]
-    assert again["learner"]["car"]["drives"] > learned["learner"]["car"]["drives"]
+    drives = [read_state(each)["learned"]["learner"]["car"]["drives"] for each in (before, state)]
+    assert drives[1] > drives[0] and read_state(state)["learned"]["vehicle"] == "generic"
     assert (first.parameters["value"] != second.parameters["value"]).any()
     with pytest.raises(ev.InputError, match="saved for"):
         ev.replay(table, CAR, state=state)
@@ -231,9 +233,8 @@ def test_a_wrong_plan_is_refused_with_the_reason(trip, reason):
         ev.forecast(trip)
 
 
-def test_the_charge_along_a_plan_is_that_of_the_node():
+def test_the_charge_along_a_plan_is_that_of_the_node(result):
     """At its end; before, it falls with the energy, and rises where the car brakes."""
-    result = ev.replay(URBAN, CAR, duration=75.0)  # a minute teaches its battery
     time = np.arange(0.0, 421.0)
     trip = {"t_s": time, "speed_mps": np.interp(time, [0, 15, 400, 420], [0, 20, 20, 0])}
     found = ev.forecast(trip, result)
@@ -303,14 +304,14 @@ def test_trips_of_a_day_are_results_that_learn_from_each_other(table, tmp_path):
 
 
 def test_a_table_of_pandas_or_polars_is_a_drive(table):
-    frame = pd.read_csv(table).iloc[:250]
+    frame = pd.read_csv(table).iloc[:150]
     times = pd.to_timedelta(frame["t_s"], unit="s")
     tables = frame, frame.set_index("t_s"), frame.drop(columns="t_s").set_index(times)
     polars_table = polars.from_dict({name: frame[name].tolist() for name in frame})
     first, *others = (
-        without_path(ev.replay(each, warm_up=10.0)) for each in (*tables, polars_table)
+        without_path(ev.replay(each, warm_up=5.0)) for each in (*tables, polars_table)
     )
-    assert first["input"]["samples"] > 240 and others == [first, first, first]
+    assert first["input"]["samples"] > 140 and others == [first, first, first]
 
 
 def without_path(result: ev.Result) -> dict:
