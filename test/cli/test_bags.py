@@ -92,7 +92,7 @@ def test_start_duration_and_loop(evpinn, folder):
     for each in (first, second):
         assert each["input"]["duration_s"] == pytest.approx(19.9)
     # The second turn knows what the first taught.
-    assert second["parameters"]["p_aux"] != first["parameters"]["p_aux"]
+    assert second["parameters"]["mass"] != first["parameters"]["mass"]
     assert sorted(path.name for path in (folder / "parts").iterdir()) == ["001_my", "002_my"]
     done = evpinn("replay", "my.csv", "--start", 5000, cwd=folder)
     assert_fails_in_one_line(done, "my.csv", "in that span")
