@@ -8,7 +8,7 @@ from copy import deepcopy
 import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from evpinn_ros.api.result import Result
 from evpinn_ros.common.arguments import (
@@ -28,11 +28,12 @@ from evpinn_ros.replays.run import WARM_UP, ReplayOptions
 from evpinn_ros.vehicle.files import Vehicle
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
+    import pandas as pd
+    import polars as pl
 
 
 def replay(
-    drive: str | os.PathLike[str] | DataFrame,
+    drive: str | os.PathLike[str] | pd.DataFrame | pl.DataFrame,
     vehicle: str | Path | Vehicle = "generic",
     *,
     mode: str | None = None,
@@ -103,7 +104,7 @@ def replay(
 
 
 def replay_trips(
-    drive: str | os.PathLike[str] | DataFrame,
+    drive: str | os.PathLike[str] | pd.DataFrame | pl.DataFrame,
     vehicle: str | Path | Vehicle = "generic",
     *,
     withhold_battery_after: float | None = None,
@@ -140,7 +141,7 @@ def replay_trips(
 
 @contextmanager
 def _opened(
-    drive: str | os.PathLike[str] | DataFrame,
+    drive: str | os.PathLike[str] | pd.DataFrame | pl.DataFrame,
     vehicle: str | Path | Vehicle,
     options: ReplayOptions,
     *,
@@ -182,16 +183,16 @@ def _result(car: CarReplay, source: Source) -> Result:
     return Result(found, car.vehicle, car.options, learned, account)
 
 
-def _path_of(drive: str | os.PathLike[str] | DataFrame, folder: Path) -> Path:
+def _path_of(drive: Any, folder: Path) -> Path:
     """Path of a drive; a DataFrame is written as a table into the folder first."""
+    path = folder / "drive.csv"
     if hasattr(drive, "write_csv"):  # of polars, which has no index
-        drive.write_csv(folder / "drive.csv")
-        return folder / "drive.csv"
-    if not hasattr(drive, "to_csv"):
+        drive.write_csv(path)
+    elif hasattr(drive, "to_csv"):  # of pandas
+        if drive.index.dtype.kind == "m":
+            drive = drive.set_axis(drive.index.total_seconds().rename("time"))
+        named = drive.index.name is not None or drive.index.dtype.kind not in "iu"
+        drive.to_csv(path, index=named, index_label=drive.index.name or "time")
+    else:
         return path_of("drive", drive)
-    path, table = folder / "drive.csv", cast("DataFrame", drive)
-    if table.index.dtype.kind == "m":
-        table = table.set_axis(table.index.total_seconds().rename("time"))
-    named = table.index.name is not None or table.index.dtype.kind not in "iu"
-    table.to_csv(path, index=named, index_label=table.index.name or "time")
     return path
