@@ -15,7 +15,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 
-from benchmarks.processor import processor_seconds
+from benchmarks.processes import processor_seconds
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.energy.power_model import vehicle_model

@@ -31,7 +31,7 @@ GONE = {
 GONE_NAMES = GONE | {"null", "nulls", "push", "noticed"}
 GONE_PHRASES = ("held against", "speaks of", "clock that never jumps", "silent battery")
 
-KEPT = {("benchmarks/fuzz.py", "said"), ("benchmarks/faults/fault.py", "said")}
+KEPT = {("benchmarks/cli/fuzz.py", "said"), ("benchmarks/faults/fault.py", "said")}
 """Names that are keys of `--json` or of saved states, which are fixed."""
 
 PATH = re.compile(r"(?<![\w/.:{<*])((?:[\w.-]+/)+[\w-]+\.(?:py|md|yaml|csv|js|sh|toml)|\w+\.md)\b")

@@ -1,13 +1,19 @@
-"""`evpinn bench ablation`: what each part of the core is worth without the battery."""
+"""`evpinn bench ablation`: what each part of the core is worth without the battery.
+
+What the unevenness of speed is worth for plans shows `evpinn bench plans`, which has even speed
+beside it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated
+from functools import partial
+from itertools import product
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
-from benchmarks.ablation import CARS, VARIANTS
 from benchmarks.cli.output import (
     TABLE_WIDTH,
     DataArgument,
@@ -18,9 +24,114 @@ from benchmarks.cli.output import (
     json_at_the_end,
     table_of,
 )
-from benchmarks.variants import SCORE_COLUMNS, SEEDS, VariantRow, read_car, score
+from benchmarks.variants import (
+    SCORE_COLUMNS,
+    SEEDS,
+    ConstantPlace,
+    Variant,
+    VariantRow,
+    read_car,
+    score,
+)
 from evpinn_ros.cli.console import show
 from evpinn_ros.cli.options import JsonOption
+from evpinn_ros.estimation.gaussian import replace_states
+from evpinn_ros.estimation.journey import noise_of
+from evpinn_ros.estimation.posterior import BANK, LOAD_STDS, NETWORK_STDS, CarState, begin_drive
+from evpinn_ros.estimation.states import OFFSETS, SIZE, WEIGHTS, State
+from evpinn_ros.estimation.terms import Equation, Warmth, standing_powers
+from evpinn_ros.signals.interval import Steps
+from evpinn_ros.signals.road import Conditions
+
+CARS = ("model3", "i3", "i3_speed", "e208", "changchun", "simulated")
+NOTHING = 1e-6
+
+
+def _bank(networks: tuple[float, ...], loads: tuple[float, ...]) -> dict[ConstantPlace, Any]:
+    """Other hypotheses: 1-sigma of a weight of the network, N, and of the wandering load, W."""
+    return {ConstantPlace("posterior", "BANK"): np.array(list(product(networks, loads)))}
+
+
+def _without(*states: State) -> dict[ConstantPlace, float]:
+    """States that stay at zero."""
+    return {
+        ConstantPlace(state, key): value
+        for state in states
+        for key, value in {"mean": 0.0, "std": NOTHING}.items()
+    }
+
+
+def _forget_network(state: CarState, equation: Equation, **keep: float) -> CarState:
+    """Begin a drive with a network that knows nothing of those before it."""
+    state = begin_drive(state, equation, **keep)
+    fresh = dict.fromkeys(range(SIZE)[WEIGHTS], BANK[:, 0] ** 2)
+    return state.with_gaussian(replace_states(state.gaussian, fresh))
+
+
+def _unreported(conditions: Conditions, warmth: Warmth) -> dict[State, float]:
+    """Standing powers of a car that reports nothing."""
+    return standing_powers(conditions._replace(load_known=False), warmth)
+
+
+def _unseen(state: CarState, *_: Any) -> CarState:
+    """Learn nothing of what was reported."""
+    return state
+
+
+def _fixed(growth: float) -> dict[ConstantPlace, Any]:
+    """Unseen hills of one size, m^2 per m, instead of a learned one."""
+    return {ConstantPlace("bands", "GROWTHS"): np.full(3, growth)}
+
+
+def _one_noise(steps: Steps) -> np.ndarray:
+    """Noise of which standing and moving are one kind."""
+    return np.array((0.0, float(noise_of(steps).sum()), 0.0))
+
+
+STARTS = (State.COLD_START, State.HOT_START)
+# Between the hypotheses of the bank, by their geometric mean.
+MIDDLE = tuple(float(np.sqrt(np.prod(stds))) for stds in (NETWORK_STDS, LOAD_STDS))
+
+VARIANTS = (
+    Variant("whole"),
+    Variant("no network", _bank((NOTHING,), LOAD_STDS)),
+    Variant("network of one drive alone", {ConstantPlace("car", "begin_drive"): _forget_network}),
+    Variant("no bank, its middle alone", _bank(MIDDLE[:1], MIDDLE[1:])),
+    Variant("small network alone", _bank(NETWORK_STDS[:1], LOAD_STDS)),
+    Variant("large network alone", _bank(NETWORK_STDS[1:], LOAD_STDS)),
+    Variant("no wandering load", _bank(NETWORK_STDS, (NOTHING,))),
+    Variant("small wandering load alone", _bank(NETWORK_STDS, LOAD_STDS[:1])),
+    Variant("no offsets of a drive", _without(*OFFSETS)),
+    Variant(
+        "a drive keeps no offset of the last",
+        {ConstantPlace("car", "begin_drive"): partial(begin_drive, keep=0.0)},
+    ),
+    Variant("no cold tyres", _without(State.ROLLING_START, State.ROLLING_COLD)),
+    Variant("no loss by turning", _without(State.TURNING)),
+    Variant("no loss by force squared", _without(State.FORCE_SQUARED)),
+    Variant("no heating and cooling", _without(State.COLD, State.HOT, *STARTS)),
+    Variant("no start of heating", _without(*STARTS)),
+    Variant(
+        "reported loads ignored",
+        {
+            ConstantPlace("terms", "standing_powers"): _unreported,
+            ConstantPlace("posterior", "see_reported_climate"): _unseen,
+        },
+    ),
+    Variant(
+        "bands not scaled",
+        {ConstantPlace("bands", "PRIOR_CASES"): 1e12, ConstantPlace("bands", "PRIOR_SCALE"): 1.0},
+    ),
+    Variant("hills of one size", _fixed(0.004)),
+    Variant("no unseen hills", _fixed(0.0)),
+    Variant("no heavy tails", {ConstantPlace("posterior", "OUTLIER"): 1e3}),
+    Variant(
+        "noise not scaled",
+        {ConstantPlace("posterior", key): 1.0 for key in ("LEAST_SCALE", "MOST_SCALE")},
+    ),
+    Variant("one noise standing and moving", {ConstantPlace("journey", "noise_of"): _one_noise}),
+    Variant("a car does not change", {ConstantPlace("posterior", "DRIFT"): 0.0}),
+)
 
 
 def ablation(

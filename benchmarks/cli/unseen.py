@@ -14,12 +14,10 @@ from benchmarks.unseen.goals import car_table, figures
 from benchmarks.unseen.run import (
     CORE,
     METHODS,
-    RECORDED,
     WEAK_LS,
     Task,
     TaskResult,
     find_method,
-    recorded,
     run_tasks,
 )
 from benchmarks.unseen.sumo_cars import sumo_is_there
@@ -104,18 +102,12 @@ def _add(found: dict[str, Any], result: TaskResult) -> None:
 def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
     # Of a file of one's own the name alone, for tables are narrow.
     methods = {name.rpartition("/")[2]: entry["methods"][name] for name in names}
-    truth = next(iter(methods.values())).get("true", {})
-    before = recorded(car, entry["drives"], truth)
-    entry["methods"] |= {name: s for name, s in before.items() if name not in methods}
-    methods |= {name: scores for name, scores in before.items() if name not in methods}
     title = f"{car}: {entry['drives']} drives, {entry['hours']:.1f} h, {entry['vehicle']}"
     say()
     say(title)
     if "carried" in next(iter(methods.values())):
         for table in (score_table, energy_table, age_table):
             show(table(methods), at_least=TABLE_WIDTH)
-    if before:
-        say(f"{RECORDED}: the core before it became one model, as it was measured then.")
     if "truth" in next(iter(methods.values())):
         show(truth_table(methods), at_least=TABLE_WIDTH)
 
@@ -123,14 +115,11 @@ def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
 def _show_goals(found: dict[str, Any]) -> None:
     """Goals over all cars that the core was scored on."""
     rows = {car: entry["methods"] for car, entry in found.items()}
-    cars = {car: methods[CORE] for car, methods in rows.items() if CORE in methods}
-    beside = {
-        car: [methods[name] for name in (WEAK_LS, RECORDED) if name in methods]
-        for car, methods in rows.items()
-    }
-    recorded_cars = {car: scores for car, scores in cars.items() if "carried" in scores}
-    if recorded_cars:
+    core = {car: methods[CORE] for car, methods in rows.items() if CORE in methods}
+    core = {car: scores for car, scores in core.items() if "carried" in scores}
+    beside = {car: methods[WEAK_LS] for car, methods in rows.items() if WEAK_LS in methods}
+    if core:
         say()
-        say("The core over the better of weak_ls and core_0dd2cfa, and its goals (issue 28)")
-        show(car_table(recorded_cars, beside), at_least=TABLE_WIDTH)
-        show(figures_table("", figures(recorded_cars, beside)), at_least=TABLE_WIDTH)
+        say("The core over weak_ls, and its goals")
+        show(car_table(core, beside), at_least=TABLE_WIDTH)
+        show(figures_table("", figures(core, beside)), at_least=TABLE_WIDTH)

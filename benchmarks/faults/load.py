@@ -20,7 +20,7 @@ from benchmarks.faults.chain import ChainFault, NodeChain, Process, running, sta
 from benchmarks.faults.drive import RATE, learned_state, vehicle
 from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.rig import LONGEST, OUTPUTS, SLACK, Rig
-from benchmarks.processor import processor_seconds
+from benchmarks.processes import processor_seconds
 from evpinn_ros import topics
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.factory import new_message

@@ -25,7 +25,7 @@ from benchmarks.faults.drive import VEHICLE, learned_state
 from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.files import file_of
 from benchmarks.faults.rig import OUTPUTS, Rig
-from benchmarks.soak import resident_mb
+from benchmarks.processes import resident_mb
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.common.errors import InputError

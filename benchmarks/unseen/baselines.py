@@ -1,4 +1,4 @@
-"""Baselines: the prior alone, energy per kilometre, batch least squares, a fast Kalman filter."""
+"""Baselines: the prior alone, energy per kilometre, least squares, a fast Kalman filter."""
 
 from __future__ import annotations
 
@@ -16,12 +16,9 @@ from evpinn_ros.signals.readings import Reading
 from evpinn_ros.signals.sample import Sample
 from evpinn_ros.vehicle.files import Vehicle
 from evpinn_ros.vehicle.identifiable import combined_power, identifiable
-from evpinn_ros.vehicle.physics import GRAVITY
 
 LEAST_DISTANCE = 1000.0  # m, before which the prior tells better what a kilometre costs
 MOVING = 0.3  # m/s, below which acceleration is of no use
-LEAST_STEPS = 100  # before which least squares has nothing to say, and the prior counts
-RIDGE = 1e-6  # of the mean square of a term, so that one that never varied stays zero
 
 
 class StepMethod(ABC):
@@ -123,53 +120,6 @@ class EnergyPerKilometre(PriorAlone):
         return Prediction(step.middle_ns, float(power), energy_sigma=sigma)
 
 
-class LeastSquaresBaseline(PriorAlone):
-    """Batch least squares on all samples so far.
-
-    Its terms are v, v^3, v a driving, v a braking, 1, a^2, v braking, where acceleration holds
-    grade. It has no prior: the vehicle file counts until there are samples.
-    """
-
-    def __init__(self, vehicle: Vehicle) -> None:
-        super().__init__(vehicle)
-        self._normal, self._target, self._count = np.zeros((7, 7)), np.zeros(7), 0
-        self._solved: np.ndarray | None = None
-
-    def learn(self, step: DrivingStep) -> None:
-        """Add a sample to the sums of the normal equations."""
-        row = self._row(step)
-        self._normal += np.outer(row, row)
-        self._target += row * (step.power - step.known)
-        self._count += 1
-        self._solved = None
-
-    def predict(self, step: DrivingStep) -> Prediction:
-        """Power of the present fit, W."""
-        if self._count < LEAST_STEPS:
-            return super().predict(step)
-        if self._solved is None:
-            size = np.diag(self._normal)
-            ridge = np.diag(RIDGE * size + (size == 0))
-            self._solved = np.linalg.solve(self._normal + ridge, self._target)
-        return Prediction(step.middle_ns, float(self._row(step) @ self._solved) + step.known)
-
-    def _row(self, step: DrivingStep) -> np.ndarray:
-        v = abs(step.speed)
-        specific = self._rotating_mass_factor * step.kinetic + GRAVITY * step.climb
-        braking = specific < 0
-        return np.array(
-            (
-                v,
-                step.density * abs(step.cube),
-                0.0 if braking else specific,
-                specific if braking else 0.0,
-                1.0,
-                (specific / v) ** 2 if v > MOVING else 0.0,
-                v if braking else 0.0,
-            )
-        )
-
-
 class FastKalman(StepMethod):
     """The extended Kalman filter of `benchmarks.unseen.kalman`, whose states wander fast."""
 
@@ -210,7 +160,6 @@ class FastKalman(StepMethod):
 BASELINES: Mapping[str, Factory] = {
     "prior": PriorAlone,
     "per_km": EnergyPerKilometre,
-    "batch7": LeastSquaresBaseline,
     "weak_ls": WeakFormLeastSquares,
     "ekf_fast": FastKalman,
 }

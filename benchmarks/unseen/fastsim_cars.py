@@ -81,15 +81,8 @@ def fastsim_truth(traces: list[FastsimDrive], vehicle: Vehicle) -> dict[str, flo
     """The combinations that these drives determine, of an unlimited sensor (`noise_free`)."""
     parts = []
     for trace in traces:
-        before, after = trace.speed[:-1], trace.speed[1:]
-        seconds = np.diff(trace.seconds)
-        moved = Moved(
-            duration=seconds,
-            distance=(before + after) / 2.0 * seconds,
-            air=(before + after) * (before**2 + after**2) / 4.0 * seconds,
-            kinetic=(after**2 - before**2) / 2.0,
-            climb=np.diff(trace.height),
-        )
+        seconds, climb = np.diff(trace.seconds), np.diff(trace.height)
+        moved = Moved.between(trace.speed[:-1], trace.speed[1:], seconds, climb)
         parts.append((*moved, trace.power[1:] * seconds))
     *columns, energy = (np.concatenate(each) for each in zip(*parts, strict=True))
     first = traces[0]

@@ -5,7 +5,7 @@ A goal that needs a car which was not scored is not judged.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from statistics import fmean, geometric_mean
 from typing import Any
 
@@ -34,12 +34,12 @@ Scores = Mapping[str, Any]
 """Scores of one method on one car, as `summary` gives them."""
 
 
-def car_table(cars: Mapping[str, Scores], beside: Mapping[str, Sequence[Scores]]) -> PlainTable:
-    """CRPS of each car over the best of what stands beside, and coverage of its intervals."""
+def car_table(cars: Mapping[str, Scores], beside: Mapping[str, Scores]) -> PlainTable:
+    """CRPS of each car over that of the method beside, and coverage of its intervals."""
     headers = [f"{name}:\nratio" for name in list(PARTS.values())[:2]]
     table = PlainTable("", ("core", *headers, *(f"{name}:\nin 90 %" for name in PARTS.values())))
     for car, scores in cars.items():
-        ratios = (_ratio(scores, beside.get(car, ()), part) for part in list(PARTS)[:2])
+        ratios = (_ratio(scores, beside.get(car, {}), part) for part in list(PARTS)[:2])
         inside = (_value(scores, part, "inside_90_percent") for part in PARTS)
         table.add_row(car, *(_text(each, ".2f") for each in ratios),
                       *(_text(each, ".0f") for each in inside))  # fmt: skip
@@ -47,13 +47,13 @@ def car_table(cars: Mapping[str, Scores], beside: Mapping[str, Sequence[Scores]]
 
 
 def figures(
-    cars: Mapping[str, Scores], beside: Mapping[str, Sequence[Scores]]
+    cars: Mapping[str, Scores], beside: Mapping[str, Scores]
 ) -> Iterator[tuple[str, str, str]]:
     """Figures over the cars: name, measured, goal.
 
     Args:
         cars: scores of the core by car.
-        beside: of the methods that it is to be better than.
+        beside: of the method that it is to be better than.
     """
     for (part, group), goal in GOALS.items():
         there = [car for car in group if car in cars]
@@ -62,10 +62,10 @@ def figures(
             name = f"CRPS {PARTS[part]}, geometric mean of {len(found)} of {len(group)} cars"
             yield f"{name} ({group[0]}, ...)", f"{geometric_mean(found):.2f} %", f"{goal:g} %"
     ratios = _known(
-        _ratio(cars[car], beside.get(car, ()), part) for car in cars for part in list(PARTS)[:2]
+        _ratio(cars[car], beside.get(car, {}), part) for car in cars for part in list(PARTS)[:2]
     )
     if ratios:
-        yield "CRPS over the better of the others, most", f"{max(ratios):.2f}", f"{MOST_RATIO:g}"
+        yield "CRPS over that of the method beside, most", f"{max(ratios):.2f}", f"{MOST_RATIO:g}"
         yield "the same, mean", f"{fmean(ratios):.2f}", f"{MEAN_RATIO:g}"
     for part, name in PARTS.items():
         inside = _known(_value(scores, part, "inside_90_percent") for scores in cars.values())
@@ -86,9 +86,9 @@ def figures(
             yield title, f"{fmean(biases):.1f} %", f"{goal:g} %"
 
 
-def _ratio(scores: Scores, others: Sequence[Scores], part: str) -> float | None:
-    own, best = _value(scores, part, CRPS), _known(_value(each, part, CRPS) for each in others)
-    return own / min(best) if own is not None and best else None
+def _ratio(scores: Scores, beside: Scores, part: str) -> float | None:
+    own, other = _value(scores, part, CRPS), _value(beside, part, CRPS)
+    return own / other if own is not None and other else None
 
 
 def _value(scores: Scores, part: str, key: str) -> float | None:

@@ -26,6 +26,19 @@ class Moved(NamedTuple):
     kinetic: np.ndarray  # difference of v^2 / 2, J/kg
     climb: np.ndarray  # difference of height, m
 
+    @classmethod
+    def between(
+        cls, before: np.ndarray, after: np.ndarray, seconds: np.ndarray, climb: np.ndarray
+    ) -> Moved:
+        """Steps of even acceleration from one speed to another, m/s."""
+        return cls(
+            duration=seconds,
+            distance=(before + after) / 2.0 * seconds,
+            air=(before + after) * (before**2 + after**2) / 4.0 * seconds,
+            kinetic=(after**2 - before**2) / 2.0,
+            climb=climb,
+        )
+
 
 def noise_free_truth(
     moved: Moved, energy: np.ndarray, p_aux: float, vehicle: Vehicle, air_density: float

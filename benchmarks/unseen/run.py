@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
 import importlib.util
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,9 +19,8 @@ from benchmarks.unseen.truth import DRIVES, KINDS, SECONDS, errors, run_truth, t
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, known_names, near_names
 
-CORE = "core"
+CORE, WEAK_LS = "core", "weak_ls"
 METHODS: Mapping[str, Factory] = {**BASELINES, CORE: OnlineChain}
-RECORDED, WEAK_LS = "core_0dd2cfa", "weak_ls"
 
 
 class Task(NamedTuple):
@@ -95,24 +93,6 @@ def run_tasks(tasks: Sequence[Task], jobs: int) -> Iterator[TaskResult]:
                 yield done.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-
-
-def recorded(car: str, drives: int, truth: Mapping[str, float]) -> dict[str, dict[str, Any]]:
-    """Scores on these drives as they were measured at commit 0dd2cfa, by method.
-
-    They are of the core before it became one joint model, and of least squares at that time;
-    their estimates are compared with `truth`.
-    """
-    path = Path(__file__).with_name(f"{RECORDED}.json")
-    found = json.loads(path.read_text(encoding="utf-8")).get(car)
-    if found is None or found["drives"] != drives:
-        return {}
-    rows: dict[str, dict[str, Any]] = found["methods"]
-    for scores in rows.values():
-        estimates = scores.pop("combinations")
-        if truth:
-            scores["truth"] = truth_summary([errors(estimates, truth)])
-    return rows
 
 
 @lru_cache(maxsize=1)

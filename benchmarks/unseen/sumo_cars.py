@@ -131,13 +131,8 @@ def sumo_truth(key: str, trace: np.ndarray, vehicle: Vehicle) -> dict[str, float
     """The combinations that this hour determines, of an unlimited sensor (`noise_free`)."""
     v, a, slope, power = trace[np.isfinite(trace).all(axis=1)].T
     before = v - a * STEP
-    moved = Moved(
-        duration=np.full_like(v, STEP),
-        distance=(v + before) / 2.0 * STEP,
-        air=(v + before) * (v**2 + before**2) / 4.0 * STEP,
-        kinetic=(v**2 - before**2) / 2.0,
-        climb=(v + before) / 2.0 * STEP * np.sin(slope),
-    )
+    climb = (before + v) / 2.0 * STEP * np.sin(slope)
+    moved = Moved.between(before, v, np.full_like(v, STEP), climb)
     p_aux = powertrain(key)["constantPowerIntake"]
     return noise_free_truth(moved, power * STEP, p_aux, vehicle, AIR)
 

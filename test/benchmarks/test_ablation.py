@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks import variants
-from benchmarks.ablation import VARIANTS
+from benchmarks.cli.ablation import VARIANTS
 from benchmarks.variants import RecordedCar, VariantRow, read_car, score
 from evpinn_ros.cli.main import app
 

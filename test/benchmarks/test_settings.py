@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import settings
-from benchmarks.settings import (
+from benchmarks.cli import settings
+from benchmarks.cli.settings import (
     PRODUCT,
     Scores,
     Setting,

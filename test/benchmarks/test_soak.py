@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from benchmarks import soak
-from benchmarks.soak import Hour, memory_growth, time_drift
+from benchmarks.cli.soak import Hour, drive_hours, memory_growth, time_drift
+from benchmarks.processes import processor_seconds, resident_mb
 from evpinn_ros.common.errors import InputError
 
 pytestmark = pytest.mark.slow
@@ -29,13 +29,15 @@ def test_time_is_that_of_the_last_quarter_to_the_first():
 @pytest.mark.nightly
 def test_one_chain_goes_through_every_hour():
     done = []
-    found = list(soak.soak(2, time.process_time, done.append, 60.0))
+    found = list(drive_hours(2, time.process_time, done.append, 60.0))
     assert [hour.readings > 1000 for hour in found] == [True, True]
     assert found[1].energy > found[0].energy > 0
     assert max(done) > 60 and all(hour.us_per_reading > 0 for hour in found)
 
 
-def test_memory_of_a_process_is_read():
-    assert 10 < soak.resident_mb(os.getpid()) < 10_000
-    with pytest.raises(InputError, match="the process ended"):
-        soak.resident_mb(2**22 + 1)
+def test_memory_and_time_of_a_process_are_read():
+    assert 10 < resident_mb(os.getpid()) < 10_000
+    assert 0 < processor_seconds(os.getpid()) < 3600
+    for read in (resident_mb, processor_seconds):
+        with pytest.raises(InputError, match="the process ended"):
+            read(2**22 + 1)

@@ -85,20 +85,6 @@ def test_it_finds_the_car(vehicle, samples, teach):
     assert method.mean == pytest.approx(wanted, rel=0.05)
 
 
-def test_its_gradient_is_the_slope_of_its_model(vehicle, samples):
-    for sample in samples[::300]:
-        method = FiveStateFilter(vehicle)
-        _, gradient = method._model(sample)
-        for index in range(5):
-            step = 1e-5 * method.mean[index]
-            method.mean[index] += step
-            above = method.predict(sample).power
-            method.mean[index] -= 2 * step
-            below = method.predict(sample).power
-            method.mean[index] += step
-            assert gradient[index] == pytest.approx((above - below) / (2 * step), rel=1e-4, abs=1)
-
-
 def test_sigma_shrinks_by_driving_and_grows_with_speed(vehicle, samples, teach):
     method = FiveStateFilter(vehicle)
     before = method.predict(samples[0]).sigma

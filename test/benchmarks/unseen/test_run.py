@@ -92,20 +92,6 @@ def test_a_method_that_is_not_there_is_refused(name, reason):
         run.find_method(name)
 
 
-def test_what_was_recorded_counts_for_the_same_drives_alone():
-    found = run.recorded("model3", 1, {})
-    assert set(found) == {run.RECORDED, run.WEAK_LS}
-    assert found[run.RECORDED]["carried"]["crps_percent"] == pytest.approx(4.196, abs=0.001)
-    assert run.recorded("model3", 2, {}) == run.recorded("nobody's car", 1, {}) == {}
-
-
-def test_what_was_recorded_is_held_against_the_truth_of_today():
-    truth = {"mass_over_eta": 1.0}
-    for scores in run.recorded("sumo_e208", 1, truth).values():
-        assert list(scores["truth"]) == ["mass_over_eta"]
-        assert scores["truth"]["mass_over_eta"]["bias"] > 1000.0
-
-
 @pytest.mark.skipif(not sumo_is_there(), reason="eclipse-sumo and libsumo are optional")
 def test_a_car_by_sumo_drives_and_has_its_truth(monkeypatch):
     monkeypatch.setattr("benchmarks.unseen.sumo_cars.SECONDS", 400)

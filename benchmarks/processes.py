@@ -1,0 +1,38 @@
+"""Processor time and memory of processes, as Linux counts them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from evpinn_ros.common.errors import InputError
+
+
+def processor_seconds(pid: int) -> float:
+    """Time of the processor that a process has taken.
+
+    Raises:
+        InputError: no such process any more, or no Linux.
+    """
+    # The name of the program, in brackets, may hold blanks.
+    fields = _told(pid, "stat").rpartition(")")[2].split()
+    user, system = int(fields[11]), int(fields[12])
+    return (user + system) / os.sysconf("SC_CLK_TCK")
+
+
+def resident_mb(process: int | str) -> float:
+    """Memory of a process that is in use, MB.
+
+    Raises:
+        InputError: no such process any more, or no Linux.
+    """
+    lines = _told(process, "status").splitlines()
+    (line,) = (line for line in lines if line.startswith("VmRSS"))
+    return int(line.split()[1]) * 1024 / 1e6
+
+
+def _told(process: int | str, file: str) -> str:
+    try:
+        return Path(f"/proc/{process}/{file}").read_text()
+    except OSError as error:
+        raise InputError(f"the process ended, or this is no Linux: {error}") from error
