@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import cycle
 import math
 import time
 from typing import Any
@@ -60,52 +61,46 @@ def without(topic: topics.Topic) -> Change:
     return lambda messages: [each for each in messages if each[0] is not topic]
 
 
-def with_speed(value: float) -> Change:
-    """Speed tells this value."""
+def on(topic: topics.Topic, alter: Callable[[Any], None]) -> Change:
+    """Each message of one topic is altered."""
 
     def change(messages: Iterable[Sent]) -> Iterator[Sent]:
-        for topic, message in messages:
-            if topic is topics.SPEED:
-                message.twist.twist.linear.x = value
-            yield topic, message
+        for each, message in messages:
+            if each is topic:
+                alter(message)
+            yield each, message
 
     return change
+
+
+def with_speed(value: float) -> Change:
+    """Speed tells this value."""
+    return on(topics.SPEED, lambda message: setattr(message.twist.twist.linear, "x", value))
 
 
 def with_battery(**values: float) -> Change:
     """The battery tells these values."""
 
-    def change(messages: Iterable[Sent]) -> Iterator[Sent]:
-        for topic, message in messages:
-            if topic is topics.BATTERY:
-                for name, value in values.items():
-                    setattr(message, name, value)
-            yield topic, message
+    def alter(message: Any) -> None:
+        for name, value in values.items():
+            setattr(message, name, value)
 
-    return change
+    return on(topics.BATTERY, alter)
 
 
-def flipped(messages: Iterable[Sent]) -> Iterator[Sent]:
+def flipped() -> Change:
     """The current has the other sign."""
-    for topic, message in messages:
-        if topic is topics.BATTERY:
-            message.current = -message.current
-        yield topic, message
+    return on(topics.BATTERY, lambda message: setattr(message, "current", -message.current))
 
 
-class Leaping:
+def leaping() -> Change:
     """Every third speed is far off, as by a broken wire."""
+    far = cycle((0.0, 0.0, 40.0))
 
-    def __init__(self) -> None:
-        self._count = 0
+    def alter(message: Any) -> None:
+        message.twist.twist.linear.x += next(far)
 
-    def __call__(self, messages: Iterable[Sent]) -> Iterator[Sent]:
-        """Change the messages of one moment."""
-        for topic, message in messages:
-            if topic is topics.SPEED:
-                self._count += 1
-                message.twist.twist.linear.x += 40.0 * (self._count % 3 == 0)
-            yield topic, message
+    return on(topics.SPEED, alter)
 
 
 def doubled(messages: Iterable[Sent]) -> Iterator[Sent]:
@@ -183,7 +178,7 @@ def input_faults(chain: NodeChain) -> Iterator[Fault]:
         "speed_absurd", "speed is 500 m/s", moments, with_speed(500.0), "speed_out_of_range", 1.0
     )
     yield fault(
-        "speed_jumps", "each third speed is 40 m/s off", moments, Leaping(), "impossible", 1.0
+        "speed_jumps", "each third speed is 40 m/s off", moments, leaping(), "impossible", 1.0
     )
     yield fault(
         "speed_stuck", "speed repeats", "the leap", with_speed(17.0), "speed is stuck", 0.2
@@ -228,7 +223,7 @@ class _SignFlip(ChainFault):
         rig.call("estimator/reset")
         rig.drive(
             3 * LONGEST,
-            flipped,
+            flipped(),
             until=lambda: rig.status("estimator", "sign of current", begin) is not None,
         )
         named = rig.status("estimator", "sign of current", begin)
