@@ -65,7 +65,7 @@ def figures(
         _ratio(cars[car], beside.get(car, {}), part) for car in cars for part in list(PARTS)[:2]
     )
     if ratios:
-        yield "CRPS over that of the method beside, most", f"{max(ratios):.2f}", f"{MOST_RATIO:g}"
+        yield "CRPS over weak_ls, most", f"{max(ratios):.2f}", f"{MOST_RATIO:g}"
         yield "the same, mean", f"{fmean(ratios):.2f}", f"{MEAN_RATIO:g}"
     for part, name in PARTS.items():
         inside = _known(_value(scores, part, "inside_90_percent") for scores in cars.values())
