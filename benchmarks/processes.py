@@ -15,7 +15,7 @@ def processor_seconds(pid: int) -> float:
         InputError: no such process any more, or no Linux.
     """
     # The name of the program, in brackets, may hold blanks.
-    fields = _told(pid, "stat").rpartition(")")[2].split()
+    fields = _proc_text(pid, "stat").rpartition(")")[2].split()
     user, system = int(fields[11]), int(fields[12])
     return (user + system) / os.sysconf("SC_CLK_TCK")
 
@@ -26,12 +26,12 @@ def resident_mb(process: int | str) -> float:
     Raises:
         InputError: no such process any more, or no Linux.
     """
-    lines = _told(process, "status").splitlines()
+    lines = _proc_text(process, "status").splitlines()
     (line,) = (line for line in lines if line.startswith("VmRSS"))
     return int(line.split()[1]) * 1024 / 1e6
 
 
-def _told(process: int | str, file: str) -> str:
+def _proc_text(process: int | str, file: str) -> str:
     try:
         return Path(f"/proc/{process}/{file}").read_text()
     except OSError as error:
