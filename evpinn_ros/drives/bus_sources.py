@@ -1,4 +1,4 @@
-"""Recorded buses: bags of our topics or of raw frames, and CAN logs."""
+"""Recorded buses: CAN logs, and bags of raw frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TypeAlias
 
 from evpinn_ros.bags.can_frames import read_frame
-from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.names import is_bag
 from evpinn_ros.bags.reader import BagReader
@@ -22,15 +21,15 @@ from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.drives.bag_source import frame_topics
 from evpinn_ros.drives.formats import suffix_of, unknown_kind
-from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.source import Source
 from evpinn_ros.signals.readings import Reading
 from evpinn_ros.vehicle.files import Vehicle
 
 BITRATE = 500_000  # bit/s; the load of the bus is not known here
 INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
-_SENT = "to_can_bus"  # the topic by which ros2_socketcan sends frames
 
 
 class BagFrames:
@@ -51,7 +50,7 @@ class BagFrames:
         self.count = 0
         self.skipped: Counter[str] = Counter()
         self._reader = BagReader(path)
-        self._topics = _frame_topics(self._reader)
+        self._topics = frame_topics(self._reader)
         if not self._topics:
             raise InputError(f"{path}: no CAN frames ({FRAME_TYPE}) in this bag")
 
@@ -96,59 +95,12 @@ def open_can_log(path: Path) -> CanLog:
     return BagFrames(path) if is_bag(path) else LogFile(path)
 
 
-def holds_frames(path: Path) -> bool:
-    """True if a bag has raw frames; InputError when it is no bag."""
-    with BagReader(path) as reader:
-        return bool(_frame_topics(reader))
-
-
-def _frame_topics(reader: BagReader) -> list[str]:
-    """Topics with received frames."""
-    return [
-        name
-        for name, info in reader.topics.items()
-        if info.type_name == FRAME_TYPE and not name.endswith(_SENT)
-    ]
-
-
 def inspected(log: CanLog) -> BusReport:
     """Report on the first frames of a log, with the bundled profile that fits them."""
     inspection = Inspection(bundled_profiles(), BITRATE)
     for frame in islice(log.frames(), INSPECTED):
         inspection.add_frame(frame)
     return inspection.report()
-
-
-class BagSource(Source):
-    """A rosbag2 folder, a bare `.mcap` or `.db3`."""
-
-    def __init__(self, path: Path, options: ReadOptions = READ_DEFAULTS) -> None:
-        """Open the bag; InputError when it is none or has none of our topics."""
-        super().__init__(path)
-        self._reader, self._terrain = BagReader(path), options.terrain
-        self._readings = BagReadings(self._reader, options.car, options.mounting)
-        self.dropped = self._readings.dropped
-
-    @property
-    def seconds(self) -> float | None:
-        """Length that the bag's metadata states, s."""
-        return stated_seconds(self.path)
-
-    @property
-    def problem(self) -> str | None:
-        """Losses of the bag, in one line."""
-        return self._reader.problem
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Topics that are nearly those that are missing."""
-        return self._readings.notes
-
-    def readings(self) -> Iterator[Reading]:
-        """The readings in order of log time."""
-        with self._reader:
-            found = iter(self._readings)
-            yield from found if self._terrain is None else self._terrain.on(found)
 
 
 class CanLogSource(Source):
@@ -194,25 +146,14 @@ class CanLogSource(Source):
 
 
 def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Source:
-    """Open a bag or a CAN log.
+    """Open a CAN log, or the raw frames of a bag.
 
     Raises:
-        InputError: it is neither, or a CAN log without a profile.
+        InputError: it is neither, or there is no profile.
     """
-    log: CanLog
-    if is_bag(path):
-        # Recorded topics of ours; raw frames when asked by a profile, or if they are all there is.
-        if options.can_profile is None or not holds_frames(path):
-            try:
-                return BagSource(path, options)
-            except InputError:
-                if not holds_frames(path):
-                    raise
-        log = BagFrames(path)
-    elif suffix_of(path) in LOG_SUFFIXES:
-        log = LogFile(path)
-    else:
+    if not is_bag(path) and suffix_of(path) not in LOG_SUFFIXES:
         raise unknown_kind(path)
+    log = open_can_log(path)
     name = options.can_profile or vehicle.can_profile
     if name is None:
         raise InputError(

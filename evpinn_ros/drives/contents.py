@@ -80,16 +80,18 @@ def contents(
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
         return _with_drive(Contents(path, "table"), options, bar)
-    # What reads buses takes half a second to import: who opens a table does not wait for it.
-    from evpinn_ros.drives import bus_sources
+    # What reads bags and buses takes a while to import: no other drive waits for it.
+    from evpinn_ros.drives.bag_source import holds_frames
 
     found = Contents(path, "CAN log")
     if is_bag(path):
         found = Contents(path, "bag", topics=_topics(path))
-        if not bus_sources.holds_frames(path):
+        if not holds_frames(path):
             return _with_drive(found, options, bar)
     elif suffix_of(path) not in LOG_SUFFIXES:
         raise unknown_kind(path)
+    from evpinn_ros.drives import bus_sources
+
     report = bus_sources.inspected(bus_sources.open_can_log(path))
     profile = report.best.fit.profile if report.best is not None else None
     cars = map(load_vehicle, vehicle_names())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from evpinn_ros.bags.names import is_bag
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.formats import (
     CONVERTERS,
@@ -35,7 +36,12 @@ def open_source(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAUL
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
         return open_drive(path, vehicle.nominal_voltage, options)
-    # What reads buses takes half a second to import: who opens a table does not wait for it.
+    # What reads bags and buses takes a while to import: no other drive waits for it.
+    if is_bag(path):
+        from evpinn_ros.drives.bag_source import bag_of_topics
+
+        if (bag := bag_of_topics(path, options)) is not None:
+            return bag
     from evpinn_ros.drives.bus_sources import open_bus_source
 
     return open_bus_source(path, vehicle, options)

@@ -15,7 +15,8 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.bus_sources import BagFrames, BagSource, CanLogSource, open_can_log
+from evpinn_ros.drives.bag_source import BagSource
+from evpinn_ros.drives.bus_sources import BagFrames, CanLogSource, open_can_log
 from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading

@@ -95,3 +95,12 @@ def test_log_of_another_car_fails_instead_of_giving_nothing(tmp_path, vehicle):
     source = open_source(tmp_path / "other.log", vehicle)
     with pytest.raises(InputError, match=r"other\.log"):
         list(source.readings())
+
+
+def test_a_bag_is_read_without_what_reads_buses(loads_without):
+    code = (
+        "from pathlib import Path; from evpinn_ros.replays.car import CarReplay, ReplayOptions;"
+        "source = CarReplay('generic', ReplayOptions()).open(Path('bags/urban'));"
+        "next(source.readings())"
+    )
+    loads_without(code, "can", "cantools", "udsoncan", "torch")
