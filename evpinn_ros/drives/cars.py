@@ -4,20 +4,27 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from itertools import islice
+import re
 
 from evpinn_ros.common.errors import SAY_CAR, InputError, near_names
 from evpinn_ros.drives.numbers import is_missing
 from evpinn_ros.drives.quantities import words_of
-from evpinn_ros.drives.survey import MOST_ROWS, Head, Table, data_rows
+from evpinn_ros.drives.survey import Head, Table, data_rows, until_broken
 from evpinn_ros.drives.text_table import Row
 
 # Names of a column that tells cars apart, by their words.
 NAMES = frozenset(
-    ("car", "car id", "carid", "vehicle", "vehicle id", "vehicleid", "veh id", "vehid", "vin")
+    (
+        *("car", "car id", "carid", "car name", "car no", "car number", "imei"),
+        *("vehicle", "vehicle id", "vehicleid", "veh id", "vehid", "vin", "vehicle name"),
+        *("vehicle no", "vehicle number", "device id", "deviceid", "license plate"),
+        *("licence plate", "number plate", "fahrzeug", "kennzeichen", "车牌号", "车架号"),
+    )
 )
-LEAST_ROWS = 20  # of a car; what fewer rows have is of rows that are torn
+LEAST_ROWS, LEAST_SHARE = 20, 0.1  # of a car, and of the rows of the commonest: others are torn
+MOST_CARS = 10_000
 MOST_NAMED = 10  # cars in a message
+FRACTION = re.compile(r"[+-]?\d*[.,]\d*[1-9]\d*")
 
 
 class CarTable:
@@ -49,26 +56,48 @@ def table_of_car(table: Table, head: Head, car: str | None) -> Table:
     Raises:
         InputError: it holds several and none is asked for, or one that it does not hold.
     """
-    place = next(
-        (i for i, name in enumerate(head.names) if words_of(name)[0].strip() in NAMES), -1
-    )
-    if place < 0:
+    rows = _rows_by_car(table, head)
+    cars = {place: found for place in rows if (found := _cars(rows[place]))}
+    if not cars:
         if car is not None:
             raise InputError(f"no column tells cars apart, so there is no car {car!r}")
         return table
-    looked = islice(data_rows(table, head), MOST_ROWS)
-    rows = Counter(_car_of(row, place) for _, row in looked)
-    cars = {name for name, count in rows.items() if count >= LEAST_ROWS and not is_missing(name)}
-    there = f"column {head.names[place]!r} has {', '.join(sorted(cars)[:MOST_NAMED])}"
-    if len(cars) > MOST_NAMED:
-        there += f" and {len(cars) - MOST_NAMED} more"
+    place = max(cars, key=lambda each: len(cars[each]))  # a model may have a column as well
+    found = cars[place]
+    there = f"column {head.names[place]!r} has {', '.join(found[:MOST_NAMED])}"
+    if len(found) > MOST_NAMED:
+        there += f" and {len(found) - MOST_NAMED} more"
     if car is not None:
-        if car not in rows:
-            raise InputError(f"no row of the car {car!r}{near_names(car, cars)}; {there}")
+        if car not in rows[place]:
+            raise InputError(f"no row of the car {car!r}{near_names(car, found)}; {there}")
         return CarTable(table, head, place, car)
-    if len(cars) > 1:
-        raise InputError(f"rows of {len(cars)} cars; {there}; {SAY_CAR}")
+    if len(found) > 1:
+        raise InputError(f"rows of {len(found)} cars; {there}; {SAY_CAR}")
     return table
+
+
+def _rows_by_car(table: Table, head: Head) -> dict[int, Counter[str]]:
+    """Number of rows of each car, by the place of a column that may tell cars apart."""
+    words = {place: words_of(name) for place, name in enumerate(head.names)}
+    # What has a bracket has a unit: `Vin [V]` is a voltage.
+    rows: dict[int, Counter[str]] = {
+        place: Counter()
+        for place, (name, unit) in words.items()
+        if name.strip() in NAMES and not unit
+    }
+    for _, row in until_broken(data_rows(table, head)) if rows else ():
+        for place, cars in rows.items():
+            car = _car_of(row, place)
+            if car in cars or len(cars) < MOST_CARS:
+                cars[car] += 1
+    return rows
+
+
+def _cars(rows: Counter[str]) -> list[str]:
+    """The cars of a column, sorted; none of a column of measured values."""
+    least = min(LEAST_ROWS, LEAST_SHARE * max(rows.values(), default=0))
+    cars = sorted(car for car, count in rows.items() if count >= least and not is_missing(car))
+    return [] if any(map(FRACTION.fullmatch, cars)) else cars
 
 
 def _car_of(row: list[str], place: int) -> str:

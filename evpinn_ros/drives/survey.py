@@ -193,7 +193,7 @@ def look_through(
         return Survey(cells, widths, len(head.names), frozenset(empty))
 
     looked = islice(data_rows(table, head), limit)
-    for index, (_, row) in enumerate(_until_broken(looked)):
+    for index, (_, row) in enumerate(until_broken(looked)):
         width = len(row)
         widths[width] += 1
         if empty:
@@ -208,7 +208,7 @@ def look_through(
     return seen()
 
 
-def _until_broken(rows: Iterator[Row]) -> Iterator[Row]:
+def until_broken(rows: Iterator[Row]) -> Iterator[Row]:
     """The rows up to where the file breaks off, which is reported on reading."""
     with suppress(InputError):
         yield from rows
@@ -283,7 +283,7 @@ class LongTable:
     def _find(self) -> None:
         seen: set[tuple[str, str]] = set()
         runs, before = 0, None
-        for number, row in self._table.rows():
+        for number, row in until_broken(self._table.rows()):
             if number <= self._head.row or len(row) <= self._last:
                 continue
             key = row[self._name], self._unit_of(row)

@@ -89,7 +89,7 @@ class TableDrive(Source):
                 is of several cars.
         """
         super().__init__(path)
-        self._table, self._terrain = table, options.terrain
+        self._terrain = options.terrain
         self._nominal_voltage = nominal_voltage
         self._at_nominal_voltage = 0
         self._no_speed = False  # zero throughout while the odometer goes on, so it is not used
@@ -97,11 +97,11 @@ class TableDrive(Source):
         self.first_bad: str | None = None
         try:
             self._head = find_head(table)
+            self._table = table_of_car(table, self._head, options.car)
             self._long: LongTable | None = None
             if places := long_form(self._head):
-                self._table = self._long = LongTable(table, self._head, places)
+                self._table = self._long = LongTable(self._table, self._head, places)
                 self._head = find_head(self._table)
-            self._table = table_of_car(self._table, self._head, options.car)
             header = self._head.names
             found = columns_by_name(header, options.columns)
             check_columns(found, header, battery=options.battery)

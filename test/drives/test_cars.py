@@ -1,5 +1,7 @@
 """Tables of several cars, and of several drives of one car, as published data sets are."""
 
+import gzip
+
 import numpy as np
 import pytest
 
@@ -8,11 +10,11 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.clock import PAUSE_NS
 from evpinn_ros.drives.read_options import ReadOptions
-from evpinn_ros.drives.sources import open_source
+from evpinn_ros.drives.sources import open_drive, open_source
 from evpinn_ros.drives.trips import split
 from evpinn_ros.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
-from test.drives.test_columns import drive_of, rows, speed_at
+from test.drives.test_columns import NOMINAL, drive_of, rows, speed_at
 
 # As the Vehicle Energy Dataset has it (gsoh/VED, "VED_171101_week.csv").
 HEADER = "VehId,Trip,Timestamp(ms),Vehicle Speed[km/h],HV Battery Current[A],HV Battery Voltage[V]"
@@ -45,6 +47,56 @@ def test_of_several_cars_one_is_asked_for(tmp_path):
         drive_of(tmp_path, HEADER, table, car="54")
     with pytest.raises(InputError, match="no column tells cars apart"):
         drive_of(tmp_path, HEADER.replace("VehId", "Row"), table, car="541")
+
+
+@pytest.mark.parametrize("name", ["vehicle_name", "deviceId", "Car No", "Fahrzeug", "车牌号"])
+def test_cars_of_few_rows_are_told_apart_by_any_name(tmp_path, name):
+    table = [line for car in "abc" for line in lines_of(car, 1, 15)]
+    with pytest.raises(InputError, match=f"3 cars; column '{name}' has a, b, c"):
+        drive_of(tmp_path, HEADER.replace("VehId", name), table)
+
+
+def test_a_fleet_with_one_signal_a_row_is_no_car(tmp_path):
+    table = [
+        f"{car},{t:.1f},{name},{value}"
+        for car, phase in (("one", 0), ("two", 7))
+        for t, v, u, i in rows()
+        for name, value in (("speed", speed_at(t + phase)), ("pack volts", u), ("pack amps", i))
+    ]
+    header = "vehicle,time,name,value"
+    with pytest.raises(InputError, match="column 'vehicle' has one, two; say --car NAME"):
+        drive_of(tmp_path, header, table)
+    found = speeds(drive_of(tmp_path, header, table, car="two"))
+    assert len(found) == 1200 and found[0].speed == pytest.approx(speed_at(7.0))
+
+
+def test_cars_are_told_apart_where_a_model_has_a_column_too(tmp_path):
+    table = [f"Leaf,{line}" for car in ("455", "541") for line in lines_of(car, 1)]
+    for car in (None, "Leaf"):
+        with pytest.raises(InputError, match="column 'VIN' has 455, 541"):
+            drive_of(tmp_path, f"Vehicle,{HEADER.replace('VehId', 'VIN')}", table, car=car)
+
+
+def test_a_car_that_begins_late_in_the_table_is_seen(tmp_path):
+    table = ["455"] * 300_000 + lines_of("541", 1)
+    with pytest.raises(InputError, match="rows of 2 cars"):
+        drive_of(tmp_path, HEADER, table)
+
+
+@pytest.mark.parametrize("name", ["Vin [V]", "Vin", "Vehicle (km/h)"])
+def test_a_measured_value_is_no_car(tmp_path, name):
+    table = [f"{12 + t % 2:.1f},{line}" for t, line in enumerate(lines_of("455", 1))]
+    if name == "Vin":
+        table = [line.replace(".0,", ".4,", 1) for line in table]
+    drive = drive_of(tmp_path, f"{name},{HEADER.replace('VehId', 'Row')}", table)
+    assert len(speeds(drive)) == 1200
+
+
+def test_a_file_that_breaks_off_is_read_up_to_there(tmp_path):
+    table = "\n".join([HEADER, *lines_of("455", 1)])
+    (tmp_path / "drive.csv.gz").write_bytes(gzip.compress(table.encode())[:-4000])
+    drive = open_drive(tmp_path / "drive.csv.gz", NOMINAL)
+    assert len(speeds(drive)) > 500 and "ended before" in drive.problem
 
 
 def test_torn_rows_are_no_cars(tmp_path):
