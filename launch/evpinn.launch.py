@@ -1,15 +1,10 @@
 """The three nodes of one car, live: `ros2 launch evpinn_ros evpinn.launch.py vehicle:=bmw_i3`."""
 
-from evpinn_ros.nodes.launching import argument, describe, node
-
-OWN = (
-    argument("can_interface", "", "Driver of the CAN adapter; empty: as in params_file."),
-    argument("can_channel", "", "Channel of the adapter; empty: as in params_file."),
-)
+from evpinn_ros.nodes.launching import BUS, describe, node
 
 
 def generate_launch_description():
-    return describe(_actions, *OWN)
+    return describe(_actions, *BUS)
 
 
 def _actions(given):

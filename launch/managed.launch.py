@@ -4,17 +4,13 @@
 `ros2 lifecycle set ...` or a lifecycle manager.
 """
 
-from evpinn_ros.nodes.launching import TRUTH, argument, describe, managed_node
+from evpinn_ros.nodes.launching import BUS, TRUTH, argument, describe, managed_node
 
-OWN = (
-    argument("can_interface", "", "Driver of the CAN adapter; empty: as in params_file."),
-    argument("can_channel", "", "Channel of the adapter; empty: as in params_file."),
-    argument("autostart", "true", "The nodes configure and activate themselves.", TRUTH),
-)
+AUTOSTART = argument("autostart", "true", "The nodes configure and activate themselves.", TRUTH)
 
 
 def generate_launch_description():
-    return describe(_actions, *OWN)
+    return describe(_actions, *BUS, AUTOSTART)
 
 
 def _actions(given):

@@ -123,10 +123,6 @@ class GuardedNode(ABC, Node):
             self._outlets[topic] = outlet
             self._made.append(partial(self.destroy_publisher, outlet))
 
-    def advertises(self, topic: Topic) -> bool:
-        """True if there is a publisher for a topic."""
-        return topic in self._outlets
-
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
         """Subscribe, with `raw` to bytes; what the callback raises is counted.
 
@@ -360,18 +356,15 @@ class GuardedNode(ABC, Node):
                 if error.usual or error.lasting:
                     self._usual.add(why)
                 if error.lasting:
-                    self._tell_beginning(why)
+                    reported, now = self._lasting.get(why, -math.inf), self.steady_s()
+                    self._lasting[why] = now
+                    if now - reported > LATELY:
+                        self.notice(why, f"not used from now on: {why}")
             except Exception as error:
                 # A car drives on: whatever this is, the next message deserves its chance.
                 self.count_fault(f"{name}: {type(error).__name__}", str(error))
 
         return safe
-
-    def _tell_beginning(self, why: str) -> None:
-        reported, now = self._lasting.get(why, -math.inf), self.steady_s()
-        self._lasting[why] = now
-        if now - reported > LATELY:
-            self.notice(why, f"not used from now on: {why}")
 
     def count_fault(self, text: str, detail: str = "") -> None:
         """Count a fault of our own; it is logged, with its detail, the first time only."""

@@ -72,7 +72,9 @@ class CanBridgeNode(ManagedNode):
         if self.values["interface"] == FRAMES and not self.values["log_file"]:
             self._listen_to_frames()
         self._threads: list[threading.Thread] = []
-        self.begun(f"decoding {self._profile.key}; {self._where()}; waiting for frames")
+        values = self.values
+        where = values["log_file"] or f"{values['interface']} {values['channel']}"
+        self.begun(f"decoding {self._profile.key}; {where}; waiting for frames")
 
     def begin(self) -> None:
         """Open the bus or the log, and read it."""
@@ -126,10 +128,6 @@ class CanBridgeNode(ManagedNode):
         if vehicle.can_profile is None:
             raise InputError(f"vehicle '{vehicle.key}' names no CAN profile; set can_profile")
         return load_profile(vehicle.can_profile)
-
-    def _where(self) -> str:
-        values = self.values
-        return values["log_file"] or f"{values['interface']} {values['channel']}"
 
     def _refuse_idle_poll(self) -> None:
         """Raise InputError when `poll` is set where nothing could come of it."""

@@ -71,12 +71,9 @@ class EnergyNode(StatefulNode):
     def configure(self) -> None:
         """Start from the energy file or at zero."""
         vehicle = load_vehicle(self.values["vehicle"])
-        self.meter = EnergyMeter(
-            load_rknn(),
-            integrator=Integrator(self.values["integrator"]),
-            max_gap=self.values["max_gap"],
-        )
-        self.account = EnergyAccount(self.meter, vehicle.key, vehicle.battery_capacity)
+        integrator, max_gap = Integrator(self.values["integrator"]), self.values["max_gap"]
+        meter = EnergyMeter(load_rknn(), integrator=integrator, max_gap=max_gap)
+        self.account = EnergyAccount(meter, vehicle.key, vehicle.battery_capacity)
         self._vehicle = vehicle
         # The one tells what forecasts rest on, the other answers in its thread.
         self.forecaster, self._desk = Forecaster(vehicle), PlanDesk(Forecaster(vehicle))
@@ -248,7 +245,7 @@ class EnergyNode(StatefulNode):
         times = result.time - result.time[0]
         columns = (result.energy, result.power, result.sigma)
         yield topics.FORECAST, forecast_bytes(header, times, *columns)
-        if self.advertises(TYPED_FORECAST):
+        if is_installed(PACKAGE):
             names = ("energy", "power", "sigma")
             numbers = dict(zip(names, (each.tolist() for each in columns), strict=True))
             typed = new_message(TYPED_FORECAST.type_name, time=times.tolist(), **numbers)

@@ -12,7 +12,6 @@ from evpinn_ros.energy.forecaster import Basis, PlanAnswer, PlanLog
 from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Condition, Status, rounded, with_health
 from evpinn_ros.topics.messages import Level
 
-ANSWERED = "answered"
 NO_POWER = "no power/smoothed"
 
 
@@ -111,11 +110,13 @@ def _wh(joules: float) -> object:
 
 def plan_status(plans: PlanLog, basis: Basis, air: Air) -> Status:
     """Status of answering plans, on a basis and with the air of now."""
+    outside = zip(("air_celsius", "air_pascal", "head_wind_mps"), air, strict=True)
     values = {
         "answered": plans.answered,
         "refused": plans.refused,
         "forecasts_from": basis.value,
-        **_air_values(air),
+        # What is unknown is taken from the vehicle file.
+        **{name: "unknown" if value is None else rounded(value) for name, value in outside},
         "charge_after": rounded(plans.charge_after.value),
         "charge_after_sigma": rounded(plans.charge_after.sigma),
     }
@@ -139,10 +140,4 @@ def answered_status(answer: PlanAnswer) -> Status:
         values |= {f"difference/{name}": apart.value, f"difference_sigma/{name}": apart.sigma}
     # A number of numpy would write its type beside its digits.
     texts = {key: repr(float(value)) for key, value in values.items()}
-    return Status("plan", Level.OK, ANSWERED, texts)
-
-
-def _air_values(air: Air) -> dict[str, object]:
-    """Air outside as forecasts take it; unknown values are those of the vehicle file."""
-    named = zip(("air_celsius", "air_pascal", "head_wind_mps"), air, strict=True)
-    return {name: "unknown" if value is None else rounded(value) for name, value in named}
+    return Status("plan", Level.OK, "answered", texts)

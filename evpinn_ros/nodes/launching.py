@@ -58,6 +58,10 @@ COMMON = (
     argument("log_level", "info", "Least severity that is logged.", LOG_LEVELS),
     argument("record", "", "Folder of a bag (MCAP) to record every topic to; empty: none."),
 )
+BUS = (
+    argument("can_interface", "", "Driver of the CAN adapter; empty: as in params_file."),
+    argument("can_channel", "", "Channel of the adapter; empty: as in params_file."),
+)
 SIMULATED = argument("use_sim_time", "false", "Take the time from /clock.", TRUTH)
 
 

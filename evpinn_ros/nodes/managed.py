@@ -16,7 +16,6 @@ from typing import Any
 from uuid import uuid4
 
 from rclpy.lifecycle import LifecycleNodeMixin, TransitionCallbackReturn
-from rclpy.node import Node
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
@@ -47,17 +46,20 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
         for problem in unknown_parameters(self, name):
             self.log(Level.WARN, problem)
         self._table, self._waits_for = TABLES[name], UNCONFIGURED
-        self._bond = bond_of(self, self.every) if self.values["managed"] else None
+        bound = self.values["managed"] and is_installed(BOND_PACKAGE)
+        self._bond = Bond(self) if bound else None
         self._made.clear()  # what was made so far is there as long as the node
-        if self.values["managed"]:
-            self.active = False
-            LifecycleNodeMixin.__init__(self)
-            if self.values["autostart"]:
-                self._start_itself()
+        if not self.values["managed"]:
+            self.configure()
+            self.configured = True
+            self.begin()
             return
-        self.configure()
-        self.configured = True
-        self.begin()
+        self.active = False
+        LifecycleNodeMixin.__init__(self)
+        # In place of a manager: a request may be lost while DDS matches those who just began.
+        succeeded = TransitionCallbackReturn.SUCCESS
+        if self.values["autostart"] and self.trigger_configure() is succeeded:
+            self.trigger_activate()
 
     @abstractmethod
     def configure(self) -> None:
@@ -80,11 +82,6 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
     def end(self) -> str | None:
         """Let go of what the node holds while it works; gives what could not be kept and why."""
         return None
-
-    def _start_itself(self) -> None:
-        """In place of a manager: a request may be lost while DDS matches those who just began."""
-        if self.trigger_configure() is TransitionCallbackReturn.SUCCESS:
-            self.trigger_activate()
 
     def close(self) -> str | None:
         """End all, as the process does; gives what could not be kept and why."""
@@ -179,22 +176,15 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
 class Bond:
     """One end of the bond that has the name of its node; the manager holds the other."""
 
-    def __init__(self, node: Node, every: Callable[[float, Callable[[], object]], object]) -> None:
-        """Make publisher, subscription and timer, which stay silent until `begin`.
-
-        Args:
-            node: whose name the bond has.
-            every: calls back with a period in s.
-        """
+    def __init__(self, node: GuardedNode) -> None:
+        """Make publisher, subscription and timer of a node, which stay silent until `begin`."""
         self._node, self._kind = node, message_class(BOND_TYPE)
         # Every identity that this end had: what it said last may come back after it began anew.
         self._own: list[str] = []
         self._alive = False
-        self.publisher = node.create_publisher(self._kind, BOND_TOPIC, BOND_DEPTH)
-        self.subscription = node.create_subscription(
-            self._kind, BOND_TOPIC, self._take, BOND_DEPTH
-        )
-        every(BOND_PERIOD, self._beat)
+        self._publisher = node.create_publisher(self._kind, BOND_TOPIC, BOND_DEPTH)
+        node.create_subscription(self._kind, BOND_TOPIC, self._take, BOND_DEPTH)
+        node.every(BOND_PERIOD, self._beat)
 
     def begin(self) -> None:
         """Be alive, as a new one: the manager forms a bond anew at each activation."""
@@ -221,9 +211,4 @@ class Bond:
         message = self._kind(id=self._node.get_name(), instance_id=self._own[-1], active=active)
         message.heartbeat_period, message.heartbeat_timeout = BOND_PERIOD, BOND_TIMEOUT
         message.header.stamp = self._node.get_clock().now().to_msg()
-        self.publisher.publish(message)
-
-
-def bond_of(node: Node, every: Callable[[float, Callable[[], object]], object]) -> Bond | None:
-    """The bond of a node; None without its messages."""
-    return Bond(node, every) if is_installed(BOND_PACKAGE) else None
+        self._publisher.publish(message)

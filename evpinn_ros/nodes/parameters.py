@@ -46,7 +46,11 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
         refuse_wrong(table, values)
     fixed = {each.name for each in table if each.read_only} if managed else set()
     node.add_on_set_parameters_callback(_refuser(node, table, values, fixed))
-    node.add_post_set_parameters_callback(lambda changed: _apply(values, changed))
+
+    def follow(changed: list[RosParameter]) -> None:
+        values.update({each.name: each.value for each in changed if each.name in values})
+
+    node.add_post_set_parameters_callback(follow)
     return values
 
 
@@ -93,31 +97,21 @@ def _refuser(
     return refuse
 
 
-def _apply(values: dict[str, Any], changed: list[RosParameter]) -> None:
-    values.update({each.name: each.value for each in changed if each.name in values})
-
-
 def _descriptor(parameter: Parameter, managed: bool) -> ParameterDescriptor:
     unit = f" [{parameter.unit}]" if parameter.unit else ""
+    choices = ", ".join(parameter.choices)
     descriptor = ParameterDescriptor(
         description=parameter.description + unit,
         read_only=parameter.read_only and not managed,
         dynamic_typing=managed,
-        additional_constraints=f"one of {', '.join(parameter.choices)}"
-        if parameter.choices
-        else "",
+        additional_constraints=f"one of {choices}" if choices else "",
     )
-    if math.isfinite(parameter.lower) and not managed:
-        _set_range(descriptor, parameter)
+    lower, upper = parameter.lower, parameter.upper
+    if math.isfinite(lower) and not managed:
+        if isinstance(parameter.default, float):
+            ends = FloatingPointRange(from_value=lower, to_value=upper)
+            descriptor.floating_point_range = [ends]
+        else:
+            whole = IntegerRange(from_value=int(lower), to_value=int(upper), step=1)
+            descriptor.integer_range = [whole]
     return descriptor
-
-
-def _set_range(descriptor: ParameterDescriptor, parameter: Parameter) -> None:
-    if isinstance(parameter.default, float):
-        ends = FloatingPointRange(from_value=parameter.lower, to_value=parameter.upper)
-        descriptor.floating_point_range = [ends]
-    else:
-        whole = IntegerRange(
-            from_value=int(parameter.lower), to_value=int(parameter.upper), step=1
-        )
-        descriptor.integer_range = [whole]

@@ -8,13 +8,12 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import Level, named_vector
+from test.nodes import plans
+from test.nodes.plans import NOW
 
-NOW = 1_700_000_000 * NANOSECONDS
 
-
-def power(seconds, watts, sigma=200.0):
-    stamp = NOW + round(seconds * NANOSECONDS)
-    return named_vector(new_message, stamp, ["power"], [watts], [sigma])
+def power(second, watts):
+    return plans.power(NOW + second * NANOSECONDS, watts)
 
 
 def test_energy_is_counted_and_reset(bench):
@@ -43,7 +42,7 @@ def test_energy_goes_on_while_the_battery_is_silent(bench):
             bench.deliver(node, topics.POWER_MEASURED, power(second, 2000.0))
         bench.deliver(node, topics.POWER_SMOOTHED, power(second, 2100.0))
     # Where the two join, one sample may count twice.
-    assert node.meter.state.consumed == pytest.approx(20_000.0 + 21_000.0, abs=2100.0)
+    assert node.account.state.consumed == pytest.approx(20_000.0 + 21_000.0, abs=2100.0)
     level, text, _ = bench.diagnosis(node)["meter"]
     assert level is Level.WARN and "predicting" in text
 
