@@ -4,7 +4,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 import fcntl
-from functools import cache, partial
+from functools import partial
 import os
 from pathlib import Path
 import subprocess
@@ -16,27 +16,32 @@ from typing import Any
 from unittest import mock
 
 import pytest
+from rcl_interfaces.msg import Log
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.bags.types import encode
+from evpinn_ros.bags.types import decode
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.discovery import announce_often
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameters import overrides
+from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 from evpinn_ros.topics import (
+    BATTERY,
     DIAGNOSTICS,
     NAMESPACE,
     POWER_MEASURED,
     POWER_SMOOTHED,
+    SPEED,
     Topic,
     topic_of,
 )
 from evpinn_ros.topics.messages import Level
+from evpinn_ros.topics.readings import READING_TOPICS, reading_message, to_reading
 
 pytestmark = pytest.mark.ros
 
@@ -63,11 +68,6 @@ POWERS = (POWER_MEASURED, POWER_SMOOTHED)  # of which energy is counted
 SPIN = 0.02  # s
 
 
-@cache
-def _is_ours(full_name: str) -> bool:
-    return topic_of(full_name) is not None
-
-
 class Bench:
     """Sends and hears; `pump` lets the nodes work until something is so."""
 
@@ -78,6 +78,7 @@ class Bench:
         self.nodes: list[GuardedNode] = []
         self.heard: dict[Topic, list[Any]] = defaultdict(list)
         self.faulty: set[GuardedNode] = set()  # those whose faults a test made on purpose
+        self._inputs: dict[GuardedNode, dict[str, Any]] = {}  # subscriptions by topic
         self._publishers: dict[Topic, Any] = {}
         self._clients: dict[str, Any] = {}
         self._numbers: Counter[tuple[GuardedNode, Topic]] = Counter()  # of messages delivered
@@ -89,8 +90,17 @@ class Bench:
             values.setdefault("wait_for_update", True)
         node = make(namespace=NAMESPACE, parameter_overrides=overrides(values))
         self.nodes.append(node)
+        named = {each.topic_name: each for each in node.subscriptions}
+        self._inputs[node] = {name: each for name, each in named.items() if topic_of(name)}
         self.executor.add_node(node)
         return node
+
+    def stop(self, node: GuardedNode) -> None:
+        """End a node as its executable does at SIGINT."""
+        self.executor.remove_node(node)
+        self.nodes.remove(node)
+        node.close()
+        node.destroy_node()
 
     def rest(self, seconds: float) -> None:
         """Let everybody work for so long."""
@@ -102,6 +112,20 @@ class Bench:
         """Hear topics, and wait until their publishers are found."""
         listeners = [factory.subscribe(self.node, t, self.heard[t].append) for t in topics]
         self.pump(lambda: all(self.node.count_publishers(s.topic_name) for s in listeners))
+
+    def hear(self, topic: Topic, namespace: str = NAMESPACE) -> list[Any]:
+        """All that will come on a topic under a namespace, whoever publishes it."""
+        heard: list[Any] = []
+        kind, qos = factory.message_class(topic.type_name), topic.subscriber_qos
+        name, profile = topic.under(namespace), factory.qos_profile(qos)
+        self.node.create_subscription(kind, name, heard.append, profile)
+        return heard
+
+    def log_lines(self) -> list[str]:
+        """All lines that nodes will log."""
+        lines: list[str] = []
+        self.node.create_subscription(Log, "/rosout", lambda log: lines.append(log.msg), 1000)
+        return lines
 
     def publisher(self, topic: Topic) -> Any:
         """The publisher of a topic, once somebody listens to it."""
@@ -122,8 +146,7 @@ class Bench:
 
     def deliver(self, node: GuardedNode, topic: Topic, message: Any) -> None:
         """Hand a message to a node as its executor would: nothing is on the way, or gets lost."""
-        name = node.resolve_topic_name(topic.name)
-        (subscription,) = (each for each in node.subscriptions if each.topic_name == name)
+        subscription = self._inputs[node][topic.under()]
         self._numbers[node, topic] += 1
         info = {"publication_sequence_number": self._numbers[node, topic]}
         data = serialize_message(message)
@@ -131,17 +154,23 @@ class Bench:
         subscription.callback(message, info)
         self._take(self.node)  # before what it leads to fills a queue
 
+    def read(self, node: GuardedNode, *readings: Reading) -> None:
+        """Deliver readings, each as the message of its own topic."""
+        for each in readings:
+            message = reading_message(factory.new_message, each)
+            self.deliver(node, READING_TOPICS[type(each)], message)
+
     def drive(self, messages: Iterable[tuple[Topic, Any]]) -> None:
         """Deliver each message to all who listen, and what that leads to, before the next."""
         for topic, message in messages:
             for node in self.nodes:
-                if topic.under() in {each.topic_name for each in node.subscriptions}:
+                if topic.under() in self._inputs[node]:
                     self.deliver(node, topic, message)
             self.pump(self._powers_have_arrived)
 
     def _powers_have_arrived(self) -> bool:
-        sent = sum((node.published for node in self.nodes), Counter())
         meters = [node for node in self.nodes if isinstance(node, EnergyNode)]
+        sent = {each: sum(node.published[each] for node in self.nodes) for each in POWERS}
         return all(node.received[each] == sent[each] for node in meters for each in POWERS)
 
     def call(self, kind: Any, name: str, **request: Any) -> Any:
@@ -182,9 +211,8 @@ class Bench:
         found = False
         for node in nodes:
             bench = node is self.node
-            for each in node.subscriptions:
-                kind, ours = each.msg_type, bench or _is_ours(each.topic_name)
-                while ours and (taken := each.handle.take_message(kind, each.raw)) is not None:
+            for each in node.subscriptions if bench else self._inputs[node].values():
+                while (taken := each.handle.take_message(each.msg_type, each.raw)) is not None:
                     found = True
                     each.callback(*(taken[:1] if bench else taken))
         return found
@@ -262,25 +290,41 @@ def run_with_messages() -> Callable[[str], str]:
 
 
 def messages(name: str, seconds: float) -> Iterator[tuple[Topic, Any, Any]]:
+    inputs, start = {topic.under(): topic for topic in (SPEED, BATTERY)}, None
     with BagReader(ROOT / "bags" / name) as bag:
-        start = None
-        for record in bag.records():
+        for record in bag.raw_records(inputs):
             start = start or record.log_time_ns
             if record.log_time_ns - start > seconds * 1e9:
                 return
-            topic = topic_of(record.topic)
-            if record.topic.endswith(("vehicle/speed", "battery/state")):
-                kind = factory.message_class(topic.type_name)
-                yield topic, record.message, deserialize_message(encode(record.message), kind)
+            data, kind = record.message, factory.message_class(record.type_name)
+            decoded = decode(record.type_name, data)
+            yield inputs[record.topic], decoded, deserialize_message(data, kind)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def bundled() -> Callable[[str, float], Iterator[tuple[Topic, Any, Any]]]:
     """The first seconds of a bundled bag: topic, message of rosbags, the same of rclpy."""
     return messages
 
 
 @pytest.fixture
+def can_log(tmp_path: Path) -> Callable[..., Path]:
+    """Writes the CAN log of a Model 3 on the first seconds of a bundled drive."""
+    from evpinn_ros.can.encoder import Encoder
+    from evpinn_ros.can.logs import write_log
+    from evpinn_ros.can.profile import load_profile
+
+    def write(bag: str, seconds: float) -> Path:
+        encoder, log = Encoder(load_profile("tesla_model_3")), tmp_path / f"{bag}.log"
+        encode = {SpeedReading: encoder.speed, BatteryReading: encoder.battery}
+        readings = (to_reading(topic.type_name, m) for topic, m, _ in messages(bag, seconds))
+        write_log(log, [encode[type(each)](each) for each in readings])
+        return log
+
+    return write
+
+
+@pytest.fixture(scope="session")
 def urban() -> Callable[[float], Iterator[tuple[Topic, Any, Any]]]:
     """The first seconds of the bag `urban`, as `bundled` gives them."""
     return partial(messages, "urban")

@@ -1,16 +1,20 @@
-"""Plans for the energy node, and the way to ask it."""
+"""Powers and plans for the energy node, and the way to ask it."""
 
 from evpinn_ros import topics
 from evpinn_ros.energy.power_model import Weather
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.topics.messages import header
+from evpinn_ros.topics.messages import header, named_vector
 from evpinn_ros.vehicle.files import load_vehicle
 
 NOW = 1_700_000_000 * NANOSECONDS
 VEHICLE = load_vehicle("tesla_model_3_lr")
 WEATHER = Weather(VEHICLE.air_density)
 ANSWERS = (topics.FORECAST, topics.FORECAST_BATTERY)
+
+
+def power(stamp_ns, watts, sigma=100.0):
+    return named_vector(new_message, stamp_ns, ["power"], [watts], [sigma])
 
 
 def profile(*points, frame="plan 7"):

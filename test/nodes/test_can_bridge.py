@@ -8,7 +8,6 @@ import tty
 
 import can
 import pytest
-from rcl_interfaces.msg import Log
 
 from evpinn_ros import topics
 from evpinn_ros.can.encoder import Encoder
@@ -65,27 +64,21 @@ def drive(bench, bus, frames, condition):
 @pytest.fixture
 def said(bench):
     """The lines that nodes log after their first, which may come before this listens."""
-    lines = []
-
-    def take(log):
-        if not log.msg.startswith("decoding "):
-            lines.append(log.msg)
-
-    bench.node.create_subscription(Log, "/rosout", take, 1000)
-    return lines
+    lines = bench.log_lines()
+    return lambda: [line for line in lines if not line.startswith("decoding ")]
 
 
 @pytest.mark.nightly
 def test_a_silent_bus_is_said_once(bench, bus, said):
     node = start(bench, bus)
     bench.listen(topics.SPEED)
-    drive(bench, bus, model_3(), lambda: bench.heard[topics.SPEED] and "receiving" in said)
-    bench.pump(lambda: any("silent" in line for line in said))
+    drive(bench, bus, model_3(), lambda: bench.heard[topics.SPEED] and "receiving" in said())
+    bench.pump(lambda: any("silent" in line for line in said()))
     bench.rest(3.5)
-    assert [each.partition(":")[0] for each in said] == ["receiving", "silent"]
+    assert [each.partition(":")[0] for each in said()] == ["receiving", "silent"]
     assert bench.diagnosis(node)["bus"][1].startswith("silent")
-    drive(bench, bus, model_3(), lambda: len(said) > 2)
-    assert said[2:] == ["receiving"]
+    drive(bench, bus, model_3(), lambda: len(said()) > 2)
+    assert said()[2:] == ["receiving"]
 
 
 @pytest.mark.nightly
@@ -94,18 +87,18 @@ def test_a_bus_that_takes_time_to_open_is_no_news(bench, said):
     tty.setraw(channel)
     options = {"interface": "slcan", "channel": os.ttyname(channel)}
     bench.start(CanBridgeNode, **options, bus_options="sleep_after_open=3.0")
-    bench.pump(lambda: said)
+    bench.pump(said)
     os.close(own)
     os.close(channel)
-    assert [each.partition(":")[0] for each in said] == ["silent"]
+    assert [each.partition(":")[0] for each in said()] == ["silent"]
 
 
 @pytest.mark.nightly
 def test_another_bus_is_said_with_what_would_fit(bench, bus, said):
     start(bench, bus, can_profile="nissan_leaf")
-    drive(bench, bus, model_3(), lambda: said)
+    drive(bench, bus, model_3(), said)
     bench.rest(1.5)
-    (text,) = said
+    (text,) = said()
     assert "no frame" in text and "'tesla_model_3' fits" in text
 
 
@@ -113,12 +106,12 @@ def test_a_profile_that_contradicts_the_bus_publishes_nothing(bench, bus, said):
     node = start(bench, bus, can_profile="tesla_model_s")
     bench.listen(topics.SPEED, topics.BATTERY)
     frames = model_3(doors=True)
-    drive(bench, bus, frames, lambda: any("fits better" in line for line in said))
+    drive(bench, bus, frames, lambda: any("fits better" in line for line in said()))
     level, text, values = bench.diagnosis(node)["bus"]
     assert level is Level.ERROR and "'tesla_model_3' fits better" in text
     assert int(values["dropped.undecided"]) > 0
     assert not node.published[topics.BATTERY] and not node.published[topics.SPEED]
-    assert len([line for line in said if "contradicts" in line]) == 1
+    assert len([line for line in said() if "contradicts" in line]) == 1
 
 
 def test_a_log_too_short_to_judge_is_published_at_its_end(bench, tmp_path):

@@ -19,14 +19,13 @@ from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.estimation.learner import LearnerReport
 from evpinn_ros.estimation.payload import PayloadChange
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
-from evpinn_ros.nodes.diagnosis import Condition, Health
+from evpinn_ros.nodes.diagnosis import WELL, Condition, Health
 from evpinn_ros.nodes.energy_diagnosis import answered_status, meter_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
 from evpinn_ros.signals.detector import BATTERY_STUCK, SPEED_STUCK
 from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import Level
 
-WELL = Health({}, {})
 STATUS = EstimatorStatus(
     activity=Activity.LEARNING,
     dropped={"speed_late": 2},
@@ -71,6 +70,9 @@ def test_learning_is_well_and_shows_its_counters():
         ({"activity": Activity.PREDICTING}, 0.1, Level.WARN, "battery/state is silent"),
         ({"activity": Activity.PAUSED}, 0.1, Level.OK, "paused"),
         ({"rejected": {"overrun": 9}}, 0.1, Level.WARN, "too slow or busy"),
+        ({"stuck": SPEED_STUCK}, 0.1, Level.WARN, "vehicle/speed is stuck at one value"),
+        ({"stuck": BATTERY_STUCK}, 0.1, Level.WARN, "battery/state is stuck at one value"),
+        ({"report": LearnerReport(suspicion="grade_sign")}, 0.1, Level.WARN, "sign of grade"),
     ],
 )
 def test_states_of_the_estimator(change, age, level, text):
@@ -197,19 +199,7 @@ def test_what_was_noticed_of_the_car_is_told():
     assert found.values["suspicion"] == "current_sign"
 
 
-def test_a_grade_of_the_wrong_sign_is_named():
-    status = dataclasses.replace(STATUS, report=LearnerReport(suspicion="grade_sign"))
-    found = estimator_status(status, DRIVING)
-    assert found.level == Level.WARN and "sign of grade" in found.text
-
-
 def test_a_notice_is_added_to_the_verdict_and_makes_it_a_warning():
     found = estimator(health=Health({}, {}, ("2 publishers of vehicle/speed",)))
     assert found.level is Level.WARN
     assert found.text == "learning: 35 of 40 updates accepted; 2 publishers of vehicle/speed"
-
-
-@pytest.mark.parametrize("stuck", [SPEED_STUCK, BATTERY_STUCK])
-def test_a_stuck_sensor_is_named(stuck):
-    found = estimator(dataclasses.replace(STATUS, stuck=stuck))
-    assert found.level is Level.WARN and "is stuck at one value" in found.text

@@ -2,7 +2,6 @@
 
 import math
 import signal
-import subprocess
 import sys
 
 from hypothesis import given, settings
@@ -18,14 +17,13 @@ from evpinn_ros.energy.charge import UNKNOWN
 from evpinn_ros.energy.forecaster import Forecaster
 from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.nodes.energy import EnergyNode
-from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.plans import speed_profile_plan
-from evpinn_ros.topics.readings import battery_message
 from evpinn_ros.vehicle.files import load_vehicle
 from test.conftest import load_example
+from test.nodes.processes import started, stopped
 
 VEHICLE = load_vehicle("tesla_model_3_lr")
 
@@ -65,8 +63,7 @@ def start_energy(bench, state_of_charge=0.8):
 
 
 def charge(bench, node, state_of_charge):
-    reading = BatteryReading(1, 350.0, -10.0, state_of_charge)
-    bench.deliver(node, topics.BATTERY, battery_message(new_message, reading))
+    bench.read(node, BatteryReading(1, 350.0, -10.0, state_of_charge))
 
 
 def plan_of(candidate):
@@ -285,17 +282,8 @@ def test_wrong_input_is_one_line(monkeypatch, capsys, option, reason):
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_as_a_process_it_prints_its_table_and_ends_when_told(stop):
     options = ("-p", "period:=0.3", "-p", "timeout:=0.2", "-p", "candidates:=1")
-    running = subprocess.Popen(
-        [sys.executable, FILE, "--ros-args", *options],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
+    with started(sys.executable, FILE, "--ros-args", *options) as running:
         assert running.stdout.readline().split() == [
             "candidate", "arrival", "energy", "sigma", "more", "battery",
         ]  # fmt: skip
-        running.send_signal(stop)
-        _, said = running.communicate(timeout=20)
-        assert running.returncode == 0 and "Traceback" not in said, said
-    finally:
-        running.kill()
-        running.communicate()
+        stopped(running, stop)

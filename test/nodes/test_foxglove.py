@@ -9,7 +9,6 @@ from itertools import islice
 import json
 from pathlib import Path
 import re
-import signal
 import socket
 import struct
 import subprocess
@@ -30,12 +29,13 @@ from evpinn_ros.live.foxglove import LOOPBACK, MOST_CONNECTIONS, FoxgloveServer,
 from evpinn_ros.live.foxglove_node import FoxgloveNode
 from evpinn_ros.nodes.factory import installed
 from evpinn_ros.topics.messages import Level, scalar
+from test.conftest import ROOT
+from test.nodes.processes import EVPINN, started, stopped
 
 pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
 websockets = pytest.importorskip("websockets.sync.client", reason="no WebSocket client")
 InvalidStatus = pytest.importorskip("websockets.exceptions").InvalidStatus
 
-ROOT = Path(__file__).resolve().parents[2]
 URBAN = ROOT / "bags" / "urban"
 SECOND = 10**9
 
@@ -110,21 +110,14 @@ def connected(address: str) -> Iterator[Client]:
 @contextmanager
 def evpinn(*arguments: object) -> Iterator[tuple[subprocess.Popen, str]]:
     """A command that serves, and its address; it must end well at Ctrl-C."""
-    command = [sys.executable, "-m", "evpinn_ros", *map(str, arguments)]
-    running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
-    try:
+    with started(*EVPINN, *arguments) as running:
         line, said = "", []
         while not (found := re.search(r"ws://[\d.]+:\d+", line)):
             line = running.stderr.readline()
             said.append(line)
             assert line, "".join(said)
         yield running, found[0]
-        running.send_signal(signal.SIGINT)
-        _, rest = running.communicate(timeout=30)
-        assert running.returncode == 0 and "Traceback" not in rest, rest
-    finally:
-        running.kill()
-        running.communicate()
+        stopped(running)
 
 
 def test_a_bag_comes_as_it_was_recorded():

@@ -10,24 +10,16 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.estimation.worker import InlineWorker
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.topics.messages import named_vector
+from evpinn_ros.topics.messages import stamp_ns
 from evpinn_ros.topics.readings import to_reading
-from evpinn_ros.vehicle.files import load_vehicle
-
-VEHICLE = "tesla_model_3_lr"
+from test.nodes.plans import NOW, VEHICLE, power
 
 SECONDS, ON_TIME = 34.0, 8.0  # s of the drive, and of it without a delay
 POWERS = (topics.POWER_MEASURED, topics.POWER_SMOOTHED)
 JOINED = 2.0  # s of a late battery that is joined with speed all the same
-START = 1_700_000_000  # s
 LAGS = [2.4, *(pytest.param(lag, marks=pytest.mark.nightly) for lag in (0.5, 10.0))]  # s
-
-
-def stamp_ns(message):
-    return message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
 
 
 def arrivals(drive, late, lag):
@@ -42,15 +34,27 @@ def arrivals(drive, late, lag):
     return sorted(drive, key=arrival)
 
 
+@pytest.fixture(scope="module")
+def drive(urban):
+    return [(topic, message) for topic, _, message in urban(SECONDS)]
+
+
+@pytest.fixture(scope="module")
+def in_time(drive):
+    """The cores after the drive as it was; that they equal the nodes is tested elsewhere."""
+    chain = Chain(VEHICLE, EstimatorSettings(), InlineWorker(time.perf_counter))
+    for topic, message in drive:
+        deque(chain.add_reading(to_reading(topic.type_name, message)), maxlen=0)
+    return chain
+
+
 @pytest.mark.parametrize("late", [topics.SPEED, topics.BATTERY], ids=lambda topic: topic.name)
 @pytest.mark.parametrize("lag", LAGS)
-def test_nothing_is_forgotten_when_one_topic_is_late(bench, urban, late, lag):
-    drive = [(topic, message) for topic, _, message in urban(SECONDS)]
+def test_nothing_is_forgotten_when_one_topic_is_late(bench, drive, in_time, late, lag):
     estimator, energy = bench.start(EstimatorNode), bench.start(EnergyNode)
     bench.drive(arrivals(drive, late, lag))
     for node in (estimator, energy):
         assert node.guard.jumps == 0 and not node.guard.dropped
-    in_time = chain_in_time(drive)
     trip, expected = energy.account.trip, in_time.account.trip
     assert trip.total.distance == pytest.approx(expected.total.distance, rel=1e-9)
     state, expected = energy.account.state, in_time.account.state
@@ -62,22 +66,12 @@ def test_nothing_is_forgotten_when_one_topic_is_late(bench, urban, late, lag):
     assert estimator.estimator.status().accepted > 1
 
 
-def chain_in_time(drive):
-    """The cores after the drive as it was; that they equal the nodes is tested elsewhere."""
-    chain = Chain(load_vehicle(VEHICLE), EstimatorSettings(), InlineWorker(time.perf_counter))
-    for topic, message in drive:
-        deque(chain.add_reading(to_reading(topic.type_name, message)), maxlen=0)
-    return chain
-
-
 @pytest.mark.parametrize("late", POWERS, ids=lambda topic: topic.name)
 @pytest.mark.parametrize("lag", LAGS)
 def test_energy_is_counted_where_its_stamps_are(bench, late, lag):
     node = bench.start(EnergyNode)
     sent = [
-        (topic, named_vector(new_message, (START + s) * NANOSECONDS, ["power"], [1e4], [10.0]))
-        for s in range(60)
-        for topic in POWERS
+        (topic, power(NOW + s * NANOSECONDS, 1e4, 10.0)) for s in range(60) for topic in POWERS
     ]
     for topic, message in arrivals(sent, late, lag):
         bench.deliver(node, topic, message)

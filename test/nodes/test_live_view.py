@@ -6,7 +6,6 @@ import fcntl
 from functools import partial
 import json
 import os
-from pathlib import Path
 import re
 import select
 import signal
@@ -19,20 +18,15 @@ import time
 import pytest
 
 from evpinn_ros import topics
-from evpinn_ros.can.encoder import Encoder
-from evpinn_ros.can.logs import write_log
-from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.live.data import NOTHING, WATCHED
 from evpinn_ros.live.view import LiveListener, watch
-from evpinn_ros.signals.readings import SpeedReading
-from evpinn_ros.topics.readings import to_reading
+from evpinn_ros.nodes.factory import installed
+from test.conftest import ROOT
+from test.nodes.processes import EVPINN, started, stopped
 
-ROOT = Path(__file__).resolve().parents[2]
-EVPINN = (sys.executable, "-m", "evpinn_ros")
 ALTERNATE, BACK = b"\x1b[?1049h", b"\x1b[?1049l"  # xterm: to the alternate screen and back
 CTRL_C = b"\x03"
-PROFILE = load_profile("tesla_model_3")
 
 
 class Terminal:
@@ -98,15 +92,9 @@ def terminal(*command: str, **environment: str) -> Iterator[Terminal]:
 
 
 @pytest.fixture
-def drive(urban, tmp_path) -> tuple[str, ...]:
+def drive(can_log, tmp_path) -> tuple[str, ...]:
     """The options of `evpinn run` that play a minute of a drive as if from a bus."""
-    encoder, frames = Encoder(PROFILE), []
-    for topic, message, _ in urban(60.0):
-        reading = to_reading(topic.type_name, message)
-        encode = encoder.speed if isinstance(reading, SpeedReading) else encoder.battery
-        frames.append(encode(reading))
-    log, params = tmp_path / "drive.log", tmp_path / "params.yaml"
-    write_log(log, frames)
+    log, params = can_log("urban", 60.0), tmp_path / "params.yaml"
     values = {"/**/can_bridge": {"ros__parameters": {"log_file": str(log), "log_rate": 4.0}}}
     params.write_text(json.dumps(values))  # which is YAML too
     return "run", "--vehicle", "tesla_model_3_lr", "--params", str(params)
@@ -173,16 +161,9 @@ def test_a_view_that_is_ended_while_it_begins_ends_quietly():
 
 @pytest.mark.nightly
 def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
-    running = subprocess.Popen(
-        [*EVPINN, *drive], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )
-    try:
-        assert any(b"playing" in line for line in running.stderr)
-        running.send_signal(signal.SIGINT)
-        out, _ = running.communicate(timeout=30)
-    finally:
-        running.kill()
-    assert (running.returncode, out) == (0, b"")
+    with started(*EVPINN, *drive) as running:
+        assert any("playing" in line for line in running.stderr)
+        assert stopped(running)[0] == ""
     with terminal(*EVPINN, *drive, "--no-view") as screen:
         screen.read_until(lambda written: b"playing" in written)
         screen.type(CTRL_C)
@@ -191,15 +172,7 @@ def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
 
 
 def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
-    running = subprocess.Popen(
-        [*EVPINN, "watch"],
-        cwd=ROOT,
-        env={**os.environ, "FORCE_COLOR": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    with started(*EVPINN, "watch", env={**os.environ, "FORCE_COLOR": "1"}) as running:
         assert "nothing received yet" in running.stdout.readline()
         messages = [message for topic, _, message in urban(1.0) if topic == topics.SPEED]
         bench.publisher(topics.SPEED)
@@ -209,19 +182,13 @@ def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
             line = running.stdout.readline()
         speed = messages[0].twist.twist.linear.x
         assert line.startswith(f"{3.6 * speed:.1f} km/h; charge  -  range")
-        running.send_signal(signal.SIGINT)
-        _, said = running.communicate(timeout=20)
-        assert running.returncode == 0
-        (line,) = said.splitlines()
+        (line,) = stopped(running)[1].splitlines()
         assert "saved nothing" in line and "evpinn run --record FOLDER --state FILE" in line
-    finally:
-        running.kill()
 
 
 @pytest.mark.nightly
 def test_watch_gives_scripts_a_json_object_a_line_until_stopped(bench, urban):
-    running = subprocess.Popen([*EVPINN, "watch", "--json"], cwd=ROOT, stdout=subprocess.PIPE)
-    try:
+    with started(*EVPINN, "watch", "--json") as running:
         message = next(message for topic, _, message in urban(1.0) if topic == topics.SPEED)
         bench.publisher(topics.SPEED)
         found = {"speed_mps": None}
@@ -230,45 +197,28 @@ def test_watch_gives_scripts_a_json_object_a_line_until_stopped(bench, urban):
             found = json.loads(running.stdout.readline())
         assert found["speed_mps"] == message.twist.twist.linear.x
         assert abs(found["time_s"] - time.time()) < 60.0
-        running.send_signal(signal.SIGINT)
-        assert running.wait(20) == 0
-    finally:
-        running.kill()
+        stopped(running)
 
 
 def test_watch_without_nodes_says_so_in_a_pipe():
     environment = {**os.environ, "ROS_DOMAIN_ID": "85"}  # where no test of ours has nodes
-    running = subprocess.Popen(
-        [*EVPINN, "watch", "--json"],
-        cwd=ROOT,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        line = running.stdout.readline()
+    with started(*EVPINN, "watch", "--json", env=environment) as running:
+        assert NOTHING in running.stdout.readline()
         running.send_signal(signal.SIGINT)
-        _, said = running.communicate(timeout=20)
-    finally:
-        running.kill()
-    assert NOTHING in line and said == f"evpinn: {NOTHING}\n"
+        assert running.communicate(timeout=20)[1] == f"evpinn: {NOTHING}\n"
 
 
 @pytest.mark.nightly
 def test_watch_publishes_nothing(bench):
-    running = subprocess.Popen([*EVPINN, "watch"], cwd=ROOT, stdout=subprocess.DEVNULL)
-    try:
+    with started(*EVPINN, "watch") as running:
         known = bench.node.get_node_names
         bench.pump(lambda: any(name.startswith("live_view") for name in known()))
         watcher = next(name for name in known() if name.startswith("live_view"))
         subscribed = partial(bench.node.get_subscriber_names_and_types_by_node, watcher, "/ev")
-        bench.pump(lambda: len(subscribed()) == len(WATCHED))
+        bench.pump(lambda: len(subscribed()) == len(installed(WATCHED)))
         published = bench.node.get_publisher_names_and_types_by_node(watcher, "/ev")
         assert {name for name, _ in published} <= {"/parameter_events"}  # of every rclpy node
-    finally:
-        running.send_signal(signal.SIGTERM)
-        assert running.wait(20) == 0
+        stopped(running, signal.SIGTERM)
 
 
 def test_a_listener_takes_all_that_has_come_at_once(bench, urban):

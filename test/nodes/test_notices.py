@@ -16,13 +16,11 @@ from evpinn_ros.signals.readings import (
 from evpinn_ros.topics import QUEUE_DEPTH
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.readings import altitude_message, speed_message
+from test.nodes.plans import NOW
 
-START = 1_700_000_000 * NANOSECONDS
 
-
-def speed(seconds, value=10.0):
-    reading = SpeedReading(START + round(seconds * NANOSECONDS), value)
-    return speed_message(new_message, reading)
+def speed(seconds):
+    return speed_message(new_message, SpeedReading(NOW + round(seconds * NANOSECONDS), 10.0))
 
 
 def test_values_that_are_no_numbers_are_named_and_are_no_arrival(bench, monkeypatch):
@@ -43,7 +41,7 @@ def test_values_that_are_no_numbers_are_named_and_are_no_arrival(bench, monkeypa
 def test_a_receiver_without_a_fix_is_counted_and_is_no_news(bench):
     """As in a garage, once a second for a night."""
     node = bench.start(EstimatorNode)
-    message = altitude_message(new_message, AltitudeReading(START, 100.0))
+    message = altitude_message(new_message, AltitudeReading(NOW, 100.0))
     message.status.status = message.status.STATUS_NO_FIX
     for _ in range(5):
         bench.deliver(node, topics.FIX, message)
@@ -79,18 +77,15 @@ def test_a_battery_that_falls_silent_brings_no_news_of_long_ago(bench, monkeypat
     """A topic of the state of charge alone, beside one that told power until now."""
     node = bench.start(EstimatorNode)
     for step in range(100):
-        stamp_ns = START + step * NANOSECONDS // 10
+        stamp_ns = NOW + step * NANOSECONDS // 10
         battery = BatteryReading(stamp_ns, 350.0, -20.0)
         charge = BatteryReading(stamp_ns, math.nan, math.nan, 0.5)
         for reading in (SpeedReading(stamp_ns, 10.0), battery, charge):
             list(node.estimator.add_reading(reading))
     for later in (0.0, 20.0, 21.0):
         monkeypatch.setattr(node, "steady_s", lambda later=later: later)
-        list(
-            node.estimator.add_reading(
-                SpeedReading(START + round((10 + later) * NANOSECONDS), 10.0)
-            )
-        )
+        last = SpeedReading(NOW + round((10 + later) * NANOSECONDS), 10.0)
+        list(node.estimator.add_reading(last))
         (status,) = node.statuses()
     assert status.values["activity"] == "predicting"
     assert status.values["dropped.battery_unmeasured"] == 100
@@ -166,6 +161,5 @@ def test_simulated_time_without_a_clock_is_named(bench):
 
 def test_stamps_of_the_future_are_named(bench):
     node = bench.start(EstimatorNode)
-    ahead = node.now_ns() - START + 3600 * NANOSECONDS
-    bench.deliver(node, topics.SPEED, speed(ahead / NANOSECONDS))
+    bench.read(node, SpeedReading(node.now_ns() + 3600 * NANOSECONDS, 10.0))
     assert "ahead of this computer's clock" in bench.diagnosis(node)["estimate"][1]

@@ -44,9 +44,7 @@ def imu(tenth, frame, pitch):
 
 def drive(bench, node, tenths, **also):
     for tenth in tenths:
-        reading = BatteryReading(stamp(tenth), 350.0, -30.0 + math.sin(tenth / 10))
-        if also.get("battery", True):
-            bench.deliver(node, topics.BATTERY, battery_message(new_message, reading))
+        bench.read(node, BatteryReading(stamp(tenth), 350.0, -30.0 + math.sin(tenth / 10)))
         speed = 10.0 + math.sin(tenth / 30)
         bench.deliver(node, topics.ODOMETRY, odometry(tenth, speed))
         if "frame" in also:
@@ -65,8 +63,7 @@ def test_the_estimator_learns_from_odometry_alone(bench):
 
 def test_odometry_is_not_used_beside_vehicle_speed(bench):
     node = bench.start(EstimatorNode)
-    message = speed_message(new_message, SpeedReading(stamp(0), 10.0))
-    bench.deliver(node, topics.SPEED, message)
+    bench.read(node, SpeedReading(stamp(0), 10.0))
     bench.deliver(node, topics.ODOMETRY, odometry(1, 99.0))
     _, text, values = bench.diagnosis(node)["estimate"]
     assert values["bad.odom: vehicle/speed is received"] == "1" and "not used" not in text

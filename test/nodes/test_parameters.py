@@ -4,7 +4,7 @@ from itertools import pairwise
 import math
 
 import pytest
-from rcl_interfaces.msg import Log, Parameter, ParameterValue
+from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 import yaml
@@ -50,8 +50,7 @@ def test_the_file_has_a_comment_above_every_parameter():
 
 
 def test_a_mistyped_parameter_is_reported_with_the_nearest_name(bench):
-    lines = []
-    bench.node.create_subscription(Log, "/rosout", lambda log: lines.append(log.msg), 1000)
+    lines = bench.log_lines()
     given = {"nominal_sped": 1.0, "smoothing_lag": 0.3, "qos_overrides./x.publisher.depth": 1}
     bench.start(EnergyNode, **given)
     bench.pump(lambda: any("unknown parameter" in line for line in lines))

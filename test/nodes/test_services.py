@@ -1,4 +1,4 @@
-"""Services of the nodes: what each answers is true, in whatever order they are called."""
+"""Services of the nodes: what each answers is true, after whichever other it is called."""
 
 from itertools import permutations
 
@@ -20,7 +20,7 @@ ENABLE, PAUSE = (SetBool, "enable", {"data": True}), (SetBool, "enable", {"data"
     ],
 )
 @pytest.mark.parametrize("writable", [True, False])
-def test_every_service_in_every_order_answers_what_was_done(
+def test_every_service_after_every_other_answers_what_was_done(
     bench, tmp_path, make, file, calls, writable
 ):
     """A save that fails logs a warning, a reset that succeeds none, on the same road."""
@@ -28,7 +28,7 @@ def test_every_service_in_every_order_answers_what_was_done(
     node = bench.start(make, **{file: str(path)})
     if not writable:
         path.parent.write_text("a file where a folder should be")
-    for order in permutations(calls):
+    for order in permutations(calls, 2):
         for kind, name, request in order:
             answer = bench.call(kind, f"/ev/{node.get_name()}/{name}", **request)
             works = writable or name != "save"

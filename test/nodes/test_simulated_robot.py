@@ -1,7 +1,6 @@
 """A mobile robot by odometry and battery alone: the nodes learn it, and answer Nav2's paths."""
 
-import os
-import subprocess
+import signal
 import sys
 
 import pytest
@@ -13,9 +12,9 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import header, read_named_vector
-from evpinn_ros.topics.readings import battery_message, speed_message
-from test.conftest import ROOT
+from evpinn_ros.topics.readings import speed_message
 from test.nodes.plans import path
+from test.nodes.processes import started, stopped
 from test.robots import moments, robot
 
 ROBOT = "mobile_robot"
@@ -35,8 +34,7 @@ def test_a_robot_is_learned_in_watts_and_its_path_costs_what_it_should(bench):
     for now in moments(1, 50.0):
         stamp = START + round(now.time * NANOSECONDS)
         if now.battery_due:
-            reading = BatteryReading(stamp, now.voltage, -now.current, now.charge)
-            bench.deliver(estimator, topics.BATTERY, battery_message(new_message, reading))
+            bench.read(estimator, BatteryReading(stamp, now.voltage, -now.current, now.charge))
         bench.deliver(estimator, topics.ODOMETRY, odometry(stamp, now.speed))
     bench.settle()
     learned = read_named_vector(bench.heard[topics.PARAMETERS][-1])
@@ -56,16 +54,11 @@ def test_a_robot_is_learned_in_watts_and_its_path_costs_what_it_should(bench):
 
 def test_the_example_publishes_what_the_nodes_take(bench):
     estimator = bench.start(EstimatorNode, vehicle=ROBOT)
-    command = [sys.executable, ROOT / "examples" / "simulated_robot.py"]
-    robots = subprocess.Popen(
-        [*command, "--ros-args", "-r", f"__ns:={NAMESPACE}"], env=dict(os.environ)
-    )
-    try:
+    command = (sys.executable, "examples/simulated_robot.py")
+    with started(*command, "--ros-args", "-r", f"__ns:={NAMESPACE}") as robots:
         bench.listen(topics.POWER_PREDICTED)
         bench.pump(lambda: estimator.received[topics.BATTERY] > 5, 120.0)
         bench.pump(lambda: len(bench.heard[topics.POWER_PREDICTED]) > 10)
         power = read_named_vector(bench.heard[topics.POWER_PREDICTED][-1]).values["power"]
         assert 0.0 < power < 500.0
-    finally:
-        robots.terminate()
-        assert robots.wait(30.0) == 0
+        stopped(robots, signal.SIGTERM)

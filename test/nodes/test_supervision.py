@@ -13,16 +13,11 @@ import sys
 import pytest
 
 from evpinn_ros import topics
-from evpinn_ros.can.encoder import Encoder
-from evpinn_ros.can.logs import write_log
-from evpinn_ros.can.profile import load_profile
-from evpinn_ros.signals.readings import SpeedReading
-from evpinn_ros.topics.readings import to_reading
+from test.conftest import ROOT
+from test.nodes.processes import node, started
 
-ROOT = Path(__file__).resolve().parents[2]
 UNITS = ROOT / "config" / "systemd"
-VEHICLE = "tesla_model_3"
-ENERGY = ("-m", "evpinn_ros.executables", "energy", "--ros-args", "-r", "__ns:=/ev")
+VEHICLE = "tesla_model_3_lr"
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
@@ -52,33 +47,23 @@ def systemd(tmp_path):
 
 def test_a_node_tells_that_it_is_up_that_it_works_and_that_it_ends(bench, systemd):
     inlet, environment = systemd
-    process = subprocess.Popen([sys.executable, *ENERGY], cwd=ROOT, env=environment)
-    try:
+    with started(*node("energy"), env=environment) as process:
         assert inlet.recv(100) == b"READY=1"
         assert [inlet.recv(100) for _ in range(3)] == 3 * [b"WATCHDOG=1"]
-        process.send_signal(signal.SIGTERM)
-        while (heard := inlet.recv(100)) == b"WATCHDOG=1":
-            pass
-        assert heard == b"STOPPING=1" and process.wait(20) == 0
-    finally:
-        process.kill()
-        process.wait()
-
-
-def test_a_process_that_hangs_says_nothing_more(bench, systemd):
-    inlet, environment = systemd
-    process = subprocess.Popen([sys.executable, *ENERGY], cwd=ROOT, env=environment)
-    try:
-        while inlet.recv(100) != b"WATCHDOG=1":
-            pass
         process.send_signal(signal.SIGSTOP)
         inlet.settimeout(1.0)
-        with pytest.raises(TimeoutError):
+        with pytest.raises(TimeoutError):  # one that hangs says nothing more
             while inlet.recv(100):
                 pass
-    finally:
-        process.kill()
-        process.wait()
+        inlet.settimeout(60.0)
+        process.send_signal(signal.SIGCONT)
+        process.send_signal(signal.SIGTERM)
+        assert last_word(inlet) == b"STOPPING=1" and process.wait(20) == 0
+
+
+def last_word(inlet):
+    """The next of what is said that is no sign of life."""
+    return next(said for said in iter(lambda: inlet.recv(100), b"") if said != b"WATCHDOG=1")
 
 
 def entry(unit, key):
@@ -88,11 +73,12 @@ def entry(unit, key):
 
 
 @pytest.mark.nightly
-def test_what_the_unit_starts_keeps_its_promises(bench, bundled, systemd, tmp_path):
+def test_what_the_unit_starts_keeps_its_promises(bench, can_log, systemd, tmp_path):
     """ExecStart as written, with what systemd and the guide's evpinn.env set, and a drive."""
     inlet, environment = systemd
     params, activate = tmp_path / "evpinn.param.yaml", tmp_path / "activate"
-    values = {"log_file": drive(bundled, tmp_path), "log_rate": 8.0, "log_delay": 4.0}
+    log = str(can_log("urban", 40.0))
+    values = {"log_file": log, "log_rate": 8.0, "log_delay": 4.0}
     params.write_text(json.dumps({"/**/can_bridge": {"ros__parameters": values}}))
     activate.write_text(f"PATH={Path(sys.executable).parent}:$PATH\n")
     assert entry("evpinn.service", "StateDirectory") == "evpinn"
@@ -101,39 +87,22 @@ def test_what_the_unit_starts_keeps_its_promises(bench, bundled, systemd, tmp_pa
     )
     environment |= {
         "STATE_DIRECTORY": str(tmp_path),  # of which systemd makes /var/lib/evpinn
-        "VEHICLE": f"{VEHICLE}_lr",
+        "VEHICLE": VEHICLE,
         "SETUP": str(activate),
         "OPTIONS": f"--params {params}",
     }
     command = shlex.split(entry("evpinn.service", "ExecStart"))
-    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE)
-    try:
+    with started(*command, cwd=tmp_path, env=environment) as process:
         assert inlet.recv(100) == b"READY=1"
         bench.listen(topics.POWER_SMOOTHED)
         bench.pump(lambda: len(bench.heard[topics.POWER_SMOOTHED]) > 50, 60.0)
         assert inlet.recv(100) == b"WATCHDOG=1"
         process.send_signal(signal.SIGTERM)  # KillMode=mixed: to the main process alone
-        while (heard := inlet.recv(100)) == b"WATCHDOG=1":
-            pass
-        assert heard == b"STOPPING=1"
+        assert last_word(inlet) == b"STOPPING=1"
         assert process.wait(int(entry("evpinn.service", "TimeoutStopSec"))) == 0
-    finally:
-        process.kill()
-        process.communicate()
     state = json.loads((tmp_path / "car.json").read_text())
     learned, counted = state["learned"], state["energy"]
-    assert learned["vehicle"] == counted["vehicle"] == f"{VEHICLE}_lr"
-
-
-def drive(bundled, folder):
-    """The CAN log of a bundled drive."""
-    encoder, frames = Encoder(load_profile(VEHICLE)), []
-    for topic, message, _ in bundled("urban", 40.0):
-        reading = to_reading(topic.type_name, message)
-        encode = encoder.speed if isinstance(reading, SpeedReading) else encoder.battery
-        frames.append(encode(reading))
-    write_log(folder / "drive.log", frames)
-    return str(folder / "drive.log")
+    assert learned["vehicle"] == counted["vehicle"] == VEHICLE
 
 
 IN_A_NETWORK_OF_ITS_OWN = ("unshare", "--map-root-user", "--net", "sh", "-c")

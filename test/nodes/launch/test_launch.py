@@ -17,25 +17,11 @@ from std_srvs.srv import Trigger
 
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.can.encoder import Encoder
-from evpinn_ros.can.logs import write_log
-from evpinn_ros.can.profile import load_profile
-from evpinn_ros.nodes.factory import message_class, qos_profile
-from evpinn_ros.signals.readings import SpeedReading
-from evpinn_ros.topics.readings import to_reading
+from test.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[3]
 LAUNCH = ("launch", "evpinn_ros")
 GUIDE = ROOT / "docs" / "guides" / "two_cars.md"
 SECONDS = 40.0  # of a bundled drive
-
-
-def hear(bench, topic, namespace="/ev"):
-    """The messages of a topic under any namespace."""
-    heard: list = []
-    kind, qos = message_class(topic.type_name), qos_profile(topic.subscriber_qos)
-    bench.node.create_subscription(kind, topic.under(namespace), heard.append, qos)
-    return heard
 
 
 def statuses(said, node):
@@ -63,17 +49,11 @@ def numbers(message):
 
 
 @pytest.fixture
-def car(bundled, tmp_path) -> Callable[..., Path]:
+def car(can_log, tmp_path) -> Callable[..., Path]:
     """Writes the parameters of a car whose bus is the CAN log of a bundled drive."""
 
     def write(bag="urban", seconds=SECONDS, rate=8.0):
-        encoder, frames = Encoder(load_profile("tesla_model_3")), []
-        for topic, message, _ in bundled(bag, seconds):
-            reading = to_reading(topic.type_name, message)
-            encode = encoder.speed if isinstance(reading, SpeedReading) else encoder.battery
-            frames.append(encode(reading))
-        log, file = tmp_path / f"{bag}.log", tmp_path / f"{bag}.yaml"
-        write_log(log, frames)
+        log, file = can_log(bag, seconds), tmp_path / f"{bag}.yaml"
         bus = {"log_file": str(log), "log_rate": rate, "can_profile": "tesla_model_3"}
         states = {
             "estimator": {"state_file": str(tmp_path / f"{bag}.json")},
@@ -122,9 +102,9 @@ def test_two_cars_in_one_graph_have_estimates_and_diagnostics_of_their_own(
     for bag in ("urban", "highway"):
         car(bag, max(SECONDS, 4 * seconds), rate=4.0)
     names = ("/robot1/ev", "/robot2/ev")
-    speeds = {name: hear(bench, topics.SPEED, name) for name in names}
-    learned = {name: hear(bench, topics.IDENTIFIABLE, name) for name in names}
-    said = hear(bench, topics.DIAGNOSTICS)
+    speeds = {name: bench.hear(topics.SPEED, name) for name in names}
+    learned = {name: bench.hear(topics.IDENTIFIABLE, name) for name in names}
+    said = bench.hear(topics.DIAGNOSTICS)
     cars = {
         (f"{name}/{node}", f"{vehicle} {name}")
         for name, vehicle in zip(names, ("tesla_model_3_lr", "generic"), strict=True)
@@ -193,7 +173,7 @@ def test_two_replays_in_one_graph_follow_their_namespaces(ros2, bench, tmp_path)
     file.write_text(text.replace("evpinn.launch.py", "replay.launch.py").replace(
         '"params_file":', f'"bag": "{ROOT}/bags/urban", "rate": "4", "params_file":'
     ))  # fmt: skip
-    heard = [hear(bench, topics.POWER_SMOOTHED, name) for name in ("/robot1/ev", "/robot2/ev")]
+    heard = [bench.hear(topics.POWER_SMOOTHED, name) for name in ("/robot1/ev", "/robot2/ev")]
     default = ROOT / "config" / "evpinn.param.yaml"
     with ros2.running("launch", file, f"first:={default}", f"second:={default}"):
         bench.pump(lambda: all(len(each) > 50 for each in heard), 90.0)
@@ -239,8 +219,8 @@ def test_arguments_are_the_same_everywhere_and_described(ros2):
 def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
     ros2, bench, bundled, car, tmp_path
 ):
-    learned, said = hear(bench, topics.PARAMETERS), hear(bench, topics.DIAGNOSTICS)
-    totals, drive = hear(bench, topics.ENERGY_TOTALS), tmp_path / "drive"
+    learned, said = bench.hear(topics.PARAMETERS), bench.hear(topics.DIAGNOSTICS)
+    totals, drive = bench.hear(topics.ENERGY_TOTALS), tmp_path / "drive"
 
     def idle():
         last = statuses(said, "estimator")[-4:]

@@ -1,7 +1,6 @@
 """Managed nodes, driven by `ros2 lifecycle`."""
 
 import json
-from pathlib import Path
 
 from lifecycle_msgs.srv import GetState
 import pytest
@@ -9,32 +8,17 @@ from rclpy.lifecycle import TransitionCallbackReturn
 
 from evpinn_ros import topics
 from evpinn_ros.nodes.energy import EnergyNode
-from evpinn_ros.nodes.factory import message_class, qos_profile
+from evpinn_ros.topics.messages import stamp_ns
+from test.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[3]
-
-
-def hear(bench, topic):
-    heard: list = []
-    kind, qos = message_class(topic.type_name), qos_profile(topic.subscriber_qos)
-    bench.node.create_subscription(kind, topic.under(), heard.append, qos)
-    return heard
+RUN, UNDER_EV = ("run", "evpinn_ros"), ("--ros-args", "-r", "__ns:=/ev", "-p", "managed:=true")
 
 
 @pytest.mark.nightly
 def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_path):
-    state, powers, said = tmp_path / "car.json", hear(bench, topics.POWER_PREDICTED), []
-    bench.node.create_subscription(
-        message_class(topics.DIAGNOSTICS_TYPE), "/diagnostics", said.append, 10
-    )
-    options = (
-        "-p",
-        "managed:=true",
-        "-p",
-        "vehicle:=tesla_model_3_lr",
-        "-p",
-        f"state_file:={state}",
-    )
+    powers, said = bench.hear(topics.POWER_PREDICTED), bench.hear(topics.DIAGNOSTICS)
+    state = tmp_path / "car.json"
+    options = ("-p", "vehicle:=tesla_model_3_lr", "-p", f"state_file:={state}")
     drive = [(topic, message) for topic, _, message in urban(20.0)]
 
     def send(count):
@@ -43,15 +27,11 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
             bench.executor.spin_once(timeout_sec=0.01)
         del drive[:count]
 
-    def seconds(message):
-        return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-
     def to(transition):
         answer = ros2.ask("lifecycle", "set", "/ev/estimator", transition)
         assert "Transitioning successful" in answer, answer
 
-    command = ("run", "evpinn_ros", "estimator", "--ros-args", "-r", "__ns:=/ev", *options)
-    with ros2.running(*command):
+    with ros2.running(*RUN, "estimator", *UNDER_EV, *options):
         bench.pump(lambda: said, 30.0)
         assert "managed node that is not active" in said[-1].status[0].message
         assert "unconfigured" in ros2.ask("lifecycle", "get", "/ev/estimator")
@@ -64,27 +44,23 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
         assert not state.exists()
         to("deactivate")
         assert json.loads(state.read_text())["learned"]["vehicle"] == "tesla_model_3_lr"
-        first = seconds(drive[0][1])
+        first = stamp_ns(drive[0][1])
         send(40)
-        assert not [power for power in powers if seconds(power) >= first]  # others were on the way
+        assert all(stamp_ns(power) < first for power in powers)  # those were on the way
 
 
 @pytest.mark.nightly
 def test_a_managed_bridge_opens_its_bus_when_it_is_activated(ros2, bench):
-    said: list = []
-    bench.node.create_subscription(
-        message_class(topics.DIAGNOSTICS_TYPE), "/diagnostics", said.append, 10
-    )
+    said = bench.hear(topics.DIAGNOSTICS)
 
     def text():
         said.clear()
         bench.pump(lambda: said, 20.0)
         return said[-1].status[0].message
 
-    options = ("-p", "managed:=true", "-p", "interface:=slcan", "-p", "channel:=/dev/none")
+    options = ("-p", "interface:=slcan", "-p", "channel:=/dev/none")
     options += ("-p", "can_profile:=tesla_model_3")
-    command = ("run", "evpinn_ros", "can_bridge", "--ros-args", "-r", "__ns:=/ev", *options)
-    with ros2.running(*command):
+    with ros2.running(*RUN, "can_bridge", *UNDER_EV, *options):
         assert "it waits to be configured" in text()
         for transition in ("configure", "activate"):
             ros2.ask("lifecycle", "set", "/ev/can_bridge", transition)
@@ -102,9 +78,7 @@ def test_a_wrong_parameter_fails_the_transition_and_a_right_one_mends_it(ros2, b
     def state_is():
         return ros2.ask("lifecycle", "get", name).split()[0]
 
-    options = ("-p", "managed:=true", "-p", "vehicle:=no_such_car")
-    command = ("run", "evpinn_ros", "energy", "--ros-args", "-r", "__ns:=/ev", *options)
-    with ros2.running(*command) as process:
+    with ros2.running(*RUN, "energy", *UNDER_EV, "-p", "vehicle:=no_such_car") as process:
         assert "Transitioning successful" not in to("configure")
         assert state_is() == "unconfigured" and "no_such_car" in process.output
         ros2.ask("param", "set", name, "vehicle", "bmw_i3")

@@ -1,0 +1,57 @@
+"""Processes of the tests: none outlives its block, and each ends well when it is told."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import json
+from pathlib import Path
+import signal
+import subprocess
+import sys
+from typing import Any
+
+from evpinn_ros.topics import Topic
+from test.conftest import ROOT
+
+ALL_IN_ONE = """
+import json, sys
+from pathlib import Path
+from evpinn_ros.nodes.all_in_one import run
+parameters, record = sys.argv[1:]
+raise SystemExit(run(json.loads(parameters), record=Path(record)))
+"""
+EVPINN = (sys.executable, "-m", "evpinn_ros")
+
+
+@contextmanager
+def started(*command: object, **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """A process with pipes in the root of the checkout; `options` are those of Popen."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "cwd": ROOT}
+    process = subprocess.Popen([*map(str, command)], **{**pipes, **options})
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def stopped(process: subprocess.Popen[str], by: signal.Signals = signal.SIGINT) -> tuple[str, str]:
+    """What a process still writes, to stdout and stderr, that must end well by a signal."""
+    process.send_signal(by)
+    out, said = process.communicate(timeout=30)
+    assert process.returncode == 0 and "Traceback" not in said, said
+    return out, said
+
+
+def node(name: str, *deep: Topic, **parameters: object) -> tuple[str, ...]:
+    """The command of a node under /ev, with deep queues for some of its inputs."""
+    queues = {f"qos_overrides.{topic.under()}.subscription.depth": 1000 for topic in deep}
+    values = {"vehicle": "tesla_model_3_lr", **queues, **parameters}
+    options = [word for k, v in values.items() for word in ("-p", f"{k}:={json.dumps(v)}")]
+    executable = (sys.executable, "-m", "evpinn_ros.executables", name)
+    return *executable, "--ros-args", "-r", "__ns:=/ev", *options
+
+
+def all_in_one(bag: Path, **parameters: object) -> tuple[object, ...]:
+    """The command of the three nodes in one process, which record a bag."""
+    values = {"vehicle": "tesla_model_3_lr", **parameters}
+    return sys.executable, "-c", ALL_IN_ONE, json.dumps(values), bag
