@@ -38,6 +38,10 @@ def write_readings(
     return dropped
 
 
+class NoTopicsError(InputError):
+    """A bag has none of our topics."""
+
+
 class BagReadings:
     """The readings of a bag, from the input topics under any namespace.
 
@@ -56,7 +60,8 @@ class BagReadings:
         see `grade_reading`.
 
         Raises:
-            InputError: none of the topics is there, or the bag holds several cars.
+            NoTopicsError: none of the topics is there.
+            InputError: the bag holds several cars.
         """
         self.dropped: Counter[str] = Counter()
         self._reader, self._mounting = reader, mounting
@@ -72,7 +77,7 @@ class BagReadings:
         if not self.topics:
             wanted = ", ".join(topic.name for topic in READING_TOPICS.values())
             near = "".join(f"; {note}" for note in self.notes)
-            raise InputError(f"{reader.path}: has none of the topics {wanted}{near}")
+            raise NoTopicsError(f"{reader.path}: has none of the topics {wanted}{near}")
 
     def __iter__(self) -> Iterator[Reading]:
         self.dropped.clear()

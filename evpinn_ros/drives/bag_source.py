@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from evpinn_ros.bags.convert import BagReadings
+from evpinn_ros.bags.convert import BagReadings, NoTopicsError
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import FRAME_TYPE
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.drives.source import Source
 from evpinn_ros.signals.readings import Reading
@@ -53,28 +52,29 @@ def bag_of_topics(path: Path, options: ReadOptions) -> BagSource | None:
     """A bag by its topics; None where its raw frames are asked for, or are all there is.
 
     Raises:
-        InputError: it is no bag, or has neither.
+        InputError: it is no bag, has neither, or topics of several cars.
     """
-    if options.can_profile is not None and holds_frames(path):
+    if options.can_profile is not None and holds_frames(path, options.car):
         return None
     try:
         return BagSource(path, options)
-    except InputError:
-        if holds_frames(path):
+    except NoTopicsError:
+        if holds_frames(path, options.car):
             return None
         raise
 
 
-def holds_frames(path: Path) -> bool:
-    """True if a bag has raw frames; InputError when it is no bag."""
+def holds_frames(path: Path, car: str | None = None) -> bool:
+    """True if a bag has raw frames, of the car if given; InputError when it is no bag."""
     with BagReader(path) as reader:
-        return bool(frame_topics(reader))
+        return bool(frame_topics(reader, car))
 
 
-def frame_topics(reader: BagReader) -> list[str]:
-    """Topics with received frames."""
+def frame_topics(reader: BagReader, car: str | None = None) -> list[str]:
+    """Topics with received frames, of the car with this namespace if given."""
+    begin = f"/{car.strip('/')}/" if car else ""
     return [
         name
         for name, info in reader.topics.items()
-        if info.type_name == FRAME_TYPE and not name.endswith(_SENT)
+        if info.type_name == FRAME_TYPE and name.startswith(begin) and not name.endswith(_SENT)
     ]

@@ -44,15 +44,20 @@ class BagFrames:
         skipped: what is not a data frame, by kind; complete once all are read.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Find the topics; InputError when it is no bag, or has no frames."""
+    def __init__(self, path: Path, car: str | None = None) -> None:
+        """Find the topics, of the car with this namespace if given.
+
+        Raises:
+            InputError: it is no bag, or has no frames.
+        """
         self.path = path
         self.count = 0
         self.skipped: Counter[str] = Counter()
         self._reader = BagReader(path)
-        self._topics = frame_topics(self._reader)
+        self._topics = frame_topics(self._reader, car)
         if not self._topics:
-            raise InputError(f"{path}: no CAN frames ({FRAME_TYPE}) in this bag")
+            of_car = f" of the car {car!r}" if car else ""
+            raise InputError(f"{path}: no CAN frames ({FRAME_TYPE}){of_car} in this bag")
 
     @property
     def seconds(self) -> float | None:
@@ -86,13 +91,19 @@ CanLog: TypeAlias = LogFile | BagFrames
 """A recorded bus, read once by `frames()`."""
 
 
-def open_can_log(path: Path) -> CanLog:
+def open_can_log(path: Path, car: str | None = None) -> CanLog:
     """A CAN log of any kind: a file of frames, or a bag with a topic of them.
 
+    `car` is the namespace of the one that is asked for.
+
     Raises:
-        InputError: it is neither; the text has the file and the reason.
+        InputError: it is neither, or of no such car; the text has the file and the reason.
     """
-    return BagFrames(path) if is_bag(path) else LogFile(path)
+    if is_bag(path):
+        return BagFrames(path, car)
+    if car:
+        raise InputError(f"{path}: a CAN log does not tell cars apart, so there is no {car!r}")
+    return LogFile(path)
 
 
 def inspected(log: CanLog) -> BusReport:
@@ -153,7 +164,7 @@ def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Sourc
     """
     if not is_bag(path) and suffix_of(path) not in LOG_SUFFIXES:
         raise unknown_kind(path)
-    log = open_can_log(path)
+    log = open_can_log(path, options.car)
     name = options.can_profile or vehicle.can_profile
     if name is None:
         raise InputError(

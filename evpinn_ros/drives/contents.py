@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -86,13 +86,13 @@ def contents(
     found = Contents(path, "CAN log")
     if is_bag(path):
         found = Contents(path, "bag", topics=_topics(path))
-        if not holds_frames(path):
+        if not holds_frames(path, options.car):
             return _with_drive(found, options, bar)
     elif suffix_of(path) not in LOG_SUFFIXES:
         raise unknown_kind(path)
     from evpinn_ros.drives import bus_sources
 
-    report = bus_sources.inspected(bus_sources.open_can_log(path))
+    report = bus_sources.inspected(bus_sources.open_can_log(path, options.car))
     profile = report.best.fit.profile if report.best is not None else None
     cars = map(load_vehicle, vehicle_names())
     names = tuple(car.key for car in cars if profile and car.can_profile == profile)
@@ -141,6 +141,8 @@ def _source(found: Contents, options: ReadOptions) -> Source:
     """The drive in a recording; topics of ours are preferred to the frames of a bag."""
     vehicle = load_vehicle(GENERIC)
     if found.kind == "bag":
-        with suppress(InputError):
-            return open_source(found.path, vehicle, options)
+        from evpinn_ros.drives.bag_source import bag_of_topics
+
+        if (bag := bag_of_topics(found.path, options)) is not None:
+            return bag
     return open_source(found.path, vehicle, replace(options, can_profile=found.profile))

@@ -1,5 +1,6 @@
 """Raw CAN frames in bags: written, read back, and used like any CAN log."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from mcap.writer import Writer
@@ -8,6 +9,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from evpinn_ros.bags.can_frames import encode_frame
+from evpinn_ros.bags.convert import write_readings
 from evpinn_ros.bags.types import FRAME_TYPE, decode, encode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
@@ -17,6 +19,7 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.drives.bag_source import BagSource
 from evpinn_ros.drives.bus_sources import BagFrames, CanLogSource, open_can_log
+from evpinn_ros.drives.contents import contents
 from evpinn_ros.drives.read_options import ReadOptions
 from evpinn_ros.drives.sources import open_source
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
@@ -148,6 +151,35 @@ def test_a_bag_of_frames_replays_as_its_log_does(tmp_path, drive):
     assert list(LogFile(tmp_path / "drive.log").frames()) == drive
     with pytest.raises(InputError, match="names no CAN profile"):
         open_source(tmp_path / "bag", load_vehicle("generic"))
+
+
+def test_frames_of_one_of_several_cars(tmp_path, drive):
+    others = [replace(frame, data=bytes(8)) for frame in drive]
+    with BagWriter(tmp_path / "bag") as writer:
+        for pair in zip(others, drive, strict=True):
+            for topic, frame in zip(("/a/can/frames", "/b/can/frames"), pair, strict=True):
+                writer.write_raw(topic, FRAME_TYPE, encode_frame(frame), frame.stamp_ns)
+    car = load_vehicle("tesla_model_3_lr")
+    write_log(tmp_path / "drive.log", drive)
+    log = [*open_source(tmp_path / "drive.log", car).readings()]
+    for name in ("b", "/b"):
+        bag = open_source(tmp_path / "bag", car, ReadOptions(car=name))
+        assert [*map(repr, bag.readings())] == [*map(repr, log)]
+    assert contents(tmp_path / "bag", ReadOptions(car="b")).frames == len(drive)
+    with pytest.raises(InputError, match="tell cars apart, so there is no 'b'"):
+        open_source(tmp_path / "drive.log", car, ReadOptions(car="b"))
+
+
+def test_topics_of_several_cars_are_not_passed_over_for_their_frames(tmp_path, drive):
+    with BagWriter(tmp_path / "bag") as writer:
+        for name in ("/a", "/b"):
+            write_readings([SpeedReading(NOW, 1.0)], writer, name)
+            for frame in drive:
+                topic = f"{name}/can/frames"
+                writer.write_raw(topic, FRAME_TYPE, encode_frame(frame), frame.stamp_ns)
+    with pytest.raises(InputError, match="topics of 2 cars, /a, /b; say --car NAME"):
+        open_source(tmp_path / "bag", load_vehicle("tesla_model_3_lr"))
+    assert "topics of 2 cars" in contents(tmp_path / "bag").notes[0]
 
 
 def test_recorded_topics_go_before_frames_unless_a_profile_is_named(tmp_path, drive):
