@@ -1,4 +1,4 @@
-"""Parquet, Feather and lines of JSON as text, by polars, which runs apart (`common.apart`)."""
+"""Parquet and Feather as text, by polars, which runs apart (`common.apart`)."""
 
 from __future__ import annotations
 
@@ -16,22 +16,24 @@ def write_columns(path: Path, out: Path) -> None:
     with open_file(path) as file:
         # By its number, for in a name there may be signs of a pattern, or no text at all.
         source = f"/dev/fd/{file.fileno()}"
-        match path.suffix.lower():
-            case ".parquet" | ".pq":
-                frame = pl.scan_parquet(source)
-            case ".feather" | ".arrow":
-                frame = pl.scan_ipc(source)
-            case _:  # all lines tell the columns: a logger leaves out what it does not know
-                frame = pl.scan_ndjson(source, infer_schema_length=None)
+        is_parquet = path.suffix.lower() in (".parquet", ".pq")
+        frame = pl.scan_parquet(source) if is_parquet else pl.scan_ipc(source)
         # Nested columns hold no signal; a table of ours or of pandas has none.
         schema = frame.collect_schema()
         flat = {name: kind for name, kind in schema.items() if not kind.is_nested()}
         if len(flat) > MOST_COLUMNS:
             raise InputError(f"more than {MOST_COLUMNS} columns")
-        columns = []
-        for name, kind in flat.items():
-            text = pl.col(name).cast(pl.String, strict=False)
-            if kind in (pl.String, pl.Binary, pl.Categorical):
-                text = text.str.replace_all(r"[\r\n]+", " ")
-            columns.append(text.alias(plain_cell(name)))
-        frame.select(columns).sink_csv(out)
+        frame.select([_text(name, kind) for name, kind in flat.items()]).sink_csv(out)
+
+
+def _text(name: str, kind: pl.DataType) -> pl.Expr:
+    """A column as text."""
+    column, shown = pl.col(name), plain_cell(name)
+    if isinstance(kind, pl.Duration):
+        return (column.dt.total_nanoseconds() / 1e9).alias(f"{shown} [s]")
+    if kind == pl.Time:  # cast, it would lose what is below a second
+        return column.dt.to_string("%H:%M:%S%.f").alias(shown)
+    text = column.cast(pl.String, strict=False)
+    if kind in (pl.String, pl.Binary, pl.Categorical):
+        text = text.str.replace_all(r"[\r\n]+", " ")
+    return text.alias(shown)

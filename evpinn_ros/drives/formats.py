@@ -16,12 +16,17 @@ from evpinn_ros.drives.text_table import ConvertedTable
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
 SHEET_SUFFIXES = (".xlsx", ".xlsm")
-COLUMNAR_SUFFIXES = (".parquet", ".pq", ".feather", ".arrow", ".jsonl", ".ndjson")
+COLUMNAR_SUFFIXES = (".parquet", ".pq", ".feather", ".arrow")
+JSON_SUFFIXES = (".jsonl", ".ndjson")
 MEASUREMENT_SUFFIX = ".mf4"
-TABLE_SUFFIXES = (*TEXT_SUFFIXES, *SHEET_SUFFIXES, *COLUMNAR_SUFFIXES, MEASUREMENT_SUFFIX)
+TABLE_SUFFIXES = (
+    *(*TEXT_SUFFIXES, *SHEET_SUFFIXES, *COLUMNAR_SUFFIXES),
+    *(*JSON_SUFFIXES, MEASUREMENT_SUFFIX),
+)
 CONVERTERS = {  # what writes a table that is no text as one, in a process of its own
     **dict.fromkeys(SHEET_SUFFIXES, "evpinn_ros.drives.sheets:write_sheet"),
     **dict.fromkeys(COLUMNAR_SUFFIXES, "evpinn_ros.drives.columnar:write_columns"),
+    **dict.fromkeys(JSON_SUFFIXES, "evpinn_ros.drives.json_lines:write_objects"),
     MEASUREMENT_SUFFIX: "evpinn_ros.drives.measurement:write_signals",
 }
 _DRIVES = (*TABLE_SUFFIXES, *LOG_SUFFIXES)  # that a folder of drives may hold

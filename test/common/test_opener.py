@@ -88,7 +88,6 @@ OPENS |= {
     "read_excel",
     "scan_parquet",
     "scan_ipc",
-    "scan_ndjson",
     "scan_csv",
     "load_workbook",
 }

@@ -2,10 +2,12 @@
 
 from datetime import datetime, timedelta, timezone
 import gzip
+import json
 import math
 import os
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -213,6 +215,34 @@ def test_tables_of_columns_and_spreadsheets(tmp_path):
         assert len(speeds) == SECONDS
         assert speeds[0].stamp_ns == START.timestamp() * 1e9
         assert speeds[20].speed == pytest.approx(8 - 8 * math.cos(2.5))
+
+
+def test_lines_of_json_are_read_whatever_one_of_them_is(tmp_path):
+    """A logger that was ended left half a line; Python writes NaN; some cells are text."""
+    lines = [
+        json.dumps({"t_s": t, "speed_mps": v, "power_w": 9.0, "place": {"lat": 1}, "a": "b\n"})
+        for t, v in enumerate([1.0, 2.0, 3.0, math.nan, *range(5, 101)])
+    ]
+    torn = lines[2][:20] + lines[1]
+    (tmp_path / "d.jsonl").write_text("\n".join(["", *lines[:2], torn, *lines[3:], "[1]", "{"]))
+    drive = open_drive(tmp_path / "d.jsonl")
+    readings = list(drive.readings())
+    assert [r.speed for r in readings if isinstance(r, SpeedReading)] == [1, 2, *range(5, 101)]
+    assert sum(isinstance(r, BatteryReading) for r in readings) == 99
+    assert "3 lines are no JSON objects, the first is line 4" in drive.problem
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".feather"])
+def test_times_of_day_and_durations_of_columns_keep_parts_of_a_second(tmp_path, suffix):
+    steps = [timedelta(milliseconds=100 * i) for i in range(50)]
+    of_day = [(START + step).time() for step in steps]
+    for times in (steps, of_day):
+        table = pl.DataFrame({"time": times, "speed": 50 * [1.0], "power": 50 * [9.0]})
+        save = table.write_parquet if suffix == ".parquet" else table.write_ipc
+        save(tmp_path / f"d{suffix}")
+        drive = open_drive(tmp_path / f"d{suffix}")
+        stamps = [r.stamp_ns for r in drive.readings() if isinstance(r, SpeedReading)]
+        assert np.diff(stamps).tolist() == 49 * [100_000_000]
 
 
 @pytest.mark.parametrize(
