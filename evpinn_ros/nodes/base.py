@@ -211,7 +211,7 @@ class GuardedNode(ABC, Node):
             self._outlets[topic].publish(message)
             self.published[topic] += 1
             if (beside := TYPED.get(topic)) in self._outlets:
-                self._outlets[beside].publish(typed_message(new_message, topic, message))
+                self._outlets[beside].publish(typed_message(topic, message))
                 self.published[beside] += 1
 
     def forget_endpoints(self) -> None:

@@ -251,7 +251,7 @@ class EnergyNode(StatefulNode):
             typed = new_message(TYPED_FORECAST.type_name, time=times.tolist(), **numbers)
             typed.header, typed.basis = header, basis.value
             typed.conditions = list(answer.conditions)
-            typed.assumed = assumed_conditions(new_message, answer.assumed)
+            typed.assumed = assumed_conditions(answer.assumed)
             yield TYPED_FORECAST, typed
         if answer.charge.known:
             reading = BatteryReading(0, answer.voltage, math.nan, answer.charge.value)

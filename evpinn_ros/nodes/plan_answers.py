@@ -153,7 +153,7 @@ class PlanCall:
         response.results, response.basis = self.results, self._basis
         if self._answered is not None:
             response.conditions = list(self._answered.conditions)
-            response.assumed = assumed_conditions(new_message, self._answered.assumed)
+            response.assumed = assumed_conditions(self._answered.assumed)
         return response
 
     def _refuse_too_many(self, asked: Any) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 
 from evpinn_ros import topics
 from evpinn_ros.energy.plan import CONDITION_RANGES, PlanConditions
+from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.topics import Topic
-from evpinn_ros.topics.messages import NewMessage
 
 PACKAGE = "evpinn_msgs"
 PLAN_SERVICE = f"{PACKAGE}/srv/EstimatePlan"
@@ -55,11 +55,10 @@ def quantities(message: Any) -> list[str]:
     return [name for name in message.get_fields_and_field_types() if name != "header"]
 
 
-def typed_message(new: NewMessage, topic: Topic, vector: Any) -> Any:
+def typed_message(topic: Topic, vector: Any) -> Any:
     """The typed message of a named vector, whose header and numbers it repeats.
 
     Args:
-        new: makes messages of rclpy.
         topic: of the vector, a key of `TYPED`.
         vector: sensor_msgs/JointState.
     """
@@ -68,7 +67,7 @@ def typed_message(new: NewMessage, topic: Topic, vector: Any) -> Any:
         for end, values in (("", vector.position), (RATE, vector.velocity), (SIGMA, vector.effort))
         for name, value in zip(vector.name, values, strict=False)
     }
-    message = new(TYPED[topic].type_name, header=vector.header)
+    message = new_message(TYPED[topic].type_name, header=vector.header)
     for name in quantities(message):
         setattr(message, name, known.get(name, math.nan))
     return message
@@ -84,6 +83,8 @@ def given_conditions(message: Any) -> PlanConditions:
     return PlanConditions(**{k: v for k, v in given.items() if not math.isnan(v)})
 
 
-def assumed_conditions(new: NewMessage, assumed: Mapping[str, float]) -> Any:
+def assumed_conditions(assumed: Mapping[str, float]) -> Any:
     """The typed message of conditions that a forecast took, by name."""
-    return new(PLAN_CONDITIONS, **{name: [float(value)] for name, value in assumed.items()})
+    return new_message(
+        PLAN_CONDITIONS, **{name: [float(value)] for name, value in assumed.items()}
+    )

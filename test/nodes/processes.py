@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import json
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
@@ -40,6 +41,15 @@ def stopped(process: subprocess.Popen[str], by: signal.Signals = signal.SIGINT) 
     out, said = process.communicate(timeout=30)
     assert process.returncode == 0 and "Traceback" not in said, said
     return out, said
+
+
+def await_line(process: subprocess.Popen[str], pattern: str) -> str:
+    """Read stderr up to a line with this pattern; gives what fits."""
+    said: list[str] = []
+    while not (found := re.search(pattern, said[-1] if said else "")):
+        said.append(process.stderr.readline())
+        assert said[-1], "".join(said)
+    return found[0]
 
 
 def node(name: str, *deep: Topic, **parameters: object) -> tuple[str, ...]:

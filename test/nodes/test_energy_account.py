@@ -8,7 +8,6 @@ import pytest
 from std_srvs.srv import Trigger
 
 from evpinn_ros import topics
-from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.topics.messages import Level, read_named_vector
@@ -37,8 +36,8 @@ def values(message):
 
 def hear_totals(bench, node):
     """Totals from now on, once the node knows who listens."""
-    heard, listeners = [], bench.node.count_subscribers(topics.ENERGY_TOTALS.under())
-    factory.subscribe(bench.node, topics.ENERGY_TOTALS, heard.append)
+    listeners = bench.node.count_subscribers(topics.ENERGY_TOTALS.under())
+    heard = bench.hear(topics.ENERGY_TOTALS)
     bench.pump(lambda: node.count_subscribers(topics.ENERGY_TOTALS.under()) > listeners)
     return heard
 

@@ -8,10 +8,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
 import json
 from pathlib import Path
-import re
 import socket
 import struct
-import subprocess
 import sys
 import time
 from typing import Any, NamedTuple
@@ -30,7 +28,7 @@ from evpinn_ros.live.foxglove_node import FoxgloveNode
 from evpinn_ros.nodes.factory import installed
 from evpinn_ros.topics.messages import Level, scalar
 from test.conftest import ROOT
-from test.nodes.processes import EVPINN, started, stopped
+from test.nodes.processes import EVPINN, await_line, started, stopped
 
 pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
 websockets = pytest.importorskip("websockets.sync.client", reason="no WebSocket client")
@@ -108,15 +106,10 @@ def connected(address: str) -> Iterator[Client]:
 
 
 @contextmanager
-def evpinn(*arguments: object) -> Iterator[tuple[subprocess.Popen, str]]:
-    """A command that serves, and its address; it must end well at Ctrl-C."""
+def evpinn(*arguments: object) -> Iterator[str]:
+    """The address of a command that serves; it must end well at Ctrl-C."""
     with started(*EVPINN, *arguments) as running:
-        line, said = "", []
-        while not (found := re.search(r"ws://[\d.]+:\d+", line)):
-            line = running.stderr.readline()
-            said.append(line)
-            assert line, "".join(said)
-        yield running, found[0]
+        yield await_line(running, r"ws://[\d.]+:\d+")
         stopped(running)
 
 
@@ -124,7 +117,7 @@ def test_a_bag_comes_as_it_was_recorded():
     with BagReader(URBAN) as bag:
         recorded = list(islice(bag.raw_records(["/ev/vehicle/speed"]), 20))
     with (
-        evpinn("view", URBAN, "--port", 0, "--rate", 20) as (_, address),
+        evpinn("view", URBAN, "--port", 0, "--rate", 20) as address,
         connected(address) as app,
     ):
         app.subscribe("/ev/vehicle/speed")
@@ -152,7 +145,7 @@ def test_a_bag_in_a_loop_starts_over_as_a_new_session(tmp_path):
         for second in (0, 1, 100_000):  # a night in between takes ten seconds
             bag.write("/ev/estimate/eta", scalar(new_message, 1.0), (second + 9) * SECOND)
     options = ("--port", 0, "--rate", 100, "--loop")
-    with evpinn("view", tmp_path / "bag", *options) as (_, address), connected(address) as app:
+    with evpinn("view", tmp_path / "bag", *options) as address, connected(address) as app:
         app.subscribe("/ev/estimate/eta")
         stamps = [message.time_ns // SECOND for message in islice(app.messages(), 6)]
     assert stamps == 2 * [9, 10, 100_009]
@@ -176,7 +169,7 @@ def test_live_topics_come_as_they_are_published(bench, urban):
 
 def test_run_serves_what_its_nodes_say():
     options = ("--vehicle", "tesla_model_3_lr", "--foxglove", "--foxglove-port", 0)
-    with evpinn("run", *options) as (_, address), connected(address) as app:
+    with evpinn("run", *options) as address, connected(address) as app:
         app.subscribe("/diagnostics")
         message = decode(topics.DIAGNOSTICS_TYPE, next(app.messages()).data)
     assert address.startswith("ws://127.0.0.1:")

@@ -23,7 +23,7 @@ from evpinn_ros.live.data import NOTHING, WATCHED
 from evpinn_ros.live.view import LiveListener, watch
 from evpinn_ros.nodes.factory import installed
 from test.conftest import ROOT
-from test.nodes.processes import EVPINN, started, stopped
+from test.nodes.processes import EVPINN, await_line, started, stopped
 
 ALTERNATE, BACK = b"\x1b[?1049h", b"\x1b[?1049l"  # xterm: to the alternate screen and back
 CTRL_C = b"\x03"
@@ -162,7 +162,7 @@ def test_a_view_that_is_ended_while_it_begins_ends_quietly():
 @pytest.mark.nightly
 def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
     with started(*EVPINN, *drive) as running:
-        assert any("playing" in line for line in running.stderr)
+        await_line(running, "playing")
         assert stopped(running)[0] == ""
     with terminal(*EVPINN, *drive, "--no-view") as screen:
         screen.read_until(lambda written: b"playing" in written)

@@ -8,6 +8,8 @@ import time
 
 import pytest
 
+from test.nodes.processes import await_line, started
+
 NODE = """
 import ctypes, sys, time
 from functools import partial
@@ -57,30 +59,15 @@ running.SingleThreadedExecutor = Executor
 """
 
 
-class Process(subprocess.Popen):
-    """A process of one node; what it says comes through a pipe."""
-
-    def __init__(self, methods, settings, path):
-        code = NODE.format(methods=methods, settings=settings)
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        super().__init__([sys.executable, "-c", code, str(path)], **pipes)
-
-    def await_line(self, words):
-        """Read stderr up to a line with these words."""
-        said = [""]
-        while words not in said[-1]:
-            said.append(self.stderr.readline())
-            assert said[-1], said
-
-    def __exit__(self, *_):
-        self.kill()
-        self.communicate()
+def one_node(methods, settings, path):
+    """A process of one node."""
+    return started(sys.executable, "-c", NODE.format(methods=methods, settings=settings), path)
 
 
 def test_a_middleware_that_hangs_cannot_keep_a_process_that_has_saved(bench, tmp_path):
     path = tmp_path / "car.json"
-    with Process(HANGS_AT_THE_END, "running.FAREWELL = 1.0", path) as process:
-        process.await_line("waiting for power/smoothed")
+    with one_node(HANGS_AT_THE_END, "running.FAREWELL = 1.0", path) as process:
+        await_line(process, "waiting for power/smoothed")
         process.send_signal(signal.SIGINT)
         process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=20)
@@ -93,8 +80,8 @@ def test_a_middleware_that_hangs_cannot_keep_a_process_that_has_saved(bench, tmp
 def test_it_fails_where_something_could_not_be_saved(bench, tmp_path):
     (tmp_path / "file").write_text("in the way")
     path = tmp_path / "file" / "car.json"
-    with Process(HANGS_AT_THE_END, "running.FAREWELL = 1.0", path) as process:
-        process.await_line("waiting for power/smoothed")
+    with one_node(HANGS_AT_THE_END, "running.FAREWELL = 1.0", path) as process:
+        await_line(process, "waiting for power/smoothed")
         process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=20)
         assert process.returncode == 1, said
@@ -102,15 +89,15 @@ def test_it_fails_where_something_could_not_be_saved(bench, tmp_path):
 
 
 def test_a_start_that_hangs_ends_with_a_reason(tmp_path):
-    with Process(HANGS_AT_THE_START, "running.START = 1.0", tmp_path / "car.json") as process:
+    with one_node(HANGS_AT_THE_START, "running.START = 1.0", tmp_path / "car.json") as process:
         _, said = process.communicate(timeout=20)
         assert process.returncode == 1 and "ROS did not start within 1 s" in said
 
 
 def test_a_later_signal_ends_at_once_what_has_saved(bench, tmp_path):
     path = tmp_path / "car.json"
-    with Process(TAKES_LONG, "running.FAREWELL = 60.0", path) as process:
-        process.await_line("waiting for power/smoothed")
+    with one_node(TAKES_LONG, "running.FAREWELL = 60.0", path) as process:
+        await_line(process, "waiting for power/smoothed")
         process.send_signal(signal.SIGINT)
         assert process.stdout.readline() == "closed\n"
         process.send_signal(signal.SIGINT)  # as a launch does when Ctrl-C reached all its nodes
@@ -124,7 +111,7 @@ def test_a_later_signal_ends_at_once_what_has_saved(bench, tmp_path):
 
 def test_the_executor_outlives_the_thread_that_wakes_it_at_signals(bench, tmp_path):
     """Else that thread wakes an executor of the past at the second signal."""
-    with Process(SHUTS_DOWN, EXECUTOR, tmp_path / "car.json") as process:
+    with one_node(SHUTS_DOWN, EXECUTOR, tmp_path / "car.json") as process:
         out, said = process.communicate(timeout=20)
         assert process.returncode == 0, said
         assert out.splitlines()[0] == "closed" and "ends; ALL" not in out

@@ -16,6 +16,7 @@ import pytest
 
 from evpinn_ros.nodes.discovery import PROFILES, announce_often
 from evpinn_ros.nodes.running import SWITCH_INTERVAL
+from test.nodes.processes import started
 
 HANGS_IN = "3.2.3"  # Fast DDS
 CALLS = 15
@@ -122,13 +123,8 @@ def test_fast_dds_is_found_late_at_its_own_rate_of_announcements(monkeypatch):
 
 def _longest_discovery(starts):
     """Longest time until nodes that start hear one that speaks, s; all by the present profile."""
-    with subprocess.Popen([sys.executable, "-c", SPEAKS], stdout=subprocess.PIPE) as speaker:
-        try:
-            speaker.stdout.readline()
-            listen = [sys.executable, "-c", LISTENS]
-            found = (
-                subprocess.run(listen, capture_output=True, timeout=60) for _ in range(starts)
-            )
-            return max(float(each.stdout) for each in found)
-        finally:
-            speaker.kill()
+    with started(sys.executable, "-c", SPEAKS) as speaker:
+        speaker.stdout.readline()
+        listen = [sys.executable, "-c", LISTENS]
+        found = (subprocess.run(listen, capture_output=True, timeout=60) for _ in range(starts))
+        return max(float(each.stdout) for each in found)

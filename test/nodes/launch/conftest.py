@@ -20,6 +20,8 @@ import time
 
 import pytest
 
+from test.nodes.processes import started
+
 STAND_IN = Path(__file__).with_name("ros2_bag.py")
 STOP_TIMEOUT = 30.0  # s
 DISCOVERY_TIMEOUT = 30.0  # s
@@ -51,30 +53,28 @@ class Ros2:
     def __init__(self, environment: dict[str, str], folder: Path) -> None:
         self.environment, self.folder = environment, folder
 
-    def run(self, *words: object, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
-        """A command that ends by itself."""
+    def run(self, *words: object) -> str:
+        """What a command that ends by itself prints."""
+        return self._said(self._command(words))
+
+    def _said(self, command: list[str]) -> str:
         return subprocess.run(
-            self._command(words), cwd=self.folder, env=self.environment, text=True,
+            command, cwd=self.folder, env=self.environment, text=True, timeout=120.0,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            timeout=timeout,
-        )  # fmt: skip
+        ).stdout  # fmt: skip
 
     def run_all(self, *commands: tuple[object, ...]) -> list[tuple[int, str]]:
         """Exit code and output of each, in one process: to start one for each takes seconds."""
         words = json.dumps([[str(word) for word in command] for command in commands])
-        done = subprocess.run(
-            [sys.executable, "-c", ONE_AFTER_THE_OTHER, words],
-            cwd=self.folder, env=self.environment, text=True, timeout=120.0,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        parts = re.split(r"^=== ended with (\d+)$", done.stdout, flags=re.M)
-        assert len(parts) == 2 * len(commands) + 1, done.stdout
+        all_said = self._said([sys.executable, "-c", ONE_AFTER_THE_OTHER, words])
+        parts = re.split(r"^=== ended with (\d+)$", all_said, flags=re.M)
+        assert len(parts) == 2 * len(commands) + 1, all_said
         return [(int(code), said) for said, code in zip(parts[::2], parts[1::2], strict=False)]
 
     def ask(self, *words: object) -> str:
         """What a command that asks the graph prints, once the daemon has found the node."""
         end = time.monotonic() + DISCOVERY_TIMEOUT
-        while (said := self.run(*words).stdout).strip() == "Node not found":
+        while (said := self.run(*words)).strip() == "Node not found":
             assert time.monotonic() < end, f"{words}: {said}"
         return said
 
@@ -169,17 +169,11 @@ def _daemon(environment: dict[str, str], log: Path) -> Iterator[None]:
     The real one, but a child of this process and not left behind.
     """
     code = DAEMON.format(domain=environment["ROS_DOMAIN_ID"])
-    with log.open("w") as output:
-        daemon = subprocess.Popen(
-            [sys.executable, "-c", code], env=environment, stdin=subprocess.DEVNULL,
-            stdout=output, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-    try:
+    command = (sys.executable, "-c", code)
+    options = {"env": environment, "stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT}
+    with log.open("w") as output, started(*command, stdout=output, **options) as daemon:
         end = time.monotonic() + DISCOVERY_TIMEOUT
         while "Serving" not in log.read_text():
             assert daemon.poll() is None and time.monotonic() < end, log.read_text()
             time.sleep(0.1)
         yield
-    finally:
-        daemon.kill()
-        daemon.wait()

@@ -83,7 +83,7 @@ def test_a_wrong_parameter_fails_the_transition_and_a_right_one_mends_it(ros2, b
         assert state_is() == "unconfigured" and "no_such_car" in process.output
         ros2.ask("param", "set", name, "vehicle", "bmw_i3")
         assert "successful" in to("configure") and state_is() == "inactive"
-        refused = ros2.run("param", "set", name, "energy_file", str(state)).stdout
+        refused = ros2.run("param", "set", name, "energy_file", str(state))
         assert "fixed until the node is cleaned up" in refused
         to("cleanup")
         ros2.ask("param", "set", name, "energy_file", str(state))

@@ -9,7 +9,6 @@ import pytest
 from evpinn_ros.nodes import factory
 from evpinn_ros.topics import POWER_MEASURED, POWER_SMOOTHED, topic_of
 
-POWERS = (POWER_MEASURED, POWER_SMOOTHED)
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = {page: (ROOT / page).read_text() for page in ("README.md", "docs/guides/ros.md")}
 LINES = {page: re.findall(r"^ros2 (.+)$", text, re.M) for page, text in PAGES.items()}
@@ -37,9 +36,7 @@ def test_a_line_of_a_page_works(ros2, bench, line, monkeypatch):
             bench.pump(lambda: node.publish(_type(words[2])()) or "position" in echo.output, 30.0)
         return
     line = next(line for name, line in UP.items() if name in words)
-    measured, smoothed = (bench.heard[each] for each in POWERS)
-    for topic in POWERS:
-        factory.subscribe(bench.node, topic, bench.heard[topic].append)
+    measured, smoothed = bench.hear(POWER_MEASURED), bench.hear(POWER_SMOOTHED)
     with ros2.running(*words) as running:
         bench.pump(lambda: line in running.output, 60.0)
         if "replay.launch.py" in words:  # it plays the inputs alone, and ends with the bag
