@@ -38,6 +38,12 @@ def charge(bench, node, state_of_charge):
     bench.read(node, BatteryReading(NOW, 350.0, -10.0, state_of_charge))
 
 
+def answer_of(bench, node):
+    """The forecast of the trip, of which the state of charge is not asked."""
+    (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    return answer
+
+
 def test_a_plan_is_answered_from_the_vehicle_file_first(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
@@ -93,8 +99,7 @@ def test_forecasts_take_the_air_outside_while_it_is_fresh(bench):
     bench.listen(*ANSWERS)
 
     def cost():
-        (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
-        return answer.points[-1].positions[0]
+        return answer_of(bench, node).points[-1].positions[0]
 
     calm = cost()
     assert bench.diagnosis(node)["plan"][2]["head_wind_mps"] == "unknown"
@@ -126,30 +131,15 @@ def test_air_that_cannot_be_is_counted_and_not_taken(bench):
 def test_forecasts_follow_the_estimate(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
-    (before,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    before = answer_of(bench, node)
     light = [1.0, 0.8, 0.009, 0.6, 800.0]
     vector = named_vector(new_message, NOW, IDENTIFIABLE_NAMES, light, [0.0] * 5)
     bench.deliver(node, topics.IDENTIFIABLE, vector)
-    (after,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    after = answer_of(bench, node)
     assert after.points[-1].positions[0] < before.points[-1].positions[0]
     # What is left is of the way between its points: the car itself is known.
     assert after.points[-1].effort[0] < 0.5 * before.points[-1].effort[0]
     assert bench.diagnosis(node)["plan"][:2] == (Level.OK, "ready")
-
-
-def test_forecasts_follow_the_model_of_the_estimator(bench):
-    estimator = bench.start(EstimatorNode)
-    node = bench.start(EnergyNode)  # later, and yet it hears the model
-    bench.pump(lambda: node.received[topics.MODEL] == 1)
-    bench.listen(*ANSWERS)
-    (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
-    plan = plan_from_speed_profile(*zip(*TRIP, strict=True))
-    model = PowerModel(estimator.estimator.model())
-    expected = forecast_plan(plan, model, WEATHER)
-    assert [p.positions[0] for p in answer.points] == list(expected.energy)
-    assert [p.effort[0] for p in answer.points] == list(expected.sigma)
-    level, text, values = bench.diagnosis(node)["plan"]
-    assert (level, text, values["forecasts_from"]) == (Level.OK, "ready", "estimate/model")
 
 
 def drive_unevenly(estimator):
@@ -161,15 +151,15 @@ def drive_unevenly(estimator):
             list(estimator.add_reading(reading))
 
 
-def test_forecasts_expect_the_uneven_speed_that_the_car_has_shown(bench):
+def test_forecasts_follow_the_model_and_expect_the_uneven_speed_that_the_car_has_shown(bench):
     sender = bench.start(EstimatorNode)
     drive_unevenly(sender.estimator)
-    node = bench.start(EnergyNode)
+    node = bench.start(EnergyNode)  # later, and yet it hears the model
     bench.pump(lambda: node.received[topics.MODEL] == 1)
     sender.publish_model()
     bench.pump(lambda: node.received[topics.MODEL] == 2)
     bench.listen(*ANSWERS)
-    (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    answer = answer_of(bench, node)
     learned = sender.estimator.model()
     even = dataclasses.replace(learned, unevenness=Unevenness.none())
     plan = plan_from_speed_profile(*zip(*TRIP, strict=True))
@@ -178,6 +168,8 @@ def test_forecasts_expect_the_uneven_speed_that_the_car_has_shown(bench):
     assert [p.effort[0] for p in answer.points] == list(expected.sigma)
     assert expected.energy[-1] > 1.1 * other.energy[-1], "it brakes more than others"
     assert node.account.usual == usual_cost(learned) > 0.0
+    level, text, values = bench.diagnosis(node)["plan"]
+    assert (level, text, values["forecasts_from"]) == (Level.OK, "ready", "estimate/model")
 
 
 def test_in_paper_mode_forecasts_rest_on_the_combinations(bench):
@@ -223,11 +215,10 @@ def test_no_finite_model_leaves_a_plan_unanswered(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
     good = PinnLearner(VEHICLE).model()
-    (before,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
+    before = answer_of(bench, node)
     for topic, message in implausible(good):
         bench.deliver(node, topic, message)
-        (answer,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
-        assert answer == before
+        assert answer_of(bench, node) == before
     values = bench.diagnosis(node)["meter"][2]
     assert values["bad.estimate/model: out_of_range"] == "3"
     assert values["bad.estimate/identifiable: out_of_range"] == "3"
@@ -358,8 +349,7 @@ def test_plans_after_it_take_the_conditions(bench):
     bench.listen(*ANSWERS, topics.FORECAST_STATUS)
 
     def cost() -> float:
-        (found,), _ = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
-        return found.points[-1].positions[0]
+        return answer_of(bench, node).points[-1].positions[0]
 
     mild = cost()
     bench.deliver(node, topics.CONDITIONS, conditions(temperature=-10.0, heating=math.nan))

@@ -1,7 +1,6 @@
 """Every launch file, started by the real `ros2 launch`: its nodes do their work and end well."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 import itertools
 import json
 from operator import itemgetter
@@ -85,13 +84,14 @@ def test_nodes_are_kept_after_the_bag_and_a_mistyped_argument_is_reported(
     assert "unknown argument 'vehcle'; did you mean vehicle" in launch.output
 
 
-@contextmanager
-def two_cars(ros2, tmp_path, *given) -> Iterator:
-    """The launch file that the guide shows."""
-    file = tmp_path / "two.launch.py"
-    file.write_text(re.search(r"^```python\n(.*?)^```$", GUIDE.read_text(), re.M | re.S)[1])
-    with ros2.running("launch", file, *given) as launch:
-        yield launch
+def two_cars(folder, *changes) -> Path:
+    """The launch file that the guide shows, with changes of its text."""
+    text = re.search(r"^```python\n(.*?)^```$", GUIDE.read_text(), re.M | re.S)[1]
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "two.launch.py").write_text(text)
+    return folder / "two.launch.py"
 
 
 @pytest.mark.nightly
@@ -123,8 +123,8 @@ def test_two_cars_in_one_graph_have_estimates_and_diagnostics_of_their_own(
         learn = all(len(each) > 5 for each in learned.values())
         return drive and learn and those_who_spoke() >= cars
 
-    given = ("first:=urban.yaml", "second:=highway.yaml")
-    with two_cars(ros2, tmp_path, *(g.replace(":=", f":={tmp_path}/") for g in given)):
+    given = (f"first:={tmp_path}/urban.yaml", f"second:={tmp_path}/highway.yaml")
+    with ros2.running("launch", two_cars(tmp_path), *given):
         end = time.monotonic() + seconds
         bench.pump(lambda: all_is_said() and time.monotonic() > end, seconds + 90.0)
         graph = {f"{space}/{name}".replace("//", "/")
@@ -168,11 +168,9 @@ def assert_each_is_in_one_group_of_its_car(names):
 
 @pytest.mark.nightly
 def test_two_replays_in_one_graph_follow_their_namespaces(ros2, bench, tmp_path):
-    file = tmp_path / "pushed.launch.py"
-    text = re.search(r"^```python\n(.*?)^```$", GUIDE.read_text(), re.M | re.S)[1]
-    file.write_text(text.replace("evpinn.launch.py", "replay.launch.py").replace(
-        '"params_file":', f'"bag": "{ROOT}/bags/urban", "rate": "4", "params_file":'
-    ))  # fmt: skip
+    of_a_bag = f'"bag": "{ROOT}/bags/urban", "rate": "4", "params_file":'
+    changes = (("evpinn.launch.py", "replay.launch.py"), ('"params_file":', of_a_bag))
+    file = two_cars(tmp_path, *changes)
     heard = [bench.hear(topics.POWER_SMOOTHED, name) for name in ("/robot1/ev", "/robot2/ev")]
     default = ROOT / "config" / "evpinn.param.yaml"
     with ros2.running("launch", file, f"first:={default}", f"second:={default}"):
