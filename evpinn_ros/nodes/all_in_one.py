@@ -31,7 +31,6 @@ def run(
     split: Split | None = None,
     servers: Sequence[Callable[..., GuardedNode]] = (),
     beside: AbstractContextManager[object] | None = None,
-    namespace: str = NAMESPACE,
     ros_args: Sequence[str] = (),
 ) -> int:
     """Run everything until SIGINT or SIGTERM, which end the process with 0.
@@ -42,7 +41,6 @@ def run(
         split: when that goes on in another file; None for never.
         servers: makers of more nodes, which serve what the others publish.
         beside: entered before the nodes start and left when they have ended.
-        namespace: of all topics.
         ros_args: what may follow `--ros-args`, such as `--params-file FILE`.
 
     Returns:
@@ -50,14 +48,14 @@ def run(
     """
     args = ["--ros-args", *ros_args] if ros_args else []
     options: dict[str, dict[str, Any]] = {
-        name: {"namespace": namespace, "parameter_overrides": overrides(of_node(name, parameters))}
+        name: {"namespace": NAMESPACE, "parameter_overrides": overrides(of_node(name, parameters))}
         for name in NODES
     }
     # What can fail for want of a port comes first, before a bus is opened.
-    makers: list[running.MakeNode] = [partial(make, namespace=namespace) for make in servers]
+    makers: list[running.MakeNode] = [partial(make, namespace=NAMESPACE) for make in servers]
     if record is not None:
         frames: RawFrames = deque()
         options["can_bridge"]["record"] = frames
-        makers.append(partial(RecorderNode, record, frames, split, namespace=namespace))
+        makers.append(partial(RecorderNode, record, frames, split, namespace=NAMESPACE))
     makers += [partial(make, **options[name]) for name, make in NODES.items()]
     return running.run(*makers, args=args, beside=beside)

@@ -41,7 +41,7 @@ from evpinn_ros.nodes.typed import (
     assumed_conditions,
 )
 from evpinn_ros.signals.readings import BatteryReading, why_impossible
-from evpinn_ros.signals.time_jump import StampGuard
+from evpinn_ros.signals.time_jump import Jump, StampGuard
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.cdr import CdrError
 from evpinn_ros.topics.estimates import output_messages, read_identifiable, read_power
@@ -57,6 +57,7 @@ from evpinn_ros.topics.plans import (
     trajectory_plan,
 )
 from evpinn_ros.topics.readings import battery_message, to_reading
+from evpinn_ros.topics.settings import jump_rule
 from evpinn_ros.vehicle.files import load_vehicle
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
@@ -166,9 +167,12 @@ class EnergyNode(StatefulNode):
 
     def _on_reading(self, topic: Topic, message: Any) -> None:
         reading, topic = to_reading(topic.type_name, message), self.stream(topic)
-        guard, jumped = self._reading_guard, self.account.begin_readings_anew
-        for admitted in self.in_order(topic, reading.stamp_ns, reading, guard, jumped):
-            self.account.add_reading(admitted)
+        rule = jump_rule(self.values)
+        for each in self._reading_guard.admit(topic, reading.stamp_ns, reading, rule):
+            if isinstance(each, Jump):  # what the policy says is done when power jumps
+                self.account.begin_readings_anew()
+            else:
+                self.account.add_reading(each)
 
     def _on_model(self, message: Any) -> None:
         model = read_model(message, self._vehicle)

@@ -37,7 +37,7 @@ class StateFile:
         problem: why the file was not used or not written, None if all is well.
     """
 
-    def __init__(self, path: Path | None, owner: Stateful, half: Half = Half.LEARNED) -> None:
+    def __init__(self, path: Path | None, owner: Stateful, half: Half) -> None:
         """Keep the state of `owner` in a half of the file at `path`; None keeps nothing."""
         self.problem: str | None = None
         self._path, self._owner, self._half = path, owner, half

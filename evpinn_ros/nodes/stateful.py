@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from std_srvs.srv import Trigger
@@ -86,30 +86,19 @@ class StatefulNode(ManagedNode):
         """Condition of the node, `leading` being the inputs of which it needs either."""
         return Condition(health, self.age(*leading), self.guard.jumps, self.state_file.problem)
 
-    def in_order(
-        self,
-        topic: Topic,
-        stamp_ns: int,
-        item: Any,
-        guard: StampGuard | None = None,
-        jumped: Callable[[], None] | None = None,
-    ) -> Iterator[Any]:
+    def in_order(self, topic: Topic, stamp_ns: int, item: Any) -> Iterator[Any]:
         """Items to be used now, in order, one of a topic having come; jumps of time are met.
 
         Args:
             topic: of the item.
             stamp_ns: of the item.
             item: given out once its stamp is not in doubt.
-            guard: of the core's own inputs, if not given.
-            jumped: in place of what the policy says.
         """
-        for each in (guard or self.guard).admit(topic, stamp_ns, item, jump_rule(self.values)):
-            if not isinstance(each, Jump):
-                yield each
-            elif jumped is not None:
-                jumped()
-            else:
+        for each in self.guard.admit(topic, stamp_ns, item, jump_rule(self.values)):
+            if isinstance(each, Jump):
                 self._on_jump(each)
+            else:
+                yield each
 
     def save(self) -> str | None:
         """Write the state, if there is a file for it; gives the reason when that fails."""

@@ -34,7 +34,7 @@ class Counter:
 
 
 def refuse_and_save(path):
-    state_file = StateFile(path, Counter())
+    state_file = StateFile(path, Counter(), Half.LEARNED)
     state_file.load()
     assert f"{path.name}.refused" in state_file.problem
     assert state_file.save() is None and state_file.problem is None
@@ -60,7 +60,7 @@ def test_the_newest_refused_files_are_kept(tmp_path):
 def test_a_file_that_was_used_is_not_set_aside(tmp_path):
     path = tmp_path / "car.json"
     for _ in range(2):
-        state_file = StateFile(path, Counter())
+        state_file = StateFile(path, Counter(), Half.LEARNED)
         state_file.load()
         assert state_file.problem is None and state_file.save() is None
     assert [file.name for file in tmp_path.iterdir()] == ["car.json"]
