@@ -62,17 +62,10 @@ _JAVA = ("%a-%b-%d %H:%M:%S GMT%z %Y", "%a-%b-%d %H:%M:%S UTC %Y")
 _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s"))
 
 
-def clocks_of(
-    found: Sequence[Column],
-    survey: Survey,
-    days: Collection[int] = (),
-    *,
-    by_signal: bool = False,
-) -> list[Clock]:
+def clocks_of(found: Sequence[Column], survey: Survey, days: Collection[int] = ()) -> list[Clock]:
     """The clocks of a table, the best first; none when no column of time can be read.
 
-    `days` since 1970 decide where a date can be read in two ways. A table `by_signal` has one
-    signal after the other, each from the first time to the last.
+    `days` since 1970 decide where a date can be read in two ways.
 
     The best reads most rows, never runs backwards, tells rows apart, and knows the date: LeafSpy's
     `epoch time` goes on where its `Date/Time` jumps with the phone's time zone.
@@ -91,10 +84,7 @@ def clocks_of(
     for clock in by_place.values():
         if not _is_day_alone(clock, survey):
             stamps = clock.stamps(survey.cells)
-            if by_signal:
-                clock = replace(clock, order=Order.SHUFFLED, daily=False, drives_from_ns=None)
-            else:
-                clock = replace(clock, order=_order_of(clock, stamps))
+            clock = _in_its_order(clock, stamps, survey, names)
             merits[clock] = _merit(clock, stamps, names[clock.columns[0]])
     return sorted(merits, key=lambda clock: merits[clock], reverse=True)
 
@@ -145,8 +135,7 @@ def clock_of_numbers(
     if _begins_anew(known, DAY_NS / UNITS_NS[name]):
         return replace(clock, daily=True)
     if _holds_drives(known, BACK_NS / UNITS_NS[name]):
-        why = f"{why}, anew with each drive"
-        return replace(clock, drives_from_ns=int(known[0] * UNITS_NS[name]), why=why)
+        return replace(clock, drives_from_ns=int(known[0] * UNITS_NS[name]))
     return clock
 
 
@@ -265,6 +254,45 @@ def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
     ]
     dated += [(order, date) for order in orders for date in _DATES[order]]
     return [*dated, *(("", pattern) for pattern in _JAVA)]
+
+
+def _in_its_order(
+    clock: Clock, stamps: NDArray[np.int64], survey: Survey, times: Collection[int]
+) -> Clock:
+    """The clock with the order of the rows; columns at the places `times` are of time.
+
+    Where time goes back, yet not within any one column, the columns stand one after the other, as
+    `melt` of pandas and InfluxDB write them: then no drive begins. Nor does one where time begins
+    anew so often because each of two columns or more goes through all drives.
+    """
+    there = stamps != NONE
+    if not _is_newest_first(stamps[there]) and _goes_back(stamps[there]):
+        filled = (
+            np.isfinite(to_floats(cells, survey.styles[place]))
+            for place, cells in survey.cells.items()
+            if place not in times
+        )
+        columns = [stamps[there & each] for each in filled]
+        if columns and not any(map(_goes_back, columns)):
+            return replace(clock, order=Order.SHUFFLED, daily=False, drives_from_ns=None)
+        if (first := clock.drives_from_ns) is not None:
+            begins = [_begins(each, first) for each in (stamps[there], *columns)]
+            if begins[0] > 2 * max(begins[1:], default=0):
+                clock = replace(clock, drives_from_ns=None)
+    if clock.drives_from_ns is not None:
+        clock = replace(clock, why=f"{clock.why}, anew with each drive")
+    return replace(clock, order=_order_of(clock, stamps))
+
+
+def _goes_back(times: NDArray[np.int64]) -> bool:
+    return bool((np.diff(times) < -STRAGGLING_NS).any())
+
+
+def _begins(times: NDArray[np.int64], first: int) -> int:
+    """Number of drives that begin anew."""
+    if times.size < 2:
+        return 0
+    return int(begin_drives(times, times[[0, 0]], first, BACK_NS).sum())
 
 
 def _order_of(clock: Clock, stamps: NDArray[np.int64]) -> Order:

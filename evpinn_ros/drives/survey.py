@@ -232,7 +232,6 @@ class LongTable:
 
     Attributes:
         others: names of signals that have no column.
-        by_signal: all rows of a signal stand together, as pandas and InfluxDB write them.
     """
 
     def __init__(self, table: Table, head: Head, places: tuple[int, int, int | None]) -> None:
@@ -282,12 +281,10 @@ class LongTable:
 
     def _find(self) -> None:
         seen: set[tuple[str, str]] = set()
-        runs, before = 0, None
         for number, row in until_broken(self._table.rows()):
             if number <= self._head.row or len(row) <= self._last:
                 continue
             key = row[self._name], self._unit_of(row)
-            runs, before = runs + (key != before), key
             if key in seen or len(seen) >= MOST_SIGNALS:
                 continue
             seen.add(key)
@@ -297,7 +294,6 @@ class LongTable:
                 self._names.append(f"{name} ({unit})" if unit else name)
             else:
                 self.others.append(name)
-        self.by_signal = 1 < runs == len(seen)
 
     def _unit_of(self, row: Sequence[str]) -> str:
         return row[self._unit] if self._unit is not None else ""

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 import math
 from pathlib import Path
+import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -111,6 +112,8 @@ class TableDrive(Source):
             raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
         own = all(not column.why and column.is_ours for column in found)
         limit = FEW_ROWS if own else MOST_ROWS
+        if self._long is not None:  # one signal may come after the other
+            limit = sys.maxsize
         survey = self._look_through(found, limit)
         filled = _filled(found, survey, header, options.columns)
         if filled != found:
@@ -201,8 +204,7 @@ class TableDrive(Source):
     def _clocks(self, found: Sequence[Column], survey: Survey) -> list[Clock]:
         """The clocks of the table, the best first; InputError when no time can be read."""
         days = days_of_name(self.path.name)
-        by_signal = self._long is not None and self._long.by_signal
-        clocks = clocks_of(found, survey, days, by_signal=by_signal)
+        clocks = clocks_of(found, survey, days)
         if not clocks:
             raise InputError(f"{self.path}: {_no_time(found, survey)}")
         return clocks

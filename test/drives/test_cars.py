@@ -117,6 +117,44 @@ def test_drives_whose_clock_begins_anew_follow_each_other(tmp_path):
     assert [len(speeds(trip)) for trip in trips] == [1200, 900, 1200]
 
 
+def in_blocks(begin: float) -> list[str]:
+    """A drive whose speeds stand before its voltages and currents."""
+    speed = [f"{begin + t:.1f},{v:.3f},," for t, v, *_ in rows()]
+    return speed + [f"{begin + t:.1f},,{u},{i:.3f}" for t, _, u, i in rows()]
+
+
+@pytest.mark.parametrize("begins", [(0,), (1.7e9,), (0, 5000), (1.7e9, 1.7e9 + 5000)])
+def test_columns_that_follow_each_other_are_no_drives(tmp_path, begins):
+    table = [line for begin in begins for line in in_blocks(begin)]
+    drive = drive_of(tmp_path, "time,speed [m/s],pack volts,pack amps", table)
+    found = speeds(drive)
+    assert len(found) == 1200 * len(begins) and not drive.dropped and not drive.in_order
+    seconds = (found[-1].stamp_ns - found[0].stamp_ns) / NANOSECONDS
+    assert seconds == pytest.approx(begins[-1] - begins[0] + 119.9)
+    assert "anew" not in drive.clock.why
+
+
+def test_drives_within_columns_that_follow_each_other_are_not_torn_apart(tmp_path):
+    """Where they meet is not known: what does not fit the first is counted, as ever."""
+    once = in_blocks(0)
+    table = once[:1200] * 2 + once[1200:] * 2
+    drive = drive_of(tmp_path, "time,speed [m/s],pack volts,pack amps", table)
+    found = speeds(drive)
+    assert found[-1].stamp_ns - found[0].stamp_ns < 120 * NANOSECONDS
+    assert drive.dropped["time_not_increasing"] > 2000
+
+
+def test_a_sign_is_told_by_signals_that_stand_far_down(tmp_path, monkeypatch):
+    monkeypatch.setattr("evpinn_ros.drives.table_drive.MOST_ROWS", 1000)
+    signals = {"speed [m/s]": 1, "pack volts": 2, "pack amps": 3}
+    moments = [(t, v, u, -i) for t, v, u, i in rows()]
+    table = [
+        f"{each[0]:.1f},{name},{each[at]}" for name, at in signals.items() for each in moments
+    ]
+    current = drive_of(tmp_path, "time,name,value", table).rules[-1]
+    assert current.quantity == "current" and "negative while it discharges" in current.why
+
+
 def test_a_wrong_time_is_no_new_drive(tmp_path):
     table = lines_of("455", 1605)
     table[600] = table[600].replace(",60000,", ",9960000,")
