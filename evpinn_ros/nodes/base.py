@@ -202,8 +202,7 @@ class GuardedNode(ABC, Node):
     def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
         """Publish messages that belong together; none when one would not be finite."""
         try:
-            passed = (each for each in messages if self.active or each[0] is topics.DIAGNOSTICS)
-            ready = list(passed)
+            ready = [each for each in messages if self.active or each[0] is topics.DIAGNOSTICS]
         except ValueError:
             self.bad[NOT_FINITE] += 1
             return

@@ -31,7 +31,7 @@ def test_a_robot_is_learned_in_watts_and_its_path_costs_what_it_should(bench):
     estimator = bench.start(EstimatorNode, vehicle=ROBOT)
     energy = bench.start(EnergyNode, vehicle=ROBOT)
     bench.listen(topics.PARAMETERS, topics.FORECAST, topics.MODEL)
-    for now in moments(1, 50.0):
+    for now in moments(1, 30.0):
         stamp = START + round(now.time * NANOSECONDS)
         if now.battery_due:
             bench.read(estimator, BatteryReading(stamp, now.voltage, -now.current, now.charge))

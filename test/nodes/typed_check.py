@@ -241,7 +241,7 @@ def main():
     bench.start(EstimatorNode)
     node = bench.start(EnergyNode)
     bench.listen(*PAIRS, *PAIRS.values())
-    bench.drive((topic, message) for topic, _, message in conftest.messages("urban", 25.0))
+    bench.drive((topic, message) for topic, _, message in conftest.messages("urban", 15.0))
     bench.send(topics.SPEED_PROFILE, speed_profile(0, 60))
     bench.pump(lambda: bench.heard[topics.FORECAST])
     bench.settle()
