@@ -219,6 +219,7 @@ def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
 ):
     learned, said = bench.hear(topics.PARAMETERS), bench.hear(topics.DIAGNOSTICS)
     totals, drive = bench.hear(topics.ENERGY_TOTALS), tmp_path / "drive"
+    seconds = 25.0  # two intervals are learned from
 
     def idle():
         last = statuses(said, "estimator")[-4:]
@@ -233,7 +234,7 @@ def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
     def counted():
         return {k: v for k, v in numbers(totals[-1]).items() if k.startswith("lifetime")}
 
-    given = ("vehicle:=tesla_model_3_lr", f"params_file:={car()}", "respawn:=true")
+    given = ("vehicle:=tesla_model_3_lr", f"params_file:={car(seconds=seconds)}", "respawn:=true")
     with ros2.running(*LAUNCH, "evpinn.launch.py", *given, f"record:={drive}") as launch:
         bench.pump(
             lambda: any("at its end" in s.message for s in statuses(said, "can_bridge")), 60.0
@@ -247,8 +248,8 @@ def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
         launch.killed = 2
         bench.pump(lambda: launch.output.count("continues from") == 2, 60.0)
         assert saved() == states  # to the last bit
-        known = len(list(bundled("urban", SECONDS)))
-        rest = itertools.islice(bundled("urban", 4 * SECONDS), known, None)
+        known = len(list(bundled("urban", seconds)))
+        rest = itertools.islice(bundled("urban", 4 * seconds), known, None)
         bench.pump(lambda: (learned and totals) or bench.send(*itemgetter(0, 2)(next(rest))), 60.0)
     for name, sigma in zip(learned[0].name, learned[0].effort, strict=True):
         assert numbers(learned[0])[name] == pytest.approx(parameters[name], abs=sigma)
