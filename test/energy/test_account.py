@@ -149,7 +149,7 @@ def test_the_charge_is_projected_while_the_battery_is_silent():
     assert summary.charge.sigma > heard.sigma
 
 
-def test_usual_legs_alone_tell_no_distance_to_empty():
+def test_usual_legs_count_in_the_distance_to_empty_once_there_is_a_long_run():
     """Before 10 km are driven there is no long run to return to."""
     counted = account()
     counted.usual = 500.0
@@ -158,7 +158,9 @@ def test_usual_legs_alone_tell_no_distance_to_empty():
     assert summary.consumption["lifetime"] > 0.0 and "10" not in summary.consumption
     assert summary.remaining is None
     drive(counted, range(300, 600))
-    assert counted.summary().remaining is not None
+    far = counted.summary().remaining.distance
+    counted.usual = 1000.0  # J/m: 3/4 of 500 more than the road so far, over a memory of 10 km
+    assert far - counted.summary().remaining.distance == pytest.approx(3.75e6 / 500.0, abs=2.0)
 
 
 def test_a_route_planned_before_setting_off_is_followed_until_it_is_driven():

@@ -95,6 +95,14 @@ def test_a_difference_is_the_one_less_the_other_per_100_km(both):
         assert difference.of(part).kwh == pytest.approx(other - base, abs=1e-6)
 
 
+def test_a_difference_is_as_unseen_as_the_less_seen_of_its_drives(both):
+    first, second = both.drives  # neither has heights
+    half = replace(first, unseen=first.distance / 2.0)
+    found = [replace(both, drives=(half, each)) for each in (second, replace(second, unseen=0.0))]
+    unseen = [each.difference(1, 0).unseen for each in found]
+    assert unseen == pytest.approx([100e3, 50e3])
+
+
 def test_a_drive_that_goes_on_over_a_long_stop_is_one(learned, later):
     on = learned.begin_drive(goes_on=True).after(later).breakdowns()
     assert len(on.drives) == 1

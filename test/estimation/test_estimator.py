@@ -203,7 +203,7 @@ def test_parameters_are_stale_after_five_minutes_of_silence(taught, play, drive,
         assert found.parameters["eta"].trust is (state if eta is Trust.VALID else eta)
 
 
-def test_reverse_and_charging_teach_nothing(new_estimator, play, cruise):
+def test_reverse_and_charging_teach_nothing_and_stay_counted(new_estimator, play, cruise):
     estimator = new_estimator()
     before = estimator.export()
     play(estimator, cruise(0, 10, speed=-2.0, power=30e3))
@@ -212,6 +212,8 @@ def test_reverse_and_charging_teach_nothing(new_estimator, play, cruise):
     # The first half second of standing is smoothed with reversing before it.
     assert status.gated["reverse"] + status.gated["charging"] >= 190
     assert estimator.export()["learner"]["car"] == before["learner"]["car"]
+    estimator.restore(before)
+    assert estimator.status().gated == status.gated
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -67,6 +67,8 @@ def test_a_change_is_found_followed_and_outlives_a_restart(driver, delta):
     assert 0 < change.std < 80.0
     ratio = math.exp(driver.log_mass_over_eta - before)
     assert ratio == pytest.approx(1 + delta / driver._car.mass, rel=0.04)
+    # As sharp as the car is known by now, not as when the change was found.
+    assert ratio == pytest.approx(1 + change.delta_mass / driver.payload.watched.mass, abs=0.003)
     assert PayloadDetector.of(driver.payload.saved()).change == change
 
 
@@ -77,11 +79,11 @@ def test_no_change_is_found_where_there_is_none(driver):
     assert driver.payload.found == driver.payload.withdrawn and driver.payload.change is None
 
 
-def test_a_car_not_known_yet_is_given_no_change(vehicle):
-    """What chance does on its roads is not known before `LEAST_STOPS` stops."""
-    driver = Driver(vehicle)
-    driver.drive(0.0, 3000, 60)
-    driver.drive(150.0, 1, 120)
+def test_before_some_stops_taught_what_chance_does_no_change_is_found(driver):
+    """Of a known car the same change is found, as above."""
+    untaught = replace(driver.payload.forget_time(), chance=Chance())
+    driver.chain.car = replace(driver.chain.car, payload=untaught)
+    driver.drive(-300.0, 1_003_000, 240)
     assert driver.payload.found == 0
 
 
