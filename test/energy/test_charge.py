@@ -1,3 +1,4 @@
+from copy import deepcopy
 import math
 
 import pytest
@@ -36,6 +37,28 @@ def test_a_small_change_or_coarse_steps_teach_nothing():
     coarse = ChargeGauge(CAPACITY)
     discharge(coarse, 0.9, 0.5, step=0.05, capacity=50e6)
     assert coarse.learned == 0
+
+
+def test_a_trip_far_off_moves_a_known_capacity_little():
+    """Trips of an i3 say 23 kWh, one in winter 29: what is farther off yet moves it less."""
+
+    def told(gauge, kwh, start):
+        gauge.begin_anew()
+        gauge.update(start * SECOND, 0.75, Uncertain(0.0, 0.0), 0.0)
+        gauge.update((start + 600) * SECOND, 0.5, Uncertain(0.25 * kwh * 3.6e6, 0.0), 0.0)
+        return gauge.capacity.value / 3.6e6
+
+    gauge = ChargeGauge(math.nan)
+    told(gauge, 23.0, 0)
+    # A spread of 5 %, and two readings that are rounded to 1 %, 25 % apart.
+    assert gauge.capacity.sigma / 83e6 == pytest.approx(
+        math.hypot(0.05, 0.04 / math.sqrt(6)), 0.01
+    )
+    for number in range(1, 101):
+        told(gauge, 23.0, 1000 * number)
+    assert gauge.capacity.sigma / gauge.capacity.value == pytest.approx(0.05 / 4)
+    moved = [told(deepcopy(gauge), kwh, 200_000) - 23.0 for kwh in (29.0, 58.0)]
+    assert 0.0 < moved[1] < moved[0] < 0.2
 
 
 def test_a_change_that_was_not_measured_teaches_nothing():

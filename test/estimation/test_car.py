@@ -46,8 +46,10 @@ def test_what_cannot_be_is_counted_and_teaches_nothing(town):
     car = LearnedCar.new(EQUATION).after(town[:10])
     steps = town[10].steps
     back = replace(town[10], steps=steps._replace(distance=-np.abs(steps.distance) - 1.0))
-    after = car.after([back, replace(town[11], leaps=True)])
-    assert after.gated == {"reverse": 1, "speed_leaps": 1}
+    rests = replace(town[11], steps=steps._replace(distance=0.0 * steps.distance))
+    charging = replace(rests, energy=-7e3 * rests.duration)
+    after = car.after([back, charging, replace(town[11], leaps=True)])
+    assert after.gated == {"reverse": 1, "charging": 1, "speed_leaps": 1}
     assert after.state is car.state
 
 

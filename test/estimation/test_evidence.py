@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.truth import CarChain
 from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.evidence import SIZE, evidence
+from evpinn_ros.estimation.evidence import SIZE, Evidence, evidence
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.published import evidence_of
 from evpinn_ros.simulation.drive import DriveKind
@@ -29,6 +29,23 @@ def test_the_likelihood_comes_back(seed):
     counts = directions[:, values > 0.2]
     np.testing.assert_allclose(counts.T @ found.precision, counts.T @ precision, atol=1e-8)
     np.testing.assert_allclose(counts.T @ found.information, counts.T @ information, atol=1e-8)
+
+
+def test_in_other_units_about_another_origin_it_is_the_same_likelihood():
+    rng = np.random.default_rng(0)
+    rows, mean, scale = (
+        rng.standard_normal((SIZE, SIZE)),
+        rng.standard_normal(SIZE),
+        np.arange(1, 7),
+    )
+    own = Evidence(rows.T @ rows, rng.standard_normal(SIZE))
+    other, places = own.about(mean, scale), rng.standard_normal((3, SIZE))
+
+    def logs(found, where):
+        return [each @ found.information - each @ found.precision @ each / 2 for each in where]
+
+    ratios = (np.diff(logs(*each)) for each in ((own, places), (other, (places - mean) / scale)))
+    np.testing.assert_allclose(*ratios)
 
 
 def test_the_prior_alone_is_no_evidence():

@@ -15,6 +15,7 @@ from evpinn_ros.estimation.parameter_set import (
     UNOBSERVABLE_ABOVE,
     VALID_BELOW,
     TrustHysteresis,
+    deviations,
     parameter_set,
 )
 from evpinn_ros.estimation.posterior import initial_state
@@ -130,14 +131,23 @@ def test_values_lie_within_bounds_and_bounds_within_limits(prior):
 
 
 def test_bounds_by_hand(prior):
-    """eta and mu in [q, 1]; mass in [q, 1] m / eta, each two sigmas to the safe side."""
+    """eta and mu in [q, 1]; mass and C_d in [q, 1] of theirs over eta, each two sigmas wider."""
     found = parameter_set(0, learned(prior, 0.01, eta=math.log(0.85), mu=math.log(0.75)))
     combined, std = found.identifiable, found.identifiable_std
     q = combined.regeneration - 2 * std.regeneration
     low, high = (combined.mass_over_eta + sign * 2 * std.mass_over_eta for sign in (-1, 1))
     assert found.parameters["mass"].lower == pytest.approx(q * low)
     assert found.parameters["mass"].upper == pytest.approx(high)
+    widest = combined.drag_area_over_eta + 2 * std.drag_area_over_eta
+    assert found.parameters["c_d"].upper == pytest.approx(widest / prior.frontal_area)
     assert found.parameters["eta"].lower >= q
+
+
+def test_the_distance_of_a_parameter_is_in_sigmas_of_its_prior(prior):
+    """However well it is known by now."""
+    mass = PARAMETER_NAMES.index("mass")
+    far = prior.prior.mean[mass] + 2.0 * math.sqrt(prior.prior.covariance[mass, mass])
+    assert deviations(learned(prior, 0.01, mass=far))["mass"] == pytest.approx(2.0)
 
 
 class Judge:

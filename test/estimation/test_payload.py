@@ -80,7 +80,7 @@ def test_no_change_is_found_where_there_is_none(driver):
 
 
 def test_before_some_stops_taught_what_chance_does_no_change_is_found(driver):
-    """Of a known car the same change is found, as above."""
+    """A change as above is found of no car whose stops are not known yet."""
     untaught = replace(driver.payload.forget_time(), chance=Chance())
     driver.chain.car = replace(driver.chain.car, payload=untaught)
     driver.drive(-300.0, 1_003_000, 240)

@@ -144,6 +144,11 @@ def test_the_wandering_load_forgets_itself():
     assert integral[2] == pytest.approx(LOAD_TIME) and rest[0] == 0.0
     later = advance(state, 1e6)
     assert later.covariance[:, State.LOAD, State.LOAD] == pytest.approx(BANK[:, 1] ** 2)
+    mean = np.zeros(SIZE)
+    mean[State.LOAD] = 100.0  # W
+    long = Journey(np.zeros(SIZE), 1e6, np.zeros(3), 0.0)
+    energy, _ = replace(state.model(EQUATION), mean=mean).predicted(long)
+    assert energy == pytest.approx(100.0 * LOAD_TIME)
 
 
 def test_another_drive_keeps_the_car_and_part_of_the_offsets(known):
@@ -204,6 +209,8 @@ def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town, known):
         sigmas.append(model.predicted(journey)[1])
     assert (np.diff(sigmas) > 0.0).all()
     assert model.predicted(NOWHERE) == (0.0, 0.0)
+    trusted_less = replace(model, trust=4.0 * model.trust)  # a factor of the variance
+    assert trusted_less.predicted(journey)[1] == pytest.approx(2.0 * sigmas[-1])
 
 
 def test_what_is_wrong_while_driving_says_nothing_of_a_car_that_stands(town):
@@ -223,7 +230,7 @@ def test_what_is_wrong_while_driving_says_nothing_of_a_car_that_stands(town):
 
 
 def test_noise_is_of_the_kind_of_what_the_car_did(town):
-    """150 W while it stands, with 40 N more while it moves; over ten seconds, at scale 1."""
+    """150 W while it stands, with 40 N more while it moves, 30 N with torque; ten s, scale 1."""
     steps, ten = town[0].steps, np.full(10, 1.0)
     unknown = np.nan * ten
     still = steps._replace(
@@ -233,6 +240,9 @@ def test_noise_is_of_the_kind_of_what_the_car_did(town):
     fast = still._replace(distance=20.0 * ten)
     moving = 1.5 * 10 * (150**2 + (40 * 20) ** 2)
     assert noise_of(fast) == pytest.approx([0, moving, 0])
+    with_torque = 1.5 * 10 * (150**2 + (30 * 20) ** 2)
+    told = fast._replace(motor_drive=ten, motor_brake=ten)
+    assert noise_of(told) == pytest.approx([0, 0, with_torque])
 
 
 def test_warmth_goes_from_one_to_nothing():

@@ -75,3 +75,4 @@ def test_an_altitude_counts_once_it_has_moved_and_until_it_is_stuck():
 def test_a_leap_is_no_rise():
     found = rises((0.0, 0.0), (10.0, LEAP), (20.0, 1000.0), (30.0, 1001.0))
     assert [rise.height for rise in found[1:4]] == [LEAP, 0.0, 1.0]
+    assert rises((0.0, 0.0), (10.0, 1.0), (210.0, 61.0))[2].height == 60.0  # a street of 30 %

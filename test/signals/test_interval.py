@@ -12,6 +12,7 @@ from evpinn_ros.signals.interval import DURATION, WAIT_NS, Interval
 from evpinn_ros.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
+    AuxiliaryReading,
     BatteryReading,
     GradeReading,
     MotorReading,
@@ -208,6 +209,18 @@ def test_a_motor_that_tells_is_counted_by_step(new_stream, play, journey, at):
         assert not one.steps.motor_brake.any()
     without = play(new_stream(), journey(60.0, altitude_step=None))
     assert all(np.isnan(one.steps.motor_drive).all() for one in without)
+
+
+def test_loads_are_means_and_wheels_that_slip_are_told(new_stream, play, journey, at):
+    """Heating goes on at 25 s; at 35 s one speed is 10 m/s too high."""
+    readings = journey(60.0, altitude_step=None)
+    readings = [replace(r, speed=r.speed + 10.0) if r == readings[700] else r for r in readings]
+    readings += [AuxiliaryReading(at(t - 0.01), 3e3 * (t > 25)) for t in range(60)]
+    found = play(new_stream(), sorted(readings, key=lambda r: r.stamp_ns))
+    heated = sum(one.conditions.load * one.duration for one in found)
+    assert heated == pytest.approx(3e3 * ((found[-1].end_ns - at(0)) / 1e9 - 25.0), rel=0.05)
+    assert [one.leaps for one in found] == [one.start_ns < at(35) < one.end_ns for one in found]
+    assert any(one.leaps for one in found)
 
 
 def test_slow_signals_make_longer_intervals(new_stream, play):
