@@ -8,7 +8,13 @@ import math
 import pytest
 
 from benchmarks.truth import CarChain
-from evpinn_ros.estimation.payload import CHANCE_KEPT, LEAST_CHANGE, Chance, PayloadDetector
+from evpinn_ros.estimation.payload import (
+    CHANCE_KEPT,
+    LEAST_CHANGE,
+    PROBATION,
+    Chance,
+    PayloadDetector,
+)
 from evpinn_ros.estimation.pinn import PinnLearner
 from evpinn_ros.estimation.published import mass_over_eta
 from evpinn_ros.signals.readings import NANOSECONDS
@@ -58,8 +64,8 @@ def driver(driven) -> Driver:
 
 
 @pytest.mark.parametrize("delta", [300.0, -300.0])
-def test_a_change_is_found_followed_and_outlives_a_restart(driver, delta):
-    before = driver.log_mass_over_eta
+def test_a_change_is_found_followed_and_withdrawn_when_the_car_is_as_before(driver, delta):
+    before, state = driver.log_mass_over_eta, driver.chain.car.state
     driver.drive(delta, 1_003_000, 240)
     change = driver.payload.change
     assert driver.payload.found == 1 and change is not None
@@ -70,6 +76,12 @@ def test_a_change_is_found_followed_and_outlives_a_restart(driver, delta):
     # As sharp as the car is known by now, not as when the change was found.
     assert ratio == pytest.approx(1 + change.delta_mass / driver.payload.watched.mass, abs=0.003)
     assert PayloadDetector.of(driver.payload.saved()).change == change
+    old = replace(driver.payload, watched=replace(driver.payload.watched, motion=PROBATION))
+    for payload, left in ((old, change), (driver.payload, None)):  # of no old one any more
+        driver.chain.car = replace(driver.chain.car, state=state, payload=payload)
+        driver.drive(-delta if left else 0.0, 1, 40)
+        assert driver.payload.change == left
+    assert driver.payload.withdrawn == 1
 
 
 @pytest.mark.slow

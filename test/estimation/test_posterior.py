@@ -157,7 +157,9 @@ def test_another_drive_keeps_the_car_and_part_of_the_offsets(known):
     assert after.mean[:, OFFSETS] == pytest.approx(posterior.DRIVE_KEPT * known.mean[:, OFFSETS])
     grown = np.diagonal(after.covariance - known.covariance, axis1=1, axis2=2)[:, LASTING]
     assert (grown >= 0.0).all() and grown.max() > 0.0
-    assert (after.seconds, after.intervals) == (0.0, 0)
+    assert (after.seconds, after.intervals, after.last_drive) == (0.0, 0, known.seconds)
+    # The prior of a car never driven is as wide as it is; from then on drives are judged.
+    assert initial_state(EQUATION).model(EQUATION).trust == 1.0 < after.model(EQUATION).trust
 
 
 def test_how_drives_differ_is_learned_from_many(known):
@@ -193,6 +195,7 @@ def test_heating_that_the_battery_does_not_give_loses_its_share(intervals):
         state, _ = learn(state, EQUATION, passed(EQUATION, seen, state.seconds))
     whole = state.mixture()
     assert abs(whole.mean[State.DOUBTED]) < 0.1
+    assert state.celsius == 28.0
     prior = EQUATION.covariance[State.DOUBTED, State.DOUBTED]
     assert whole.covariance[State.DOUBTED, State.DOUBTED] < 0.5 * prior
 
@@ -245,9 +248,10 @@ def test_noise_is_of_the_kind_of_what_the_car_did(town):
     assert noise_of(told) == pytest.approx([0, 0, with_torque])
 
 
-def test_warmth_goes_from_one_to_nothing():
+def test_coldness_goes_from_one_to_nothing_and_comes_back_as_the_car_stands():
     assert Warmth.after(0.0) == (1.0, 1.0)
     assert max(Warmth.after(1e6)) < 1e-9
+    assert Warmth.after(1e6).stood(1e6) == pytest.approx((1.0, 1.0))
 
 
 def test_what_the_hypotheses_were_worth_is_forgotten(town):

@@ -155,6 +155,7 @@ def test_loads_are_those_of_the_temperature_or_of_the_report():
         EQUATION.rows(steps, each, START)[0] for each in (MILD, COLD, REPORTED)
     )
     assert mild[State.COLD] == mild[State.HOT] == 0.0 and cold[State.COLD] == 25.0
+    assert 0.0 < cold[State.COLD_START] <= 25.0 and cold[State.HOT_START] == 0.0
     assert (reported[State.REPORTED], reported[State.DOUBTED]) == (800.0, 200.0)
     assert reported[State.COLD] == 0.0 and cold[State.REPORTED] == 0.0
     assert coldness(-5.0) == 2.5 and coldness(None) == coldness(30.0) == 0.0

@@ -132,6 +132,13 @@ def test_a_drive_leaves_what_was_known_before_as_it_was():
     assert before.after(EQUATION, EQUATION.mean, parked) is before
 
 
+def test_driving_of_150_km_ago_counts_a_third():
+    slow = Unevenness.none().after(EQUATION, EQUATION.mean, path_of(np.full(2000, 2.0)))
+    later = slow.after(EQUATION, EQUATION.mean, path_of(np.full(5001, 30.0)))  # of other nodes
+    assert later.metres[0] == pytest.approx(slow.metres[0] / np.e)
+    assert slow.metres[0].any()
+
+
 def test_it_is_saved_by_the_names_of_states():
     known = Unevenness.none().after(EQUATION, EQUATION.mean, town(1))
     saved = saved_unevenness(known)
