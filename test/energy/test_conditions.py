@@ -9,13 +9,14 @@ import pytest
 
 from evpinn_ros.energy.battery_model import BatteryModel
 from evpinn_ros.energy.charge import UNKNOWN, Uncertain
-from evpinn_ros.energy.forecaster import Forecaster
+from evpinn_ros.energy.forecaster import Basis, Forecaster
 from evpinn_ros.energy.plan import PlanConditions, Question, plan_from_speed_profile
 from evpinn_ros.energy.power_model import CLIMATE_SHARE, vehicle_model
 from evpinn_ros.signals.readings import TemperatureReading
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.plans import read_conditions
 from evpinn_ros.vehicle.files import load_vehicle
+from test.energy.cars import COMBINED, SIGMAS
 
 CAR = load_vehicle("bmw_i3")
 TIME = np.arange(0.0, 601.0, 10.0)
@@ -43,6 +44,17 @@ def test_cold_wind_and_payload_cost_and_a_tail_wind_gives():
     assert energy(heating=4000.0) > energy(heating=0.0) + 0.99 * 600 * 4000.0
     assert energy(head_wind=10.0) > plain > energy(head_wind=-10.0)
     assert energy(payload=300.0) > plain
+
+
+def test_air_is_known_for_half_an_hour_and_a_learned_car_until_another_is_learned():
+    forecaster, car = Forecaster(CAR), vehicle_model(CAR).car
+    forecaster.set_air(TemperatureReading(0, -10.0), 0)
+    assert [forecaster.air(m * 60 * 10**9).celsius for m in (29, 31)] == [-10.0, None]
+    forecaster.set_model(replace(car, mean=1.5 * car.mean))
+    learned = answer(forecaster).forecast.energy[-1]
+    forecaster.set_identifiable(COMBINED, SIGMAS)  # says less, and comes each second too
+    assert answer(forecaster).forecast.energy[-1] == learned
+    assert forecaster.basis is Basis.MODEL
 
 
 def test_heating_that_nobody_gives_strays_from_what_cold_makes_likely():

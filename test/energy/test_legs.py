@@ -1,5 +1,7 @@
 """Legs of a trip and what they are as points."""
 
+from dataclasses import replace
+
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -50,6 +52,15 @@ def test_unevenness_vanishes_as_steps_become_short():
         shares.append(float((beyond @ MODEL.car.mean).sum() / (whole @ MODEL.car.mean).sum()))
     assert shares[0] > 0.05 and shares[3] < 2e-3 * shares[0]
     assert 8.0 < shares[2] / shares[3] < 12.0
+
+
+def test_a_road_of_unknown_height_is_less_sure():
+    legs = legs_of_trip(np.full(10, 900.0), np.full(10, 60.0))
+    level, unknown = (
+        forecast_plan(replace(legs, height_known=np.full(10, known)), MODEL, Weather(1.2))
+        for known in (True, False)
+    )
+    assert unknown.energy[-1] == level.energy[-1] and unknown.sigma[-1] > level.sigma[-1]
 
 
 def test_a_coarse_plan_costs_more_than_even_speed_and_is_less_sure():

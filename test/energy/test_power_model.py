@@ -9,11 +9,12 @@ import pytest
 
 from benchmarks.truth import CarChain
 from evpinn_ros.energy.forecast import forecast_plan
+from evpinn_ros.energy.network_table import GRID_FORCE, GRID_SPEED, looked_up
 from evpinn_ros.energy.plan import plan_from_speed_profile
 from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.estimation.journey import NOWHERE, noise_of
 from evpinn_ros.estimation.states import TABLE, WEIGHTS, State
-from evpinn_ros.estimation.terms import WARM, Warmth
+from evpinn_ros.estimation.terms import WARM, Warmth, Wheels
 from evpinn_ros.signals.interval import Steps
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
@@ -160,3 +161,10 @@ def test_heating_goes_on_as_in_this_drive_unless_the_planner_gives_it(along):
     ):
         more = energy(weather, mean, reports) - energy(weather, car.mean, reports)
         assert more == pytest.approx(extra, abs=1e-3)
+
+
+def test_a_table_that_is_linear_in_speed_and_force_is_looked_up_exactly():
+    speed, force = np.array([[3.3, 17.2, 30.1]]), np.array([[0.4, -1.1, 0.05]])
+    way, table = np.array([[10.0, 20.0, 30.0]]), (GRID_SPEED[:, None] + 3.0 * GRID_FORCE)
+    found = looked_up(Wheels(*np.zeros(7), speed, force), way, table[..., None])
+    assert found == pytest.approx((way * (speed + 3.0 * force)).sum())

@@ -236,6 +236,17 @@ def test_paused_it_predicts_and_does_not_learn(new_estimator, play, powers, driv
     assert estimator.status().activity is Activity.LEARNING
 
 
+def test_what_was_driven_in_a_pause_is_not_learned_after_it(new_estimator, play, cruise):
+    estimator = new_estimator()
+    before, estimator.enabled = estimator.export()["learner"]["car"], False
+    play(estimator, cruise(0, 13))
+    assert not any(estimator.status().seen.values())
+    estimator.enabled = True
+    play(estimator, cruise(13, 15))  # two updates, before the next ten seconds are over
+    assert estimator.export()["learner"]["car"] == before
+    assert any(estimator.status().seen.values())
+
+
 def test_a_reset_forgets_what_was_learned_and_keeps_counters(new_estimator, play, drive):
     readings = up_to(drive(1, 240.0).readings, 15.0)
     estimator, fresh = new_estimator(), new_estimator()
