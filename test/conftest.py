@@ -17,7 +17,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from typing import TYPE_CHECKING, Any
 
 from hypothesis import settings
@@ -128,14 +127,6 @@ LONG = (
 """Long files and folders of them: begun first, they leave no worker alone with one in the end."""
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def wait_for(condition: Callable[[], object], seconds: float = 20.0) -> None:
-    """Return once something is so; fail after these seconds."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.005)
 
 
 def load_example(name: str) -> Any:
@@ -258,7 +249,7 @@ class SimulatedUnit:
 
     def close(self) -> None:
         self._stop.set()
-        self._thread.join(5)
+        self._thread.join()
         self._stack.stop()
         self._bus.shutdown()
 

@@ -17,7 +17,7 @@ import pytest
 
 from evpinn_ros.bridges.broker import BrokerSettings, Connection
 from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
-from test.conftest import wait_for
+from test.waiting import wait_until
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
 
@@ -49,7 +49,7 @@ class Broker:
         self.process = subprocess.Popen(
             [MOSQUITTO, "-c", config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        wait_for(self._answers)
+        wait_until(self._answers)
 
     def _answers(self) -> bool:
         with socket.socket() as tried:
@@ -79,7 +79,7 @@ class Client:
         self.client.on_subscribe = lambda _, __, number, *___: granted.append(number)
         self.client.connect("127.0.0.1", port)
         self.client.loop_start()
-        wait_for(lambda: self.client.is_connected() and len(granted) >= len(topics))
+        wait_until(lambda: self.client.is_connected() and len(granted) >= len(topics))
 
     def publish(self, topic: str, payload: str, *, retain: bool = True) -> None:
         self.client.publish(topic, payload, 1, retain).wait_for_publish(5.0)
@@ -117,7 +117,7 @@ def bridged(broker: Broker) -> Iterator[Callable[..., tuple[MqttBridge, Connecti
         bridge = MqttBridge(settings, connection)
         connection.start()
         made.append(connection)
-        wait_for(lambda: bridge.step(0.01) or connection.connected)
+        wait_until(lambda: bridge.step(0.01) or connection.connected)
         return bridge, connection
 
     yield make

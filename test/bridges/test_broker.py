@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from evpinn_ros.bridges.broker import LONGEST_PAYLOAD, BrokerSettings, Connection
-from test.conftest import wait_for
+from test.waiting import wait_until
 
 CONNECTED, SUBSCRIBED = b"\x20\x02\x00\x00", b"\x90\x03\x00\x01\x01"
 
@@ -59,6 +59,6 @@ def test_what_cannot_be_read_is_counted_and_the_next_message_comes(rogue) -> Non
         message = connection.next_message(20.0)
         assert message is not None and (message.topic, message.payload) == ("cars/2", b"9")
         assert connection.lost == 2
-        wait_for(lambda: connection.connected)
+        wait_until(lambda: connection.connected)
     finally:
         connection.close()

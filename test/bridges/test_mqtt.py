@@ -26,7 +26,7 @@ from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.vehicle.files import load_vehicle
 from test.bridges.conftest import Broker, Client
 from test.bridges.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
-from test.conftest import wait_for
+from test.waiting import wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -72,12 +72,12 @@ def step_until(bridge: MqttBridge, condition: Callable[[], object]) -> None:
         bridge.step(0.01)
         return condition()
 
-    wait_for(so)
+    wait_until(so)
 
 
 def finish(bridge: MqttBridge, connection: Connection) -> None:
     bridge.close()
-    wait_for(lambda: connection.send() or not connection.waiting)
+    wait_until(lambda: connection.send() or not connection.waiting)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_a_drive_over_the_broker_has_its_energy(
     reader, writer = broker.client(topics=("evpinn/#",)), broker.client()
     play(sets(), writer, bridge, clock)
     finish(bridge, connection)
-    wait_for(lambda: f"evpinn/{car}/health" in reader.newest())
+    wait_until(lambda: f"evpinn/{car}/health" in reader.newest())
     time.sleep(0.2)
     published = json.loads(reader.newest()[f"evpinn/{car}/energy"])
     assert published["trip_kwh"] == pytest.approx(energy(drive(), digits), rel=error)
@@ -106,7 +106,7 @@ def test_a_drive_over_the_broker_has_its_energy(
     powers = [json.loads(p) for t, p, _ in reader.came if t == f"evpinn/{car}/power"]
     assert len(powers) > 0.8 * len(drive()), "once a second"
     late = broker.client(topics=("evpinn/#",))
-    wait_for(lambda: f"evpinn/{car}/health" in late.newest())
+    wait_until(lambda: f"evpinn/{car}/health" in late.newest())
     time.sleep(0.2)
     assert f"evpinn/{car}/power" not in late.newest(), "an old power is of no use"
     assert f"evpinn/{car}/parameters" in late.newest()
@@ -191,7 +191,7 @@ def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
     step_until(bridge, lambda: connection.connections == 2)
     step_until(bridge, lambda: not connection.waiting)
     reader, writer = broker.client(topics=EVERYTHING), broker.client()
-    wait_for(lambda: "evpinn/1/parameters" in reader.newest())
+    wait_until(lambda: "evpinn/1/parameters" in reader.newest())
     assert any(topic.startswith("homeassistant/sensor/") for topic in reader.newest())
     assert reader.newest()["evpinn/status"] == "online"
     play(halves[60:], writer, bridge, clock)
@@ -201,10 +201,10 @@ def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
 def test_a_process_that_is_killed_leaves_its_last_will(broker: Broker, tmp_path: Path) -> None:
     reader = broker.client(topics=("evpinn/status",))
     process = command(broker)
-    wait_for(lambda: reader.newest().get("evpinn/status") == "online")
+    wait_until(lambda: reader.newest().get("evpinn/status") == "online")
     process.kill()
     process.wait()
-    wait_for(lambda: reader.newest()["evpinn/status"] == "offline")
+    wait_until(lambda: reader.newest()["evpinn/status"] == "offline")
 
 
 def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) -> None:
@@ -222,14 +222,14 @@ def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) 
 def test_a_slow_broker_gets_the_newest_and_no_more(broker: Broker, bridged: Make) -> None:
     _, connection = bridged(settings(read_layout("teslamate")))
     reader = broker.client(topics=("slow/#",))
-    wait_for(lambda: not connection.waiting)
+    wait_until(lambda: not connection.waiting)
     broker.process.send_signal(signal.SIGSTOP)
     for i in range(5000):
         connection.publish(f"slow/{i % 10}", str(i))
     assert connection.waiting <= 30
     broker.process.send_signal(signal.SIGCONT)
-    wait_for(lambda: connection.send() or not connection.waiting)
-    wait_for(lambda: len(reader.newest()) == 10)
+    wait_until(lambda: connection.send() or not connection.waiting)
+    wait_until(lambda: len(reader.newest()) == 10)
     time.sleep(0.2)
     assert reader.newest() == {f"slow/{i}": str(4990 + i) for i in range(10)}
     assert len(reader.came) <= 40
@@ -309,7 +309,7 @@ def test_a_sender_whose_clock_is_set_back_goes_on_to_be_answered(
         ahead_s = 7200 if i < 30 else 0  # until the sender asks a time server
         payload = {"t": s.stamp_ns / 1e6 + 1e3 * ahead_s, "v": s.speed, "p": s.power}
         writer.publish("my/zoe", json.dumps(payload))
-        wait_for(lambda i=i: bridge.step(0.01) and bridge.cars["zoe"].readings == 2 * i + 2)
+        wait_until(lambda i=i: bridge.step(0.01) and bridge.cars["zoe"].readings == 2 * i + 2)
     last_s = seconds[-1].stamp_ns / 1e9
 
     def answered() -> bool:
@@ -381,7 +381,7 @@ def test_the_command_learns_from_a_mapping_file_and_keeps_it(
     state = tmp_path / "cars"
     process = command(broker, "--source", tmp_path / "topics.yaml", "--state", state)
     reader, writer = broker.client(topics=("evpinn/#",)), broker.client()
-    wait_for(lambda: reader.newest().get("evpinn/status") == "online")
+    wait_until(lambda: reader.newest().get("evpinn/status") == "online")
     for s in drive():
         payload = json.dumps({"t": s.stamp_ns / 1e9, "kmh": s.speed, "kw": s.power})
         writer.client.publish("my/zoe", payload, 1)
@@ -389,7 +389,7 @@ def test_the_command_learns_from_a_mapping_file_and_keeps_it(
     def newest_s() -> float:
         return json.loads(reader.newest().get("evpinn/zoe/power", "{}")).get("time") or 0.0
 
-    wait_for(lambda: newest_s() > drive()[-1].stamp_ns / 1e9 - 1.0, seconds=60.0)
+    wait_until(lambda: newest_s() > drive()[-1].stamp_ns / 1e9 - 1.0, seconds=60.0)
     process.send_signal(signal.SIGHUP)  # its terminal was closed
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=60)

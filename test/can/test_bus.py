@@ -24,7 +24,7 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import running
-from test.conftest import wait_for
+from test.waiting import wait_until
 
 GROUP = "239.74.163.77"
 NOW = 1_700_000_000_000_000_000
@@ -69,8 +69,8 @@ def test_frames_from_another_process_decode_as_the_log_does(tmp_path):
         pytest.skip(f"no multicast here: {error}")
     with reading(reader):
         subprocess.run([sys.executable, "-c", SENDER, log, GROUP, str(port)], check=True)
-        wait_for(lambda: len(received) == len(frames))
-        wait_for(lambda: reader.status().condition is BusCondition.SILENT)
+        wait_until(lambda: len(received) == len(frames))
+        wait_until(lambda: reader.status().condition is BusCondition.SILENT)
     assert reader.status().counters == {"opened": 1, "frames": len(frames)}
     live, offline = Decoder(profile), Decoder(profile)
     for frame, logged in zip(received, LogFile(log).frames(), strict=True):
@@ -126,10 +126,10 @@ def test_adapter_unplugged_in_the_stream_and_plugged_again(tmp_path):
             time.sleep(0.002)
 
     with reading(reader):
-        wait_for(lambda: reader.status().condition is BusCondition.OPEN)
+        wait_until(lambda: reader.status().condition is BusCondition.OPEN)
         stream(100)
         adapter.unplug()
-        wait_for(lambda: reader.status().condition is BusCondition.LOST)
+        wait_until(lambda: reader.status().condition is BusCondition.LOST)
         cpu, wall = time.process_time(), time.monotonic()
         time.sleep(3.0)
         assert time.process_time() - cpu < 0.05 * (time.monotonic() - wall)
@@ -137,9 +137,9 @@ def test_adapter_unplugged_in_the_stream_and_plugged_again(tmp_path):
         assert "adapter" in reader.status().problem and "\n" not in reader.status().problem
 
         adapter.plug()
-        wait_for(lambda: reader.status().condition is BusCondition.OPEN)
+        wait_until(lambda: reader.status().condition is BusCondition.OPEN)
         stream(100)
-        wait_for(lambda: reader.status().condition is BusCondition.SILENT)
+        wait_until(lambda: reader.status().condition is BusCondition.SILENT)
     counters = reader.status().counters
     assert counters["opened"] == 2 and counters["lost"] == 1
     assert counters["frames"] == len(received) >= 200
@@ -178,10 +178,10 @@ def test_garbled_serial_line_is_no_loss(tmp_path, quick):
     received = []
     reader = serial_reader(adapter.link, received.append)
     with reading(reader):
-        wait_for(lambda: reader.status().condition is BusCondition.OPEN)
+        wait_until(lambda: reader.status().condition is BusCondition.OPEN)
         adapter.send(b"tXYZ\r")
         adapter.send(b"t1326989467000000\r")
-        wait_for(lambda: len(received) == 1)
+        wait_until(lambda: len(received) == 1)
     assert reader.status().counters == {"opened": 1, "garbled": 1, "frames": 1}
     adapter.unplug()
 
@@ -231,7 +231,7 @@ def stamps(interface, clock):
     times = iter(clock)
     reader = BusReader(interface, "x", received.append, lambda: next(times))
     with reading(reader):
-        wait_for(lambda: len(received) == len(clock))
+        wait_until(lambda: len(received) == len(clock))
     return [frame.stamp_ns for frame in received]
 
 
@@ -270,7 +270,7 @@ def test_failing_callback_is_no_failing_bus(scripted):
 
     reader = BusReader("virtual", "x", fail, lambda: NOW)
     with reading(reader):
-        wait_for(lambda: reader.status().counters.get("callback_errors") == 2)
+        wait_until(lambda: reader.status().counters.get("callback_errors") == 2)
         assert reader.status().condition is not BusCondition.LOST
     counters = reader.status().counters
     assert counters == {"opened": 1, "frames": 2, "callback_errors": 2, "close_errors": 1}
@@ -282,7 +282,7 @@ def test_error_and_remote_frames_are_counted(scripted):
     received = []
     reader = BusReader("virtual", "x", received.append, lambda: NOW)
     with reading(reader):
-        wait_for(lambda: reader.status().counters.get("remote_frames") == 1)
+        wait_until(lambda: reader.status().counters.get("remote_frames") == 1)
     assert not received and reader.status().counters["error_frames"] == 1
 
 
@@ -292,9 +292,9 @@ def test_error_frames_alone_are_told_until_a_frame_comes(quick):
     with can.Bus("errors", interface="virtual") as bus, reading(reader):
         for _ in range(bus_module.MANY_ERRORS):
             bus.send(can.Message(is_error_frame=True))
-        wait_for(lambda: reader.status().condition is BusCondition.ERRORS)
+        wait_until(lambda: reader.status().condition is BusCondition.ERRORS)
         bus.send(can.Message())
-        wait_for(lambda: reader.status().condition is BusCondition.OPEN)
+        wait_until(lambda: reader.status().condition is BusCondition.OPEN)
     assert reader.status().counters["error_frames"] == bus_module.MANY_ERRORS
 
 
@@ -304,12 +304,12 @@ def test_bus_off_is_told_until_a_frame_comes(scripted):
     _, reopened = scripted([message(0.0), off], [])
     reader = BusReader("socketcan", "can0", print, lambda: NOW)
     with reading(reader):
-        wait_for(lambda: not reopened.script and reader.status().counters.get("opened") == 2)
-        wait_for(lambda: reader.status().condition is BusCondition.OFF)
+        wait_until(lambda: not reopened.script and reader.status().counters.get("opened") == 2)
+        wait_until(lambda: reader.status().condition is BusCondition.OFF)
         assert "type can restart-ms 100" in reader.status().problem
         reopened.script.append(message(0.1))
-        wait_for(lambda: reader.status().counters["frames"] == 2)
-        wait_for(lambda: reader.status().condition is BusCondition.SILENT)
+        wait_until(lambda: reader.status().counters["frames"] == 2)
+        wait_until(lambda: reader.status().condition is BusCondition.SILENT)
     assert reader.status().counters["bus_off"] == reader.status().counters["lost"] == 1
 
 
@@ -318,7 +318,7 @@ def test_driver_that_tells_bus_off_by_its_state(scripted, monkeypatch):
     scripted([None], [None])
     reader = BusReader("ixxat", 0, print, lambda: NOW)
     with reading(reader):
-        wait_for(lambda: reader.status().counters.get("bus_off") == 2)
+        wait_until(lambda: reader.status().counters.get("bus_off") == 2)
         assert reader.status().condition is BusCondition.OFF
         assert "check bit rate and wiring" in reader.status().problem
 
@@ -329,7 +329,7 @@ def test_driver_that_only_stumbles_is_opened_again(scripted, monkeypatch):
     received = []
     reader = BusReader("virtual", "x", received.append, lambda: NOW)
     with reading(reader):
-        wait_for(lambda: received)
+        wait_until(lambda: received)
     counters = reader.status().counters
     assert counters["garbled"] == bus_module.MANY_GARBLED and counters["lost"] == 1
 
@@ -341,7 +341,7 @@ def test_backoff_grows_until_a_frame_comes(scripted):
     reader = BusReader("virtual", "x", received.append, lambda: NOW)
     start = time.monotonic()
     with reading(reader):
-        wait_for(lambda: received)
+        wait_until(lambda: received)
     assert time.monotonic() - start >= 0.05 + 0.1 + 0.2
     assert reader.status().counters["lost"] == 3
 
@@ -350,7 +350,7 @@ def test_stop_interrupts_the_wait():
     reader = BusReader("slcan", "/nowhere/adapter", print, lambda: NOW)
     start = time.monotonic()
     with reading(reader):
-        wait_for(lambda: reader.status().condition is BusCondition.LOST)
+        wait_until(lambda: reader.status().condition is BusCondition.LOST)
     assert time.monotonic() - start < 0.4
 
 

@@ -1,7 +1,6 @@
 """An ELM327 as a bus: against ELM327-emulator, and an adapter whose lines are told here."""
 
 from contextlib import contextmanager
-from functools import partial
 import math
 import os
 from pathlib import Path
@@ -22,13 +21,11 @@ from evpinn_ros.can.elm327 import Elm327Bus
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from test import conftest
 from test.can.conftest import LiveBridge, running
+from test.waiting import wait_until
 
 pytest.importorskip("elm", reason="ELM327-emulator is not installed")
 EMULATOR = Path(__file__).with_name("elm327_emulator.py")
-# A slow adapter takes 16 s for what is awaited, and more on a busy computer.
-wait_for = partial(conftest.wait_for, seconds=120.0)
 KONA, I3 = load_profile("hyundai_kia"), load_profile("bmw_i3")
 
 
@@ -74,7 +71,7 @@ def elm327(place, profile=KONA):
 )
 def test_a_car_is_asked_through_an_adapter(tmp_path, kind, tcp):
     with emulated(kind, tmp_path, tcp) as place, elm327(place) as live:
-        wait_for(lambda: len(live.of(BatteryReading)) > 3 and len(live.of(SpeedReading)) > 3)
+        wait_until(lambda: len(live.of(BatteryReading)) > 3 and len(live.of(SpeedReading)) > 3)
     for reading in live.of(BatteryReading):
         assert (reading.voltage, reading.current) == (pytest.approx(404.7), pytest.approx(12.3))
         assert reading.state_of_charge == pytest.approx(0.64)
@@ -88,7 +85,7 @@ def test_a_car_is_asked_through_an_adapter(tmp_path, kind, tcp):
 @pytest.mark.slow
 def test_a_lying_adapter_adds_nothing(tmp_path):
     with emulated("lying", tmp_path) as place, elm327(place) as live:
-        wait_for(lambda: len(live.of(BatteryReading)) > 3 and len(live.of(SpeedReading)) > 3)
+        wait_until(lambda: len(live.of(BatteryReading)) > 3 and len(live.of(SpeedReading)) > 3)
         status = live.reader.status()
     assert {round(reading.voltage, 1) for reading in live.of(BatteryReading)} == {404.7}
     assert {round(reading.speed * 3.6) for reading in live.of(SpeedReading)} == {88}
@@ -160,7 +157,7 @@ def test_broadcast_frames_are_monitored_and_nothing_is_sent(adapter):
     seen = []
     reader = BusReader("elm327", leaf.place, seen.append, time.time_ns, broadcast={0x1DB, 0x284})
     with running(reader):
-        wait_for(lambda: len(seen) == 6)
+        wait_until(lambda: len(seen) == 6)
     assert (seen[0].can_id, seen[0].data.hex()) == (0x1DB, "0037ea4a4f0055f7")
     assert (seen[1].can_id, seen[1].data.hex()) == (0x284, "00000000123456ff")
     # 001 1101 1011 and 010 1000 0100 have these bits in common: 1.. .0.. 1.0. ....
@@ -172,8 +169,8 @@ def test_monitoring_stops_for_a_question_and_goes_on(adapter):
     bolt = load_profile("chevrolet_bolt")
     car = adapter({"ATMA": b"", "222885": b"7E90562288593A0", "222414": b"7E905622414001F"})
     with elm327(car.place, bolt) as live:
-        wait_for(lambda: live.of(BatteryReading))
-        wait_for(lambda: car.heard[-1] == "ATMA")
+        wait_until(lambda: live.of(BatteryReading))
+        wait_until(lambda: car.heard[-1] == "ATMA")
     reading = live.of(BatteryReading)[0]
     assert (reading.voltage, reading.current) == (pytest.approx(377.92), pytest.approx(-1.55))
     assert " " in car.heard and "ATSH7E1" in car.heard and "ATCRA7E9" in car.heard
@@ -184,7 +181,7 @@ def test_extended_addressing_of_an_i3(adapter):
     answers["22DD69"] = b"607F1100762DD690000\r607F12103E8"
     car = adapter(answers)
     with elm327(car.place, I3) as live:
-        wait_for(lambda: live.of(BatteryReading) and live.of(SpeedReading))
+        wait_until(lambda: live.of(BatteryReading) and live.of(SpeedReading))
     assert live.of(SpeedReading)[0].speed == pytest.approx(30.0 / 3.6)
     assert live.of(BatteryReading)[0].voltage == pytest.approx(370.0)
     assert live.of(BatteryReading)[0].current == pytest.approx(10.0)  # charging
@@ -200,7 +197,7 @@ def test_voltage_and_current_behind_a_slow_adapter_keep_their_own_stamps(adapter
     answers["22DD69"] = b"607F1100762DD690000\r607F12103E8"
     car = adapter(answers, delay=0.25)
     with elm327(car.place, I3) as live:
-        wait_for(lambda: len(live.of(BatteryReading)) > 5)
+        wait_until(lambda: len(live.of(BatteryReading)) > 5)
         counters = live.counters
     volts = [r for r in live.of(BatteryReading) if not math.isnan(r.voltage)]
     amps = [r for r in live.of(BatteryReading) if not math.isnan(r.current)]
@@ -238,9 +235,9 @@ def test_an_adapter_that_begins_anew_is_prepared_anew(adapter):
     car = adapter({"ATMA": b""})
     reader = BusReader("elm327", car.place, lambda _frame: None, time.time_ns)
     with running(reader):
-        wait_for(lambda: "ATMA" in car.heard)
+        wait_until(lambda: "ATMA" in car.heard)
         car.say(b"\r\rELM327 v1.5\r\r>")
-        wait_for(lambda: car.heard.count("ATH1") == 2)
+        wait_until(lambda: car.heard.count("ATH1") == 2)
         assert "began anew" in reader.status().problem
 
 

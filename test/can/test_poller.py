@@ -16,7 +16,7 @@ from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import LiveBridge, running
-from test.conftest import wait_for
+from test.waiting import wait_until
 
 CHANNELS = (f"poller-{number}" for number in itertools.count())
 KONA = load_profile("hyundai_kia")
@@ -70,7 +70,7 @@ def test_a_kona_on_the_bus(channel, unit):
     units = kona(unit, lambda: [pack_answer(250, 3600)])
     before, begun = time.time_ns(), time.monotonic()
     with live(channel, KONA) as car:
-        wait_for(lambda: len(car.of(BatteryReading)) >= 3 and len(car.of(SpeedReading)) >= 3)
+        wait_until(lambda: len(car.of(BatteryReading)) >= 3 and len(car.of(SpeedReading)) >= 3)
         status = car.bridge.poller.status()
     assert status.ok and status.text == "asking"
     battery, speed = car.of(BatteryReading)[-1], car.of(SpeedReading)[-1]
@@ -95,7 +95,7 @@ def test_voltage_and_current_of_two_answers_are_of_one_moment(channel, unit):
         },
     )
     with live(channel, I3) as car:
-        wait_for(lambda: len(car.of(BatteryReading)) >= 3 and car.of(SpeedReading))
+        wait_until(lambda: len(car.of(BatteryReading)) >= 3 and car.of(SpeedReading))
     assert {(r.voltage, r.current) for r in car.of(BatteryReading)} == {(360.0, -50.0)}
     assert car.of(SpeedReading)[0].speed == pytest.approx(50 / 3.6)
     assert not car.bridge.status(0).dropped
@@ -107,7 +107,7 @@ def test_without_leave_nothing_is_ever_sent(channel, unit):
         for can_id in (0x7EC, 0x7BB, 0x100):  # also a first frame, which asks for flow control
             data = bytes.fromhex("103E620101FFF7E7")
             listener.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-        wait_for(lambda: car.bridge.status(0).unknown_frames == 1)
+        wait_until(lambda: car.bridge.status(0).unknown_frames == 1)
         assert listener.recv(0.5) is None
         status = car.bridge.poller.status()
     assert not any(unit.asked for unit in units)
@@ -117,7 +117,7 @@ def test_without_leave_nothing_is_ever_sent(channel, unit):
 def test_only_read_requests_and_flow_control_are_on_the_wire(channel, unit):
     kona(unit, lambda: [pack_answer(250, 3600)])
     with can.Bus(channel, interface="virtual") as listener, live(channel, KONA) as car:
-        wait_for(lambda: len(car.of(BatteryReading)) >= 5)
+        wait_until(lambda: len(car.of(BatteryReading)) >= 5)
         frames = iter(lambda: listener.recv(0), None)
         sent = {bytes(m.data) for m in frames if m.arbitration_id in (0x7E4, 0x7B3)}
     wanted = ("0322010100000000", "0322010000000000", "3000000000000000")
@@ -127,9 +127,9 @@ def test_only_read_requests_and_flow_control_are_on_the_wire(channel, unit):
 def test_a_refusal_retires_its_request_and_says_so(channel, unit):
     pack, _ = kona(unit, lambda: [bytes.fromhex("7F2231")])
     with live(channel, KONA) as car:
-        wait_for(lambda: not car.bridge.poller.status().ok)
+        wait_until(lambda: not car.bridge.poller.status().ok)
         speeds = len(car.of(SpeedReading))
-        wait_for(lambda: len(car.of(SpeedReading)) > speeds + 3)
+        wait_until(lambda: len(car.of(SpeedReading)) > speeds + 3)
         status = car.bridge.poller.status()
     assert status.text == "battery refused: RequestOutOfRange"
     assert len(pack.asked) == 3 and status.counters["refused"] == 3
@@ -138,9 +138,9 @@ def test_a_refusal_retires_its_request_and_says_so(channel, unit):
 def test_a_silent_unit_does_not_hold_up_another(channel, unit):
     kona(unit, list)
     with live(channel, KONA) as car:
-        wait_for(lambda: len(car.of(SpeedReading)) >= 10)
+        wait_until(lambda: len(car.of(SpeedReading)) >= 10)
         assert not car.of(BatteryReading)
-        wait_for(lambda: car.counters.get("silent"))
+        wait_until(lambda: car.counters.get("silent"))
         assert car.bridge.poller.status().ok
 
 
@@ -162,7 +162,7 @@ def test_a_sleeping_car_is_left_alone_until_its_bus_wakes(channel, unit, monkeyp
                 other.send(can.Message(arbitration_id=can_id, is_extended_id=False))
 
         wake()
-        wait_for(lambda: not car.bridge.poller.status().ok)
+        wait_until(lambda: not car.bridge.poller.status().ok)
         text = car.bridge.poller.status().text
         assert text.startswith("stopped: no answer for 2 s: the car sleeps")
         asked = car.counters["asked"]
@@ -170,7 +170,7 @@ def test_a_sleeping_car_is_left_alone_until_its_bus_wakes(channel, unit, monkeyp
         assert car.counters["asked"] == asked
         awake = True
         wake()
-        wait_for(lambda: car.of(BatteryReading))
+        wait_until(lambda: car.of(BatteryReading))
         assert car.bridge.poller.status().ok
 
 
@@ -227,7 +227,7 @@ def test_a_low_12_v_battery_ends_the_asking(channel, unit, monkeypatch):
     monkeypatch.setattr(restraint_module, "LOW_FOR_S", 0.3)
     kona(unit, lambda: [pack_answer(0, 3600, auxiliary=117)], lambda: [drive_answer(0)])
     with live(channel, KONA) as car:
-        wait_for(lambda: not car.bridge.poller.status().ok)
+        wait_until(lambda: not car.bridge.poller.status().ok)
         asked = car.counters["asked"]
         time.sleep(0.5)
         assert car.counters["asked"] - asked in (0, 1)  # one more look at its voltage
@@ -243,7 +243,7 @@ def test_a_driver_that_fails_is_no_end(monkeypatch):
 
     poller = Poller(KONA, fail)
     with running(poller, within_s=1.0):
-        wait_for(lambda: poller.status().counters.get("send_errors", 0) >= 4)
+        wait_until(lambda: poller.status().counters.get("send_errors", 0) >= 4)
 
 
 def test_no_bus_is_waited_for_without_a_stop(monkeypatch):
@@ -260,7 +260,7 @@ def test_a_log_of_a_polled_drive_decodes_like_the_live_bus(channel, unit):
     kona(unit, lambda: [pack_answer(250, 3600)])
     with can.Bus(channel, interface="virtual") as log:
         with live(channel, KONA) as car:
-            wait_for(lambda: len(car.of(BatteryReading)) >= 3)
+            wait_until(lambda: len(car.of(BatteryReading)) >= 3)
         offline, readings = CanBridge(KONA), []
         for message in iter(lambda: log.recv(0), None):
             readings += offline.decode(CanFrame(0, message.arbitration_id, bytes(message.data)))
@@ -281,7 +281,7 @@ def test_a_car_that_is_another_is_not_asked(monkeypatch):
 
     bridge = CanBridge(bolt, send, guard=FitGuard(bolt, ()))
     with running(bridge.poller, within_s=1.0):
-        wait_for(lambda: sent)
+        wait_until(lambda: sent)
         for index in range(100):  # more than 600 mph, for a second
             speed = (60_000 + index).to_bytes(2, "big") + bytes(6)
             bridge.decode(CanFrame(index * 10_000_000, 0x3E9, speed))

@@ -1,0 +1,161 @@
+"""No test depends on the speed of the machine: each waits for a condition (`waiting.py`)."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+import re
+
+import pytest
+
+from test.waiting import wait_until
+
+ROOT = Path(__file__).parent
+OURS = (Path(__file__), ROOT / "waiting.py")
+
+LEAST_S = 60.0
+"""The shortest timeout that only ends a hang."""
+
+SLEEP = re.compile(r"\bsleep\(")
+CLOCK = re.compile(r"\b(perf_counter|monotonic|process_time|elapsed)(_ns)?\b")
+BOUNDED = {"communicate": 1, "join": 0, "result": 0, "run": None, "wait": 0}
+"""Calls that end after a timeout, with its position among the arguments."""
+
+NOT_YET = frozenset(
+    {
+        "conftest.py",
+        "elm327_emulator.py",
+        "processes.py",
+        "ros2_bag.py",
+        "test_apart.py",
+        "test_bombs.py",
+        "test_broker.py",
+        "test_bus.py",
+        "test_can.py",
+        "test_control_unit.py",
+        "test_drive_report.py",
+        "test_elm327.py",
+        "test_executables.py",
+        "test_fleet.py",
+        "test_foxglove.py",
+        "test_frame_sources.py",
+        "test_live_view.py",
+        "test_mqtt.py",
+        "test_poller.py",
+        "test_processes.py",
+        "test_running.py",
+        "test_shell.py",
+        "test_stopped.py",
+        "test_supervision.py",
+        "test_table_costs.py",
+        "test_upstream.py",
+        "test_vss.py",
+        "test_worker.py",
+    }
+)
+"""Names of files that still depend on time; the list only shrinks."""
+
+
+def violations(source: str) -> list[str]:
+    """Returns what a file of tests does with time, each with its line number."""
+    lines = [
+        f"{number}: sleeps: {line.strip()}"
+        for number, line in enumerate(source.splitlines(), 1)
+        if SLEEP.search(line)
+    ]
+    nodes = [*ast.walk(ast.parse(source))]
+    durations = {name for node in nodes for name in names_of_durations(node)}
+    for node in nodes:
+        if isinstance(node, ast.Assert) and (
+            CLOCK.search(ast.unparse(node.test)) or durations & names_in(node.test)
+        ):
+            lines.append(f"{node.lineno}: asserts on a duration: {ast.unparse(node.test)}")
+        if isinstance(node, ast.Call) and (timeout := short_timeout(node)) is not None:
+            lines.append(f"{node.lineno}: gives up after {timeout} s: {ast.unparse(node)}")
+    return lines
+
+
+def names_in(node: ast.AST) -> set[str]:
+    return {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+
+
+def names_of_durations(node: ast.AST) -> set[str]:
+    """Returns the name that a statement gives to a difference of a clock's times."""
+    if not isinstance(node, ast.Assign) or not CLOCK.search(ast.unparse(node.value)):
+        return set()
+    differs = any(isinstance(part, ast.Sub) for part in ast.walk(node.value))
+    return {t.id for t in node.targets if differs and isinstance(t, ast.Name)}
+
+
+def short_timeout(call: ast.Call) -> float | None:
+    """Returns the timeout of a blocking call in s where it could end a test that does not hang."""
+    name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+    if name not in BOUNDED and name != "wait_until":
+        return None
+    place = BOUNDED.get(name, 1)
+    values = [keyword.value for keyword in call.keywords if keyword.arg == "timeout"]
+    if place is not None and len(call.args) > place:
+        values.append(call.args[place])
+    numbers = [node.value for node in values if isinstance(node, ast.Constant)]
+    return next((n for n in numbers if isinstance(n, int | float) and n < LEAST_S), None)
+
+
+def files() -> list[Path]:
+    return sorted(path for path in ROOT.rglob("*.py") if path not in OURS)
+
+
+def test_no_test_depends_on_the_speed_of_the_machine() -> None:
+    broken = {path: violations(path.read_text()) for path in files()}
+    texts = [
+        f"{path.relative_to(ROOT.parent)}:{line}"
+        for path, lines in broken.items()
+        if path.name not in NOT_YET
+        for line in lines
+    ]
+    assert not texts, "wait for a condition (test/waiting.py):\n" + "\n".join(texts)
+    dependent = {path.name for path, lines in broken.items() if lines}
+    assert dependent >= NOT_YET, f"mended, strike from NOT_YET: {sorted(NOT_YET - dependent)}"
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import time\ntime.sleep(0.1)",
+        "await asyncio.sleep(1)",
+        'subprocess.run([sys.executable, "-c", "import time; time.sleep(9)"])',
+        "assert time.monotonic() - begin < 5.0",
+        "assert 0.1 < elapsed",
+        "took = time.perf_counter() - begin\nassert took < 1.0",
+        "process.communicate(timeout=20)",
+        "thread.join(5)",
+        "stop.wait(0.5)",
+        "wait_until(lambda: lines, 20)",
+    ],
+)
+def test_what_depends_on_time_is_found(source: str) -> None:
+    assert violations(source)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "begin = time.monotonic()",
+        "assert clock.now() == 3.0",
+        'assert ", ".join(names) == "a, b"',
+        "process.communicate(timeout=60)",
+        "thread.join()",
+        "assert frame.index.is_monotonic_increasing",
+    ],
+)
+def test_what_does_not_is_not(source: str) -> None:
+    assert not violations(source)
+
+
+def test_waiting_ends_with_the_condition() -> None:
+    values = iter([0, [], None, "text"])
+    assert wait_until(lambda: next(values), meanwhile=lambda: None) == "text"
+
+
+def test_a_hang_is_reported() -> None:
+    with pytest.raises(AssertionError, match="nothing came"):
+        wait_until(lambda: False, timeout=-1.0, report=lambda: "nothing came")
