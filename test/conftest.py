@@ -225,12 +225,14 @@ class SimulatedUnit:
 
     Attributes:
         asked: every request so far.
+        answers: how many answers to them were sent, or soon are.
     """
 
     def __init__(self, bus: can.BusABC, address: Address, replies: Replies) -> None:
         import isotp  # the tests of the core work without it
 
         self.asked: list[bytes] = []
+        self.answers = 0
         self._bus, self._replies = bus, replies
         mode = isotp.AddressingMode
         ids: dict[str, Any] = {"txid": address.rx_id, "rxid": address.tx_id}
@@ -240,7 +242,9 @@ class SimulatedUnit:
             kind = mode.Extended_11bits
             ids |= {"target_address": address.source, "source_address": address.target}
         self._stack = isotp.CanStack(
-            bus, address=isotp.Address(kind, **ids), params={"tx_padding": 0xAA}
+            bus,
+            address=isotp.Address(kind, **ids),
+            params={"tx_padding": 0xAA, "rx_flowcontrol_timeout": 60_000},
         )
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -258,8 +262,10 @@ class SimulatedUnit:
             request = self._stack.recv(block=True, timeout=0.02)
             if request is None:
                 continue
+            payloads = self._replies.get(bytes(request), list)()
+            self.answers += len(payloads)  # before `asked`, for whoever waits for the answers
             self.asked.append(bytes(request))
-            for payload in self._replies.get(bytes(request), list)():
+            for payload in payloads:
                 self._stack.send(payload)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import math
+import time
 
 from evpinn_ros.can.control_unit import Send
 from evpinn_ros.can.current_sign import CurrentSign
@@ -71,6 +72,7 @@ class CanBridge:
         *,
         guard: FitGuard | None = None,
         sign: CurrentSign | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Begin before the first frame.
 
@@ -79,12 +81,13 @@ class CanBridge:
             send: allows to ask, as the thread of `poller.run` does; None listens alone.
             guard: of this profile, lets readings out; None trusts the profile.
             sign: watches the sign of the current, where somebody wants to know.
+            clock: s, never goes back; times what the poller asks.
         """
         self._key, self._guard, self._sign = profile.key, guard, sign
         self._decoder = Decoder(profile, guard.fit if guard is not None else None)
         known = {*profile.messages, *profile.asked}
         self._arrivals = {name: _Arrivals() for name in _KINDS if name in known}
-        self.poller = Poller(profile, send) if profile.requests else None
+        self.poller = Poller(profile, send, clock) if profile.requests else None
         self._answers = 0
 
     def decode(self, frame: CanFrame) -> tuple[Reading, ...]:

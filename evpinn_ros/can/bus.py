@@ -96,6 +96,7 @@ class BusReader:
         channel: str | int,
         on_frame: Callable[[CanFrame], None],
         now_ns: Callable[[], int],
+        wait: Callable[[float], object] | None = None,
         **options: Any,
     ) -> None:
         """Remember how to open the bus.
@@ -106,12 +107,15 @@ class BusReader:
             on_frame: called in the thread of `run`; what it raises is counted, never a fault of
                 the bus.
             now_ns: the node's clock, for adapters without an absolute one.
+            wait: lets seconds pass before the bus is opened again; None waits, but not beyond
+                `stop`.
             options: passed to `can.Bus` as they are (`bitrate`, `can_filters`, `listen_only`...).
         """
         self._interface, self._channel, self._options = interface, channel, options
         self._on_frame, self._now_ns = on_frame, now_ns
         self._bus: Any = None
         self._stop = threading.Event()
+        self._wait = self._stop.wait if wait is None else wait
         self._condition = BusCondition.CLOSED
         self._problem: str | None = None
         self._counters: Counter[str] = Counter()
@@ -190,7 +194,7 @@ class BusReader:
         return True
 
     def _back_off(self) -> None:
-        self._stop.wait(self._backoff_s)
+        self._wait(self._backoff_s)
         self._backoff_s = min(2 * self._backoff_s, LAST_BACKOFF_S)
 
     def _receive(self) -> None:
@@ -235,7 +239,7 @@ class BusReader:
         if self._garbled >= MANY_GARBLED:
             self._lose(self._problem)
         else:
-            self._stop.wait(GARBLED_PAUSE_S)
+            self._wait(GARBLED_PAUSE_S)
 
     def _note_quiet(self) -> None:
         self._silent_s += RECEIVE_TIMEOUT_S

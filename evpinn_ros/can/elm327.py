@@ -12,7 +12,7 @@ id, ATCRA what is received, ATFC.. the flow control, ATCEA the first byte of ext
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import reduce
 import re
 import time
@@ -52,6 +52,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         requests: Iterable[RequestRule] = (),
         broadcast: Collection[int] | None = None,
         tty_baudrate: int | None = None,
+        clock_s: Callable[[], float] = time.time,
         **_kwargs: Any,
     ) -> None:
         """Find the adapter and prepare it.
@@ -62,6 +63,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             requests: what may be asked.
             broadcast: ids to monitor between questions; None for all.
             tty_baudrate: of the serial port; the usual ones are tried if not given.
+            clock_s: of the epoch, stamps the frames.
 
         Raises:
             OSError, can.CanInitializationError, ValueError: there is no adapter, or none that can.
@@ -73,7 +75,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         frames = {request: frames_of(request) for request in requests}
         self._requests = {question: request for request, (question, _) in frames.items()}
         self._flow_controls = {flow_control for _, flow_control in frames.values()}
-        self._broadcast = broadcast
+        self._broadcast, self._clock_s = broadcast, clock_s
         self._questions: deque[RequestRule] = deque()  # append and popleft are atomic
         self._commands: deque[str] = deque()
         self._lines: deque[tuple[float, str]] = deque()
@@ -128,7 +130,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         """Take what comes within a time; a prompt frees the adapter for the next command."""
         self._port.timeout = seconds
         got = self._port.read(max(1, getattr(self._port, "in_waiting", 0)))
-        now_s = time.time()
+        now_s = self._clock_s()
         *whole, self._rest = re.split(rb"[\r\n]+|(?<=>)", self._rest + got.replace(b"\0", b""))
         for line in whole:
             if line.endswith(b">"):

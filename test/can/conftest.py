@@ -21,6 +21,7 @@ from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 from evpinn_ros.simulation.drive import DriveKind
 from evpinn_ros.simulation.simulate import simulate
 from evpinn_ros.vehicle.files import load_vehicle
+from test.waiting import HANG_S
 
 CONFIG = share_directory() / "config" / "can"
 ALL = bundled_profiles()
@@ -91,8 +92,8 @@ def broken(tmp_path: Path) -> Callable[[str, str, str], str]:
 
 
 @contextmanager
-def running(*workers: Any, within_s: float = 10.0) -> Iterator[None]:
-    """Runs readers and pollers in threads; they must end within a time after `stop`."""
+def running(*workers: Any) -> Iterator[None]:
+    """Runs readers and pollers in threads; `stop` must end them."""
     threads = [threading.Thread(target=worker.run) for worker in workers]
     for thread in threads:
         thread.start()
@@ -102,7 +103,7 @@ def running(*workers: Any, within_s: float = 10.0) -> Iterator[None]:
         for worker in workers:
             worker.stop()
         for thread in threads:
-            thread.join(within_s)
+            thread.join(HANG_S)
     assert not any(thread.is_alive() for thread in threads)
 
 
@@ -116,11 +117,12 @@ class LiveBridge:
         profile: CanProfile,
         *,
         poll: bool = True,
+        clock: Callable[[], float] = time.monotonic,
         **options: Any,
     ) -> None:
         self.readings: list[Reading] = []
         self.reader = BusReader(interface, channel, self._on_frame, time.time_ns, **options)
-        self.bridge = CanBridge(profile, self.reader.send if poll else None)
+        self.bridge = CanBridge(profile, self.reader.send if poll else None, clock=clock)
         self._running = running(*([self.bridge.poller] if poll else []), self.reader)
 
     def _on_frame(self, frame: CanFrame) -> None:

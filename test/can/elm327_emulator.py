@@ -6,13 +6,11 @@ emulator makes the frames of long answers; what they hold is set here.
 
 from random import Random
 import sys
-import time
 
 from elm import Elm
 from elm.obd_message import ELM_FOOTER, iso_tp_frames
 
 VOLTAGE, CURRENT, SPEED_KMH, CHARGE = 404.7, -12.3, 88, 0.64
-DELAY_S = {"slow": 0.3}
 
 
 def scenario(kind: str) -> dict:
@@ -64,10 +62,8 @@ def main(kind: str, port: int | None = None) -> None:
     emulator = Elm(batch_mode=True, net_port=port, net_interface="127.0.0.1" if port else None)
     emulator.ObdMessage["kona"] = scenario(kind)
     emulator.set_sorted_obd_msg("kona")
-    emulator.delay = DELAY_S.get(kind, 0.0)
+    place = emulator.get_pty() if port is None else f"tcp:127.0.0.1:{port}"
     with emulator:
-        place = emulator.get_pty() if port is None else f"tcp:127.0.0.1:{port}"
-        time.sleep(1.0)
         print(f"at {place}", flush=True)
         sys.stdin.read()
 

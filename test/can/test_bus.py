@@ -2,6 +2,7 @@
 
 from contextlib import contextmanager
 import errno
+import math
 import os
 from pathlib import Path
 import socket
@@ -24,7 +25,7 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import running
-from test.waiting import wait_until
+from test.waiting import pause, wait_until
 
 GROUP = "239.74.163.77"
 NOW = 1_700_000_000_000_000_000
@@ -32,18 +33,18 @@ NOW = 1_700_000_000_000_000_000
 
 @contextmanager
 def reading(reader):
-    with running(reader, within_s=5.0):
+    with running(reader):
         yield
     assert reader.status().condition is BusCondition.CLOSED
 
 
 SENDER = """
-import sys, time, can
+import sys, can
 log, group, port = sys.argv[1:]
 with can.Bus(group, interface="udp_multicast", port=int(port), hop_limit=0) as bus:
     for message in can.LogReader(log):
         bus.send(message)
-        time.sleep(0.0005)
+        sys.stdin.readline()  # UDP loses what nobody takes
 """
 
 
@@ -59,22 +60,26 @@ def test_frames_from_another_process_decode_as_the_log_does(tmp_path):
     write_log(log, frames)
 
     port = 20_000 + os.getpid() % 20_000
-    received = []
-    reader = BusReader(
-        "udp_multicast", GROUP, received.append, time.time_ns, port=port, hop_limit=0
-    )
+    received, before_ns = [], time.time_ns()
+
+    def receive(frame):
+        received.append(frame)
+        sender.stdin.write(b"\n")
+        sender.stdin.flush()
+
+    reader = BusReader("udp_multicast", GROUP, receive, time.time_ns, port=port, hop_limit=0)
     try:
         reader.open()
     except InputError as error:
         pytest.skip(f"no multicast here: {error}")
-    with reading(reader):
-        subprocess.run([sys.executable, "-c", SENDER, log, GROUP, str(port)], check=True)
+    command = [sys.executable, "-c", SENDER, log, GROUP, str(port)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as sender, reading(reader):
         wait_until(lambda: len(received) == len(frames))
         wait_until(lambda: reader.status().condition is BusCondition.SILENT)
     assert reader.status().counters == {"opened": 1, "frames": len(frames)}
     live, offline = Decoder(profile), Decoder(profile)
     for frame, logged in zip(received, LogFile(log).frames(), strict=True):
-        assert abs(frame.stamp_ns - time.time_ns()) < 60 * 10**9
+        assert before_ns < frame.stamp_ns < time.time_ns()
         same_time = CanFrame(logged.stamp_ns, frame.can_id, frame.data, frame.extended)
         assert repr(live.decode(same_time)) == repr(offline.decode(logged))
 
@@ -112,37 +117,31 @@ def quick(monkeypatch):
     monkeypatch.setattr(bus_module, "SILENT_AFTER_S", 0.2)
 
 
-@pytest.mark.slow
-def test_adapter_unplugged_in_the_stream_and_plugged_again(tmp_path):
-    """With the waits as they are for people: the outage must cost next to no processor."""
+def test_adapter_unplugged_in_the_stream_and_plugged_again(tmp_path, quick):
     adapter = Adapter(tmp_path / "adapter")
     received = []
     reader = serial_reader(adapter.link, received.append)
 
     def stream(count):
         wanted = len(received) + count
-        while len(received) < wanted:
+        for _ in range(count):
             adapter.send(b"t1326989467000000\r")
-            time.sleep(0.002)
+        wait_until(lambda: len(received) == wanted)
 
     with reading(reader):
-        wait_until(lambda: reader.status().condition is BusCondition.OPEN)
+        wait_until(lambda: reader.status().counters.get("opened") == 1)
         stream(100)
         adapter.unplug()
         wait_until(lambda: reader.status().condition is BusCondition.LOST)
-        cpu, wall = time.process_time(), time.monotonic()
-        time.sleep(3.0)
-        assert time.process_time() - cpu < 0.05 * (time.monotonic() - wall)
-        assert reader.status().condition is BusCondition.LOST
         assert "adapter" in reader.status().problem and "\n" not in reader.status().problem
 
         adapter.plug()
-        wait_until(lambda: reader.status().condition is BusCondition.OPEN)
+        wait_until(lambda: reader.status().counters.get("opened") == 2)
         stream(100)
         wait_until(lambda: reader.status().condition is BusCondition.SILENT)
     counters = reader.status().counters
     assert counters["opened"] == 2 and counters["lost"] == 1
-    assert counters["frames"] == len(received) >= 200
+    assert counters["frames"] == len(received) == 200
     assert {frame.data for frame in received} == {bytes.fromhex("989467000000")}
     adapter.unplug()
 
@@ -178,7 +177,7 @@ def test_garbled_serial_line_is_no_loss(tmp_path, quick):
     received = []
     reader = serial_reader(adapter.link, received.append)
     with reading(reader):
-        wait_until(lambda: reader.status().condition is BusCondition.OPEN)
+        wait_until(lambda: reader.status().counters.get("opened") == 1)
         adapter.send(b"tXYZ\r")
         adapter.send(b"t1326989467000000\r")
         wait_until(lambda: len(received) == 1)
@@ -199,7 +198,7 @@ class FakeBus:
 
     def recv(self, timeout):
         if not self.script:
-            time.sleep(0.001)
+            pause()
             return None
         answer = self.script.pop(0)
         if isinstance(answer, Exception):
@@ -286,7 +285,8 @@ def test_error_and_remote_frames_are_counted(scripted):
     assert not received and reader.status().counters["error_frames"] == 1
 
 
-def test_error_frames_alone_are_told_until_a_frame_comes(quick):
+def test_error_frames_alone_are_told_until_a_frame_comes(monkeypatch):
+    monkeypatch.setattr(bus_module, "SILENT_AFTER_S", math.inf)
     reader = BusReader("virtual", "errors", print, lambda: NOW)
     reader.open()
     with can.Bus("errors", interface="virtual") as bus, reading(reader):
@@ -337,21 +337,33 @@ def test_driver_that_only_stumbles_is_opened_again(scripted, monkeypatch):
 def test_backoff_grows_until_a_frame_comes(scripted):
     lost = [can.CanOperationError("flaky")]
     scripted(lost, lost, lost, [message(0.0)])
-    received = []
-    reader = BusReader("virtual", "x", received.append, lambda: NOW)
-    start = time.monotonic()
-    with reading(reader):
-        wait_until(lambda: received)
-    assert time.monotonic() - start >= 0.05 + 0.1 + 0.2
+    waits_s = []
+    reader = BusReader("virtual", "x", lambda _: reader.stop(), lambda: NOW, waits_s.append)
+    reader.run()
+    assert waits_s == [0.05, 0.1, 0.2]
     assert reader.status().counters["lost"] == 3
 
 
-def test_stop_interrupts_the_wait():
+def test_an_adapter_that_stays_away_is_looked_for_every_two_seconds():
+    """Without a wait between two looks an outage would take a whole core."""
+    waits_s = []
+
+    def wait(seconds):
+        waits_s.append(seconds)
+        if len(waits_s) == 6:
+            reader.stop()
+
+    reader = BusReader("slcan", "/nowhere/adapter", print, lambda: NOW, wait)
+    reader.run()
+    assert waits_s == [0.5, 1.0, 2.0, 2.0, 2.0, 2.0]
+    assert "opened" not in reader.status().counters
+
+
+def test_stop_interrupts_the_wait(monkeypatch):
+    monkeypatch.setattr(bus_module, "FIRST_BACKOFF_S", 3600.0)
     reader = BusReader("slcan", "/nowhere/adapter", print, lambda: NOW)
-    start = time.monotonic()
     with reading(reader):
         wait_until(lambda: reader.status().condition is BusCondition.LOST)
-    assert time.monotonic() - start < 0.4
 
 
 @pytest.mark.parametrize(

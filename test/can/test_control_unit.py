@@ -38,7 +38,7 @@ class Desk:
         self.sent.append(frame.data)
         return True
 
-    def wait(self, seconds=0.0):
+    def advance(self, seconds=0.0):
         self.now += seconds
         return self.unit.step(self.now, may_ask=ALL)
 
@@ -53,19 +53,19 @@ def desk():
 
 
 def test_question_and_single_frame(desk):
-    assert desk.wait() == ANSWER_TIMEOUT_S
+    assert desk.advance() == ANSWER_TIMEOUT_S
     assert desk.sent == [bytes.fromhex("0322010100000000")]
     answer = desk.frame("06620101AABBCC00", stamp=42)
     assert (answer.stamp_ns, answer.request, answer.data) == (42, FIRST, b"\xaa\xbb\xcc")
-    assert desk.wait() == pytest.approx(0.2)
+    assert desk.advance() == pytest.approx(0.2)
     assert len(desk.sent) == 1
-    desk.wait(0.2)
+    desk.advance(0.2)
     assert len(desk.sent) == 2
     assert desk.unit.counters == {"asked": 2, "answered": 1}
 
 
 def test_multi_frame_gets_its_flow_control_and_the_stamp_of_its_first_frame(desk):
-    desk.wait()
+    desk.advance()
     assert desk.frame("100A620101000102", stamp=7) is None
     assert desk.sent[1:] == [FLOW_CONTROL]
     assert desk.frame("2103040506AAAAAA", stamp=8).data == bytes(range(7))
@@ -75,10 +75,10 @@ def test_multi_frame_gets_its_flow_control_and_the_stamp_of_its_first_frame(desk
 def test_extended_addressing():
     address = Address(0x6F1, 0x607, False, 0x07, 0xF1)
     desk = Desk(RequestRule("voltage", address, b"\x22\xdd\x68", 2, 0.2), address=address)
-    desk.wait()
+    desk.advance()
     assert desk.sent == [bytes.fromhex("070322DD68000000")]
     assert desk.frame("F10562DD688CA000").data == bytes.fromhex("8CA0")
-    desk.wait(0.2)
+    desk.advance(0.2)
     assert desk.frame("F1100762DD680001", stamp=3) is None
     assert desk.sent[2] == bytes.fromhex("0730000000000000")
     answer = desk.frame("F1210203AAAAAAAA")
@@ -87,40 +87,40 @@ def test_extended_addressing():
 
 def test_one_question_at_a_time_in_turn():
     desk = Desk(FIRST, SECOND)
-    desk.wait()
-    desk.wait(0.01)
+    desk.advance()
+    desk.advance(0.01)
     assert len(desk.sent) == 1
     assert desk.frame("06620101AABBCC00").request is FIRST
-    desk.wait(0.01)
+    desk.advance(0.01)
     assert desk.sent[1] == bytes.fromhex("0322010500000000")
     assert desk.frame("0462010501000000").request is SECOND
 
 
 def test_silence_is_waited_for_and_counted(desk):
-    desk.wait()
-    desk.wait(ANSWER_TIMEOUT_S - 0.01)
+    desk.advance()
+    desk.advance(ANSWER_TIMEOUT_S - 0.01)
     assert len(desk.sent) == 1 and not desk.unit.counters["silent"]
-    desk.wait(0.01)
+    desk.advance(0.01)
     assert len(desk.sent) == 2 and desk.unit.counters["silent"] == 1
 
 
 def test_pending_is_waited_for_but_not_for_ever(desk):
-    desk.wait()
+    desk.advance()
     assert desk.frame("037F227800000000") is None
-    assert desk.wait(ANSWER_TIMEOUT_S) == PENDING_TIMEOUT_S
+    assert desk.advance(ANSWER_TIMEOUT_S) == PENDING_TIMEOUT_S
     assert desk.frame("06620101AABBCC00") is not None
     assert desk.unit.counters == {"asked": 1, "pending": 1, "answered": 1}
-    desk.wait(1.0)
+    desk.advance(1.0)
     begun = desk.now
     while desk.unit.counters["silent"] == 0:
         desk.frame("037F227800000000")
-        desk.wait(0.5)
+        desk.advance(0.5)
         assert desk.now - begun <= LONGEST_WAIT_S
 
 
 def test_busy_is_no_refusal(desk):
     for _ in range(2 * REFUSALS):
-        desk.wait(0.2)
+        desk.advance(0.2)
         desk.frame("037F222100000000")
     assert not desk.unit.retired
     assert desk.unit.counters == {"asked": 2 * REFUSALS, "busy": 2 * REFUSALS}
@@ -129,22 +129,22 @@ def test_busy_is_no_refusal(desk):
 def test_refusals_retire_the_request_alone():
     desk = Desk(FIRST, SECOND)
     for _ in range(20):
-        desk.wait(0.2)
+        desk.advance(0.2)
         refused = desk.sent[-1][3] == 1
         desk.frame("037F223100000000" if refused else "0462010501000000")
     assert desk.unit.retired == {"first": "RequestOutOfRange"}
     counters = desk.unit.counters
     assert (counters["refused"], counters["answered"]) == (REFUSALS, 20 - REFUSALS)
     desk.unit.revive()
-    desk.wait(1.0)
+    desk.advance(1.0)
     assert not desk.unit.retired and desk.sent[-1][3] == 1
 
 
 def test_an_answer_forgives_refusals(desk):
     for _ in range(2 * REFUSALS):
-        desk.wait(0.2)
+        desk.advance(0.2)
         desk.frame("037F222200000000")
-        desk.wait(0.2)
+        desk.advance(0.2)
         desk.frame("06620101AABBCC00")
     assert not desk.unit.retired
 
@@ -166,10 +166,10 @@ def test_an_answer_forgives_refusals(desk):
     ],
 )
 def test_wrong_answers_are_counted_and_never_read(desk, capfd, frames, reason):
-    desk.wait()
+    desk.advance()
     assert [desk.frame(data) for data in frames] == [None] * len(frames)
     assert desk.unit.counters[reason] == 1 and capfd.readouterr().err == ""
-    desk.wait(ANSWER_TIMEOUT_S)
+    desk.advance(ANSWER_TIMEOUT_S)
     assert desk.frame("06620101AABBCC00") is not None
 
 
