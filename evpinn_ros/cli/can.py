@@ -107,7 +107,7 @@ def inspect(
     if source is not None:
         name, end_ns, problem = str(source), None, _read(inspection, source, seconds)
     else:
-        options = bus_options(bus_option)
+        options: dict[str, Any] = bus_options(bus_option)
         if bitrate is not None:
             options["bitrate"] = bitrate
         interface = interface or "socketcan"
