@@ -42,6 +42,7 @@ from evpinn_ros.topics import (
 )
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.readings import READING_TOPICS, reading_message, to_reading
+from test.waiting import HANG_S, wait_until
 
 pytestmark = pytest.mark.ros
 
@@ -79,6 +80,7 @@ class Bench:
         self.heard: dict[Topic, list[Any]] = defaultdict(list)
         self.faulty: set[GuardedNode] = set()  # those whose faults a test made on purpose
         self._inputs: dict[GuardedNode, dict[str, Any]] = {}  # subscriptions by topic
+        self._spun = time.monotonic()
         self._publishers: dict[Topic, Any] = {}
         self._clients: dict[str, Any] = {}
         self._numbers: Counter[tuple[GuardedNode, Topic]] = Counter()  # of messages delivered
@@ -100,13 +102,13 @@ class Bench:
         self.executor.remove_node(node)
         self.nodes.remove(node)
         node.close()
+        assert bool(node.health().faults) == (node in self.faulty)
         node.destroy_node()
 
-    def rest(self, seconds: float) -> None:
-        """Let everybody work for so long."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=SPIN)
+    def await_reports(self, node: GuardedNode, count: int) -> None:
+        """Let a node report, and log what is new, this often: once a second."""
+        last = node.published[DIAGNOSTICS] + count
+        self.pump(lambda: node.published[DIAGNOSTICS] >= last)
 
     def listen(self, *topics: Topic) -> None:
         """Hear topics, and wait until their publishers are found."""
@@ -197,14 +199,14 @@ class Bench:
             for status in message.status
         }
 
-    def pump(self, condition: Callable[[], object], seconds: float = 60.0) -> None:
-        begin = spun = time.monotonic()
-        while not condition():
-            now = time.monotonic()
-            assert now < begin + seconds, "timed out"
-            if not self._take(self.node, *self.nodes) or now > spun + SPIN:
-                self.executor.spin_once(timeout_sec=SPIN)
-                spun = time.monotonic()
+    def pump(self, condition: Callable[[], object], timeout: float = HANG_S) -> None:
+        """Let all nodes work until something is so."""
+        wait_until(condition, timeout, meanwhile=self._work)
+
+    def _work(self) -> None:
+        if not self._take(self.node, *self.nodes) or time.monotonic() > self._spun + SPIN:
+            self.executor.spin_once(timeout_sec=SPIN)
+            self._spun = time.monotonic()
 
     def _take(self, *nodes: Any) -> bool:
         """Take all that has come: an executor makes its wait set anew for each message."""
@@ -224,12 +226,10 @@ class Bench:
         self.pump(lambda: all(len(self.heard[topic]) == sent[topic] for topic in topics))
 
     def close(self) -> None:
-        for node in self.nodes:
-            node.close()
-            assert bool(node.health().faults) == (node in self.faulty)
+        for node in [*self.nodes]:
+            self.stop(node)
         self.executor.shutdown()
-        for node in [*self.nodes, self.node]:
-            node.destroy_node()
+        self.node.destroy_node()
 
 
 @pytest.fixture
@@ -263,8 +263,8 @@ def bench() -> Iterator[Bench]:
 
 
 @pytest.fixture
-def run_with_messages() -> Callable[[str], str]:
-    """Runs a script beside this where messages that are no wheels are installed; its output.
+def run_with_messages() -> Callable[[str], None]:
+    """Runs the tests of a file beside this where messages that are no wheels are installed.
 
     `make test` builds them where a compiler is; EVPINN_MSGS names another folder they are in.
     """
@@ -275,16 +275,14 @@ def run_with_messages() -> Callable[[str], str]:
     environment = dict(os.environ)
     for name, folder in (("PYTHONPATH", package), ("LD_LIBRARY_PATH", prefix / "lib")):
         environment[name] = os.pathsep.join((str(folder), os.environ.get(name, "")))
-    environment["PYTHONPATH"] += f"{os.pathsep}{ROOT}"
 
-    def run(script: str) -> str:
-        done = subprocess.run(
-            [sys.executable, Path(__file__).with_name(script)],
-            env=environment, capture_output=True, text=True, timeout=250,
+    def run(file: str) -> None:
+        command = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider")
+        completed = subprocess.run(
+            [*command, Path(__file__).with_name(file)],
+            cwd=ROOT, env=environment, capture_output=True, text=True, timeout=250,
         )  # fmt: skip
-        print(done.stdout)
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
+        assert completed.returncode == 0, completed.stdout + completed.stderr
 
     return run
 

@@ -11,6 +11,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.node_parameters import bus_options
+from test.waiting import HANG_S
 
 SPEED, VOLTAGE, CURRENT = load_profile("bmw_i3").requests
 
@@ -44,7 +45,7 @@ def test_what_the_car_is_asked_is_published(bench, i3, can_bus):
     assert speed.twist.covariance[0] == pytest.approx((0.1 / 3.6) ** 2 / 12)
     assert (battery.voltage, battery.current) == (pytest.approx(360.0), pytest.approx(-50.0))
     stamp = battery.header.stamp.sec + battery.header.stamp.nanosec * 1e-9
-    assert before - 5 < stamp < before + 30
+    assert before - 5 < stamp < time.time()
     diagnosis = bench.diagnosis(node)
     assert diagnosis["polling"][:2] == (Level.OK, "asking")
     assert int(diagnosis["polling"][2]["answered"]) >= 9
@@ -56,9 +57,11 @@ def test_without_leave_the_bridge_is_silent_and_says_what_to_set(bench, i3, can_
     lines = bench.log_lines()
     node = bench.start(CanBridgeNode, vehicle="bmw_i3", **options)
     bench.pump(lambda: any("poll:=true" in line for line in lines))
-    bench.rest(1.0)
+    bench.await_reports(node, 2)
     diagnosis = bench.diagnosis(node)
-    assert listener.recv(0) is None
+    with another(options) as bus:
+        bus.send(can.Message(arbitration_id=0x7FF, is_extended_id=False))
+    assert listener.recv(HANG_S).arbitration_id == 0x7FF  # nothing came before it
     assert not any(unit.asked for unit in i3)
     level, text, _ = diagnosis["polling"]
     assert level == Level.WARN

@@ -57,7 +57,7 @@ def test_the_example_publishes_what_the_nodes_take(bench):
     command = (sys.executable, "examples/simulated_robot.py")
     with started(*command, "--ros-args", "-r", f"__ns:={NAMESPACE}") as robots:
         bench.listen(topics.POWER_PREDICTED)
-        bench.pump(lambda: estimator.received[topics.BATTERY] > 5, 120.0)
+        bench.pump(lambda: estimator.received[topics.BATTERY] > 5)
         bench.pump(lambda: len(bench.heard[topics.POWER_PREDICTED]) > 10)
         power = read_named_vector(bench.heard[topics.POWER_PREDICTED][-1]).values["power"]
         assert 0.0 < power < 500.0

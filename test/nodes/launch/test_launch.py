@@ -70,7 +70,7 @@ def car(can_log, tmp_path) -> Callable[..., Path]:
 def test_the_eco_planner_says_that_nothing_is_in_time(ros2, bench):
     """A whole number, too; the line of the README is run in `test_readme_lines`."""
     with ros2.running(*LAUNCH, "eco_speed_planner.launch.py", "deadline:=1") as launch:
-        bench.pump(lambda: "nothing is in time: 1 s" in launch.output, 60.0)
+        bench.pump(lambda: "nothing is in time: 1 s" in launch.output)
 
 
 def test_nodes_are_kept_after_the_bag_and_a_mistyped_argument_is_reported(
@@ -79,7 +79,7 @@ def test_nodes_are_kept_after_the_bag_and_a_mistyped_argument_is_reported(
     monkeypatch.setitem(ros2.environment, "STAND_IN_SECONDS", "3")
     given = (f"bag:={ROOT / 'bags/urban'}", "vehcle:=bmw_i3", "rate:=4", "keep:=true")
     with ros2.running(*LAUNCH, "replay.launch.py", *given) as launch:
-        bench.pump(lambda: "process has finished cleanly" in launch.output, 90.0)
+        bench.pump(lambda: "process has finished cleanly" in launch.output)
         assert ask(bench, "/ev/energy/reset").success and launch.process.poll() is None
     assert "unknown argument 'vehcle'; did you mean vehicle" in launch.output
 
@@ -174,7 +174,7 @@ def test_two_replays_in_one_graph_follow_their_namespaces(ros2, bench, tmp_path)
     heard = [bench.hear(topics.POWER_SMOOTHED, name) for name in ("/robot1/ev", "/robot2/ev")]
     default = ROOT / "config" / "evpinn.param.yaml"
     with ros2.running("launch", file, f"first:={default}", f"second:={default}"):
-        bench.pump(lambda: all(len(each) > 50 for each in heard), 90.0)
+        bench.pump(lambda: all(len(each) > 50 for each in heard))
         found = ros2.ask("param", "list", "/robot2/ev/estimator")
         assert "qos_overrides./robot2/ev/vehicle/speed.subscription.depth" in found
 
@@ -236,21 +236,19 @@ def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
 
     given = ("vehicle:=tesla_model_3_lr", f"params_file:={car(seconds=seconds)}", "respawn:=true")
     with ros2.running(*LAUNCH, "evpinn.launch.py", *given, f"record:={drive}") as launch:
-        bench.pump(
-            lambda: any("at its end" in s.message for s in statuses(said, "can_bridge")), 60.0
-        )
-        bench.pump(lambda: idle() and saved() == saved(), 60.0)  # nothing is on the way any more
+        bench.pump(lambda: any("at its end" in s.message for s in statuses(said, "can_bridge")))
+        bench.pump(lambda: idle() and saved() == saved())  # nothing is on the way any more
         states, parameters, total = saved(), numbers(learned[-1]), counted()
         learned.clear(), totals.clear()
         for node in ("estimator", "energy"):
             started = rf"\[{node}-\d\]: process started with pid \[(\d+)\]"
             os.kill(int(re.findall(started, launch.output)[0]), signal.SIGKILL)
         launch.killed = 2
-        bench.pump(lambda: launch.output.count("continues from") == 2, 60.0)
+        bench.pump(lambda: launch.output.count("continues from") == 2)
         assert saved() == states  # to the last bit
         known = len(list(bundled("urban", seconds)))
         rest = itertools.islice(bundled("urban", 4 * seconds), known, None)
-        bench.pump(lambda: (learned and totals) or bench.send(*itemgetter(0, 2)(next(rest))), 60.0)
+        bench.pump(lambda: (learned and totals) or bench.send(*itemgetter(0, 2)(next(rest))))
     for name, sigma in zip(learned[0].name, learned[0].effort, strict=True):
         assert numbers(learned[0])[name] == pytest.approx(parameters[name], abs=sigma)
     assert total["lifetime_drawn"] > 1e4 and total.keys() == counted().keys()

@@ -32,7 +32,7 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
         assert "Transitioning successful" in answer, answer
 
     with ros2.running(*RUN, "estimator", *UNDER_EV, *options):
-        bench.pump(lambda: said, 30.0)
+        bench.pump(lambda: said)
         assert "managed node that is not active" in said[-1].status[0].message
         assert "unconfigured" in ros2.ask("lifecycle", "get", "/ev/estimator")
         to("configure")
@@ -40,7 +40,7 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
         assert not powers
         to("activate")
         send(120)
-        bench.pump(lambda: len(powers) > 20, 20.0)
+        bench.pump(lambda: len(powers) > 20)
         assert not state.exists()
         to("deactivate")
         assert json.loads(state.read_text())["learned"]["vehicle"] == "tesla_model_3_lr"
@@ -55,7 +55,7 @@ def test_a_managed_bridge_opens_its_bus_when_it_is_activated(ros2, bench):
 
     def text():
         said.clear()
-        bench.pump(lambda: said, 20.0)
+        bench.pump(lambda: said)
         return said[-1].status[0].message
 
     options = ("-p", "interface:=slcan", "-p", "channel:=/dev/none")
@@ -64,7 +64,7 @@ def test_a_managed_bridge_opens_its_bus_when_it_is_activated(ros2, bench):
         assert "it waits to be configured" in text()
         for transition in ("configure", "activate"):
             ros2.ask("lifecycle", "set", "/ev/can_bridge", transition)
-        bench.pump(lambda: "/dev/none" in text(), 20.0)
+        bench.pump(lambda: "/dev/none" in text())
 
 
 @pytest.mark.nightly
@@ -138,7 +138,7 @@ def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2, bench):
                     )
                 return "active" in labels
 
-            bench.pump(active, 90.0)
+            bench.pump(active)
 
 
 @pytest.mark.nightly
@@ -148,5 +148,5 @@ def test_a_launch_of_two_cars_names_each(ros2, bench):
     given = (f"first:={default}", f"second:={default}", *cars)
     names = [f"/{robot}/ev/energy/state" for robot in ("robot1", "robot2")]
     with ros2.running("launch", "evpinn_ros", "two_cars.launch.py", *given):
-        bench.pump(lambda: all(bench.node.count_publishers(name) for name in names), 60.0)
+        bench.pump(lambda: all(bench.node.count_publishers(name) for name in names))
         assert "bmw_i3" in ros2.ask("param", "get", "/robot1/ev/energy", "vehicle")

@@ -33,14 +33,14 @@ def test_a_line_of_a_page_works(ros2, bench, line, monkeypatch):
         # By itself and with time to look around, for a daemon would stay behind.
         with ros2.running(*words, "--no-daemon", "--spin-time", "5") as echo:
             echo.codes = {0, 2, 130}  # of its own at Ctrl-C
-            bench.pump(lambda: node.publish(_type(words[2])()) or "position" in echo.output, 30.0)
+            bench.pump(lambda: node.publish(_type(words[2])()) or "position" in echo.output)
         return
     line = next(line for name, line in UP.items() if name in words)
     measured, smoothed = bench.hear(POWER_MEASURED), bench.hear(POWER_SMOOTHED)
     with ros2.running(*words) as running:
-        bench.pump(lambda: line in running.output, 60.0)
+        bench.pump(lambda: line in running.output)
         if "replay.launch.py" in words:  # it plays the inputs alone, and ends with the bag
-            bench.pump(lambda: running.process.poll() is not None, 90.0)
+            bench.pump(lambda: running.process.poll() is not None)
             assert len(measured) > 50 and len(smoothed) > 50, running.output
             assert smoothed[0].header.stamp.sec > 10**9
 
