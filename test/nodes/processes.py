@@ -12,6 +12,7 @@ from typing import Any
 
 from evpinn_ros.topics import Topic
 from test.conftest import ROOT
+from test.waiting import HANG_S
 
 ALL_IN_ONE = """
 import json, sys
@@ -38,7 +39,7 @@ def started(*command: object, **options: Any) -> Iterator[subprocess.Popen[str]]
 def stopped(process: subprocess.Popen[str], by: signal.Signals = signal.SIGINT) -> tuple[str, str]:
     """What a process still writes, to stdout and stderr, that must end well by a signal."""
     process.send_signal(by)
-    out, said = process.communicate(timeout=30)
+    out, said = process.communicate(timeout=HANG_S)
     assert process.returncode == 0 and "Traceback" not in said, said
     return out, said
 

@@ -1,7 +1,7 @@
 """A CAN log played as if it were a bus."""
 
 import threading
-import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,6 +11,7 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.nodes import frame_sources
 from evpinn_ros.nodes.frame_sources import LogPlayer
 
 NOW = 1_700_000_000 * 10**9
@@ -23,13 +24,27 @@ def log(tmp_path):
     return tmp_path / "drive.log"
 
 
-@pytest.mark.parametrize(("rate", "seconds"), [(0.0, 0.0), (5.0, 0.19)])
-def test_frames_keep_their_stamps_and_the_rate(log, rate, seconds):
-    heard = []
-    player = LogPlayer(log, rate, 0.0, heard.append)
-    begin = time.monotonic()
+class FakeTime(threading.Event):
+    """A clock that goes on only while somebody waits; it begins at zero."""
+
+    now_s = 0.0
+
+    def wait(self, timeout=None):
+        self.now_s += timeout
+        return self.is_set()
+
+
+@pytest.mark.parametrize(("rate", "delay"), [(0.0, 0.0), (5.0, 0.0), (0.5, 3.0)])
+def test_frames_keep_their_stamps_and_the_rate(log, rate, delay, monkeypatch):
+    time, heard = FakeTime(), []
+    clock = SimpleNamespace(monotonic=lambda: time.now_s)
+    monkeypatch.setattr(frame_sources, "time", clock)
+    player = LogPlayer(log, rate, delay, lambda frame: heard.append((time.now_s, frame)))
+    monkeypatch.setattr(player, "_stop", time)
     player.run()
-    assert heard == FRAMES and time.monotonic() - begin >= seconds
+    assert [frame for _, frame in heard] == FRAMES
+    due = [delay + (0.05 * i / rate if rate else 0.0) for i in range(len(FRAMES))]
+    assert [at for at, _ in heard] == pytest.approx(due)
     assert player.newest_ns == FRAMES[-1].stamp_ns
     assert player.problem is None and player.text.endswith("at its end after 20 frames")
 
@@ -39,8 +54,7 @@ def test_it_stops_when_told(log):
     thread = threading.Thread(target=player.run)
     thread.start()
     player.stop()
-    thread.join(5)
-    assert not thread.is_alive()
+    thread.join()
 
 
 def test_a_log_that_is_cut_or_is_none_is_told(log):
