@@ -24,7 +24,6 @@ BOUNDED = {"communicate": 1, "join": 0, "result": 0, "run": None, "wait": 0}
 NOT_YET = frozenset(
     {
         "conftest.py",
-        "processes.py",
         "ros2_bag.py",
         "test_apart.py",
         "test_bombs.py",
@@ -34,11 +33,8 @@ NOT_YET = frozenset(
         "test_executables.py",
         "test_fleet.py",
         "test_foxglove.py",
-        "test_frame_sources.py",
         "test_live_view.py",
         "test_mqtt.py",
-        "test_processes.py",
-        "test_running.py",
         "test_shell.py",
         "test_stopped.py",
         "test_supervision.py",
