@@ -17,7 +17,7 @@ import pytest
 
 from evpinn_ros.bridges.broker import BrokerSettings, Connection
 from evpinn_ros.bridges.mqtt import BridgeSettings, MqttBridge
-from test.waiting import wait_until
+from test.waiting import HANG_S, wait_until
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
 
@@ -46,10 +46,19 @@ class Broker:
         # As root it would become a user who may not read what the tests write.
         common = f"user {getpass.getuser()}\nset_tcp_nodelay true\n"
         config.write_text(f"{common}listener {self.port} 127.0.0.1\n{self.lines}")
-        self.process = subprocess.Popen(
-            [MOSQUITTO, "-c", config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
+        with self.log.open("w") as log:
+            self.process = subprocess.Popen([MOSQUITTO, "-c", config], stdout=log, stderr=log)
         wait_until(self._answers)
+
+    @property
+    def log(self) -> Path:
+        return self.folder / "mosquitto.log"
+
+    def settle(self, reader: Client, end: str) -> None:
+        """Return once a reader has all that came before a message on topic `end`."""
+        self.client().publish(end, "", retain=False)
+        wait_until(lambda: end in reader.newest())
+        reader.came.remove((end, "", False))
 
     def _answers(self) -> bool:
         with socket.socket() as tried:
@@ -82,7 +91,7 @@ class Client:
         wait_until(lambda: self.client.is_connected() and len(granted) >= len(topics))
 
     def publish(self, topic: str, payload: str, *, retain: bool = True) -> None:
-        self.client.publish(topic, payload, 1, retain).wait_for_publish(5.0)
+        self.client.publish(topic, payload, 1, retain).wait_for_publish(HANG_S)
 
     def newest(self) -> dict[str, str]:
         return {topic: payload for topic, payload, _ in self.came}

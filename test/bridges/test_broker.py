@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from evpinn_ros.bridges.broker import LONGEST_PAYLOAD, BrokerSettings, Connection
-from test.waiting import wait_until
+from test.waiting import HANG_S, wait_until
 
 CONNECTED, SUBSCRIBED = b"\x20\x02\x00\x00", b"\x90\x03\x00\x01\x01"
 
@@ -43,7 +43,7 @@ def rogue() -> Iterator[tuple[int, list[bytes]]]:
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
         yield server.getsockname()[1], packets
-        thread.join(10.0)
+        thread.join(HANG_S)
 
 
 def test_what_cannot_be_read_is_counted_and_the_next_message_comes(rogue) -> None:
@@ -56,7 +56,7 @@ def test_what_cannot_be_read_is_counted_and_the_next_message_comes(rogue) -> Non
     connection = Connection(BrokerSettings("127.0.0.1", port), ("cars/+",), "evpinn/status")
     connection.start()
     try:
-        message = connection.next_message(20.0)
+        message = connection.next_message(HANG_S)
         assert message is not None and (message.topic, message.payload) == ("cars/2", b"9")
         assert connection.lost == 2
         wait_until(lambda: connection.connected)

@@ -25,6 +25,7 @@ from evpinn_ros.estimation.estimator import EstimatorSettings
 from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.vehicle.files import load_vehicle
 from test.bridges.published_topics import VEHICLE, drive, energy
+from test.waiting import wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -249,11 +250,8 @@ def test_the_command_follows_a_databroker_and_saves(served, tmp_path: Path) -> N
     begin = time.time_ns()
     for i in range(20):
         broker.feed(begin + i * 200_000_000, **{"Vehicle.Speed": 36.0 + i})
-    until = time.monotonic() + 20
-    while not broker.written and time.monotonic() < until:
-        time.sleep(0.02)
-    assert "Vehicle.EvPinn.PredictedPower" in broker.written
+    wait_until(lambda: "Vehicle.EvPinn.PredictedPower" in broker.written)
     process.send_signal(signal.SIGHUP)  # its terminal was closed
     process.send_signal(signal.SIGTERM)
-    _, said = process.communicate(timeout=30)
+    _, said = process.communicate(timeout=60)
     assert process.returncode == 0 and state.exists() and "Traceback" not in said, said
