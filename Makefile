@@ -45,7 +45,7 @@ endif
 COMPILED := $(VENV)/compiled
 
 # What `make core` runs with: all of the environment where there is one, else what the core needs.
-ROOMS := test/signals test/estimation test/energy
+ROOMS := test/core/signals test/core/estimation test/core/energy
 CORE_VENV := .venv-core
 CORE := $(or $(wildcard $(INSTALLED)),$(CORE_VENV)/installed)
 CORE_PYTHON := $(dir $(CORE))bin/python

@@ -15,18 +15,18 @@ import numpy as np
 
 from benchmarks.truth import INTERVAL, PROFILE, CarChain, simulated_drives
 from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.estimation.breakdown import DIFFERENCE_METRES, Breakdown
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.terms import WHOLE, Equation, Part
-from evpinn_ros.signals.interval import Interval
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.simulation.car import STEP, Car, Trace
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
-from evpinn_ros.simulation.truth import prior_parameters
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.vehicle.physics import GRAVITY
+from evpinn_ros.core.estimation.breakdown import DIFFERENCE_METRES, Breakdown
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.terms import WHOLE, Equation, Part
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.physics import GRAVITY
+from evpinn_ros.replays.simulation.car import STEP, Car, Trace
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import EPOCH_NS, simulate
+from evpinn_ros.replays.simulation.truth import prior_parameters
 
 CLIMB = Part.SLOPE, Part.BRAKES, Part.DRIVETRAIN  # that a climb looks like, without heights
 

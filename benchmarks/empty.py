@@ -19,16 +19,23 @@ import numpy as np
 
 from benchmarks.plans import intervals_of, plan_of, weather_of
 from benchmarks.unseen.drives import UnseenCar, load_car
-from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.plan import PlanError, points_of
-from evpinn_ros.energy.power_model import PowerModel
-from evpinn_ros.energy.remaining import Cost, Route, RouteAhead, cost_spread, remaining, usual_cost
-from evpinn_ros.energy.trip import Stretch, TripLog
-from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.terms import equation_of
-from evpinn_ros.signals.interval import Interval
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.plan import PlanError, points_of
+from evpinn_ros.core.energy.power_model import PowerModel
+from evpinn_ros.core.energy.remaining import (
+    Cost,
+    Route,
+    RouteAhead,
+    cost_spread,
+    remaining,
+    usual_cost,
+)
+from evpinn_ros.core.energy.trip import Stretch, TripLog
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.signals.interval import Interval
 
 HORIZONS = (10e3, 20e3, 40e3)  # m
 PIECE = 1e3  # m

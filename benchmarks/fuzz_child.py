@@ -12,7 +12,7 @@ import time
 # What libFuzzer shall see the inside of: us, and the parsers in Python that we stand on.
 INSTRUMENTED = [
     *("evpinn_ros.bags", "evpinn_ros.can", "evpinn_ros.nodes", "evpinn_ros.common.yaml_section"),
-    *("evpinn_ros.vehicle", "evpinn_ros.common.saved_fields"),
+    *("evpinn_ros.core.vehicle", "evpinn_ros.common.saved_fields"),
     *("can.io", "cantools", "textparser", "mcap", "rosbags", "yaml", "isotp"),
 ]
 

@@ -20,14 +20,14 @@ import zstandard
 from evpinn_ros import topics
 from evpinn_ros.bags.types import encode, new_message, typestore
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.energy.power_model import vehicle_model
-from evpinn_ros.signals import readings
-from evpinn_ros.signals.readings import NANOSECONDS, Reading, SpeedReading
+from evpinn_ros.core.energy.power_model import vehicle_model
+from evpinn_ros.core.signals import readings
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.topics.messages import header, scalar
 from evpinn_ros.topics.model import model_message
 from evpinn_ros.topics.plans import DISTANCE_JOINT
 from evpinn_ros.topics.readings import reading_message, speed_message
-from evpinn_ros.vehicle.files import load_vehicle
 
 VEHICLE = "tesla_model_3_lr"
 START = 1_700_000_000 * NANOSECONDS

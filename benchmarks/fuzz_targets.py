@@ -38,24 +38,24 @@ from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.drives.bus_sources import open_can_log
-from evpinn_ros.drives.sources import open_drive
-from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.meter import EnergyMeter
-from evpinn_ros.energy.plan import plan_from_speed_profile
-from evpinn_ros.energy.power_model import PowerModel, Weather
-from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.estimation.state_file import read_state
-from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.plans import read_plan
-from evpinn_ros.simulation.truth_file import TRUTH_FILE, read_truth
+from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.meter import EnergyMeter
+from evpinn_ros.core.energy.plan import plan_from_speed_profile
+from evpinn_ros.core.energy.power_model import PowerModel, Weather
+from evpinn_ros.core.energy.rknn import load_rknn
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
+from evpinn_ros.core.estimation.state_file import read_state
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.logs.bus_sources import open_can_log
+from evpinn_ros.logs.plans import read_plan
+from evpinn_ros.logs.sources import open_drive
+from evpinn_ros.replays.simulation.truth_file import TRUTH_FILE, read_truth
 from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.parameter_file import check_parameter_file
 from evpinn_ros.topics.plans import path_plan, speed_profile_plan
 from evpinn_ros.topics.readings import READING_TOPICS, to_reading
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 SLOW = 0.25  # part of the inputs for a parser that takes several times as long as most
 APART = 0.002  # of one that starts a process for each

@@ -17,11 +17,11 @@ import numpy as np
 
 from benchmarks.breakdown import PartCheck
 from benchmarks.unseen.drives import UnseenCar, load_car
-from evpinn_ros.estimation.breakdown import Breakdown, Breakdowns
-from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.terms import WHOLE, Part, equation_of
-from evpinn_ros.signals.interval import Interval
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.core.estimation.breakdown import Breakdown, Breakdowns
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.terms import WHOLE, Part, equation_of
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.vehicle.files import Vehicle
 
 CARS = ("i3", "leaf2013", "changchun")  # of `benchmarks.unseen.drives` those with heights
 LEAST_DISTANCE = 2000.0  # m; of less no part is worth knowing

@@ -18,16 +18,16 @@ from rclpy.serialization import serialize_message
 from benchmarks.processes import processor_seconds
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.energy.power_model import vehicle_model
+from evpinn_ros.core.energy.power_model import vehicle_model
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import header
 from evpinn_ros.topics.model import model_message
 from evpinn_ros.topics.plans import DISTANCE_JOINT, ELEVATION_JOINT, request_header
-from evpinn_ros.vehicle.files import load_vehicle
 
 VEHICLE = "tesla_model_3_lr"
 WARM_UP = 20  # plans that are not counted: the first load code and learn addresses

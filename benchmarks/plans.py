@@ -18,15 +18,15 @@ import numpy as np
 
 from benchmarks.unseen.drives import UnseenCar, UnseenDrive, load_car
 from benchmarks.unseen.scores import QUANTILE_90, crps
-from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.plan import Legs, Plan, PlanError, plan_from_speed_profile
-from evpinn_ros.energy.power_model import PowerModel, Weather
-from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.learner import gate_interval
-from evpinn_ros.estimation.terms import Equation
-from evpinn_ros.estimation.unevenness import Unevenness
-from evpinn_ros.signals.interval import Interval
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.plan import Legs, Plan, PlanError, plan_from_speed_profile
+from evpinn_ros.core.energy.power_model import PowerModel, Weather
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.learner import gate_interval
+from evpinn_ros.core.estimation.terms import Equation
+from evpinn_ros.core.estimation.unevenness import Unevenness
+from evpinn_ros.core.signals.interval import Interval
 
 CARS = ("i3", "i3_speed", "e208", "leaf2013", "changchun")
 RESOLUTIONS = ("1 s", "10 s", "60 s", "200 m", "500 m", "2000 m", "trip")

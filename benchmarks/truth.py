@@ -14,21 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.estimate import ParameterSet
-from evpinn_ros.estimation.parameter_set import identifiable_shares, parameter_set
-from evpinn_ros.estimation.published import Published, published
-from evpinn_ros.estimation.terms import Equation
-from evpinn_ros.signals.interval import Interval
-from evpinn_ros.signals.readings import NANOSECONDS, Reading
-from evpinn_ros.signals.stream import SampleStream, StreamSettings
-from evpinn_ros.simulation.car import Trace
-from evpinn_ros.simulation.drive import SAMPLE_RATE, DriveKind, IntervalMotion
-from evpinn_ros.simulation.simulate import RMS_GRADE, SimulatedDrive, simulate
-from evpinn_ros.simulation.truth import Truth, prior_parameters, true_values
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.estimate import ParameterSet
+from evpinn_ros.core.estimation.parameter_set import identifiable_shares, parameter_set
+from evpinn_ros.core.estimation.published import Published, published
+from evpinn_ros.core.estimation.terms import Equation
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.replays.simulation.car import Trace
+from evpinn_ros.replays.simulation.drive import SAMPLE_RATE, DriveKind, IntervalMotion
+from evpinn_ros.replays.simulation.simulate import RMS_GRADE, SimulatedDrive, simulate
+from evpinn_ros.replays.simulation.truth import Truth, prior_parameters, true_values
 
 PROFILE = "tesla_model_3"  # of the bus, whatever the car: all that is on it is what is needed
 VEHICLES = ("tesla_model_3_lr", "nissan_leaf", "bmw_i3")

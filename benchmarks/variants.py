@@ -20,21 +20,21 @@ import numpy as np
 
 from benchmarks.unseen.drives import load_car
 from benchmarks.unseen.scores import MOST_SIGMAS, QUANTILE_90, crps
-from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.journey import NOWHERE
-from evpinn_ros.estimation.learner import gate_interval
-from evpinn_ros.estimation.posterior import passed
-from evpinn_ros.estimation.states import State
-from evpinn_ros.estimation.terms import Equation
-from evpinn_ros.signals.interval import Interval
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.journey import NOWHERE
+from evpinn_ros.core.estimation.learner import gate_interval
+from evpinn_ros.core.estimation.posterior import passed
+from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.estimation.terms import Equation
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.vehicle.files import Vehicle
 
 STRETCH, STEP, FIRST = 195.0, 200.0, 250.0  # s: hidden, between two, before the first
 SEEDS = (0, 1, 2)  # of the network, over which scores are averaged
 
 
 class ConstantPlace(NamedTuple):
-    """Place of a constant: a module of `evpinn_ros.estimation` or a state, and its name there.
+    """Place of a constant: a module of `core.estimation` or a state, and its name there.
 
     What a module imports from another by its name is replaced where it is used.
     """
@@ -62,7 +62,7 @@ class ConstantPlace(NamedTuple):
     def _holder(self) -> Any:
         if isinstance(self.owner, State):
             return self.owner
-        return import_module(f"evpinn_ros.estimation.{self.owner}")
+        return import_module(f"evpinn_ros.core.estimation.{self.owner}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,16 +14,16 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # the benchmarks lie beside the package
 
 from benchmarks.breakdown import SpanChain, true_parts  # noqa: E402
-from evpinn_ros.drives.sources import open_source  # noqa: E402
-from evpinn_ros.estimation.breakdown import JOULES_PER_KWH  # noqa: E402
-from evpinn_ros.estimation.estimator import EstimatorSettings  # noqa: E402
-from evpinn_ros.estimation.worker import InlineWorker  # noqa: E402
+from evpinn_ros.core.estimation.breakdown import JOULES_PER_KWH  # noqa: E402
+from evpinn_ros.core.estimation.estimator import EstimatorSettings  # noqa: E402
+from evpinn_ros.core.estimation.worker import InlineWorker  # noqa: E402
+from evpinn_ros.core.vehicle.files import load_vehicle  # noqa: E402
+from evpinn_ros.logs.sources import open_source  # noqa: E402
 from evpinn_ros.replays.chain import Chain  # noqa: E402
 from evpinn_ros.replays.run import ReplayOptions, replay  # noqa: E402
+from evpinn_ros.replays.simulation.drive import DriveKind  # noqa: E402
+from evpinn_ros.replays.simulation.simulate import simulate  # noqa: E402
 from evpinn_ros.report.figure import drive_figure, save_figure  # noqa: E402
-from evpinn_ros.simulation.drive import DriveKind  # noqa: E402
-from evpinn_ros.simulation.simulate import simulate  # noqa: E402
-from evpinn_ros.vehicle.files import load_vehicle  # noqa: E402
 
 BAG = ROOT / "bags" / "urban"
 

@@ -22,9 +22,10 @@ from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import new_message
@@ -32,7 +33,6 @@ from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.report.figure import save_figure
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.estimates import output_messages
-from evpinn_ros.vehicle.files import load_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
 VEHICLE, DRIVE = "tesla_model_3_lr", "urban"

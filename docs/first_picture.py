@@ -13,10 +13,10 @@ import sys
 import tempfile
 import time
 
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import simulate
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
 
 HEAD = "Zeit [ms];Fahrzeuggeschwindigkeit [km/h];HV Batteriespannung [V];HV Batteriestrom [A];Gang"
 BROWSERS = ("chromium", "chromium-browser", "chrome")

@@ -26,16 +26,16 @@ from docs import one_interval
 from docs.metric_table import METRICS
 from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
 from evpinn_ros.cli.main import app
-from evpinn_ros.estimation.posterior import DRIVE_KEPT, NETWORK_STDS
-from evpinn_ros.estimation.states import NETWORK, State
-from evpinn_ros.signals.detector import TABLE
-from evpinn_ros.signals.readings import RANGES
+from evpinn_ros.core.estimation.posterior import DRIVE_KEPT, NETWORK_STDS
+from evpinn_ros.core.estimation.states import NETWORK, State
+from evpinn_ros.core.signals.detector import TABLE
+from evpinn_ros.core.signals.readings import RANGES
+from evpinn_ros.core.vehicle.certified import certified_cars
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle, vehicle_names
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.core.vehicle.rated import rated_cars
 from evpinn_ros.topics import TOPICS, Topic
 from evpinn_ros.topics.node_parameters import TABLES, Parameter
-from evpinn_ros.vehicle.certified import certified_cars
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle, vehicle_names
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
-from evpinn_ros.vehicle.rated import rated_cars
 
 MADE = "<!-- Made by docs/generate.py; change the source, not this page. -->\n"
 WORDS = {  # what an option takes
@@ -70,7 +70,7 @@ the tables; with `-` JSON on stdout, and tables on stderr |
 DETECTORS = """\
 # Detectors
 
-Each detector follows one number, its evidence (`evpinn_ros/signals/detector.py`). Above the limit
+Each detector follows one number, its evidence (`core/signals/detector.py`). Above the limit
 *on* the fault is there, at the limit *off* and below it is gone, and in between the verdict stays
 as it was; where there is no such limit, another value of the signal begins anew. There is no
 verdict before the evidence rests on what the column *not before* says.
@@ -268,7 +268,7 @@ def states_page() -> str:
         "Everything that is learned about a car, a drive and the last minutes. The states of the",
         "physics and the weights of the network have one joint Gaussian distribution",
         "([how it learns](../explanation/architecture.md#learning)). Each state multiplies one",
-        "term of the equation (`evpinn_ros/estimation/terms.py`). Levels: *car* states",
+        "term of the equation (`evpinn_ros/core/estimation/terms.py`). Levels: *car* states",
         "are saved and drift a little from drive to drive; *drive* states keep",
         f"{DRIVE_KEPT:.0%} of their value for the next drive; *fast* states decay within minutes.",
         "",

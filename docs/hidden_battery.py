@@ -9,7 +9,7 @@ import tempfile
 from matplotlib.figure import Figure
 
 import evpinn_ros as ev
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.report.figure import save_figure
 
 ROOT = Path(__file__).resolve().parents[1]

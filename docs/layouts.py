@@ -29,24 +29,24 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.plan import plan_from_speed_profile
-from evpinn_ros.estimation.estimate import ParameterSet
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.plan import plan_from_speed_profile
+from evpinn_ros.core.estimation.estimate import ParameterSet
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.diagnosis import Condition, Health
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.forecasts import known_model
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import simulate
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.topics import DIAGNOSTICS, DIAGNOSTICS_TYPE, FORECAST, NAMED_VECTOR_TYPE, NAMESPACE
 from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.messages import diagnostics, header
 from evpinn_ros.topics.plans import forecast_bytes
 from evpinn_ros.topics.readings import reading_messages
-from evpinn_ros.vehicle.files import load_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
 VIEWS = ROOT / "config" / "views"

@@ -14,14 +14,15 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.live.data import WATCHED, LiveData
-from evpinn_ros.live.screen import screen
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.diagnosis import WELL, Condition
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
+from evpinn_ros.nodes.live.data import WATCHED, LiveData
+from evpinn_ros.nodes.live.screen import screen
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, topic_of
 from evpinn_ros.topics.estimates import (
     breakdown_messages,
@@ -29,7 +30,6 @@ from evpinn_ros.topics.estimates import (
 )
 from evpinn_ros.topics.messages import diagnostics
 from evpinn_ros.topics.readings import to_reading
-from evpinn_ros.vehicle.files import load_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
 VEHICLE, DRIVE = "tesla_model_3_lr", "urban"

@@ -8,20 +8,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 import math
 
-from evpinn_ros.estimation.posterior import initial_state, learn, passed
-from evpinn_ros.estimation.states import State
-from evpinn_ros.estimation.terms import Equation
-from evpinn_ros.signals.interval import Interval
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.estimation.posterior import initial_state, learn, passed
+from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.estimation.terms import Equation
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     BatteryReading,
     Reading,
     SpeedReading,
 )
-from evpinn_ros.signals.stream import SampleStream, StreamSettings
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.vehicle.physics import RegenForm
+from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.physics import RegenForm
 
 HEAVIER = 1.15  # times the mass of the vehicle file: what the car of this page weighs
 VOLTS = 360.0
@@ -39,7 +39,7 @@ here (`docs/one_interval.py`), so the page shows what the code does today.
 
 ## Readings in
 
-There are ten readings (`signals/readings.py`) per second; the table shows one row every two
+There are ten readings (`core/signals/readings.py`) per second; the table shows one row every two
 seconds. The current is negative when the battery is discharged.
 
 | s | speed, m/s | voltage, V | current, A |
@@ -48,8 +48,8 @@ seconds. The current is negative when the battery is discharged.
 
 ## The interval
 
-`IntervalBuilder` (`signals/interval.py`) cuts the interval into {count} steps and integrates. No
-acceleration is needed, because the integral of v a is the difference of v^2 / 2.
+`IntervalBuilder` (`core/signals/interval.py`) cuts the interval into {count} steps and integrates.
+No acceleration is needed, because the integral of v a is the difference of v^2 / 2.
 
 | what | sum over the steps |
 |---|---|
@@ -61,9 +61,9 @@ acceleration is needed, because the integral of v a is the difference of v^2 / 2
 
 ## The row of the equation
 
-`Equation.rows` (`estimation/terms.py`) computes the energy for one unit of each state. Multiplied
-by the prior (`estimation/states.py`) and added up, this is the prediction, which does not use the
-battery. Some of the states:
+`Equation.rows` (`core/estimation/terms.py`) computes the energy for one unit of each state.
+Multiplied by the prior (`core/estimation/states.py`) and added up, this is the prediction, which
+does not use the battery. Some of the states:
 
 | state | J per unit | prior | product, kJ |
 |---|---|---|---|
@@ -73,9 +73,9 @@ battery. Some of the states:
 
 ## What the battery adds
 
-`learn` (`estimation/posterior.py`) lets the time of the interval pass (`advance`) and corrects the
-states by the difference between the measured and the predicted energy (`condition`). This
-difference is {residual:+.2f} kJ, with a 1-sigma of {sigma:.2f} kJ. Nearly all of this
+`learn` (`core/estimation/posterior.py`) lets the time of the interval pass (`advance`) and
+corrects the states by the difference between the measured and the predicted energy (`condition`).
+This difference is {residual:+.2f} kJ, with a 1-sigma of {sigma:.2f} kJ. Nearly all of this
 uncertainty comes from the states; the noise contributes {noise:.2f} kJ. Each state changes by
 {residual:+.2f} kJ times its covariance with the prediction, divided by the variance.
 

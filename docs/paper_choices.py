@@ -12,19 +12,19 @@ import torch
 
 from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.reproduction import optimizers, problem
-from evpinn_ros.reproduction.drive_log import DriveLog, read_drive_log
-from evpinn_ros.reproduction.optimizers import Adam
-from evpinn_ros.reproduction.problem import (
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.physics import RegenForm
+from evpinn_ros.extras.paper import optimizers, problem
+from evpinn_ros.extras.paper.drive_log import DriveLog, read_drive_log
+from evpinn_ros.extras.paper.optimizers import Adam
+from evpinn_ros.extras.paper.problem import (
     InputForm,
     PhysicsInputs,
     Problem,
     chronological_split,
     random_split,
 )
-from evpinn_ros.reproduction.scores import combinations, least_squares_power, power_score
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.vehicle.physics import RegenForm
+from evpinn_ros.extras.paper.scores import combinations, least_squares_power, power_score
 
 Choice = Callable[[DriveLog, Vehicle], Adam]
 

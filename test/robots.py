@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import evpinn_ros as ev
-from evpinn_ros.energy.plan import Plan
+from evpinn_ros.core.energy.plan import Plan
 from test.conftest import ROOT
 
 NAME = "simulated_robot"

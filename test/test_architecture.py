@@ -4,7 +4,6 @@ import ast
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
-import re
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -14,33 +13,23 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "evpinn_ros"
 
-# From the ground up. A part may import what lies below it, and nothing beside or above it.
-LAYERS = [
-    {""},
-    {"common"},
-    {"vehicle"},
-    {"signals"},
-    {"can", "estimation"},
-    {"energy"},  # plans and dropouts by the one equation
-    {"paper"},  # a mode of the estimator that it does not know
-    {"topics"},  # the contract and its messages, without ROS: bags share it
-    {"bags"},
-    {"drives"},
-    {"plans"},
-    {"simulation"},
-    {"replays"},
-    {"reproduction", "fleet"},
-    {"report"},
-    {"api"},  # what Python may rely on
-    {"nodes"},
-    {"live", "bridges"},
-    {"cli"},
-    {"executables"},
-    {"__main__"},
-    {"benchmarks"},  # beside the package, in a checkout alone
-]
-RANKS = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}
-CORES = {"vehicle", "signals", "estimation", "energy", "paper"}
+# Each door and the doors behind it: it may import these, and what these may import.
+DOORS = {
+    "common": (),
+    "core": ("common",),
+    "can": ("core",),
+    "topics": ("can",),
+    "bags": ("topics",),
+    "logs": ("bags",),
+    "replays": ("logs",),
+    "report": ("replays",),
+    "nodes": ("report",),
+    "api": ("report",),
+    "cli": ("nodes", "api"),
+    "extras": ("cli",),  # of which nobody else knows but two tables of names
+}
+STARTS = {"", "executables", "__main__", "benchmarks"}
+"""What starts the others: it may import each of them."""
 
 CLOCKS = {"time", "datetime"}
 UNSAFE_MODULES = {"dill", "joblib", "marshal", "pickle", "shelve"}
@@ -64,8 +53,8 @@ def tree(name: str) -> ast.Module:
     return ast.parse(MODULES[name].read_text(), str(MODULES[name]))
 
 
-def part_of(module: str) -> str:
-    """The part of the house that a module belongs to."""
+def door_of(module: str) -> str:
+    """The door behind which a module lies."""
     return module.partition(".")[0]
 
 
@@ -95,73 +84,36 @@ def ros_packages() -> set[str]:
 
 
 def without_ros() -> list[str]:
-    """Every module but the nodes, the live view of them and what measures them."""
-    return [name for name in MODULES if part_of(name) not in ("nodes", "live", "benchmarks")]
+    """Every module but the nodes and what measures them."""
+    return [name for name in MODULES if door_of(name) not in ("nodes", "benchmarks")]
 
 
-def test_every_module_has_its_layer() -> None:
-    assert {part_of(name) for name in MODULES} <= RANKS.keys()
+def test_every_module_is_behind_a_door() -> None:
+    assert {door_of(name) for name in MODULES} <= DOORS.keys() | STARTS
 
 
-def upward(name: str) -> Iterator[tuple[str, str]]:
-    """What a module imports that does not lie below it."""
-    own = part_of(name)
-    for imported in imports(name):
-        top, _, inside = imported.partition(".")
-        if top in ("benchmarks", "evpinn_ros"):
-            other = part_of(inside) if top == "evpinn_ros" else top
-            # The version and the like: `from evpinn_ros import __version__`.
-            other = other if other in RANKS else ""
-            if other != own and RANKS[other] >= RANKS[own]:
-                yield name, imported
+def behind(door: str) -> set[str]:
+    """The doors that one may import, itself among them."""
+    return {door}.union(*(behind(other) for other in DOORS[door]))
+
+
+def test_imports_follow_the_arrows() -> None:
+    wrong = [
+        (name, imported)
+        for name in MODULES
+        if door_of(name) not in STARTS
+        for imported in imports(name)
+        if imported.startswith("evpinn_ros.")
+        and imported != "evpinn_ros.__version__"
+        and imported.split(".")[1] not in behind(door_of(name))
+    ]
+    assert wrong == []
 
 
 def known(names: Iterable[str], packages: set[str]) -> list[tuple[str, str]]:
     """Those of the packages that modules import, each with the module."""
     pairs = [(name, imported.partition(".")[0]) for name in names for imported in imports(name)]
     return [pair for pair in pairs if pair[1] in packages]
-
-
-def test_dependencies_point_down() -> None:
-    assert [found for name in MODULES for found in upward(name)] == []
-
-
-def below(part: str) -> set[str]:
-    """The rooms that modules of a room import."""
-    found = {
-        (imported if imported.startswith("benchmarks") else imported.partition(".")[2])
-        for name in MODULES
-        if part_of(name) == part
-        for imported in imports(name)
-        if imported.startswith(("benchmarks.", "evpinn_ros."))
-    }
-    return {part_of(each) for each in found} & {*ROOMS} - {part}
-
-
-ROOMS = [part for layer in LAYERS for part in layer if (PACKAGE / part).is_dir() and part]
-ROOMS.append("benchmarks")
-
-
-def test_the_picture_names_rooms_that_are_there() -> None:
-    named = re.findall(r'class="room"[^>]*>(\w+)/<', (ROOT / "docs/data_flow.svg").read_text())
-    assert {"signals", "estimation", "energy"} <= {*named} <= {*ROOMS}
-
-
-def test_the_page_shows_who_imports_whom() -> None:
-    """The arrows of architecture.md, of which none follows from others."""
-    direct = {room: below(room) for room in ROOMS}
-    reached: dict[str, set[str]] = {}
-    for room in ROOMS:  # from the ground up
-        reached[room] = direct[room].union(*(reached[each] for each in direct[room]))
-    arrows = {
-        room: direct[room] - set().union(*(reached[each] for each in direct[room]))
-        for room in ROOMS
-    }
-    page = (ROOT / "docs" / "explanation" / "architecture.md").read_text()
-    lines = [line.split("->") for line in page.splitlines() if "->" in line and " -> " in line]
-    shown = {room.strip(): {*targets[0].replace(" ", "").split(",")}
-             for room, *targets in lines if len(targets) == 1}  # fmt: skip
-    assert shown == {room: targets for room, targets in arrows.items() if targets}
 
 
 def test_only_nodes_know_ros() -> None:
@@ -183,7 +135,7 @@ def test_everything_but_the_nodes_loads_without_ros() -> None:
 
 
 def test_cores_read_no_clock() -> None:
-    assert known([name for name in MODULES if part_of(name) in CORES], CLOCKS) == []
+    assert known([name for name in MODULES if door_of(name) == "core"], CLOCKS) == []
 
 
 def test_files_are_read_safely() -> None:
@@ -199,7 +151,7 @@ def test_files_are_read_safely() -> None:
 
 SAFE_TO_PRINT = ("printable(", "json.dumps(", "json_text(")
 PRINTERS = {"print", "typer.echo", "sys.stdout.write", "sys.stderr.write"}
-CONSOLES = {"rich.console.Console": "live.view", "rich.table.Table": None}
+CONSOLES = {"rich.console.Console": "nodes.live.view", "rich.table.Table": None}
 """What shows text, and would obey the escapes and the markup in it."""
 
 

@@ -16,9 +16,9 @@ PACKAGE = Path(__file__).parents[1] / "evpinn_ros"
 LONGEST = 40_000  # characters tried
 MOST = 0.3  # s of the processor for three searches: linear ones take 0.01, square ones more than 1
 CUT = {  # characters of the text that an expression sees, where it is cut before
-    "evpinn_ros/drives/clock_start.py": 200,  # `LONGEST_COMMENT`, and a name of a file
-    "evpinn_ros/drives/quantities.py": 2000,  # a name of a column: `LONG_LINE`, `LONGEST_CELL`
-    "evpinn_ros/drives/numbers.py": 2000,  # a cell
+    "evpinn_ros/logs/clock_start.py": 200,  # `LONGEST_COMMENT`, and a name of a file
+    "evpinn_ros/logs/quantities.py": 2000,  # a name of a column: `LONG_LINE`, `LONGEST_CELL`
+    "evpinn_ros/logs/numbers.py": 2000,  # a cell
 }
 MATCHED = ("evpinn_ros/common/yaml_section.py",)  # tried at the begin of a text alone, by PyYAML
 PIECES = [

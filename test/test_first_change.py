@@ -26,7 +26,7 @@ def copy(tmp_path) -> Path:
     skipped = shutil.ignore_patterns("*.npz")
     shutil.copytree(ROOT / "evpinn_ros", tmp_path / "evpinn_ros", ignore=skipped)
     (tmp_path / "config").symlink_to(ROOT / "config")
-    page = ROOT / "test" / "drives" / "test_columns.py"
+    page = ROOT / "test" / "logs" / "test_columns.py"
     text = page.read_text(encoding="utf-8") + "\n\n" + block("python")
     (tmp_path / "test_columns.py").write_text(text, encoding="utf-8")
     return tmp_path

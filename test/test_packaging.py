@@ -160,7 +160,7 @@ def test_wheel_holds_every_file(wheel: ZipFile) -> None:
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and path.suffix != ".pyc"
     }
-    assert "evpinn_ros/energy/rknn_weights.npz" in files
+    assert "evpinn_ros/core/energy/rknn_weights.npz" in files
     share = f"evpinn_ros-{evpinn_ros.__version__}.data/data/share/evpinn_ros/"
     held = {name.removeprefix(share) for name in wheel.namelist()}
     assert files <= held

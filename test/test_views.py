@@ -12,20 +12,20 @@ from rosbags.interfaces import Nodetype
 
 from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message, typestore
-from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.meter import EnergyMeter, EnergyState, Flow
-from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.estimation.breakdown import Breakdown
-from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
-from evpinn_ros.estimation.terms import COUNT
+from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState, Flow
+from evpinn_ros.core.energy.rknn import load_rknn
+from evpinn_ros.core.estimation.breakdown import Breakdown
+from evpinn_ros.core.estimation.estimate import ParameterEstimate, ParameterSet, Trust
+from evpinn_ros.core.estimation.terms import COUNT
+from evpinn_ros.core.vehicle.files import vehicle_names
+from evpinn_ros.core.vehicle.identifiable import Identifiable
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.topics import NAMESPACE, TOPICS, Topic
 from evpinn_ros.topics.estimates import (
     breakdown_messages,
     output_messages,
 )
-from evpinn_ros.vehicle.files import vehicle_names
-from evpinn_ros.vehicle.identifiable import Identifiable
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 VIEWS = Path(__file__).parents[1] / "config" / "views"
 FOXGLOVE = json.loads((VIEWS / "foxglove.json").read_text())

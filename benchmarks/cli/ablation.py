@@ -35,13 +35,19 @@ from benchmarks.variants import (
 )
 from evpinn_ros.cli.console import show
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.estimation.gaussian import replace_states
-from evpinn_ros.estimation.journey import noise_of
-from evpinn_ros.estimation.posterior import BANK, LOAD_STDS, NETWORK_STDS, CarState, begin_drive
-from evpinn_ros.estimation.states import OFFSETS, SIZE, WEIGHTS, State
-from evpinn_ros.estimation.terms import Equation, Warmth, standing_powers
-from evpinn_ros.signals.interval import Steps
-from evpinn_ros.signals.road import Conditions
+from evpinn_ros.core.estimation.gaussian import replace_states
+from evpinn_ros.core.estimation.journey import noise_of
+from evpinn_ros.core.estimation.posterior import (
+    BANK,
+    LOAD_STDS,
+    NETWORK_STDS,
+    CarState,
+    begin_drive,
+)
+from evpinn_ros.core.estimation.states import OFFSETS, SIZE, WEIGHTS, State
+from evpinn_ros.core.estimation.terms import Equation, Warmth, standing_powers
+from evpinn_ros.core.signals.interval import Steps
+from evpinn_ros.core.signals.road import Conditions
 
 CARS = ("model3", "i3", "i3_speed", "e208", "changchun", "simulated")
 NOTHING = 1e-6

@@ -14,8 +14,8 @@ from benchmarks.truth import VEHICLES
 from evpinn_ros.cli.console import progress_bar, show, write_json
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import RMS_GRADE
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import RMS_GRADE
 
 WIDTH = 150  # characters; narrower ones would cut the names of what is given together
 COLUMNS = (

@@ -28,7 +28,7 @@ from evpinn_ros.cli.console import show
 from evpinn_ros.cli.options import MetricsOption
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.estimation.states import State
+from evpinn_ros.core.estimation.states import State
 
 CARS = ("i3", "i3_speed", "e208", "leaf2013", "sumo_id3", "simulated", "model3")
 ONE_CAR = {"i3_speed": "i3", "sumo_id3": "sumo_i3", "sumo_e208": "sumo_i3"}

@@ -17,13 +17,13 @@ from benchmarks.processes import resident_mb
 from evpinn_ros.cli.console import progress_bar, show
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import Clock, InlineWorker
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import Clock, InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.signals.readings import NANOSECONDS, Reading
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import EPOCH_NS, simulate
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import EPOCH_NS, simulate
 
 VEHICLE = "tesla_model_3_lr"
 HOUR = 3600  # s

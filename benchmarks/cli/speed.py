@@ -15,9 +15,9 @@ from benchmarks.cli.output import figures_table, json_at_the_end
 from evpinn_ros.cli.console import note, progress_bar, show
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.energy.forecast import Profiles, forecast
-from evpinn_ros.energy.power_model import vehicle_model
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.energy.forecast import Profiles, forecast
+from evpinn_ros.core.energy.power_model import vehicle_model
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 
 BATCH, POINTS = 1000, 600
 REPEATS = 3

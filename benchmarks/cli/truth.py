@@ -18,9 +18,9 @@ from benchmarks.truth import (
 )
 from evpinn_ros.cli.console import progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.estimation.parameter_set import UNOBSERVABLE_ABOVE
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import RMS_GRADE
+from evpinn_ros.core.estimation.parameter_set import UNOBSERVABLE_ABOVE
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import RMS_GRADE
 
 FIRST_SEED = 7000
 

@@ -18,8 +18,8 @@ from benchmarks.faults.drive import RATE
 from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.inputs import MOST_MOVED
 from benchmarks.faults.rig import SLACK, Rig
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.factory import message_class, new_message
-from evpinn_ros.signals.readings import NANOSECONDS
 
 CLOCK = "rosgraph_msgs/msg/Clock"
 BEGIN_NS = 5000 * NANOSECONDS

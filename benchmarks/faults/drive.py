@@ -7,12 +7,12 @@ import math
 from pathlib import Path
 import random
 
-from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.estimation.state_file import Half, write_halves
-from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.vehicle.physics import RegenForm
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
+from evpinn_ros.core.estimation.state_file import Half, write_halves
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.physics import RegenForm
 
 VEHICLE = "tesla_model_3_lr"
 OTHER_VEHICLE = "nissan_leaf"

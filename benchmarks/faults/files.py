@@ -22,8 +22,8 @@ from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.estimation.state_file import Half, read_state
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.estimation.state_file import Half, read_state
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 
 def file_faults() -> Iterator[Fault]:

@@ -13,7 +13,7 @@ from benchmarks.faults.chain import ChainFault, NodeChain
 from benchmarks.faults.fault import Fault, FaultEffect
 from benchmarks.faults.rig import LONGEST, SLACK, Change, Rig, Sent, nothing, stamped
 from evpinn_ros import topics
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 SHORTEST = 4.0  # s
 MOST_MOVED = 0.05  # of mass over eta, that a fault may teach

@@ -22,10 +22,10 @@ from benchmarks.faults.fault import RECOVERY, Fault, FaultEffect
 from benchmarks.faults.rig import LONGEST, OUTPUTS, SLACK, Rig
 from benchmarks.processes import processor_seconds
 from evpinn_ros import topics
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.processes import node_command
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import stamp_ns
 
 BACKLOG = 20.0  # s
@@ -49,7 +49,7 @@ while True:
 SLOW_UPDATES = """
 import sys, time
 from evpinn_ros import executables
-from evpinn_ros.estimation import worker
+from evpinn_ros.core.estimation import worker
 quick = worker.ThreadWorker.submit
 worker.ThreadWorker.submit = lambda self, work: quick(self, lambda: (time.sleep(1.6), work())[1])
 raise SystemExit(executables.estimator())

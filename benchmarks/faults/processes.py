@@ -29,7 +29,7 @@ from benchmarks.processes import resident_mb
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.estimation.state_file import Half, read_half, read_state
+from evpinn_ros.core.estimation.state_file import Half, read_half, read_state
 from evpinn_ros.nodes.processes import node_command
 
 STOP, WARM_START, START = 2.0, 1.0, 1.5  # s, goals

@@ -19,10 +19,10 @@ from benchmarks.faults.drive import RATE, readings
 from benchmarks.faults.fault import RECOVERY
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.processes import START_TIMEOUT
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE, Topic
 from evpinn_ros.topics.messages import read_named_vector
 from evpinn_ros.topics.readings import reading_message

@@ -12,10 +12,10 @@ from benchmarks.unseen.kalman import FiveStateFilter
 from benchmarks.unseen.method import Estimate, Factory, Prediction
 from benchmarks.unseen.steps import DrivingStep, StepStream
 from benchmarks.unseen.weak_form import WeakFormLeastSquares
-from evpinn_ros.signals.readings import Reading
-from evpinn_ros.signals.sample import Sample
-from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.identifiable import combined_power, identifiable
+from evpinn_ros.core.signals.readings import Reading
+from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.identifiable import combined_power, identifiable
 
 LEAST_DISTANCE = 1000.0  # m, before which the prior tells better what a kilometre costs
 MOVING = 0.3  # m/s, below which acceleration is of no use

@@ -19,11 +19,8 @@ from benchmarks.unseen.splitting import split
 from benchmarks.unseen.sumo_cars import SUMO_CARS, simulate_sumo, sumo_is_there, sumo_truth
 from benchmarks.unseen.truth import CARRIED_VEHICLE, CHANGCHUN, carried_drives
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.formats import recordings
-from evpinn_ros.drives.read_options import ReadOptions
-from evpinn_ros.drives.sources import open_source
-from evpinn_ros.signals.interval import Interval
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     AuxiliaryReading,
@@ -31,8 +28,11 @@ from evpinn_ros.signals.readings import (
     Reading,
     TemperatureReading,
 )
-from evpinn_ros.signals.stream import SampleStream, StreamSettings
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.logs.formats import recordings
+from evpinn_ros.logs.read_options import ReadOptions
+from evpinn_ros.logs.sources import open_source
 
 
 @dataclass(frozen=True)

@@ -17,16 +17,16 @@ import numpy as np
 
 from benchmarks.fastsim_peer import fastsim_cycle, fastsim_version, read_cycle
 from benchmarks.unseen.noise_free import Moved, noise_free_truth
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     BatteryReading,
     Reading,
     SpeedReading,
 )
-from evpinn_ros.simulation.road import hilly_road
-from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.replays.simulation.road import hilly_road
+from evpinn_ros.replays.simulation.simulate import EPOCH_NS, RMS_GRADE
 
 FASTSIM_CARS = {
     "fastsim_leaf": "2016 Nissan Leaf 30 kWh thrml.yaml",

@@ -17,12 +17,12 @@ import math
 
 import numpy as np
 
-from evpinn_ros.estimation.learner import PowerPrediction
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.sample import Sample
-from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.identifiable import identifiable
-from evpinn_ros.vehicle.physics import GRAVITY, drag_force
+from evpinn_ros.core.estimation.learner import PowerPrediction
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.identifiable import identifiable
+from evpinn_ros.core.vehicle.physics import GRAVITY, drag_force
 
 # Logarithms of k_a, k_r, k_m and q in those of eta, mu, mass, C_rr and C_d.
 PRIOR_NAMES = ("eta", "mu", "mass", "c_rr", "c_d")

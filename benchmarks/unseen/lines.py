@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
     Reading,

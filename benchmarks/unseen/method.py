@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterable, Mapping
 import math
 from typing import NamedTuple, Protocol, TypeAlias
 
-from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading
+from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
-from evpinn_ros.vehicle.files import Vehicle
 
 Estimate: TypeAlias = tuple[float, float]  # value and 1-sigma
 NAMES = ("mass_over_eta", "regeneration", "rolling_over_eta", "drag_area_over_eta", "p_aux")

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.estimation.terms import Equation
-from evpinn_ros.simulation.truth import TRUTH_STEP, combinations
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.core.estimation.terms import Equation
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.replays.simulation.truth import TRUTH_STEP, combinations
 
 
 class Moved(NamedTuple):

@@ -17,7 +17,7 @@ from benchmarks.unseen.drives import UnseenCar, UnseenDrive
 from benchmarks.unseen.lines import DrivePart
 from benchmarks.unseen.method import Estimate, Factory, Method, Prediction
 from benchmarks.unseen.scores import PartScore, Track, score_part
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 FIRST_CUT, CUT_STEP, DROPOUT, LONG_DROPOUT = 250.0, 50.0, 200.0, 600.0  # s
 SPARSE_STEP, MANY_HOURS = 200.0, 0.5  # s between cuts of a car that drove for longer, h

@@ -1,6 +1,6 @@
 """A log that holds several drives, and charging between them, into its drives.
 
-As `evpinn_ros.drives.trips`, but a drive goes on across a stop of any length, and is of 1 km at
+As `evpinn_ros.logs.trips`, but a drive goes on across a stop of any length, and is of 1 km at
 least: the recorded scores, and those of `docs/project/benchmarks.md`, are of drives cut in this
 way (109 of the Leaf, whose logs hold 123 trips).
 """
@@ -13,8 +13,8 @@ import math
 import numpy as np
 
 from benchmarks.unseen.lines import DrivePart, battery_power, common, speed_line
-from evpinn_ros.drives.trips import CHARGING_POWER, LONGEST_PAUSE, stands
-from evpinn_ros.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.logs.trips import CHARGING_POWER, LONGEST_PAUSE, stands
 
 EPSILON = 1e-3  # s, so that the first and last moment of charging belong to it
 LEAST_DISTANCE = 1000.0  # m; shorter pieces are manoeuvres

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
 
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
     Reading,
@@ -22,8 +22,8 @@ from evpinn_ros.signals.readings import (
     drawn_power,
     why_impossible,
 )
-from evpinn_ros.signals.road import GradeSource, Road
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.core.signals.road import GradeSource, Road
+from evpinn_ros.core.vehicle.files import Vehicle
 
 SMOOTHED = 7  # speeds whose mean is taken: 0.3 s to either side at 10 Hz; best of 3 to 15
 HALF = SMOOTHED // 2

@@ -26,16 +26,16 @@ import numpy as np
 from benchmarks.unseen.noise_free import Moved, noise_free_truth
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.units import KMH
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     BatteryReading,
     Reading,
     SpeedReading,
 )
-from evpinn_ros.simulation.road import HillyRoad, hilly_road
-from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.replays.simulation.road import HillyRoad, hilly_road
+from evpinn_ros.replays.simulation.simulate import EPOCH_NS, RMS_GRADE
 
 SUMO_CARS = {
     "sumo_i3": "BMW_i3.xml",

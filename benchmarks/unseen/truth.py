@@ -17,12 +17,12 @@ import numpy as np
 
 from benchmarks.truth import PROFILE, VEHICLES, simulated_drives
 from benchmarks.unseen.method import NAMES, Estimate, Factory
-from evpinn_ros.estimation.network import reference_driving
-from evpinn_ros.signals.readings import NANOSECONDS, Reading
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import EPOCH_NS, SimulatedDrive, simulate
-from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.physics import GRAVITY
+from evpinn_ros.core.estimation.network import reference_driving
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.physics import GRAVITY
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import EPOCH_NS, SimulatedDrive, simulate
 
 KINDS = {
     "truth_town": DriveKind.URBAN,

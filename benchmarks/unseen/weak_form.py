@@ -23,10 +23,10 @@ import numpy as np
 
 from benchmarks.unseen.method import NAMES, Estimate, Prediction
 from benchmarks.unseen.steps import DrivingStep, StepStream
-from evpinn_ros.signals.readings import Reading
-from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.identifiable import identifiable
-from evpinn_ros.vehicle.physics import GRAVITY
+from evpinn_ros.core.signals.readings import Reading
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.identifiable import identifiable
+from evpinn_ros.core.vehicle.physics import GRAVITY
 
 MOVING = 0.3  # m/s
 MILD = 20.0  # degrees Celsius

@@ -6,7 +6,7 @@ from evpinn_ros.api.plan import forecast
 from evpinn_ros.api.recordings import replay, replay_trips
 from evpinn_ros.api.result import Result
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle
+from evpinn_ros.core.vehicle.files import Vehicle, find_vehicles, load_vehicle
 
 __all__ = [
     "EdgeEnergies",

@@ -12,10 +12,10 @@ import pandas as pd
 from evpinn_ros.api.plan import KnownCar, basis_of, columns_of, known_car
 from evpinn_ros.common.arguments import finite, finite_or_none
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.energy import edges as energy_edges
-from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.plan import PlanConditions
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.core.energy import edges as energy_edges
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.plan import PlanConditions
+from evpinn_ros.core.vehicle.files import Vehicle
 
 
 class EdgeEnergies:
@@ -100,7 +100,7 @@ def edge_energies(
             (`PlanError`).
     """
     # Here, for polars, which reads tables, takes a quarter of a second to import.
-    from evpinn_ros.plans.table import edges_of_columns
+    from evpinn_ros.logs.plans.table import edges_of_columns
 
     _, model, _ = known_car(car)
     given = PlanConditions(

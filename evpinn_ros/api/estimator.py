@@ -13,15 +13,10 @@ import pandas as pd
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
 from evpinn_ros.common.arguments import finite, number, path_of
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.power_model import PowerModel
-from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.replays.car import CarReplay, mode_of
-from evpinn_ros.replays.energy_metrics import breakdown_metrics
-from evpinn_ros.replays.forecasts import known_model
-from evpinn_ros.replays.run import ReplayOptions
-from evpinn_ros.replays.scoring import parameter_metrics
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.power_model import PowerModel
+from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     AuxiliaryReading,
@@ -30,7 +25,12 @@ from evpinn_ros.signals.readings import (
     SpeedReading,
     TemperatureReading,
 )
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.replays.car import CarReplay, mode_of
+from evpinn_ros.replays.energy_metrics import breakdown_metrics
+from evpinn_ros.replays.forecasts import known_model
+from evpinn_ros.replays.run import ReplayOptions
+from evpinn_ros.replays.scoring import parameter_metrics
 
 NAN = math.nan
 

@@ -15,14 +15,14 @@ import pandas as pd
 
 from evpinn_ros.common.arguments import finite_or_none, path_of, shown, truth_of
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.battery_model import BatteryModel
-from evpinn_ros.energy.charge import UNKNOWN, ChargeGauge
-from evpinn_ros.energy.forecast import Change, PlanBasis, PlannedEnergy, forecast_plan
-from evpinn_ros.energy.plan import UNSAID, Legs, Plan, PlanConditions, PlanError, points_of
-from evpinn_ros.energy.power_model import PowerModel, vehicle_model
-from evpinn_ros.estimation.terms import MILD_CELSIUS
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.battery_model import BatteryModel
+from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge
+from evpinn_ros.core.energy.forecast import Change, PlanBasis, PlannedEnergy, forecast_plan
+from evpinn_ros.core.energy.plan import UNSAID, Legs, Plan, PlanConditions, PlanError, points_of
+from evpinn_ros.core.energy.power_model import PowerModel, vehicle_model
+from evpinn_ros.core.estimation.terms import MILD_CELSIUS
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
 
@@ -206,8 +206,8 @@ def as_plan(plan: Any, vehicle: Vehicle) -> Plan | Legs:
     if isinstance(plan, Plan | Legs):
         return plan
     # Here, for polars, which reads tables, takes a quarter of a second to import.
-    from evpinn_ros.plans.read import read_plan
-    from evpinn_ros.plans.table import plan_of_columns
+    from evpinn_ros.logs.plans.read import read_plan
+    from evpinn_ros.logs.plans.table import plan_of_columns
 
     if isinstance(plan, str | os.PathLike):
         return read_plan(path_of("plan", plan), vehicle)

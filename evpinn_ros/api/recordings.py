@@ -19,13 +19,13 @@ from evpinn_ros.common.arguments import (
     text_of,
     truth_of,
 )
-from evpinn_ros.drives.read_options import ReadOptions
-from evpinn_ros.drives.source import Source
-from evpinn_ros.drives.terrain import Terrain
-from evpinn_ros.drives.trips import split
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.logs.read_options import ReadOptions
+from evpinn_ros.logs.source import Source
+from evpinn_ros.logs.terrain import Terrain
+from evpinn_ros.logs.trips import split
 from evpinn_ros.replays.car import CarReplay, mode_of
 from evpinn_ros.replays.run import WARM_UP, ReplayOptions
-from evpinn_ros.vehicle.files import Vehicle
 
 if TYPE_CHECKING:
     import pandas as pd

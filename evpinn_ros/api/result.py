@@ -12,16 +12,16 @@ import numpy as np
 import pandas as pd
 
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
-from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.power_model import PowerModel
-from evpinn_ros.estimation.car_model import CarModel
+from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.power_model import PowerModel
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.forecasts import forecast_outcomes, known_model
 from evpinn_ros.replays.history import PowerSeries
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import measured_at, running_total
 from evpinn_ros.report.owner_text import owner_line
-from evpinn_ros.vehicle.files import Vehicle
 
 TIME = "t_s"
 FORECAST_COLUMNS = ("begin_s", "end_s", "measured_j", "forecast_j", "sigma_j", "covered")

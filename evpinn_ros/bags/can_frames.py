@@ -11,7 +11,7 @@ from typing import Any
 
 from evpinn_ros.bags.types import CDR_LITTLE_ENDIAN, FRAME_TYPE
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 FRAMES_TOPIC = "can/frames"
 """Topic of a recording's raw frames, relative to the namespace."""

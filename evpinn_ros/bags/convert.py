@@ -10,7 +10,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import SAY_CAR, InputError, near_names
-from evpinn_ros.signals.readings import Reading
+from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.topics import NAMESPACE, Topic, topic_of
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.readings import READING_TOPICS, Rotation, reading_messages, to_reading

@@ -13,7 +13,7 @@ import yaml
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.writer import replaced
 from evpinn_ros.common.yaml_section import load_plain
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.topics import SPEED, topic_of
 
 METADATA = "metadata.yaml"

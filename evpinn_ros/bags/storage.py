@@ -15,7 +15,7 @@ from evpinn_ros.bags.metadata import VERSION
 from evpinn_ros.bags.rosbags_file import READ_ERRORS
 from evpinn_ros.bags.types import typestore
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.progress import reported
+from evpinn_ros.core.signals.progress import reported
 
 
 class Storage(str, Enum):

@@ -29,7 +29,7 @@ from evpinn_ros.bags.metadata import (
 from evpinn_ros.bags.types import encode, typestore
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.writer import sync
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 LIBRARY = "evpinn_ros"  # without a version, which would change the bytes
 CHUNK_SECONDS = 1.0  # lost when the process is killed

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.signals.road import GradeSource
-from evpinn_ros.signals.sample import MeasuredSample
-from evpinn_ros.signals.sign_detectors import ChargeDetector, SignDetector
-from evpinn_ros.signals.stream import SampleStream, StreamSettings
-from evpinn_ros.signals.time_jump import Jump, StampGuard
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.road import GradeSource
+from evpinn_ros.core.signals.sample import MeasuredSample
+from evpinn_ros.core.signals.sign_detectors import ChargeDetector, SignDetector
+from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.core.signals.time_jump import Jump, StampGuard
 
 PERIOD_NS = NANOSECONDS // 11
 """Readings that follow sooner are left out: ten a second tell accelerations."""

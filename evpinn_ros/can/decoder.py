@@ -13,7 +13,7 @@ from evpinn_ros.can.frame import MOST_IDS, BusId, CanFrame
 from evpinn_ros.can.profile import ONLY_ASKED, CanProfile, MessageRule
 from evpinn_ros.can.request import AnswerField
 from evpinn_ros.can.signal_rule import UnusableError
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
     MotorReading,

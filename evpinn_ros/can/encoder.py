@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import CanProfile, MessageRule
-from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, MotorReading, SpeedReading
 
 
 class Encoder:

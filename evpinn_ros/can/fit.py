@@ -21,7 +21,7 @@ from operator import itemgetter
 
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import MOTORS, CanProfile
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 SILENT_ON_FIT = "not_available"
 JUMPED = "jumped"

@@ -19,7 +19,7 @@ from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.fit import Contradiction, ProfileFit, contradiction, ranked
 from evpinn_ros.can.frame import BusId, CanFrame
 from evpinn_ros.can.profile import CanProfile
-from evpinn_ros.signals.readings import NANOSECONDS, MotorReading, Reading
+from evpinn_ros.core.signals.readings import NANOSECONDS, MotorReading, Reading
 
 DECIDE_NS = NANOSECONDS // 2
 DECIDE_LAST_NS = 5 * NANOSECONDS

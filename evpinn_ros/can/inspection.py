@@ -13,7 +13,7 @@ from evpinn_ros.can.fit import MessageFit, ProfileFit, contradiction, ranked
 from evpinn_ros.can.frame import MOST_IDS, BusId, CanFrame
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import QUANTITIES, CanProfile
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
     MotorReading,

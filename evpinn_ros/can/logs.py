@@ -30,7 +30,7 @@ from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.common.opener import LONGEST_LINE, open_file, open_unpacked
 from evpinn_ros.common.writer import replaced
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 LAST_ID, LAST_EXTENDED_ID, LONGEST_DATA = 0x7FF, 0x1FFFFFFF, 64
 LAST_TIME = 2.0**33  # s since 1970: the year 2242

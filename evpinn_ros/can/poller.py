@@ -20,7 +20,7 @@ from evpinn_ros.can.profile import ONLY_ASKED, CanProfile
 from evpinn_ros.can.read_only import ReadOnlyGate
 from evpinn_ros.can.request import Address, RequestRule
 from evpinn_ros.can.restraint import Leave, Restraint
-from evpinn_ros.signals.readings import Reading
+from evpinn_ros.core.signals.readings import Reading
 
 LISTEN_FIRST_S = 1.0
 """Time to listen before the first question: whoever else sends on its id is found."""

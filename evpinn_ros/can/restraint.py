@@ -13,7 +13,7 @@ from enum import Enum, auto
 import math
 
 from evpinn_ros.can.diagnostic_ids import is_request_id
-from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, Reading, SpeedReading
 
 UNANSWERED_S = 30.0
 """Pause of every control unit after which the car is taken to be asleep."""

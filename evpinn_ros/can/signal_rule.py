@@ -39,7 +39,7 @@ class SignalRule:
     name: str  # of the signal in the DBC file, or of the quantity in an answer
     scale: float  # file units per raw step
     offset: float  # file units at raw zero
-    si: float  # SI units, with the sign of `evpinn_ros.signals.readings`, per file unit
+    si: float  # SI units, with the sign of `evpinn_ros.core.signals.readings`, per file unit
     lower: float  # smallest value the car can show, SI
     upper: float  # largest value the car can show, SI
     not_available: frozenset[int]  # raw values that stand for "no value"

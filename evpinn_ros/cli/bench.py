@@ -5,9 +5,10 @@ They lie beside the package, in a checkout alone: no vehicle computer needs them
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 import sys
-from typing import Any
+from typing import Any, ClassVar
 
 import typer
 
@@ -33,8 +34,7 @@ COMMANDS = (
 class BenchCommands(LazyCommands):
     """The subcommands of `evpinn bench`."""
 
-    names = COMMANDS
-    package = "benchmarks.cli"
+    modules: ClassVar[Mapping[str, str]] = {name: f"benchmarks.cli.{name}" for name in COMMANDS}
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of a name, None when there is none.

@@ -19,9 +19,9 @@ from evpinn_ros.cli.console import note, progress_bar, show_json
 from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
 from evpinn_ros.cli.options import Elm327Option, JsonTextOption, complete_profile, elm327_bus
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.bus_sources import open_can_log
-from evpinn_ros.signals.progress import reported
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.progress import reported
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.logs.bus_sources import open_can_log
 from evpinn_ros.topics.node_parameters import bus_options
 
 BITRATE = 500_000  # bit/s, of every car in config/can

@@ -10,8 +10,8 @@ import typer
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.cli.console import say
 from evpinn_ros.common.yaml_section import compose
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.topics.parameter_file import check_parameter_file
-from evpinn_ros.vehicle.files import load_vehicle
 
 PROFILE_KEYS = ("dbc", "requests", "speed", "battery")
 

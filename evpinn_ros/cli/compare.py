@@ -20,7 +20,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
-from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.comparison import compare as compare_drives

@@ -29,7 +29,7 @@ from evpinn_ros.common.errors import InputError, as_input_error, printable
 from evpinn_ros.common.json_text import json_text
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.writer import replaced
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 Report = Callable[..., None]
 """Takes what is done, seconds of the drive unless named otherwise, and a word for the terminal."""

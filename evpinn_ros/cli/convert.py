@@ -18,11 +18,11 @@ from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import complete_vehicle, with_read_options
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
-from evpinn_ros.drives.source import Source
-from evpinn_ros.drives.sources import open_source
-from evpinn_ros.signals.progress import reported
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.core.signals.progress import reported
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.logs.source import Source
+from evpinn_ros.logs.sources import open_source
 
 
 @with_read_options

@@ -20,16 +20,16 @@ from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.tables import live_table, score_table
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.identifiable import identifiable
 from evpinn_ros.replays.recorded import recorded_drive
 from evpinn_ros.replays.run import WARM_UP
 from evpinn_ros.replays.scoring import drive_scores
+from evpinn_ros.replays.simulation.truth_file import read_truth
 from evpinn_ros.report.figure import drive_figure, save_figure
 from evpinn_ros.report.tables import energy_lines
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from evpinn_ros.simulation.truth_file import read_truth
 from evpinn_ros.topics.node_parameters import Value
-from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.identifiable import identifiable
 
 DRIVE = "urban"
 VEHICLE = "tesla_model_3_lr"

@@ -21,7 +21,7 @@ from evpinn_ros.cli.console import note
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import check_file
 from evpinn_ros.common.stopping import STOPS, at_stop, leave_terminal
-from evpinn_ros.estimation.state_file import account_path
+from evpinn_ros.core.estimation.state_file import account_path
 
 POLL_S = 0.2
 CUT_SHORT_S = 20.0

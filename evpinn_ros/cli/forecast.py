@@ -13,7 +13,7 @@ from evpinn_ros.cli.options import JsonOption, VehicleOption, with_read_options
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH, kwh_digits
 from evpinn_ros.common.writer import check_outputs
-from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 
 COLUMNS = ("plan", "km", "min", "km/h", "kWh", "1-sigma", "kWh/100 km", "charge after")
 MORE = "kWh more than the first"
@@ -89,9 +89,9 @@ def forecast(
     # Here, for pandas takes longer to import than all else together.
     from evpinn_ros.api.estimator import Estimator
     from evpinn_ros.api.plan import planned_energy, what_if
-    from evpinn_ros.energy.plan import PlanConditions
-    from evpinn_ros.plans.read import read_plan
-    from evpinn_ros.vehicle.files import load_vehicle
+    from evpinn_ros.core.energy.plan import PlanConditions
+    from evpinn_ros.core.vehicle.files import load_vehicle
+    from evpinn_ros.logs.plans.read import read_plan
 
     check_outputs((json_file, report), (*plans, state, Path(vehicle)))
     car = vehicle if state is None else Estimator(vehicle, state=state)

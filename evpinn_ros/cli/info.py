@@ -17,14 +17,14 @@ from evpinn_ros.cli.options import CarOption, ColumnOption, JsonTextOption
 from evpinn_ros.cli.table_columns import choice, shorter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.drives.column import by_reason
-from evpinn_ros.drives.contents import Contents, contents
-from evpinn_ros.drives.data_coverage import DataCoverage, ReadingFlow, Span
-from evpinn_ros.drives.formats import files_of
-from evpinn_ros.drives.read_options import ReadOptions
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.logs.column import by_reason
+from evpinn_ros.logs.contents import Contents, contents
+from evpinn_ros.logs.data_coverage import DataCoverage, ReadingFlow, Span
+from evpinn_ros.logs.formats import files_of
+from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.replays.history import FIRST_STAMP_NS
 from evpinn_ros.report.dropped_text import dropped_text
-from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_SPANS = 10  # on the terminal; --json has them all
 

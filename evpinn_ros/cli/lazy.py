@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Mapping
 from importlib import import_module
 from importlib.abc import SourceLoader
 from importlib.util import find_spec
@@ -50,27 +51,25 @@ class LazyCommands(ReadableGroup):
     """Imports a command when it is asked for: torch alone takes more than a second.
 
     Attributes:
-        names: of the commands, in the order of the help. Each is a function, or a `typer.Typer`
-            that is a group itself, of the same name in a module of the same name.
-        package: that holds these modules.
+        modules: of the commands by name, in the order of the help. Each holds a function, or a
+            `typer.Typer` that is a group itself, of the command's name.
     """
 
-    names: ClassVar[tuple[str, ...]] = ()
-    package: ClassVar[str] = "evpinn_ros.cli"
+    modules: ClassVar[Mapping[str, str]] = {}
     _listing = False
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names in the order of the help."""
-        return [name.replace("_", "-") for name in self.names]
+        return [name.replace("_", "-") for name in self.modules]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of a name, None when there is none."""
         name = cmd_name.replace("-", "_")
-        if name not in self.names:
+        if name not in self.modules:
             return None
         if self._listing:
-            return TyperCommand(cmd_name, help=_described(f"{self.package}.{name}", name))
-        found = getattr(import_module(f"{self.package}.{name}"), name)
+            return TyperCommand(cmd_name, help=_described(self.modules[name], name))
+        found = getattr(import_module(self.modules[name]), name)
         if isinstance(found, typer.Typer):
             group = typer.main.get_group(found)
             group.name = cmd_name  # help lists it by that

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from io import TextIOWrapper
 import os
 import signal
 import sys
+from typing import ClassVar
 
 import typer
 
@@ -19,29 +21,28 @@ from evpinn_ros.common.errors import InputError
 FAILED = 1
 
 
+EXTRAS = {
+    "export": "evpinn_ros.extras.export",
+    "mqtt": "evpinn_ros.extras.bridges.mqtt",
+    "vss": "evpinn_ros.extras.bridges.vss",
+    "reproduce": "evpinn_ros.extras.paper.reproduce",
+    "fleet": "evpinn_ros.extras.fleet.fleet",
+}
+"""Commands of `extras`: only this table knows them."""
+
+NAMES = (
+    *("replay", "compare", "forecast", "export", "run", "mqtt", "vss", "watch", "view"),
+    *("convert", "simulate", "reproduce", "fleet", "bench", "demo", "info", "recover"),
+    *("can", "vehicles", "check_params"),
+)
+
+
 class Commands(LazyCommands):
     """The subcommands of `evpinn`."""
 
-    names = (
-        *(
-            "replay",
-            "compare",
-            "forecast",
-            "export",
-            "run",
-            "mqtt",
-            "vss",
-            "watch",
-            "view",
-            "convert",
-            "simulate",
-        ),
-        *("reproduce", "fleet", "bench", "demo"),
-        *("info", "recover"),
-        "can",
-        "vehicles",
-        "check_params",
-    )
+    modules: ClassVar[Mapping[str, str]] = {
+        name: EXTRAS.get(name, f"evpinn_ros.cli.{name}") for name in NAMES
+    }
 
 
 app = typer.Typer(cls=Commands, no_args_is_help=True, pretty_exceptions_enable=False)

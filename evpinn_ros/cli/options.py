@@ -11,13 +11,13 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import STDOUT, tables_beside
-from evpinn_ros.drives.read_options import ReadOptions
+from evpinn_ros.logs.read_options import ReadOptions
 
 
 def complete_vehicle(incomplete: str) -> list[str]:
     """Known vehicles that begin so; the shell offers paths where there is none."""
     # Here, for every command has this option, and few are asked for a completion.
-    from evpinn_ros.vehicle.files import known_vehicles
+    from evpinn_ros.core.vehicle.files import known_vehicles
 
     return [name for name in known_vehicles() if name.startswith(incomplete)]
 
@@ -113,7 +113,7 @@ def _read_options(
 ) -> ReadOptions:
     terrain = None
     if elevation is not None:
-        from evpinn_ros.drives.terrain import Terrain  # here, for few have such tiles
+        from evpinn_ros.logs.terrain import Terrain  # here, for few have such tiles
 
         terrain = Terrain(elevation)
     return ReadOptions(can_profile, trust_profile, tuple(column or ()), car, terrain)

@@ -15,7 +15,7 @@ from evpinn_ros.bags.recover import recover as recover_bag
 from evpinn_ros.bags.salvage import Loss
 from evpinn_ros.cli.console import bytes_bar, moment, note, say, show_json, writing
 from evpinn_ros.cli.options import JsonTextOption
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MOST_LINES = 20  # of losses on the terminal; --json has them all
 _time = partial(moment, timespec="milliseconds")

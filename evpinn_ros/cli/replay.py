@@ -26,12 +26,12 @@ from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
-from evpinn_ros.drives.formats import files_of
-from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
-from evpinn_ros.drives.source import Source
-from evpinn_ros.drives.trips import joined, split
-from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.paper.settings import PaperOptimizer
+from evpinn_ros.core.estimation.estimator import Mode, PaperOptimizer
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.logs.formats import files_of
+from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.logs.source import Source
+from evpinn_ros.logs.trips import joined, split
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.run import (
     WARM_UP,
@@ -40,12 +40,11 @@ from evpinn_ros.replays.run import (
     has_battery,
     output_folders,
 )
+from evpinn_ros.replays.simulation.truth_file import read_truth
 from evpinn_ros.report.breakdown_text import breakdown_lines
 from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.report.owner_text import owner_line, owner_notes
 from evpinn_ros.report.tables import energy_lines
-from evpinn_ros.simulation.truth_file import read_truth
-from evpinn_ros.vehicle.files import Vehicle
 
 WIDE = 110  # characters of the table of drives
 

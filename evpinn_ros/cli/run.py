@@ -28,8 +28,8 @@ from evpinn_ros.cli.options import (
 )
 from evpinn_ros.common.units import MEGABYTE
 from evpinn_ros.common.writer import check_outputs
-from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.live.foxglove import LOOPBACK, PORT
+from evpinn_ros.core.estimation.estimator import Mode
+from evpinn_ros.nodes.live.foxglove import LOOPBACK, PORT
 from evpinn_ros.nodes.saved_state import state_path
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
@@ -127,9 +127,9 @@ def run(
     Example: evpinn run --vehicle bmw_i3 --elm327 tcp:192.168.0.10:35000 --poll
     """
     # Imported here: all other commands work where no ROS is.
-    from evpinn_ros.live.foxglove_node import FoxgloveNode
-    from evpinn_ros.live.view import live_view
     from evpinn_ros.nodes.all_in_one import run as run_nodes
+    from evpinn_ros.nodes.live.foxglove_node import FoxgloveNode
+    from evpinn_ros.nodes.live.view import live_view
 
     if elm327 is not None:
         can_interface, can_channel = elm327_bus(elm327, can_interface, can_channel)

@@ -12,15 +12,15 @@ from evpinn_ros.cli.console import progress_bar, say, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.output import write
-from evpinn_ros.simulation.simulate import EPOCH_NS, RMS_GRADE, SimulatedDrive
-from evpinn_ros.simulation.simulate import simulate as simulate_drive
-from evpinn_ros.simulation.truth_file import TRUTH_FILE
-from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
-from evpinn_ros.vehicle.physics import RegenForm
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.core.vehicle.physics import RegenForm
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.output import write
+from evpinn_ros.replays.simulation.simulate import EPOCH_NS, RMS_GRADE, SimulatedDrive
+from evpinn_ros.replays.simulation.simulate import simulate as simulate_drive
+from evpinn_ros.replays.simulation.truth_file import TRUTH_FILE
 
 START = datetime.fromtimestamp(EPOCH_NS / NANOSECONDS, timezone.utc).replace(tzinfo=None)
 

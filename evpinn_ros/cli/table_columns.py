@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from evpinn_ros.cli.console import note
 
 if TYPE_CHECKING:
-    from evpinn_ros.drives.column import Column
-    from evpinn_ros.drives.source import Source
+    from evpinn_ros.logs.column import Column
+    from evpinn_ros.logs.source import Source
 
 
 # Units are looked up in small letters.

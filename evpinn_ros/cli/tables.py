@@ -8,6 +8,7 @@ from typing import Any
 
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import WARM_UP
@@ -20,7 +21,6 @@ from evpinn_ros.report.tables import (
     parameter_rows,
     score_rows,
 )
-from evpinn_ros.vehicle.parameters import Parameters
 
 
 def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -> PlainTable:

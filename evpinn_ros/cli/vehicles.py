@@ -13,9 +13,9 @@ from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
 from evpinn_ros.cli.options import complete_vehicle
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.vehicle.certified import certified_cars
-from evpinn_ros.vehicle.files import Vehicle, find_vehicles, load_vehicle, write_vehicle
-from evpinn_ros.vehicle.rated import rated_cars
+from evpinn_ros.core.vehicle.certified import certified_cars
+from evpinn_ros.core.vehicle.files import Vehicle, find_vehicles, load_vehicle, write_vehicle
+from evpinn_ros.core.vehicle.rated import rated_cars
 
 vehicles = typer.Typer(cls=ReadableGroup, invoke_without_command=True)
 

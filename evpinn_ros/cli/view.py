@@ -13,8 +13,8 @@ from evpinn_ros.bags.types import typestore
 from evpinn_ros.cli.console import note
 from evpinn_ros.cli.options import OriginOption
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.live.foxglove import LOOPBACK, PORT, FoxgloveServer, is_loopback
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.nodes.live.foxglove import LOOPBACK, PORT, FoxgloveServer, is_loopback
 
 LONGEST_PAUSE = 10.0  # s of the bag: a stretch without messages takes no longer
 POLL = 0.1  # s

@@ -27,6 +27,6 @@ def watch(
     Example: evpinn watch --namespace /ev
     """
     # Imported here: all other commands work where no ROS is.
-    from evpinn_ros.live.view import watch as watch_nodes
+    from evpinn_ros.nodes.live.view import watch as watch_nodes
 
     watch_nodes(namespace, plain=plain, for_scripts=for_scripts)

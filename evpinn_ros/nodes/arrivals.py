@@ -6,8 +6,8 @@ from collections.abc import Hashable, Mapping
 import math
 from typing import Any, NamedTuple
 
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.diagnosis import LATELY
-from evpinn_ros.signals.readings import NANOSECONDS
 
 MOST_PUBLISHERS = 16  # of one topic, followed at a time
 FUTURE = 2.0  # s

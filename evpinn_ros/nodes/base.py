@@ -17,13 +17,13 @@ from rclpy.node import Node
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import printable
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.arrivals import MessageNumbers
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.parameters import declare
 from evpinn_ros.nodes.typed import PACKAGE, TYPED, typed_message
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import BadMessage, Level, diagnostics
 from evpinn_ros.topics.node_parameters import TABLES

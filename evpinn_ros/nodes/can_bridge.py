@@ -19,17 +19,17 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.readings import Reading
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
 from evpinn_ros.nodes.factory import is_installed, new_message
 from evpinn_ros.nodes.frame_sources import FrameTopic, LogPlayer, frame_topic
 from evpinn_ros.nodes.managed import ManagedNode
 from evpinn_ros.nodes.recorder import RawFrames
-from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.node_parameters import FRAMES, bus_options
 from evpinn_ros.topics.readings import reading_messages
-from evpinn_ros.vehicle.files import load_vehicle
 
 PUBLISHES = (
     topics.SPEED,

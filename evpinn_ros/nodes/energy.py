@@ -12,15 +12,18 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
 from evpinn_ros import topics
-from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.forecaster import Basis, Forecaster, PlanAnswer, PlanLog
-from evpinn_ros.energy.meter import EnergyMeter, Integrator
-from evpinn_ros.energy.path_plan import NOMINAL_SPEED
-from evpinn_ros.energy.plan import Plan, PlanError
-from evpinn_ros.energy.remaining import usual_cost
-from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.estimation.state_file import Half
+from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.forecaster import Basis, Forecaster, PlanAnswer, PlanLog
+from evpinn_ros.core.energy.meter import EnergyMeter, Integrator
+from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
+from evpinn_ros.core.energy.plan import Plan, PlanError
+from evpinn_ros.core.energy.remaining import usual_cost
+from evpinn_ros.core.energy.rknn import load_rknn
+from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.core.estimation.state_file import Half
+from evpinn_ros.core.signals.readings import BatteryReading, why_impossible
+from evpinn_ros.core.signals.time_jump import Jump, StampGuard
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.base import NOT_ACTIVE
 from evpinn_ros.nodes.diagnosis import WELL, Status
 from evpinn_ros.nodes.energy_diagnosis import (
@@ -40,8 +43,6 @@ from evpinn_ros.nodes.typed import (
     TYPED_FORECAST,
     assumed_conditions,
 )
-from evpinn_ros.signals.readings import BatteryReading, why_impossible
-from evpinn_ros.signals.time_jump import Jump, StampGuard
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.cdr import CdrError
 from evpinn_ros.topics.estimates import output_messages, read_identifiable, read_power
@@ -58,7 +59,6 @@ from evpinn_ros.topics.plans import (
 )
 from evpinn_ros.topics.readings import battery_message, to_reading
 from evpinn_ros.topics.settings import jump_rule
-from evpinn_ros.vehicle.files import load_vehicle
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from evpinn_ros.common.units import JOULES_PER_WH
-from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.dropout import Reconciled, Verdict
-from evpinn_ros.energy.forecast import Air
-from evpinn_ros.energy.forecaster import Basis, PlanAnswer, PlanLog
+from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.dropout import Reconciled, Verdict
+from evpinn_ros.core.energy.forecast import Air
+from evpinn_ros.core.energy.forecaster import Basis, PlanAnswer, PlanLog
 from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Condition, Status, rounded, with_health
 from evpinn_ros.topics.messages import Level
 

@@ -10,22 +10,22 @@ from std_srvs.srv import SetBool
 
 from evpinn_ros import topics
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.estimation.estimate import ParameterSet
-from evpinn_ros.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
-from evpinn_ros.estimation.state_file import Half
-from evpinn_ros.estimation.worker import ThreadWorker
+from evpinn_ros.core.estimation.estimate import ParameterSet
+from evpinn_ros.core.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
+from evpinn_ros.core.estimation.state_file import Half
+from evpinn_ros.core.estimation.worker import ThreadWorker
+from evpinn_ros.core.signals.readings import Reading
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.arrivals import StampWatch
 from evpinn_ros.nodes.diagnosis import WELL, Condition, Health, Status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_phases, estimator_status
 from evpinn_ros.nodes.factory import installed, new_message
 from evpinn_ros.nodes.stateful import StatefulNode
-from evpinn_ros.signals.readings import Reading
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.model import model_message
 from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.topics.settings import estimator_settings, imu_mounting
-from evpinn_ros.vehicle.files import load_vehicle
 
 MODEL_PERIOD = 10.0  # s
 FOR_PLOTS = (topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import statistics
 
-from evpinn_ros.estimation.estimate import Trust
-from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
-from evpinn_ros.estimation.learner import LearnerReport
+from evpinn_ros.core.estimation.estimate import Trust
+from evpinn_ros.core.estimation.estimator import Activity, EstimatorStatus
+from evpinn_ros.core.estimation.learner import LearnerReport
+from evpinn_ros.core.signals.detector import BATTERY_STUCK, CURRENT_SIGN, GRADE_SIGN, SPEED_STUCK
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.diagnosis import (
     MISSING_AFTER,
     Condition,
@@ -16,8 +18,6 @@ from evpinn_ros.nodes.diagnosis import (
     rounded,
     with_health,
 )
-from evpinn_ros.signals.detector import BATTERY_STUCK, CURRENT_SIGN, GRADE_SIGN, SPEED_STUCK
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import Level
 
 NO_SPEED, LEARNING = "no vehicle/speed", "learning"

@@ -14,8 +14,8 @@ from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.can.bus import MANY_ERRORS, SILENT_AFTER_S, BusCondition, BusStatus
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.bus_sources import open_can_log
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.logs.bus_sources import open_can_log
 from evpinn_ros.topics import Topic
 
 DEPTH = 1000  # frames, half a second of a busy bus

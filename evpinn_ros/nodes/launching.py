@@ -18,9 +18,9 @@ from launch_ros.utilities import make_namespace_absolute, prefix_namespace
 
 from evpinn_ros.common.errors import InputError, near_names
 from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.typed import TYPED, TYPED_FORECAST
 from evpinn_ros.topics import NAMESPACE, TOPICS
-from evpinn_ros.vehicle.files import load_vehicle
 from launch import LaunchDescription
 
 if TYPE_CHECKING:  # `ros2` may run in a Python that has none of what the table needs

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.energy.battery_model import BatteryModel
-from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecaster import Forecaster, PlanAnswer, PlanLog
-from evpinn_ros.energy.plan import Plan, PlanError, Question, plan_from_speed_profile
+from evpinn_ros.core.energy.battery_model import BatteryModel
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.forecaster import Forecaster, PlanAnswer, PlanLog
+from evpinn_ros.core.energy.plan import Plan, PlanError, Question, plan_from_speed_profile
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.typed import PLAN_RESULT, assumed_conditions, given_conditions
 

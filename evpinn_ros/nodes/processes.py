@@ -17,9 +17,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.discovery import announce_often
 from evpinn_ros.nodes.recorder import RecorderNode
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import read_named_vector
 from evpinn_ros.topics.node_parameters import Value, of_node

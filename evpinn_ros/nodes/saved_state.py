@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.writer import claimed
-from evpinn_ros.estimation.state_file import (
+from evpinn_ros.core.estimation.state_file import (
     Half,
     read_half,
     refused_names,

@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 
 from std_srvs.srv import Trigger
 
-from evpinn_ros.estimation.state_file import Half
+from evpinn_ros.core.estimation.state_file import Half
+from evpinn_ros.core.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.diagnosis import Condition, Health
 from evpinn_ros.nodes.managed import ManagedNode
 from evpinn_ros.nodes.saved_state import StateFile, Stateful, state_path
-from evpinn_ros.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.settings import jump_rule
 

@@ -12,7 +12,7 @@ import math
 from typing import Any
 
 from evpinn_ros import topics
-from evpinn_ros.energy.plan import CONDITION_RANGES, PlanConditions
+from evpinn_ros.core.energy.plan import CONDITION_RANGES, PlanConditions
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.topics import Topic
 

@@ -10,23 +10,22 @@ import time
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, as_input_error
-from evpinn_ros.drives.read_options import READ_DEFAULTS, ReadOptions
-from evpinn_ros.drives.source import Source
-from evpinn_ros.drives.sources import open_source
-from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.meter import EnergyMeter
-from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.estimation.state_file import Half, read_half, write_halves
-from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.paper.settings import PaperOptimizer
+from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.meter import EnergyMeter
+from evpinn_ros.core.energy.rknn import load_rknn
+from evpinn_ros.core.estimation.estimator import Mode, PaperOptimizer
+from evpinn_ros.core.estimation.state_file import Half, read_half, write_halves
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.time_jump import JumpPolicy
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.logs.source import Source
+from evpinn_ros.logs.sources import open_source
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.run import Progress, Replayed, ReplayOptions, replay
-from evpinn_ros.signals.time_jump import JumpPolicy
 from evpinn_ros.topics.node_parameters import TABLES, Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
 from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
 
 
 class CarReplay:

@@ -7,22 +7,22 @@ from collections.abc import Iterator, Mapping
 import math
 from typing import Any, TypeAlias
 
-from evpinn_ros.energy.account import AccountSummary, EnergyAccount
-from evpinn_ros.energy.meter import EnergyMeter, EnergyState
-from evpinn_ros.energy.remaining import usual_cost
-from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator, Output
-from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.signals.readings import Reading, SpeedReading
-from evpinn_ros.signals.time_jump import (
+from evpinn_ros.core.energy.account import AccountSummary, EnergyAccount
+from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState
+from evpinn_ros.core.energy.remaining import usual_cost
+from evpinn_ros.core.energy.rknn import load_rknn
+from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator, Output
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import Reading, SpeedReading
+from evpinn_ros.core.signals.time_jump import (
     DEFAULT_RULE,
     Jump,
     JumpPolicy,
     JumpRule,
     StampGuard,
 )
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.files import Vehicle
 
 ChainOutput: TypeAlias = Output | EnergyState | AccountSummary
 

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.source import Source
-from evpinn_ros.estimation.breakdown import CONSUMPTION_METRES, Breakdown, Breakdowns
-from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES, Breakdown, Breakdowns
+from evpinn_ros.core.estimation.estimator import Mode
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.logs.source import Source
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.energy_metrics import NOTHING, PAPER, breakdown_metrics
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import Progress
-from evpinn_ros.vehicle.files import Vehicle
 
 Bar = Callable[[Source], AbstractContextManager[Progress]]
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.common.arrays import chosen_rows
-from evpinn_ros.estimation.learner import CHARGING_POWER
+from evpinn_ros.core.estimation.learner import CHARGING_POWER
+from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import Span, known_at, longest_step
-from evpinn_ros.vehicle.physics import STANDSTILL_SPEED
 
 
 class DrivenSteps(NamedTuple):

@@ -7,9 +7,9 @@ from dataclasses import asdict
 from typing import Any
 
 from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.energy.account import AccountSummary
-from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
-from evpinn_ros.estimation.estimator import Mode
+from evpinn_ros.core.energy.account import AccountSummary
+from evpinn_ros.core.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
+from evpinn_ros.core.estimation.estimator import Mode
 
 KWH_PER_100KM = JOULES_PER_KWH / 1e5  # J/m
 MEANINGS: Mapping[str, str] = {

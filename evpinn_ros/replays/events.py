@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.core.signals.detector import CURRENT_SIGN, GRADE_SIGN
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.time_jump import DEFAULT_RULE
 from evpinn_ros.replays.history import Detection, Drive
 from evpinn_ros.replays.scoring import longest_step
-from evpinn_ros.signals.detector import CURRENT_SIGN, GRADE_SIGN
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.time_jump import DEFAULT_RULE
 
 CLOCK_STEP = DEFAULT_RULE.threshold
 FAULT_TEXTS = {

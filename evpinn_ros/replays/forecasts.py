@@ -6,17 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.energy.driven import drive_plan
-from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.plan import PlanError
-from evpinn_ros.energy.power_model import PowerModel, Weather, combined_model, vehicle_model
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.core.energy.driven import drive_plan
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.plan import PlanError
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, combined_model, vehicle_model
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.estimate import ParameterSet
+from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.driven import charged
 from evpinn_ros.replays.history import Drive, KnownModel
 from evpinn_ros.replays.scoring import Span, longest_step, measured_energy
-from evpinn_ros.vehicle.files import Vehicle
 
 SHORTEST = 30.0  # s of a part of a drive that is worth a forecast
 

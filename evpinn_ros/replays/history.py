@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.energy.account import AccountSummary
-from evpinn_ros.energy.meter import EnergyState
-from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
-from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.replays.chain import ChainOutput
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.energy.account import AccountSummary
+from evpinn_ros.core.energy.meter import EnergyState
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
+from evpinn_ros.core.estimation.learner import LearnerReport
+from evpinn_ros.core.signals.readings import (
     DAY_NS,
     DRIVE_START_NS,
     NANOSECONDS,
@@ -28,9 +27,10 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     drawn_power,
 )
-from evpinn_ros.signals.time_jump import Jump
-from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.core.signals.time_jump import Jump
+from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.replays.chain import ChainOutput
 
 FIRST_STAMP_NS = 631_152_000 * NANOSECONDS  # 1990: a log that begins before counts from its zero
 JUMP_GAP = 60 * NANOSECONDS  # between the times before and after a jump: nothing is joined across

@@ -16,13 +16,13 @@ import numpy as np
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.source import STRAGGLING_NS, Source
-from evpinn_ros.estimation.estimate import ParameterSet
+from evpinn_ros.core.estimation.estimate import ParameterSet
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading
+from evpinn_ros.core.signals.time_jump import Jump
+from evpinn_ros.logs.source import STRAGGLING_NS, Source
 from evpinn_ros.replays.chain import Chain, ChainOutput
 from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.replays.scoring import metrics
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
-from evpinn_ros.signals.time_jump import Jump
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.readings import reading_messages

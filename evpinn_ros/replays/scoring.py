@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.energy.quadrature import trapezoid
-from evpinn_ros.estimation.breakdown import Breakdown
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.estimate import ParameterSet
-from evpinn_ros.estimation.estimator import EstimatorStatus, Mode
+from evpinn_ros.core.energy.quadrature import trapezoid
+from evpinn_ros.core.estimation.breakdown import Breakdown
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.estimate import ParameterSet
+from evpinn_ros.core.estimation.estimator import EstimatorStatus, Mode
 from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.history import Drive, PowerSeries
 

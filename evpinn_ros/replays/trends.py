@@ -13,10 +13,10 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.replays.driven import measured_steps
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.vehicle_fit import capacity_by_charge
-from evpinn_ros.signals.readings import NANOSECONDS
 
 Group: TypeAlias = tuple[Any, str]  # what it is sorted by, and its name
 LEAST_DISTANCE = 1000.0  # m of a drive that counts

@@ -10,13 +10,13 @@ from collections.abc import Iterator
 import math
 
 from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.core.vehicle.certified import certified_cars
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.identifiable import prior_identifiable
+from evpinn_ros.core.vehicle.rated import rated_cars
 from evpinn_ros.replays.driven import charged, measured_steps
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import WARM_UP
-from evpinn_ros.vehicle.certified import certified_cars
-from evpinn_ros.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.vehicle.identifiable import prior_identifiable
-from evpinn_ros.vehicle.rated import rated_cars
 
 GENERIC = "generic"
 DOUBTFUL = 3.0  # sigmas from what the vehicle file expects

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units, kwh_digits
-from evpinn_ros.estimation.breakdown import (
+from evpinn_ros.core.estimation.breakdown import (
     MOSTLY_UNSEEN,
     REGAINED,
     UNEXPLAINED,
 )
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.terms import WHOLE, Part
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.terms import WHOLE, Part
 from evpinn_ros.replays.energy_metrics import MEANINGS
 
 NAMES = tuple(part.name.lower() for part in list(Part)[WHOLE])

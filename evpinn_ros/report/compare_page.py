@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.common.units import METRIC, Units
-from evpinn_ros.estimation.breakdown import Breakdown
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.breakdown import Breakdown
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.over_distance import over_distance
 from evpinn_ros.report.breakdown_text import name_of

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
-from evpinn_ros.estimation.breakdown import (
+from evpinn_ros.core.estimation.breakdown import (
     DIFFERENCE_METRES,
     REGAINED,
     UNEXPLAINED,
     Amount,
     Breakdown,
 )
-from evpinn_ros.estimation.terms import WHOLE, Part
+from evpinn_ros.core.estimation.terms import WHOLE, Part
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.driven import travelled
 from evpinn_ros.replays.energy_metrics import MEANINGS

@@ -9,14 +9,14 @@ import numpy as np
 
 from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.units import JOULES_PER_WH
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import ForecastOutcome
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import measured_at
 from evpinn_ros.report.parameter_text import DECIMALS
 from evpinn_ros.report.thinning import Grid, grid_for, packed, thinned
-from evpinn_ros.vehicle.parameters import Parameters
 
 KILO = 1000.0
 TITLES = {

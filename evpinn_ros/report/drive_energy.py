@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_WH, METRIC, Units
-from evpinn_ros.energy.power_model import PowerModel, Weather, even_steps
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.terms import WARM
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.terms import WARM
+from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.replays.history import Drive
@@ -25,7 +26,6 @@ from evpinn_ros.report.breakdown_text import (
 from evpinn_ros.report.drive_charts import Chart
 from evpinn_ros.report.intervals import IntervalRow, interval_rows
 from evpinn_ros.report.thinning import packed
-from evpinn_ros.vehicle.files import Vehicle
 
 LEAST_DISTANCE = 100.0  # m in a bin of speed before its energy is shown,
 LEAST_SHARE = 0.02  # and so much of the drive: to pass through a speed is not to drive at it

@@ -11,7 +11,11 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
-from evpinn_ros.estimation.breakdown import CONSUMPTION_METRES
+from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.identifiable import prior_identifiable
+from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import DrivenSteps, charged, measured_steps, travelled
 from evpinn_ros.replays.events import drive_events
@@ -19,6 +23,7 @@ from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import Span, baseline_scores
+from evpinn_ros.replays.simulation.truth_file import read_truth
 from evpinn_ros.replays.trends import drive_point
 from evpinn_ros.report import drive_charts, drive_maps
 from evpinn_ros.report.drive_energy import breakdown_values, running_totals, speed_energy_chart
@@ -42,11 +47,6 @@ from evpinn_ros.report.tables import (
     watts,
 )
 from evpinn_ros.report.trend_rows import trend_intervals
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.simulation.truth_file import read_truth
-from evpinn_ros.vehicle.files import Vehicle
-from evpinn_ros.vehicle.identifiable import prior_identifiable
-from evpinn_ros.vehicle.parameters import Parameters
 
 POINTS = 40_000  # of a curve, all drives of a page together: an hour at 10 Hz loses nothing
 LEAST_POINTS = 2_000  # of a curve of one of many drives

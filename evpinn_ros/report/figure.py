@@ -12,11 +12,11 @@ import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.common.writer import replaced
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.vehicle.identifiable import Identifiable
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import longest_step, running_total
-from evpinn_ros.vehicle.identifiable import Identifiable
 
 MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"
 # Wide and pale: what is measured is seen under what predicts it.

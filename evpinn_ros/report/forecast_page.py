@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecast import Change, PlannedEnergy, plan_parts
-from evpinn_ros.energy.plan import Legs
-from evpinn_ros.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.estimation.terms import Part
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.forecast import Change, PlannedEnergy, plan_parts
+from evpinn_ros.core.energy.plan import Legs
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.terms import Part
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page

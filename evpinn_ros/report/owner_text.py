@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, kwh_digits
-from evpinn_ros.estimation.breakdown import CONSUMPTION_METRES
+from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES
+from evpinn_ros.core.signals.road import HEATED_BELOW
+from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.driven import charged, measured_steps, travelled
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.vehicle_fit import vehicle_doubt
@@ -21,8 +23,6 @@ from evpinn_ros.report.breakdown_text import (
     known_parts,
 )
 from evpinn_ros.report.tables import signed_percent, watts
-from evpinn_ros.signals.road import HEATED_BELOW
-from evpinn_ros.vehicle.files import Vehicle
 
 NEARLY_WHOLE = 0.99  # of the distance, from here on the battery was measured all along
 # s between speeds, from here on worth saying: over 40 trips of a Leaf with one every 2 to 6 s,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES, Parameters
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import Span, baseline_scores
 from evpinn_ros.report.parameter_text import MEANINGS, number
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES, Parameters
 
 SCORE_COLUMNS = ("what", "RMSE", "MAE", "R2", "in 90 % band")
 

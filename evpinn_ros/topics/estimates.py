@@ -11,17 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 from evpinn_ros import topics
 from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.energy.account import AccountSummary, EnergyTotals
-from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.meter import EnergyState, Flow
-from evpinn_ros.estimation.breakdown import Breakdown
-from evpinn_ros.estimation.estimate import (
+from evpinn_ros.core.energy.account import AccountSummary, EnergyTotals
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.meter import EnergyState, Flow
+from evpinn_ros.core.estimation.breakdown import Breakdown
+from evpinn_ros.core.estimation.estimate import (
     ParameterEstimate,
     ParameterSet,
     PowerEstimate,
     PowerKind,
     Trust,
 )
+from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import (
     BadMessage,
@@ -30,11 +32,9 @@ from evpinn_ros.topics.messages import (
     read_named_vector,
     scalar,
 )
-from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 if TYPE_CHECKING:  # for its type alone: the energy node would load torch with it
-    from evpinn_ros.estimation.estimator import Output
+    from evpinn_ros.core.estimation.estimator import Output
 
 POWER_TOPICS = {
     PowerKind.MEASURED: topics.POWER_MEASURED,

@@ -16,7 +16,7 @@ import math
 from typing import Any, Protocol
 
 from evpinn_ros import topics
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 VEHICLE_FRAME = "base_link"
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros import topics
-from evpinn_ros.energy.plausible import car_is_possible
-from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.states import SIZE
-from evpinn_ros.estimation.terms import equation_of
-from evpinn_ros.estimation.unevenness import SHAPE, Unevenness
+from evpinn_ros.core.energy.plausible import car_is_possible
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.states import SIZE
+from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.estimation.unevenness import SHAPE, Unevenness
+from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.topics.messages import BadMessage, NewMessage, finite
-from evpinn_ros.vehicle.files import Vehicle
 
 MODEL_VERSION = 3  # of what `estimate/model` holds
 MOST_NUMBERS = 100_000  # of a model: twenty times what an estimator sends

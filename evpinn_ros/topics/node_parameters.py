@@ -12,7 +12,7 @@ import math
 from typing import TypeAlias
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.files import load_vehicle
 
 OF_EVERY_NODE = ("use_sim_time", "qos_overrides", "start_type_description_service")
 """First words of parameters that rclpy gives every node."""

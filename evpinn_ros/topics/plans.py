@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.energy.path_plan import NOMINAL_SPEED, plan_from_path
-from evpinn_ros.energy.plan import (
+from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED, plan_from_path
+from evpinn_ros.core.energy.plan import (
     CONDITION_RANGES,
     MAX_POINTS,
     Plan,
@@ -23,7 +23,7 @@ from evpinn_ros.energy.plan import (
     Question,
     plan_from_speed_profile,
 )
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.topics.cdr import ENCAPSULATION, CdrReader, cdr_text
 from evpinn_ros.topics.messages import BadMessage, NewMessage
 

@@ -7,7 +7,7 @@ import math
 from typing import Any, NamedTuple
 
 from evpinn_ros import topics
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
-from evpinn_ros.paper.settings import PaperOptimizer, PaperSettings
-from evpinn_ros.signals.road import GradeSource
-from evpinn_ros.signals.stream import StreamSettings
-from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, PaperOptimizer
+from evpinn_ros.core.signals.road import GradeSource
+from evpinn_ros.core.signals.stream import StreamSettings
+from evpinn_ros.core.signals.time_jump import JumpPolicy, JumpRule
+from evpinn_ros.core.vehicle.physics import RegenForm
 from evpinn_ros.topics.node_parameters import roll_pitch_yaw
 from evpinn_ros.topics.readings import Rotation, rotation
-from evpinn_ros.vehicle.physics import RegenForm
 
 
 def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
@@ -23,11 +22,10 @@ def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
         max_gap=values["max_gap"],
         grade_source=GradeSource(values["grade_source"]),
     )
-    if Mode(values["mode"]) is not Mode.PAPER:
-        return EstimatorSettings(values["seed"], stream)
-    return PaperSettings(
+    return EstimatorSettings(
         values["seed"],
         stream,
+        mode=Mode(values["mode"]),
         regen_form=RegenForm(values["regen_form"]),
         optimizer=PaperOptimizer(values["paper_optimizer"]),
     )

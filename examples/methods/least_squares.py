@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from benchmarks.unseen.method import Estimate, Prediction
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.vehicle.files import Vehicle
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.vehicle.files import Vehicle
 
 STEP, LONGEST = 1.0, 30.0  # s between two speeds that are joined
 

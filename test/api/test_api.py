@@ -18,10 +18,10 @@ import evpinn_ros as ev
 import evpinn_ros.api
 from evpinn_ros.api import estimator, plan, recordings
 from evpinn_ros.cli.main import app
-from evpinn_ros.energy import Profiles
-from evpinn_ros.energy import forecast as forecast_profiles
-from evpinn_ros.estimation.state_file import read_state, write_state
-from evpinn_ros.estimation.states import State
+from evpinn_ros.core.energy import Profiles
+from evpinn_ros.core.energy import forecast as forecast_profiles
+from evpinn_ros.core.estimation.state_file import read_state, write_state
+from evpinn_ros.core.estimation.states import State
 from evpinn_ros.replays.forecasts import known_model
 import evpinn_ros.replays.run  # from here on the room `replay` is an attribute of the package
 

@@ -18,7 +18,7 @@ from rosbags.rosbag2 import Reader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import encode, new_message, typestore
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import scalar
 
 START = 1_700_000_000 * NANOSECONDS

@@ -27,8 +27,8 @@ from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
 from evpinn_ros.common.yaml_section import load_plain
-from evpinn_ros.drives.sources import open_drive
-from evpinn_ros.reproduction import checkpoint
+from evpinn_ros.extras.paper import checkpoint
+from evpinn_ros.logs.sources import open_drive
 
 pytestmark = pytest.mark.torch
 

@@ -17,13 +17,13 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.bag_source import BagSource
-from evpinn_ros.drives.bus_sources import BagFrames, CanLogSource, open_can_log
-from evpinn_ros.drives.contents import contents
-from evpinn_ros.drives.read_options import ReadOptions
-from evpinn_ros.drives.sources import open_source
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.logs.bag_source import BagSource
+from evpinn_ros.logs.bus_sources import BagFrames, CanLogSource, open_can_log
+from evpinn_ros.logs.contents import contents
+from evpinn_ros.logs.read_options import ReadOptions
+from evpinn_ros.logs.sources import open_source
 
 NOW = 1_700_000_000 * 10**9
 FRAMES = [

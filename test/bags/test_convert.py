@@ -11,9 +11,9 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.sources import open_drive
-from evpinn_ros.signals import readings as kinds
-from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals import readings as kinds
+from evpinn_ros.core.signals.readings import BatteryReading, Reading, SpeedReading
+from evpinn_ros.logs.sources import open_drive
 from evpinn_ros.topics.messages import scalar
 from evpinn_ros.topics.readings import reading_messages, speed_message
 

@@ -17,7 +17,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.estimation.state_file import read_state, write_state
+from evpinn_ros.core.estimation.state_file import read_state, write_state
 from evpinn_ros.topics.messages import scalar
 
 pytestmark = pytest.mark.slow

@@ -14,7 +14,7 @@ from evpinn_ros.bags.reader import BagReader, TopicInfo
 from evpinn_ros.bags.types import encode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.topics.messages import scalar
 from evpinn_ros.topics.readings import battery_message, speed_message
 

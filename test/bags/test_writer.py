@@ -15,7 +15,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.readings import SpeedReading
+from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.topics.messages import named_vector, scalar
 from evpinn_ros.topics.readings import speed_message
 

@@ -5,8 +5,8 @@ import pytest
 
 from benchmarks.breakdown import CLIMB, PartCheck, difference_checks, part_checks, part_summaries
 from benchmarks.truth import VEHICLES
-from evpinn_ros.estimation.terms import Part
-from evpinn_ros.simulation.drive import DriveKind
+from evpinn_ros.core.estimation.terms import Part
+from evpinn_ros.replays.simulation.drive import DriveKind
 
 pytestmark = pytest.mark.nightly
 

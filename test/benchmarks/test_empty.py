@@ -5,8 +5,8 @@ import math
 import pytest
 
 from benchmarks.empty import Kilometre, _errors
-from evpinn_ros.energy.remaining import Cost
-from evpinn_ros.energy.trip import Stretch
+from evpinn_ros.core.energy.remaining import Cost
+from evpinn_ros.core.energy.trip import Stretch
 
 EVEN, TWICE = Cost(500.0, 500.0, 0.2), Cost(1000.0, 1000.0, 0.1)
 

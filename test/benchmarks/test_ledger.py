@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.breakdown import part_powers, true_parts
-from evpinn_ros.simulation.car import STEP
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import SimulatedDrive, simulate
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.car import STEP
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import SimulatedDrive, simulate
 
 
 @pytest.fixture(scope="module", params=DriveKind)

@@ -9,15 +9,15 @@ import pytest
 
 from benchmarks.plans import METHODS, RESOLUTIONS, forecasts, intervals_of, plan_of, weather_of
 from benchmarks.unseen.drives import load_car
-from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.plan import Legs
-from evpinn_ros.energy.power_model import PowerModel
-from evpinn_ros.estimation.car import LearnedCar
-from evpinn_ros.estimation.car_model import CarModel
-from evpinn_ros.estimation.journey import NOWHERE
-from evpinn_ros.estimation.posterior import passed
-from evpinn_ros.estimation.terms import equation_of
-from evpinn_ros.signals.interval import Interval
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.plan import Legs
+from evpinn_ros.core.energy.power_model import PowerModel
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.journey import NOWHERE
+from evpinn_ros.core.estimation.posterior import passed
+from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.signals.interval import Interval
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.truth import TruthCheck, compare, summaries
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.replays.simulation.drive import DriveKind
 
 pytestmark = pytest.mark.nightly
 

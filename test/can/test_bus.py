@@ -23,7 +23,7 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import running
 from test.waiting import pause, wait_until
 

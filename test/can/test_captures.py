@@ -17,7 +17,7 @@ from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import MOTORS, load_profile
-from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, MotorReading, SpeedReading
 from test.can.conftest import ALL
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "can"

@@ -17,7 +17,7 @@ from evpinn_ros.can.control_unit import (
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.read_only import ReadOnlyGate
 from evpinn_ros.can.request import Address, RequestRule
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import ASKING
 
 ADDRESS = Address(0x7E4, 0x7EC, False, None, None)

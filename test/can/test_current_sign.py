@@ -5,10 +5,10 @@ import math
 import pytest
 
 from evpinn_ros.can.current_sign import CurrentSign
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import simulate
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import refusal
 
 # As people's files are: overlapping and overhanging signals, values without a use, odd units.

@@ -12,7 +12,7 @@ from evpinn_ros.can.decoder import (
 )
 from evpinn_ros.can.frame import MOST_IDS, CanFrame, nanoseconds
 from evpinn_ros.can.profile import id_sum, load_profile, nissan_crc8
-from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, MotorReading, SpeedReading
 
 
 def frame(can_id: int, payload: str, stamp_ns: int = 0, *, extended: bool = False) -> CanFrame:

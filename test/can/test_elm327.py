@@ -21,7 +21,7 @@ from evpinn_ros.can.bus import BusCondition, BusReader
 from evpinn_ros.can.elm327 import Elm327Bus
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import LiveBridge, running
 from test.waiting import HANG_S, wait_until
 

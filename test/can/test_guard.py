@@ -10,7 +10,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard, ProfileVerdict
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import ALL, KONA, PROFILES
 
 SECOND = 10**9

@@ -8,7 +8,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.inspection import MOST_IDS, Inspection, frame_bits
 from evpinn_ros.can.profile import MOTORS, load_profile
-from evpinn_ros.signals.readings import BatteryReading
+from evpinn_ros.core.signals.readings import BatteryReading
 from test.can.conftest import ALL, KONA, PROFILES
 
 pytestmark = pytest.mark.slow

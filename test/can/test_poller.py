@@ -15,7 +15,7 @@ from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.can.restraint import AWAKE_FRAMES, AWAKE_IDS
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import LiveBridge, running
 from test.waiting import pause, wait_until
 

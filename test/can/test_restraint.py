@@ -15,7 +15,7 @@ from evpinn_ros.can.restraint import (
     Leave,
     Restraint,
 )
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from evpinn_ros.bags.writer import BagWriter, Split
-from evpinn_ros.drives.read_options import ReadOptions
-from evpinn_ros.drives.sources import open_drive
+from evpinn_ros.logs.read_options import ReadOptions
+from evpinn_ros.logs.sources import open_drive
 
 ROOT = Path(__file__).parents[2]
 URBAN = ROOT / "bags" / "urban"

@@ -22,7 +22,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "80", "OMP_NUM_THREADS": "1"}

@@ -22,8 +22,8 @@ from evpinn_ros.cli.drive_report import CUT_SHORT_S, reported
 from evpinn_ros.cli.run import learned_before
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.estimation.state_file import read_state
-from evpinn_ros.signals.readings import SpeedReading
+from evpinn_ros.core.estimation.state_file import read_state
+from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.topics.readings import to_reading
 
 URBAN = share_directory() / "bags" / "urban"

@@ -7,9 +7,9 @@ import pytest
 
 import evpinn_ros as ev
 from test.conftest import ROOT
-from test.plans import samples
-from test.plans.test_table import LEGS
-from test.plans.test_track import gpx
+from test.logs.plans import samples
+from test.logs.plans.test_table import LEGS
+from test.logs.plans.test_track import gpx
 
 CAR = "tesla_model_3_lr"
 URBAN = ROOT / "bags" / "urban"

@@ -10,7 +10,7 @@ from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.cli import can as can_commands
 from evpinn_ros.cli import console, convert, info
-from evpinn_ros.cli.reproduction_run import training_progress
+from evpinn_ros.extras.paper.run import training_progress
 
 
 @pytest.fixture

@@ -10,15 +10,15 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.cli.mqtt import secret_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import open_file
-from evpinn_ros.drives.formats import is_drive_table
-from evpinn_ros.drives.sources import open_drive
-from evpinn_ros.estimation.state_file import read_state
-from evpinn_ros.fleet.manifest import cars_by_manifest
+from evpinn_ros.core.estimation.state_file import read_state
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.extras.bridges.mqtt import secret_of
+from evpinn_ros.extras.fleet.manifest import cars_by_manifest
+from evpinn_ros.logs.formats import is_drive_table
+from evpinn_ros.logs.sources import open_drive
 from evpinn_ros.topics.parameter_file import check_parameter_file
-from evpinn_ros.vehicle.files import load_vehicle
 
 ROOT = Path(__file__).parents[2]
 READERS = {
@@ -73,13 +73,13 @@ BESIDES = {  # what may open by itself, and why
     "evpinn_ros/common/opener.py": "the opener",
     "evpinn_ros/common/apart.py": "the limits of its own process, of /proc",
     "evpinn_ros/common/writer.py": "folders, to lock and to sync",
-    "evpinn_ros/energy/rknn.py": "weights of the package",
+    "evpinn_ros/core/energy/rknn.py": "weights of the package",
     "evpinn_ros/common/package_data.py": "tables of the package",
     "evpinn_ros/report/html.py": "a script of the package",
     "evpinn_ros/cli/vehicles.py": "comments of a file that the opener has read",
     "evpinn_ros/cli/main.py": "/dev/null, to write to",
     "evpinn_ros/common/stopping.py": "/dev/null, to write to",
-    "evpinn_ros/fleet/run.py": "a lock, to write to",
+    "evpinn_ros/extras/fleet/run.py": "a lock, to write to",
 }
 OPENS = {"open", "fdopen", "read_text", "read_bytes", "ZipFile", "GzipFile", "loadtxt", "memmap"}
 OPENS |= {

@@ -11,7 +11,7 @@ import pytest
 from evpinn_ros.common import writer
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.writer import DRAFT, check_outputs, claimed, replaced
-from evpinn_ros.estimation.state_file import Half, read_half, read_state, write_halves
+from evpinn_ros.core.estimation.state_file import Half, read_half, read_state, write_halves
 
 
 def names(folder):
@@ -135,7 +135,7 @@ def test_no_output_is_written_over_an_input_or_another(tmp_path):
 WRITER = """
 import sys
 from pathlib import Path
-from evpinn_ros.estimation.state_file import Half, write_halves
+from evpinn_ros.core.estimation.state_file import Half, write_halves
 half, count = Half(sys.argv[2]), int(sys.argv[3])
 for number in range(1, count + 1):
     write_halves(Path(sys.argv[1]), {half: {"number": number, "bulk": [number] * 2000}})

@@ -23,13 +23,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import decode
+from evpinn_ros.core.signals.readings import BatteryReading, Reading, SpeedReading
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.discovery import announce_often
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameters import overrides
-from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
 from evpinn_ros.topics import (
     BATTERY,
     DIAGNOSTICS,

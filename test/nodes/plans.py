@@ -1,11 +1,11 @@
 """Powers and plans for the energy node, and the way to ask it."""
 
 from evpinn_ros import topics
-from evpinn_ros.energy.power_model import Weather
+from evpinn_ros.core.energy.power_model import Weather
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import header, named_vector
-from evpinn_ros.vehicle.files import load_vehicle
 
 NOW = 1_700_000_000 * NANOSECONDS
 VEHICLE = load_vehicle("tesla_model_3_lr")

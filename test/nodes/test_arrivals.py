@@ -2,9 +2,9 @@
 
 import pytest
 
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.arrivals import MOST_PUBLISHERS, MessageNumbers, StampWatch
 from evpinn_ros.nodes.diagnosis import LATELY, Lately, unused_notice
-from evpinn_ros.signals.readings import NANOSECONDS
 
 
 def info(number, publisher=b"a"):

@@ -14,8 +14,8 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
+from evpinn_ros.core.signals.readings import BatteryReading, MotorReading, SpeedReading
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
-from evpinn_ros.signals.readings import BatteryReading, MotorReading, SpeedReading
 from evpinn_ros.topics.messages import Level
 
 channels = map("bridge{}".format, itertools.count())

@@ -8,22 +8,22 @@ import pytest
 
 from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
 from evpinn_ros.can.bus import BusCondition, BusStatus
-from evpinn_ros.energy.account import EnergyAccount
-from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecast import Air, Forecast
-from evpinn_ros.energy.forecaster import Basis, PlanAnswer, PlanLog
-from evpinn_ros.energy.meter import EnergyMeter
-from evpinn_ros.energy.rknn import load_rknn
-from evpinn_ros.estimation.estimate import Trust
-from evpinn_ros.estimation.estimator import Activity, EstimatorStatus
-from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.estimation.payload import PayloadChange
+from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.forecast import Air, Forecast
+from evpinn_ros.core.energy.forecaster import Basis, PlanAnswer, PlanLog
+from evpinn_ros.core.energy.meter import EnergyMeter
+from evpinn_ros.core.energy.rknn import load_rknn
+from evpinn_ros.core.estimation.estimate import Trust
+from evpinn_ros.core.estimation.estimator import Activity, EstimatorStatus
+from evpinn_ros.core.estimation.learner import LearnerReport
+from evpinn_ros.core.estimation.payload import PayloadChange
+from evpinn_ros.core.signals.detector import BATTERY_STUCK, SPEED_STUCK
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import WELL, Condition, Health
 from evpinn_ros.nodes.energy_diagnosis import answered_status, meter_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
-from evpinn_ros.signals.detector import BATTERY_STUCK, SPEED_STUCK
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import Level
 
 STATUS = EstimatorStatus(

@@ -12,16 +12,16 @@ from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from evpinn_ros import topics
-from evpinn_ros.energy.battery_model import BatteryModel
-from evpinn_ros.energy.charge import UNKNOWN
-from evpinn_ros.energy.forecaster import Forecaster
-from evpinn_ros.energy.plan import Plan, plan_from_speed_profile
+from evpinn_ros.core.energy.battery_model import BatteryModel
+from evpinn_ros.core.energy.charge import UNKNOWN
+from evpinn_ros.core.energy.forecaster import Forecaster
+from evpinn_ros.core.energy.plan import Plan, plan_from_speed_profile
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.parameters import overrides
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.plans import speed_profile_plan
-from evpinn_ros.vehicle.files import load_vehicle
 from test.conftest import load_example
 from test.nodes.processes import started, stopped
 

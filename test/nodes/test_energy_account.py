@@ -8,8 +8,8 @@ import pytest
 from std_srvs.srv import Trigger
 
 from evpinn_ros import topics
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.nodes.energy import EnergyNode
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.topics.messages import Level, read_named_vector
 from test.nodes.plans import ANSWERS, ask, power, profile
 

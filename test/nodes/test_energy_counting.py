@@ -4,9 +4,9 @@ import pytest
 from std_srvs.srv import Trigger
 
 from evpinn_ros import topics
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import Level, named_vector
 from test.nodes import plans
 from test.nodes.plans import NOW

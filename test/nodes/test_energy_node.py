@@ -7,20 +7,16 @@ import pytest
 from rclpy.serialization import serialize_message
 
 from evpinn_ros import topics
-from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.forecaster import Forecaster
-from evpinn_ros.energy.path_plan import BEND, COMFORT_LATERAL
-from evpinn_ros.energy.plan import MAX_POINTS, plan_from_speed_profile
-from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.energy.remaining import usual_cost
-from evpinn_ros.estimation.pinn import PinnLearner
-from evpinn_ros.estimation.unevenness import Unevenness
-from evpinn_ros.nodes.diagnosis import LATELY
-from evpinn_ros.nodes.energy import EnergyNode
-from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.forecaster import Forecaster
+from evpinn_ros.core.energy.path_plan import BEND, COMFORT_LATERAL
+from evpinn_ros.core.energy.plan import MAX_POINTS, plan_from_speed_profile
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
+from evpinn_ros.core.energy.remaining import usual_cost
+from evpinn_ros.core.estimation.pinn import PinnLearner
+from evpinn_ros.core.estimation.unevenness import Unevenness
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
     PressureReading,
@@ -28,9 +24,13 @@ from evpinn_ros.signals.readings import (
     TemperatureReading,
     WindReading,
 )
+from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
+from evpinn_ros.nodes.diagnosis import LATELY
+from evpinn_ros.nodes.energy import EnergyNode
+from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.topics.messages import Level, named_vector
 from evpinn_ros.topics.model import model_message
-from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
 from test.nodes.plans import ANSWERS, NOW, TRIP, VEHICLE, WEATHER, ask, path, profile
 
 

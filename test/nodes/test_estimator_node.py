@@ -7,12 +7,12 @@ import pytest
 from std_srvs.srv import SetBool, Trigger
 
 from evpinn_ros import topics
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.topics.messages import Level, read_named_vector
 from evpinn_ros.topics.readings import speed_message
-from evpinn_ros.vehicle.identifiable import prior_identifiable
 from test.nodes.plans import NOW, VEHICLE
 
 

@@ -22,10 +22,10 @@ from evpinn_ros.bags.types import decode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.view import view
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.live.data import NODES
-from evpinn_ros.live.foxglove import LOOPBACK, MOST_CONNECTIONS, FoxgloveServer, is_loopback
-from evpinn_ros.live.foxglove_node import FoxgloveNode
 from evpinn_ros.nodes.factory import installed
+from evpinn_ros.nodes.live.data import NODES
+from evpinn_ros.nodes.live.foxglove import LOOPBACK, MOST_CONNECTIONS, FoxgloveServer, is_loopback
+from evpinn_ros.nodes.live.foxglove_node import FoxgloveNode
 from evpinn_ros.topics.messages import Level, scalar
 from test.conftest import ROOT
 from test.nodes.processes import EVPINN, await_line, started, stopped

@@ -6,12 +6,12 @@ import time
 import pytest
 
 from evpinn_ros import topics
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import stamp_ns
 from evpinn_ros.topics.readings import to_reading
 from test.nodes.plans import NOW, VEHICLE, power

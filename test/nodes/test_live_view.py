@@ -19,9 +19,9 @@ import pytest
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.live.data import NOTHING, WATCHED
-from evpinn_ros.live.view import LiveListener, watch
 from evpinn_ros.nodes.factory import installed
+from evpinn_ros.nodes.live.data import NOTHING, WATCHED
+from evpinn_ros.nodes.live.view import LiveListener, watch
 from test.conftest import ROOT
 from test.nodes.processes import EVPINN, await_line, started, stopped
 
@@ -138,7 +138,7 @@ def test_a_mistake_is_told_on_the_terminal_and_not_on_the_view():
 ENDED_AT_ITS_START = """
 import os, signal, time
 import rclpy
-from evpinn_ros.live import view
+from evpinn_ros.nodes.live import view
 
 class Ended(view.LiveListener):
     def __init__(self, namespace):

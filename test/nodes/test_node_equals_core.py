@@ -6,18 +6,18 @@ import time
 import pytest
 
 from evpinn_ros import topics
-from evpinn_ros.energy.account import AccountSummary
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.energy.account import AccountSummary
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.time_jump import DEFAULT_RULE, JumpPolicy, JumpRule
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.time_jump import DEFAULT_RULE, JumpPolicy, JumpRule
 from evpinn_ros.topics.estimates import output_messages
 from evpinn_ros.topics.readings import to_reading
-from evpinn_ros.vehicle.files import load_vehicle
 
 HEARD = (
     topics.PARAMETERS,

@@ -3,16 +3,16 @@
 import math
 
 from evpinn_ros import topics
-from evpinn_ros.nodes import factory
-from evpinn_ros.nodes.energy import EnergyNode
-from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     BatteryReading,
     SpeedReading,
 )
+from evpinn_ros.nodes import factory
+from evpinn_ros.nodes.energy import EnergyNode
+from evpinn_ros.nodes.estimator import EstimatorNode
+from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.topics import QUEUE_DEPTH
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.readings import altitude_message, speed_message

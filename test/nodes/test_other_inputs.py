@@ -12,10 +12,10 @@ from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message as bag_message
 from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.topics.messages import Level, header, read_named_vector, stamp_ns
 from evpinn_ros.topics.readings import battery_message, rotation, speed_message
 

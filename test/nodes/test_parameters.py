@@ -11,20 +11,19 @@ import yaml
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.energy.meter import Integrator
-from evpinn_ros.energy.plan import MAX_SPEED
-from evpinn_ros.energy.quadrature import MAX_GAP
-from evpinn_ros.energy.rknn import STEP_LIMIT
-from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.core.energy.meter import Integrator
+from evpinn_ros.core.energy.plan import MAX_SPEED
+from evpinn_ros.core.energy.quadrature import MAX_GAP
+from evpinn_ros.core.energy.rknn import STEP_LIMIT
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, PaperOptimizer
+from evpinn_ros.core.signals.road import GradeSource
+from evpinn_ros.core.signals.time_jump import JumpPolicy
+from evpinn_ros.core.vehicle.physics import RegenForm
 from evpinn_ros.nodes import parameters
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.paper.settings import PaperOptimizer, PaperSettings
-from evpinn_ros.signals.road import GradeSource
-from evpinn_ros.signals.time_jump import JumpPolicy
 from evpinn_ros.topics.node_parameters import TABLES, bus_options, refuse_wrong
 from evpinn_ros.topics.parameter_file import check_parameter_file, read_parameter_file
-from evpinn_ros.vehicle.physics import RegenForm
 
 FILE = share_directory() / "config" / "evpinn.param.yaml"
 
@@ -65,7 +64,7 @@ def test_every_default_passes_its_own_check():
 
 
 def test_choices_and_defaults_are_those_of_the_cores():
-    estimator, settings = table("estimator"), PaperSettings()
+    estimator, settings = table("estimator"), EstimatorSettings(mode=Mode.PAPER)
     for name, kind in (
         ("mode", Mode),
         ("regen_form", RegenForm),

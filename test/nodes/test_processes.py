@@ -14,13 +14,13 @@ from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.topics.messages import Level, stamp_ns
 from evpinn_ros.topics.readings import to_reading
-from evpinn_ros.vehicle.files import load_vehicle
 from test.nodes.plans import profile
 from test.nodes.processes import all_in_one, node, started, stopped
 from test.waiting import HANG_S

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.estimation.state_file import (
+from evpinn_ros.core.estimation.state_file import (
     REFUSED_KEPT,
     Half,
     account_path,

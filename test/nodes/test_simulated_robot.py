@@ -6,10 +6,10 @@ import sys
 import pytest
 
 from evpinn_ros import topics
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import header, read_named_vector
 from evpinn_ros.topics.readings import speed_message

@@ -8,10 +8,10 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
 from evpinn_ros import topics
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.processes import node_process
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import named_vector, read_named_vector
 

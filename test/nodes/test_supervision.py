@@ -151,5 +151,5 @@ def test_udev_finds_nothing_wrong_with_the_rule():
 
 def test_launch_files_load_without_what_the_nodes_need(loads_without):
     """`ros2` runs in the Python of ROS, which need not have our dependencies."""
-    code = "from evpinn_ros import topics; from evpinn_ros.vehicle import files"
+    code = "from evpinn_ros import topics; from evpinn_ros.core.vehicle import files"
     loads_without(code, "can", "cantools", "torch", "scipy", "polars")

@@ -5,9 +5,9 @@ import pytest
 from rosgraph_msgs.msg import Clock
 
 from evpinn_ros import topics
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from test.nodes.plans import NOW, power
 
 S = NANOSECONDS

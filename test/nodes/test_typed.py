@@ -10,12 +10,12 @@ from xml.etree import ElementTree
 import pytest
 
 import evpinn_ros
-from evpinn_ros.energy.plan import CONDITION_RANGES
-from evpinn_ros.estimation.breakdown import REGAINED, UNEXPLAINED, WHOLE, Part
+from evpinn_ros.core.energy.plan import CONDITION_RANGES
+from evpinn_ros.core.estimation.breakdown import REGAINED, UNEXPLAINED, WHOLE, Part
+from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED
 from evpinn_ros.topics.estimates import FLOWS, POWER, UNMEASURED_ENERGY
-from evpinn_ros.vehicle.identifiable import IDENTIFIABLE_NAMES
-from evpinn_ros.vehicle.parameters import PARAMETER_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "evpinn_msgs"

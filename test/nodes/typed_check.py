@@ -16,7 +16,8 @@ from evpinn_msgs.action import EstimatePlans
 from evpinn_msgs.msg import Plan, PlanConditions
 from evpinn_msgs.srv import EstimatePlan
 from evpinn_ros import topics
-from evpinn_ros.energy.plan import MAX_POINTS
+from evpinn_ros.core.energy.plan import MAX_POINTS
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes import energy
 from evpinn_ros.nodes.base import NOT_ACTIVE
 from evpinn_ros.nodes.energy import EnergyNode
@@ -24,7 +25,6 @@ from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.plan_answers import SERVICE, PlanCall
 from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED, TYPED_FORECAST, quantities
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import named_vector
 from test.waiting import HANG_S
 

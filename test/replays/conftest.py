@@ -2,10 +2,10 @@ from pathlib import Path
 
 import pytest
 
-from evpinn_ros.signals.readings import BatteryReading, Reading, SpeedReading
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import simulate
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.core.signals.readings import BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
 
 URBAN = Path(__file__).parents[2] / "bags" / "urban"
 

@@ -17,14 +17,13 @@ import numpy as np
 
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.drives.sources import open_source
-from evpinn_ros.estimation.estimator import Mode
-from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.paper.settings import SETTINGS
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.logs.sources import open_source
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.signals.readings import NANOSECONDS
 from evpinn_ros.topics.estimates import output_messages
-from evpinn_ros.vehicle.files import load_vehicle
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 RECORDS = Path(__file__).with_name("golden")
@@ -76,7 +75,7 @@ def outputs(drive: Drive) -> Record:
     """What the chain says of a drive now."""
     limit_blas_threads()
     vehicle = load_vehicle(VEHICLE)
-    chain = Chain(vehicle, SETTINGS[drive.mode](), InlineWorker(time.perf_counter))
+    chain = Chain(vehicle, EstimatorSettings(mode=drive.mode), InlineWorker(time.perf_counter))
     latest, record = {}, {}
     start_ns, due = None, EVERY
     for reading in open_source(BAGS / drive.bag, vehicle).readings():

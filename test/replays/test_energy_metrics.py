@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from evpinn_ros.energy.account import AccountSummary, EnergyTotals
-from evpinn_ros.energy.charge import Uncertain
-from evpinn_ros.energy.remaining import Remaining
+from evpinn_ros.core.energy.account import AccountSummary, EnergyTotals
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.remaining import Remaining
 from evpinn_ros.replays.energy_metrics import account_metrics
 
 KWH = 3.6e6

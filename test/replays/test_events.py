@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from evpinn_ros.estimation.learner import LearnerReport
-from evpinn_ros.estimation.payload import PayloadChange
+from evpinn_ros.core.estimation.learner import LearnerReport
+from evpinn_ros.core.estimation.payload import PayloadChange
+from evpinn_ros.core.signals.detector import CURRENT_SIGN
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.replays.events import EventKind, drive_events
 from evpinn_ros.replays.history import Detection, Drive, PowerSeries
-from evpinn_ros.signals.detector import CURRENT_SIGN
-from evpinn_ros.signals.readings import NANOSECONDS
 
 START_NS = 1_700_000_000 * NANOSECONDS
 

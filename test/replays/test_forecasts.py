@@ -7,9 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from evpinn_ros.energy.driven import drive_plan
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.energy.driven import drive_plan
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import MODEL_STEP, History, KnownModel

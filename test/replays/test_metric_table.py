@@ -8,9 +8,9 @@ import time
 import pytest
 
 from docs.metric_table import METRICS
-from evpinn_ros.drives.source import Source
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.logs.source import Source
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.run import ReplayOptions, replay
 

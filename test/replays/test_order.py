@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.drives.sources import open_source
-from evpinn_ros.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading
+from evpinn_ros.core.signals.stream import StreamSettings
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.logs.sources import open_source
 from evpinn_ros.replays.run import span
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading
-from evpinn_ros.signals.stream import StreamSettings
-from evpinn_ros.vehicle.files import Vehicle
 from test.replays.conftest import URBAN
 
 pytestmark = pytest.mark.slow

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.units import US
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.driven import charged, measured_steps
 from evpinn_ros.replays.over_distance import distance_until
 from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
 from evpinn_ros.report.breakdown_text import duration_text
 from evpinn_ros.report.owner_text import drives_columns, drives_rows, owner_line
-from evpinn_ros.signals.readings import SpeedReading
 from test.replays.test_replay import Recorded
 
 pytestmark = pytest.mark.slow

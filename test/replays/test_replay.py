@@ -14,15 +14,14 @@ import pytest
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.drives.source import Source
-from evpinn_ros.estimation.estimator import EstimatorSettings, Mode
-from evpinn_ros.estimation.worker import InlineWorker
-from evpinn_ros.paper.settings import SETTINGS
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.signals.time_jump import JumpPolicy, JumpRule
+from evpinn_ros.logs.source import Source
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.events import EventKind, drive_events
 from evpinn_ros.replays.run import ReplayOptions, output_folders, replay
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.signals.time_jump import JumpPolicy, JumpRule
 from evpinn_ros.topics import topic_of
 from evpinn_ros.topics.readings import to_reading
 
@@ -43,7 +42,7 @@ class Recorded(Source):
 
 
 def chain(vehicle, mode=Mode.HYBRID) -> Chain:
-    return Chain(vehicle, SETTINGS[mode](), InlineWorker(time.perf_counter))
+    return Chain(vehicle, EstimatorSettings(mode=mode), InlineWorker(time.perf_counter))
 
 
 def run(readings, vehicle, tmp_path, *, writer=None, mode=Mode.HYBRID, used=None, **options):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.units import US
-from evpinn_ros.estimation.estimate import ParameterEstimate, ParameterSet, Trust
+from evpinn_ros.core.estimation.estimate import ParameterEstimate, ParameterSet, Trust
+from evpinn_ros.core.signals.readings import DRIVE_START_NS, NANOSECONDS
+from evpinn_ros.core.vehicle.identifiable import Identifiable
 from evpinn_ros.replays.history import Drive, PowerSeries
 from evpinn_ros.replays.trends import CAPACITY, ROLLING, drive_point, trends
 from evpinn_ros.report.owner_text import heating_note, sparse_note
-from evpinn_ros.signals.readings import DRIVE_START_NS, NANOSECONDS
-from evpinn_ros.vehicle.identifiable import Identifiable
 
 MONDAY = 1_700_438_400 * NANOSECONDS  # 2023-11-20
 WEEK = 7 * 86_400 * NANOSECONDS

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.replays.vehicle_fit import vehicle_doubt
-from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.identifiable import prior_identifiable
 
 I3 = load_vehicle("bmw_i3")
 

@@ -14,17 +14,17 @@ from typing import Any
 
 import pytest
 
-from evpinn_ros.drives.source import Source
-from evpinn_ros.estimation.estimator import EstimatorSettings
-from evpinn_ros.estimation.worker import InlineWorker
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.logs.source import Source
 from evpinn_ros.replays import history
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.run import ReplayOptions, replay
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.report.drive_page import ReportedDrive
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.simulation.drive import DriveKind
-from evpinn_ros.simulation.simulate import simulate
-from evpinn_ros.vehicle.files import load_vehicle
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 PATIENCE = 60.0  # s for an answer: other tests run beside this one

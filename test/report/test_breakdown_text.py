@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, US
-from evpinn_ros.estimation.breakdown import Breakdown
-from evpinn_ros.estimation.terms import COUNT, Part
+from evpinn_ros.core.estimation.breakdown import Breakdown
+from evpinn_ros.core.estimation.terms import COUNT, Part
 from evpinn_ros.replays.energy_metrics import NOTHING, PAPER, breakdown_metrics
 from evpinn_ros.report.breakdown_text import (
     NAMES,

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.units import METRIC, US
+from evpinn_ros.core.signals.readings import DRIVE_START_NS
 from evpinn_ros.replays.driven import measured_steps
 from evpinn_ros.replays.energy_metrics import PAPER, breakdown_metrics
 from evpinn_ros.replays.history import PowerSeries
@@ -19,7 +20,6 @@ from evpinn_ros.report.drive_energy import breakdown_values, speed_energy_chart
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from evpinn_ros.report.html import BROWSER, UPLOT
 from evpinn_ros.report.thinning import LEVELS, NO_VALUE
-from evpinn_ros.signals.readings import DRIVE_START_NS
 
 pytestmark = pytest.mark.slow
 

@@ -6,9 +6,14 @@ from typer.testing import CliRunner
 
 from evpinn_ros.api.plan import planned_energy, what_if
 from evpinn_ros.cli.main import app
-from evpinn_ros.energy.forecast import plan_parts
-from evpinn_ros.energy.plan import PlanConditions, PlanError, legs_of_trip, plan_from_speed_profile
-from evpinn_ros.estimation.terms import WHOLE, Part
+from evpinn_ros.core.energy.forecast import plan_parts
+from evpinn_ros.core.energy.plan import (
+    PlanConditions,
+    PlanError,
+    legs_of_trip,
+    plan_from_speed_profile,
+)
+from evpinn_ros.core.estimation.terms import WHOLE, Part
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.report.forecast_page import speed_along
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
-from evpinn_ros.signals.readings import (
+from evpinn_ros.core.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,

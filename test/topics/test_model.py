@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from evpinn_ros.bags.types import decode, encode, new_message
-from evpinn_ros.energy.forecast import forecast_plan
-from evpinn_ros.energy.plan import LONGEST, legs_of_trip, plan_from_speed_profile
-from evpinn_ros.energy.plausible import car_is_possible
-from evpinn_ros.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.estimation.size import model_of_file
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.plan import LONGEST, legs_of_trip, plan_from_speed_profile
+from evpinn_ros.core.energy.plausible import car_is_possible
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
+from evpinn_ros.core.estimation.size import model_of_file
+from evpinn_ros.core.vehicle.files import load_vehicle, vehicle_names
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.model import MOST_NUMBERS, model_message, read_model
-from evpinn_ros.vehicle.files import load_vehicle, vehicle_names
 
 CAR = load_vehicle("bmw_i3")
 MODEL = model_of_file(CAR, 3)

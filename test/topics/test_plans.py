@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
-from evpinn_ros.energy.plan import MAX_POINTS, PlanError
+from evpinn_ros.core.energy.plan import MAX_POINTS, PlanError
 from evpinn_ros.topics import PATH_TYPE, TRAJECTORY_TYPE
 from evpinn_ros.topics.cdr import CdrError
 from evpinn_ros.topics.messages import header

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.unseen.drives import UnseenCar, UnseenDrive
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.identifiable import combined_power, identifiable
-from evpinn_ros.vehicle.parameters import Parameters
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.identifiable import combined_power, identifiable
+from evpinn_ros.core.vehicle.parameters import Parameters
 
 pytestmark = pytest.mark.slow
 

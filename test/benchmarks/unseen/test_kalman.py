@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from benchmarks.unseen.kalman import FiveStateFilter
-from evpinn_ros.signals.readings import NANOSECONDS
-from evpinn_ros.signals.sample import Sample
-from evpinn_ros.vehicle.identifiable import Identifiable, combined_power, identifiable
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.vehicle.identifiable import Identifiable, combined_power, identifiable
 
 START_NS = 1_700_000_000 * NANOSECONDS
 TRUE = Identifiable(2450.0, 0.78, 0.0105, 0.5, 900.0)

@@ -3,8 +3,8 @@
 import pytest
 
 from benchmarks.unseen.method import OnlineChain
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.vehicle.files import load_vehicle
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
 
 POWER, LAST = 14e3, 60.5  # W; s of the last battery reading, half a second after a speed
 

@@ -12,7 +12,7 @@ from benchmarks.unseen.method import OnlineChain, Prediction
 from benchmarks.unseen.protocols import cuts, predicted, run_car
 from benchmarks.unseen.scores import QUANTILE_90, score_part
 from benchmarks.unseen.summary import summary
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
 START_NS = 1_700_000_000 * NANOSECONDS
 

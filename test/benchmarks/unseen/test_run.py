@@ -11,16 +11,16 @@ from benchmarks.unseen.drives import load_car
 from benchmarks.unseen.fastsim_cars import FastsimDrive, fastsim_readings, fastsim_truth
 from benchmarks.unseen.sumo_cars import simulate_sumo, sumo_is_there, sumo_truth
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.signals.readings import BatteryReading
-from evpinn_ros.vehicle.files import load_vehicle
-from evpinn_ros.vehicle.physics import GRAVITY
+from evpinn_ros.core.signals.readings import BatteryReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.physics import GRAVITY
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "methods" / "least_squares.py"
 MINE = '''
 """A method of somebody else."""
 from benchmarks.unseen.method import Prediction
-from evpinn_ros.signals.readings import SpeedReading
+from evpinn_ros.core.signals.readings import SpeedReading
 
 class Flat:
     """Ten kilowatts, always."""

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from benchmarks.unseen.drives import UnseenDrive
 from benchmarks.unseen.splitting import split
-from evpinn_ros.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 
 
 def standing(start_ns: int, seconds: float, current: float):

@@ -1,0 +1,392 @@
+"""One car's account of energy: since reset and since ever, per kilometre, and what is left.
+
+It joins the meter to distance and to the state of charge, and is what outlives a restart.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+import math
+from typing import Annotated, NamedTuple
+
+from evpinn_ros.common.saved_fields import ADDED, SAME, Range, Saveable
+from evpinn_ros.core.energy.battery_model import BatteryModel, SavedBattery
+from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
+from evpinn_ros.core.energy.dropout import Dropout, Reconciled, Verdict, reconcile
+from evpinn_ros.core.energy.forecast import Forecast
+from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState, SavedMeter
+from evpinn_ros.core.energy.plan import Plan
+from evpinn_ros.core.energy.plausible import (
+    MAX_POWER,
+    MOST_ENERGY,
+    Joules,
+    Metres,
+    Seconds,
+    power_is_possible,
+    speed_is_possible,
+)
+from evpinn_ros.core.energy.remaining import Cost, Remaining, Route, cost_spread, remaining
+from evpinn_ros.core.energy.trip import SavedTrip, Stretch, TripLog
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+
+STATE_VERSION = 1
+LEAST_DISTANCE = 1e3  # m; what a kilometre costs is not known before one
+SUMMARY_NS = NANOSECONDS  # between two summaries
+
+
+class EnergyTotals(NamedTuple):
+    """Totals counted over some time.
+
+    Attributes:
+        drawn: J.
+        regenerated: as positive J.
+        variance: of the net energy, J^2.
+        distance: m.
+        driven: net energy of the time in which distance is known, J.
+        unmeasured_s: time that the battery was silent, s.
+        unknown_s: the part of it that speed was silent too, s.
+    """
+
+    drawn: Joules = 0.0
+    regenerated: Joules = 0.0
+    variance: Annotated[float, Range(0.0, MOST_ENERGY**2, unknown=True)] = 0.0
+    distance: Metres = 0.0
+    driven: Joules = 0.0
+    unmeasured_s: Seconds = 0.0
+    unknown_s: Seconds = 0.0
+
+    @property
+    def net(self) -> Uncertain:
+        """Drawn less regenerated energy, J."""
+        return Uncertain(self.drawn - self.regenerated, math.sqrt(self.variance))
+
+    def plus(self, other: EnergyTotals) -> EnergyTotals:
+        """Both together."""
+        return EnergyTotals(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def not_below(self, before: EnergyTotals) -> EnergyTotals:
+        """Give totals of this net energy, with at least as much drawn and regenerated as before.
+
+        What a prediction counted between two words of the battery is put right by the second:
+        for some seconds less may have been drawn than was shown.
+        """
+        more = max(before.drawn - self.drawn, before.regenerated - self.regenerated, 0.0)
+        return self._replace(drawn=self.drawn + more, regenerated=self.regenerated + more)
+
+
+class TripCorrection(NamedTuple):
+    """Energy that reconciling added to a trip, J, and what it took of its variance, J^2."""
+
+    energy: Joules = 0.0
+    variance: Annotated[float, Range(-(MOST_ENERGY**2), MOST_ENERGY**2)] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SavedAccount:
+    """State that outlives a restart: this trip, and what was counted `before_reset`."""
+
+    version: Annotated[int, SAME]
+    vehicle: Annotated[str, SAME]
+    meter: SavedMeter
+    trip: SavedTrip
+    charge: SavedGauge
+    battery: Annotated[SavedBattery | None, ADDED]
+    correction: TripCorrection
+    before_reset: EnergyTotals
+    shown: Annotated[EnergyTotals | None, ADDED]
+    route: Annotated[Route | None, ADDED]
+
+
+@dataclass(frozen=True, slots=True)
+class AccountSummary:
+    """The account at one moment.
+
+    Attributes:
+        stamp_ns: newest stamp of power.
+        since_reset: what was counted since the last reset.
+        lifetime: what was counted since ever; what it drew and regenerated never falls.
+        consumption: energy per distance, J/m, by `1`, `10`, `100` (the last so many km), `trip`
+            and `lifetime`; what is not known yet is not among them.
+        charge: state of charge, 0..1; its value NaN while unknown, and so below.
+        projected: whether that is no reading but follows from the energy taken since.
+        capacity: energy of the full battery, J.
+        usable: energy left in it, J.
+        remaining: distance to empty, None while it is unknown.
+    """
+
+    stamp_ns: int
+    since_reset: EnergyTotals
+    lifetime: EnergyTotals
+    consumption: Mapping[str, float]
+    charge: Uncertain
+    projected: bool
+    capacity: Uncertain
+    usable: Uncertain
+    remaining: Remaining | None
+
+
+class EnergyAccount(Saveable[SavedAccount]):
+    """Counts the energy of one car; knows no ROS.
+
+    Attributes:
+        meter: integrates power, since the last reset.
+        trip: distance and consumption.
+        gauge: state of charge and capacity.
+        battery: its charge and voltage, for the end of a plan.
+        reconciled: of the last battery dropout that ended, None before.
+        usual: `remaining.usual_cost`, J/m, NaN if unknown; who learns the car sets it.
+        route: of the last plan (`follow`), None before any.
+        refused: readings of what no car can do, by reason, since the process began.
+    """
+
+    def __init__(self, meter: EnergyMeter, vehicle: str, capacity: float) -> None:
+        """Start at zero.
+
+        Args:
+            meter: to be used here alone.
+            vehicle: whose account this is; that of another car is refused.
+            capacity: energy of the full battery in the vehicle file, J, NaN if unknown.
+        """
+        self.meter, self.trip, self.gauge = meter, TripLog(), ChargeGauge(capacity)
+        self.battery = BatteryModel(capacity)
+        self.usual = math.nan
+        self._vehicle = vehicle
+        self.refused: Counter[str] = Counter()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all, as if nothing had ever been counted."""
+        self._shown = EnergyTotals()  # of the lifetime, in the last summary
+        self.meter.reset()
+        self.trip = TripLog()
+        self.gauge.reset()
+        self.battery.reset()
+        self.route: Route | None = None
+        self._begin(EnergyTotals(), TripCorrection())
+
+    def _begin(self, before: EnergyTotals, correction: TripCorrection) -> None:
+        self._before_reset, self._correction = before, correction
+        self._newest_ns = self._summary_ns = 0
+        self.reconciled: Reconciled | None = None
+        self._seen: Dropout | None = None
+        self._awaits_charge: tuple[Dropout, float] | None = None
+        self._charge_before = math.nan  # the last one received while the battery was measured
+
+    def reset_trip(self) -> None:
+        """Count from zero; the lifetime, what was learned and the last kilometres stay."""
+        lifetime, newest_ns = self.lifetime(), self._newest_ns
+        self.meter.reset()
+        self.trip.reset_trip()
+        self._begin(lifetime, TripCorrection())
+        self._newest_ns = newest_ns
+
+    def begin_after_jump(self) -> None:
+        """Keep all that was counted, and join nothing to what comes: time jumped."""
+        self.take(self.saved())
+
+    def begin_readings_anew(self) -> None:
+        """Join no speed and no battery reading to those before: their time jumped."""
+        self.trip.begin_anew()
+        self.battery.begin_anew()
+        self.gauge.begin_anew()
+
+    def begin_next_trip(self) -> None:
+        """Begin as after a jump of time, and count the trip from zero; the lifetime goes on."""
+        self.begin_after_jump()
+        self.route = None
+        self.reset_trip()
+
+    def add_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
+        """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
+        if not power_is_possible(power, sigma):
+            self.refused["power_out_of_range"] += 1
+            return
+        self._see(stamp_ns)
+        self.meter.add_measured(stamp_ns, power, sigma)
+        ended = self.meter.last_dropout
+        if ended is not None and ended is not self._seen:
+            self._seen = ended
+            self.reconciled = reconcile(ended, UNKNOWN)
+            self._awaits_charge = (ended, self._charge_before)
+
+    def add_predicted(
+        self,
+        stamp_ns: int,
+        power: float,
+        sigma: float,
+        energy_sigma: float = math.nan,
+        energy: float = math.nan,
+    ) -> bool:
+        """Take one prediction of power (see `EnergyMeter`); gives whether it can be one."""
+        if not power_is_possible(power, sigma):
+            self.refused["power_out_of_range"] += 1
+            return False
+        self._see(stamp_ns)
+        self.meter.add_predicted(stamp_ns, power, sigma, energy_sigma, energy)
+        return True
+
+    def add_speed(self, stamp_ns: int, speed: float) -> None:
+        """Take a speed, m/s."""
+        if not speed_is_possible(speed):
+            self.refused["speed_out_of_range"] += 1
+            return
+        self.trip.update(stamp_ns, speed, self.meter.consumed)
+
+    def add_reading(self, reading: Reading) -> None:
+        """Take a speed, or what the battery tells of itself; other readings count nothing here."""
+        if isinstance(reading, SpeedReading):
+            self.add_speed(reading.stamp_ns, reading.speed)
+        elif isinstance(reading, BatteryReading):
+            self.battery.add_reading(reading)
+            self.add_charge(reading.stamp_ns, reading.state_of_charge)
+
+    def add_charge(self, stamp_ns: int, charge: float) -> None:
+        """Take a state of charge, 0..1; NaN says nothing."""
+        if not 0.0 <= charge <= 1.0:
+            return
+        if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:
+            self._reconcile(*self._awaits_charge, charge)
+            self._awaits_charge = None
+        lifetime, silent = self.lifetime(), self.meter.in_dropout(stamp_ns)
+        if not silent:
+            self._charge_before = charge
+        self.gauge.update(
+            stamp_ns, charge, lifetime.net, None if silent else lifetime.unmeasured_s
+        )
+
+    def _see(self, stamp_ns: int) -> None:
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+        if self.route is not None:
+            self.route.see(stamp_ns)
+
+    def _reconcile(self, dropout: Dropout, before: float, after: float) -> None:
+        """Join a dropout with its states of charge, unless no car can do what they say."""
+        by_charge = self.gauge.energy_between(before, after)
+        if not abs(by_charge.value) <= MAX_POWER * dropout.duration:
+            by_charge = UNKNOWN
+        found = self.reconciled = reconcile(dropout, by_charge)
+        if found.verdict is Verdict.JOINED:
+            self.trip.correct(found.correction)
+        energy, variance = self._correction
+        self._correction = TripCorrection(
+            energy + found.correction, variance + found.variance_taken
+        )
+
+    @property
+    def state(self) -> EnergyState:
+        """The meter's, with what reconciling added."""
+        state = self.meter.state
+        sigma = state.consumed_sigma
+        if not math.isnan(sigma):
+            sigma = math.sqrt(max(sigma**2 - self._correction.variance, 0.0))
+        consumed = state.consumed + self._correction.energy
+        return replace(state, consumed=consumed, consumed_sigma=sigma)
+
+    def since_reset(self) -> EnergyTotals:
+        """Totals since the last reset."""
+        state, stretch = self.state, self.trip.total
+        return EnergyTotals(
+            drawn=state.consumed + state.regenerated.energy,
+            regenerated=state.regenerated.energy,
+            variance=state.consumed_sigma**2,
+            distance=stretch.distance,
+            driven=stretch.energy,
+            unmeasured_s=state.unmeasured_s,
+            unknown_s=state.unknown_s,
+        )
+
+    @property
+    def odometer(self) -> float:
+        """Distance since the first start, m."""
+        return self._before_reset.distance + self.trip.total.distance
+
+    def follow(self, plan: Plan, found: Forecast) -> None:
+        """Take a plan for the route that the car follows from here on."""
+        self.route = Route.from_here(plan, found, self.odometer, self._newest_ns)
+
+    def lifetime(self) -> EnergyTotals:
+        """Totals since the first start."""
+        return self._before_reset.plus(self.since_reset())
+
+    def charge(self) -> Uncertain:
+        """State of charge now, 0..1, its value NaN while unknown."""
+        return self.gauge.charge(self._newest_ns, self.lifetime().net)
+
+    def tick(self) -> AccountSummary | None:
+        """The summary, when the last is a second of stamps old."""
+        if self._newest_ns - self._summary_ns < SUMMARY_NS:
+            return None
+        self._summary_ns = self._newest_ns
+        return self.summary()
+
+    def summary(self) -> AccountSummary:
+        """The account now."""
+        since_reset, lifetime = self.since_reset(), self.lifetime().not_below(self._shown)
+        self._shown = lifetime
+        charge = self.gauge.charge(self._newest_ns, lifetime.net)
+        usable = self.gauge.usable(charge)
+        consumption = self._consumption(since_reset, lifetime)
+        return AccountSummary(
+            self._newest_ns,
+            since_reset,
+            lifetime,
+            consumption,
+            charge,
+            self.gauge.projected(self._newest_ns),
+            self.gauge.capacity,
+            usable,
+            self._remaining(usable, consumption),
+        )
+
+    def _consumption(self, since_reset: EnergyTotals, lifetime: EnergyTotals) -> dict[str, float]:
+        found = {f"{w.length / 1e3:g}": w.total for w in self.trip.windows if w.known}
+        for name, totals in (("trip", since_reset), ("lifetime", lifetime)):
+            if totals.distance >= LEAST_DISTANCE:
+                found[name] = Stretch(totals.distance, totals.driven)
+        return {name: stretch.energy / stretch.distance for name, stretch in found.items()}
+
+    def _remaining(self, usable: Uncertain, consumption: Mapping[str, float]) -> Remaining | None:
+        """It needs what the last 10 km cost, or a route; the long run is 100 km, or all so far."""
+        route = self._route_ahead()
+        recent = consumption.get("10", math.nan if route is None else route.cost)
+        long = consumption.get("100", consumption.get("lifetime", recent))
+        if math.isnan(recent):  # the long run is too short as well
+            return None
+        spread = cost_spread(self.trip.windows[-1].whole)
+        cost = Cost.ahead(recent, long, self.usual, spread)
+        return remaining(usable, cost if route is None else route.ahead(self.odometer, cost))
+
+    def _route_ahead(self) -> Route | None:
+        """The route that the car follows, unless it is over."""
+        route = self.route
+        over = route is None or route.left(self.odometer, self._newest_ns) <= 0.0
+        return None if over else route
+
+    def saved(self) -> SavedAccount:
+        """State to save."""
+        return SavedAccount(
+            version=STATE_VERSION,
+            vehicle=self._vehicle,
+            meter=self.meter.saved(),
+            trip=self.trip.saved(),
+            charge=self.gauge.saved(),
+            battery=self.battery.saved(),
+            correction=self._correction,
+            before_reset=self._before_reset,
+            shown=self._shown,
+            route=self._route_ahead(),
+        )
+
+    def take(self, saved: SavedAccount) -> None:
+        """Go on from a saved account; after a ValueError it is not to be used before `reset`."""
+        self.meter.take(saved.meter)
+        self.trip.take(saved.trip)
+        self.gauge.take(saved.charge)
+        self._shown, self.route = saved.shown or EnergyTotals(), saved.route
+        if saved.battery is None:
+            self.battery.reset()
+        else:
+            self.battery.take(saved.battery)
+        self._begin(saved.before_reset, saved.correction)

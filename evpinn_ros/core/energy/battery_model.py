@@ -1,0 +1,248 @@
+"""The battery as a state: its charge, and the voltage that falls with it and with current.
+
+What a kilowatt-hour takes of the state of charge is not one number: a full battery has a higher
+voltage than an empty one, and its resistance costs the more the harder it is driven. Charge in
+ampere hours is one number (61.2 to 62.7 Ah on eleven trips of an i3, whose energy per percent
+differs by 11 %). So the end of a plan is found by integrating
+
+    dq/dt = -I / Q,    P = V I,    V = U(q) - R I
+
+with the Runge-Kutta step of the paper, whose slopes depend on the state here, and so are more than
+a quadrature of P. U is a straight line in q; it and R are learned from voltage, current and state
+of charge by a Kalman filter, Q as the capacity is (`energy.charge`). A polarisation behind a
+second resistance was tried and brought nothing at the end of a plan
+(docs/project/benchmark_history.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.saved_fields import Range, Saveable
+from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
+from evpinn_ros.core.energy.forecast import Forecast
+from evpinn_ros.core.energy.quadrature import MAX_GAP, EnergyIntegral
+from evpinn_ros.core.energy.rknn import Slope, energy_step, slopes
+from evpinn_ros.core.signals.readings import (
+    MAX_CURRENT,
+    MAX_VOLTAGE,
+    MIN_VOLTAGE,
+    NANOSECONDS,
+    BatteryReading,
+)
+
+LEARN_EVERY = 1.0  # s
+# 1-sigma of the voltage that the model lacks, V: 1.5 V, which last for a minute.
+NOISE = 10.0
+LEAST_SAMPLES = 60  # before the model is used
+LEVEL_TIME = 20.0  # s over which what it lacks now is averaged
+# 1-sigma before any reading, and drift in an hour (temperature): of the voltage U at half
+# charge, of its slope by charge, both as shares of it; of R as a share of its prior.
+PRIOR_SHARE = np.array([0.08, 0.1, 1.0])
+DRIFT_SHARE = np.array([0.01, 0.005, 0.1])
+SLOPE_SHARE = 0.15  # of U, from empty to full: typical of lithium-ion cells
+RESISTANCE_SHARE = 0.013  # of U / (current that empties the battery in an hour), typical too
+USUAL_CHARGE = 3600 * 100.0  # A s, where the vehicle file has no capacity
+CHARGE_LIMITS = (3600.0, 3.6e7)  # A s
+STEPS, LONGEST_STEP = 200, 60.0  # of a forecast; s
+MOST_SAVED, MOST_SAMPLES = 1e6, 1e15
+
+
+class BatteryEnd(NamedTuple):
+    """The battery at the end of a plan: state of charge, 0..1, and terminal voltage, V or NaN."""
+
+    charge: Uncertain
+    voltage: float
+
+
+@dataclass(frozen=True, slots=True)
+class SavedBattery:
+    """Samples, U at half charge, its slope and R, their covariance row by row, and the gauge."""
+
+    samples: Annotated[int, Range(0, MOST_SAMPLES)]
+    state: Annotated[np.ndarray, Range(-MOST_SAVED, MOST_SAVED)]
+    covariance: Annotated[np.ndarray, Range(-MOST_SAVED, MOST_SAVED)]
+    full_charge: SavedGauge
+
+    def __post_init__(self) -> None:
+        """Refuse what no battery is."""
+        square = self.covariance.reshape(3, 3)
+        if self.samples and not (
+            MIN_VOLTAGE <= self.state[0] <= MAX_VOLTAGE
+            and np.allclose(square, square.T)
+            and float(np.linalg.eigvalsh(square)[0]) > 0
+        ):
+            raise ValueError("a number is out of range")
+
+
+class BatteryModel(Saveable[SavedBattery]):
+    """Learns one battery from its voltage, current and state of charge.
+
+    Attributes:
+        samples: seconds that it learned from.
+    """
+
+    def __init__(self, capacity: float) -> None:
+        """Begin without a reading; `capacity` of the vehicle file, J, NaN if unknown."""
+        self._capacity = capacity
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all."""
+        self.samples = 0
+        self._state = np.zeros(3)  # U at half charge, dU/dq, V; R, Ohm
+        self._covariance = np.zeros((3, 3))
+        self._gauge = ChargeGauge(math.nan, CHARGE_LIMITS)
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Join nothing to earlier readings: time jumped."""
+        self._current = EnergyIntegral(MAX_GAP)
+        self._gauge.begin_anew()
+        self._charge, self._level = math.nan, 0.0
+        self._learned_ns = 0
+
+    @property
+    def known(self) -> bool:
+        """True if there is enough of it to forecast with."""
+        return self.samples >= LEAST_SAMPLES and self._gauge.capacity.known
+
+    def add_reading(self, reading: BatteryReading) -> None:
+        """Take a reading; of what no battery has, nothing."""
+        if 0.0 <= reading.state_of_charge <= 1.0:
+            self._charge = reading.state_of_charge
+        voltage, current = reading.voltage, -reading.current
+        if not (MIN_VOLTAGE <= voltage <= MAX_VOLTAGE and abs(current) <= MAX_CURRENT):
+            return
+        dropped = self._current.dropped
+        self._current.append(reading.stamp_ns, current)
+        if self._current.dropped > dropped or math.isnan(self._charge):
+            return
+        if not self.samples:
+            self._begin(voltage)
+        taken = Uncertain(self._current.energy, 0.0)
+        self._gauge.update(reading.stamp_ns, self._charge, taken, self._current.gap_s)
+        if reading.stamp_ns - self._learned_ns >= LEARN_EVERY * NANOSECONDS:
+            self._learn(reading.stamp_ns, voltage, current)
+
+    def _begin(self, voltage: float) -> None:
+        """Take the priors, which scale with the first voltage."""
+        self._gauge = ChargeGauge(self._capacity / voltage, CHARGE_LIMITS)
+        scale = self._scale(voltage)
+        self._state = np.array([1.0, SLOPE_SHARE, 1.0]) * scale
+        self._covariance = np.diag((scale * PRIOR_SHARE) ** 2)
+
+    def _scale(self, voltage: float) -> np.ndarray:
+        """Scales of the shares of priors and drifts: U twice, V, and the prior of R, Ohm."""
+        full = self._capacity / voltage
+        hour = (USUAL_CHARGE if math.isnan(full) else full) / 3600
+        return np.array([voltage, voltage, RESISTANCE_SHARE * voltage / hour])
+
+    def _learn(self, stamp_ns: int, voltage: float, current: float) -> None:
+        """A Kalman update by one voltage, V, at a current, A."""
+        elapsed = (stamp_ns - self._learned_ns) / NANOSECONDS
+        elapsed = LEARN_EVERY if elapsed > MAX_GAP else elapsed
+        scale = self._scale(float(self._state[0]))
+        self._covariance += np.diag((scale * DRIFT_SHARE) ** 2 * elapsed / 3600)
+        excess = np.sqrt(np.diag(self._covariance)) / (scale * PRIOR_SHARE)
+        narrow = 1 / np.maximum(excess, 1.0)  # never less sure than before any reading
+        self._covariance *= np.outer(narrow, narrow)
+        row = np.array([1.0, self._charge - 0.5, -current])
+        error = voltage - float(row @ self._state)
+        towards = self._covariance @ row
+        gain = towards / (float(row @ towards) + NOISE**2)
+        self._state = self._state + gain * error
+        self._covariance = self._covariance - np.outer(gain, towards)
+        self._level += (voltage - float(row @ self._state) - self._level) * elapsed / LEVEL_TIME
+        self.samples += 1
+        self._learned_ns = stamp_ns
+
+    def after(self, result: Forecast, charge: Uncertain, capacity: Uncertain) -> BatteryEnd:
+        """The battery at the end of one plan; its charge 0 where it would be empty before.
+
+        Args:
+            result: forecast of a single plan, shape (n,).
+            charge: now, 0..1.
+            capacity: energy of the full battery, J.
+        """
+        left, sigma = self.along(result, charge, capacity)[:, -1].tolist()
+        if not math.isfinite(left + sigma):
+            return BatteryEnd(UNKNOWN, math.nan)
+        end, voltage = Uncertain(min(max(left, 0.0), 1.0), sigma), math.nan
+        if self.known:
+            drawn = self._drawn(float(result.power[-1]), left)
+            voltage = self._open_voltage(left) - self._resistance() * drawn
+        return BatteryEnd(end, voltage)
+
+    def along(self, result: Forecast, charge: Uncertain, capacity: Uncertain) -> np.ndarray:
+        """State of charge at each point of one plan and its 1-sigma, shape (2, n).
+
+        It is energy over capacity while too little is known of the battery itself; NaN where
+        unknown, below 0 where the battery would be empty.
+        """
+        if charge.known and self.known:
+            full = self._gauge.capacity
+            left = np.interp(result.time, *self._path(result, charge.value))
+            own = result.sigma / (full.value * np.maximum(self._line(left), MIN_VOLTAGE))
+        else:
+            full = capacity
+            left = charge.value - result.energy / full.value
+            own = result.sigma / full.value
+        lost = (charge.value - left) * full.sigma / full.value
+        return np.stack([left, np.sqrt(charge.sigma**2 + own**2 + lost**2)])
+
+    def _path(self, result: Forecast, charge: float) -> tuple[np.ndarray, list[float]]:
+        """Times of steps through a plan, s, and the state of charge at each, from `charge` on."""
+        start, end = float(result.time[0]), float(result.time[-1])
+        count = max(STEPS, math.ceil((end - start) / LONGEST_STEP))
+        grid, dt = np.linspace(start, end, count + 1), (end - start) / count
+        path = [charge]
+        for power in np.diff(np.interp(grid, result.time, result.energy)) / dt:
+            networks = self._networks(path[-1])
+            step = energy_step(slopes(networks, power, power, power, dt, path[-1]), dt)
+            path.append(path[-1] + float(step))
+        return grid, path
+
+    def _networks(self, charge: float) -> tuple[Slope, Slope, Slope, Slope]:
+        """The slopes of eq. 26-29, of a state: N1 to N4 are dq/dt, 1/s, N1 at the start."""
+
+        def slope(power: float, left: float = charge) -> float:
+            return -self._drawn(power, left) / self._gauge.capacity.value
+
+        return slope, slope, slope, slope
+
+    def _open_voltage(self, charge: float) -> float:
+        return max(float(self._line(charge)), MIN_VOLTAGE)
+
+    def _line(self, charge: Any) -> Any:
+        """U at states of charge, with what the straight line lacks now, V."""
+        base, slope = self._state[:2].tolist()
+        return base + slope * (charge - 0.5) + self._level
+
+    def _resistance(self) -> float:
+        return max(float(self._state[2]), 0.0)
+
+    def _drawn(self, power: float, charge: float) -> float:
+        """Current, A, that gives a power, W; the most there is where there is not enough."""
+        voltage = self._open_voltage(charge)
+        root = math.sqrt(max(voltage**2 - 4 * self._resistance() * power, 0.0))
+        return 2 * power / (voltage + root)  # the stable form, also for R = 0
+
+    def saved(self) -> SavedBattery:
+        """State to save."""
+        covariance = self._covariance.ravel()
+        return SavedBattery(self.samples, self._state, covariance, self._gauge.saved())
+
+    def take(self, saved: SavedBattery) -> None:
+        """Go on from what was learned."""
+        first = saved.state[0] if saved.samples else 1.0
+        gauge = ChargeGauge(self._capacity / first, CHARGE_LIMITS)
+        gauge.take(saved.full_charge)
+        self.samples, self._state = saved.samples, saved.state
+        self._covariance = saved.covariance.reshape(3, 3).copy()
+        self._gauge = gauge
+        self.begin_anew()

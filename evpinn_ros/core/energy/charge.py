@@ -1,0 +1,214 @@
+"""State of charge between its readings, and the capacity that it shows.
+
+A drop of the state of charge by d while the battery gave the measured energy E says that the full
+battery holds E / d. Readings are rounded, so d is only as good as their step, which is seen in
+them; what a percent is differs beside that with temperature and age, by `CAPACITY_SPREAD`. Such
+readings and the prior of the vehicle file are averaged by their variance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Annotated, NamedTuple
+
+from evpinn_ros.common.saved_fields import Range, Saveable
+from evpinn_ros.core.signals.readings import NANOSECONDS
+
+CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # without a reading, then a state of charge is projected
+LEAST_CHANGE = 0.1  # of the state of charge, that says something of capacity
+LEAST_STEPS = 10  # of its rounding, in that change
+FIRST_STEP = 0.01  # of the readings, before one was seen
+SMALLEST_STEP, LARGEST_STEP = 0.005, 0.05  # finer ones are drawn between readings
+CAPACITY_PRIOR = 0.2  # relative 1-sigma of the vehicle file: usable or gross, new or aged
+CAPACITY_SPREAD = 0.05  # 1-sigma of a reading beside rounding: docs/project/benchmark_history.md
+MOST_LEARNED = 1e9  # changes that a saved capacity rests on
+CAPACITY_LIMITS = (1e6, 5e9)  # J
+OUTLIER = 3.0  # sigma
+
+
+class Uncertain(NamedTuple):
+    """A value and its 1-sigma; NaN where unknown."""
+
+    value: float
+    sigma: float
+
+    @property
+    def known(self) -> bool:
+        """True if there is a value."""
+        return math.isfinite(self.value)
+
+
+UNKNOWN = Uncertain(math.nan, math.nan)
+
+
+class _ChargeSample(NamedTuple):
+    """A state of charge with what was counted at that moment.
+
+    Attributes:
+        stamp_ns: of the reading.
+        charge: 0..1.
+        consumed: net energy, J, measured or predicted.
+        variance: of `consumed`, J^2.
+        unmeasured_s: time so far that the battery was not measured, s; None in such a time.
+    """
+
+    stamp_ns: int
+    charge: float
+    consumed: float
+    variance: float
+    unmeasured_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class SavedGauge:
+    """Capacity that was learned, and the step of the readings; None before. Not the readings."""
+
+    capacity: Uncertain | None = None
+    learned: Annotated[int, Range(0, MOST_LEARNED)] = 0
+    step: Annotated[float, Range(SMALLEST_STEP, LARGEST_STEP)] | None = None
+
+
+class ChargeGauge(Saveable[SavedGauge]):
+    """Follows the state of charge and learns the capacity.
+
+    Attributes:
+        capacity: energy of the full battery, J.
+        learned: how many changes of the state of charge it rests on.
+    """
+
+    def __init__(self, capacity: float, limits: tuple[float, float] = CAPACITY_LIMITS) -> None:
+        """Start from a capacity and its limits, J, or A s where charge is counted.
+
+        Args:
+            capacity: of the vehicle file, NaN if unknown.
+            limits: of what is learned.
+        """
+        self._limits = limits
+        self._prior = Uncertain(capacity, CAPACITY_PRIOR * capacity)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all readings and all that was learned."""
+        self.take(SavedGauge())
+
+    def take(self, saved: SavedGauge) -> None:
+        """Go on from what was learned; ValueError where no battery holds that."""
+        low, high = self._limits
+        capacity = saved.capacity
+        if capacity is not None and not (low <= capacity[0] <= high and 0 < capacity[1] <= high):
+            raise ValueError(f"the capacity is not within {low:g} to {high:g}")
+        self.capacity, self.learned = capacity or self._prior, saved.learned
+        self._step, self._step_seen = saved.step or FIRST_STEP, saved.step is not None
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Join nothing to earlier readings: time jumped, or energy counts from elsewhere."""
+        self._last: _ChargeSample | None = None
+        self._anchor: _ChargeSample | None = None
+
+    @property
+    def rounding(self) -> float:
+        """1-sigma of one reading, 0..1, from the size of its steps."""
+        return self._step / math.sqrt(12.0)
+
+    def update(
+        self, stamp_ns: int, charge: float, consumed: Uncertain, unmeasured_s: float | None
+    ) -> None:
+        """Take a state of charge; one that is not within 0..1 says nothing.
+
+        Args:
+            stamp_ns: of the reading.
+            charge: 0..1.
+            consumed: net energy since whenever, J.
+            unmeasured_s: time so far that this energy was not measured, s; None while it is not.
+        """
+        if not 0.0 <= charge <= 1.0:
+            return
+        sample = _ChargeSample(stamp_ns, charge, consumed.value, consumed.sigma**2, unmeasured_s)
+        if self._last is not None:
+            self._see_step(abs(charge - self._last.charge))
+        self._last = sample
+        anchor = self._anchor
+        if anchor is None or unmeasured_s is None or anchor.unmeasured_s != unmeasured_s:
+            self._anchor = sample
+        else:
+            self._learn(anchor, sample)
+
+    def _see_step(self, step: float) -> None:
+        if not 0.0 < step <= LARGEST_STEP:
+            return
+        step = max(step, SMALLEST_STEP)
+        self._step = min(self._step, step) if self._step_seen else step
+        self._step_seen = True
+
+    def _learn(self, anchor: _ChargeSample, sample: _ChargeSample) -> None:
+        change = anchor.charge - sample.charge
+        if abs(change) < max(LEAST_CHANGE, LEAST_STEPS * self._step):
+            return
+        self._anchor = sample
+        found = (sample.consumed - anchor.consumed) / change
+        if not self._limits[0] <= found <= self._limits[1]:
+            return
+        spread = math.hypot(CAPACITY_SPREAD, math.sqrt(2) * self.rounding / change)
+        self._average(Uncertain(found, spread * found))
+        self.learned += 1
+
+    def _average(self, found: Uncertain) -> None:
+        """Weigh by variance, and never be surer than one reading's spread over four.
+
+        What lies far off is as unsure as that: a winter trip of the i3 says 29 kWh, others 23.
+        """
+        if not self.capacity.known:
+            self.capacity = found
+            return
+        difference = found.value - self.capacity.value
+        variance = max(found.sigma, abs(difference) / OUTLIER) ** 2
+        gain = self.capacity.sigma**2 / (self.capacity.sigma**2 + variance)
+        value = self.capacity.value + gain * difference
+        sigma = max(self.capacity.sigma * math.sqrt(1 - gain), CAPACITY_SPREAD * value / 4)
+        self.capacity = Uncertain(value, sigma)
+
+    def projected(self, stamp_ns: int) -> bool:
+        """True if the state of charge at this moment is no reading but follows from energy."""
+        return self._last is not None and stamp_ns - self._last.stamp_ns > CHARGE_TIMEOUT_NS
+
+    def charge(self, stamp_ns: int, consumed: Uncertain) -> Uncertain:
+        """State of charge, 0..1, at a moment by which this net energy, J, was taken.
+
+        The reading itself while it is at most a minute old; the energy taken since is taken off
+        it from then on. Unknown without a reading, or where the capacity for that is missing.
+        """
+        last = self._last
+        if last is None:
+            return UNKNOWN
+        if not self.projected(stamp_ns):
+            return Uncertain(last.charge, self.rounding)
+        if not self.capacity.known:
+            return UNKNOWN
+        taken = consumed.value - last.consumed
+        value = last.charge - taken / self.capacity.value
+        variance = (
+            self.rounding**2
+            + max(consumed.sigma**2 - last.variance, 0.0) / self.capacity.value**2
+            + (taken * self.capacity.sigma / self.capacity.value**2) ** 2
+        )
+        return Uncertain(min(max(value, 0.0), 1.0), math.sqrt(variance))
+
+    def energy_between(self, before: float, after: float) -> Uncertain:
+        """Energy, J, that two states of charge, 0..1, lie apart; unknown without capacity."""
+        drop = before - after
+        sigma = math.hypot(
+            math.sqrt(2) * self.rounding * self.capacity.value, drop * self.capacity.sigma
+        )
+        return Uncertain(drop * self.capacity.value, sigma)
+
+    def usable(self, charge: Uncertain) -> Uncertain:
+        """Energy left, J, at a state of charge."""
+        sigma = math.hypot(charge.value * self.capacity.sigma, charge.sigma * self.capacity.value)
+        return Uncertain(charge.value * self.capacity.value, sigma)
+
+    def saved(self) -> SavedGauge:
+        """State to save."""
+        capacity = self.capacity if self.learned > 0 else None
+        return SavedGauge(capacity, self.learned, self._step if self._step_seen else None)

@@ -1,0 +1,55 @@
+"""Plan that a drive would have been, and heights as roads have them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from evpinn_ros.core.energy.plan import COARSE, Plan, plan_from_speed_profile, travelled
+
+PLAN_STEP = 1.0  # s between points of a plan
+ELEVATION_STEP = 5.0  # m
+ELEVATION_SMOOTHING = 50.0  # m, 1-sigma: a logged altitude comes in steps of a metre
+MOST_STEPS = 1_000_000  # of elevation; longer ways have longer ones
+
+
+def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
+    """The plan that a drive would have been: speed once a second, and elevation.
+
+    Speeds that are so far apart that they vary in between (`COARSE`) are its points as they are,
+    so that what drivers do between them is expected.
+
+    Args:
+        speed: time, s, rising, and m/s, shape (n, 2), some seconds long.
+        altitude: time, s, and m, shape (m, 2); empty for a flat road.
+    """
+    time, speeds = speed[:, 0] - speed[0, 0], speed[:, 1]
+    rough = float(np.median(np.diff(time))) > COARSE
+    # The last step is longer or shorter by half at the most, so that the plan ends as the drive.
+    steps = np.arange(0.0, time[-1] - PLAN_STEP / 2, PLAN_STEP)
+    grid = time if rough else np.append(steps, time[-1])
+    at = np.maximum(np.interp(grid, time, speeds), 0.0)
+    if not len(altitude):
+        return plan_from_speed_profile(grid, None, at)
+    seen = np.interp(altitude[:, 0] - speed[0, 0], time, travelled(time, speeds))
+    height = road_height(seen, altitude[:, 1], travelled(grid, at))
+    return plan_from_speed_profile(grid, None, at, height)
+
+
+def road_height(along: np.ndarray, height: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Heights of a road, m, at distances, m, shape (n,), smoothed over `ELEVATION_SMOOTHING`.
+
+    Args:
+        along: where heights are known, m, not falling, shape (m,).
+        height: m, shape (m,).
+        distance: from 0 on, not falling, shape (n,).
+    """
+    end = max(float(along[-1]), float(distance[-1]))
+    step = max(ELEVATION_STEP, end / MOST_STEPS)
+    road = np.arange(0.0, end + step, step)
+    first = np.concatenate(([True], np.diff(along) > 0))
+    smooth = gaussian_filter1d(
+        np.interp(road, along[first], height[first]), ELEVATION_SMOOTHING / step
+    )
+    found: np.ndarray = np.interp(distance, road, smooth)
+    return found

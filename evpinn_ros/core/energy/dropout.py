@@ -1,0 +1,157 @@
+"""A battery dropout: what the prediction says of it, and what is made of that when it is over.
+
+The state of charge before and after says the energy of a dropout too, as sure as its steps and
+the capacity are: two statements of one quantity, joined by their variances. What cannot be: a
+state of charge that rose was charged in between, and two statements further apart than three
+sigma contradict each other; then the prediction stays, and the diagnostics say so. Where speed
+was silent as well the prediction lacks that time: the state of charge alone counts. Without a
+state of charge nothing is known of how wrong the prediction was: the battery tells power, and the
+power of that time is gone.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+import math
+from typing import NamedTuple
+
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.plausible import Joules, Seconds
+
+LEAST_DROPOUT = 60.0  # s; in less the state of charge hardly moves a step
+MOST_UNKNOWN = 2.0  # s without speed that a prediction may lack
+CONTRADICTION = 3.0  # sigma
+
+
+class Bridge(NamedTuple):
+    """Prediction for a dropout, or for many.
+
+    Attributes:
+        energy: net, J.
+        regenerated: as positive J.
+        gross: drawn and regenerated together, J.
+        covered_s: time that the prediction covers, s.
+    """
+
+    energy: Joules = 0.0
+    regenerated: Joules = 0.0
+    gross: Joules = 0.0
+    covered_s: Seconds = 0.0
+
+    @classmethod
+    def of_parts(cls, drawn: float, regenerated: float) -> Bridge:
+        """Make one of drawn and regenerated energy, J, over a time that is counted elsewhere."""
+        return cls(drawn - regenerated, regenerated, drawn + regenerated)
+
+    def plus(self, other: Bridge) -> Bridge:
+        """Both together."""
+        return Bridge(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def less(self, other: Bridge) -> Bridge:
+        """Difference to an earlier one."""
+        return Bridge(*(a - b for a, b in zip(self, other, strict=True)))
+
+
+class Dropout(NamedTuple):
+    """One battery dropout that ended.
+
+    Attributes:
+        end_ns: stamp of the battery's first word after it.
+        duration: s.
+        bridge: what the prediction says of it.
+        short_sigma: 1-sigma of its energy by errors of power that pass, J.
+        sigma: 1-sigma of its energy with the error that lasts too, J.
+    """
+
+    end_ns: int
+    duration: float
+    bridge: Bridge
+    short_sigma: float
+    sigma: float
+
+    @property
+    def unknown_s(self) -> float:
+        """Time of it that nothing is known of, for speed was silent too, s."""
+        return max(self.duration - self.bridge.covered_s, 0.0)
+
+
+class Dropouts(NamedTuple):
+    """All dropouts together, and what the prediction adds between two samples of the battery.
+
+    Attributes:
+        bridged: what the prediction says of them.
+        variance: of its energy, J^2.
+        lasting_variance: the part of that by errors that last through a dropout, J^2.
+        seconds: their duration.
+    """
+
+    bridged: Bridge = Bridge()
+    variance: float = 0.0
+    lasting_variance: float = 0.0
+    seconds: float = 0.0
+
+    def after(self, dropout: Dropout) -> Dropouts:
+        """With one more."""
+        return Dropouts(
+            self.bridged.plus(dropout.bridge),
+            self.variance + dropout.sigma**2,
+            self.lasting_variance + dropout.sigma**2 - dropout.short_sigma**2,
+            self.seconds + dropout.duration,
+        )
+
+    def corrected(self, bridge: Bridge, variance: float) -> Dropouts:
+        """With what a prediction adds, J, and its variance, J^2, while the battery speaks."""
+        return self._replace(bridged=self.bridged.plus(bridge), variance=self.variance + variance)
+
+
+class Verdict(str, Enum):
+    """Verdict on a dropout."""
+
+    PREDICTED = "predicted: no state of charge to compare"
+    SHORT = "predicted: too short for the state of charge to tell"
+    JOINED = "joined with the state of charge"
+    CHARGE_ALONE = "from the state of charge: speed was silent too"
+    CHARGED = "charged in between: the prediction stays"
+    CONTRADICTED = "the state of charge contradicts the prediction, which stays"
+
+
+class Reconciled(NamedTuple):
+    """A dropout and what was made of it; energies in J.
+
+    Attributes:
+        dropout: with what was predicted.
+        by_charge: the energy that the state of charge says, NaN where it says nothing.
+        correction: added to what was predicted.
+        variance_taken: by which the variance of the energy fell, J^2; negative where it rose.
+        verdict: which of the rules applied.
+    """
+
+    dropout: Dropout
+    by_charge: Uncertain
+    correction: float
+    variance_taken: float
+    verdict: Verdict
+
+
+def reconcile(dropout: Dropout, by_charge: Uncertain) -> Reconciled:
+    """Join the prediction of a dropout with the energy, J, that the state of charge says."""
+
+    def keep(verdict: Verdict) -> Reconciled:
+        return Reconciled(dropout, by_charge, 0.0, 0.0, verdict)
+
+    difference = by_charge.value - dropout.bridge.energy
+    if not (math.isfinite(difference) and math.isfinite(dropout.sigma)):
+        return keep(Verdict.PREDICTED)
+    if dropout.duration < LEAST_DROPOUT:
+        return keep(Verdict.SHORT)
+    both = math.hypot(dropout.sigma, by_charge.sigma)
+    if difference < -CONTRADICTION * both and by_charge.value < 0:
+        return keep(Verdict.CHARGED)
+    if dropout.unknown_s > MOST_UNKNOWN:
+        taken = dropout.sigma**2 - by_charge.sigma**2
+        return Reconciled(dropout, by_charge, difference, taken, Verdict.CHARGE_ALONE)
+    if abs(difference) > CONTRADICTION * both:
+        return keep(Verdict.CONTRADICTED)
+    gain = (dropout.sigma / both) ** 2
+    taken = gain * dropout.sigma**2
+    return Reconciled(dropout, by_charge, gain * difference, taken, Verdict.JOINED)

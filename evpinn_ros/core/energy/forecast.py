@@ -1,0 +1,368 @@
+"""The energy that plans will take, and how sure that is.
+
+`forecast` is for optimisers: many speed profiles at once, whole trips, numpy or torch.
+`forecast_plan` is for one plan, or a few, with energy and power at every point. Both take each leg
+as one step of the one equation (`energy.power_model`): kinetic and potential energy are exact
+whatever the leg. The variance of the energy of a trip adds up what is not known of the car and of
+this drive, off in the same sense for the whole trip; loads that wander; what no state explains;
+and the hills of a plan that has none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.arrays import namespace
+from evpinn_ros.core.energy.charge import ChargeGauge, Uncertain
+from evpinn_ros.core.energy.plan import COARSE, Legs, Plan, PlanConditions, PlanError, points_of
+from evpinn_ros.core.energy.power_model import (
+    PlanEnd,
+    PowerModel,
+    Weather,
+    even_steps,
+    vehicle_model,
+)
+from evpinn_ros.core.estimation.journey import standing, wandered
+from evpinn_ros.core.estimation.states import SIZE, State
+from evpinn_ros.core.estimation.terms import WHOLE, Part
+from evpinn_ros.core.estimation.unevenness import Path, size_of, stops_of
+from evpinn_ros.core.signals.interval import Steps
+from evpinn_ros.core.signals.road import density_of_air
+from evpinn_ros.core.vehicle.files import Vehicle
+
+DIRECTION_LENGTH = 5e3  # m within which a trip turns away from where the car now points
+UNKNOWN_END = PlanEnd(np.full(SIZE, math.nan), *(math.nan,) * 5)
+# Profiles computed together, and about their points, so that what they need stays in the cache.
+TOGETHER, POINTS_TOGETHER = 64, 24_000
+
+
+class Profiles(NamedTuple):
+    """Candidate speed profiles, numpy arrays or torch tensors.
+
+    Attributes:
+        time: s, strictly rising, shape (n,) for all alike or (batch, n).
+        speed: m/s, not negative, shape (batch, n); linear between its points.
+        elevation: m, shape (n,) or (batch, n), None for a flat road.
+    """
+
+    time: Any
+    speed: Any
+    elevation: Any = None
+
+
+class Energies(NamedTuple):
+    """Energy of each profile and its 1-sigma, J, shape (batch,), of the kind that came in."""
+
+    energy: Any
+    sigma: Any
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forecast:
+    """Energy along a plan; all arrays have the plan's shape, (n,) or (batch, n).
+
+    Attributes:
+        time: s.
+        energy: J since the first point; less than before where the car regenerates.
+        power: W at each point, with the acceleration and grade of the leg that follows (at the
+            last point: of the leg that ends there).
+        sigma: 1-sigma of energy, J.
+        end: of the whole plan, what a comparison with another needs.
+    """
+
+    time: np.ndarray
+    energy: np.ndarray
+    power: np.ndarray
+    sigma: np.ndarray
+    end: PlanEnd = UNKNOWN_END
+
+
+class Air(NamedTuple):
+    """The air outside; None where nothing fresh tells.
+
+    Attributes:
+        celsius: temperature.
+        pascal: pressure.
+        head: wind against the car as it points now, m/s over ground.
+    """
+
+    celsius: float | None = None
+    pascal: float | None = None
+    head: float | None = None
+
+
+UNKNOWN_AIR = Air()
+
+
+class PlanBasis(NamedTuple):
+    """Arguments of `forecast_plan` beside the plan."""
+
+    model: PowerModel
+    weather: Weather
+    head_wind: float
+
+    @classmethod
+    def of(
+        cls,
+        model: PowerModel,
+        given: PlanConditions,
+        air: Air = UNKNOWN_AIR,
+        density: float | None = None,
+    ) -> PlanBasis:
+        """The basis of a trip's forecast.
+
+        Args:
+            model: of the car.
+            given: what a planner expects.
+            air: measured, for what is not given.
+            density: of the air, kg/m^3; None: by its temperature and pressure.
+        """
+        celsius = air.celsius if given.temperature is None else given.temperature
+        head_wind = air.head if given.head_wind is None else given.head_wind
+        if density is None:
+            reference = model.car.equation.vehicle.air_density
+            density = density_of_air(reference, celsius, air.pascal)
+        start = model.start(given.stood, given.prewarmed or 0.0)
+        weather = Weather(density, celsius, given.heating, start)
+        return cls(model.with_payload(given.payload or 0.0), weather, head_wind or 0.0)
+
+
+class PlannedEnergy(NamedTuple):
+    """Energy of a plan.
+
+    Attributes:
+        given: the plan as it was given.
+        trip: its points.
+        basis: the car and the conditions that it was found with.
+        found: its energy.
+        charge: state of charge at each point, 0..1, and its 1-sigma, shape (2, n); NaN where
+            unknown, below 0 where the battery is empty before.
+        gauge: what is known of the battery.
+    """
+
+    given: Plan | Legs
+    trip: Plan
+    basis: PlanBasis
+    found: Forecast
+    charge: np.ndarray
+    gauge: ChargeGauge
+
+
+class Change(NamedTuple):
+    """A trip driven otherwise: what, the energy it takes more, J, and the time, s."""
+
+    words: str
+    energy: Uncertain
+    seconds: float
+
+
+def forecast(
+    profiles: Profiles,
+    vehicle: Vehicle,
+    model: PowerModel | None = None,
+    *,
+    air_density: float | None = None,
+) -> Energies:
+    """Energy of many speed profiles, and its 1-sigma.
+
+    With torch the results have gradients by all three. Power bends where the car turns from
+    driving to braking, and where the table of the network goes on to its next node; the gradient
+    is that of the pieces.
+
+    Args:
+        profiles: what might be driven.
+        vehicle: the car.
+        model: what was learned of it, None for the vehicle file alone.
+        air_density: kg/m^3, None for the vehicle's.
+
+    Raises:
+        PlanError: shapes do not fit, time does not rise, speed is negative or a number not finite.
+    """
+    time, speed, _ = profiles
+    if speed.ndim != 2 or speed.shape[1] < 2 or time.shape[-1] != speed.shape[1]:
+        raise PlanError(
+            f"speed {tuple(speed.shape)} and time {tuple(time.shape)} must be (batch, n) and (n,) "
+            "or (batch, n), with n of 2 or more"
+        )
+    model = vehicle_model(vehicle) if model is None else model
+    density = vehicle.air_density if air_density is None else air_density
+    batch = max(1, min(TOGETHER, POINTS_TOGETHER // speed.shape[1]))
+    parts = []
+    for begin in range(0, len(speed), batch):
+        some = (
+            each if each is None or each.ndim == 1 else each[begin : begin + batch]
+            for each in profiles
+        )
+        parts.append(_sums(Profiles(*some), model, density))
+    if not parts:
+        return Energies(speed[:, 0], speed[:, 0])
+    xp = namespace(speed)
+    rows, elapsed, stood, square, unseen = map(xp.concatenate, zip(*parts, strict=True))
+    noise = model.noise(elapsed, stood, square)
+    found = Energies(*model.predicted(rows, elapsed, noise, unseen))
+    if not bool(xp.isfinite(found.energy + found.sigma).all()):
+        raise PlanError("a number of the profiles is not finite")
+    return found
+
+
+def forecast_plan(
+    plan: Plan | Legs,
+    model: PowerModel,
+    weather: Weather,
+    head_wind: float = 0.0,
+    *,
+    along: bool = True,
+) -> Forecast:
+    """Energy, power and 1-sigma along a plan.
+
+    Where its points lie further apart than some seconds, what drivers do between them is expected,
+    as this car's drives had it (`estimation.unevenness`).
+
+    Args:
+        plan: one trip, legs of one, or many trips.
+        model: of the car.
+        weather: on the way.
+        head_wind: against the car at the start, m/s over ground. Few plans say where they lead,
+            so less and less of it is expected along the way.
+        along: whether sigma is wanted at every point of one trip; without it may be NaN at all
+            but the last, which takes half the time.
+
+    Raises:
+        PlanError: the model gives no finite energy.
+    """
+    points = points_of(plan)
+    wind, elapsed = _wind(points, head_wind), points.time - points.time[..., :1]
+    duration, length = np.diff(points.time), np.diff(points.distance)
+    if isinstance(plan, Legs):
+        unknown = plan.length * ~plan.height_known
+    else:
+        unknown = length * (np.ptp(plan.elevation, axis=-1, keepdims=True) == 0.0)
+    uneven = np.zeros_like(length)
+    steps = standing(duration, length), length**2 / duration, unknown
+    stood, square, unseen = (np.cumsum(each, axis=-1) for each in steps)
+    noise = model.noise(elapsed[..., 1:], stood, square)
+    energies = None
+    if _is_coarse(points):
+        path = _path(points, weather.air_density, wind)
+        legs, beyond = model.leg_rows(path, weather)
+        uneven = size_of(np.abs(beyond @ model.car.mean), stops_of(path, model.car.mean))
+        rows = np.cumsum(legs, axis=0)
+    elif along or duration.ndim > 1:
+        rows = model.rows_along(_steps(points, wind), weather)
+    else:
+        row, energies = model.whole_row(_steps(points, wind), weather)
+        rows = row[None]
+    sums = elapsed[..., 1:], noise, unseen, uneven
+    energy, sigma = model.predicted(rows, *(each[..., -rows.shape[-2] :] for each in sums))
+    possible = np.isfinite(sigma).all()
+    if energies is not None:
+        energy = np.cumsum(energies) + model.car.mean[State.LOAD] * wandered(elapsed[1:])[1]
+        sigma = np.concatenate((np.full(len(energy) - 1, math.nan), sigma))
+    zero = np.zeros_like(elapsed[..., :1])
+    energy, sigma = (np.concatenate((zero, each), axis=-1) for each in (energy, sigma))
+    power = np.diff(energy) / duration
+    power = np.concatenate((power, power[..., -1:]), axis=-1)
+    if not (possible and np.isfinite(energy + power).all()):
+        raise PlanError("by the model of the car its energy is not finite")
+    end = UNKNOWN_END
+    if energy.ndim == 1:
+        whole = elapsed, points.distance - points.distance[0], noise, unseen, uneven
+        end = PlanEnd(rows[-1], *(float(each[-1]) for each in whole))
+    return Forecast(time=points.time, energy=energy, power=power, sigma=sigma, end=end)
+
+
+def plan_parts(
+    plan: Plan | Legs, found: Forecast, model: PowerModel, weather: Weather, head_wind: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Energies of one trip by part and their 1-sigma, J, shape (COUNT + 1,) each.
+
+    They are in the order of `terms.Part`; the last is what uneven speed between the points takes.
+
+    Args:
+        plan: the trip.
+        found: its forecast, with the arguments that follow.
+        model: of the car.
+        weather: on the way.
+        head_wind: against the car at the start, m/s over ground.
+    """
+    points = points_of(plan)
+    wind = _wind(points, head_wind)
+    steps = _steps(points, wind)
+    if _is_coarse(points):
+        wind = (wind[1:] + wind[:-1]) / 2.0
+        steps = even_steps(steps.duration, steps.distance, steps.climb, wind)
+    rows = np.concatenate((model.parts(steps, weather), np.zeros((1, SIZE))))
+    rows[Part.STANDING, State.LOAD] = found.end.row[State.LOAD]
+    rows[-1] = found.end.row - rows[WHOLE].sum(0)
+    car = model.car
+    variance = car.trust * np.einsum("ij,jk,ik->i", rows, model.covariance, rows)
+    variance[-1] += (car.unevenness.share * found.end.uneven) ** 2
+    return rows @ car.mean, np.sqrt(np.maximum(variance, 0.0))
+
+
+def _is_coarse(points: Plan) -> bool:
+    """True for one trip whose points are so far apart that its speed varies between them."""
+    duration = np.diff(points.time)
+    return duration.ndim == 1 and float(np.median(duration)) > COARSE
+
+
+def _wind(points: Plan, head_wind: float) -> np.ndarray:
+    """Wind against the car at each point, m/s."""
+    along = points.distance - points.distance[..., :1]
+    return np.asarray(head_wind * np.exp(-along / DIRECTION_LENGTH))
+
+
+def _path(points: Plan, density: float, wind: np.ndarray) -> Path:
+    """Legs between points of one trip, shape (n - 1,); wind: against the car at each, m/s."""
+    duration, length = np.diff(points.time), np.diff(points.distance)
+    zero = np.zeros_like(duration)
+    climb = np.diff(points.elevation)
+    return Path(duration, length, zero, zero, climb, density + zero, (wind[1:] + wind[:-1]) / 2.0)
+
+
+def _steps(plan: Plan, wind: np.ndarray) -> Steps:
+    """Steps between the points of one trip, or many; wind: against the car at each, m/s.
+
+    Distance is cubic in time between two points, so speed is the parabola with the given ends and
+    the leg's length as its integral.
+    """
+    duration, length = np.diff(plan.time), np.diff(plan.distance)
+    start, end = plan.speed[..., :-1], plan.speed[..., 1:]
+    # A profile whose speeds contradict its distances could call for reversing in the middle.
+    middle = np.maximum(1.5 * length / duration - (start + end) / 4, 0.0)
+    first, last = wind[..., :-1], wind[..., 1:]
+
+    def drag(speed: np.ndarray, wind: np.ndarray) -> np.ndarray:
+        flow = speed + wind
+        return np.asarray(flow * np.abs(flow) * speed)
+
+    air = drag(start, first) + 4.0 * drag(middle, (first + last) / 2.0) + drag(end, last)
+    kinetic = (end**2 - start**2) / 2.0
+    return Steps(duration, length, air * duration / 6.0, kinetic, np.diff(plan.elevation))
+
+
+def _sums(profiles: Profiles, model: PowerModel, density: float) -> tuple[Any, ...]:
+    """Sums over each profile: its row; s; s standing; integral of speed squared; m not seen."""
+    time, speed, elevation = profiles
+    xp = namespace(speed)
+    duration = xp.diff(time)
+    if not bool((duration > 0).all()):
+        raise PlanError("time does not rise")
+    if not (speed.min() >= 0 and speed.max() < math.inf):  # neither is NaN
+        raise PlanError("speed is negative or not finite")
+    duration = duration.reshape(-1, duration.shape[-1])  # of all trips, or one each
+    twice, half = speed[:, :-1] + speed[:, 1:], 0.5 * speed**2
+    length = twice * (0.5 * duration)
+    climb: Any = 0.0 if elevation is None else xp.diff(elevation)
+    if elevation is not None and not bool(xp.isfinite(climb.sum())):
+        raise PlanError("elevation is not finite")
+    # The integral of v^3 where speed is linear; (a + b)(a^2 + b^2) / 4 is exact.
+    air = length * (half[:, :-1] + half[:, 1:])
+    rows = model.summed_rows(Steps(duration, length, air, xp.diff(half), climb), Weather(density))
+    stood, square = standing(duration, length).sum(-1), 0.5 * (twice * length).sum(-1)
+    unseen = length.sum(-1) * (elevation is None)
+    return rows, xp.broadcast_to(duration.sum(-1), stood.shape), stood, square, unseen

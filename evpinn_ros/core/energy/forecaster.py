@@ -1,0 +1,205 @@
+"""Answers plans from the newest that is known of the car and its battery."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from evpinn_ros.core.energy.battery_model import BatteryModel
+from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
+from evpinn_ros.core.energy.forecast import Air, Forecast, PlanBasis, forecast_plan
+from evpinn_ros.core.energy.plan import UNNAMED, UNSAID, Plan, PlanConditions, Question
+from evpinn_ros.core.energy.plausible import car_is_possible
+from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, combined_model, vehicle_model
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    PressureReading,
+    TemperatureReading,
+    WindReading,
+)
+from evpinn_ros.core.signals.road import WIND_STALE_AFTER
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.identifiable import Identifiable
+
+MOST_POINTS_TOGETHER = 100_000  # of all plans that are compared, which are kept for that
+
+
+STALE_AFTER = Air(1800.0, 1800.0, WIND_STALE_AFTER)
+"""s since each was received, after which it counts as unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanAnswer:
+    """The forecast of a plan; state of charge, 0..1, and voltage, V or NaN, at its end.
+
+    `differences` is what it takes more than each plan asked together with it, by name, J;
+    `conditions` are the names of those that a planner gave, all else being the last known;
+    `assumed` are the conditions that the forecast took, by name, without those not known.
+    """
+
+    forecast: Forecast
+    charge: Uncertain
+    voltage: float
+    differences: Mapping[str, Uncertain]
+    conditions: tuple[str, ...] = ()
+    assumed: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class PlanLog:
+    """Plans so far, and the outcome of the last.
+
+    Attributes:
+        answered: how many were answered.
+        refused: how many were refused.
+        problem: why the last was refused, None when it was answered.
+        charge_after: state of charge, 0..1, at the end of the last that was answered.
+    """
+
+    answered: int = 0
+    refused: int = 0
+    problem: str | None = None
+    charge_after: Uncertain = UNKNOWN
+
+    def answer(self, charge: Uncertain) -> None:
+        """Count a plan that was answered, with the state of charge at its end."""
+        self.answered, self.problem, self.charge_after = self.answered + 1, None, charge
+
+    def refuse(self, reason: str) -> None:
+        """Count a plan that was refused."""
+        self.refused, self.problem = self.refused + 1, reason
+
+
+class Basis(str, Enum):
+    """Basis of forecasts, and its topic; each is better than those before."""
+
+    VEHICLE_FILE = "vehicle file"
+    COMBINATIONS = "estimate/identifiable"
+    MODEL = "estimate/model"
+
+
+class Forecaster:
+    """Holds what forecasts need.
+
+    Attributes:
+        basis: what they rest on.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Start from the vehicle's priors."""
+        self._vehicle = vehicle
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all that was received."""
+        self.basis = Basis.VEHICLE_FILE
+        self._model = vehicle_model(self._vehicle)
+        self._air: dict[str, tuple[float, int]] = {}  # values, and when they were received, ns
+        self._conditions = UNSAID
+        self._together: Hashable = None
+        self._others: dict[str, tuple[Plan, PlanEnd]] = {}
+        self._compared_with: object = None
+
+    def set_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
+        """Take an estimate of the car and its 1-sigma.
+
+        Raises:
+            ValueError: there is no such car; what was received before stays.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not possible
+            given = combined_model(combined, sigmas, self._vehicle)
+            possible = car_is_possible(given.car)
+        if not possible:
+            raise ValueError("out_of_range")
+        if self.basis is not Basis.MODEL:
+            self._model, self.basis = given, Basis.COMBINATIONS
+
+    def set_model(self, car: CarModel) -> None:
+        """Take all that is known of the car's power."""
+        self._model, self.basis = PowerModel(car), Basis.MODEL
+
+    def set_air(
+        self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int
+    ) -> None:
+        """Take a reading of the air, received now."""
+        for name in Air._fields:
+            if hasattr(reading, name):
+                self._air[name] = getattr(reading, name), now_ns
+
+    def set_conditions(self, conditions: PlanConditions) -> None:
+        """Take the conditions of all plans from now on, in place of those before."""
+        self._conditions = conditions
+
+    def air(self, now_ns: int) -> Air:
+        """Air at this moment; a clock that went back makes nothing younger."""
+        fresh = {
+            name: value
+            for name, (value, received_ns) in self._air.items()
+            if abs(now_ns - received_ns) <= getattr(STALE_AFTER, name) * NANOSECONDS
+        }
+        return Air(**fresh)
+
+    def answer(
+        self,
+        plan: Plan,
+        charge: Uncertain,
+        capacity: Uncertain,
+        now_ns: int,
+        battery: BatteryModel,
+        asked: Question = UNNAMED,
+    ) -> PlanAnswer:
+        """The energy a plan takes, and what it leaves in the battery.
+
+        Args:
+            plan: one trip.
+            charge: state of charge now, 0..1.
+            capacity: energy of the full battery, J.
+            now_ns: by the clock of `set_air`.
+            battery: tells its end better than capacity once enough is known of it.
+            asked: what of it; conditions that it leaves out are as `set_conditions` has them.
+
+        Raises:
+            PlanError: there is no finite answer.
+        """
+        given = asked.conditions.or_else(self._conditions)
+        basis = PlanBasis.of(self._model, given, self.air(now_ns))
+        charge = given.charge_from(charge)
+        result = forecast_plan(plan, *basis, along=asked.along)
+        differences = self._compare(asked, plan, result.end, basis)
+        celsius = basis.weather.celsius
+        taken = {
+            "temperature": self._model.car.celsius if celsius is None else celsius,
+            "heating": given.heating,
+            "head_wind": basis.head_wind,
+            "payload": given.payload or 0.0,
+            "charge": charge.value if charge.known else None,
+            "stood": given.stood,
+            "prewarmed": given.prewarmed or 0.0,
+        }
+        assumed = {name: value for name, value in taken.items() if value is not None}
+        end = battery.after(result, charge, capacity)
+        return PlanAnswer(result, *end, differences, given.given, assumed)
+
+    def _compare(
+        self, asked: Question, plan: Plan, end: PlanEnd, basis: PlanBasis
+    ) -> dict[str, Uncertain]:
+        """Energy of a plan beyond those asked together with it, by their names, J."""
+        if asked.together is None or asked.together != self._together:
+            self._together, self._others = asked.together, {}
+        if basis != self._compared_with:  # the others were answered with the car of before
+            self._compared_with = basis
+            for name, (other, _) in self._others.items():
+                self._others[name] = other, forecast_plan(other, *basis, along=False).end
+        differences = {
+            name: basis.model.difference(end, other)
+            for name, (_, other) in self._others.items()
+            if name != asked.name
+        }
+        points = sum(other.time.size for other, _ in self._others.values())
+        if asked.together is not None and points + plan.time.size <= MOST_POINTS_TOGETHER:
+            self._others[asked.name] = plan, end
+        return differences

@@ -1,0 +1,147 @@
+"""Plan along the points of a path: by their stamps, or as a gentle driver would take the path.
+
+Without stamps the car starts and ends at rest, keeps to a nominal speed, brakes for bends and
+accelerates again, with limits that are comfortable.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from evpinn_ros.core.energy.plan import (
+    LONGEST,
+    MAX_POINTS,
+    MAX_SPEED,
+    Plan,
+    PlanError,
+    as_floats,
+    check_arrays,
+    check_size,
+    refuse,
+    sums,
+)
+
+MAX_LEG = 10e3  # m between two points without stamps: farther is a teleport
+NOMINAL_SPEED = 50 / 3.6  # m/s, where a path has no usable stamps
+COMFORT_ACCELERATION = 1.0  # m/s^2, gentle for a person standing in a bus as well
+COMFORT_LATERAL = 2.0  # m/s^2, what drivers take in a bend without hurry
+SLOWEST = 1.0  # m/s through the sharpest bend
+BEND = 10.0  # m before and after a point, over which the bend of the path is taken
+# Most m, and s, between points of a nominal profile, where the path has fewer.
+NOMINAL_STEP, NOMINAL_SECONDS = 25.0, 2.0
+TINY = 1e-6  # m^2/s^2
+
+
+def plan_from_path(
+    x: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    stamps: np.ndarray | None = None,
+    *,
+    nominal_speed: float = NOMINAL_SPEED,
+) -> Plan:
+    """A plan from path points.
+
+    With stamps, speed is the slope of a monotone cubic through distance over time: zero where
+    the path waits. Stamps that are absent or all equal are unusable; the car then starts and
+    ends at rest, accelerates and brakes with `COMFORT_ACCELERATION`, takes bends with
+    `COMFORT_LATERAL` and else drives `nominal_speed`.
+
+    Args:
+        x: m, shape (n,) as all, n >= 2.
+        y: m.
+        z: m, elevation.
+        stamps: s, or None.
+        nominal_speed: m/s.
+
+    Raises:
+        PlanError: the points are no trip.
+    """
+    check_size(len(x))
+    points = {"x": as_floats(x), "y": as_floats(y), "z": as_floats(z)}
+    if stamps is not None:
+        points["stamps"] = as_floats(stamps)
+    check_arrays(points)
+    with np.errstate(over="ignore"):  # an infinite leg is too long as well
+        legs = np.sqrt(sum(np.diff(points[axis]) ** 2 for axis in "xyz"))
+    time = points.get("stamps")
+    if time is not None and np.ptp(time) == 0:
+        time = None
+    farthest = MAX_LEG if time is None else MAX_SPEED * LONGEST
+    refuse(legs > farthest, f"jumps farther than {farthest / 1e3:g} km")
+    distance = sums(legs)
+    if time is None:
+        return _nominal_plan(distance, points, nominal_speed)
+    duration = np.diff(time)
+    refuse(duration < 0, "time goes back")
+    # A point given twice is one; so is one that is apart by less than rounding of the distance.
+    kept = np.concatenate(([True], (duration > 0) | (np.diff(distance) > 0)))
+    time, distance, elevation = time[kept] - time[0], distance[kept], points["z"][kept]
+    refuse(np.diff(distance) > MAX_SPEED * np.diff(time), f"faster than {MAX_SPEED:g} m/s")
+    speed = monotone_slopes(time, distance)
+    return Plan(time, distance, np.clip(speed, 0.0, MAX_SPEED), elevation)
+
+
+def monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Slopes at the points, shape (n,), of the monotone cubic through y that never falls.
+
+    Fritsch and Butland (1984): zero beside a stretch where y rests, else a harmonic mean. As
+    `scipy.interpolate.PchipInterpolator`, which takes a third of all that the nodes load.
+    """
+    step = np.diff(x)
+    slope = np.diff(y) / step
+    if len(slope) == 1:
+        return np.repeat(slope, 2)
+    near = np.array([2.0 * step[1:] + step[:-1], step[1:] + 2.0 * step[:-1]])
+    with np.errstate(divide="ignore", over="ignore"):
+        inner = near.sum(axis=0) / (near[0] / slope[:-1] + near[1] / slope[1:])
+    first, last = (
+        max(0.0, ((2.0 * h[0] + h[1]) * m[0] - h[0] * m[1]) / (h[0] + h[1]))
+        for h, m in ((step, slope), (step[::-1], slope[::-1]))
+    )
+    return np.concatenate(([first], inner, [last]))
+
+
+def _nominal_plan(
+    distance: np.ndarray, points: dict[str, np.ndarray], nominal_speed: float
+) -> Plan:
+    length = float(distance[-1])
+    if length == 0:
+        raise PlanError("the path has neither length nor duration")
+    if not 0 < nominal_speed <= MAX_SPEED:
+        raise PlanError(f"cannot drive {nominal_speed:g} m/s")
+    ramp = min(nominal_speed**2 / (2 * COMFORT_ACCELERATION), length / 2)
+    # The ends of both ramps become points, so that every leg has one constant acceleration.
+    step = min(NOMINAL_STEP, NOMINAL_SECONDS * nominal_speed)
+    steps = np.linspace(0.0, length, 2 + min(int(length / step), MAX_POINTS))
+    s = np.concatenate((distance, steps, [ramp, length - ramp]))
+    s = np.unique(s.round(6))  # no leg is as short as rounding
+    squared = np.minimum(nominal_speed, _bend_speed(s, distance, points)) ** 2
+    squared[[0, -1]] = 0.0
+    # As fast as braking for what comes, and accelerating from what was, allow.
+    gained = 2 * COMFORT_ACCELERATION * s
+    squared = np.minimum.accumulate(squared - gained) + gained
+    squared = np.minimum.accumulate((squared + gained)[::-1])[::-1] - gained
+    squared[1:-1] = np.maximum(squared[1:-1], TINY)  # rounding of a long way
+    speed = np.sqrt(np.maximum(squared, 0.0))
+    time = sums(2 * np.diff(s) / (speed[1:] + speed[:-1]))
+    return Plan(time, s, speed, np.interp(s, distance, points["z"]))
+
+
+def _bend_speed(s: np.ndarray, distance: np.ndarray, points: dict[str, np.ndarray]) -> np.ndarray:
+    """Comfortable speed at distances `s`, m/s, from the circle through the path around each.
+
+    Three points `BEND` apart: closer, the noise of a map would be bends.
+    """
+    before, here, after = (
+        np.stack([np.interp(s + away, distance, points[axis]) for axis in "xy"], axis=-1)
+        for away in (-BEND, 0.0, BEND)
+    )
+    first, second, across = here - before, after - here, after - before
+    product = np.prod([np.hypot(*side.T) for side in (first, second, across)], axis=0)
+    doubled = 2 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    back = (first * second).sum(axis=-1) < 0  # it turns back: no circle is small enough
+    inside = (s >= BEND) & (s <= distance[-1] - BEND)
+    curvature = np.where(inside, doubled / np.maximum(product, 1e-9), 0.0)
+    speed = np.sqrt(COMFORT_LATERAL / np.maximum(curvature, 1e-9))
+    return np.where(back & inside, SLOWEST, np.maximum(speed, SLOWEST))

@@ -1,0 +1,309 @@
+"""Plan of a planner: points along one trip or many, or legs of a trip, and its conditions.
+
+Between two points distance is the cubic that has the given speeds at its ends, so that legs agree
+with their length, their climb and their speeds at once. Of a leg no more than its length and its
+duration is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.energy.charge import FIRST_STEP, Uncertain
+from evpinn_ros.core.signals.readings import MAX_WIND
+
+MAX_SPEED = 100.0  # m/s: faster is a teleport
+MAX_POINTS = 50_000  # of one trip: more than an hour at 10 Hz, or 1000 km in steps of 20 m
+LONGEST = 14 * 86_400.0  # s from the first point to the last: more is not one trip
+UNITS_APART = 3.0  # speeds in km/h make 3.6 times the distance, one in km a thousandth of it
+LEAST_LENGTH = 50.0  # m of a profile from which that can be seen
+SLOWEST_TRIP = 0.1  # m/s while it moves: no jam is slower, but lengths in km are
+COARSE = 5.0  # s between points, in the middle of a plan, from which on legs are uneven
+CLIMB_TOLERANCE = 1e-6  # m: rounding of climb against length
+CONDITION_RANGES = {
+    "temperature": (-60.0, 60.0),  # degrees Celsius
+    "heating": (0.0, 20e3),  # W, more than the heaters of any car
+    "head_wind": (-MAX_WIND, MAX_WIND),  # m/s
+    "payload": (0.0, 5000.0),  # kg
+    "charge": (0.0, 1.0),
+    "stood": (0.0, 1e8),  # s, some years
+    "prewarmed": (0.0, 1.0),
+}
+
+
+class PlanError(InputError):
+    """A plan cannot be driven; the text is the reason in one line."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Points of a trip, or of a batch of trips of equal length; checked when made.
+
+    Attributes:
+        time: shape (n,) or (batch, n), s, strictly rising.
+        distance: same shape, m along the road, never falling.
+        speed: same shape, m/s, 0 to `MAX_SPEED`.
+        elevation: same shape, m.
+
+    Raises:
+        PlanError: the arrays are no trip.
+    """
+
+    time: np.ndarray
+    distance: np.ndarray
+    speed: np.ndarray
+    elevation: np.ndarray
+
+    def __post_init__(self) -> None:
+        check_arrays({name: getattr(self, name) for name in self.__slots__})
+        length, climb = np.diff(self.distance), np.diff(self.elevation)
+        duration = np.diff(self.time)
+        refuse(duration <= 0, "time does not rise")
+        refuse(self.time - self.time[..., :1] > LONGEST, f"later than {LONGEST / 86_400:g} days")
+        refuse(self.speed < 0, "speed is negative")
+        refuse(self.speed > MAX_SPEED, f"speed is above {MAX_SPEED:g} m/s")
+        refuse(length < 0, "distance goes back")
+        refuse(length > MAX_SPEED * duration, f"faster than {MAX_SPEED:g} m/s")
+        refuse(np.abs(climb) > length + CLIMB_TOLERANCE, "climbs more than it travels")
+
+    def quicker(self, factor: float) -> Plan:
+        """Plan along this road with all speeds times a factor; it stands as long as before.
+
+        Raises:
+            PlanError: that is too fast.
+        """
+        duration, moves = np.diff(self.time), np.diff(self.distance) > 0.0
+        duration = np.where(moves, duration / factor, duration)
+        time = self.time[..., :1] + np.cumsum(duration, axis=-1)
+        time = np.concatenate((self.time[..., :1], time), axis=-1)
+        return Plan(time, self.distance, self.speed * factor, self.elevation)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Legs:
+    """Legs of road that a car drives, checked when made; `legs_of_trip` makes those of a trip.
+
+    Attributes:
+        length: m along the road, shape (n,) as all; a leg without length is a stop.
+        duration: s, above 0.
+        climb: m from its start to its end; 0 where unknown.
+        height_known: True where `climb` is known.
+
+    Raises:
+        PlanError: the arrays are no legs.
+    """
+
+    length: np.ndarray
+    duration: np.ndarray
+    climb: np.ndarray
+    height_known: np.ndarray
+
+    def __post_init__(self) -> None:
+        shapes = {getattr(self, name).shape for name in self.__slots__}
+        if len(shapes) != 1 or len(self.length.shape) != 1 or not self.length.size:
+            raise PlanError(f"legs need arrays of one length, shapes are {sorted(shapes)}")
+        for name in ("length", "duration", "climb"):
+            refuse(~np.isfinite(getattr(self, name)), f"{name} is not finite", "leg")
+        refuse(self.length < 0, "length is negative", "leg")
+        refuse(self.duration <= 0, "duration is not above 0", "leg")
+        fast = self.length > MAX_SPEED * self.duration
+        refuse(fast, f"faster than {MAX_SPEED:g} m/s (lengths in m, durations in s?)", "leg")
+        refuse(np.abs(self.climb) > self.length + CLIMB_TOLERANCE, "climbs more than it is long",
+                "leg")  # fmt: skip
+
+    def quicker(self, factor: float) -> Legs:
+        """Legs of this road with all speeds times a factor; stops last as long.
+
+        Raises:
+            PlanError: that is too fast.
+        """
+        duration = np.where(self.length > 0.0, self.duration / factor, self.duration)
+        return replace(self, duration=duration)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanConditions:
+    """Conditions of a planned trip as its planner expects them; None where not given.
+
+    Attributes:
+        temperature: of the air outside, degrees Celsius.
+        heating: electric power of heating and air conditioning, W.
+        head_wind: against the car at the start, m/s over ground; negative from behind.
+        payload: people and luggage, kg.
+        charge: state of charge at the start, 0..1.
+        stood: for how long the car stands before it, s: tyres and cabin cool meanwhile.
+        prewarmed: share of the cabin's warmth that the charger gave before the start.
+
+    Raises:
+        PlanError: a number that no trip has.
+    """
+
+    temperature: float | None = None
+    heating: float | None = None
+    head_wind: float | None = None
+    payload: float | None = None
+    charge: float | None = None
+    stood: float | None = None
+    prewarmed: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in CONDITION_RANGES.items():
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                raise PlanError(f"{name} is {value:g}, not {least:g} to {most:g}")
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of those that are given."""
+        return tuple(name for name in CONDITION_RANGES if getattr(self, name) is not None)
+
+    def or_else(self, others: PlanConditions) -> PlanConditions:
+        """These, and those of others that are not given here."""
+        return replace(others, **{name: getattr(self, name) for name in self.given})
+
+    def charge_from(self, measured: Uncertain) -> Uncertain:
+        """State of charge at the start, 0..1: as given, else measured."""
+        if self.charge is None:
+            return measured
+        return Uncertain(self.charge, FIRST_STEP / math.sqrt(12.0))  # as a display rounds
+
+
+UNSAID = PlanConditions()
+
+
+class Question(NamedTuple):
+    """A planner's question about one plan.
+
+    Attributes:
+        name: of the plan.
+        together: what it has in common with those asked together with it, or None.
+        conditions: of this plan; what they leave out is as all plans have it.
+        along: whether sigma is wanted at each of its points, and not at the last alone.
+    """
+
+    name: str
+    together: Hashable = None
+    conditions: PlanConditions = UNSAID
+    along: bool = True
+
+
+UNNAMED = Question("")
+
+
+def plan_from_speed_profile(
+    time: np.ndarray,
+    distance: np.ndarray | None,
+    speed: np.ndarray,
+    elevation: np.ndarray | None = None,
+) -> Plan:
+    """A plan from a speed profile: time, s, distance, m, and speed, m/s, each of shape (n,).
+
+    Without distance it is as the speeds make it; without elevation, m, the road is flat. Time and
+    distance are counted from the first point.
+
+    Raises:
+        PlanError: the profile is invalid, or its speeds make `UNITS_APART` times its distance.
+    """
+    check_size(len(time))
+    time, speed = as_floats(time), as_floats(speed)
+    check_arrays({"time": time, "speed": speed})
+    made = travelled(time, speed)
+    distance = made if distance is None else as_floats(distance)
+    height = np.zeros_like(time) if elevation is None else as_floats(elevation)
+    if distance.shape == time.shape and (np.diff(time) > 0).all():
+        length = float(distance[-1] - distance[0])
+        if made[-1] > UNITS_APART * max(length, LEAST_LENGTH):
+            raise PlanError(
+                f"its speeds make {made[-1]:.0f} m, its distance is {length:.0f} m; both in SI "
+                "units?"
+            )
+    return Plan(time - time[:1], distance - distance[:1], speed, height)
+
+
+def travelled(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Distance, m, since the first of n times, s, with speeds, m/s; shape (n,)."""
+    return sums(np.diff(time) * (speed[1:] + speed[:-1]) / 2)
+
+
+def sums(steps: np.ndarray) -> np.ndarray:
+    """Sums of n steps up to each of n + 1 points, the first 0."""
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def legs_of(length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None) -> Legs:
+    """Legs that need not follow one another: arrays of shape (n,), m and s.
+
+    NaN in `climb` stands for a height that is not known.
+
+    Raises:
+        PlanError: the arrays are no legs.
+    """
+    length, duration = as_floats(length), as_floats(duration)
+    climb = np.full(length.shape, np.nan) if climb is None else as_floats(climb)
+    known = ~np.isnan(climb)
+    return Legs(length, duration, np.where(known, climb, 0.0), known)
+
+
+def legs_of_trip(
+    length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None
+) -> Legs:
+    """The legs of one trip, in order, from what `legs_of` takes.
+
+    Raises:
+        PlanError: the legs are no trip, or so slow that their lengths are in km.
+    """
+    check_size(np.size(length))
+    legs = legs_of(length, duration, climb)
+    length, duration = legs.length, legs.duration
+    total, driven = float(duration.sum()), float(duration[length > 0].sum())
+    if total > LONGEST:
+        raise PlanError(f"it takes {total / 86_400:.3g} days; the most are {LONGEST / 86_400:g}")
+    if float(length.sum()) < SLOWEST_TRIP * driven:
+        speed = float(length.sum()) / driven
+        raise PlanError(f"it drives {speed:.2g} m/s on the whole (lengths in m, durations in s?)")
+    return legs
+
+
+def points_of(plan: Plan | Legs) -> Plan:
+    """Points of a plan; at the ends of legs, in order, with the mean of the speeds about each."""
+    if isinstance(plan, Plan):
+        return plan
+    mean = np.concatenate(([0.0], plan.length / plan.duration, [0.0]))
+    speed = (mean[1:] + mean[:-1]) / 2.0
+    return Plan(sums(plan.duration), sums(plan.length), speed, sums(plan.climb))
+
+
+def check_size(points: int) -> None:
+    """Refuse more points than one trip may have."""
+    if points > MAX_POINTS:
+        raise PlanError(f"{points} points are more than {MAX_POINTS}")
+
+
+def as_floats(values: np.ndarray) -> np.ndarray:
+    """The values as an array of floats."""
+    return np.asarray(values, dtype=float)
+
+
+def check_arrays(named: dict[str, np.ndarray]) -> None:
+    """Refuse columns of different shapes, of fewer than two points, or that are not finite."""
+    first = next(iter(named.values()))
+    if any(array.shape != first.shape for array in named.values()):
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in named.items())
+        raise PlanError(f"arrays differ in shape: {shapes}")
+    if first.ndim not in (1, 2) or first.size == 0 or first.shape[-1] < 2:
+        raise PlanError(f"needs at least two points, shape is {first.shape}")
+    for name, array in named.items():
+        refuse(~np.isfinite(array), f"{name} is not finite")
+
+
+def refuse(wrong: np.ndarray, reason: str, what: str = "point") -> None:
+    """Refuse a plan where anything is wrong, and name the first place."""
+    if wrong.any():
+        where = np.argwhere(wrong)[0]
+        raise PlanError(f"{reason} at {what} {', '.join(str(int(i)) for i in where)}")

@@ -1,0 +1,86 @@
+"""Bounds of what a car can do, for what is counted and for totals that a file claims.
+
+Whatever passes them may still be wrong; but one reading then adds at most what a car could have
+done in the time that it stands for, and no sum leaves the range of numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, TypeAlias
+
+import numpy as np
+
+from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.journey import FORCE_NOISE
+from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Unevenness
+from evpinn_ros.core.signals.readings import MAX_SPEED, TEMPERATURES
+
+# More than any road vehicle is charged with, and so than any draws: CharIN's Megawatt Charging
+# System ends at 1250 V and 3000 A; the strongest cars drive with 1.6 MW.
+MAX_POWER = 4e6  # W
+# Lifetimes. The farthest-driven car known, a Volvo P1800, has 5.2e9 m; a lorry takes 7 kJ/m.
+MOST_DISTANCE = 1e10  # m
+MOST_ENERGY = 1e14  # J
+MOST_SECONDS = 1e15  # s; a stamp that leaps may claim decades of dropout, so hardly a bound
+# Of a file, in these units.
+Joules: TypeAlias = Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY)]
+UnknownJoules: TypeAlias = Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY, unknown=True)]
+Metres: TypeAlias = Annotated[float, Range(0.0, MOST_DISTANCE)]
+Seconds: TypeAlias = Annotated[float, Range(-MOST_SECONDS, MOST_SECONDS)]
+ROUNDING = 1.0 + 1e-6  # of sums
+MOST_MASS = 1e6  # kg over eta, of a train
+MOST_TRUST = 1e4  # factor of a variance
+MOST_NUMBER = 1e20  # of a state or covariance, in its unit: products of these stay numbers
+
+
+def speed_is_possible(speed: float) -> bool:
+    """True if a speed, m/s, may be counted as distance: the gate of the estimator's stream."""
+    return abs(speed) <= MAX_SPEED
+
+
+def power_is_possible(power: float, sigma: float) -> bool:
+    """True if a power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
+    return abs(power) <= MAX_POWER and (math.isnan(sigma) or 0.0 <= sigma <= MAX_POWER)
+
+
+def car_is_possible(car: CarModel) -> bool:
+    """True if a given car is plausible, so that no sum of its powers leaves all bounds.
+
+    Judged by a fast ride and by a stand in the cold: neither mean nor 1-sigma is beyond
+    `MAX_POWER`, and no mass is.
+    """
+    numbers = np.concatenate((car.mean, car.covariance.ravel(), car.noise))
+    numbers = np.append(numbers, (car.load_variance, car.growth, car.trust, car.seconds))
+    if not (np.abs(numbers) <= MOST_NUMBER).all() or not 0.0 < car.mean[State.MASS] <= MOST_MASS:
+        return False
+    if car.celsius is not None and not TEMPERATURES[0] <= car.celsius <= TEMPERATURES[1]:
+        return False
+    least = min(float(np.diag(car.covariance).min()), float(car.noise.min()), car.load_variance)
+    if min(least, car.growth, car.trust, car.seconds) < 0.0 or car.trust > MOST_TRUST:
+        return False
+    speed, one = np.array([30.0, 10.0, 0.0]), np.ones(3)
+    ride = even_steps(one, speed, 0.0 * speed)._replace(kinetic=0.5 * speed)
+    rows = PowerModel(car).rows(ride, Weather(1.2, -30.0))
+    power = rows @ car.mean
+    variance = ((rows @ car.covariance) * rows).sum(-1) + car.load_variance
+    noise = car.noise.max() * FORCE_NOISE**2 * speed**2
+    within = (np.abs(power) <= MAX_POWER).all() and (variance + noise <= MAX_POWER**2).all()
+    return bool(within) and _is_possible(car.unevenness, car)
+
+
+def _is_possible(uneven: Unevenness, car: CarModel) -> bool:
+    """True if no leg's uneven speed takes more power than a car has."""
+    scatter = uneven.squares, uneven.drives
+    numbers = np.concatenate((uneven.metres.ravel(), uneven.rows.ravel(), scatter))
+    if not (np.abs(numbers) <= MOST_NUMBER).all() or min(uneven.metres.min(), *scatter) < 0.0:
+        return False
+    if uneven.drives <= 0.0 or uneven.share > MOST_SHARE:
+        return False
+    speed, duration = map(np.ravel, np.meshgrid(MIDDLES, DURATIONS))
+    legs = even_steps(duration, speed * duration, 0.0 * speed)
+    power = uneven.of_legs(car.equation, legs) @ car.mean / duration
+    return bool((np.abs(power) <= MAX_POWER).all())

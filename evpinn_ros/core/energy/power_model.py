@@ -1,0 +1,373 @@
+"""A car as plans take it: the one equation (`estimation.terms`) over steps of a plan.
+
+A plan is a row of steps, and its energy is the same terms times the same states that learned from
+intervals of driving. So the forecast of a driven speed is the replay of it without its battery.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.arrays import like, namespace, whole, within, zeros
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.network_table import (
+    FORCES,
+    looked_up,
+    places_of,
+    table_of,
+    units_of,
+)
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.journey import LOAD_TIME, unexplained, wandered
+from evpinn_ros.core.estimation.size import model_of_file
+from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State
+from evpinn_ros.core.estimation.terms import (
+    EXPLAINED,
+    WARM,
+    Warmth,
+    Wheels,
+    coldness,
+    standing_powers,
+)
+from evpinn_ros.core.estimation.unevenness import Path, even_rows
+from evpinn_ros.core.signals.interval import Steps
+from evpinn_ros.core.signals.road import Conditions
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.identifiable import Identifiable
+
+SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
+CLIMATE_SHARE = 0.4  # 1-sigma of the heating or cooling of a drive over what is likely (e-208)
+CLIMATE_SHOWN = 300.0  # s of a drive within which a third of that is left
+LEAST_TRUST = 1e-3  # lower is none that was learned
+CLIMATE_LIKELY = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]
+
+
+class Weather(NamedTuple):
+    """Surroundings of a plan.
+
+    Attributes:
+        air_density: kg/m^3.
+        celsius: temperature outside; None: the last that the car knew.
+        heating: power of heating and air conditioning, W; None: what the temperature makes
+            likely, and of this drive so far.
+        start: coldness of tyres and cabin when the plan begins. None: as the car is now.
+    """
+
+    air_density: float
+    celsius: float | None = None
+    heating: float | None = None
+    start: Warmth | None = None
+
+
+class PlanEnd(NamedTuple):
+    """A plan at its end, to be compared with others.
+
+    Attributes:
+        row: energy by each state, J per unit, shape (SIZE,).
+        elapsed: s.
+        distance: m.
+        noise: variance of what no state explains, J^2.
+        unseen: m of road whose height is not known.
+        uneven: size of the energy expected of uneven speed, J, leg by leg.
+    """
+
+    row: np.ndarray
+    elapsed: float
+    distance: float
+    noise: float
+    unseen: float
+    uneven: float
+
+
+@dataclass(frozen=True, eq=False)
+class PowerModel:
+    """A car, ready for forecasts.
+
+    Attributes:
+        car: what is known of it.
+    """
+
+    car: CarModel
+
+    def rows(self, steps: Steps, weather: Weather) -> np.ndarray:
+        """Energy of each step of a trip by each state, J per unit, shape (n, SIZE)."""
+        rows = self.car.equation.rows(steps, *self._surroundings(steps, weather))
+        if self._drive_heats(weather):
+            rows[:, State.CLIMATE_DRIVE] = steps.duration
+        return rows
+
+    def parts(self, steps: Steps, weather: Weather) -> np.ndarray:
+        """Energy of all steps of a trip by part and state, J per unit, (COUNT, SIZE)."""
+        equation, (conditions, warmth) = self.car.equation, self._surroundings(steps, weather)
+        wheels, cold = equation.of_steps(steps, conditions), coldness(conditions.celsius)
+        return equation.split(self.rows(steps, weather), wheels, cold, warmth.tyres)
+
+    def leg_rows(self, legs: Path, weather: Weather) -> tuple[np.ndarray, np.ndarray]:
+        """Energy of legs whose mean speed alone is known, J per unit, shape (n, SIZE) each.
+
+        Args:
+            legs: of one trip.
+            weather: on the way.
+
+        Returns:
+            The whole, and the part of it that is expected of uneven speed.
+        """
+        equation = self.car.equation
+        conditions, warmth = self._surroundings(legs, weather)
+        beyond = self.car.unevenness.of_legs(equation, legs)
+        rows = even_rows(equation, legs) + beyond
+        tyres = float(equation.mean[State.ROLLING]) * rows[:, State.ROLLING]
+        rows[:, State.ROLLING_DRIVE] = tyres
+        rows[:, State.ROLLING_COLD] = tyres * coldness(conditions.celsius)
+        rows[:, State.ROLLING_START] = tyres * warmth.tyres
+        for state, power in self._loads(weather, conditions, warmth).items():
+            rows[:, state] = power * legs.duration
+        return rows, beyond
+
+    def rows_along(self, steps: Steps, weather: Weather) -> np.ndarray:
+        """Rows summed up to the end of each step, shape (..., n, SIZE).
+
+        They lie state by state in memory: so sums and products are several times as quick.
+        """
+        equation, network = self.car.equation, self.car.equation.network
+        wheels, columns = self._columns(steps, weather)
+        rows = np.zeros((SIZE, *wheels.energy.shape))
+        for state, column in columns.items():
+            rows[state] = column
+        weights, way = rows[WEIGHTS].reshape(-1, wheels.energy.size), np.abs(steps.distance)
+        for part, units in units_of(network, wheels):
+            np.matmul(network.outer.T, units, out=weights[:, part])
+        rows[WEIGHTS] *= way
+        np.cumsum(rows, axis=-1, out=rows)
+        rows[EXPLAINED] -= np.tensordot(equation.explained.T, rows[PHYSICS], 1)
+        return np.moveaxis(rows, 0, -1)
+
+    def whole_row(self, steps: Steps, weather: Weather) -> tuple[np.ndarray, np.ndarray]:
+        """Row of all n steps of one trip, shape (SIZE,), and the energy of each, J, shape (n,).
+
+        In these energies there is no load that wanders, which fades along the way.
+        """
+        equation, network = self.car.equation, self.car.equation.network
+        wheels, columns = self._columns(steps, weather)
+        mean = self.car.mean.copy()
+        mean[State.LOAD] = 0.0
+        mean[PHYSICS] -= equation.explained @ mean[EXPLAINED]
+        row, energy = np.zeros(SIZE), np.zeros(wheels.energy.size)
+        for state, column in columns.items():
+            row[state] = column.sum()
+            energy += mean[state] * column
+        way, force = np.abs(steps.distance), network.outer @ mean[WEIGHTS]
+        for part, units in units_of(network, wheels):
+            row[WEIGHTS] += network.outer.T @ (units @ way[part])
+            energy[part] += (force @ units) * way[part]
+        row[EXPLAINED] -= row[PHYSICS] @ equation.explained
+        return row, energy
+
+    def summed_rows(self, steps: Steps, weather: Weather) -> Any:
+        """Rows of whole trips, shape (batch, SIZE); the network by a table, for it is many."""
+        wheels, columns = self._columns(steps, weather)
+        rows = zeros((len(steps.distance), SIZE), steps.distance)
+        for state, column in columns.items():
+            rows[:, state] = column.sum(-1)
+        rows[:, WEIGHTS] = looked_up(wheels, steps.distance, self._table)
+        rows[:, EXPLAINED] -= rows[:, PHYSICS] @ like(self.car.equation.explained, rows)
+        return rows
+
+    def projected(self, weather: Weather, onto: np.ndarray) -> Callable[[Steps], np.ndarray]:
+        """Function of n steps, tyres and cabin warm, that gives their rows times `onto`, (n, k).
+
+        The network is by the table; the rows themselves would be five times as much to compute.
+
+        Args:
+            weather: on the way.
+            onto: combinations of the states, shape (SIZE, k).
+        """
+        equation, conditions = self.car.equation, self._conditions(weather)
+        network = (self._table @ onto[WEIGHTS]).reshape(-1, onto.shape[1])
+        loads, cold = self._loads(weather, conditions, WARM), coldness(conditions.celsius)
+        power = np.array(list(loads.values())) @ onto[list(loads)]
+        rest = onto.copy()
+        rest[PHYSICS] -= equation.explained @ onto[EXPLAINED]
+
+        def of_steps(steps: Steps) -> np.ndarray:
+            wheels = equation.of_steps(steps, conditions)
+            moving = equation.moving_columns(wheels, steps.duration, cold, WARM.tyres)
+            columns = np.stack([steps.duration, *moving.values()])
+            found = columns.T @ np.stack([power, *rest[list(moving)]])
+            places = places_of(wheels)
+            node = whole(places.speed * FORCES + places.force)
+            for faster, stronger, share in places.shares(steps.distance):
+                found += network[node + (faster * FORCES + stronger)] * share[:, None]
+            return np.asarray(found)
+
+        return of_steps
+
+    def predicted(
+        self, rows: Any, elapsed: Any, noise: Any, unseen: Any, uneven: Any = 0.0
+    ) -> tuple[Any, Any]:
+        """Energy, J, and its 1-sigma, J, of journeys of any shape (...).
+
+        Args:
+            rows: summed, shape (..., SIZE); changed here.
+            elapsed: s since the start.
+            noise: variance of what no state explains, J^2.
+            unseen: m of road whose height is not known.
+            uneven: size of the energy expected of uneven speed, J.
+        """
+        car, xp = self.car, namespace(rows)
+        _, rows[..., State.LOAD], rest = wandered(elapsed)
+        mean, covariance = like(car.mean, rows), like(self.covariance, rows)
+        states = xp.moveaxis(rows, -1, 0)
+        variance = xp.einsum("i...,i...->...", xp.tensordot(covariance, states, 1), states)
+        variance = variance + car.load_variance * rest + noise
+        variance = car.trust * (variance + car.growth * car.weight_over_eta**2 * unseen)
+        variance = variance + (car.unevenness.share * uneven) ** 2  # which is judged by itself
+        return rows @ mean, xp.sqrt(within(variance, 0.0, math.inf))
+
+    def noise(self, elapsed: Any, stood: Any, square: Any) -> Any:
+        """Variance of energy that no state explains, J^2, from what `unexplained` takes."""
+        still, moving = unexplained(elapsed, stood, square)
+        return self.car.noise[0] * still + self.car.noise[1] * moving
+
+    def difference(self, one: PlanEnd, other: PlanEnd) -> Uncertain:
+        """Energy that one plan takes more than another, J, and the 1-sigma of that, J.
+
+        Both begin at one moment, with one car: what they share cancels. Of one length they are
+        taken to lead along one road.
+        """
+        car, row = self.car, one.row - other.row
+        _, integral, _ = wandered(np.array([one.elapsed, other.elapsed]))
+        row[State.LOAD] = integral[0] - integral[1]
+        _, alone, rest = wandered(abs(one.elapsed - other.elapsed))
+        shorter = min(one.elapsed, other.elapsed)
+        begun = -math.expm1(-2.0 * shorter / LOAD_TIME) * alone**2
+        variance = float(row @ self.covariance @ row) + car.load_variance * (begun + rest)
+        variance += one.noise + other.noise
+        if abs(one.distance - other.distance) > SAME_LENGTH:
+            variance += car.growth * car.weight_over_eta**2 * (one.unseen + other.unseen)
+        variance = car.trust * max(variance, 0.0)
+        variance += (car.unevenness.share * (one.uneven - other.uneven)) ** 2
+        return Uncertain(float(row @ car.mean), math.sqrt(variance))
+
+    def start(self, stood: float | None, prewarmed: float) -> Warmth:
+        """Coldness at the start of a trip.
+
+        Args:
+            stood: s that the car stands before it; None: as the car is now, at the start of a
+                drive cold.
+            prewarmed: share of the cabin's warmth that the charger gave.
+        """
+        found = Warmth.after(self.car.seconds)
+        if stood is not None:
+            found = Warmth.after(self.car.seconds or self.car.last_drive).stood(stood)
+        return found._replace(cabin=found.cabin * (1.0 - prewarmed))
+
+    def with_payload(self, payload: float) -> PowerModel:
+        """The car with so many kg more than it has; its tyres carry them too."""
+        return _loaded(self, payload) if payload else self
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the states, shape (SIZE, SIZE), with heating that strays from the usual.
+
+        Before a drive it is unknown how much of what its temperature makes likely will be on; the
+        loads of its first minutes show it.
+        """
+        car, strays = self.car, np.zeros(SIZE)
+        share = CLIMATE_SHARE * math.exp(-car.seconds / CLIMATE_SHOWN)
+        strays[CLIMATE_LIKELY] = share * car.mean[CLIMATE_LIKELY]
+        return np.asarray(car.covariance + np.outer(strays, strays) / max(car.trust, LEAST_TRUST))
+
+    @cached_property
+    def _table(self) -> np.ndarray:
+        """Force of the network on the grid, N per weight, shape (speeds, forces, NETWORK)."""
+        return table_of(self.car.equation.network)
+
+    def _columns(self, steps: Steps, weather: Weather) -> tuple[Wheels, dict[State, Any]]:
+        """Wheels of steps, and their energy by state but for the network, J per unit.
+
+        What the terms of eq. 21 explain of the others is not taken away yet.
+        """
+        equation, duration = self.car.equation, steps.duration
+        conditions, warmth = self._surroundings(steps, weather)
+        wheels, cold = equation.of_steps(steps, conditions), coldness(conditions.celsius)
+        moving = equation.moving_columns(wheels, duration, cold, warmth.tyres)
+        loads = self._loads(weather, conditions, warmth)
+        return wheels, moving | {state: power * duration for state, power in loads.items()}
+
+    def _conditions(self, weather: Weather) -> Conditions:
+        """Conditions as the equation has them: heating that is given is like one reported."""
+        celsius = self.car.celsius if weather.celsius is None else weather.celsius
+        given = weather.heating is not None
+        return Conditions(weather.air_density, 0.0, celsius, weather.heating or 0.0, given)
+
+    def _surroundings(self, steps: Path | Steps, weather: Weather) -> tuple[Conditions, Warmth]:
+        """Conditions, and coldness of tyres and cabin in the middle of each step."""
+        duration = steps.duration
+        start = Warmth.after(self.car.seconds) if weather.start is None else weather.start
+        warmth = start.driven(namespace(duration).cumsum(duration, -1) - duration / 2)
+        return self._conditions(weather), warmth
+
+    def _drive_heats(self, weather: Weather) -> bool:
+        """True if heating goes on as it strayed in this drive."""
+        return self.car.reports and weather.heating is None
+
+    def _loads(self, weather: Weather, conditions: Conditions, warmth: Warmth) -> dict[State, Any]:
+        """Standing power by state, W per unit, numbers or of the steps' shape."""
+        drive = {State.CLIMATE_DRIVE: 1.0} if self._drive_heats(weather) else {}
+        return standing_powers(conditions, warmth) | drive
+
+
+def even_steps(duration: Any, distance: Any, climb: Any, head_wind: Any = 0.0) -> Steps:
+    """Steps at even speed: s, m, m, and m/s against the car; of one shape or numbers."""
+    flow = distance / duration + head_wind
+    return Steps(duration, distance, flow * abs(flow) * distance, 0.0 * duration, climb)
+
+
+@lru_cache(maxsize=4)  # one object as long as neither changes: plans are compared by it
+def _loaded(model: PowerModel, payload: float) -> PowerModel:
+    car = model.car
+    mean, eta = car.mean.copy(), car.equation.eta + car.mean[State.ETA]
+    c_rr = mean[State.ROLLING] / mean[State.MASS]
+    mean[State.MASS] += payload / eta
+    mean[State.ROLLING] += c_rr * payload / eta
+    return PowerModel(replace(car, mean=mean))
+
+
+def vehicle_model(vehicle: Vehicle) -> PowerModel:
+    """The car of a vehicle file, of which nothing was learned yet."""
+    return PowerModel(model_of_file(vehicle))
+
+
+def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicle) -> PowerModel:
+    """The car that the identifiable combinations make, errors of these taken as independent.
+
+    Args:
+        combined: floats.
+        sigmas: their 1-sigma.
+        vehicle: for everything that they do not hold.
+    """
+    car = vehicle_model(vehicle).car
+    mass, area, c_rr, regeneration, p_aux = combined
+    mean, covariance = car.mean.copy(), car.covariance.copy()
+    index = [*PHYSICS, State.P_AUX]
+    mean[index] = area, c_rr * mass, mass, regeneration - car.equation.back, p_aux
+    covariance[index] = covariance[:, index] = 0.0
+    std = (
+        sigmas.drag_area_over_eta,
+        math.hypot(sigmas.c_rr * mass, c_rr * sigmas.mass_over_eta),
+        sigmas.mass_over_eta,
+        sigmas.regeneration,
+        sigmas.p_aux,
+    )
+    covariance[index, index] = np.square(std)
+    # What is not known of the mass is not known of its rolling either.
+    both = [State.ROLLING, State.MASS], [State.MASS, State.ROLLING]
+    covariance[both] = c_rr * np.square(sigmas.mass_over_eta)
+    return PowerModel(replace(car, mean=mean, covariance=covariance))

@@ -1,0 +1,266 @@
+"""Distance to empty with the energy in the battery.
+
+What the next metres cost is mostly what the learned car's usual legs of a minute do, as its
+earlier drives had them, at the temperature and with the loads of now (`usual_cost`): a cold
+morning or a roof box counts before its kilometres are driven. Over
+`MEMORY` that returns to the mean of the last 100 km. So the energy of the next d metres is
+
+    E(d) = c_long d + (c_near - c_long) L (1 - exp(-d / L)),    L = MEMORY
+
+and the distance to empty is where it is the energy left. The error of the cost is taken as a
+process over distance with the same memory, whose 1-sigma is the spread of 5 km pieces of road
+(`energy.uncertainty`, metres for seconds); the band is where E, 1.645 sigma of it and of the
+energy left up or down, meets the energy left.
+
+While the car follows a route whose energy was forecast, the road ahead is the rest of that route,
+and the E above begins at its end. A car that has not driven 10 km yet takes the mean cost of the
+route for the road beyond it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+import math
+import sys
+from typing import Annotated, NamedTuple, TypeAlias
+
+import numpy as np
+
+from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.forecast import Forecast
+from evpinn_ros.core.energy.plan import Plan
+from evpinn_ros.core.energy.plausible import Joules, Metres
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
+from evpinn_ros.core.energy.trip import Stretch
+from evpinn_ros.core.energy.uncertainty import relaxed, walked
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES
+from evpinn_ros.core.signals.readings import NANOSECONDS
+
+MEMORY = 10e3  # m
+# Share of the usual legs in the next metres, beside the long run, chosen on the e-208, the Leaf
+# and the Changchun sedan; where none are known, that of the last 10 km.
+USUAL, RECENT = 0.75, 0.5
+USUAL_LEG = 60.0  # s
+LEAST_METRES = 3000.0  # driven in legs of this, before anything is usual
+FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
+FARTHEST = 2.0**21  # m; what is beyond is no answer
+HALVINGS = 21  # down to a metre
+QUANTILE = 1.6449  # of 90 %
+GIVEN_UP = 2.0  # times its planned duration after which a route that was not driven is given up
+MOST_POINTS = 1000  # of a route, which is saved each minute: of 300 km one each 300 m
+Stamp: TypeAlias = Annotated[int, Range(0, sys.maxsize)]  # ns
+
+
+class Remaining(NamedTuple):
+    """Distance to empty, m: the value, its 1-sigma, and the 90 % band."""
+
+    distance: float
+    sigma: float
+    lower: float
+    upper: float
+
+
+class Cost(NamedTuple):
+    """Energy per distance, J/m: of the next metres, in the long run, and its relative 1-sigma."""
+
+    near: float
+    long: float
+    spread: float
+
+    @property
+    def known(self) -> bool:
+        """True if both costs are positive numbers."""
+        return all(map(math.isfinite, self)) and min(self.near, self.long) > 0
+
+    @classmethod
+    def ahead(cls, recent: float, long: float, usual: float, spread: float) -> Cost:
+        """Cost of the road ahead by what is known.
+
+        Args:
+            recent: of the last 10 km, J/m.
+            long: of the last 100 km, J/m.
+            usual: of the car's usual legs now, J/m; NaN while none are known.
+            spread: relative 1-sigma of pieces of road.
+        """
+        share, other = (RECENT, recent) if math.isnan(usual) else (USUAL, usual)
+        return cls(long + share * (other - long), long, spread)
+
+    def energy(self, distance: float) -> float:
+        """Energy of the metres ahead, J."""
+        return self.long * distance + (self.near - self.long) * float(relaxed(distance, MEMORY))
+
+    def sigma(self, distance: float) -> float:
+        """1-sigma of that, J."""
+        level = self.spread * max(self.near, self.long)
+        return level * math.sqrt(max(walked(distance, MEMORY), 0.0))
+
+
+@lru_cache(maxsize=4)  # asked with every prediction, and learned every ten seconds
+def usual_cost(car: CarModel) -> float:
+    """Energy per distance of a car's usual mix of legs, J/m; NaN while no mix is known."""
+    metres = car.unevenness.metres[:, int(np.searchsorted(DURATIONS, USUAL_LEG))]
+    if metres.sum() < LEAST_METRES:
+        return math.nan
+    legs = even_steps(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, 0.0 * MIDDLES)
+    rows = PowerModel(car).rows(legs, Weather(car.equation.vehicle.air_density))
+    rows += car.unevenness.of_legs(car.equation, legs)
+    cost = float(metres @ (rows @ car.mean / legs.distance) / metres.sum())
+    return cost if math.isfinite(cost) and cost > 0.0 else math.nan
+
+
+@dataclass(slots=True, eq=False)
+class Route:
+    """A route that the car follows, as the forecast of its plan has it; it outlives a restart.
+
+    Attributes:
+        distance: of its points from the first, m, never falling, n of them.
+        energy: from the first point to each, J.
+        sigma: 1-sigma of that, J.
+        begin: the odometer at its first point, m.
+        begin_ns: stamp there; 0 until the first one is known.
+        longest_ns: time from there after which it is given up.
+
+    Raises:
+        ValueError: these are no points along a route.
+    """
+
+    distance: tuple[Metres, ...]
+    energy: tuple[Joules, ...]
+    sigma: tuple[Joules, ...]
+    begin: Metres
+    begin_ns: Stamp
+    longest_ns: Stamp
+
+    def __post_init__(self) -> None:
+        if not 2 <= len(self.distance) == len(self.energy) == len(self.sigma):
+            raise ValueError("a route needs two points or more, of three numbers each")
+        if self.distance[0] != 0.0 or min(np.diff(self.distance)) < 0.0 or min(self.sigma) < 0.0:
+            raise ValueError("no such route: its distance falls, or a sigma is negative")
+
+    @classmethod
+    def from_here(cls, plan: Plan, found: Forecast, odometer: float, stamp_ns: int) -> Route:
+        """The route of a plan that begins now, where the car is; stamp_ns: 0 if unknown yet."""
+        longest = int(GIVEN_UP * (found.time[-1] - found.time[0]) * NANOSECONDS)
+        along, energy, sigma = plan.distance - plan.distance[0], found.energy, found.sigma
+        if len(along) > MOST_POINTS:
+            kept = np.linspace(0.0, along[-1], MOST_POINTS)
+            energy, sigma = (np.interp(kept, along, each) for each in (energy, sigma))
+            along = kept
+        distance, energies, sigmas = (tuple(each.tolist()) for each in (along, energy, sigma))
+        return cls(distance, energies, sigmas, odometer, stamp_ns, longest)
+
+    @property
+    def cost(self) -> float:
+        """Mean energy per distance, J/m."""
+        return self.energy[-1] / self.distance[-1]
+
+    def see(self, stamp_ns: int) -> None:
+        """Take the first stamp that is known as that of its first point."""
+        self.begin_ns = self.begin_ns or stamp_ns
+
+    def left(self, odometer: float, stamp_ns: int) -> float:
+        """Metres that are left of it; 0 or less once it is over. stamp_ns: 0 if unknown yet."""
+        known = self.begin_ns and stamp_ns
+        if known and not 0 <= stamp_ns - self.begin_ns <= self.longest_ns:
+            return 0.0
+        return self.begin + self.distance[-1] - odometer
+
+    def ahead(self, odometer: float, beyond: Cost) -> RouteAhead:
+        """The rest of it, and the road beyond its end."""
+        along, energy, sigma = map(np.asarray, (self.distance, self.energy, self.sigma))
+        driven = odometer - self.begin
+        rest = along > driven
+        distance = np.concatenate(([0.0], along[rest] - driven))
+        here = float(np.interp(driven, along, energy))
+        energies = np.concatenate(([0.0], energy[rest] - here))
+        # So many metres to come are as unsure as so many from the start were.
+        return RouteAhead(distance, energies, np.interp(distance, along, sigma), beyond)
+
+
+class RouteAhead(NamedTuple):
+    """The rest of a route, and the cost of the road beyond its end.
+
+    Attributes:
+        distance: of its points from here, m, the first 0, shape (n,).
+        energies: from here to each, J.
+        sigmas: 1-sigma of these, J.
+        beyond: cost of the road that follows.
+    """
+
+    distance: np.ndarray
+    energies: np.ndarray
+    sigmas: np.ndarray
+    beyond: Cost
+
+    @property
+    def known(self) -> bool:
+        """True if the cost beyond is known; a forecast always is."""
+        return self.beyond.known
+
+    def energy(self, distance: float) -> float:
+        """Energy that the battery must give within these metres, J: most of it on a pass."""
+        most = np.maximum.accumulate(self.energies)
+        after = distance - float(self.distance[-1])
+        if after <= 0.0:
+            return float(np.interp(distance, self.distance, most))
+        return max(float(most[-1]), float(self.energies[-1]) + self.beyond.energy(after))
+
+    def sigma(self, distance: float) -> float:
+        """1-sigma of that, J."""
+        after = max(distance - float(self.distance[-1]), 0.0)
+        on_it = float(np.interp(distance, self.distance, self.sigmas))
+        return math.hypot(on_it, self.beyond.sigma(after))
+
+
+def cost_spread(pieces: Sequence[Stretch]) -> float:
+    """Relative 1-sigma of the cost of pieces of road around their mean.
+
+    What was seen is averaged with a prior of 25 % that weighs as five pieces.
+    """
+    variance = FIRST_SPREAD_PIECES * FIRST_SPREAD**2
+    mean = sum(piece.energy for piece in pieces) / max(sum(p.distance for p in pieces), 1.0)
+    if mean > 0:
+        variance += sum((piece.energy / piece.distance / mean - 1) ** 2 for piece in pieces)
+    return math.sqrt(variance / (FIRST_SPREAD_PIECES + len(pieces)))
+
+
+def remaining(usable: Uncertain, ahead: Cost | RouteAhead) -> Remaining | None:
+    """Distance to empty, None while it cannot be known.
+
+    Args:
+        usable: energy left, J.
+        ahead: the road.
+    """
+    if not (all(map(math.isfinite, usable)) and ahead.known):
+        return None
+
+    def over(quantile: float) -> Callable[[float], float]:
+        def energy(distance: float) -> float:
+            uncertain = math.hypot(ahead.sigma(distance), usable.sigma)
+            return ahead.energy(distance) + quantile * uncertain - usable.value
+
+        return energy
+
+    # The sooner it crosses zero the earlier the car stands: upwards for each of the three.
+    found = [_first_zero(over(quantile)) for quantile in (QUANTILE, 0.0, -QUANTILE)]
+    lower, distance, upper = found
+    if lower is None or distance is None or upper is None:
+        return None
+    return Remaining(distance, (upper - lower) / (2 * QUANTILE), lower, upper)
+
+
+def _first_zero(function: Callable[[float], float]) -> float | None:
+    """First zero of a function that rises in the end; 0 if it is above from the start."""
+    if function(0.0) >= 0:
+        return 0.0
+    if function(FARTHEST) <= 0:
+        return None
+    low, high = 0.0, FARTHEST
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if function(middle) < 0 else (low, middle)
+    return (low + high) / 2

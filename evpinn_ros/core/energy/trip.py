@@ -1,0 +1,150 @@
+"""Distance, and what a kilometre costs: over the last 1, 10 and 100 km."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import NamedTuple
+
+from evpinn_ros.common.saved_fields import Saveable
+from evpinn_ros.core.energy.plausible import Joules, Metres
+from evpinn_ros.core.energy.quadrature import MAX_GAP, EnergyIntegral, SavedIntegral
+from evpinn_ros.core.signals.readings import MAX_SPEED
+
+WINDOWS = (1e3, 1e4, 1e5)  # m
+BUCKETS = 20  # of a window
+
+
+class Stretch(NamedTuple):
+    """Distance driven, m, and the energy that it took, J."""
+
+    distance: Metres
+    energy: Joules
+
+    def plus(self, distance: float, energy: float) -> Stretch:
+        """With so much more."""
+        return Stretch(self.distance + distance, self.energy + energy)
+
+
+NOTHING = Stretch(0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SavedTrip:
+    """Distance and energy of a trip, and of each window all buckets, the one being filled last."""
+
+    speed: SavedIntegral
+    energy: Joules
+    windows: tuple[tuple[Stretch, ...], ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what no car drove."""
+        self.speed.refuse_above(MAX_SPEED)
+        if len(self.windows) != len(WINDOWS):
+            raise ValueError("windows are missing")
+        for length, buckets in zip(WINDOWS, self.windows, strict=True):
+            least = length / BUCKETS
+            *full, last = buckets or (Stretch(math.inf, 0.0),)
+            fits = len(full) <= BUCKETS and last.distance < least
+            if not fits or any(each.distance < least for each in full):
+                raise ValueError(f"no window of {length:g} m")
+
+
+class DistanceWindow:
+    """Energy over the last so many metres, in a bounded number of buckets.
+
+    It holds whole buckets of a 20th of its length and the one being filled. So it spans up to a
+    20th more than its length, and energy over distance is exact for what it spans.
+    """
+
+    def __init__(self, length: float, buckets: tuple[Stretch, ...] = (NOTHING,)) -> None:
+        """A window of this length, m, empty or with buckets, the one being filled last."""
+        self.length, self.buckets = length, buckets
+
+    @property
+    def whole(self) -> tuple[Stretch, ...]:
+        """The buckets that are full, oldest first."""
+        return self.buckets[:-1]
+
+    @property
+    def known(self) -> bool:
+        """True if the whole length has been driven."""
+        return self.total.distance >= self.length
+
+    @property
+    def total(self) -> Stretch:
+        """Sum of its whole span."""
+        return Stretch(*(math.fsum(column) for column in zip(*self.buckets, strict=True)))
+
+    def add(self, stretch: Stretch) -> None:
+        """Take what was driven since the last."""
+        *full, last = self.buckets
+        last = last.plus(*stretch)
+        if last.distance < self.length / BUCKETS:
+            self.buckets = (*full, last)
+            return
+        self.buckets = (*full, last, NOTHING)
+        while self.total.distance - self.buckets[0].distance >= self.length:
+            self.buckets = self.buckets[1:]
+
+
+class TripLog(Saveable[SavedTrip]):
+    """Joins speed and energy to consumption by distance.
+
+    Energy that was taken while speed was silent has no distance: it is in no stretch.
+
+    Attributes:
+        windows: over the last 1, 10 and 100 km; a reset of the trip leaves them.
+    """
+
+    def __init__(self) -> None:
+        """Nothing driven yet; across more than `MAX_GAP` speed is not joined."""
+        self.windows = tuple(DistanceWindow(length) for length in WINDOWS)
+        self.reset_trip()
+
+    def _go_on(self, saved: SavedIntegral) -> None:
+        self._speed = EnergyIntegral(MAX_GAP, saved)
+        self._energy_before: float | None = None
+
+    @property
+    def total(self) -> Stretch:
+        """Since the last reset."""
+        return Stretch(self._speed.drawn, self._energy)
+
+    def update(self, stamp_ns: int, speed: float, energy: float) -> None:
+        """Take a speed, m/s, and the net energy since whenever, J, at that moment."""
+        dropped = self._speed.dropped
+        # The integral of speed is distance: one way to deal with gaps and doubled stamps.
+        step = self._speed.append(stamp_ns, abs(speed))
+        if self._speed.dropped > dropped:
+            return
+        if step is not None and self._energy_before is not None:
+            stretch = Stretch(step.energy, energy - self._energy_before)
+            self._energy += stretch.energy
+            for window in self.windows:
+                window.add(stretch)
+        self._energy_before = energy
+
+    def correct(self, energy: float) -> None:
+        """Add energy, J, that turned out later to belong to the trip."""
+        self._energy += energy
+
+    def reset_trip(self) -> None:
+        """Count the trip from zero."""
+        self._energy = 0.0
+        self._go_on(SavedIntegral())
+
+    def begin_anew(self) -> None:
+        """Join nothing to the speed before: time jumped."""
+        self._go_on(self._speed.saved())
+
+    def saved(self) -> SavedTrip:
+        """Trip and windows."""
+        windows = tuple(window.buckets for window in self.windows)
+        return SavedTrip(self._speed.saved(), self._energy, windows)
+
+    def take(self, saved: SavedTrip) -> None:
+        """Go on from a trip and its windows; the next speed joins to none before."""
+        self.windows = tuple(map(DistanceWindow, WINDOWS, saved.windows))
+        self._energy = saved.energy
+        self._go_on(saved.speed)

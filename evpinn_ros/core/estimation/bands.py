@@ -1,0 +1,145 @@
+"""Bands of energy that cover what they claim, by rehearsals (`estimation.rehearsal`).
+
+How errors of predictions without the battery spread in sigmas scales the variance of a real
+dropout or forecast, up or down, apart for dropouts and for whole drives. Where no height is known,
+the errors also show how hilly the roads of this car are: flat country has narrow bands. Drives
+with known heights show it by how far above or below their start they ended (`Hills`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+import math
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.core.estimation.calibration import MOST_SUM
+
+GROWTHS = np.array([0.0004, 0.004, 0.04])  # m^2 of unseen height per m: flat, hilly, mountains
+HILLS_KEPT = 0.98  # of the evidence on these, from one rehearsal to the next
+MOST_DEVIATE = 4.0  # sigmas; one odd road counts no more
+MOST_DEVIATE_HILLS = 3.0  # the same, when hills are judged
+# What counts before any case: cars without a word on their heating, their height or their wind
+# err by more than their sigmas say, simulated ones by less.
+PRIOR_CASES, PRIOR_SCALE = 4.0, 1.5
+CASES_KEPT = 40.0  # remembered
+LEAST_HEIGHTS_METRES = 10e3  # m of known heights, before `Hills` says anything
+HILLS_MEMORY_METRES = 300e3  # m within which what was driven before is forgotten to a third
+
+
+class PredictedEnergy(NamedTuple):
+    """Energy of a journey, J, and its variance but for unseen hills, J^2.
+
+    `hills`, J^2 per m, is by how much variance of height per length of road counts: the square of
+    weight over eta, times the length of road without height.
+    """
+
+    mean: float
+    variance: float
+    hills: float
+
+    def with_hills(self, growth: Any) -> Any:
+        """Variance with unseen hills of this size, m^2 per m, J^2."""
+        return self.variance + growth * self.hills
+
+
+class Spread(NamedTuple):
+    """Errors in sigmas: cases seen, and the sum of their squares."""
+
+    cases: Annotated[float, Range(0.0, CASES_KEPT)] = 0.0
+    squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+
+    @property
+    def scale(self) -> float:
+        """Factor of the variance, above or below 1."""
+        return (PRIOR_CASES * PRIOR_SCALE + self.squares) / (PRIOR_CASES + self.cases)
+
+    @property
+    def seen(self) -> float:
+        """Factor as `scale`, but the cases that are assumed before any have 1."""
+        return (PRIOR_CASES + self.squares) / (PRIOR_CASES + self.cases)
+
+    def after(self, deviate: float) -> Spread:
+        """With one more case, this many sigmas off."""
+        keep = min(1.0, (CASES_KEPT - 1.0) / max(self.cases, 1.0))
+        square = min(abs(deviate), MOST_DEVIATE) ** 2
+        return Spread(keep * self.cases + 1.0, keep * self.squares + square)
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """Outcome of the rehearsals.
+
+    Attributes:
+        dropout: spread of errors of dropouts within a drive.
+        drive: spread of errors of whole drives.
+        hills: logarithm of the odds of `GROWTHS`.
+    """
+
+    dropout: Spread = field(default_factory=Spread)
+    drive: Spread = field(default_factory=Spread)
+    hills: tuple[Annotated[float, Range(-1e6, 0.0)], ...] = (0.0,) * len(GROWTHS)
+
+    def __post_init__(self) -> None:
+        """Refuse odds that are not of `GROWTHS`."""
+        if len(self.hills) != len(GROWTHS):
+            raise ValueError("bands: hills are missing")
+
+    @property
+    def growth(self) -> float:
+        """Variance of unseen height per length of road, m."""
+        odds = np.exp(np.array(self.hills) - max(self.hills))
+        return float(odds @ GROWTHS / odds.sum())
+
+    def after_drive(self, energy: PredictedEnergy, drawn: float) -> Bands:
+        """With one more drive, predicted whole, that drew so many J."""
+        sigma = math.sqrt(energy.with_hills(self.growth))
+        return replace(self, drive=self.drive.after((drawn - energy.mean) / sigma))
+
+    def after_dropout(self, energy: PredictedEnergy, drawn: float, *, long: bool) -> Bands:
+        """With one more dropout that did not happen."""
+        error = drawn - energy.mean
+        bands = self
+        if long:
+            sigma = math.sqrt(energy.with_hills(self.growth))
+            bands = replace(self, dropout=self.dropout.after(error / sigma))
+        if energy.hills == 0.0:
+            return bands
+        variance = energy.with_hills(GROWTHS)
+        square = np.minimum(error**2 / variance, MOST_DEVIATE_HILLS**2)
+        odds = HILLS_KEPT * np.array(self.hills) - 0.5 * (square + np.log(variance))
+        return replace(bands, hills=tuple((odds - odds.max()).tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class Hills:
+    """Climbs of the parts of drives whose heights were known.
+
+    Attributes:
+        squares: of the climb of each earlier drive from start to end, m^2.
+        metres: of their length, m.
+        way: m of this drive.
+        climb: m of this drive, up less down.
+    """
+
+    squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    metres: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    way: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    climb: Annotated[float, Range(-1e5, 1e5)] = 0.0
+
+    @property
+    def growth(self) -> float:
+        """Variance of height per length of road, m; 0 while unknown."""
+        return self.squares / self.metres if self.metres >= LEAST_HEIGHTS_METRES else 0.0
+
+    def plus(self, way: float, climb: float) -> Hills:
+        """With more of this drive, m, whose height was known."""
+        return replace(self, way=self.way + way, climb=self.climb + climb)
+
+    def next_drive(self) -> Hills:
+        """At the start of another drive."""
+        kept = math.exp(-self.way / HILLS_MEMORY_METRES)
+        squares, metres = kept * self.squares + self.climb**2, kept * self.metres + self.way
+        return Hills(min(squares, MOST_SUM), min(metres, MOST_SUM))

@@ -1,0 +1,363 @@
+"""Breakdown of the energy of a drive by where it went, with what is not known of it.
+
+The parts of a drive (`Equation.split`, summed over its intervals) are linear in the states, so
+what later intervals teach of the car, of this drive or of the height of its road moves the parts
+of before, and nothing is added up twice. When a drive ends, what is of it alone (its offsets, the
+loads that wandered, the unseen climb) is kept as what the states of the car say of it, so that
+drives can be compared by all that was learned (a smoother of Rauch, Tung and Striebel).
+
+The parts need not add up to what was measured: what is left is shown as unexplained, as unsure as
+the noise that was found on the way, outliers (a brake that friction does, say) with it. Parts that
+the data tell apart worse than they tell their sum are to be read together (`together`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from itertools import combinations
+import math
+
+import numpy as np
+
+from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.core.estimation.journey import unseen_of
+from evpinn_ros.core.estimation.posterior import CarState
+from evpinn_ros.core.estimation.states import LASTING, PHYSICS, SIZE, State
+from evpinn_ros.core.estimation.terms import COUNT, WHOLE, Equation, Part
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.vehicle.physics import GRAVITY
+
+UNEXPLAINED, REGAINED = "unexplained", "regained"
+OWN = [State.ROLLING_DRIVE, State.LOAD_DRIVE, State.DOUBTED, State.WANDERED, State.LOAD_ENERGY]
+OWN += [State.CLIMBED, State.CLIMB]  # states that are of a drive alone
+# A measured height strays: wind and doors move a barometer by half a metre, for a minute. Of a
+# whole drive it counts at both ends.
+HEIGHT_STRAYS = 0.5  # m, 1-sigma
+DIFFERENCE_METRES = 1e5  # m that a difference of drives is of
+EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
+STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
+# Wind, and a rolling resistance that grows with speed, make air and tyres look like each other,
+# and a load that is on while the car drives looks like tyres: share of the air's and of the
+# standing energy, 1-sigma. By likelihood of 60 simulated drives that no benchmark scores.
+AS_TYRES = 0.05
+# Of what is regained, 1-sigma: lost in the brakes instead, and less in the drivetrain, for the sum
+# is known. A step of half a second may hold driving and braking. Where no torque shows it, brakes
+# blend in differently from drive to drive: by the likelihood of 24 recorded drives of an i3 and a
+# Leaf, each learned alone, against all of that car (`evpinn bench breakdown --alone`).
+NOT_REGAINED, NOT_REGAINED_UNSEEN = 0.015, 0.08
+# Where no height is known, the net climb of a drive is as unknown as roads make it: so many m,
+# 1-sigma, once a drive is longer than `HILL`, m. By drives of an i3 and a Leaf whose heights were
+# taken out (`evpinn bench breakdown --heights`): what a climb took is booked elsewhere then, as
+# braking and losses of the drivetrain on a steep short drive, as tyres and air on a long one.
+# The ends of a drive whose heights begin late are shorter: no road climbs more than `STEEP` there.
+NET_CLIMB, HILL, STEEP = 122.0, 1000.0, 0.05
+CLIMB_AS_BRAKES, CLIMB_AS_STANDING = 0.43, 0.04  # of the climb
+CLIMB_AS_FRICTION, MOST_AS_FRICTION = 1.4e-5, 0.5  # tyres and air, by the distance in m; at most
+MOSTLY_UNSEEN = 0.5  # of the way without heights, from here on worth saying
+# Between drives: efficiency changes by this much for each e-fold of power, and a constant one
+# has air, the part that grows with speed most, account for it.
+MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
+TOGETHER = 0.5  # a sum this much surer than its less sure part is known, its parts are not
+_TERMS = [LASTING.index(state) for state in PHYSICS]  # columns of `EndedDrive.rows`
+CONSUMPTION_METRES = 100.0  # m; over less no consumption is known
+KNOWN_SHARE = 0.02  # of what went in and out: a part less unsure than that is known well enough
+
+
+@dataclass(frozen=True, slots=True)
+class Amount:
+    """An energy: kWh, 1-sigma, kWh/100 km (None over no distance), share (None of nothing)."""
+
+    kwh: float
+    sigma_kwh: float
+    kwh_per_100km: float | None
+    share: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Totals:
+    """Sums over the intervals of a drive.
+
+    Attributes:
+        measured: J at the battery.
+        measured_variance: due to the rate of its readings, J^2.
+        distance: m.
+        seconds: s.
+        unseen: m of the distance where no height was known.
+        noise: variance of the energy that no state of the car explains, as learned, J^2.
+    """
+
+    measured: float = 0.0
+    measured_variance: float = 0.0
+    distance: float = 0.0
+    seconds: float = 0.0
+    unseen: float = 0.0
+    noise: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Breakdown(Totals):
+    """The energy of a drive, by part.
+
+    Attributes:
+        energy: of each `Part`, J, shape (COUNT,).
+        covariance: of these, J^2, shape (COUNT, COUNT).
+    """
+
+    energy: np.ndarray
+    covariance: np.ndarray
+
+    def amounts(self) -> dict[str, Amount]:
+        """The parts, what they leave unexplained, and what braking brought back beside them."""
+        found = {part.name.lower(): self.of(part) for part in list(Part)[WHOLE]}
+        explained = float(self.energy[WHOLE].sum())
+        unsure = float(self.covariance[WHOLE, WHOLE].sum()) + self.measured_variance + self.noise
+        found[UNEXPLAINED] = self._amount(self.measured - explained, unsure)
+        found[REGAINED] = self.of(Part.REGAINED)
+        return found
+
+    def of(self, *chosen: Part) -> Amount:
+        """Some parts together."""
+        index = list(chosen)
+        return self._amount(float(self.energy[index].sum()), self._variance(chosen))
+
+    def total(self) -> Amount:
+        """Energy measured over the same intervals."""
+        return self._amount(self.measured, self.measured_variance)
+
+    def together(self) -> list[tuple[Part, ...]]:
+        """Groups of parts that the data do not tell apart: their sum is much surer than they."""
+        scale = KNOWN_SHARE * float(np.abs(self.energy[WHOLE]).sum())
+        groups: list[tuple[Part, ...]] = [(part,) for part in list(Part)[WHOLE]]
+        while True:
+            unsure = [group for group in groups if self._sigma(group) > scale]
+            joined = [
+                (self._sigma(a + b) / max(self._sigma(a), self._sigma(b)), a, b)
+                for a, b in combinations(unsure, 2)
+            ]
+            if not joined or min(joined)[0] > TOGETHER:
+                return [group for group in groups if len(group) > 1]
+            _, a, b = min(joined)
+            groups = [tuple(sorted(a + b)), *(g for g in groups if g not in (a, b))]
+
+    def _variance(self, group: tuple[Part, ...]) -> float:
+        return float(self.covariance[np.ix_(group, group)].sum())
+
+    def _sigma(self, group: tuple[Part, ...]) -> float:
+        return math.sqrt(max(0.0, self._variance(group)))
+
+    def _amount(self, energy: float, variance: float) -> Amount:
+        known = self.distance >= CONSUMPTION_METRES
+        kwh = energy / JOULES_PER_KWH
+        return Amount(
+            kwh=kwh,
+            sigma_kwh=math.sqrt(max(0.0, variance)) / JOULES_PER_KWH,
+            kwh_per_100km=kwh / self.distance * DIFFERENCE_METRES if known else None,
+            share=energy / self.measured if self.measured > 0.0 else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Breakdowns:
+    """Breakdowns of D drives of one car, and how their errors go together.
+
+    Attributes:
+        energy: of each part of each drive, J, shape (D, COUNT).
+        covariance: of these, J^2, shape (D, COUNT, D, COUNT).
+        drives: what they are of.
+    """
+
+    energy: np.ndarray
+    covariance: np.ndarray
+    drives: tuple[Totals, ...]
+
+    def of(self, drive: int) -> Breakdown | None:
+        """Breakdown of one drive, None of no interval."""
+        whole = self.drives[drive]
+        if whole.seconds == 0.0:
+            return None
+        own = self.covariance[drive, :, drive]
+        return Breakdown(*astuple(whole), energy=self.energy[drive], covariance=own)
+
+    def difference(self, drive: int, base: int) -> Breakdown:
+        """Energy that a drive took more than another, of 100 km each.
+
+        What is not known of the car is the same in both, and mostly gone from the difference. What
+        stays is that its efficiency is a map: the more the power of the drives differs, the more.
+        Both must be longer than `CONSUMPTION_METRES`.
+        """
+        pair = [drive, base]
+        more, less = (self.drives[each] for each in pair)
+        scale = np.array([DIFFERENCE_METRES / more.distance, -DIFFERENCE_METRES / less.distance])
+        covariance = np.einsum("a,aibj,b->ij", scale, self.covariance[pair][:, :, pair], scale)
+        drawn = [self.drives[each].measured + self.energy[each, Part.REGAINED] for each in pair]
+        lasted = more.seconds, less.seconds
+        efolds = math.log(max(drawn[0] / lasted[0], 1.0) / max(drawn[1] / lasted[1], 1.0))
+        map_error = MAP_SHARE * efolds * float(np.abs(scale) @ drawn) / 2.0
+        covariance += map_error**2 * np.outer(MAP_ERROR, MAP_ERROR)
+        return Breakdown(
+            energy=scale @ self.energy[pair],
+            covariance=covariance,
+            measured=float(scale @ [more.measured, less.measured]),
+            measured_variance=float(scale**2 @ [more.measured_variance, less.measured_variance]),
+            distance=DIFFERENCE_METRES,
+            unseen=DIFFERENCE_METRES * max(each.unseen / each.distance for each in (more, less)),
+            noise=float(scale**2 @ [more.noise, less.noise]),
+        )
+
+    def joined(self, owners: Sequence[int]) -> Breakdowns:
+        """Breakdowns of which some belong together, as those before and after a long stop.
+
+        Args:
+            owners: number of the whole that each belongs to; all from 0 on.
+        """
+        which = (np.arange(max(owners) + 1)[:, None] == np.array(owners)).astype(float)
+        covariance = np.einsum("ad,dier,be->aibr", which, self.covariance, which)
+        whole = which @ [astuple(each) for each in self.drives]
+        return Breakdowns(which @ self.energy, covariance, tuple(Totals(*row) for row in whole))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveParts:
+    """The parts of a drive that goes on: by part and state, J per unit, shape (COUNT, SIZE)."""
+
+    rows: np.ndarray
+    totals: Totals = Totals()
+
+    @classmethod
+    def none(cls) -> DriveParts:
+        """No interval."""
+        rows = np.zeros((COUNT, SIZE))
+        rows[Part.STANDING, [State.WANDERED, State.LOAD_ENERGY]] = 1.0
+        rows[Part.SLOPE, [State.CLIMBED, State.CLIMB]] = 1.0
+        return cls(rows)
+
+    def plus(self, interval: Interval, parts: np.ndarray, noise: float) -> DriveParts:
+        """With one more interval, its `Equation.parts`, (COUNT, SIZE), and its noise, J^2."""
+        own = parts.copy()
+        own[:, State.LOAD] = 0.0  # WANDERED and LOAD_ENERGY have what it gave
+        more = (
+            interval.energy,
+            max(0.0, interval.sampling_variance),
+            abs(interval.distance),
+            interval.duration,
+            unseen_of(interval),
+            noise,
+        )
+        sums = (one + other for one, other in zip(astuple(self.totals), more, strict=True))
+        return DriveParts(self.rows + own, Totals(*sums))
+
+    def ended(self, state: CarState) -> EndedDrive:
+        """Parts as functions of the states of the car alone."""
+        mean, covariance = state.mixture()
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-12))[LASTING]
+        car = covariance[np.ix_(LASTING, LASTING)] / np.outer(scale, scale)
+        shared = covariance[np.ix_(LASTING, OWN)] / scale[:, None]
+        gain = (np.linalg.lstsq(car, shared, rcond=1e-9)[0] / scale[:, None]).T
+        rows = self.rows[:, LASTING] + self.rows[:, OWN] @ gain
+        own = covariance[np.ix_(OWN, OWN)] - gain @ covariance[np.ix_(LASTING, OWN)]
+        return EndedDrive(
+            rows,
+            self.rows[:, OWN] @ (mean[OWN] - gain @ mean[LASTING]),
+            self.rows[:, OWN] @ own @ self.rows[:, OWN].T,
+            self.totals,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EndedDrive:
+    """The parts of a drive as a function of the states of the car.
+
+    Attributes:
+        rows: energy by part and state of `LASTING`, J per unit, shape (COUNT, len(LASTING)).
+        offset: J, shape (COUNT,).
+        own: covariance of what is of the drive alone, J^2, shape (COUNT, COUNT).
+        totals: what it is of.
+    """
+
+    rows: np.ndarray
+    offset: np.ndarray
+    own: np.ndarray
+    totals: Totals
+
+
+def breakdowns(
+    ended: Sequence[EndedDrive], now: DriveParts, state: CarState, equation: Equation
+) -> Breakdowns:
+    """Breakdowns of drives that ended and of the one that goes on, by all that was learned."""
+    drives = (*ended, now.ended(state))
+    mean, covariance = state.mixture()
+    rows = np.concatenate([each.rows for each in drives])
+    unseen = [float(each.rows[Part.REGAINED, _TERMS] @ mean[PHYSICS]) for each in drives]
+    energy = rows @ mean[LASTING] + np.concatenate([each.offset for each in drives])
+    whole = rows @ covariance[np.ix_(LASTING, LASTING)] @ rows.T
+    weight = GRAVITY * equation.eta * float(mean[State.MASS])
+    growth = math.nan if equation.vehicle.in_traffic else state.bands.growth
+    shape = len(drives), COUNT
+    energy, whole = energy.reshape(shape), whole.reshape(shape + shape)
+    for number, each in enumerate(drives):
+        beside = _beside(energy[number], unseen[number], each.totals, weight, growth)
+        whole[number, :, number] += each.own + beside
+    return Breakdowns(energy, whole, tuple(each.totals for each in drives))
+
+
+def _beside(
+    energy: np.ndarray, regained: float, totals: Totals, weight: float, growth: float
+) -> np.ndarray:
+    """Covariance that no state holds, J^2: heights that stray, edges, wind and maps of losses.
+
+    Args:
+        energy: of each part, J, shape (COUNT,).
+        regained: what the terms of eq. 21 have of it, J; nothing where torque shows braking.
+        totals: of the drive.
+        weight: over eta, N.
+        growth: variance of the unseen climb per length of floors, m, NaN for roads.
+    """
+    own = np.zeros((COUNT, COUNT))
+    if totals.unseen < totals.distance:
+        own += 2.0 * (weight * HEIGHT_STRAYS) ** 2 * np.outer(STRAYED_HILL, STRAYED_HILL)
+    if totals.unseen > 0.0:
+        climbed = _unseen_climb(energy, totals.unseen)
+        on_roads = math.isnan(growth)
+        climb = net_climb(totals.unseen) ** 2 if on_roads else growth * totals.unseen
+        own += weight**2 * climb * np.outer(climbed, climbed)
+    unit = np.eye(COUNT)
+    braking = unit[Part.REGAINED] - unit[Part.BRAKES] + unit[Part.DRIVETRAIN]
+    mistaken = (
+        AS_TYRES * energy[Part.AIR] * (unit[Part.AIR] - unit[Part.TYRES]),
+        AS_TYRES * energy[Part.STANDING] * (unit[Part.STANDING] - unit[Part.TYRES]),
+        NOT_REGAINED * energy[Part.REGAINED] * braking,
+        NOT_REGAINED_UNSEEN * regained * braking,
+    )
+    own += sum(np.outer(each, each) for each in mistaken)
+    # (m v dv)^2 at both ends
+    own[Part.SPEED, Part.SPEED] += 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])
+    return own
+
+
+def climb_as_rolling(unseen: float) -> float:
+    """C_rr that an unseen net climb over so many m looks like, 1-sigma."""
+    if unseen <= 0.0:
+        return 0.0
+    return net_climb(unseen) * _as_friction(unseen) / unseen
+
+
+def _as_friction(unseen: float) -> float:
+    return min(MOST_AS_FRICTION, CLIMB_AS_FRICTION * unseen)
+
+
+def net_climb(unseen: float) -> float:
+    """Net climb of so many m of road whose height is not known, m, 1-sigma."""
+    return min(STEEP * unseen, NET_CLIMB * math.sqrt(1.0 - math.exp(-unseen / HILL)))
+
+
+def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
+    """Share of an unseen net climb that each part is off by, shape (COUNT,), sum 0."""
+    friction = _as_friction(unseen)
+    air, tyres = np.maximum(energy[[Part.AIR, Part.TYRES]], 0.0) + 1.0
+    found = np.zeros(COUNT)
+    found[Part.SLOPE] = 1.0
+    found[[Part.AIR, Part.TYRES]] = -friction * np.array([air, tyres]) / (air + tyres)
+    found[[Part.BRAKES, Part.STANDING]] = -CLIMB_AS_BRAKES, -CLIMB_AS_STANDING
+    found[Part.DRIVETRAIN] = -found[WHOLE].sum()
+    return found

@@ -1,0 +1,235 @@
+"""Everything learned of a car from intervals, as one value.
+
+`after` gives the car after some more intervals and leaves this one as it is, so an update can be
+computed in a thread beside the callbacks, and thrown away.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+import math
+
+import numpy as np
+
+from evpinn_ros.core.estimation.bands import Hills
+from evpinn_ros.core.estimation.breakdown import Breakdowns, DriveParts, EndedDrive, breakdowns
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.journey import NOWHERE, Journey
+from evpinn_ros.core.estimation.learner import gate_interval
+from evpinn_ros.core.estimation.payload import PayloadDetector
+from evpinn_ros.core.estimation.posterior import (
+    OUTLIER,
+    CarState,
+    advance,
+    begin_drive,
+    forget_present,
+    forget_road,
+    initial_state,
+    learn,
+    passed,
+)
+from evpinn_ros.core.estimation.published import Driven
+from evpinn_ros.core.estimation.rehearsal import Rehearsal, Rehearsals
+from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.estimation.terms import Equation, coldness
+from evpinn_ros.core.estimation.unevenness import Path, Unevenness
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.sign_detectors import GradeDetector
+from evpinn_ros.core.vehicle.physics import GRAVITY
+
+MOST_INTERVALS = 5000  # of one drive that unevenness is learned from, fourteen hours
+# Drives that are compared may have nothing of their offsets in common.
+KEPT_WHEN_COMPARED = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnedCar:
+    """Everything learned of a car from intervals.
+
+    Attributes:
+        equation: of the car.
+        state: the posterior.
+        driven: what the published parameters are meant over.
+        rehearsals: predictions under way that will say how far bands are to be trusted.
+        parts: where the energy of this drive went.
+        ended: the same of drives before it, where they are kept to be compared, and of what was
+            driven before a long stop; each with the number of its drive.
+        number: of this drive.
+        payload: changes of payload.
+        grade: sign of the reported grade.
+        unevenness: what uneven speed takes beyond even, by the drives that ended.
+        hills: of their roads.
+        steps: of this drive, to learn both from.
+        dropout: what was driven since the battery was last measured.
+        end_ns: end of the last interval.
+        known_ns: up to where the battery was measured: before `end_ns` in a dropout.
+        stretches: of road and drives begun so far; what began meanwhile outdates an update.
+        gated: intervals not learned from, by reason, of this update.
+    """
+
+    equation: Equation
+    state: CarState
+    driven: Driven
+    rehearsals: Rehearsals
+    parts: DriveParts = field(default_factory=DriveParts.none)
+    ended: tuple[tuple[int, EndedDrive], ...] = ()
+    number: int = 0
+    payload: PayloadDetector = field(default_factory=PayloadDetector)
+    grade: GradeDetector = field(default_factory=GradeDetector)
+    unevenness: Unevenness = field(default_factory=Unevenness.none)
+    hills: Hills = field(default_factory=Hills)
+    steps: tuple[Path, ...] = ()
+    dropout: Journey = NOWHERE
+    end_ns: int = 0
+    known_ns: int = 0
+    stretches: int = 0
+    gated: Counter[str] = field(default_factory=Counter)
+
+    @classmethod
+    def new(cls, equation: Equation) -> LearnedCar:
+        """A car before its first drive."""
+        state = initial_state(equation)
+        return cls(equation, state, Driven.nowhere(), Rehearsals(Rehearsal(state)))
+
+    @property
+    def measured(self) -> bool:
+        """True while no energy is predicted without a battery."""
+        return self.known_ns == self.end_ns
+
+    def after(self, intervals: Iterable[Interval]) -> LearnedCar:
+        """The car after some more intervals."""
+        car = replace(self, gated=Counter())
+        for interval in intervals:
+            if math.isnan(interval.energy):
+                car = car._without(interval)
+            elif (reason := gate_interval(interval)) is not None:
+                car.gated[reason] += 1
+            else:
+                car = car._with(interval)
+        return car
+
+    def model(self) -> CarModel:
+        """The car as predictions from here on take it, by the drives that ended."""
+        model = self.state.model(self.equation)
+        growth = max(model.growth, self.hills.growth)
+        return replace(model, growth=growth, unevenness=self.unevenness)
+
+    def breakdowns(self) -> Breakdowns:
+        """Energy of this drive, and of those kept before it, by where it went."""
+        drives = [each for _, each in self.ended]
+        found = breakdowns(drives, self.parts, self.state, self.equation)
+        return found.joined([*(number for number, _ in self.ended), self.number])
+
+    def forget_road(self) -> LearnedCar:
+        """After a jump of time: another place on the road, and the car may have stood."""
+        state = forget_road(self._after_dropout())
+        return replace(
+            self,
+            state=state,
+            rehearsals=replace(self.rehearsals, dropouts={}),
+            payload=self.payload.forget_time(),
+            dropout=NOWHERE,
+            known_ns=self.end_ns,
+            stretches=self.stretches + 1,
+        )
+
+    def begin_drive(self, *, compare: bool = False, goes_on: bool = False) -> LearnedCar:
+        """Another drive.
+
+        Args:
+            compare: keep the parts of the drives before, to compare; no offset is as it was.
+            goes_on: the breakdown goes on, as over a long stop in a recording.
+        """
+        car = self.forget_road()
+        bands = self.rehearsals.end_drive(car.state.bands, self.equation)
+        ended, number = self.ended, self.number
+        if self.parts.totals.seconds:
+            ended = (*ended, (number, self.parts.ended(car.state)))
+        if not goes_on and any(each == number for each, _ in ended):
+            number += 1
+        if not (compare or goes_on):
+            ended, number = (), 0
+        keep = {"keep": KEPT_WHEN_COMPARED} if compare else {}
+        state = begin_drive(replace(car.state, bands=bands), self.equation, **keep)
+        return replace(
+            car,
+            state=state,
+            driven=self.driven.next_drive(),
+            unevenness=self.uneven(),
+            hills=self.hills.next_drive(),
+            steps=(),
+            rehearsals=Rehearsals(Rehearsal(state)),
+            parts=DriveParts.none(),
+            ended=ended,
+            number=number,
+        )
+
+    def uneven(self) -> Unevenness:
+        """Energy of uneven speed, by this drive too."""
+        if not self.steps:
+            return self.unevenness
+        mean = self.state.weights @ self.state.mean
+        drive = Path(*map(np.concatenate, zip(*self.steps, strict=True)))
+        return self.unevenness.after(self.equation, mean, drive)
+
+    def is_finite(self) -> bool:
+        """True if every number is finite."""
+        mean, covariance = self.state.gaussian
+        return bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
+
+    def _without(self, interval: Interval) -> LearnedCar:
+        """The car after an interval whose battery was not measured."""
+        seconds = self.state.seconds + self.dropout.seconds
+        return replace(
+            self._along(interval),
+            dropout=self.dropout.plus(passed(self.equation, interval, seconds).journey),
+            rehearsals=replace(self.rehearsals, dropouts={}),
+            known_ns=interval.start_ns if self.measured else self.known_ns,
+        )
+
+    def _with(self, interval: Interval) -> LearnedCar:
+        """The car after an interval whose battery was measured."""
+        equation, before = self.equation, self._after_dropout()
+        done = passed(equation, interval, before.seconds)
+        rehearsals, bands = self.rehearsals.learn(
+            before, equation, done.journey, abs(interval.distance), interval.energy
+        )
+        before = replace(before, bands=bands)
+        state, learned = learn(before, equation, done)
+        driven = self.driven.plus(done)
+        payload = self.payload.after(before, state, learned, equation, driven, done)
+        state = payload.taken or state
+        cold = coldness(interval.conditions.celsius)
+        parts = equation.split(done.rows, done.wheels, cold, done.warmth.tyres)
+        noise = float(state.weights @ state.scale @ done.journey.noise)
+        noise += max(0.0, (learned.residual / OUTLIER) ** 2 - learned.sigma**2)  # an outlier
+        weight = GRAVITY * float(state.weights @ state.mean[:, State.MASS])  # over eta, N
+        return replace(
+            self._along(interval),
+            state=state,
+            driven=driven,
+            rehearsals=rehearsals,
+            parts=self.parts.plus(interval, parts, noise),
+            payload=payload,
+            grade=self.grade.after(interval, learned.residual, weight),
+            dropout=NOWHERE,
+            known_ns=interval.end_ns,
+        )
+
+    def _along(self, interval: Interval) -> LearnedCar:
+        """The car after the road of one more interval."""
+        steps, hills = interval.steps, self.hills
+        one = np.ones(len(steps.duration))
+        path = Path(*steps[:5], interval.conditions.air_density * one, 0.0 * one)
+        if interval.height_known:
+            hills = hills.plus(abs(interval.distance), float(steps.climb.sum()))
+        newest = (*self.steps, path)[-MOST_INTERVALS:]
+        return replace(self, steps=newest, hills=hills, end_ns=interval.end_ns)
+
+    def _after_dropout(self) -> CarState:
+        """The state once a dropout is over: time has passed, its energy is in no sum."""
+        if self.dropout.seconds == 0.0:
+            return self.state
+        return forget_present(advance(self.state, self.dropout.seconds))

@@ -1,0 +1,117 @@
+"""Estimates: values that nodes publish and commands print."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+import math
+
+from evpinn_ros.core.vehicle.identifiable import Identifiable
+
+
+class Trust(str, Enum):
+    """Trustworthiness of a parameter.
+
+    `unestimated` while the data hold next to no information on it; `estimating` while they still
+    learn it, or as long as it is mostly prior; `valid` when the data determine it and the value is
+    possible; `stale` after a long battery dropout; `invalid` when the signals
+    contradict each other, or the value lies where no car of this model can be.
+    """
+
+    UNESTIMATED = "unestimated"
+    ESTIMATING = "estimating"
+    VALID = "valid"
+    STALE = "stale"
+    INVALID = "invalid"
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterEstimate:
+    """One parameter now.
+
+    Attributes:
+        value: in the unit of `vehicle.parameters.Parameters`.
+        std: 1-sigma.
+        prior_share: 0 when all from data, 1 when all from the prior.
+        lower: bound from the combinations and eta, mu <= 1, or the limit of the parameter.
+        upper: the same.
+        trust: how far to trust it.
+        progress: percent of the way to a combination that the data determine.
+        possible: False where the value cannot be trusted however much was learned: no car has
+            such a one, or the heights are unknown that it needs.
+    """
+
+    value: float
+    std: float
+    prior_share: float
+    lower: float
+    upper: float
+    trust: Trust
+    progress: float = 0.0
+    possible: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """All parameters at one moment.
+
+    Attributes:
+        stamp_ns: the newest sample they rest on.
+        parameters: one estimate for each of `PARAMETER_NAMES`.
+        identifiable: what the data alone determine.
+        identifiable_std: its 1-sigma.
+        reliable: whether every validity check is passed.
+        identifiable_trust: how far each combination can be trusted.
+    """
+
+    stamp_ns: int
+    parameters: Mapping[str, ParameterEstimate]
+    identifiable: Identifiable
+    identifiable_std: Identifiable
+    reliable: bool
+    identifiable_trust: Mapping[str, Trust] = field(default_factory=dict)
+
+    def stale(self) -> ParameterSet:
+        """Parameters whose trust says that nothing was measured for long."""
+        fades = {Trust.VALID: Trust.STALE}
+        return replace(
+            self,
+            parameters={
+                name: replace(p, trust=fades.get(p.trust, p.trust))
+                for name, p in self.parameters.items()
+            },
+            reliable=False,
+            identifiable_trust={
+                name: fades.get(trust, trust) for name, trust in self.identifiable_trust.items()
+            },
+        )
+
+
+class PowerKind(str, Enum):
+    """Power topic that a value belongs to."""
+
+    MEASURED = "measured"
+    PREDICTED = "predicted"
+    SMOOTHED = "smoothed"
+
+
+@dataclass(frozen=True, slots=True)
+class PowerEstimate:
+    """Battery power at one moment.
+
+    Attributes:
+        kind: topic.
+        stamp_ns: the moment.
+        power: W.
+        sigma: its 1-sigma, W.
+        energy: predicted since the battery was last measured, J; NaN while it is measured.
+        energy_sigma: its 1-sigma, J; NaN where it is not known.
+    """
+
+    kind: PowerKind
+    stamp_ns: int
+    power: float
+    sigma: float
+    energy: float = math.nan
+    energy_sigma: float = math.nan

@@ -1,0 +1,409 @@
+"""The online estimator: readings in, predicted power and parameters out.
+
+One object serves the node, the replay and the benchmarks, so they give the same numbers. It holds
+no clock: stamps are the only time. Once a second of stamps (a tick) it takes the result of the
+update begun at the tick before and begins the next. So a result always takes effect one second
+after its data, whether it took 5 ms or 900 ms to compute, and live equals replayed.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from importlib import import_module
+import math
+from typing import Annotated, Any, TypeAlias
+
+from evpinn_ros.common.saved_fields import SAME, Saveable
+from evpinn_ros.core.estimation.breakdown import Breakdown, Breakdowns
+from evpinn_ros.core.estimation.calibration import BandCalibration, SavedBand
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
+from evpinn_ros.core.estimation.evidence import Evidence
+from evpinn_ros.core.estimation.learner import (
+    STATE_VERSION,
+    Learner,
+    LearnerReport,
+    PowerPrediction,
+    gate,
+)
+from evpinn_ros.core.estimation.operating_range import OperatingRange
+from evpinn_ros.core.estimation.size import Similarity
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.detector import BATTERY_STUCK
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.sample import MeasuredSample, Sample, StreamEvent
+from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.core.signals.stuck import StuckDetector
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.physics import RegenForm
+
+UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
+BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # dropout after which power is only predicted
+SENSOR_STD = 30.0  # W, 1-sigma of measured power near zero: pack sensors of traction batteries
+SENSOR_SHARE = 0.01  # and of the reading; typical; no car reports it on its bus
+STALE_AFTER_NS = 300 * NANOSECONDS  # dropout after which parameters count as stale
+
+Output: TypeAlias = PowerEstimate | ParameterSet
+
+
+class Mode(str, Enum):
+    """Choice of learner (`LEARNERS`)."""
+
+    HYBRID = "hybrid"
+    PAPER = "paper"
+
+
+class PaperOptimizer(str, Enum):
+    """Optimizer of `mode: paper` for the network and the parameters on its window."""
+
+    ADAM = "adam"  # as published
+    GAUSS_NEWTON = "gauss_newton"  # the same network and loss, much nearer to the minimum
+
+
+LEARNERS: Mapping[Mode, str] = {
+    Mode.HYBRID: "evpinn_ros.core.estimation.pinn",
+    Mode.PAPER: "evpinn_ros.extras.paper.learner",  # loads torch
+}
+"""Module of each mode, imported when it is asked for, and its `new_learner(vehicle, settings)`."""
+
+
+class Activity(str, Enum):
+    """Present activity of the estimator."""
+
+    WAITING = "waiting"
+    LEARNING = "learning"
+    PREDICTING = "predicting"
+    PAUSED = "paused"
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorSettings:
+    """Settings of an estimator.
+
+    Attributes:
+        seed: of the networks.
+        stream: how readings become samples.
+        keep_drives: whether breakdowns of earlier drives are kept, to be compared; hybrid alone.
+        mode: how to learn.
+        regen_form: reading of eq. 21; `mode: paper` alone.
+        optimizer: what trains; `mode: paper` alone.
+    """
+
+    seed: int = 0
+    stream: StreamSettings = field(default_factory=StreamSettings)
+    keep_drives: bool = False
+    mode: Mode = Mode.HYBRID
+    regen_form: RegenForm = RegenForm.RECOVERY
+    optimizer: PaperOptimizer = PaperOptimizer.ADAM
+
+    def new_learner(self, vehicle: Vehicle) -> Learner:
+        """A learner that knows the vehicle file alone."""
+        learner: Learner = import_module(LEARNERS[self.mode]).new_learner(vehicle, self)
+        return learner
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorStatus:
+    """Status of the estimator for diagnostics.
+
+    Attributes:
+        activity: what it is doing.
+        dropped: readings not used, by reason.
+        gated: samples not learned from, by reason.
+        updates: windowed updates begun.
+        accepted: updates accepted.
+        rejected: updates rejected, by reason.
+        durations: seconds that each of the latest updates took (`worker.DURATIONS_KEPT`).
+        report: changes of payload and suspicions.
+        progress: percent learned of each parameter.
+        trust: of each parameter.
+        seen: samples learned from, by speed and acceleration.
+        band_coverage: share of recent samples inside the 90 % band, by kind of prediction.
+        newest_ns: stamp of the newest speed, None before the first.
+        unknown: optional inputs without data (see `Road.unknown`).
+        stuck: name of the signal that repeats one value (see `signals.stuck`), or None.
+    """
+
+    activity: Activity
+    dropped: Mapping[str, int]
+    gated: Mapping[str, int]
+    updates: int
+    accepted: int
+    rejected: Mapping[str, int]
+    durations: tuple[float, ...]
+    newest_ns: int | None
+    unknown: tuple[str, ...] = ()
+    report: LearnerReport = field(default_factory=LearnerReport)
+    progress: Mapping[str, float] = field(default_factory=dict)
+    trust: Mapping[str, Trust] = field(default_factory=dict)
+    seen: Mapping[str, int] = field(default_factory=dict)
+    band_coverage: Mapping[str, float] = field(default_factory=dict)
+    stuck: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SavedEstimator:
+    """State of a car: that of the learner of its mode, and the bands."""
+
+    version: Annotated[int, SAME]
+    vehicle: Annotated[str, SAME]
+    mode: Annotated[str, SAME]
+    learner: Any
+    bands: Mapping[str, SavedBand]
+
+
+class OnlineEstimator(Saveable[SavedEstimator]):
+    """One car, learned from its readings: predictions at once, parameters once a second."""
+
+    def __init__(
+        self, vehicle: Vehicle, settings: EstimatorSettings, worker: InlineWorker
+    ) -> None:
+        """Start from the vehicle's priors; the worker computes the updates."""
+        self._vehicle, self._settings, self._worker = vehicle, settings, worker
+        self._similarity = Similarity(vehicle)
+        self._accepted = 0
+        self._updates = 0
+        self._rejected: Counter[str] = Counter()
+        self.enabled = True
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all that was learned; counters are kept."""
+        self._worker.cancel()
+        self._learner = self._settings.new_learner(self._similarity.car)
+        self._stream = SampleStream(
+            self._settings.stream, self._vehicle.air_density, self._vehicle.motor_ratio
+        )
+        self._bands = {k: BandCalibration() for k in (PowerKind.PREDICTED, PowerKind.SMOOTHED)}
+        self._seen = OperatingRange()
+        self._begin_time()
+
+    def handle_time_jump(self) -> None:
+        """Forget what may not be joined across a jump of time; keep what was learned."""
+        self._worker.cancel()
+        self._stream.reset()
+        self._learner.forget_window()
+        self._begin_time()
+
+    def begin_next_drive(self) -> None:
+        """Begin another drive of this car; the same holds for the stamps."""
+        self.handle_time_jump()
+        self._learner.end_drive()
+
+    def clear_counters(self) -> None:
+        """Count anew, for the next drive."""
+        self._updates = self._accepted = 0
+        self._rejected.clear()
+        self._stream.dropped.clear()
+        self._learner.gated.clear()
+        self._worker.durations.clear()
+
+    def _begin_time(self) -> None:
+        self._stuck = StuckDetector()
+        self._tick_ns: int | None = None
+        self._waiting = False
+        self._news = False  # whether there is anything that no update has seen
+        self._predictions: dict[PowerKind, deque[tuple[Sample, PowerPrediction]]] = {
+            kind: deque(maxlen=2000) for kind in self._bands
+        }
+
+    def add_reading(self, reading: Reading) -> Iterator[Output]:
+        """Take one reading; give the predictions and parameters it leads to, in order."""
+        for found in self._outputs(self._similarity.reading(reading)):
+            yield self._similarity.estimate(found)
+
+    def _outputs(self, reading: Reading) -> Iterator[Output]:
+        """Outputs of the similar car after one of its readings."""
+        before = self._stream.dropped.total()
+        events = list(self._stream.add_reading(reading))
+        taken = self._stream.dropped.total() == before
+        if taken:
+            self._stuck = self._stuck.after(reading)
+        usable = taken and self._stuck.detected != BATTERY_STUCK
+        if isinstance(reading, BatteryReading) and usable:
+            power = self._stream.measured_power(reading)
+            if not math.isnan(power):
+                coarse = 0.0 if math.isnan(reading.power_std) else reading.power_std
+                sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power, coarse)
+                self._learner.battery_measured(reading.stamp_ns)
+                yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, power, sigma)
+        for event in events:
+            yield from self._handle(event)
+        newest_ns = self._stream.newest_ns
+        if isinstance(reading, SpeedReading) and newest_ns is not None:
+            yield from self._tick(newest_ns)
+
+    def parameters(self) -> ParameterSet:
+        """Present estimate of the parameters."""
+        return self._similarity.estimate(self._parameters())
+
+    def _parameters(self) -> ParameterSet:
+        """Parameters of the similar car."""
+        found = self._learner.parameters()
+        return found.stale() if self._silent_for(STALE_AFTER_NS) else found
+
+    def model(self) -> CarModel | None:
+        """The car as forecasts of plans take it; None in the paper's mode."""
+        found = self._learner.model()
+        return None if found is None else self._similarity.model(found)
+
+    def breakdown(self) -> Breakdown | None:
+        """Energy of this drive by where it went; None in the paper's mode, and before any."""
+        found = self.breakdowns()
+        return None if found is None else found.of(-1)
+
+    def breakdowns(self) -> Breakdowns | None:
+        """Those of all drives that were kept, the present one last."""
+        found = self._learner.breakdowns()
+        return None if found is None else self._similarity.breakdowns(found)
+
+    def evidence(self) -> Evidence:
+        """Likelihood of the parameters without their prior (see `estimation.evidence`)."""
+        return self._learner.evidence()
+
+    def detections(self) -> LearnerReport:
+        """Changes of payload and suspicions."""
+        return self._similarity.report(self._learner.report())
+
+    def status(self) -> EstimatorStatus:
+        """Counters and activity."""
+        parameters = self.parameters().parameters
+        return EstimatorStatus(
+            activity=self._activity(),
+            dropped=dict(self._stream.dropped),
+            gated=dict(self._learner.gated),
+            updates=self._updates,
+            accepted=self._accepted,
+            rejected=dict(self._rejected),
+            durations=tuple(self._worker.durations),
+            newest_ns=self._stream.newest_ns,
+            unknown=self._stream.unknown,
+            report=self.detections(),
+            progress={name: p.progress for name, p in parameters.items()},
+            trust={name: p.trust for name, p in parameters.items()},
+            seen=self._seen.counts(),
+            band_coverage={kind.value: band.coverage for kind, band in self._bands.items()},
+            stuck=self._stuck.detected,
+        )
+
+    def saved(self) -> SavedEstimator:
+        """State to save."""
+        bands = {kind.value: band.saved() for kind, band in self._bands.items()}
+        key, mode = self._vehicle.key, self._settings.mode.value
+        return SavedEstimator(STATE_VERSION, key, mode, self._learner.saved(), bands)
+
+    def take(self, saved: SavedEstimator) -> None:
+        """Go on from a saved state; when that raises nothing is changed."""
+        learner = self._settings.new_learner(self._similarity.car)
+        learner.gated = self._learner.gated
+        learner.take(saved.learner)
+        self.handle_time_jump()
+        self._learner = learner
+        for kind, band in self._bands.items():
+            band.take(saved.bands[kind.value])
+
+    def _handle(self, event: StreamEvent) -> Iterator[Output]:
+        match event:
+            case Sample(newest=True):
+                yield from self._predict(PowerKind.PREDICTED, event)
+            case Sample():
+                self._learner.advance(event)
+                yield from self._predict(PowerKind.SMOOTHED, event)
+            case MeasuredSample():
+                stamp_ns = event.sample.stamp_ns
+                if (stuck := self._stuck.why_not(stamp_ns, stamp_ns)) is not None:
+                    self._learner.gated[stuck] += 1
+                    return
+                if gate(event.sample, event.power) is None:
+                    self._learn_bands(event)
+                    if self.enabled:
+                        self._seen.add(event.sample)
+                if self.enabled:
+                    self._learner.observe(event.sample, event.power)
+                    self._news = True
+            case Interval():
+                # Nothing is learned in a dropout, and its energy must have no holes.
+                dropout = math.isnan(event.energy)
+                sound = self._stuck.why_not(event.start_ns, event.end_ns) is None
+                if dropout or (self.enabled and sound):
+                    self._news |= self._learner.add_interval(event)
+
+    def _predict(self, kind: PowerKind, sample: Sample) -> Iterator[PowerEstimate]:
+        prediction = self._learner.predict(sample)
+        self._predictions[kind].append((sample, prediction))
+        sigma = self._bands[kind].sigma(sample, prediction.sigma)
+        dropout = prediction.energy, prediction.energy_sigma
+        yield PowerEstimate(kind, sample.stamp_ns, prediction.power, sigma, *dropout)
+
+    def _learn_bands(self, event: MeasuredSample) -> None:
+        """Hold the predictions made for this moment against what was measured."""
+        for kind, waiting in self._predictions.items():
+            while waiting and waiting[0][0].stamp_ns < event.sample.stamp_ns:
+                waiting.popleft()
+            if waiting and waiting[0][0].stamp_ns == event.sample.stamp_ns:
+                sample, prediction = waiting.popleft()
+                self._bands[kind].learn(sample, event.power - prediction.power, prediction.sigma)
+
+    def _tick(self, stamp_ns: int) -> Iterator[ParameterSet]:
+        """Once a second: accept the last update, begin the next, publish the parameters."""
+        if self._tick_ns is None:
+            self._tick_ns = stamp_ns
+        if stamp_ns - self._tick_ns < UPDATE_PERIOD_NS:
+            return
+        self._tick_ns += (stamp_ns - self._tick_ns) // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
+        if self._waiting:
+            self._collect()
+        if self._news and not self._waiting and self._activity() is not Activity.PAUSED:
+            self._news = False
+            if (work := self._learner.prepare_update()) is not None:
+                self._updates += 1
+                self._waiting = True
+                self._worker.submit(work)
+        yield replace(self._parameters(), stamp_ns=stamp_ns)
+
+    def _collect(self) -> None:
+        try:
+            candidate = self._worker.collect()
+        except Exception as error:
+            # The next window may well be solvable; what was learned before stays in use.
+            self._waiting = False
+            self._rejected[f"failed_{type(error).__name__}"] += 1
+            return
+        if candidate is None:
+            self._rejected["overrun"] += 1
+            return
+        self._waiting = False
+        reason = self._learner.consider(candidate)
+        if reason is None:
+            self._accepted += 1
+        else:
+            self._rejected[reason] += 1
+
+    def _silent_for(self, duration_ns: int) -> bool:
+        """True if the battery has dropped out for this long, by stamps."""
+        newest_ns, battery_ns = self._stream.newest_ns, self._stream.battery_ns
+        if newest_ns is None or battery_ns is None:
+            return True
+        return newest_ns - battery_ns > duration_ns
+
+    def _activity(self) -> Activity:
+        if self._stream.newest_ns is None:
+            return Activity.WAITING
+        if self._silent_for(max(BATTERY_TIMEOUT_NS, self._stream.battery_gap_ns)):
+            return Activity.PREDICTING
+        return Activity.LEARNING if self.enabled else Activity.PAUSED
+
+
+def evidence_of_state(vehicle: Vehicle, state: Mapping[str, Any]) -> Evidence:
+    """Evidence in a saved state of a car, of `mode: hybrid`.
+
+    Raises:
+        StateError: it is another vehicle's or version's, or does not fit.
+    """
+    estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
+    estimator.restore(state)
+    return estimator.evidence()

@@ -1,0 +1,106 @@
+"""The network of a car: a force that eq. 12-21 leave out, as a function of speed and wheel force.
+
+Battery power of a moving car is that of eq. 21 plus v N(v, f), with
+
+    N(v, f) = sum_j w_j tanh(a_j . (v, f) + b_j),        f: force at the wheels over the mass,
+
+eq. 1 of the paper with one hidden layer. The inner weights a, b are drawn once; the outer weights
+w are states in the same posterior as the physics and learned from the same energies (a Bayesian
+last layer over random features). The force of a unit holds nothing that the terms of eq. 21 could
+explain over a reference of driving: its share of them is taken away, so that a state of the
+physics is a parameter and no unit competes with it. What is left of `UNITS` units is turned to
+its `states.NETWORK` strongest directions, which hold all but a thousandth of it.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.arrays import like, namespace
+from evpinn_ros.common.package_data import bundled_lines
+from evpinn_ros.core.estimation.states import NETWORK
+
+UNITS = 96
+SPEED_CENTRE, SPEED_SCALE, FORCE_SCALE = 10.0, 15.0, 1.2  # m/s, m/s, m/s^2
+SPREAD = 1.2  # 1-sigma of an inner weight
+REFERENCE = "config/reference/driving.csv"
+GRADES = (0.0, 0.0086, -0.0086)  # of the reference, a third of it each
+
+
+class Driving(NamedTuple):
+    """Moments of driving, shape (n,): speed m/s, acceleration m/s^2, slope; seconds of each."""
+
+    speed: np.ndarray
+    acceleration: np.ndarray
+    slope: np.ndarray
+    seconds: np.ndarray
+
+
+@cache
+def reference_driving() -> Driving:
+    """Driving that the network is orthogonal over: UDDS, HWFET and WLTC at three slopes."""
+    rows = np.array([line.split(",") for line in bundled_lines(REFERENCE)[1:]], float)
+    speed, acceleration, seconds = np.tile(rows, (len(GRADES), 1)).T
+    return Driving(speed, acceleration, np.repeat(GRADES, len(rows)), seconds / len(GRADES))
+
+
+class Network(NamedTuple):
+    """A network whose inner weights are fixed.
+
+    Attributes:
+        inner: weights of speed and force, shape (UNITS, 2).
+        bias: shape (UNITS,).
+        outer: from units to the weights that are learned, shape (UNITS, NETWORK).
+        explained: share of the terms of eq. 21 in each of these, shape (4, NETWORK).
+    """
+
+    inner: np.ndarray
+    bias: np.ndarray
+    outer: np.ndarray
+    explained: np.ndarray
+
+    def force(self, speed: Any, force: Any) -> Any:
+        """Force of each learned weight, N, shape (n, NETWORK), before `explained` is taken away.
+
+        Speed, m/s, and force at the wheels over the mass, m/s^2, have shape (n,); numpy or torch.
+        """
+        xp = namespace(speed)
+        inner, bias, outer = (like(each, speed) for each in (self.inner, self.bias, self.outer))
+        inputs = xp.stack(((speed - SPEED_CENTRE) / SPEED_SCALE, force / FORCE_SCALE), -1)
+        return xp.tanh(inputs @ inner.T + bias) @ outer
+
+
+def orthogonal_network(
+    seed: int, driving: Driving, force: np.ndarray, terms: np.ndarray
+) -> Network:
+    """A network whose power has no part in the terms of eq. 21.
+
+    Args:
+        seed: of the inner weights.
+        driving: that this holds over, n moments.
+        force: at the wheels over the mass there, m/s^2, shape (n,).
+        terms: of eq. 21 there, W per unit of their coefficient, shape (n, 4).
+    """
+    rng = np.random.default_rng(seed)
+    inner, bias = rng.normal(size=(UNITS, 2)) * SPREAD, rng.normal(size=UNITS)
+    plain = Network(inner, bias, np.eye(UNITS), np.zeros((terms.shape[1], UNITS)))
+    power = driving.speed[:, None] * plain.force(driving.speed, force)
+    explained = share_of_terms(driving, terms, power)
+    left = np.sqrt(driving.seconds)[:, None] * (power - terms @ explained)
+    _, _, directions = np.linalg.svd(left, full_matrices=False)
+    outer = directions[:NETWORK].T
+    return Network(inner, bias, outer, explained @ outer)
+
+
+def share_of_terms(driving: Driving, terms: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """Coefficients of the terms that come nearest to powers, W, over some driving; (4, k).
+
+    Least squares by time, each term over its size, for they differ by powers of ten.
+    """
+    root = np.sqrt(driving.seconds)[:, None]
+    size = np.sqrt((driving.seconds @ terms**2) / driving.seconds.sum())
+    found = np.linalg.lstsq(root * terms / size, root * power, rcond=None)[0]
+    return np.asarray(found / size[:, None])

@@ -1,0 +1,39 @@
+"""Data coverage: time learned from at each speed and acceleration.
+
+A parameter that acts at speeds never driven is prior, whatever its value: drag wants a
+motorway, mass wants acceleration.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Mapping
+
+from evpinn_ros.core.signals.sample import Sample
+
+SPEED_EDGES = (30, 60, 90, 120)  # km/h
+BRAKING, ACCELERATING = -0.3, 0.3  # m/s^2
+SPEEDS = ("0_30", "30_60", "60_90", "90_120", "over_120")
+MANNERS = ("braking", "steady", "accelerating")
+
+
+class OperatingRange:
+    """Counts samples in a map of speed and acceleration."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[tuple[int, int]] = Counter()
+
+    def add(self, sample: Sample) -> None:
+        """Count a sample that was learned from."""
+        speed = bisect_right(SPEED_EDGES, abs(sample.speed) * 3.6)
+        manner = bisect_right((BRAKING, ACCELERATING), sample.acceleration)
+        self._counts[speed, manner] += 1
+
+    def counts(self) -> Mapping[str, int]:
+        """Samples by `<speed in km/h>_kmh_<manner>`, all of the map, zeros too."""
+        return {
+            f"{speed}_kmh_{manner}": self._counts[i, j]
+            for i, speed in enumerate(SPEEDS)
+            for j, manner in enumerate(MANNERS)
+        }

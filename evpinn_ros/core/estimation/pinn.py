@@ -1,0 +1,312 @@
+"""`mode: hybrid`: one physics-informed network of a car, learned online.
+
+Battery power is that of the one equation (`estimation.terms`): eq. 12-21 and a tanh network, whose
+coefficients and output weights have one mean and one covariance (`estimation.posterior`). They
+are learned from energies of intervals (the weak form), once a second on the intervals that ended
+in it, in a thread beside the callbacks. Since all is linear, updates one after another are the
+same estimate as a solve over the window of all intervals with the prior as its arrival cost.
+
+Published power has a trim beside it (`estimation.trim`): what the last seconds had beyond the
+car. During a battery dropout the trim fades, and the energy since the battery was last measured is
+that of the posterior, with its exact variance, and what the trim gave until it had faded.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+import math
+from typing import Annotated
+
+from evpinn_ros.common.saved_fields import ADDED, Range, Saveable
+from evpinn_ros.core.estimation.bands import Hills
+from evpinn_ros.core.estimation.breakdown import Breakdowns
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.estimate import ParameterSet
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.evidence import Evidence
+from evpinn_ros.core.estimation.journey import (
+    FORCE_NOISE,
+    MAX_STEP,
+    POWER_NOISE,
+    Journey,
+    Tail,
+    wandered,
+)
+from evpinn_ros.core.estimation.learner import LearnerReport, PowerPrediction, gate
+from evpinn_ros.core.estimation.parameter_set import TrustHysteresis, deviations, parameter_set
+from evpinn_ros.core.estimation.payload import PayloadDetector, SavedPayload, Stamp
+from evpinn_ros.core.estimation.published import Driven, evidence_of, published
+from evpinn_ros.core.estimation.rehearsal import Rehearsal, Rehearsals
+from evpinn_ros.core.estimation.saved_car import (
+    SavedState,
+    SavedUnevenness,
+    saved_state,
+    saved_unevenness,
+    state_of,
+    unevenness_of,
+)
+from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.estimation.terms import Warmth, equation_of
+from evpinn_ros.core.estimation.trim import MOST_TRIM_EVIDENCE, Persistence, Trim
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sign_detectors import GradeDetector, SignDetector
+from evpinn_ros.core.vehicle.files import Vehicle
+
+SAMPLE_STEP = 0.1  # s that the first sample stands for
+POWERS_KEPT = 20  # latest predictions of the car, of samples whose battery is yet to come
+PARKED = 600.0  # s without speed, then it is another drive
+SILENT_NS = NANOSECONDS  # without a measured sample, then energy is predicted
+
+
+@dataclass(frozen=True, slots=True)
+class SavedPinn:
+    """Everything learned of a car; `trim` is its evidence, `seen_ns` the newest stamp."""
+
+    car: SavedState
+    unevenness: SavedUnevenness
+    driven: Driven
+    payload: SavedPayload
+    grade: GradeDetector
+    current_suspicion: SignDetector
+    trim: Annotated[float, Range(-MOST_TRIM_EVIDENCE, MOST_TRIM_EVIDENCE)]
+    seen_ns: Stamp | None
+    persistence: Persistence
+    hills: Annotated[Hills | None, ADDED] = None
+
+
+class PinnLearner(Saveable[SavedPinn]):
+    """Learner of `mode: hybrid`."""
+
+    def __init__(self, vehicle: Vehicle, *, seed: int = 0, keep_drives: bool = False) -> None:
+        """Start at the vehicle's priors, with a network whose output is zero."""
+        self._keep_drives = keep_drives
+        self._equation = equation_of(vehicle, seed)
+        self._trim = Trim(seed)
+        self._sign = SignDetector()
+        self._trust = TrustHysteresis()
+        self._waiting: list[Interval] = []
+        self._last_ns: int | None = None  # of what was learned from
+        self._seen_ns: int | None = None  # of what was predicted
+        self._passed = 0.0  # s that the newest predicted sample stands for
+        self._powers: deque[tuple[Sample, float]] = deque(maxlen=POWERS_KEPT)
+        self.gated: Counter[str] = Counter()
+        self._tail = Tail(self._equation)
+        self._measured_ns: int | None = None  # newest measured sample
+        self._trimmed = 0.0  # J that the trim gave since then
+        self._before: Journey | None = None  # from the last interval measured to that sample
+        self._use(LearnedCar.new(self._equation))
+
+    def advance(self, sample: Sample) -> None:
+        """Let time pass up to a smoothed sample.
+
+        After a pause of `PARKED`, or before what was last seen, the road is another. It is
+        another drive when the two are that far apart: a clock that is set right by some seconds
+        ends none.
+        """
+        seen_ns, self._seen_ns = self._seen_ns, sample.stamp_ns
+        passed = 0.0 if seen_ns is None else (sample.stamp_ns - seen_ns) / NANOSECONDS
+        if abs(passed) > PARKED:
+            self._begin_drive(goes_on=True)
+        elif passed < 0.0:
+            self._begin_tail()
+            self._use(self._car.forget_road())
+        self._passed = min(max(passed, 0.0), PARKED)
+        self._trim.advance(self._passed)
+
+    def predict(self, sample: Sample) -> PowerPrediction:
+        """Power of car and trim, W, and the energy since the battery was last measured, J."""
+        row = self._equation.row_of(sample, self._warmth)
+        left, _, _ = wandered(self._car.dropout.seconds)
+        row[State.LOAD] = left
+        model = self._model
+        power = float(row @ model.mean)
+        correction = self._trim.correct(sample)
+        variance = float(row @ model.covariance @ row) + (1.0 - left**2) * model.load_variance
+        noise = FORCE_NOISE * math.sqrt(model.noise[1]) * sample.speed
+        sigma = math.hypot(math.sqrt(max(variance, 0.0)), noise, POWER_NOISE, correction.sigma)
+        if sample.newest:
+            return PowerPrediction(power + correction.power, sigma)
+        self._powers.append((sample, power))
+        self._tail.add(sample)
+        if self._measured_ns is not None and sample.stamp_ns > self._measured_ns:
+            since = (sample.stamp_ns - self._measured_ns) / NANOSECONDS
+            self._trimmed += correction.power * min(self._passed, since, MAX_STEP)
+        energy = self._energy_since_battery(sample.stamp_ns)
+        return PowerPrediction(power + correction.power, sigma, *energy)
+
+    def battery_measured(self, stamp_ns: int) -> None:
+        """Count the energy of a dropout from here on."""
+        self._measured_ns, self._before, self._trimmed = stamp_ns, None, 0.0
+
+    def observe(self, sample: Sample, power: float) -> None:
+        """Let the trim learn from a measured sample."""
+        step = self._step(sample)
+        reason = gate(sample, power)
+        if reason is not None:
+            self.gated[reason] += 1
+            return
+        self._sign = self._sign.after(sample, power, step)
+        if (fault := self._sign.detected) is not None:
+            self.gated[fault] += 1
+            return
+        self._trim.learn(sample, power - self._power(sample), step)
+
+    def add_interval(self, interval: Interval) -> bool:
+        """Keep an interval for the next update."""
+        if self._sign.detected:
+            return False
+        self._waiting.append(interval)
+        return True
+
+    def prepare_update(self) -> Callable[[], LearnedCar] | None:
+        """Learn the intervals that wait, None where there are none."""
+        if not self._waiting:
+            return None
+        car, intervals, self._waiting = self._car, self._waiting, []
+        return lambda: car.after(intervals)
+
+    def consider(self, candidate: LearnedCar) -> str | None:
+        """Take the result of an update, unless it is not finite or of a drive that ended."""
+        if not candidate.is_finite():
+            return "not_finite"
+        if candidate.stretches != self._car.stretches:
+            return "outdated"
+        self.gated.update(candidate.gated)
+        self._use(candidate)
+        return None
+
+    def parameters(self) -> ParameterSet:
+        """Present estimate of the parameters, in the sense of eq. 12-21."""
+        found = published(self._car.state, self._equation, self._car.driven)
+        now = parameter_set(self._last_ns or 0, found)
+        return self._trust.judge(now, deviations(found), suspected=bool(self._sign.detected))
+
+    def breakdowns(self) -> Breakdowns | None:
+        """Energy of this drive, and of those kept before it, by where it went."""
+        return self._car.breakdowns()
+
+    def model(self) -> CarModel:
+        """The car as forecasts take it; after a restart they are of another drive."""
+        car = self._car
+        if self._last_ns is None and car.state.intervals:
+            return car.begin_drive().model()
+        return self._model
+
+    def evidence(self) -> Evidence:
+        """Likelihood of the parameters without their prior, for populations of cars."""
+        return evidence_of(self._car.state, self._equation, self._car.driven)
+
+    def report(self) -> LearnerReport:
+        """Changes of payload, a current or grade of the wrong sign.
+
+        Without current no grade can be checked.
+        """
+        payload, sign = self._car.payload, self._sign.detected or self._car.grade.detected
+        return LearnerReport(payload.change, payload.found, payload.withdrawn, sign)
+
+    def forget_window(self) -> None:
+        """Drop recent samples after a jump of time; keep what was learned."""
+        self._waiting.clear()
+        self._last_ns = None
+        self._trim.advance(PARKED)
+        self._begin_tail()
+        self._use(self._car.forget_road())
+
+    def end_drive(self) -> None:
+        """Begin another drive."""
+        self._begin_drive(goes_on=False)
+
+    def _begin_drive(self, *, goes_on: bool) -> None:
+        """Begin another drive; the breakdown goes on, or begins with it."""
+        self.forget_window()
+        self._use(self._car.begin_drive(compare=self._keep_drives, goes_on=goes_on))
+
+    def saved(self) -> SavedPinn:
+        """State to save."""
+        return SavedPinn(
+            car=saved_state(self._car.state),
+            unevenness=saved_unevenness(self._car.uneven()),
+            hills=self._car.hills.next_drive(),
+            driven=self._car.driven,
+            payload=self._car.payload.saved(),
+            grade=self._car.grade,
+            current_suspicion=self._sign,
+            trim=self._trim.evidence,
+            seen_ns=self._seen_ns,
+            persistence=replace(self._trim.persistence),
+        )
+
+    def take(self, saved: SavedPinn) -> None:
+        """Go on from a saved state."""
+        state = state_of(saved.car, self._equation)
+        car = replace(
+            LearnedCar.new(self._equation),
+            state=state,
+            unevenness=unevenness_of(saved.unevenness, self._equation),
+            hills=saved.hills or Hills(),
+            driven=saved.driven,
+            rehearsals=Rehearsals(Rehearsal(state)),
+            payload=PayloadDetector.of(saved.payload),
+            grade=saved.grade,
+        )
+        self._sign = saved.current_suspicion
+        self._trim.evidence, self._seen_ns = saved.trim, saved.seen_ns
+        self._trim.persistence = replace(saved.persistence)
+        self._use(car)
+
+    def _use(self, car: LearnedCar) -> None:
+        """Use this car from now on."""
+        self._car, self._model = car, car.model()
+        self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
+        self._powers.clear()
+
+    def _begin_tail(self) -> None:
+        """Join nothing to the samples before."""
+        self._tail, self._trimmed = Tail(self._equation), 0.0
+        self._measured_ns, self._before = None, None
+
+    def _energy_since_battery(self, stamp_ns: int) -> tuple[float, float]:
+        """Energy since the battery was last measured or a drive began, J, and its 1-sigma.
+
+        NaN while the battery is measured.
+        """
+        car, begin_ns = self._car, self._measured_ns
+        if begin_ns is not None and stamp_ns - begin_ns < SILENT_NS:
+            return math.nan, math.nan
+        if car.measured:
+            driven = self._driven(begin_ns or 0, stamp_ns)
+        else:
+            # Intervals begin where the battery was last known, a little before its last sample.
+            before = self._before or self._driven(car.known_ns, begin_ns or 0)
+            self._before = before
+            driven = car.dropout.plus(self._driven(car.end_ns, stamp_ns)).less(before)
+        energy, sigma = self._model.predicted(driven)
+        return energy + self._trimmed, sigma
+
+    def _driven(self, start_ns: int, end_ns: int) -> Journey:
+        """Journey of the newest samples between two stamps."""
+        return self._tail.between(start_ns, end_ns, self._warmth)
+
+    def _power(self, sample: Sample) -> float:
+        """Power of the car alone, W, that of the prediction where the car is the same."""
+        for predicted, power in self._powers:
+            if predicted is sample:
+                return power
+        return float(self._equation.row_of(sample, self._warmth) @ self._model.mean)
+
+    def _step(self, sample: Sample) -> float:
+        """Seconds this sample stands for."""
+        last, self._last_ns = self._last_ns, sample.stamp_ns
+        if last is None:
+            return SAMPLE_STEP
+        return min(MAX_STEP, max(1e-3, (sample.stamp_ns - last) / NANOSECONDS))
+
+
+def new_learner(vehicle: Vehicle, settings: EstimatorSettings) -> PinnLearner:
+    """The learner of `mode: hybrid`."""
+    return PinnLearner(vehicle, seed=settings.seed, keep_drives=settings.keep_drives)

@@ -1,0 +1,338 @@
+"""The posterior of a car: physics and network in one Gaussian, for each hypothesis of a bank.
+
+A `CarState` is a value: nothing in it is changed, so a copy is a reference, and what predicts
+without the battery or tries another mass simply goes on from one. The functions are pure:
+
+- `advance` lets time pass: the wandering load forgets itself (Ornstein and Uhlenbeck);
+- `condition` learns from a measured energy (a Kalman filter's update);
+- `learn` does both, for an interval and what the bus reported in it.
+
+All is linear, so one update after another is the same estimate as one solve over a window of
+intervals with what is older as its arrival cost. The hypotheses of the bank differ in the sizes
+of network and wandering load, which no car knows beforehand, and are weighted by their evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.core.estimation import gaussian
+from evpinn_ros.core.estimation.bands import Bands
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.gaussian import Gaussian, Innovation, replace_states
+from evpinn_ros.core.estimation.journey import (
+    Journey,
+    journey_of,
+    speed_squared,
+    unexplained,
+    unseen_of,
+    wandered,
+)
+from evpinn_ros.core.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
+from evpinn_ros.core.estimation.terms import Equation, Warmth, Wheels, climate_powers
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.vehicle.physics import GRAVITY
+
+# The hypotheses: 1-sigma of a weight of the network, N, and of the wandering load, W.
+NETWORK_STDS, LOAD_STDS = (20.0, 150.0), (30.0, 150.0)
+BANK = np.array(list(product(NETWORK_STDS, LOAD_STDS)))
+LARGE_NETWORK_ODDS = 7.0  # of logarithm, against a large network at first: first drives are wild
+EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
+
+SCALE_INTERVALS = 30.0  # over which a scale of the noise is learned
+LEAST_SCALE, MOST_SCALE = 0.05, 2000.0
+OUTLIER = 2.5  # sigmas
+
+DRIFT = 0.02  # of its prior sigma, by which a state of the car changes from drive to drive
+DRIVE_KEPT = 0.9  # of an offset of a drive that the next still has: the season, a roof box
+PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # that the prior of an offset counts as, and at most
+CLIMATE_NOISE, CLIMATE_TIME = 500.0, 600.0  # W and s: reported heating about its mean
+BRAKING_SHARE = 0.2  # of braking energy that friction may take unseen by the motor, 1-sigma
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CarState:
+    """Knowledge of a car, by K hypotheses.
+
+    Attributes:
+        mean: shape (K, SIZE).
+        covariance: shape (K, SIZE, SIZE).
+        evidence: logarithm of the odds of each hypothesis, shape (K,).
+        scale: of the noise, by its kinds, shape (K, 3).
+        offset_variance: of `OFFSETS` from drive to drive, shape (len(OFFSETS),).
+        bands: how far predicted energies are to be trusted.
+        drives: how many `offset_variance` rests on.
+        intervals: learned from in this drive.
+        seconds: of this drive.
+        reports: whether the car reports its heating.
+        celsius: temperature outside, the last known, or None.
+        known: whether a drive was learned from before this one.
+        last_drive: s of the drive before.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    evidence: np.ndarray
+    scale: np.ndarray
+    offset_variance: np.ndarray
+    bands: Bands = field(default_factory=Bands)
+    drives: float = PRIOR_DRIVES
+    intervals: int = 0
+    seconds: float = 0.0
+    reports: bool = False
+    celsius: float | None = None
+    known: bool = False
+    last_drive: float = 0.0
+
+    @property
+    def gaussian(self) -> Gaussian:
+        """Mean and covariance of all hypotheses."""
+        return Gaussian(self.mean, self.covariance)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Probability of each hypothesis, shape (K,)."""
+        weights = np.exp(self.evidence - self.evidence.max())
+        return np.asarray(weights / weights.sum())
+
+    def mixture(self) -> Gaussian:
+        """Mean, shape (SIZE,), and covariance over all hypotheses."""
+        return gaussian.mixture(self.weights, self.gaussian)
+
+    @property
+    def load_variance(self) -> np.ndarray:
+        """Variance of the wandering load of each hypothesis, W^2, shape (K,)."""
+        return np.asarray(BANK[:, 1] ** 2)
+
+    def model(self, equation: Equation) -> CarModel:
+        """The car as predictions from here on take it."""
+        mean, covariance = self.mixture()
+        return CarModel(
+            equation=equation,
+            mean=mean,
+            covariance=covariance,
+            noise=self.weights @ self.scale,
+            load_variance=float(self.weights @ self.load_variance),
+            growth=self.bands.growth,
+            trust=self._trust(),
+            seconds=self.seconds,
+            celsius=self.celsius,
+            reports=self.reports,
+            last_drive=self.last_drive,
+        )
+
+    def _trust(self) -> float:
+        """Factor of the variance of energy; of a car never driven the prior is wide as it is."""
+        if self.intervals:
+            return self.bands.dropout.scale
+        return self.bands.drive.scale if self.known else 1.0
+
+    def with_gaussian(self, now: Gaussian, **others: Any) -> CarState:
+        """With another mean and covariance, and other values of these fields."""
+        return replace(self, mean=now.mean, covariance=now.covariance, **others)
+
+    def forgetting(self, variances: Mapping[State, Any]) -> CarState:
+        """With some states at zero, of these variances."""
+        return self.with_gaussian(replace_states(self.gaussian, variances))
+
+
+class Learned(NamedTuple):
+    """Innovation of one interval: measured less predicted, J, and its 1-sigma, J."""
+
+    residual: float
+    sigma: float
+
+
+class PassedInterval(NamedTuple):
+    """An interval by the equation of a car.
+
+    Attributes:
+        interval: what was driven.
+        wheels: work of the prior car in its steps.
+        rows: of these, shape (n, SIZE).
+        journey: their sum.
+        warmth: of tyres and cabin.
+    """
+
+    interval: Interval
+    wheels: Wheels
+    rows: np.ndarray
+    journey: Journey
+    warmth: Warmth
+
+
+def initial_state(equation: Equation) -> CarState:
+    """State of a car before its first drive."""
+    count = len(BANK)
+    mean = np.repeat(equation.mean[None], count, axis=0)
+    covariance = np.repeat(equation.covariance[None], count, axis=0)
+    weights = np.arange(SIZE)[WEIGHTS]
+    covariance[:, weights, weights] = BANK[:, :1] ** 2
+    covariance[:, State.LOAD, State.LOAD] = BANK[:, 1] ** 2
+    return CarState(
+        mean=mean,
+        covariance=covariance,
+        evidence=np.where(BANK[:, 0] == max(NETWORK_STDS), -LARGE_NETWORK_ODDS, 0.0),
+        scale=np.ones((count, 3)),
+        offset_variance=equation.covariance[OFFSETS, OFFSETS].copy(),
+    )
+
+
+def passed(equation: Equation, interval: Interval, seconds: float) -> PassedInterval:
+    """An interval by the equation of a car, so many s after the start of a drive."""
+    warmth = Warmth.after(seconds)
+    wheels = equation.of_steps(interval.steps, interval.conditions)
+    rows = equation.rows(interval.steps, interval.conditions, warmth, wheels)
+    return PassedInterval(interval, wheels, rows, journey_of(interval, rows.sum(0)), warmth)
+
+
+def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[CarState, Learned]:
+    """The state after an interval whose battery was measured, and its innovation."""
+    interval, conditions = done.interval, done.interval.conditions
+    state = replace(
+        advance(state, interval.duration, unseen_of(interval)),
+        celsius=conditions.celsius,
+        reports=state.reports or conditions.load > 0.0,
+    )
+    if interval.steps.motor_known:
+        rows = equation.motor_rows(interval.steps, conditions, done.warmth, done.wheels)
+        state = see_motor(state, rows, speed_squared(interval.steps))
+    if state.reports and conditions.load_known:
+        row = np.zeros(SIZE)
+        for each, power in climate_powers(conditions.celsius, done.warmth).items():
+            row[each] = power
+        state = see_reported_climate(state, row, conditions.load, interval.duration)
+    return condition(state, done.journey, interval.energy, interval.sampling_variance)
+
+
+def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:
+    """Let time, s, and road, m without height, pass: fast energies are those of this journey."""
+    left, integral, rest = wandered(seconds)
+    transition, noise = np.eye(SIZE), np.zeros((len(state.mean), SIZE, SIZE))
+    load, energy, climb = State.LOAD, State.LOAD_ENERGY, State.CLIMB
+    for present, before in ((energy, State.WANDERED), (climb, State.CLIMBED)):
+        transition[before, present] = 1.0
+        transition[present, present] = 0.0
+    weight = GRAVITY * state.mean[:, State.MASS]
+    noise[:, climb, climb] = weight**2 * state.bands.growth * unseen
+    transition[energy, load], transition[load, load] = integral, left
+    noise[:, load, load] = state.load_variance * (1.0 - left**2)
+    noise[:, energy, energy] = state.load_variance * rest
+    noise[:, load, energy] = noise[:, energy, load] = state.load_variance * integral * (1.0 - left)
+    now = gaussian.predict(state.gaussian, transition, noise)
+    return state.with_gaussian(now, seconds=state.seconds + seconds)
+
+
+def condition(
+    state: CarState, journey: Journey, energy: float, sampling: float
+) -> tuple[CarState, Learned]:
+    """Learn from the energy, J, of a journey that has just passed (`advance` first).
+
+    `sampling` is its variance due to the rate of its readings, J^2.
+    """
+    row = journey.row.copy()
+    # The motor's energy holds the climb already, where it is known.
+    climbs = 0.0 if journey.noise[2] else 1.0
+    row[State.LOAD], row[State.LOAD_ENERGY], row[State.CLIMB] = 0.0, 1.0, climbs
+    own = state.scale * journey.noise
+    noise = own.sum(1) + sampling
+    state, seen = _see(state, row, energy - state.mean @ row, noise)
+    state = _judge(state, seen, own)
+    weights = state.weights
+    mean = float(weights @ seen.residual)
+    variance = float(weights @ (seen.variance + (seen.residual - mean) ** 2))
+    return replace(state, intervals=state.intervals + 1), Learned(mean, math.sqrt(variance))
+
+
+def see_motor(state: CarState, rows: np.ndarray, square: float) -> CarState:
+    """Learn from the motor's energy what the wheels take, whatever the battery gave.
+
+    `rows` are those of `Equation.motor_rows`; `square` is the integral of speed squared, m^2/s.
+    """
+    base = state.scale[:, 1] * unexplained(0.0, 0.0, square)[1]
+    for row, share in zip(rows, (0.03, BRAKING_SHARE), strict=True):
+        size = share * np.abs(row[State.MOTOR_DRIVE] - row[State.MOTOR_BRAKE])
+        state, _ = _see(state, row, -(state.mean @ row), base + size**2 + 1.0)
+    return state
+
+
+def see_reported_climate(
+    state: CarState, row: np.ndarray, power: float, seconds: float
+) -> CarState:
+    """Learn from reported heating and cooling, W, how it goes with temperature.
+
+    `row` has `terms.climate_powers`, shape (SIZE,). Of so many seconds few are independent.
+    """
+    row = row.copy()
+    row[State.CLIMATE_DRIVE] = 1.0
+    noise = np.full(len(state.mean), CLIMATE_NOISE**2 * CLIMATE_TIME / seconds)
+    return _see(state, row, power - state.mean @ row, noise)[0]
+
+
+def begin_drive(state: CarState, equation: Equation, *, keep: float = DRIVE_KEPT) -> CarState:
+    """Another drive: other offsets, of which some is as it was; the car has drifted a little.
+
+    `keep` is the share of the offsets that stays. Their variance is learned from the drive that
+    was (expectation maximisation with a prior of `PRIOR_DRIVES` drives).
+    """
+    if not state.intervals:
+        return forget_road(replace(state, seconds=0.0))
+    whole = state.mixture()
+    found = whole.mean[OFFSETS] ** 2 + whole.covariance[OFFSETS, OFFSETS]
+    variance = (state.drives * state.offset_variance + found) / (state.drives + 1.0)
+    kept, fresh = np.ones(SIZE), np.zeros((len(state.mean), SIZE))
+    kept[OFFSETS] = keep
+    fresh[:, OFFSETS] = (1.0 - keep**2) * variance
+    prior = np.repeat(np.diag(equation.covariance)[None], len(state.mean), axis=0)
+    prior[:, WEIGHTS] = BANK[:, :1] ** 2
+    fresh[:, LASTING] = DRIFT**2 * prior[:, LASTING]
+    state = state.with_gaussian(
+        gaussian.predict(state.gaussian, np.diag(kept), fresh[:, :, None] * np.eye(SIZE)),
+        offset_variance=variance,
+        drives=min(state.drives + 1.0, DRIVES_KEPT),
+        intervals=0,
+        seconds=0.0,
+        known=True,
+        last_drive=state.seconds,
+    )
+    return forget_road(state.forgetting({State.WANDERED: 0.0, State.CLIMBED: 0.0}))
+
+
+def forget_road(state: CarState) -> CarState:
+    """After a jump of time: the load that wandered is another."""
+    return forget_present(state.forgetting({State.LOAD: state.load_variance}))
+
+
+def forget_present(state: CarState) -> CarState:
+    """Leave fast energies of the last journey out of the sums of the drive: it was a dropout."""
+    return state.forgetting({State.LOAD_ENERGY: 0.0, State.CLIMB: 0.0})
+
+
+def _see(
+    state: CarState, row: np.ndarray, residual: np.ndarray, noise: np.ndarray
+) -> tuple[CarState, Innovation]:
+    """Condition every hypothesis on one measurement, beyond `OUTLIER` with a heavy tail."""
+    seen = gaussian.innovate(state.gaussian, row, residual, noise)
+    extra = gaussian.outlier_variance(seen, noise, OUTLIER)
+    return state.with_gaussian(gaussian.condition(state.gaussian, seen, extra)), seen
+
+
+def _judge(state: CarState, seen: Innovation, noise: np.ndarray) -> CarState:
+    """Weigh the hypotheses by the evidence, and learn the scale of the noise that counts most."""
+    square = seen.residual**2 / seen.variance
+    likelihood = -0.5 * (np.minimum(square, 2 * OUTLIER**2) + np.log(seen.variance))
+    evidence = state.evidence * (1.0 - 1.0 / EVIDENCE_KEPT) + likelihood
+    growth = (np.minimum(square, OUTLIER**2) - 1.0) / SCALE_INTERVALS
+    counts = noise == noise.max(1, keepdims=True)
+    scale = state.scale * np.exp(growth[:, None] * counts)
+    return replace(
+        state,
+        evidence=evidence - evidence.max(),
+        scale=np.clip(scale, LEAST_SCALE, MOST_SCALE),
+    )

@@ -1,0 +1,258 @@
+"""From the states of a car to the parameters of eq. 12-21: one projection of what was learned.
+
+The posterior holds more than eq. 21: a network, heat by force squared, a drivetrain that turns.
+The published parameters are the least-squares fit of eq. 21 to the learned power over all driving
+so far. The same fit, `project`, gives the truth of a simulated car. Where the driving does not
+determine a parameter (C_d in town) the fit leaves it at its state. Driving in town hardly
+separates drag from rolling, so what the network learned there would be published as more rolling
+and less drag. `REFERENCE_SECONDS` of a reference drive, over which the network holds nothing of
+eq. 21, are therefore added to the driving.
+
+C_rr is that of this drive, with its cold and its tyres; p_aux is the standing load. Over road
+without heights a climb looks like rolling resistance and drag, so their sigmas include the climb
+that such a road may have. If rehearsed dropouts of the drive err by more than predicted, all
+sigmas grow accordingly, up to those before any drive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.saved_fields import ADDED, Range
+from evpinn_ros.core.estimation.breakdown import MOSTLY_UNSEEN, climb_as_rolling
+from evpinn_ros.core.estimation.evidence import Evidence, evidence, file_prior
+from evpinn_ros.core.estimation.gaussian import Gaussian
+from evpinn_ros.core.estimation.journey import unseen_of
+from evpinn_ros.core.estimation.posterior import CarState, PassedInterval, initial_state
+from evpinn_ros.core.estimation.states import PHYSICS, SIZE, TABLE, State
+from evpinn_ros.core.estimation.terms import TYRES, WARM, Equation, climate_powers, coldness
+
+BESIDE = [State.FORCE_SQUARED, State.TURNING, *range(TABLE, SIZE)]  # what eq. 21 lacks
+DRIVING_MEMORY = 36_000.0  # s over which driving is remembered
+# Power that no state explains, as density, W^2 s: with less the projection is not determined.
+NOISE_DENSITY = 2.7e5
+# By likelihood of the parameters of 72 simulated drives that no benchmark scores.
+REFERENCE_SECONDS = 200.0
+SHARE_RANGE = (0.3, 3.0)  # of braking energy found over that of the prior; no car leaves it
+FIRST_METRES = 1000.0  # of a drive that are judged with the road of the drive before
+BRAKED_FLOOR = 5e4  # J: less braking is no base for a share
+# An efficiency is a map, and one number for it depends on the road: 1-sigma of the logarithm that
+# is left however much is learned. By likelihood of 72 simulated drives that no benchmark scores.
+MAP_STD = (0.003, 0.015)  # of eta, mu
+CLIMB_AS_DRAG = 0.005  # rolling resistance that an e-fold of drag looks like, in town
+ETA, MU, MASS, C_RR, C_D, P_AUX = range(6)
+LOGARITHMIC = [ETA, MU, MASS, C_D]
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """Driving of a car so far, as sums over its steps, over which `project` goes.
+
+    Attributes:
+        gram: products of the terms of eq. 21 over the duration, J^2/s per units, shape (4, 4).
+        cross: products of these terms with the rows of `BESIDE`, shape (4, len(BESIDE)).
+        braked: drag, rolling and inertia terms where the car brakes, shape (3,).
+        distance: of this drive, m.
+        cold_tyres: integral of the coldness of the tyres over it, m.
+        load_known: whether the car reports its heating.
+        unseen: share of the distance where no height was known; until a drive begins to move,
+            that of the drive before.
+    """
+
+    gram: Annotated[np.ndarray, Range(-1e30, 1e30)]
+    cross: Annotated[np.ndarray, Range(-1e30, 1e30)]
+    braked: Annotated[np.ndarray, Range(-1e15, 1e15)]
+    distance: Annotated[float, Range(0.0, 1e12)] = 0.0
+    cold_tyres: Annotated[float, Range(0.0, 1e12)] = 0.0
+    load_known: bool = False
+    unseen: Annotated[float | None, Range(0.0, 1.0), ADDED] = None
+
+    @classmethod
+    def nowhere(cls) -> Driven:
+        """No driving."""
+        return cls(np.zeros((4, 4)), np.zeros((4, len(BESIDE))), np.zeros(3))
+
+    def plus(self, done: PassedInterval) -> Driven:
+        """With one more interval; of one with motor torque the way alone: its rows differ."""
+        interval, wheels = done.interval, done.wheels
+        now = self._farther(abs(interval.distance), float(done.warmth.tyres), unseen_of(interval))
+        if interval.steps.motor_known:
+            return now
+        keep = math.exp(-interval.duration / DRIVING_MEMORY)
+        terms = done.rows[:, PHYSICS]
+        over = (terms / interval.steps.duration[:, None]).T
+        braking = 1.0 - wheels.driving
+        moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
+        return replace(
+            now,
+            gram=keep * self.gram + over @ terms,
+            cross=keep * self.cross + over @ done.rows[:, BESIDE],
+            braked=keep * self.braked + np.array([float(braking @ each) for each in moved]),
+            load_known=interval.conditions.load_known,
+        )
+
+    def _farther(self, distance: float, tyres: float, unseen: float) -> Driven:
+        whole = self.distance + distance
+        if whole == 0.0:
+            return self
+        before = 0.0 if self.unseen is None else max(self.distance, FIRST_METRES)
+        share = ((self.unseen or 0.0) * before + unseen) / (before + distance)
+        cold = self.cold_tyres + distance * tyres
+        return replace(self, distance=whole, cold_tyres=cold, unseen=share)
+
+    def next_drive(self) -> Driven:
+        """On another drive, with other tyres and weather."""
+        return replace(self, distance=0.0, cold_tyres=0.0)
+
+    def share(self, equation: Equation) -> np.ndarray:
+        """Part that eq. 21 has of one unit of each state of `BESIDE`, shape (4, len(BESIDE))."""
+        gram = self.gram + REFERENCE_SECONDS * equation.reference_gram
+        return project(gram, self.cross, equation)
+
+    def braked_share(self, equation: Equation, terms: np.ndarray) -> float:
+        """Braking energy of the prior car over that of a car with these terms, shape (3,)."""
+        before = -float(self.braked @ equation.mean[PHYSICS[:3]])
+        found = -float(self.braked @ terms)
+        if min(before, found) < BRAKED_FLOOR:
+            return 1.0
+        return float(np.clip(before / found, *SHARE_RANGE))
+
+
+def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarray:
+    """Changes of the coefficients of eq. 21 that come nearest to energies, shape (4, k).
+
+    Least squares of power with the prior of the coefficients, beside noise of `NOISE_DENSITY`:
+    what the driving does not determine (drag in town) stays as it was.
+
+    Args:
+        gram: products of the terms of eq. 21 over the duration of their steps, shape (4, 4).
+        cross: products of these terms with k energies of the steps, shape (4, k).
+        equation: of the car.
+    """
+    prior = equation.covariance[np.ix_(PHYSICS, PHYSICS)]
+    scale = np.sqrt(np.diag(prior))
+    ridge = NOISE_DENSITY * np.linalg.inv(prior / np.outer(scale, scale))
+    found = np.linalg.solve(gram * np.outer(scale, scale) + ridge, scale[:, None] * cross)
+    return np.asarray(scale[:, None] * found)
+
+
+class Published(NamedTuple):
+    """The six parameters, eta, mu, mass and C_d as logarithms, now and before any drive.
+
+    `frontal_area` is in m^2; `hills_seen` says if the heights of most of the road are known.
+    """
+
+    now: Gaussian
+    prior: Gaussian
+    frontal_area: float
+    hills_seen: bool = True
+
+
+def published(state: CarState, equation: Equation, driven: Driven) -> Published:
+    """The parameters that a state stands for, no surer than a map of efficiency allows."""
+    celsius = None if driven.load_known else state.celsius
+    now = _pushed(state.mixture(), equation, driven, celsius)
+    before = _pushed(_prior(state, equation), equation, driven, celsius)
+    # On real roads errors of neighbouring intervals are alike, which rehearsed dropouts show.
+    most = np.diag(before.covariance) / np.diag(now.covariance)
+    grow = np.sqrt(np.clip(most, 1.0, max(1.0, state.bands.dropout.seen)))
+    now = now._replace(covariance=now.covariance * np.outer(grow, grow))
+    for index, std in enumerate(MAP_STD):
+        now.covariance[index, index] += std**2
+    share = driven.unseen or 0.0
+    climb = share * climb_as_rolling(share * driven.distance)  # C_rr is of the whole drive
+    for index, std in ((C_RR, climb), (C_D, climb / CLIMB_AS_DRAG)):
+        own, widest = (float(each.covariance[index, index]) for each in (now, before))
+        now.covariance[index, index] = max(own, min(own + std**2, widest))
+    return Published(now, before, equation.vehicle.frontal_area, hills_seen=share <= MOSTLY_UNSEEN)
+
+
+def _prior(state: CarState, equation: Equation) -> Gaussian:
+    """The states before any drive, with the network that the car may have by what is known now.
+
+    So learning only shrinks it.
+    """
+    return replace(initial_state(equation), evidence=state.evidence).mixture()
+
+
+def mass_over_eta(state: CarState, equation: Equation, driven: Driven) -> tuple[float, float]:
+    """Logarithm of the published m / eta, kg, and its 1-sigma, to compare it with itself later."""
+    now = _pushed(state.mixture(), equation, driven, None)
+    direction = np.zeros(6)
+    direction[[MASS, ETA]] = 1.0, -1.0
+    variance = float(direction @ now.covariance @ direction)
+    return float(direction @ now.mean), math.sqrt(max(variance, 0.0))
+
+
+def evidence_of(state: CarState, equation: Equation, driven: Driven) -> Evidence:
+    """Likelihood of the published parameters without their prior, in sigmas of the vehicle file.
+
+    That prior is wider than the file: what eq. 21 leaves out is part of the published parameters.
+    """
+    whole, prior = state.mixture(), _prior(state, equation)
+    celsius = None if driven.load_known else state.celsius
+    values, rows = _linear(whole.mean, equation, driven, celsius)
+    c_rr = max(float(values[C_RR]), 1e-4)
+    rows[C_RR], values[C_RR] = rows[C_RR] / c_rr, math.log(c_rr)
+    # Both about the same mean: what data cannot tell has to have the same variance in both.
+    now = Gaussian(values, rows @ whole.covariance @ rows.T)
+    before = Gaussian(values + rows @ (prior.mean - whole.mean), rows @ prior.covariance @ rows.T)
+    for index, std in enumerate(MAP_STD):
+        now.covariance[index, index] += std**2
+    scale = np.sqrt(np.diag(before.covariance))
+    correlation = before.covariance / np.outer(scale, scale)
+    found = evidence(
+        (now.mean - before.mean) / scale, now.covariance / np.outer(scale, scale), correlation
+    )
+    file_mean, file_std = file_prior(equation.vehicle)
+    return found.about((file_mean - before.mean) / scale, file_std / scale)
+
+
+def _pushed(
+    source: Gaussian, equation: Equation, driven: Driven, celsius: float | None
+) -> Gaussian:
+    """Mean and covariance of the six parameters, to first order."""
+    values, rows = _linear(source.mean, equation, driven, celsius)
+    return Gaussian(values, rows @ source.covariance @ rows.T)
+
+
+def _linear(
+    mean: np.ndarray, equation: Equation, driven: Driven, celsius: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The six parameters by the mean of the states, and their gradients, shape (6, SIZE)."""
+    state = np.eye(SIZE)
+    theta = state[PHYSICS]
+    theta[:, BESIDE] = driven.share(equation)
+    prior = equation.mean[State.ROLLING]
+    tyres = driven.cold_tyres / max(driven.distance, 1.0)
+    theta[1, TYRES] = prior * np.array([coldness(celsius), tyres, 1.0])
+    drag, rolling, mass, back = (theta @ mean).tolist()
+    drag, rolling, mass = (max(each, 1e-3) for each in (drag, rolling, mass))
+    share = driven.braked_share(equation, np.array([drag, rolling, mass]))
+    regeneration = min(max(equation.back + share * back, 0.01), 1.5)
+    eta = min(max(equation.eta + float(mean[State.ETA]), 0.05), 1.2)
+    log_eta, log_mass = state[State.ETA] / eta, theta[2] / mass
+    standing = state[State.P_AUX] + state[State.LOAD_DRIVE]
+    for each, power in climate_powers(celsius, WARM).items():
+        standing[each] = power
+    rows = np.array([
+        log_eta,
+        share * theta[3] / regeneration - log_eta,
+        log_mass + log_eta,
+        (theta[1] - rolling * log_mass) / mass,
+        theta[0] / drag + log_eta,
+        standing,
+    ])  # fmt: skip
+    values = np.array([
+        math.log(eta),
+        math.log(regeneration / eta),
+        math.log(mass * eta),
+        rolling / mass,
+        math.log(drag * eta / equation.vehicle.frontal_area),
+        float(rows[P_AUX] @ mean),
+    ])  # fmt: skip
+    return values, rows

@@ -1,0 +1,74 @@
+"""Rehearsals: dropouts of the battery that did not happen, and drives predicted at their start.
+
+While the battery is measured, predictions are made without it: of the next 60 and 200 s, and of
+each whole drive from what the drives before taught. Then they are compared with the energy drawn.
+A car's state is a value, so a rehearsal needs no filter of its own: it keeps the state from which
+it began and the sums of what was driven since.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.core.estimation.bands import Bands, PredictedEnergy
+from evpinn_ros.core.estimation.journey import NOWHERE, Journey
+from evpinn_ros.core.estimation.posterior import CarState
+from evpinn_ros.core.estimation.terms import Equation
+
+LENGTHS = (60.0, 200.0)  # s of a rehearsed dropout; the longer ones scale the band
+LEAST_SPEED = 2.5  # m/s in the mean of a dropout; a car that stands proves nothing
+LEAST_SPEED_SHARE = 0.25  # of the nominal speed, which is less for a robot
+LEAST_DRIVE_METRES = 500.0  # of a whole drive that is compared
+
+
+class Rehearsal(NamedTuple):
+    """A dropout that did not happen: the car as it was, what it has driven since, J drawn."""
+
+    state: CarState
+    journey: Journey = NOWHERE
+    way: float = 0.0
+    drawn: float = 0.0
+
+    def predicted(self, equation: Equation) -> PredictedEnergy:
+        """Energy of it, by the car as it was."""
+        return self.state.model(equation).energy(self.journey)
+
+    def plus(self, journey: Journey, way: float, drawn: float) -> Rehearsal:
+        """With one more measured interval."""
+        return Rehearsal(
+            self.state, self.journey.plus(journey), self.way + way, self.drawn + drawn
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Rehearsals:
+    """The rehearsals under way: dropouts by their length, s, and the whole drive."""
+
+    drive: Rehearsal
+    dropouts: Mapping[float, Rehearsal] = field(default_factory=dict)
+
+    def learn(
+        self, state: CarState, equation: Equation, journey: Journey, way: float, drawn: float
+    ) -> tuple[Rehearsals, Bands]:
+        """Take a measured interval of `way` m and `drawn` J, with the car as it was before it."""
+        running, bands = {}, state.bands
+        least_speed = np.fmin(LEAST_SPEED, LEAST_SPEED_SHARE * equation.vehicle.nominal_speed)
+        for length in LENGTHS:
+            rehearsal = self.dropouts.get(length, Rehearsal(state)).plus(journey, way, drawn)
+            if rehearsal.journey.seconds < length:
+                running[length] = rehearsal
+            elif rehearsal.way >= least_speed * length:
+                energy, long = rehearsal.predicted(equation), length == max(LENGTHS)
+                bands = bands.after_dropout(energy, rehearsal.drawn, long=long)
+        return Rehearsals(self.drive.plus(journey, way, drawn), running), bands
+
+    def end_drive(self, bands: Bands, equation: Equation) -> Bands:
+        """The bands with the drive that was, unless it is the first: nothing was known of it."""
+        drive = self.drive
+        if drive.state.intervals or drive.way < LEAST_DRIVE_METRES or not drive.state.known:
+            return bands
+        return bands.after_drive(drive.predicted(equation), drive.drawn)

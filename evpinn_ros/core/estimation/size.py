@@ -1,0 +1,130 @@
+"""Vehicles of another size than a passenger car: learned as the car that is similar to them.
+
+The one equation (`estimation.terms`) is linear in energy: with mass, drag area and loads times k
+the energy of the same driving is k times as much. So what is known of cars in W, N, J and kg (the
+priors of loads, noise, the thresholds of detectors) holds for a robot of 60 kg as well, once its
+energies are taken times the mass of a car over its own. `Similarity` does that at both ends of the
+estimator: readings on the way in, estimates on the way out. What lies between knows cars alone.
+Speeds and accelerations stay as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, TypeVar, overload
+
+import numpy as np
+
+from evpinn_ros.core.estimation.breakdown import Breakdowns
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate
+from evpinn_ros.core.estimation.learner import LearnerReport
+from evpinn_ros.core.estimation.posterior import initial_state
+from evpinn_ros.core.estimation.states import SIZE, State
+from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.signals.readings import (
+    AuxiliaryReading,
+    BatteryReading,
+    MotorReading,
+    Reading,
+)
+from evpinn_ros.core.vehicle.files import EXTENSIVE, Vehicle
+
+PURE = ("1", "1/(10 K)")  # units of states that are the same of all sizes
+Value = TypeVar("Value")
+EXTENSIVE_SUMS = ("mass_over_eta", "drag_area_over_eta", "p_aux")
+
+
+class Similarity:
+    """Way from a vehicle to the car that it is learned as, and back.
+
+    Attributes:
+        car: the similar car.
+        size: energy of the vehicle over that of this car.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """See `Vehicle.similar_car`; nothing changes for a vehicle of size 1."""
+        self._vehicle, self.car, self.size = vehicle, vehicle.similar_car, vehicle.relative_size
+        self._states = np.full(SIZE, self.size)  # vehicle over car
+        self._states[[state for state in State if state.unit in PURE]] = 1.0
+
+    def reading(self, reading: Reading) -> Reading:
+        """A reading of the vehicle as the car would have given it."""
+        fields = {
+            BatteryReading: ("current", "power_std"),
+            AuxiliaryReading: ("heating", "others"),
+            MotorReading: ("torque",),
+        }.get(type(reading), ())
+        return _scaled(reading, 1.0 / self.size, *fields)
+
+    @overload
+    def estimate(self, found: PowerEstimate) -> PowerEstimate: ...
+
+    @overload
+    def estimate(self, found: ParameterSet) -> ParameterSet: ...
+
+    def estimate(self, found: PowerEstimate | ParameterSet) -> PowerEstimate | ParameterSet:
+        """An estimate of the car as one of the vehicle."""
+        if isinstance(found, PowerEstimate):
+            return _scaled(found, self.size, "power", "sigma", "energy", "energy_sigma")
+        parameters = dict(found.parameters)
+        for name in EXTENSIVE:
+            parameters[name] = _scaled(
+                parameters[name], self.size, "value", "std", "lower", "upper"
+            )
+        return replace(
+            found,
+            parameters=parameters,
+            identifiable=_scaled(found.identifiable, self.size, *EXTENSIVE_SUMS),
+            identifiable_std=_scaled(found.identifiable_std, self.size, *EXTENSIVE_SUMS),
+        )
+
+    def model(self, found: CarModel) -> CarModel:
+        """The car as forecasts take it, with the equation of the vehicle."""
+        if self.size == 1.0:
+            return found
+        uneven = found.unevenness
+        return replace(
+            _scaled(found, self.size**2, "noise", "load_variance"),
+            equation=equation_of(self._vehicle, found.equation.seed),
+            mean=self._states * found.mean,
+            covariance=np.outer(self._states, self._states) * found.covariance,
+            unevenness=replace(uneven, rows=self.size / self._states * uneven.rows),
+        )
+
+    def breakdowns(self, found: Breakdowns) -> Breakdowns:
+        """Energies of drives by part."""
+        drives = (_scaled(each, self.size, "measured") for each in found.drives)
+        square = self.size**2
+        return Breakdowns(
+            self.size * found.energy,
+            square * found.covariance,
+            tuple(_scaled(each, square, "measured_variance", "noise") for each in drives),
+        )
+
+    def report(self, found: LearnerReport) -> LearnerReport:
+        """Changes of payload, in kg of the vehicle."""
+        change = found.payload_change
+        if change is None:
+            return found
+        return found._replace(payload_change=_scaled(change, self.size, "delta_mass", "std"))
+
+
+def _scaled(value: Value, size: float, *fields: str) -> Value:
+    """A dataclass or named tuple with some of its numbers times a size."""
+    if size == 1.0 or not fields:
+        return value
+    record: Any = value
+    numbers = {name: size * getattr(record, name) for name in fields}
+    changed: Value = (
+        record._replace(**numbers) if isinstance(value, tuple) else replace(record, **numbers)
+    )
+    return changed
+
+
+def model_of_file(vehicle: Vehicle, seed: int = 0) -> CarModel:
+    """The car of a vehicle file, of which nothing was learned yet."""
+    similarity = Similarity(vehicle)
+    equation = equation_of(similarity.car, seed)
+    return similarity.model(initial_state(equation).model(equation))

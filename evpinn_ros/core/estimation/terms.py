@@ -1,0 +1,402 @@
+"""The one equation: battery energy of a step of driving, as terms times states.
+
+With the wheel energy of a step over eta, by the states of `estimation.states`,
+
+    t = DRAG rho/2 int u|u| v dt + ROLLING' g ds + MASS (k d(v^2/2) + g dh),
+
+(u: flow of the air, ROLLING' with the cold, the start and the offset of this drive) the battery
+gives
+
+    E = t                              where the prior car drives (its t > 0),
+      = eta mu t + BACK t_prior        where it brakes, eta mu of the prior,
+      + FORCE_SQUARED int f^2 dt + TURNING int (1 + v / 10 m/s) / 2 dt
+      + int v N(v, f) dt               the network (`estimation.network`),
+      + loads dt                       standing, heating and cooling, wandering.
+
+This is eq. 12-21 in the weak form: kinetic and potential energy are exact differences, so a step
+may be of any length and no derivative is needed. It is linear in the states, for which step drives
+and which brakes is decided by the prior car; that was measured to lose nothing. Where the motor's
+torque is reported its energy stands in for t.
+
+Learning, prediction, dropouts, the breakdown, forecasts of plans and the truth of simulated cars
+all use `rows`; `parts` divides the same rows by where the energy goes. Nothing else knows the
+physics.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from functools import lru_cache
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.arrays import like, namespace, numbers, within, zeros
+from evpinn_ros.core.estimation.network import (
+    orthogonal_network,
+    reference_driving,
+    share_of_terms,
+)
+from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State, prior_of
+from evpinn_ros.core.signals.interval import Steps
+from evpinn_ros.core.signals.road import Conditions
+from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.physics import GRAVITY
+
+CREEPING = 0.3  # m/s, slower the drivetrain stands
+TURNING_SPEED = 10.0  # m/s, at which the loss by turning is a power of that size
+MOST_FORCE = 4.0  # m/s^2 of force over mass, more is no tyre's
+LEAST_STEP = 0.5  # m, over less the force is not resolved
+MILD_CELSIUS = 20.0  # neither heated nor cooled
+TYRES_WARM, CABIN_WARM = 1200.0, 600.0  # s in which tyres and cabin get their temperature
+# s in which they lose it: before a test a passenger car's tyre stands for three hours (ISO 28580).
+COOLED = 3600.0
+CLIMATE = [
+    State.COLD, State.HOT, State.COLD_START, State.HOT_START,
+    State.REPORTED, State.DOUBTED, State.CLIMATE_DRIVE,
+]  # fmt: skip
+EXPLAINED = [State.FORCE_SQUARED, *range(WEIGHTS.start, WEIGHTS.stop)]  # beside eq. 21
+STANDING_LOADS = [State.P_AUX, State.LOAD_DRIVE, State.LOAD]
+TYRES = [State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]  # of rolling
+WHEELS = [*PHYSICS, *TYRES]  # that the motor's energy stands in for
+
+
+class Part(IntEnum):
+    """Index of a part of the energy. All but the last add up to the whole."""
+
+    AIR = 0
+    TYRES = 1
+    SLOPE = 2  # net
+    SPEED = 3  # net: what is in the motion of the car at the end
+    BRAKES = 4  # lost while braking, in brakes and drivetrain
+    DRIVETRAIN = 5  # lost while driving, and by turning
+    CLIMATE = 6
+    STANDING = 7
+    REGAINED = 8  # by braking, at the battery: beside the sum, for it is what was not lost
+
+
+COUNT = len(Part)
+WHOLE = slice(0, Part.REGAINED)  # the parts that add up
+
+
+class Wheels(NamedTuple):
+    """Work of the wheels of the prior car in n steps; arrays of shape (n,), numpy or torch.
+
+    Attributes:
+        drag: integral of rho/2 u|u| v dt, J per m^2 of A C_d.
+        rolling: g times the way, J per kg of C_rr m.
+        inertia: kinetic energy gained, J per kg.
+        climb: potential energy gained, J per kg.
+        energy: of the prior car over eta, J; its sign tells driving from braking.
+        driving: 1 where the car drives, 0 where it brakes.
+        gain: battery energy for one of `energy`: 1 where it drives, eta mu where it brakes.
+        speed: mean, m/s.
+        force: of the wheels over the mass, m/s^2.
+    """
+
+    drag: Any
+    rolling: Any
+    inertia: Any
+    climb: Any
+    energy: Any
+    driving: Any
+    gain: Any
+    speed: Any
+    force: Any
+
+    @property
+    def terms(self) -> Any:
+        """The terms of eq. 21 in the order of `states.PHYSICS`, shape (..., n, 4)."""
+        return namespace(self.energy).stack(self.columns, -1)
+
+    @property
+    def columns(self) -> tuple[Any, ...]:
+        """These terms one by one."""
+        gain, braking = self.gain, 1.0 - self.driving
+        mass = (self.inertia + self.climb) * gain
+        return self.drag * gain, self.rolling * gain, mass, self.energy * braking
+
+
+class Warmth(NamedTuple):
+    """Coldness of tyres and cabin, from 1 at the start of a drive to 0."""
+
+    tyres: Any
+    cabin: Any
+
+    @classmethod
+    def after(cls, seconds: Any) -> Warmth:
+        """Coldness so many s after a start."""
+        return cls(1.0, 1.0).driven(seconds)
+
+    def driven(self, seconds: Any) -> Warmth:
+        """Coldness after so many s more of driving."""
+        exp = namespace(seconds).exp
+        return Warmth(
+            self.tyres * exp(-seconds / TYRES_WARM), self.cabin * exp(-seconds / CABIN_WARM)
+        )
+
+    def stood(self, seconds: float) -> Warmth:
+        """Coldness after the car has stood for so many s."""
+        left = math.exp(-seconds / COOLED)
+        return Warmth(1.0 - (1.0 - self.tyres) * left, 1.0 - (1.0 - self.cabin) * left)
+
+
+WARM = Warmth(0.0, 0.0)
+
+
+class Equation:
+    """The one equation of a car, about the prior of its vehicle file.
+
+    Attributes:
+        vehicle: the vehicle file.
+        seed: of the network.
+        mean: prior of the states, shape (SIZE,); the terms are linear about it.
+        covariance: of that, shape (SIZE, SIZE).
+        eta: efficiency of the prior, between battery and wheels.
+        back: eta mu of the prior.
+        network: of the car.
+        explained: what the terms of eq. 21 explain of `EXPLAINED`, shape (4, len(EXPLAINED)).
+        reference_gram: mean products of these terms over the reference of driving, shape (4, 4).
+    """
+
+    def __init__(self, vehicle: Vehicle, seed: int = 0) -> None:
+        """Make network and copper orthogonal to the terms of eq. 21; seed: of the network."""
+        self.vehicle, self.seed = vehicle, seed
+        self.mean, self.covariance = prior_of(vehicle)
+        self.eta = vehicle.priors["eta"].value
+        self.back = self.eta * vehicle.priors["mu"].value
+        driving = reference_driving()
+        speed = driving.speed
+        kinetic, climb = speed * driving.acceleration, speed * driving.slope
+        second = np.ones_like(speed)
+        wheels = self.wheels(second, speed, speed**3, kinetic, climb, vehicle.air_density)
+        terms = wheels.terms
+        self.network = orthogonal_network(seed, driving, wheels.force, terms)
+        squared = wheels.force[:, None] ** 2 * (speed > CREEPING)[:, None]
+        self.explained = np.hstack(
+            (share_of_terms(driving, terms, squared), self.network.explained)
+        )
+        self.reference_gram = (driving.seconds / driving.seconds.sum() * terms.T) @ terms
+
+    def wheels(
+        self, duration: Any, distance: Any, air: Any, kinetic: Any, climb: Any, density: Any
+    ) -> Wheels:
+        """Prior car in steps of any one shape, as `Steps` has them; density of air, kg/m^3."""
+        way = abs(distance)
+        drag, rolling = 0.5 * density * air, GRAVITY * way
+        inertia, height = self.vehicle.rotating_mass_factor * kinetic, GRAVITY * climb
+        mass = float(self.mean[State.MASS])
+        energy = float(self.mean[State.DRAG]) * drag + float(self.mean[State.ROLLING]) * rolling
+        energy = energy + mass * (inertia + height)
+        driving = numbers(energy > 0.0, energy)
+        least = within(way, LEAST_STEP, math.inf)
+        force = within(energy / (mass * least), -MOST_FORCE, MOST_FORCE)
+        gain = driving + (1.0 - driving) * self.back
+        speed = way / duration
+        return Wheels(drag, rolling, inertia, height, energy, driving, gain, speed, force)
+
+    def rows(
+        self, steps: Steps, conditions: Conditions, warmth: Warmth, wheels: Wheels | None = None
+    ) -> np.ndarray:
+        """Energy of each step by each state, J per unit, shape (n, SIZE).
+
+        Args:
+            steps: n of them, or one, of numbers, whose row has shape (SIZE,).
+            conditions: of all of them.
+            warmth: of tyres and cabin.
+            wheels: `of_steps`, where they are known already.
+        """
+        wheels = wheels or self.of_steps(steps, conditions)
+        cold = coldness(conditions.celsius)
+        found = self.moving_rows(wheels, steps.duration, cold, warmth.tyres)
+        columns: dict[State, Any] = {}
+        if steps.motor_known:
+            found[..., WHEELS] = 0.0
+            columns = self._motor_columns(steps)
+        for state, power in standing_powers(conditions, warmth).items():
+            columns[state] = power * steps.duration
+        for state, column in columns.items():
+            found[..., state] = column
+        return np.asarray(found)
+
+    def moving_rows(self, wheels: Wheels, duration: Any, cold: Any, tyres: Any) -> Any:
+        """Rows of what moves the car, without loads: shape (..., n, SIZE), numpy or torch.
+
+        Args:
+            wheels: of the steps, shape (..., n).
+            duration: s, of the same shape.
+            cold: tens of K below a mild day, a number or of that shape.
+            tyres: coldness of the tyres, a number or of that shape.
+        """
+        rows = zeros((*wheels.energy.shape, SIZE), wheels.energy)
+        for state, column in self.moving_columns(wheels, duration, cold, tyres).items():
+            rows[..., state] = column
+        terms = rows[..., PHYSICS]
+        force = self.network.force(wheels.speed, wheels.force)
+        rows[..., WEIGHTS] = (wheels.rolling * (1.0 / GRAVITY))[..., None] * force
+        rows[..., EXPLAINED] -= terms @ like(self.explained, terms)
+        return rows
+
+    def moving_columns(
+        self, wheels: Wheels, duration: Any, cold: Any, tyres: Any
+    ) -> dict[State, Any]:
+        """Columns of `moving_rows` by state, but for the network, of the steps' shape.
+
+        What the terms of eq. 21 explain of `EXPLAINED` is not taken away yet: that is these terms
+        times `explained`, also once they are summed up.
+        """
+        turns = numbers(wheels.speed > CREEPING, duration) * duration
+        columns = dict(zip(PHYSICS, wheels.columns, strict=True))
+        prior = float(self.mean[State.ROLLING]) * columns[State.ROLLING]
+        return columns | {
+            State.FORCE_SQUARED: wheels.force**2 * turns,
+            State.TURNING: turns * (0.5 + (0.5 / TURNING_SPEED) * wheels.speed),
+            State.ROLLING_COLD: prior * cold,
+            State.ROLLING_START: prior * tyres,
+            State.ROLLING_DRIVE: prior,
+        }
+
+    def split(self, rows: np.ndarray, wheels: Wheels, cold: float, tyres: Any) -> np.ndarray:
+        """Energy of n steps together by part and state, J per unit, shape (COUNT, SIZE).
+
+        Those of `WHOLE` add up to `rows`. At the wheels there are air, tyres, slope and speed,
+        each of which gives back what it took; what is lost on the way is the drivetrain's while
+        the car drives, and the brakes' while it brakes, but for what turning takes. ETA
+        divides the same energy between wheels and drivetrain, so the whole does not depend on it.
+
+        Args:
+            rows: of the steps, as `rows` has them, shape (n, SIZE).
+            wheels: of the steps.
+            cold: tens of K below a mild day.
+            tyres: coldness of the tyres, a number or of shape (n,).
+        """
+        found, by_step = np.zeros((COUNT, SIZE)), np.zeros((4, *rows.shape))
+        rolling = float(self.mean[State.ROLLING]) * wheels.rolling
+        by_step[Part.AIR, :, State.DRAG] = wheels.drag
+        by_step[Part.TYRES, :, State.ROLLING] = wheels.rolling
+        by_step[Part.TYRES, :, State.ROLLING_COLD] = rolling * cold
+        by_step[Part.TYRES, :, State.ROLLING_START] = rolling * tyres
+        by_step[Part.TYRES, :, State.ROLLING_DRIVE] = rolling
+        by_step[Part.SLOPE, :, State.MASS] = wheels.climb
+        by_step[Part.SPEED, :, State.MASS] = wheels.inertia
+        prior = np.zeros(SIZE)
+        prior[PHYSICS[:3]] = self.mean[PHYSICS[:3]]
+        by_step *= self.eta
+        by_step[..., State.ETA] = by_step @ prior / self.eta
+        found[:4] = by_step.sum(1)
+        moving = rows.copy()
+        moving[:, CLIMATE + STANDING_LOADS] = 0.0
+        back = self._braked(moving, wheels)
+        lost = moving.sum(0) - found[:4].sum(0)
+        found[Part.BRAKES] = back - (1.0 - wheels.driving) @ by_step.sum(0)
+        found[Part.DRIVETRAIN] = lost - found[Part.BRAKES]
+        found[Part.REGAINED] = -back
+        found[Part.CLIMATE, CLIMATE] = rows[:, CLIMATE].sum(0)
+        found[Part.STANDING, STANDING_LOADS] = rows[:, STANDING_LOADS].sum(0)
+        return found
+
+    def _braked(self, moving: np.ndarray, wheels: Wheels) -> np.ndarray:
+        """Energy by state, J per unit, shape (SIZE,), of what moves the car while it brakes.
+
+        Where the motor's torque is known it tells braking itself: its reports lag by some 0.1 s,
+        so the steps in which the prior car brakes hold some of the energy of driving.
+        """
+        back = (1.0 - wheels.driving) @ moving
+        back[State.TURNING] = 0.0
+        back[State.MOTOR_DRIVE] = 0.0
+        back[State.MOTOR_BRAKE] = moving[:, State.MOTOR_BRAKE].sum()
+        if moving[:, State.MOTOR_RATIO].any():
+            back[State.MOTOR_RATIO] = self.mean[State.MOTOR_BRAKE] * back[State.MOTOR_BRAKE]
+        return np.asarray(back)
+
+    def motor_rows(
+        self, steps: Steps, conditions: Conditions, warmth: Warmth, wheels: Wheels
+    ) -> np.ndarray:
+        """Energy the wheels take less that of the motor, driving and braking, (2, SIZE).
+
+        Each is zero, up to noise: so reported torque measures the wheels, whatever the battery
+        gave. Friction brakes take a share that it does not show.
+        """
+        cold, apart = coldness(conditions.celsius), np.zeros((len(steps.duration), SIZE))
+        moving = self.moving_columns(wheels, steps.duration, cold, warmth.tyres)
+        for state in WHEELS:
+            apart[:, state] = moving[state]
+        for state, column in self._motor_columns(steps).items():
+            apart[:, state] = -column
+        # A climb that no height shows is work of the wheels too, all along the way.
+        apart[:, State.CLIMB] = np.abs(steps.distance) / max(np.abs(steps.distance).sum(), 1e-9)
+        return np.stack((wheels.driving @ apart, (1.0 - wheels.driving) @ apart))
+
+    def row_of(self, sample: Sample, warmth: Warmth) -> np.ndarray:
+        """Power at a sample by each state, W per unit, shape (SIZE,): the energy of 1 s."""
+        return self.rows(*unit_step(sample), warmth)
+
+    def of_steps(self, steps: Steps, conditions: Conditions) -> Wheels:
+        """Prior car in the steps of an interval."""
+        return self.wheels(*steps[:5], conditions.air_density)
+
+    def _motor_columns(self, steps: Steps) -> dict[State, Any]:
+        """Columns of the motor's energy, which stands in for what the wheels take."""
+        drive, brake = steps.motor_drive, -steps.motor_brake
+        columns = {State.MOTOR_DRIVE: drive, State.MOTOR_BRAKE: brake}
+        if not steps.motor_scaled:
+            prior = self.mean[[State.MOTOR_DRIVE, State.MOTOR_BRAKE]]
+            columns[State.MOTOR_RATIO] = prior[0] * drive + prior[1] * brake
+        return columns
+
+
+def standing_powers(conditions: Conditions, warmth: Warmth) -> dict[State, float]:
+    """Standing power by state, W per unit; what is not among them is zero."""
+    found = dict.fromkeys(STANDING_LOADS, 1.0)
+    if conditions.load_known:
+        found |= {State.REPORTED: conditions.load, State.DOUBTED: conditions.doubted_load}
+        return found
+    return found | climate_powers(conditions.celsius, warmth)
+
+
+def climate_powers(celsius: float | None, warmth: Warmth) -> dict[State, Any]:
+    """Heating and cooling by state, W per unit; an unknown temperature is that of a mild day."""
+    if celsius is None or celsius == MILD_CELSIUS:
+        return {}
+    away = abs(celsius - MILD_CELSIUS)
+    steady, start = State.HOT, State.HOT_START
+    if celsius < MILD_CELSIUS:
+        steady, start = State.COLD, State.COLD_START
+    return {steady: away, start: away * warmth.cabin}
+
+
+def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
+    """A sample as one step of 1 s, so that energy is power."""
+    v = abs(sample.speed)
+    flow, motor = v + sample.head_wind, sample.motor_power
+    kinetic, climb = sample.speed * sample.acceleration, sample.speed * math.sin(sample.grade)
+    drive, brake = np.maximum(motor, 0.0), np.maximum(-motor, 0.0)
+    columns = 1.0, v, flow * abs(flow) * v, kinetic, climb, drive, brake
+    # Arithmetic with scalars of numpy takes an eighth of that with arrays of one number.
+    steps = Steps._make((*np.array(columns), sample.motor_scaled))
+    return steps, conditions_of(sample)
+
+
+@lru_cache(maxsize=16)
+def equation_of(vehicle: Vehicle, seed: int = 0) -> Equation:
+    """The equation of a car, made once: that takes 50 ms."""
+    return Equation(vehicle, seed)
+
+
+def coldness(celsius: float | None) -> float:
+    """Tens of K below a mild day."""
+    return 0.0 if celsius is None else max(0.0, MILD_CELSIUS - celsius) / 10.0
+
+
+def conditions_of(sample: Sample) -> Conditions:
+    """Surroundings of a sample."""
+    return Conditions(
+        sample.air_density,
+        sample.head_wind,
+        sample.celsius,
+        sample.known_auxiliary,
+        sample.known_auxiliary > 0.0 or sample.doubted_load > 0.0,
+        sample.doubted_load,
+    )

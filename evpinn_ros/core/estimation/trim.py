@@ -1,0 +1,185 @@
+"""The trim: a network of the last seconds, which corrects power and is forgotten after them.
+
+Battery power is that of the car (`estimation.terms`, physics and network) plus v T(u; w), with T
+tanh units of speed, acceleration and its profile. All weights are learned by an extended Kalman
+filter at every sample: Gauss-Newton with an arrival cost (Bell and Cathey, 1993). They return to
+their prior within `TRIM_SECONDS`: the trim holds what this road, this wind and this second have
+beside the car, and is gone soon after a dropout begins. How soon that is, and if the trim counts
+at all, is learned (`Persistence`; the evidence of the trim against one of zero).
+
+It is not the network of the car, which lasts and is learned with the parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.core.estimation.journey import FORCE_NOISE, POWER_NOISE
+from evpinn_ros.core.signals.kinematics import PROFILE
+from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
+
+UNITS = 16
+INPUTS = 2 + PROFILE
+INPUT_CENTRE = np.array([10.0, 0.0, *([0.0] * PROFILE)])  # m/s, m/s^2
+INPUT_SCALE = np.array([15.0, 1.2, *([0.5] * PROFILE)])
+SPREAD = np.array([1.2, 1.2, *([0.7] * PROFILE)])  # 1-sigma of the first input weights
+TRIM_FORCE = 1000.0  # N, 1-sigma of the force that the trim may add
+TRIM_SECONDS = 10.0  # s of driving in which weights return to the prior
+WEIGHT_STD = 0.5  # of input weights about where they start
+CORRELATED = 2.0  # samples of 10 Hz that count as one
+EVIDENCE_TIME = 300.0  # s of driving over which the trim is judged
+TEMPERATURE = 9.0  # by which the evidence of one sample is blunted: heavy tails
+MOST_LOSS = 20.0
+OUTLIER = 3.0  # sigmas
+MOST_ODDS = 30.0  # logarithm; a share nearer to 0 or 1 is rounding
+MOST_TRIM_EVIDENCE = 1e6  # no saved one is larger
+AHEAD = 1.0  # s after which a correction is compared with what came, or at the next sample
+# Before any is compared, half of a correction holds after `AHEAD`: as sure as ten of 100 N say it.
+PRIOR_SQUARES, PRIOR_SHARE = 10.0 * 100.0**2, 0.5
+LEAST_PERSISTENCE = 0.01  # that holds
+MOST_SQUARES = 1e15  # N^2, sum over `EVIDENCE_TIME`
+
+
+class Correction(NamedTuple):
+    """Power that the trim adds to that of the car, W, and its 1-sigma, W."""
+
+    power: float
+    sigma: float
+
+
+@dataclass(slots=True)
+class Persistence:
+    """Share of a correction that still holds some seconds later: a regression through zero.
+
+    Wind and road hold for many seconds, noise of speed and battery for less than one.
+
+    Attributes:
+        squares: sum of squares of forces that the trim gave, N^2.
+        products: sum of their products with the forces measured later.
+        delays: sum of their squares times the seconds between, N^2 s.
+    """
+
+    squares: Annotated[float, Range(0.0, MOST_SQUARES)] = 0.0
+    products: Annotated[float, Range(-MOST_SQUARES, MOST_SQUARES)] = 0.0
+    delays: Annotated[float, Range(0.0, MOST_SQUARES)] = 0.0
+
+    def learn(self, given: float, measured: float, delay: float) -> None:
+        """Compare a force that the trim gave, N, with the one measured some s later."""
+        keep = math.exp(-delay / EVIDENCE_TIME)
+        self.squares = keep * self.squares + given**2
+        self.products = keep * self.products + given * measured
+        self.delays = keep * self.delays + given**2 * delay
+
+    def share_after(self, seconds: float) -> float:
+        """Share of a correction that holds after some s."""
+        squares = PRIOR_SQUARES + self.squares
+        share = (PRIOR_SQUARES * PRIOR_SHARE + self.products) / squares
+        delay = (PRIOR_SQUARES * AHEAD + self.delays) / squares
+        return float(min(max(share, LEAST_PERSISTENCE), 1.0) ** (seconds / delay))
+
+
+class Trim:
+    """One trim, beside one whose output is zero.
+
+    What the weights hold is gone by the next start, so it is not saved.
+
+    Attributes:
+        evidence: logarithm of the odds against no trim.
+        persistence: how soon a correction stops being so.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        """Start at the prior, with random input weights."""
+        rng = np.random.default_rng(seed)
+        inner = rng.normal(0.0, 1.0, (UNITS, INPUTS)) * SPREAD
+        bias = rng.normal(0.0, 1.0, UNITS)
+        self._start = np.concatenate((inner.ravel(), bias, np.zeros(UNITS + 1)))
+        inner_std = np.full(UNITS * (INPUTS + 1), WEIGHT_STD)
+        outer_std = np.full(UNITS, TRIM_FORCE / math.sqrt(UNITS))
+        self._prior = np.concatenate((inner_std, outer_std, [TRIM_FORCE])) ** 2
+        self._weights, self._covariance = self._start.copy(), np.diag(self._prior)
+        self.evidence, self.persistence = 0.0, Persistence()
+        self._age = 0.0  # s since it last learned
+        # Weights at a moment and the s since, to be compared with what comes.
+        self._snapshot: tuple[np.ndarray, float] | None = None
+
+    @property
+    def share(self) -> float:
+        """Probability that the trim explains more than none."""
+        return 1.0 / (1.0 + math.exp(-min(max(self.evidence, -MOST_ODDS), MOST_ODDS)))
+
+    def correct(self, sample: Sample) -> Correction:
+        """Power that the trim adds at a sample, weighted by its evidence."""
+        force, gradient = self._output(sample, self._weights)
+        reach = self.share * abs(sample.speed)
+        variance = float(gradient @ self._covariance @ gradient)
+        power = reach * force * self.persistence.share_after(self._age)
+        return Correction(power, reach * math.sqrt(max(0.0, variance)))
+
+    def advance(self, duration: float) -> None:
+        """Let s pass: weights return to the prior."""
+        keep = math.exp(-duration / TRIM_SECONDS)
+        self._weights = self._faded(self._weights, duration)
+        self._age += duration
+        if self._snapshot is not None:
+            weights, age = self._snapshot
+            self._snapshot = weights, age + duration
+        self._covariance *= keep**2
+        self._covariance[np.diag_indices_from(self._covariance)] += (1.0 - keep**2) * self._prior
+
+    def learn(self, sample: Sample, residual: float, duration: float) -> None:
+        """Learn what the car leaves of power, W, at a sample that stands for some s."""
+        v = abs(sample.speed)
+        if v < STANDSTILL_SPEED:
+            return
+        self._compare(sample, residual / v)
+        force, gradient = self._output(sample, self._weights)
+        error = residual - v * force
+        noise = POWER_NOISE**2 + (FORCE_NOISE * v) ** 2
+        with_it, without = (
+            min(0.5 * each**2 / (noise * TEMPERATURE), MOST_LOSS) for each in (error, residual)
+        )
+        evidence = self.evidence * math.exp(-duration / EVIDENCE_TIME)
+        self.evidence = evidence + duration * (without - with_it)
+        along = v * (self._covariance @ gradient)
+        variance = v * float(gradient @ along) + noise * CORRELATED
+        beyond = max(1.0, abs(error) / (OUTLIER * math.sqrt(variance)))
+        gain = along / (variance * beyond**2)
+        self._weights = self._weights + gain * error
+        self._covariance -= np.outer(gain, along)
+        self._age = 0.0
+        self._snapshot = self._snapshot or (self._weights, 0.0)
+
+    def _compare(self, sample: Sample, force: float) -> None:
+        """Compare the force that is measured, N, with what the trim gave `AHEAD` before."""
+        if self._snapshot is None or self._snapshot[1] < AHEAD:
+            return
+        (weights, age), self._snapshot = self._snapshot, None
+        if age < TRIM_SECONDS:
+            given, _ = self._output(sample, self._faded(weights, age))
+            self.persistence.learn(given, force, age)
+
+    def _faded(self, weights: np.ndarray, duration: float) -> np.ndarray:
+        """Weights some s later, on their way back to the prior."""
+        return np.asarray(
+            self._start + math.exp(-duration / TRIM_SECONDS) * (weights - self._start)
+        )
+
+    def _output(self, sample: Sample, weights: np.ndarray) -> tuple[float, np.ndarray]:
+        """Output with these weights, a force, N, and its gradient, (weights,)."""
+        profile = sample.profile or (0.0,) * PROFILE
+        raw = np.array([sample.speed, sample.acceleration, *profile])
+        inputs = (raw - INPUT_CENTRE) / INPUT_SCALE
+        count = UNITS * INPUTS
+        inner = weights[:count].reshape(UNITS, INPUTS)
+        outer = weights[count + UNITS : -1]
+        hidden = np.tanh(inner @ inputs + weights[count : count + UNITS])
+        slope = outer * (1.0 - hidden**2)
+        force = float(outer @ hidden + weights[-1])
+        return force, np.concatenate((np.outer(slope, inputs).ravel(), slope, hidden, [1.0]))

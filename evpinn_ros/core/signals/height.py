@@ -1,0 +1,111 @@
+"""Height of the road along the way: what was measured, averaged around a place."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.core.signals.detector import ALTITUDE_STUCK, ONE_ALTITUDE
+
+REACH = 75.0  # m to either side over which heights are averaged; GNSS and barometers stray
+LEAST_STEP = 0.5  # m between two heights that are kept; a standing car adds none
+LENGTH = 2000.0  # m of road kept
+KNOWN_WITHIN = 300.0  # m since the last height, then the height counts as unknown
+STEEPEST = 0.3  # rise over run of the steepest streets
+LEAP = 30.0  # m more than that between two altitudes; GNSS strays less once it has a fix
+
+
+class Rise(NamedTuple):
+    """Rise of the road, m, and the odometer where it began, m."""
+
+    since: float
+    height: float
+
+
+@dataclass(frozen=True, slots=True)
+class AltitudeDetector:
+    """Detector of an altitude that is stuck; gives the rise of the road where it is not.
+
+    A receiver without a fix repeats one altitude, often 0, and leaps once it has one. A logged
+    altitude that never moves would otherwise make a hilly commute flat.
+
+    Attributes:
+        last: odometer and altitude, m; None before the first.
+        moved_at: odometer where it last changed, m.
+        stuck: verdict; an altitude is until it first changes.
+        rise: since the altitude before: 0 over a leap, None while it is stuck.
+    """
+
+    last: tuple[float, float] | None = None
+    moved_at: float = -math.inf
+    stuck: bool | None = True
+    rise: Rise | None = None
+
+    @property
+    def detected(self) -> str | None:
+        """`ALTITUDE_STUCK` or None."""
+        return ALTITUDE_STUCK if self.stuck else None
+
+    def after(self, odometer: float, altitude: float) -> AltitudeDetector:
+        """The detector after an altitude, where the odometer shows so many m."""
+        place, before = self.last or (odometer, altitude)
+        found = altitude - before
+        moved_at = odometer if found else self.moved_at
+        stuck = ONE_ALTITUDE.judge(self.stuck, odometer - moved_at)
+        leaps = abs(found) > LEAP + STEEPEST * abs(odometer - place)
+        rise = None if stuck else Rise(place, 0.0 if leaps else found)
+        return AltitudeDetector((odometer, altitude), moved_at, stuck, rise)
+
+
+class HeightProfile:
+    """Heights by the odometer, their average a moving integral."""
+
+    def __init__(self) -> None:
+        """Nothing known."""
+        self._odometer: list[float] = []
+        self._height: list[float] = []
+        self._integral: list[float] = []  # of height along the way, m^2
+
+    def add(self, odometer: float, height: float) -> None:
+        """Take the height, m, where the odometer shows so many m, further on than the last."""
+        if self._odometer and odometer - self._odometer[-1] < LEAST_STEP:
+            return
+        before = 0.0
+        if self._odometer:
+            step = odometer - self._odometer[-1]
+            before = self._integral[-1] + step * (height + self._height[-1]) / 2
+        for column, value in zip(self._columns, (odometer, height, before), strict=True):
+            column.append(value)
+        if self._odometer[len(self._odometer) // 2] < odometer - LENGTH:
+            surplus = bisect_left(self._odometer, odometer - LENGTH)
+            for column in self._columns:
+                del column[:surplus]
+
+    def known_at(self, odometer: float) -> bool:
+        """True if heights are measured where the car is."""
+        return bool(self._odometer) and odometer - self._odometer[-1] < KNOWN_WITHIN
+
+    def reaches(self, odometer: float) -> bool:
+        """True if heights are measured up to a place, so that its average changes no more."""
+        return bool(self._odometer) and self._odometer[-1] >= odometer
+
+    def mean_around(self, odometer: float) -> float | None:
+        """Height averaged `REACH` to either side, m, as far as known; None where it is not."""
+        if not self._odometer or not (
+            self._odometer[0] - REACH <= odometer <= self._odometer[-1] + REACH
+        ):
+            return None
+        low = max(odometer - REACH, self._odometer[0])
+        high = min(odometer + REACH, self._odometer[-1])
+        if high - low < LEAST_STEP:
+            return float(np.interp(odometer, self._odometer, self._height))
+        ends = np.interp((low, high), self._odometer, self._integral)
+        return float(ends[1] - ends[0]) / (high - low)
+
+    @property
+    def _columns(self) -> tuple[list[float], list[float], list[float]]:
+        return self._odometer, self._height, self._integral

@@ -1,0 +1,197 @@
+"""Speed readings to speed and acceleration, by two methods that know their lag.
+
+- `SpeedTrack.smoothed`: a local quadratic (Savitzky-Golay for uneven steps) around a past moment,
+  using speed up to `smoothing_lag` after it.
+- `CausalDifferentiator`: acceleration at the newest moment, which has no future to smooth over. It
+  learns, from speed alone, the linear combination of past speed differences that best predicts
+  the output of the smoother once later readings are in.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections import deque
+from itertools import pairwise
+
+import numpy as np
+
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.track import SignalTrack
+
+SMOOTHING_BACK = 0.5  # s of past speed in the local quadratic
+MIN_POINTS = 3  # of a local quadratic: as many as it has coefficients
+MAX_ACCELERATION = 15.0  # m/s^2, beyond tyres: a fault of the speed signal
+LEAST_LEAP = 1.0  # m/s, beyond the resolution of any bus
+LAG_TOLERANCE_NS = 10_000_000  # ns a reading may come early and still count as "that lag later"
+
+# Spans around a moment whose slope of speed is in the acceleration profile, s after it.
+PROFILE_EDGES = np.array([(0.1, 0.3), (-0.3, -0.1), (-0.6, -0.4)])
+PROFILE, PROFILE_SPAN = len(PROFILE_EDGES), -float(PROFILE_EDGES.min())
+
+TAPS = 10  # speed differences in the causal differentiator
+TAP_PERIOD = 0.1  # s between them
+INITIAL_TAPS = 4  # the first guess is the mean slope over this many
+TAP_STD = 0.2  # 1-sigma of a weight before learning
+TARGET_STD = 0.2  # m/s^2, how far smoothed and causal acceleration lie apart
+
+
+class SpeedTrack(SignalTrack):
+    """The latest speeds, m/s, in order of stamps."""
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def leaps(self, begin_ns: int, end_ns: int) -> bool:
+        """True if speed changed by more than tyres can between two readings from begin to end.
+
+        Wheels that slip or lock do that, and a fault of the signal; its resolution does not.
+        """
+        first, last = bisect_left(self.stamps, begin_ns), bisect_right(self.stamps, end_ns)
+        return any(
+            abs(after - before)
+            > LEAST_LEAP + MAX_ACCELERATION * abs(next_ns - stamp_ns) / NANOSECONDS
+            for (stamp_ns, before), (next_ns, after) in pairwise(
+                zip(self.stamps[first:last], self.values[first:last], strict=True)
+            )
+        )
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest speed; the track must not be empty."""
+        return self.stamps[-1]
+
+    @property
+    def newest(self) -> float:
+        """The newest speed, m/s; the track must not be empty."""
+        return self.values[-1]
+
+    def restart(self, gap: float) -> None:
+        """Forget the speeds before a gap, s; of a slow signal it is a step like others."""
+        self.cadence.add_step(gap)
+        self.stamps.clear()
+        self.values.clear()
+
+    def travelled(self, start_ns: int, end_ns: int, head_wind: float) -> tuple[float, float]:
+        """Distance, m, and integral of the air's flow, m^3/s^2, between two speeds' stamps.
+
+        Between readings speed is linear, so both are exact while the flow keeps its sign
+        (Simpson's rule is, for cubes).
+
+        Args:
+            start_ns: stamp of a speed.
+            end_ns: the same, later.
+            head_wind: m/s, see `Sample`.
+        """
+        first, last = bisect_left(self.stamps, start_ns), bisect_right(self.stamps, end_ns)
+        speed = np.array(self.values[first:last])
+        step = np.diff(self.stamps[first:last]) / NANOSECONDS
+        middle = (speed[1:] + speed[:-1]) / 2
+
+        def drag(v: np.ndarray) -> np.ndarray:
+            flow = v + head_wind
+            return np.asarray(flow * np.abs(flow) * v)
+
+        air = (drag(speed[:-1]) + 4 * drag(middle) + drag(speed[1:])) / 6
+        return float(middle @ step), float(air @ step)
+
+    def smoothed(self, stamp_ns: int, until_ns: int) -> tuple[float, float]:
+        """Speed, m/s, and acceleration, m/s^2, at a moment from a local quadratic.
+
+        Of a slow signal it goes through a reading and its two neighbours: the acceleration is
+        then the central difference, whose integral along v is that of the kinetic energy.
+
+        Args:
+            stamp_ns: the moment.
+            until_ns: speed after this is not used.
+
+        Returns:
+            Both, or NaN for the acceleration while there are fewer than `MIN_POINTS` speeds, or
+            these lie too close together to determine it.
+        """
+        last = bisect_right(self.stamps, until_ns)
+        first = bisect_left(self.stamps, stamp_ns - int(SMOOTHING_BACK * NANOSECONDS) - 1)
+        first = max(0, min(first, last - MIN_POINTS))
+        time = np.array([s - stamp_ns for s in self.stamps[first:last]]) / NANOSECONDS
+        speed = np.array(self.values[first:last])
+        if len(time) < MIN_POINTS:
+            return float(speed[-1]) if len(speed) else np.nan, np.nan
+        basis = np.stack((np.ones_like(time), time, time**2), axis=1)
+        normal = basis.T @ basis
+        try:
+            coefficients = np.linalg.solve(normal, basis.T @ speed)
+        except np.linalg.LinAlgError:
+            return float(speed[-1]), np.nan
+        return float(coefficients[0]), float(coefficients[1])
+
+    def profile(self, stamp_ns: int, until_ns: int, acceleration: float) -> tuple[float, ...]:
+        """Acceleration profile around a past moment: what one number for it leaves out.
+
+        Args:
+            stamp_ns: the moment.
+            until_ns: speed after this is not used.
+            acceleration: at the moment, m/s^2.
+
+        Returns:
+            Mean slope of speed over each span of `PROFILE_EDGES` less the acceleration, m/s^2,
+            shape (PROFILE,); 0 where speed is not known.
+        """
+        time, speed = self._around(stamp_ns, PROFILE_SPAN, until_ns)
+        ends = np.interp(PROFILE_EDGES, time, speed)
+        slopes = (ends[:, 1] - ends[:, 0]) / (PROFILE_EDGES[:, 1] - PROFILE_EDGES[:, 0])
+        tolerance = LAG_TOLERANCE_NS / NANOSECONDS
+        known = (PROFILE_EDGES[:, 1] <= time[-1] + tolerance) & (PROFILE_EDGES[:, 0] >= time[0])
+        return tuple(np.where(known, slopes - acceleration, 0.0).tolist())
+
+    def differences(self) -> np.ndarray:
+        """Mean slopes of speed over the last `TAPS` periods, newest first, shape (TAPS,), m/s^2.
+
+        Between readings speed is taken as linear; before the first as constant.
+        """
+        newest = self.stamps[-1]
+        grid = -TAP_PERIOD * np.arange(TAPS + 1)
+        speed = np.interp(grid, *self._around(newest, (TAPS + 1) * TAP_PERIOD, newest))
+        slopes: np.ndarray = (speed[:-1] - speed[1:]) / TAP_PERIOD
+        return slopes
+
+    def _around(self, stamp_ns: int, back: float, until_ns: int) -> tuple[np.ndarray, np.ndarray]:
+        """Times after a moment, s, and speeds, from the last reading before `back` s before it."""
+        last = bisect_right(self.stamps, until_ns)
+        first = max(0, bisect_left(self.stamps, stamp_ns - int(back * NANOSECONDS)) - 1)
+        time = np.array([s - stamp_ns for s in self.stamps[first:last]]) / NANOSECONDS
+        return time, np.array(self.values[first:last])
+
+
+class CausalDifferentiator:
+    """Acceleration of the newest moment from the speeds up to it, learned while driving.
+
+    Recursive least squares (Haykin, Adaptive Filter Theory, ch. 10, without forgetting) of the
+    smoothed acceleration on the last speed differences. No battery signal is used, so it works
+    and goes on learning during a dropout.
+    """
+
+    def __init__(self) -> None:
+        self.weights = np.zeros(TAPS)
+        self.weights[:INITIAL_TAPS] = 1.0 / INITIAL_TAPS
+        self.covariance = np.eye(TAPS) * TAP_STD**2
+        self._pending: deque[tuple[int, np.ndarray]] = deque(maxlen=1000)
+
+    def acceleration(self, stamp_ns: int, differences: np.ndarray) -> float:
+        """Acceleration now, m/s^2; the differences, shape (TAPS,), are kept to learn from."""
+        self._pending.append((stamp_ns, differences))
+        return float(differences @ self.weights)
+
+    def learn(self, stamp_ns: int, smoothed_acceleration: float) -> None:
+        """Learn from the acceleration, m/s^2, that the smoother found for an earlier stamp."""
+        while self._pending and self._pending[0][0] < stamp_ns:
+            self._pending.popleft()
+        if not self._pending or self._pending[0][0] != stamp_ns:
+            return
+        _, x = self._pending.popleft()
+        gain = self.covariance @ x
+        gain = gain / (x @ gain + TARGET_STD**2)
+        self.weights = self.weights + gain * (smoothed_acceleration - x @ self.weights)
+        self.covariance = self.covariance - np.outer(gain, x @ self.covariance)
+
+    def forget_pending(self) -> None:
+        """Drop what waits for the smoother, after a gap or a jump of time."""
+        self._pending.clear()

@@ -1,0 +1,30 @@
+"""Progress through what has stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+import math
+from operator import attrgetter
+from typing import TypeVar
+
+from evpinn_ros.core.signals.readings import NANOSECONDS
+
+Item = TypeVar("Item")
+
+
+def reported(
+    items: Iterable[Item],
+    progress: Callable[[float], None] | None,
+    stamp_of: Callable[[Item], int] = attrgetter("stamp_ns"),
+) -> Iterator[Item]:
+    """Give the items on; `progress` takes the seconds since the first, about every second."""
+    first_ns: int | None = None
+    reported = -math.inf
+    for item in items:
+        stamp_ns = stamp_of(item)
+        first_ns = stamp_ns if first_ns is None else first_ns
+        done = (stamp_ns - first_ns) / NANOSECONDS
+        if progress is not None and done - reported >= 1.0:
+            progress(done)
+            reported = done
+        yield item

@@ -1,0 +1,284 @@
+"""Distinguish time that jumped back, as when a bag starts over, from stamps that are merely wrong.
+
+The one rule for it: nodes, replays and whoever feeds a stream of samples put a `StampGuard` before
+it and do at a `Jump` what their `JumpPolicy` states; behind it time does not go back.
+
+Stamps decide, because only they show where in the stream the jump is. One stamp that leaps proves
+nothing: it is held back until a second one confirms it, so that a single wrong stamp cannot make
+the estimator forget a car. When the node's own clock went back as well, one is enough.
+
+Each source is judged by its own stamps. Sources whose stamps are up to `SKEW_NS` apart are of one
+time: the one behind is late, as on a busy machine or a slow link, and what it says is passed on to
+be used at its stamp or to be dropped as too late by whoever joins the two.
+
+A time that was left has no more readings: a bag that starts over no longer plays its end. Where
+stamps leap to and fro between two times there are two publishers, and to follow both would be a
+jump at every turn. So from the first return on the one followed now is kept, and what continues
+the other is dropped and counted, until nothing else has come for a while.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, NamedTuple
+
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+
+AGREE_NS = 600 * NANOSECONDS  # two stamps of the leader this close confirm each other
+SKEW_NS = 15 * NANOSECONDS  # a source this far behind the others is late, and its clock right
+LEFT_NS = 60 * NANOSECONDS  # a time that was left goes on within this
+SILENT_NS = 15 * NANOSECONDS  # a publisher that says nothing for so long is none
+USUAL_STEPS = 3  # of the leader, which a stamp may be ahead: phones log at 5 s and slower
+MOST_HELD = 1000
+MOST_LEFT = 8  # times that were left and may speak on
+TAKES_OVER = 20  # stamps of a left time in a row, after which the present one counts as ended
+SECOND_PUBLISHER = "stamps_of_a_second_publisher"
+
+
+class JumpPolicy(str, Enum):
+    """Reaction to time that jumps back; to ignore it is to drop what is late.
+
+    `auto` is to reset where the node's own clock went back too, as /clock does when a bag starts
+    over, and else to hold: a drive goes on, and what was learned of the car is true of it.
+    """
+
+    AUTO = "auto"
+    RESET = "reset"
+    HOLD = "hold"
+    IGNORE = "ignore"
+
+
+class JumpRule(NamedTuple):
+    """Reaction to a jump of time, and the s by which a stamp may differ without being a leap."""
+
+    policy: JumpPolicy = JumpPolicy.AUTO
+    threshold: float = 2.0
+
+
+DEFAULT_RULE = JumpRule()
+
+
+class Jump(NamedTuple):
+    """Time went back by this many seconds before the next item."""
+
+    seconds: float
+
+
+class _Held(NamedTuple):
+    source: object
+    stamp_ns: int
+    item: Any
+
+
+@dataclass(slots=True)
+class _Left:
+    """A time that stamps leapt away from.
+
+    Attributes:
+        newest_ns: its newest stamp.
+        ahead: whether it lies ahead of the time that is followed now.
+        seen_ns: newest stamp of the time followed now at the latest stamp of this one.
+        in_a_row: stamps of its leader since the last one of the leader of the time followed now.
+    """
+
+    newest_ns: int
+    ahead: bool
+    seen_ns: int
+    in_a_row: int = 0
+
+    def continued_by(self, stamp_ns: int, leap_ns: int) -> bool:
+        """True if a stamp that leaps by this much goes on where this time was left."""
+        return (leap_ns > 0) == self.ahead and 0 <= stamp_ns - self.newest_ns <= LEFT_NS
+
+
+class StampGuard:
+    """Passes items on in their order and puts a `Jump` where their stamps start over.
+
+    Attributes:
+        jumps: how many there were.
+        dropped: items not passed on, by reason: `stamp_leaps`, `stamp_held_too_long`,
+            `stamps_of_a_second_publisher`.
+    """
+
+    def __init__(self, leader: object) -> None:
+        """Let the source `leader`, without which nothing works, decide on leaps back."""
+        self.jumps = 0
+        self.dropped: Counter[str] = Counter()
+        self._leader = leader
+        self._newest_ns: int | None = None  # of all sources
+        self._own_ns: dict[object, int] = {}  # the newest of each
+        self._ahead_ns: dict[object, int] = {}  # of each, its last stamp, where it was in doubt
+        self._leader_ns: int | None = None  # its newest stamp since the last leap
+        self._steps: deque[int] = deque(maxlen=2)
+        self._held: list[_Held] = []
+        self._left: list[_Left] = []
+        self._came_back = False  # to a time that was left: it had not ended
+        self._clock_went_back = False
+
+    def clock_went_back(self) -> None:
+        """The node's clock jumped back: the next leap back needs no second reading."""
+        self._clock_went_back = True
+        self._left.clear()
+
+    @property
+    def held(self) -> int:
+        """Items held back in doubt."""
+        return len(self._held)
+
+    def follow(self, reading: Reading, rule: JumpRule = DEFAULT_RULE) -> Iterator[Reading | Jump]:
+        """`admit` for readings, each kind of which is a source."""
+        return self.admit(type(reading), reading.stamp_ns, reading, rule)
+
+    def admit(
+        self, source: object, stamp_ns: int, item: Any, rule: JumpRule = DEFAULT_RULE
+    ) -> Iterator[Any | Jump]:
+        """Take one item; give it, or nothing while in doubt, or a jump and all that was held.
+
+        Args:
+            source: who stamped the item.
+            stamp_ns: of the item.
+            item: what to pass on.
+            rule: its threshold is against the newest stamp of the source; `ignore` gives no jump.
+        """
+        threshold_ns = round(rule.threshold * NANOSECONDS)
+        leap_ns = self._leap_ns(source, stamp_ns, threshold_ns)
+        if leap_ns == 0:
+            yield self._passed(source, stamp_ns, item)
+        elif leap_ns < 0 and rule.policy is JumpPolicy.IGNORE:
+            self._drop(1)
+        elif self._of_a_second_publisher(source, stamp_ns, leap_ns):
+            self.dropped[SECOND_PUBLISHER] += 1
+        else:
+            confirmed = self._confirmed(source, stamp_ns, leap_ns, threshold_ns)
+            ahead = self._is_ahead(source, stamp_ns, leap_ns)
+            self._hold(_Held(source, stamp_ns, item))
+            if confirmed:
+                yield from self._leap(stamp_ns, leap_ns)
+            elif ahead:
+                yield from self._catch_up(stamp_ns, threshold_ns)
+
+    def _leap_ns(self, source: object, stamp_ns: int, threshold_ns: int) -> int:
+        """Distance of a stamp from where it could be; 0 where nothing speaks against it."""
+        if self._newest_ns is None:
+            return 0
+        ahead_ns = stamp_ns - self._newest_ns
+        if ahead_ns > max(threshold_ns, self._usual_ns):
+            return ahead_ns
+        own_ns = self._own_ns.get(source)
+        back_ns = 0 if own_ns is None else stamp_ns - own_ns
+        if back_ns < -threshold_ns:
+            return back_ns
+        # The leader may be behind by any time once it is known: it is the others that are early.
+        behind_any = source == self._leader and own_ns is not None
+        return 0 if behind_any or ahead_ns >= -max(SKEW_NS, threshold_ns) else ahead_ns
+
+    def _passed(self, source: object, stamp_ns: int, item: Any) -> Any:
+        """The item, which its source goes on with."""
+        self._ahead_ns.pop(source, None)
+        self._newest_ns = max(stamp_ns, self._newest_ns or stamp_ns)
+        self._own_ns[source] = max(stamp_ns, self._own_ns.get(source, stamp_ns))
+        if source == self._leader:
+            self._go_on(stamp_ns)
+        return item
+
+    def _is_ahead(self, source: object, stamp_ns: int, leap_ns: int) -> bool:
+        """True if a source is a little ahead for a second time in a row: the others are late."""
+        if source == self._leader or not 0 < leap_ns <= SKEW_NS:
+            return False
+        before_ns, self._ahead_ns[source] = self._ahead_ns.get(source), stamp_ns
+        return before_ns is not None and 0 <= stamp_ns - before_ns <= SKEW_NS
+
+    def _catch_up(self, stamp_ns: int, threshold_ns: int) -> Iterator[Any]:
+        """Pass on what was held and is in no doubt once time has come to this stamp."""
+        held, self._held, self._newest_ns = self._held, [], stamp_ns
+        for each in held:
+            if self._leap_ns(each.source, each.stamp_ns, threshold_ns) == 0:
+                yield self._passed(each.source, each.stamp_ns, each.item)
+            else:
+                self._hold(each)
+
+    def _of_a_second_publisher(self, source: object, stamp_ns: int, leap_ns: int) -> bool:
+        """True if a stamp belongs to a time that was left and is not to be followed again."""
+        left = self._continued(stamp_ns, leap_ns)
+        if left is None or not self._came_back:
+            return False
+        left.newest_ns, left.seen_ns = stamp_ns, stamp_ns - leap_ns
+        left.in_a_row += source == self._leader
+        if left.in_a_row > TAKES_OVER:
+            self._left.remove(left)
+            return False
+        return True
+
+    def _continued(self, stamp_ns: int, leap_ns: int) -> _Left | None:
+        """The time left lately that a leaping stamp continues."""
+        now_ns = stamp_ns - leap_ns
+        self._left = [each for each in self._left if now_ns - each.seen_ns <= SILENT_NS]
+        self._came_back &= bool(self._left)
+        return next((x for x in self._left if x.continued_by(stamp_ns, leap_ns)), None)
+
+    @property
+    def _usual_ns(self) -> int:
+        """Largest lead of a stamp by the last two steps of the leader."""
+        return USUAL_STEPS * min(self._steps, default=0)
+
+    def _confirmed(self, source: object, stamp_ns: int, leap_ns: int, threshold_ns: int) -> bool:
+        if leap_ns < 0 and self._clock_went_back:
+            return True
+        before = [held.stamp_ns for held in self._held if held.source == source]
+        if not before:
+            return False
+        if source == self._leader:
+            return 0 <= stamp_ns - before[-1] <= AGREE_NS
+        # A reading of the leader clears what is kept, so this one has gone on without it for long.
+        return leap_ns > 0 and stamp_ns - before[0] >= threshold_ns
+
+    def _hold(self, held: _Held) -> None:
+        self._held.append(held)
+        if len(self._held) > MOST_HELD:
+            del self._held[0]
+            self.dropped["stamp_held_too_long"] += 1
+
+    def _leap(self, stamp_ns: int, leap_ns: int) -> Iterator[Any | Jump]:
+        """Begin a new stretch of time, with what was held and belongs to it."""
+        held, self._held = self._held, []
+        kept = [each for each in held if abs(each.stamp_ns - stamp_ns) <= AGREE_NS]
+        self._drop(len(held) - len(kept))
+        self._clock_went_back = False
+        if (again := self._continued(stamp_ns, leap_ns)) is not None:
+            self._left.remove(again)
+            self._came_back = True
+        left_ns, self._newest_ns = stamp_ns - leap_ns, max(each.stamp_ns for each in kept)
+        self._left = [*self._left[1 - MOST_LEFT :], _Left(left_ns, leap_ns < 0, self._newest_ns)]
+        if leap_ns < 0:
+            self.jumps += 1
+            self._own_ns.clear()
+            yield Jump(-leap_ns / NANOSECONDS)
+        self._ahead_ns.clear()
+        self._leader_ns = None
+        for each in kept:
+            self._own_ns[each.source] = max(each.stamp_ns, self._own_ns.get(each.source, 0))
+            if each.source == self._leader:
+                self._step_to(each.stamp_ns)
+        yield from (each.item for each in kept)
+
+    def _step_to(self, stamp_ns: int) -> None:
+        """The leader came to this stamp."""
+        if self._leader_ns is not None and stamp_ns > self._leader_ns:
+            self._steps.append(stamp_ns - self._leader_ns)
+        self._leader_ns = max(stamp_ns, self._leader_ns or stamp_ns)
+
+    def _go_on(self, stamp_ns: int) -> None:
+        """The leader goes on as before, so what was held had a wrong stamp."""
+        self._step_to(stamp_ns)
+        self._clock_went_back = False
+        for left in self._left:
+            left.in_a_row = 0
+        self._drop(len(self._held))
+        self._held.clear()
+
+    def _drop(self, count: int) -> None:
+        if count:
+            self.dropped["stamp_leaps"] += count

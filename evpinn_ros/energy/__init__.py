@@ -1,5 +1,0 @@
-"""Energy: metered, integrated by the Runge-Kutta network, and forecast for plans."""
-
-from evpinn_ros.energy.forecast import Energies, Profiles, forecast
-
-__all__ = ["Energies", "Profiles", "forecast"]

@@ -1,0 +1,230 @@
+"""The bridge between MQTT topics and the chains of the cars behind them.
+
+Of a car `NAME` it publishes below `BASE/NAME`: `power` at most once a second, not retained, for an
+old power is of no use; `energy`, `consumption`, `range`, `breakdown`, `parameters` and `health` as
+they change, retained, for whoever subscribes later. Each is JSON, and each number of
+`sensors.SENSORS` has a topic of its own below it. `BASE/status` is `online`, or `offline` as the
+last will.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+import math
+from pathlib import Path
+import time
+
+from evpinn_ros.common.json_text import json_text
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.extras.bridges.broker import FAREWELL_S, ONLINE, Connection, Message
+from evpinn_ros.extras.bridges.car import BridgedCar, Document
+from evpinn_ros.extras.bridges.layouts import Layout
+from evpinn_ros.extras.bridges.sensors import SENSORS, discovery
+from evpinn_ros.extras.bridges.snapshot import Snapshots, is_due
+
+POWER_NS = 9 * NANOSECONDS // 10  # between two of power: one a second, of a source that jitters
+DOCUMENTS_NS = 10 * NANOSECONDS  # between two of all others
+SAVE_NS = 60 * NANOSECONDS  # between two states, as the nodes do
+MOST_CARS = 16  # a topic is anybody's to invent; each car takes some ten MB
+WAIT_S = 0.5  # longest wait for a message
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeSettings:
+    """Settings of a bridge.
+
+    Attributes:
+        layout: topics that it reads.
+        vehicles: of cars by name.
+        other: vehicle of all other cars; None ignores them.
+        estimator: settings of each chain.
+        base: topic below which it publishes.
+        discovery: prefix of Home Assistant's discovery; empty for none.
+        state: folder that keeps what was learned, `NAME.json` of each car; None keeps nothing.
+    """
+
+    layout: Layout
+    vehicles: Mapping[str, Vehicle]
+    other: Vehicle | None
+    estimator: EstimatorSettings
+    base: str = "evpinn"
+    discovery: str = "homeassistant"
+    state: Path | None = None
+
+    @property
+    def status_topic(self) -> str:
+        """Topic of birth and last will."""
+        return f"{self.base}/status"
+
+    @property
+    def birth_topic(self) -> str:
+        """Topic on which Home Assistant says that it started and wants discovery anew."""
+        return f"{self.discovery}/status"
+
+    @property
+    def subscriptions(self) -> tuple[str, ...]:
+        """Topic filters of the bridge."""
+        births = (self.birth_topic,) if self.discovery else ()
+        return self.layout.subscriptions + births
+
+
+@dataclass(slots=True)
+class _Seen:
+    """A car and what was published of it."""
+
+    car: BridgedCar
+    snapshots: Snapshots
+    power_ns: int = 0
+    documents_ns: int = 0
+    published: dict[str, str] = field(default_factory=dict)
+
+
+class MqttBridge:
+    """Cars behind the topics of one broker.
+
+    Attributes:
+        cars: by name, in the order in which they came.
+        ignored: names of cars without a vehicle, or too many.
+    """
+
+    def __init__(
+        self,
+        settings: BridgeSettings,
+        connection: Connection,
+        note: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """Begin without cars.
+
+        Args:
+            settings: what to read and to write.
+            connection: to the broker, not started.
+            note: says a line to the person.
+        """
+        self.settings, self._connection = settings, connection
+        self._clock, self._note = connection.clock, note
+        self._seen: dict[str, _Seen] = {}
+        self.ignored: set[str] = set()
+        self._connections = 0
+        self._saved_ns = self._clock()
+
+    @property
+    def cars(self) -> Mapping[str, BridgedCar]:
+        """Cars that have sent something, by name."""
+        return {name: seen.car for name, seen in self._seen.items()}
+
+    def step(self, wait: float = WAIT_S) -> bool:
+        """Take a message if one comes within `wait`, s, and do what is due; True if one came."""
+        now_ns = self._clock()
+        due_ns = min((seen.snapshots.due_ns for seen in self._seen.values()), default=math.inf)
+        message = self._connection.next_message(min(wait, max(due_ns - now_ns, 0) / NANOSECONDS))
+        if self._connections != self._connection.connections:
+            self._connections = self._connection.connections
+            self._begin_again()
+        if message is not None:
+            self._take(message)
+        now_ns = self._clock()
+        for each in self._seen.values():
+            self._feed(each, each.snapshots.flush(now_ns))
+            self._publish_due(each, now_ns)
+        if is_due(self._saved_ns, now_ns, SAVE_NS):
+            self.save()
+            self._saved_ns = now_ns
+        self._connection.send()
+        return message is not None
+
+    def save(self) -> None:
+        """Write the states of all cars; a file that cannot be written is in their health."""
+        for car in self.cars.values():
+            before = car.problem
+            car.save()
+            if car.problem is not None and car.problem != before:
+                self._note(car.problem)
+
+    def close(self) -> None:
+        """Process what waits, for some seconds; publish all a last time, and save."""
+        until = time.monotonic() + FAREWELL_S
+        while time.monotonic() < until and self.step(0.0):
+            pass
+        for seen in self._seen.values():
+            self._feed(seen, seen.snapshots.flush(self._clock() + NANOSECONDS))
+            self._publish(seen, self._documents(seen.car))
+        self.save()
+
+    def _begin_again(self) -> None:
+        """Hold nothing of before a connection, and repeat what its broker may have lost."""
+        for seen in self._seen.values():
+            seen.snapshots.forget()
+            self._announce(seen)
+
+    def _take(self, message: Message) -> None:
+        if message.topic == self.settings.birth_topic:
+            if message.payload == ONLINE.encode() and not message.retained:
+                for each in self._seen.values():
+                    self._announce(each)
+            return
+        parsed = self.settings.layout.parse(message.topic, message.payload)
+        seen = None if parsed is None else self._car(parsed.car)
+        if parsed is None or seen is None:
+            return
+        retained, arrived_ns = message.retained, message.arrived_ns
+        self._feed(seen, seen.snapshots.add(parsed, arrived_ns, retained=retained))
+
+    def _car(self, name: str) -> _Seen | None:
+        if name in self._seen:
+            return self._seen[name]
+        vehicle = self.settings.vehicles.get(name, self.settings.other)
+        if vehicle is None or len(self._seen) >= MOST_CARS:
+            if name not in self.ignored and len(self.ignored) < MOST_CARS:
+                self.ignored.add(name)
+                why = "no vehicle is given for it" if vehicle is None else "too many cars"
+                self._note(f"car '{name}' is ignored: {why}")
+            return None
+        state = self.settings.state and self.settings.state / f"{name}.json"
+        car = BridgedCar(name, vehicle, self.settings.estimator, state)
+        self._note(f"car '{name}': {vehicle.name}" + (f"; {car.problem}" if car.problem else ""))
+        snapshots = Snapshots(vehicle.nominal_voltage, on_change=self.settings.layout.on_change)
+        found = self._seen[name] = _Seen(car, snapshots)
+        self._announce(found)
+        return found
+
+    def _feed(self, seen: _Seen, readings: list[Reading]) -> None:
+        if readings and seen.car.add_readings(readings):
+            seen.documents_ns = 0
+
+    def _publish_due(self, seen: _Seen, now_ns: int) -> None:
+        """Publish what is due: by the car's own stamps, for they are what goes on in a replay."""
+        newest_ns = seen.car.newest_ns
+        if newest_ns is not None and is_due(seen.power_ns, newest_ns, POWER_NS):
+            seen.power_ns = newest_ns
+            self._publish(seen, {"power": seen.car.power()}, retain=False)
+        if is_due(seen.documents_ns, now_ns, DOCUMENTS_NS):
+            seen.documents_ns = now_ns
+            self._publish(seen, self._documents(seen.car))
+
+    def _documents(self, car: BridgedCar) -> Mapping[str, Document]:
+        waiting = {"messages_waiting": self._connection.waiting}
+        health = {**car.health(), "messages_lost": self._connection.lost, **waiting}
+        return {**car.documents(), "health": health}
+
+    def _publish(
+        self, seen: _Seen, documents: Mapping[str, Document], *, retain: bool = True
+    ) -> None:
+        """Publish documents and their numbers, of what is retained only what changed."""
+        base = f"{self.settings.base}/{seen.car.name}"
+        for name, document in documents.items():
+            texts = {each.topic: each.text(document) for each in SENSORS if each.document == name}
+            for below, text in {name: json_text(document), **texts}.items():
+                if not retain or seen.published.get(below) != text:
+                    seen.published[below] = text
+                    self._connection.publish(f"{base}/{below}", text, retain=retain)
+
+    def _announce(self, seen: _Seen) -> None:
+        """Publish the discovery of a car, and all of its documents anew when they are due."""
+        seen.published.clear()
+        given, car = self.settings, seen.car
+        about = (f"{given.base}/{car.name}", given.status_topic, car.name, car.vehicle.name)
+        for topic, content in discovery(given.discovery, *about):
+            self._connection.publish(topic, json_text(content), retain=True)

@@ -1,0 +1,143 @@
+"""One car of a bridge: the chain behind its readings, its drives, and what is kept of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+import time
+from typing import Any
+
+from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.state_file import Half
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading, SpeedReading
+from evpinn_ros.core.signals.time_jump import Jump, JumpPolicy, JumpRule
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.nodes.saved_state import StateFile
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.energy_metrics import account_metrics, breakdown_metrics
+from evpinn_ros.replays.scoring import combination_metrics, parameter_metrics
+
+DRIVE_GAP_NS = 15 * 60 * NANOSECONDS
+"""A drive ends where the car sends no speed, or stands, for so long."""
+STANDS = 0.1  # m/s
+HELD = JumpRule(policy=JumpPolicy.HOLD)
+"""A clock of a broker's host that is set back must not undo what was learned."""
+
+Document = Mapping[str, Any]
+
+
+class BridgedCar:
+    """The chain of one car, fed by readings, asked for documents.
+
+    Attributes:
+        name: of the car, in topics.
+        vehicle: its file.
+        newest_ns: stamp of the last reading that is not in doubt, None before the first. It
+            follows a clock that is set back.
+        readings: how many came.
+    """
+
+    def __init__(
+        self, name: str, vehicle: Vehicle, settings: EstimatorSettings, state: Path | None = None
+    ) -> None:
+        """Go on from the state of the car, where its file is there and can be used."""
+        self.name, self.vehicle, self._settings = name, vehicle, settings
+        self.chain = Chain(vehicle, settings, InlineWorker(time.perf_counter), HELD)
+        self.newest_ns: int | None = None
+        self.readings = 0
+        self._moved_ns: int | None = None
+        self._power: dict[PowerKind, PowerEstimate] = {}
+        self._files = [
+            StateFile(state, self.chain.estimator, Half.LEARNED),
+            StateFile(state, self.chain.account, Half.ENERGY),
+        ]
+        self._saved = 0
+        for state_file in self._files:
+            state_file.load()
+        self.chain.begin_next_drive()
+
+    @property
+    def problem(self) -> str | None:
+        """Reason why its state was not used or not written, None if all is well."""
+        return next((each.problem for each in self._files if each.problem is not None), None)
+
+    def add_readings(self, readings: Iterable[Reading]) -> bool:
+        """Take readings in order; give whether another drive began with them."""
+        began = False
+        for reading in readings:
+            self.readings += 1
+            # Only what passes the guard of time counts: one wild stamp ends no drive.
+            for item in self.chain.follow(reading):
+                if isinstance(item, SpeedReading):
+                    began |= self._begins(item)
+                if not isinstance(item, Jump):
+                    self.newest_ns = item.stamp_ns
+                for output in self.chain.take(item):
+                    if isinstance(output, PowerEstimate):
+                        self._power[output.kind] = output
+        return began
+
+    def _begins(self, reading: SpeedReading) -> bool:
+        """Begin the next drive where the car moves after a long stop."""
+        if abs(reading.speed) < STANDS:
+            return False
+        moved_ns, self._moved_ns = self._moved_ns, reading.stamp_ns
+        if moved_ns is None or reading.stamp_ns - moved_ns < DRIVE_GAP_NS:
+            return False
+        self.save()
+        self._power.clear()
+        self.chain.begin_next_drive()
+        return True
+
+    def save(self) -> None:
+        """Write what was learned and counted, if there is anything new."""
+        if self.readings == self._saved:
+            return
+        for state_file in self._files:
+            state_file.save()
+        self._saved = self.readings
+
+    def power(self) -> Document:
+        """Battery power, W: measured, predicted without it, and the 1-sigma of that."""
+        measured, predicted = (
+            self._power.get(kind) for kind in (PowerKind.MEASURED, PowerKind.PREDICTED)
+        )
+        return {
+            "time": _seconds(predicted.stamp_ns if predicted else None),
+            "measured_w": measured and measured.power,
+            "predicted_w": predicted and predicted.power,
+            "predicted_sigma_w": predicted and predicted.sigma,
+        }
+
+    def documents(self) -> Mapping[str, Document]:
+        """All other documents, by the last part of their topic."""
+        estimator, account = self.chain.estimator, account_metrics(self.chain.account.summary())
+        parameters = estimator.parameters()
+        combinations = {"combinations": combination_metrics(parameters)}
+        return {
+            **account,
+            "energy": {"time": _seconds(self.newest_ns), **account["energy"]},
+            "breakdown": breakdown_metrics(estimator.breakdown(), self._settings.mode.value),
+            "parameters": {**parameter_metrics(parameters), **combinations},
+        }
+
+    def health(self) -> Document:
+        """Activity and reasons, for whoever asks why there are no news."""
+        status = self.chain.estimator.status()
+        return {
+            "activity": status.activity.value,
+            "vehicle": self.vehicle.key,
+            "readings": self.readings,
+            "newest_time": _seconds(self.newest_ns),
+            "dropped": {**status.dropped, **self.chain.dropped},
+            "not_learned": dict(status.gated),
+            "stuck": status.stuck,
+            "unknown": list(status.unknown),
+            "problem": self.problem,
+        }
+
+
+def _seconds(stamp_ns: int | None) -> float | None:
+    return None if stamp_ns is None else stamp_ns / NANOSECONDS

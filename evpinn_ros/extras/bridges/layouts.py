@@ -1,0 +1,228 @@
+"""Layouts of topics: the quantity, unit and sign behind each topic of TeslaMate, OVMS or others.
+
+A layout is a mapping file; those of TeslaMate and OVMS are in `config/mqtt/`, with their sources.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum
+import json
+import math
+from pathlib import Path
+import re
+from typing import NamedTuple
+
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.common.yaml_section import Section, compose
+from evpinn_ros.logs.quantities import QUANTITIES, Unit
+
+PERCENT = 0.01
+MILLISECONDS = 1e11  # a larger number of seconds since 1970 is of milliseconds
+CAR_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+BUNDLED = ("teslamate", "ovms")
+CAR = "{car}"  # a level of a topic
+WILDCARDS = {CAR: "(?P<car>[^/]+)", "+": "[^/]+", "#": ".+"}
+
+
+class Measurand(str, Enum):
+    """Quantities that a bridge takes, in the units of `signals.readings`.
+
+    POWER is W, positive when drawn; CURRENT is A with the sign of BatteryState, negative when
+    drawn; CHARGE is 0..1; STANDING is 1 while the car cannot move, ASLEEP 1 while not in use.
+    """
+
+    SPEED = "speed"
+    POWER = "power"
+    VOLTAGE = "voltage"
+    CURRENT = "current"
+    CHARGE = "charge"
+    ALTITUDE = "altitude"
+    LATITUDE = "latitude"
+    LONGITUDE = "longitude"
+    TEMPERATURE = "temperature"
+    HEATING = "heating"
+    STANDING = "standing"
+    ASLEEP = "asleep"
+
+
+LASTING = {Measurand.CHARGE, Measurand.TEMPERATURE, Measurand.STANDING, Measurand.ASLEEP}
+"""Quantities whose retained value may be used, once a live message shows that the car sends."""
+COLUMNS = {Measurand.ALTITUDE: "elevation", Measurand.TEMPERATURE: "ambient"}
+"""Names in `logs.quantities`, where they differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """Meaning of a topic, or of a field of its JSON."""
+
+    quantity: Measurand
+    scale: float = 1.0  # to the unit of the quantity, with its sign
+    step: float = math.nan  # of rounded numbers, in the unit of the quantity; NaN if unknown
+    words: Mapping[str, float] | None = None  # texts and their values, where it is no number
+    otherwise: float = math.nan  # value of other words; NaN if they mean nothing
+    offset: float = 0.0  # added after `scale`, as of degrees Fahrenheit
+
+    def value(self, text: object) -> Value:
+        """Value in the unit of the quantity, NaN where the text is none."""
+        if self.words is not None:
+            return Value(self.words.get(str(text), self.otherwise))
+        try:
+            found = float(str(text)) * self.scale + self.offset
+        except ValueError:
+            return Value()
+        return Value(found, self.step) if math.isfinite(found) else Value()
+
+
+class Value(NamedTuple):
+    """A value, and the step to which it was rounded; NaN where one is not known."""
+
+    value: float = math.nan
+    step: float = math.nan
+
+
+class Parsed(NamedTuple):
+    """Content of a message: the car, its values, and their stamp, None if the message has none."""
+
+    car: str
+    values: Mapping[Measurand, Value]
+    stamp_ns: int | None = None
+
+
+class Layout:
+    """Topics of one kind of publisher, and what their messages say.
+
+    Attributes:
+        subscriptions: topic filters.
+        on_change: whether a topic comes only when its value changed, so that any message of a car
+            says that all else of it is as it was.
+    """
+
+    def __init__(
+        self,
+        topics: Mapping[str, Mapping[str, Rule]],
+        base: str = "",
+        around: tuple[str, ...] = (),
+        stamp: str = "",
+    ) -> None:
+        """Take rules by topic and field; the field "" is the whole payload.
+
+        Args:
+            topics: with `{car}` for the level of the car's name, which is else `car`.
+            base: text with which all begin.
+            around: filters of all topics of a publisher that sends what changed.
+            stamp: field with seconds since 1970, of payloads in JSON; empty if there is none.
+
+        Raises:
+            InputError: no broker takes such a topic.
+        """
+        rules = {**topics, **{each: {} for each in around if each not in topics}}
+        self._rules = {_expression(base + topic): rules[topic] for topic in rules}
+        self._stamp, self.on_change = stamp, bool(around)
+        self.subscriptions = tuple((base + each).replace(CAR, "+") for each in around or topics)
+
+    def parse(self, topic: str, payload: bytes) -> Parsed | None:
+        """Content of a message, without values where it has no rule; None if it is of no car."""
+        for expression, rules in self._rules.items():
+            found = expression.fullmatch(topic)
+            if found is not None:
+                car = found.groupdict().get("car", "car")
+                return self._parsed(car, payload, rules) if CAR_NAME.fullmatch(car) else None
+        return None
+
+    def _parsed(self, car: str, payload: bytes, rules: Mapping[str, Rule]) -> Parsed:
+        text = payload.decode("utf-8", "replace").strip()
+        fields: object = {"": text}
+        if "" not in rules:
+            with suppress(ValueError, RecursionError):
+                fields = json.loads(text)
+        fields = fields if isinstance(fields, dict) else {}
+        found = [(rule.quantity, rule.value(fields.get(name))) for name, rule in rules.items()]
+        known = {quantity: each for quantity, each in found if not math.isnan(each.value)}
+        return Parsed(car, known, _stamp_ns(fields.get(self._stamp)))
+
+
+def _expression(topic: str) -> re.Pattern[str]:
+    """Expression of the topics that a filter means, with the group `car`."""
+    levels = topic.split("/")
+    rest = "/".join(level for level in levels if level not in WILDCARDS)
+    broken = not topic or levels.count(CAR) > 1 or "#" in levels[:-1]
+    if broken or re.search(r"[+#\0]|\{car\}", rest):
+        raise InputError(f"'{topic}': a topic has no wildcard but one level {CAR}")
+    return re.compile("/".join(WILDCARDS.get(level) or re.escape(level) for level in levels))
+
+
+def _stamp_ns(seconds: object) -> int | None:
+    if not isinstance(seconds, int | float) or not 0 < seconds < 1e13:
+        return None
+    return round(seconds * (1e9 if seconds < MILLISECONDS else 1e6))
+
+
+def read_layout(source: str, namespace: str = "") -> Layout:
+    """Read a mapping file: that of `teslamate` or `ovms`, or the one at a path.
+
+    Its key `topics` maps each topic, with `{car}` for one level, to `{quantity, unit, scale}` or,
+    where the payload is JSON, to `fields: {name: {quantity, unit, scale}}`; `unit` is one of
+    `logs.quantities`, `scale` a factor beside it, `step` that of rounded numbers; `words` are
+    texts and their values, and others mean `otherwise`. `stamp` names a field, in s or ms.
+
+    All topics begin with `base`; with a namespace with `named`, where `{namespace}` stands for it.
+    `around` are filters of all topics of a publisher that sends what changed.
+
+    Raises:
+        InputError: the file is wrong, with its line and the reason, or has no namespace.
+    """
+    bundled = share_directory() / "config" / "mqtt" / f"{source}.yaml"
+    path = bundled if source in BUNDLED else Path(source)
+    root = compose(path, "mapping of topics")
+    root.refuse_unknown(("around", "base", "named", "stamp", "topics"))
+    topics, section = {}, root.section("topics")
+    for topic in section.names():
+        entry = section.section(topic)
+        if "#" in topic or "+" in topic:
+            raise entry.error("a topic has no wildcard but one level {car}")
+        if entry.has("fields"):
+            fields = entry.section("fields")
+            topics[topic] = {name: _rule(fields.section(name)) for name in fields.names()}
+        else:
+            topics[topic] = {"": _rule(entry)}
+
+    def text(key: str) -> str:
+        return root.text(key) if root.has(key) else ""
+
+    if namespace and not root.has("named"):
+        raise root.error("these topics have no namespace")
+    base = text("named").replace("{namespace}", namespace) if namespace else text("base")
+    with as_input_error(path, InputError):
+        return Layout(topics, base, tuple(text("around").split()), text("stamp"))
+
+
+def _rule(section: Section) -> Rule:
+    section.refuse_unknown(("otherwise", "quantity", "scale", "step", "unit", "words"))
+    quantity = Measurand(section.choice("quantity", [each.value for each in Measurand]))
+    unit = _unit(section, quantity) if section.has("unit") else Unit(1.0)
+
+    def number(key: str, otherwise: float) -> float:
+        return section.number(key, -1e9, 1e9) if section.has(key) else otherwise
+
+    scale = number("scale", 1.0) * unit.factor
+    step = abs(number("step", math.nan) * scale)
+    meanings = None
+    if section.has("words"):
+        words = section.section("words")
+        meanings = {word: words.number(word, -1e9, 1e9) for word in words.names()}
+    return Rule(quantity, scale, step, meanings, number("otherwise", math.nan), unit.offset)
+
+
+def _unit(section: Section, quantity: Measurand) -> Unit:
+    column = QUANTITIES.get(COLUMNS.get(quantity, quantity.value))
+    units: Mapping[str, Unit] = {} if column is None else column.units
+    unit = units.get(section.text("unit").lower())
+    if unit is None:
+        known = ", ".join(units) or "none"
+        raise section.error_at("unit", f"units of {quantity.value}: {known}")
+    # The columns of `drives` hold a charge in percent.
+    return Unit(unit.factor * PERCENT) if quantity is Measurand.CHARGE else unit

@@ -1,0 +1,143 @@
+"""Readings of one car from values that come apart, at irregular times, some only when they change.
+
+TeslaMate and OVMS send a topic only when its value changed. So whatever comes of a car says that
+all else of it is as it was: the values that came together, within `BURST_NS`, and those that hold
+on make one set of readings, of the moment when the first came. A value that was retained by the
+broker may be days old: it is not used before the car sends it, or, where it lasts, before the car
+sends anything.
+
+The stamp is that of arrival where a message has none of its own: neither TeslaMate nor OVMS says
+when it measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+import math
+
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    AuxiliaryReading,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    TemperatureReading,
+)
+from evpinn_ros.extras.bridges.layouts import LASTING, Measurand, Parsed, Value
+
+BURST_NS = 150_000_000  # ns; a publisher sends what changed within some milliseconds
+MOST_AHEAD_NS = 86_400 * NANOSECONDS
+"""Clocks of cars go wrong by seconds or a zone; a stamp farther ahead of its arrival is none."""
+VARIANCE_OF_A_STEP = 1.0 / 12.0  # of a rounded number, per squared step
+NAN = math.nan
+
+
+class Snapshots:
+    """Readings of one car, set by set."""
+
+    def __init__(self, nominal_voltage: float, *, on_change: bool) -> None:
+        """Begin without any value.
+
+        Args:
+            nominal_voltage: V, with which power alone becomes a current.
+            on_change: whether a value is sent only when it changes, and holds until then.
+        """
+        self._nominal_voltage, self._on_change = nominal_voltage, on_change
+        self._held: dict[Measurand, Value] = {}
+        self._burst_ns: int | None = None
+
+    @property
+    def due_ns(self) -> float:
+        """Moment from which on `flush` gives readings, infinite while nothing waits."""
+        return math.inf if self._burst_ns is None else self._burst_ns + BURST_NS
+
+    def forget(self) -> None:
+        """Hold nothing that could have changed unseen: the connection was lost."""
+        self._held = {each: held for each, held in self._held.items() if each in LASTING}
+        self._burst_ns = None
+
+    def add(self, parsed: Parsed, arrived_ns: int, *, retained: bool) -> list[Reading]:
+        """Take a message; give the readings that are complete.
+
+        Args:
+            parsed: its content.
+            arrived_ns: the moment it came.
+            retained: whether the broker kept it from before.
+        """
+        if retained:
+            if self._on_change:
+                self._hold(parsed, LASTING)
+            return []
+        if not self._on_change:
+            self._held.clear()
+            self._hold(parsed)
+            stamp_ns = parsed.stamp_ns or arrived_ns
+            is_one = stamp_ns - arrived_ns < MOST_AHEAD_NS
+            return self._readings(stamp_ns if is_one else arrived_ns)
+        complete = self.flush(arrived_ns)
+        if self._burst_ns is None:
+            self._burst_ns = arrived_ns
+        self._hold(parsed)
+        return complete
+
+    def flush(self, now_ns: int) -> list[Reading]:
+        """Readings of the values that came together, once no more of them can come."""
+        if self._burst_ns is None or 0 <= now_ns - self._burst_ns < BURST_NS:
+            return []
+        stamp_ns, self._burst_ns = self._burst_ns, None
+        return self._readings(stamp_ns)
+
+    def _hold(self, parsed: Parsed, wanted: Collection[Measurand] = tuple(Measurand)) -> None:
+        self._held |= {each: value for each, value in parsed.values.items() if each in wanted}
+
+    def _value(self, quantity: Measurand) -> float:
+        return self._held.get(quantity, Value()).value
+
+    def _readings(self, stamp_ns: int) -> list[Reading]:
+        if self._value(Measurand.ASLEEP) == 1.0:
+            return self._asleep(stamp_ns)
+        found: list[Reading] = []
+        if not math.isnan(celsius := self._value(Measurand.TEMPERATURE)):
+            found.append(TemperatureReading(stamp_ns, celsius))
+        if not math.isnan(altitude := self._value(Measurand.ALTITUDE)):
+            place = self._value(Measurand.LATITUDE), self._value(Measurand.LONGITUDE)
+            found.append(AltitudeReading(stamp_ns, altitude, *place))
+        if not math.isnan(heating := self._value(Measurand.HEATING)):
+            found.append(AuxiliaryReading(stamp_ns, heating))
+        battery = self._battery(stamp_ns)
+        if battery is not None:
+            found.append(battery)
+        speed = self._speed(stamp_ns)
+        return found if speed is None else [*found, speed]
+
+    def _asleep(self, stamp_ns: int) -> list[Reading]:
+        """Charge alone: speed and power of a car that is not driven are old, or the charger's."""
+        for quantity in (Measurand.SPEED, Measurand.POWER, Measurand.CURRENT, Measurand.VOLTAGE):
+            self._held.pop(quantity, None)
+        charge = self._value(Measurand.CHARGE)
+        return [] if math.isnan(charge) else [BatteryReading(stamp_ns, NAN, NAN, charge)]
+
+    def _speed(self, stamp_ns: int) -> SpeedReading | None:
+        if self._value(Measurand.STANDING) == 1.0:  # TeslaMate sends no speed of a parked car
+            return SpeedReading(stamp_ns, 0.0)
+        speed, step = self._held.get(Measurand.SPEED, Value())
+        known = not math.isnan(speed)
+        return SpeedReading(stamp_ns, speed, VARIANCE_OF_A_STEP * step**2) if known else None
+
+    def _battery(self, stamp_ns: int) -> BatteryReading | None:
+        volt, current = self._value(Measurand.VOLTAGE), self._value(Measurand.CURRENT)
+        power, charge = self._value(Measurand.POWER), self._value(Measurand.CHARGE)
+        power_std = math.nan
+        if math.isnan(current) and not math.isnan(power):
+            volt = volt if volt > 0.0 else self._nominal_voltage
+            current = -power / volt
+            power_std = math.sqrt(VARIANCE_OF_A_STEP) * self._held[Measurand.POWER].step
+        if all(map(math.isnan, (volt, current, charge))):
+            return None
+        return BatteryReading(stamp_ns, volt, current, charge, power_std)
+
+
+def is_due(last_ns: int, now_ns: int, period_ns: int) -> bool:
+    """True a period after the last time, and where the clock was set back."""
+    return not 0 <= now_ns - last_ns < period_ns

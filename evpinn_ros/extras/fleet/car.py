@@ -1,0 +1,247 @@
+"""One car: all its drives in order of time, each learned from where the one before left off.
+
+A car is one task, for its drives depend on one another. Every drive starts from what was saved
+after the one before, never from what is in memory, so a run that was stopped gives the same
+numbers as one that was not, and a drive that fails leaves nothing behind.
+
+Two files in the car's folder, written after each drive: `state.json`, what was learned, as
+`evpinn replay --state` and the estimator take it; and `result.json`, a row for each drive with
+the fingerprint of its input, and the evidence of the whole. A later run goes on after the last
+drive that is there, and begins anew where an earlier one changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import hashlib
+import json
+from pathlib import Path
+import time
+from typing import Any
+
+from evpinn_ros import __version__
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.errors import InputError, as_input_error, with_kind
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, evidence_of_state
+from evpinn_ros.core.estimation.evidence import NO_EVIDENCE
+from evpinn_ros.core.estimation.learner import STATE_VERSION
+from evpinn_ros.core.estimation.state_file import read_state, write_state
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.extras.fleet.manifest import CarDrives
+from evpinn_ros.extras.fleet.row import drive_row, failed_row
+from evpinn_ros.logs.sources import open_source
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.run import ReplayOptions, replay
+
+STATE_FILE, RESULT_FILE = "state.json", "result.json"
+LAYOUT = 2  # of the result file
+
+
+class StoppedError(Exception):
+    """The person who started the run wants no more of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class CarTask:
+    """Task of a worker.
+
+    Attributes:
+        drives: of which car.
+        folder: of its files; every worker must see it, as the drives themselves.
+        stop: a file; once it exists the car is left as it is.
+    """
+
+    drives: CarDrives
+    folder: Path
+    stop: Path
+
+
+@dataclass(frozen=True, slots=True)
+class CarDone:
+    """Drives of a car: learned now, found done already, and failed among all."""
+
+    car: str
+    learned: int
+    kept: int
+    failed: int
+
+
+def learn_car(task: CarTask) -> CarDone:
+    """Learn all drives of a car, those that are done already left out.
+
+    Raises:
+        StoppedError: asked to, before the last drive was done.
+        InputError: the car's files cannot be written.
+    """
+    limit_blas_threads()
+    _stop_if(task.stop)
+    vehicle = task.drives.vehicle
+    found = _Found(task.folder, vehicle)
+    inputs = [_Input.of(path, found) for path in task.drives.drives]
+    ordered = sorted((one for one in inputs if one.problem is None), key=_Input.order)
+    kept = found.keep([one.fingerprint for one in ordered])
+    for one in ordered[kept:]:
+        found.add(one, *_learn(one, vehicle, found.state, lambda _: _stop_if(task.stop)))
+    found.note_unreadable([one for one in inputs if one.problem is not None])
+    failed = len(inputs) - sum(row["samples"] > 0 for row in found.rows)
+    return CarDone(task.drives.car, len(ordered) - kept, kept, failed)
+
+
+@dataclass(frozen=True, slots=True)
+class _Input:
+    """A drive's path, the fingerprint of its files, its first stamp, and why it has none."""
+
+    path: Path
+    fingerprint: str
+    start_ns: int
+    problem: str | None
+
+    @classmethod
+    def of(cls, path: Path, found: _Found) -> _Input:
+        """Look at a drive; what is known of it already is not read again."""
+        try:
+            fingerprint = _fingerprint(path)
+            known = found.starts.get(fingerprint)
+            start_ns = known if known is not None else _first_stamp(path, found.vehicle)
+            return cls(path, fingerprint, start_ns, None)
+        except Exception as error:  # whatever is wrong with one drive, the others go on
+            return cls(path, "", 0, with_kind(error))
+
+    def order(self) -> tuple[int, str]:
+        """By time, those of one moment by name."""
+        return self.start_ns, str(self.path)
+
+    def row(self) -> dict[str, Any]:
+        """First cells of the drive's row."""
+        return {"path": str(self.path), "fingerprint": self.fingerprint, "start_ns": self.start_ns}
+
+
+class _Found:
+    """The files of a car: what is there, and what is added."""
+
+    def __init__(self, folder: Path, vehicle: Vehicle) -> None:
+        """Read what an earlier run of the same program and vehicle file left."""
+        self.vehicle, self._folder = vehicle, folder
+        self._basis = _basis(vehicle)
+        before = read_result(folder, vehicle)
+        self.rows: list[dict[str, Any]] = before.get("drives", [])
+        self.state: dict[str, Any] | None = None
+        self._written = before
+        self.starts: dict[str, int] = {r["fingerprint"]: r["start_ns"] for r in self.rows}
+
+    def keep(self, fingerprints: list[str]) -> int:
+        """Keep what is there if the drives begin with it, else begin anew; how many are kept."""
+        done = [row["fingerprint"] for row in self.rows]
+        if fingerprints == done:
+            return len(done)
+        state = _read(self._folder / STATE_FILE)
+        if fingerprints[: len(done)] == done and self._written.get("state") == _digest_of(state):
+            self.state = state or None
+        else:
+            self.rows, self._written = [], {}
+        return len(self.rows)
+
+    def add(self, one: _Input, row: dict[str, Any], state: dict[str, Any] | None) -> None:
+        """Write the files after one more drive; without a state nothing was learned of it."""
+        self.rows.append({**one.row(), **row})
+        self.state = state or self.state
+        evidence = evidence_of_state(self.vehicle, self.state) if self.state else NO_EVIDENCE
+        self._write(
+            state,
+            {
+                "basis": self._basis,
+                "state": _digest_of(self.state or {}),
+                "precision": evidence.precision.tolist(),
+                "information": evidence.information.tolist(),
+                "drives": self.rows,
+                "unreadable": self._written.get("unreadable", []),
+            },
+        )
+
+    def note_unreadable(self, inputs: list[_Input]) -> None:
+        """Write which drives could not even be opened; they are tried again by every run."""
+        rows = [{**one.row(), **failed_row(one.problem or "")} for one in inputs]
+        if self._written.get("unreadable", []) != rows or not self._written:
+            nothing = {"basis": self._basis, "state": _digest_of({}), "drives": []}
+            self._write(None, {**nothing, **self._written, "unreadable": rows})
+
+    def _write(self, state: dict[str, Any] | None, result: dict[str, Any]) -> None:
+        with as_input_error(self._folder):
+            if state is not None:
+                write_state(self._folder / STATE_FILE, state)
+            write_state(self._folder / RESULT_FILE, result)
+        self._written = result
+
+
+def _learn(
+    one: _Input, vehicle: Vehicle, state: dict[str, Any] | None, progress: Callable[[float], None]
+) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """The row of a drive and the state after it, None if nothing came of it."""
+    progress(0.0)
+    settings = EstimatorSettings()
+    chain = Chain(vehicle, settings, InlineWorker(time.perf_counter))
+    try:
+        if state is not None:
+            chain.estimator.restore(state)
+            chain.begin_next_drive()
+        done = replay(
+            open_source(one.path, vehicle),
+            chain,
+            ReplayOptions(),
+            vehicle=vehicle.key,
+            mode=settings.mode.value,
+            progress=progress,
+        )
+        # As JSON has it, so that a run goes on from the same state whether read back or not.
+        return drive_row(done), json.loads(json.dumps(chain.estimator.export(), allow_nan=False))
+    except StoppedError:
+        raise
+    except Exception as error:  # whatever is wrong with one drive, the others go on
+        return failed_row(with_kind(error)), None
+
+
+def read_result(folder: Path, vehicle: Vehicle) -> dict[str, Any]:
+    """Saved result of the present program for a car of this very vehicle file; empty if none."""
+    found = _read(folder / RESULT_FILE)
+    return found if found.get("basis") == _basis(vehicle) else {}
+
+
+def _basis(vehicle: Vehicle) -> str:
+    return _digest([repr(vehicle), __version__, str(STATE_VERSION), str(LAYOUT)])
+
+
+def _stop_if(file: Path) -> None:
+    if file.exists():
+        raise StoppedError
+
+
+def _first_stamp(path: Path, vehicle: Vehicle) -> int:
+    readings = open_source(path, vehicle).readings()
+    for reading in readings:
+        return reading.stamp_ns
+    raise InputError(f"{path}: holds no reading")
+
+
+def _fingerprint(path: Path) -> str:
+    """Fingerprint of the names, sizes and times of a drive's files."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    stats = [(file.name, file.stat()) for file in files if file.is_file()]
+    return _digest([str(path), *(f"{n} {s.st_size} {s.st_mtime_ns}" for n, s in stats)])
+
+
+def _digest(parts: list[str]) -> str:
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+
+
+def _digest_of(state: dict[str, Any]) -> str:
+    return _digest([json.dumps(state, sort_keys=True)])
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A file of an earlier run; one that cannot be used is as good as none."""
+    try:
+        return read_state(path) or {}
+    except InputError:
+        return {}

@@ -1,0 +1,170 @@
+"""`evpinn fleet`: many drives of many cars, and what the cars have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import signal
+from typing import Annotated, Any
+
+import typer
+
+from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json
+from evpinn_ros.cli.options import JsonOption, VehicleOption
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.common.stopping import STOPS, at_stop
+from evpinn_ros.common.writer import check_outputs
+from evpinn_ros.core.vehicle.files import write_vehicle
+from evpinn_ros.extras.fleet.executor import DaskExecutor, Executor, LocalExecutor
+from evpinn_ros.extras.fleet.manifest import (
+    CarDrives,
+    cars_by_folder,
+    cars_by_manifest,
+    load_model,
+)
+from evpinn_ros.extras.fleet.page import (
+    POPULATION_HEAD,
+    fleet_sentence,
+    population_cells,
+    write_fleet_page,
+)
+from evpinn_ros.extras.fleet.run import claimed, learn_fleet
+from evpinn_ros.extras.fleet.tables import (
+    FleetSummary,
+    population_rows,
+    require_parquet,
+    write_tables,
+)
+
+REPORT = "report.html"
+MOST_SHOWN = 20  # problems printed; the tables hold all
+
+
+def fleet(
+    bags: Annotated[
+        list[str] | None,
+        typer.Argument(help="Files, folders or patterns; each folder at the top is one car."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; the next run continues from them.")
+    ] = Path("fleet"),
+    vehicle: VehicleOption = "generic",
+    manifest: Annotated[
+        Path | None,
+        typer.Option(help="YAML or CSV with the car and model of each drive."),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Number of processes; one for each core if not given."),
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler of a cluster.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="HTML report; report.html in OUT if not given.")
+    ] = None,
+    write_vehicle_to: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-vehicle",
+            metavar="OUT.yaml",
+            help="Vehicle file to write for the next car of this model; "
+            "for several models, a folder.",
+        ),
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Learn each car from all its drives, and a vehicle file for the next such car.
+
+    Finished work is kept: after a stop, the same command continues. A drive that fails does not
+    stop the others.
+
+    Example: evpinn fleet drives/ --vehicle bmw_i3 --write-vehicle i3_fleet.yaml
+    """
+    require_parquet()
+    cars = _cars(bags or [], vehicle, manifest)
+    _refuse_one_file_for_many(write_vehicle_to, cars)
+    drives = (drive for car in cars for drive in car.drives)
+    check_outputs((report, write_vehicle_to, json_file), (manifest, Path(vehicle), *drives))
+    executor: Executor = DaskExecutor(scheduler) if scheduler else LocalExecutor(workers)
+    with claimed(out):
+        failed: dict[str, str] = {}
+        stopped = not _learn(cars, out, executor, failed)
+        summary = write_tables(out, cars, failed)
+        _write(summary, report or out / REPORT, write_vehicle_to)
+    _show(summary, out)
+    if json_file is not None:
+        write_json(json_file, {"out": str(out), "stopped": stopped, **_found(summary)})
+    if stopped:
+        note("evpinn: stopped; the same command goes on from here")
+    if stopped or failed or not summary.counts["learned"]:
+        raise typer.Exit(1)
+
+
+def _cars(bags: list[str], vehicle: str, manifest: Path | None) -> list[CarDrives]:
+    if manifest is not None:
+        if bags:
+            raise InputError(f"{manifest}: says which drives there are; give no others beside it")
+        return cars_by_manifest(manifest)
+    if not bags:
+        raise InputError("give bags, folders of bags, or a --manifest")
+    return cars_by_folder(bags, load_model(vehicle, Path()))
+
+
+def _refuse_one_file_for_many(path: Path | None, cars: list[CarDrives]) -> None:
+    models = sorted({car.vehicle.key for car in cars})
+    if path is not None and path.suffix in (".yaml", ".yml") and len(models) > 1:
+        raise InputError(f"{path}: one file for {', '.join(models)}; give the name of a folder")
+
+
+def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
+    """Learn all; False when a person stopped it."""
+    before = {number: signal.getsignal(number) for number in STOPS}
+    at_stop(signal.default_int_handler)  # all end it as Ctrl-C does
+    try:
+        with progress_bar("evpinn fleet", len(cars), unit="cars") as progress:
+            for done, outcome in enumerate(learn_fleet(cars, out.resolve(), executor), start=1):
+                progress(done)
+                if outcome.problem is not None:
+                    failed[outcome.task.drives.car] = outcome.problem
+    except KeyboardInterrupt:
+        return False
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return True
+
+
+def _write(summary: FleetSummary, report: Path, vehicles: Path | None) -> None:
+    with as_input_error():
+        write_fleet_page(report, summary, command_line())
+        for key, population in summary.populations.items():
+            if vehicles is not None:
+                one = vehicles.suffix in (".yaml", ".yml")
+                path = vehicles if one else vehicles / f"{key}.yaml"
+                write_vehicle(path, population.priors("evpinn fleet"))
+
+
+def _found(summary: FleetSummary) -> dict[str, Any]:
+    """For scripts; every drive and car is in the tables."""
+    return {
+        **summary.counts,
+        "failed": [{"what": what, "why": why} for what, why in summary.problems],
+        "populations": {
+            key: {row.pop("name"): row for row in population_rows(key, population)}
+            for key, population in summary.populations.items()
+        },
+    }
+
+
+def _show(summary: FleetSummary, out: Path) -> None:
+    for what, why in summary.problems[:MOST_SHOWN]:
+        note(f"evpinn: {why}" if what in why else f"evpinn: {what}: {why}")
+    counts = summary.counts
+    if counts["problems"] > MOST_SHOWN:
+        note(f"evpinn: and {counts['problems'] - MOST_SHOWN} more problems, in the tables")
+    for key, population in summary.populations.items():
+        name, _, *rest = POPULATION_HEAD  # the vehicle file beside it is for the report
+        rows = [(name, *cells) for name, _, *cells in population_cells(population)]
+        show(PlainTable(f"Cars of model {key}", (name, *rest), rows, unbroken=rest))
+    say(f"{out}: {fleet_sentence(counts)}")

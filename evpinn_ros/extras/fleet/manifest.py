@@ -1,0 +1,190 @@
+"""Drives of each car: by the folders they lie in, or by a file that lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+import csv
+from dataclasses import dataclass
+from io import StringIO
+import os
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import quote
+
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.opener import read_whole
+from evpinn_ros.common.yaml_section import compose
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.logs.formats import recordings
+
+COLUMNS = ("drive", "car", "vehicle")
+YAML = (".yaml", ".yml")
+MOST_BYTES = 10_000_000  # of a CSV: 100 000 drives
+
+
+@dataclass(frozen=True, slots=True)
+class CarDrives:
+    """One car of the fleet.
+
+    Attributes:
+        car: its name.
+        vehicle: the model.
+        drives: absolute paths, in no order yet.
+    """
+
+    car: str
+    vehicle: Vehicle
+    drives: tuple[Path, ...]
+
+    @property
+    def folder_name(self) -> str:
+        """The name as that of a folder."""
+        return quote(self.car, safe=" ")
+
+
+class _Line(NamedTuple):
+    """One line of a manifest: what it says, and where it stands for errors."""
+
+    where: str
+    pattern: str
+    car: str
+    vehicle: str
+
+
+def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
+    """One car for each top folder: that below a folder which is given, or the one given.
+
+    A drive that lies in a given folder itself, or is given itself, is of the car with the name of
+    the folder around it.
+
+    Args:
+        inputs: files, folders or patterns such as `data/2025-*`.
+        vehicle: the model of all.
+
+    Raises:
+        InputError: nothing is there, or two folders of one name would become one car.
+    """
+    drives: dict[Path, set[Path]] = {}
+    seen: set[str] = set()
+    for given in inputs:
+        for path in _matching(given, Path()):
+            for drive in _recordings(path, seen):
+                drives.setdefault(_top_folder(path, drive), set()).add(drive)
+    named: dict[str, Path] = {}
+    for folder in drives:
+        if named.setdefault(folder.name, folder) != folder:
+            raise InputError(
+                f"{named[folder.name]} and {folder} would both be car '{folder.name}'; "
+                "say in a --manifest which drive is whose"
+            )
+    return _fleet((folder.name, vehicle, found) for folder, found in drives.items())
+
+
+def cars_by_manifest(path: Path) -> list[CarDrives]:
+    """Cars of `fleet.yaml` or a CSV; paths in it are relative to it.
+
+    The YAML has `cars`, a mapping from names to `vehicle` and `drives` (a file, folder or
+    pattern); the CSV has the columns drive, car and vehicle, a car on as many lines as it needs.
+
+    Raises:
+        InputError: it cannot be read, names nothing that is there, or contradicts itself.
+    """
+    drives: dict[str, set[Path]] = {}
+    models: dict[str, str] = {}
+    vehicles: dict[str, Vehicle] = {}
+    owner: dict[str, str] = {}
+    for line in _csv_lines(path) if path.suffix.lower() == ".csv" else _yaml_lines(path):
+        if models.setdefault(line.car, line.vehicle) != line.vehicle:
+            first = models[line.car]
+            raise InputError(f"{line.where}: car '{line.car}' is a {line.vehicle} and a {first}")
+        if line.vehicle not in vehicles:
+            vehicles[line.vehicle] = _vehicle(line, path.parent)
+        for found in _matching(line.pattern, path.parent, line.where):
+            for drive in _recordings(found):
+                real = os.path.realpath(drive)  # links may lead to one drive by two names
+                if real not in owner:
+                    drives.setdefault(line.car, set()).add(drive)
+                if owner.setdefault(real, line.car) != line.car:
+                    raise InputError(f"{line.where}: {drive} is of car '{owner[real]}' already")
+    return _fleet((car, vehicles[models[car]], found) for car, found in drives.items())
+
+
+def load_model(name: str, base: Path) -> Vehicle:
+    """A vehicle by its name, or the path of its file, which other machines know as absolute.
+
+    Raises:
+        InputError: there is none, or it is wrong.
+    """
+    return load_vehicle((base / name).resolve() if Path(name).suffix in YAML else name)
+
+
+def _fleet(cars: Iterable[tuple[str, Vehicle, set[Path]]]) -> list[CarDrives]:
+    """The cars in order of their names."""
+    fleet = [CarDrives(car, vehicle, tuple(sorted(found))) for car, vehicle, found in cars]
+    if not fleet:
+        raise InputError("no bag, CAN log or CSV to learn from")
+    models: dict[str, Vehicle] = {}
+    for one in fleet:
+        if one.folder_name in ("", ".", ".."):
+            raise InputError(f"a car cannot be named '{one.car}'; name it in a --manifest")
+        if repr(models.setdefault(one.vehicle.key, one.vehicle)) != repr(one.vehicle):
+            raise InputError(f"two vehicle files are both named {one.vehicle.key}")
+    return sorted(fleet, key=lambda one: one.car)
+
+
+def _top_folder(given: Path, drive: Path) -> Path:
+    """The folder that names the car of a drive found at or below a path."""
+    inside = drive.relative_to(given).parts
+    if len(inside) > 1:
+        return given / inside[0]
+    return given if inside else given.parent
+
+
+def _recordings(path: Path, seen: set[str] | None = None) -> list[Path]:
+    with as_input_error():
+        return list(recordings(path, seen))
+
+
+def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:
+    """Absolute paths that a path or pattern names."""
+    path = base / pattern
+    found = [path]
+    if not path.exists():
+        if pattern.count("**") > 1:  # each more is a walk of all folders below each folder
+            raise InputError(f"{where or pattern}: more than one ** in a pattern")
+        # A folder in which the manifest lies is none, whatever it is named.
+        base = Path(path.anchor) if Path(pattern).is_absolute() else base
+        with as_input_error(where or pattern, ValueError):
+            found = list(base.glob(pattern.removeprefix(path.anchor)))
+    if not found:
+        raise InputError(f"{where or path}: {pattern}: nothing there")
+    return [each.resolve() for each in found]
+
+
+def _vehicle(line: _Line, base: Path) -> Vehicle:
+    with as_input_error(line.where, InputError):
+        return load_model(line.vehicle, base)
+
+
+def _yaml_lines(path: Path) -> Iterator[_Line]:
+    root = compose(path, "fleet manifest")
+    root.refuse_unknown(("cars",))
+    cars = root.section("cars")
+    for name in cars.names():
+        car = cars.section(name)
+        car.refuse_unknown(("vehicle", "drives"))
+        yield _Line(f"{path}: {name}", car.text("drives"), name, car.text("vehicle"))
+
+
+def _csv_lines(path: Path) -> Iterator[_Line]:
+    with as_input_error(path, UnicodeDecodeError, csv.Error):
+        text = read_whole(path, MOST_BYTES, "a manifest").decode("utf-8-sig")
+        rows = csv.DictReader(StringIO(text, newline=""))
+        if set(rows.fieldnames or ()) != set(COLUMNS):
+            raise InputError(f"{path}:1: the columns must be {', '.join(COLUMNS)}")
+        for row in rows:
+            where = f"{path}:{rows.line_num}"
+            cells = [(row[name] or "").strip() for name in COLUMNS]
+            if not all(cells) or None in row:
+                raise InputError(f"{where}: expected {', '.join(COLUMNS)}")
+            yield _Line(where, *cells)

@@ -1,0 +1,164 @@
+"""The report of a fleet, with charts of what is known of each car, its file and the model.
+
+One HTML file, printable, nothing to fetch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from evpinn_ros.common.units import counted, two_digits, with_sigma
+from evpinn_ros.core.estimation.evidence import LINEAR, Evidence
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.extras.fleet.population import COMBINATIONS, Population, PopulationValue
+from evpinn_ros.extras.fleet.tables import CHARTED, SHOWN, FleetSummary
+from evpinn_ros.report.html import write_page
+from evpinn_ros.report.trend_rows import trend_intervals
+
+POPULATION_HEAD = (
+    *("", "vehicle file", "mean of the cars", "from car to car", "next car", "worth, cars"),
+)
+CAR_HEAD = ("car", "vehicle", "drives", "hours", *PARAMETER_NAMES)
+CHART_TITLES = {
+    "mass_over_eta": "mass / η, kg",
+    "c_d_over_eta": "drag coefficient / η",
+    "c_rr": "rolling resistance",
+    "regeneration": "regeneration, η μ",
+    "p_aux": "auxiliary power, W",
+}
+MARGIN = 0.04  # of the width, on both sides
+
+
+def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
+    """Write the report.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    write_page(
+        path,
+        "fleet.html.j2",
+        title="evpinn fleet",
+        command=command,
+        counts=summary.counts,
+        sentence=fleet_sentence(summary.counts),
+        shown=SHOWN,
+        charted=CHARTED,
+        population_head=POPULATION_HEAD,
+        models=[
+            (
+                key,
+                len(known),
+                fleet_charts(one, known),
+                population_cells(one),
+                trend_intervals(points),
+            )
+            for key, one in summary.populations.items()
+            for known, points in [(summary.known[key], summary.points[key])]
+        ],
+        car_head=CAR_HEAD,
+        cars=[_car_cells(row) for row in summary.cars],
+        problems=summary.problems,
+    )
+
+
+def fleet_sentence(counts: Mapping[str, int]) -> str:
+    """Sentence of how much there is."""
+    cars, drives = (counted(counts[name], name[:-1]) for name in ("cars", "drives"))
+    problems = counted(counts["problems"], "problem") if counts["problems"] else "no problem"
+    return f"{cars}, {counts['learned']} of {drives} learned, {problems}."
+
+
+def population_cells(population: Population) -> list[tuple[str, ...]]:
+    """Rows under `POPULATION_HEAD`: the parameters, then what data determine."""
+    named = [(name, population.value(name)) for name in PARAMETER_NAMES]
+    priors = population.vehicle.priors
+    files = [with_sigma(priors[name].value, priors[name].std) for name in PARAMETER_NAMES]
+    named += [(name, population.value(name)) for name in COMBINATIONS]
+    files += [""] * len(COMBINATIONS)
+    return [
+        (name, file, *_value_cells(name, found))
+        for (name, found), file in zip(named, files, strict=True)
+    ]
+
+
+def _value_cells(name: str, found: PopulationValue) -> tuple[str, ...]:
+    """Value with 1-sigma, spread with 1-sigma, the next car's 1-sigma, and how many cars."""
+    linear = name == LINEAR  # all others are logarithms
+    value = found.mean if linear else math.exp(found.mean)
+    scale, unit = (1.0, " W") if linear else (100.0, " %")
+    return (
+        with_sigma(value, found.mean_std * (1.0 if linear else value)),
+        with_sigma(scale * found.spread, scale * found.spread_std) + unit,
+        f"± {two_digits(scale * found.new_car_std)}{unit}",
+        f"{found.cars:.1f}",
+    )
+
+
+def _car_cells(row: dict[str, Any]) -> Sequence[str]:
+    parameters = (
+        "-" if row[name] is None else with_sigma(row[name], row[f"{name}_std"])
+        for name in PARAMETER_NAMES
+    )
+    drives = f"{row['learned']} of {row['drives']}"
+    return (row["car"], row["vehicle"], drives, f"{row['duration_s'] / 3600:.2f}", *parameters)
+
+
+class Whisker(NamedTuple):
+    """A row of a chart: its name and text, and value and 1-sigma in percent of the width."""
+
+    name: str
+    text: str
+    low: float
+    at: float
+    high: float
+    kind: str  # "file", "car", or "model"
+
+
+def fleet_charts(population: Population, cars: Mapping[str, Evidence]) -> list[dict[str, Any]]:
+    """A chart for each of `CHART_TITLES`: the vehicle file, the cars, the next car of the model.
+
+    Args:
+        population: of the model.
+        cars: evidence of the cars to show, by name.
+    """
+    return [
+        {"title": title, "rows": _rows(name, population, cars)}
+        for name, title in CHART_TITLES.items()
+    ]
+
+
+def _rows(name: str, population: Population, cars: Mapping[str, Evidence]) -> list[Whisker]:
+    model = population.value(name)
+    found = [("vehicle file", population.of_file(name), "file")]
+    found += [(car, population.of_car(name, one), "car") for car, one in cars.items()]
+    found.append(("next car", (model.mean, model.new_car_std), "model"))
+    points = [
+        (_value(name, mean - std), _value(name, mean), _value(name, mean + std))
+        for _, (mean, std), _ in found
+    ]
+    low, high = min(each[0] for each in points), max(each[2] for each in points)
+    edge = MARGIN * (high - low)
+
+    def place(value: float) -> float:
+        return round(100.0 * (value - low + edge) / (high - low + 2.0 * edge), 1)
+
+    return [
+        Whisker(
+            name=row,
+            text=with_sigma(at, 0.5 * (above - below)),
+            low=place(below),
+            at=place(at),
+            high=place(above),
+            kind=kind,
+        )
+        for (row, _, kind), (below, at, above) in zip(found, points, strict=True)
+    ]
+
+
+def _value(name: str, value: float) -> float:
+    """Value of what a population holds as its logarithm."""
+    return value if name == LINEAR else math.exp(value)

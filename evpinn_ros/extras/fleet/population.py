@@ -1,0 +1,181 @@
+"""Common distribution of cars of one model: mean and spread of their parameters (empirical Bayes).
+
+Each car's parameters are a draw from N(mean, spread), in logarithms but for p_aux, which may be
+zero. Of each car only the likelihood counts (`estimation.evidence`), so a car that learned nothing
+changes nothing, and one that learned mass over eta alone tells of that alone.
+
+The vehicle file is the prior: half of its variance is doubt of the model's mean, half is
+how cars of the model differ, and that half weighs as much as a quarter of a car. So without any
+evidence the priors of a new car are those of the file, and what no car can tell, as eta, mass and
+C_d scaled together, stays what the file says.
+
+Mean and its doubt are exact for a given spread; the spread is found by expectation maximisation,
+the doubt of the mean counted (Dempster, Laird and Rubin, 1977; restricted maximum likelihood).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+
+import numpy as np
+
+from evpinn_ros.core.estimation.evidence import LINEAR, NO_EVIDENCE, SIZE, Evidence, file_prior
+from evpinn_ros.core.vehicle.files import Vehicle, limits_of
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES, Prior
+
+FILE_SHARE = 0.5  # of the vehicle file's variance that is doubt of the mean, the rest spread
+FILE_CARS = 0.25  # cars that the file's word on the spread is worth
+MOST_STEPS, PRECISE = 3000, 1e-7  # of the expectation maximisation; of the prior's variance
+
+# Sums of logarithms that data determine (`vehicle.identifiable`).
+COMBINATIONS = {
+    "mass_over_eta": {"mass": 1.0, "eta": -1.0},
+    "c_d_over_eta": {"c_d": 1.0, "eta": -1.0},
+    "regeneration": {"eta": 1.0, "mu": 1.0},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PopulationValue:
+    """One parameter, or combination, of a population; logarithms but for p_aux.
+
+    Attributes:
+        mean: of the cars.
+        mean_std: 1-sigma of the mean.
+        spread: standard deviation from car to car.
+        spread_std: 1-sigma of the spread.
+        cars: how many fully known cars would determine the spread as well.
+    """
+
+    mean: float
+    mean_std: float
+    spread: float
+    spread_std: float
+    cars: float
+
+    @property
+    def new_car_std(self) -> float:
+        """1-sigma of a car not yet seen: the spread, and the doubt of the mean."""
+        return math.hypot(self.spread, self.mean_std)
+
+
+class Population:
+    """Mean and spread of the cars of one model, from the evidence of each."""
+
+    def __init__(self, vehicle: Vehicle, found: Sequence[Evidence]) -> None:
+        """Learn from the cars; their evidence is relative to this vehicle's priors."""
+        self.vehicle = vehicle
+        found = [one for one in found if one.precision.any()]
+        precision = np.array([one.precision for one in found]).reshape(-1, SIZE, SIZE)
+        information = np.array([one.information for one in found]).reshape(-1, SIZE)
+        self._prior, self._scale = file_prior(vehicle)
+        self._spread = _spread(precision, information)
+        weight = _weight(precision, self._spread)
+        self._mean, self._doubt = _mean(precision, information, self._spread, weight)
+        self._root = np.linalg.cholesky(self._spread)
+        self._spread_doubt = _spread_doubt(self._root.T @ weight @ precision @ self._root)
+
+    def value(self, name: str) -> PopulationValue:
+        """One of `PARAMETER_NAMES` or of `COMBINATIONS`."""
+        return self._along(_direction(name))
+
+    def of_file(self, name: str) -> tuple[float, float]:
+        """Mean and 1-sigma of the same in the vehicle file."""
+        return self.of_car(name, NO_EVIDENCE)
+
+    def of_car(self, name: str, one: Evidence) -> tuple[float, float]:
+        """Mean and 1-sigma of the same of one car: the vehicle file and its own evidence."""
+        direction = _direction(name)
+        scaled = direction * self._scale
+        doubt = np.linalg.inv(np.eye(SIZE) + one.precision)
+        mean = direction @ self._prior + scaled @ doubt @ one.information
+        return float(mean), math.sqrt(scaled @ doubt @ scaled)
+
+    def covariance(self) -> np.ndarray:
+        """From car to car, of the logarithms, and of p_aux, shape (6, 6)."""
+        return self._spread * np.outer(self._scale, self._scale)
+
+    def priors(self, source: str) -> Vehicle:
+        """The vehicle with the priors for the next car of this model."""
+        priors = {name: self._new_prior(name, source) for name in PARAMETER_NAMES}
+        return replace(self.vehicle, priors=priors, correlations={}, paper_start={})
+
+    def _new_prior(self, name: str, source: str) -> Prior:
+        found = self.value(name)
+        limits = limits_of(name, self.vehicle.relative_size)
+        value = found.mean if name == LINEAR else math.exp(found.mean)
+        value = min(max(value, limits.lower), limits.upper)
+        std = found.new_car_std * (1.0 if name == LINEAR else value)
+        return Prior(value, std, f"{source}: worth {found.cars:.1f} cars")
+
+    def _along(self, direction: np.ndarray) -> PopulationValue:
+        """Estimate of a sum of parameters, `direction` in their own units."""
+        scaled = direction * self._scale
+        spreads = scaled @ self._root
+        variance = float(spreads @ spreads)
+        square = np.kron(spreads, spreads)
+        doubt = float(square @ self._spread_doubt @ square)
+        spread = math.sqrt(variance)
+        return PopulationValue(
+            mean=float(direction @ self._prior + scaled @ self._mean),
+            mean_std=math.sqrt(float(scaled @ self._doubt @ scaled)),
+            spread=spread,
+            spread_std=math.sqrt(doubt) / (2.0 * spread),
+            cars=max(0.0, 2.0 * variance**2 / doubt - FILE_CARS),
+        )
+
+
+def _direction(name: str) -> np.ndarray:
+    """Direction of a parameter or a combination, shape (6,)."""
+    parts = COMBINATIONS.get(name, {name: 1.0})
+    return np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES])
+
+
+def _weight(precision: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """(1 + precision spread)^-1 of each car, shape (n, 6, 6)."""
+    return np.linalg.inv(np.eye(SIZE) + precision @ spread)
+
+
+def _mean(
+    precision: np.ndarray, information: np.ndarray, spread: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of the population, shape (6,), and its covariance, for a given spread."""
+    doubt = np.linalg.inv(np.eye(SIZE) / FILE_SHARE + (weight @ precision).sum(axis=0))
+    return doubt @ np.einsum("nij,nj->i", weight, information), (doubt + doubt.T) / 2
+
+
+def _spread_doubt(informed: np.ndarray) -> np.ndarray:
+    """Covariance of the elements of the spread, shape (36, 36): inverse Fisher information.
+
+    Information of a car on several parameters together is not counted as if on each alone.
+
+    Args:
+        informed: (spread + precision^-1)^-1 of each car, shape (n, 6, 6), where the spread is 1:
+            of a car that is fully known 1, so this is well conditioned whatever the spread.
+    """
+    flat = informed.reshape(-1, SIZE**2)
+    information = (flat.T @ flat).reshape((SIZE,) * 4).transpose(0, 2, 1, 3)
+    information = information.reshape(SIZE**2, SIZE**2) + FILE_CARS * np.eye(SIZE**2)
+    return np.asarray(np.linalg.inv(information / 2.0))
+
+
+def _spread(precision: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """Covariance from car to car, shape (6, 6)."""
+    start = np.eye(SIZE) * (1.0 - FILE_SHARE)
+    spread = start
+    for _ in range(MOST_STEPS):
+        weight = _weight(precision, spread)
+        mean, doubt = _mean(precision, information, spread, weight)
+        left = spread @ weight
+        away = np.einsum("nij,nj->ni", left, information - precision @ mean)
+        pulled = left @ precision
+        total = left.sum(axis=0) + away.T @ away
+        total += (pulled @ doubt @ pulled.transpose(0, 2, 1)).sum(axis=0)
+        fresh = (FILE_CARS * start + total) / (FILE_CARS + len(precision))
+        fresh = (fresh + fresh.T) / 2
+        if np.abs(fresh - spread).max() < PRECISE:
+            return np.asarray(fresh)
+        spread = fresh
+    return spread

@@ -1,0 +1,53 @@
+"""A whole fleet: every car a task, what came of them on disk, one run at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
+import fcntl
+from pathlib import Path
+
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.extras.fleet.car import CarDone, CarTask, learn_car
+from evpinn_ros.extras.fleet.executor import Executor, TaskOutcome
+from evpinn_ros.extras.fleet.manifest import CarDrives
+
+CARS, LOCK, STOP = "cars", ".lock", ".stop"
+
+
+@contextmanager
+def claimed(out: Path) -> Iterator[None]:
+    """Make the folder of the results, for this run alone.
+
+    Raises:
+        InputError: it cannot be made, or another run writes there.
+    """
+    with as_input_error(out):
+        out.mkdir(parents=True, exist_ok=True)
+        lock = (out / LOCK).open("w")
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InputError(f"{out}: another evpinn fleet writes there") from error
+        (out / STOP).unlink(missing_ok=True)
+        yield
+
+
+def car_folder(out: Path, car: CarDrives) -> Path:
+    """Folder of a car's files."""
+    return out / CARS / car.folder_name
+
+
+def learn_fleet(
+    cars: Sequence[CarDrives], out: Path, executor: Executor
+) -> Generator[TaskOutcome[CarTask, CarDone], None, None]:
+    """Learn every car; whatever ends the iteration, what was begun ends soon after, in order."""
+    tasks = (CarTask(car, car_folder(out, car), out / STOP) for car in cars)
+    try:
+        yield from executor.outcomes(learn_car, tasks)
+    except BaseException:
+        (out / STOP).touch()
+        raise
+    finally:
+        executor.close()

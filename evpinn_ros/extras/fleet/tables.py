@@ -1,0 +1,215 @@
+"""Results of a fleet as Parquet, made from the cars' files one by one, so memory stays flat."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evpinn_ros.common.errors import as_input_error, extra_needed
+from evpinn_ros.common.writer import replaced
+from evpinn_ros.core.estimation.evidence import LINEAR, Evidence
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.extras.fleet.car import read_result
+from evpinn_ros.extras.fleet.manifest import CarDrives
+from evpinn_ros.extras.fleet.population import COMBINATIONS, Population, PopulationValue
+from evpinn_ros.extras.fleet.row import (
+    NUMBERS,
+    PARAMETER_NUMBERS,
+    PARAMETER_STATES,
+    POINT,
+    impossible,
+    point_of,
+)
+from evpinn_ros.extras.fleet.run import car_folder
+from evpinn_ros.replays.trends import DrivePoint
+
+DRIVES, CARS, POPULATION = "drives.parquet", "cars.parquet", "population.parquet"
+ROWS = 2000  # written at a time
+SHOWN = 200  # cars and problems kept for people; the tables hold all
+CHARTED = 30  # cars of a model in the charts of the report
+
+PARAMETERS = {
+    **dict.fromkeys(PARAMETER_NUMBERS, "double"),
+    **dict.fromkeys(PARAMETER_STATES, "string"),
+}
+DRIVE_COLUMNS = {
+    **dict.fromkeys(("car", "vehicle", "path", "problem", "fingerprint"), "string"),
+    **dict.fromkeys(("start_ns", "samples"), "int64"),
+    **dict.fromkeys(NUMBERS, "double"),
+    **{name: "string" if name == "week" else "double" for name in POINT},
+    **PARAMETERS,
+}
+CAR_COLUMNS = {
+    **dict.fromkeys(("car", "vehicle", "problem"), "string"),
+    **dict.fromkeys(("drives", "learned"), "int64"),
+    "duration_s": "double",
+    "in_population": "bool",
+    **PARAMETERS,
+}
+POPULATION_COLUMNS = {
+    **dict.fromkeys(("vehicle", "name"), "string"),
+    **dict.fromkeys(
+        ("value", "mean", "mean_std", "spread", "spread_std", "cars", "new_car_std"), "double"
+    ),
+    "covariance": "list",
+}
+
+
+@dataclass
+class FleetSummary:
+    """Summary of a fleet for a person.
+
+    Attributes:
+        populations: by vehicle model.
+        cars: the first `SHOWN` rows of the table of cars.
+        problems: the first `SHOWN` drives and cars that failed, and why.
+        known: evidence of the first `CHARTED` cars of a population, by model and car.
+        points: of the drives of each model, for trends.
+        counts: of cars, drives, drives learned and problems, all of them.
+    """
+
+    populations: dict[str, Population] = field(default_factory=dict)
+    cars: list[dict[str, Any]] = field(default_factory=list)
+    problems: list[tuple[str, str]] = field(default_factory=list)
+    known: dict[str, dict[str, Evidence]] = field(default_factory=lambda: defaultdict(dict))
+    points: dict[str, list[DrivePoint]] = field(default_factory=lambda: defaultdict(list))
+    counts: Counter[str] = field(default_factory=Counter)
+
+
+def require_parquet() -> None:
+    """Raise now, not after hours of work.
+
+    Raises:
+        InputError: pyarrow is not installed.
+    """
+    with extra_needed("results are Parquet", "fleet"):
+        import pyarrow.parquet  # noqa: F401
+
+
+def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str]) -> FleetSummary:
+    """Write the tables of drives, cars and populations from the cars' files.
+
+    Args:
+        out: folder of the results.
+        fleet: all cars; those not begun yet are left out.
+        failed: cars that failed as a whole, and why.
+
+    Raises:
+        InputError: a table cannot be written.
+    """
+    summary = FleetSummary()
+    found: dict[str, list[Evidence]] = defaultdict(list)
+    vehicles: dict[str, Vehicle] = {}
+    with (
+        _table(out / DRIVES, DRIVE_COLUMNS) as add_drive,
+        _table(out / CARS, CAR_COLUMNS) as add_car,
+    ):
+        for car in fleet:
+            result = read_result(car_folder(out, car), car.vehicle)
+            rows = [*result.get("drives", []), *result.get("unreadable", [])]
+            if not rows and car.car not in failed:
+                continue
+            for row in rows:
+                add_drive({"car": car.car, "vehicle": car.vehicle.key, **row})
+            row = _car_row(car, rows, failed.get(car.car))
+            add_car(row)
+            _count(summary, row, rows)
+            vehicles[car.vehicle.key] = car.vehicle
+            summary.points[car.vehicle.key] += filter(None, map(point_of, rows))
+            if row["in_population"]:
+                found[car.vehicle.key].append(_evidence(result))
+                if len(summary.known[car.vehicle.key]) < CHARTED:
+                    summary.known[car.vehicle.key][car.car] = found[car.vehicle.key][-1]
+    for key, vehicle in sorted(vehicles.items()):
+        summary.populations[key] = Population(vehicle, found[key])
+    with _table(out / POPULATION, POPULATION_COLUMNS) as add:
+        for key, population in summary.populations.items():
+            for row in population_rows(key, population):
+                add(row)
+    return summary
+
+
+def population_rows(key: str, population: Population) -> Iterator[dict[str, Any]]:
+    """A row for each parameter and each combination that data determine."""
+    covariance = population.covariance()
+    for name, line in zip(PARAMETER_NAMES, covariance, strict=True):
+        yield _value_row(key, name, population.value(name)) | {"covariance": line.tolist()}
+    for name in COMBINATIONS:
+        yield _value_row(key, name, population.value(name)) | {"covariance": None}
+
+
+def _value_row(key: str, name: str, found: PopulationValue) -> dict[str, Any]:
+    return {
+        "vehicle": key,
+        "name": name,
+        "value": found.mean if name == LINEAR else math.exp(found.mean),
+        **asdict(found),
+        "new_car_std": found.new_car_std,
+    }
+
+
+def _car_row(
+    car: CarDrives, rows: Sequence[dict[str, Any]], problem: str | None
+) -> dict[str, Any]:
+    """A car after its last drive that taught something."""
+    learned = [row for row in rows if row["samples"]]
+    last = learned[-1] if learned else {}
+    wrong = impossible(last) if last else []
+    if wrong and problem is None:
+        problem = f"not in the population: {', '.join(wrong)} invalid"
+    return {
+        "car": car.car,
+        "vehicle": car.vehicle.key,
+        "problem": problem,
+        "drives": len(rows),
+        "learned": len(learned),
+        "duration_s": sum(row["duration_s"] for row in learned),
+        "in_population": bool(learned) and not wrong,
+        **{name: last.get(name) for name in PARAMETERS},
+    }
+
+
+def _count(summary: FleetSummary, car: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+    problems = [(row["path"], row["problem"]) for row in rows if row["problem"]]
+    if car["problem"]:
+        problems.append((f"car {car['car']}", car["problem"]))
+    summary.counts.update(cars=1, drives=len(rows), learned=car["learned"], problems=len(problems))
+    summary.cars.extend([car][: max(0, SHOWN - len(summary.cars))])
+    summary.problems.extend(problems[: max(0, SHOWN - len(summary.problems))])
+
+
+def _evidence(result: Mapping[str, Any]) -> Evidence:
+    return Evidence(np.array(result["precision"]), np.array(result["information"]))
+
+
+@contextmanager
+def _table(path: Path, columns: Mapping[str, str]) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Function that adds a row to a table, which takes the place of the old once it is whole."""
+    import pyarrow
+    from pyarrow.parquet import ParquetWriter
+
+    types = {"list": pyarrow.list_(pyarrow.float64())}
+    types |= {name: pyarrow.type_for_alias(name) for name in ("bool", "string", "int64", "double")}
+    schema = pyarrow.schema([(name, types[kind]) for name, kind in columns.items()])
+    rows: list[dict[str, Any]] = []
+
+    def flush() -> None:
+        writer.write_table(pyarrow.Table.from_pylist(rows, schema=schema))
+        rows.clear()
+
+    def add(row: dict[str, Any]) -> None:
+        rows.append(row)
+        if len(rows) >= ROWS:
+            flush()
+
+    with as_input_error(path), replaced(path) as draft, ParquetWriter(draft, schema) as writer:
+        yield add
+        flush()

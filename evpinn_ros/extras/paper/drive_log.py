@@ -1,0 +1,131 @@
+"""A recorded drive as the paper sees one: arrays of time, speed, acceleration and power."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.arrays import chosen_rows
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading, SpeedReading
+from evpinn_ros.core.signals.road import GradeSource
+from evpinn_ros.core.signals.sample import MeasuredSample
+from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.core.signals.time_jump import Jump, StampGuard
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.logs.sources import open_source
+
+MIN_SAMPLES = 100
+# Future in the local quadratic of `signals.kinematics`: dv/dt of a finished log need not be
+# causal. The paper differentiates an input and does not say how.
+SMOOTHING_AHEAD = 0.3  # s
+DELAYS = np.linspace(-0.4, 0.4, 41)  # s, candidates
+LEAST_GAIN = 0.01  # share of what is unexplained that a delay must take away to be used
+MOST_UNEXPLAINED = 0.5  # share of the variance of power
+
+
+class DriveLog(NamedTuple):
+    """Aligned samples of a drive, float64, shape (n,) each."""
+
+    time: np.ndarray  # s since the first sample
+    speed: np.ndarray  # m/s
+    acceleration: np.ndarray  # m/s^2, from a local quadratic
+    power: np.ndarray  # battery power, V times I (eq. 11), W
+
+
+class ReadLog(NamedTuple):
+    """A log as it was read."""
+
+    drive: DriveLog  # its samples
+    delay: float  # of speed behind power, s, taken out
+    dropped: Mapping[str, int]  # what was not used, by reason
+
+
+def read_drive_log(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAULTS) -> ReadLog:
+    """Read a CSV, bag or CAN log; what is not finite or impossible is left out as on the road.
+
+    Speed and power reach a log with different delays, and 50 ms more or less move C_rr by several
+    percent. So the log is read twice: once to find the delay of speed, once without it.
+
+    Raises:
+        InputError: no such log, fewer than `MIN_SAMPLES` samples with speed and power, or time
+            goes back.
+    """
+    drive, dropped = _read(path, vehicle, options, 0.0)
+    delay = speed_delay(drive, vehicle)
+    if delay != 0.0:
+        drive, dropped = _read(path, vehicle, options, delay)
+    return ReadLog(drive, delay, dropped)
+
+
+def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
+    """Delay of speed behind power, s: the one at which eq. 21 explains most of the power.
+
+    Eq. 21 is linear in its combinations, so each candidate is one least squares. Zero where the
+    drive does not tell: eq. 21 explains little of it, hardly more than without a delay, or most
+    beyond the candidates.
+    """
+    left = np.array([_unexplained(log, vehicle, delay) for delay in DELAYS])
+    best = int(np.argmin(left))
+    without = float(np.interp(0.0, DELAYS, left))
+    decided = left[best] < MOST_UNEXPLAINED and left[best] < (1.0 - LEAST_GAIN) * without
+    if best in (0, len(DELAYS) - 1) or not decided:
+        return 0.0
+    before, least, after = left[best - 1 : best + 2]
+    bend = before - 2.0 * least + after
+    offset = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    return round(float(DELAYS[best] + offset * (DELAYS[1] - DELAYS[0])), 3)  # to the millisecond
+
+
+def _unexplained(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
+    """Share of the variance of power, `delay` before each sample of speed, that eq. 21 leaves."""
+    known = (log.time - DELAYS[-1] >= log.time[0]) & (log.time - DELAYS[0] <= log.time[-1])
+    _, speed, acceleration, _ = chosen_rows(log, known)
+    power = np.interp(log.time[known] - delay, log.time, log.power)
+    braking = acceleration < vehicle.beta
+    kinetic = speed * acceleration
+    terms = (np.ones_like(speed), speed, speed**3, kinetic * braking, kinetic * ~braking)
+    columns = np.stack(terms, axis=1)
+    found, *_ = np.linalg.lstsq(columns, power, rcond=None)
+    variance = float(np.var(power))
+    return float(np.mean((power - columns @ found) ** 2)) / variance if variance > 0.0 else 1.0
+
+
+def _read(
+    path: Path, vehicle: Vehicle, options: ReadOptions, delay: float
+) -> tuple[DriveLog, dict[str, int]]:
+    settings = StreamSettings(smoothing_lag=SMOOTHING_AHEAD, grade_source=GradeSource.NONE)
+    stream, guard = SampleStream(settings, vehicle.air_density), StampGuard(SpeedReading)
+    source = open_source(path, vehicle, options)
+    earlier_ns = round(delay * NANOSECONDS)
+    rows = []
+    for reading in source.readings():
+        for item in guard.follow(reading):
+            if isinstance(item, Jump):
+                raise InputError(f"{path}: time goes back within the log; cut it there")
+            for event in stream.add_reading(_earlier(item, earlier_ns)):
+                if isinstance(event, MeasuredSample):
+                    sample = event.sample
+                    rows.append((sample.stamp_ns, sample.speed, sample.acceleration, event.power))
+    dropped = {**source.dropped, **guard.dropped, **stream.dropped}
+    if len(rows) < MIN_SAMPLES:
+        why = ", ".join(f"{count} {reason}" for reason, count in dropped.items())
+        raise InputError(
+            f"{path}: {len(rows)} samples with speed and power, the experiment needs "
+            f"{MIN_SAMPLES}{f' (dropped: {why})' if why else ''}"
+        )
+    stamps, speed, acceleration, power = zip(*rows, strict=True)
+    time = (np.array(stamps) - stamps[0]) / NANOSECONDS
+    return DriveLog(time, np.array(speed), np.array(acceleration), np.array(power)), dropped
+
+
+def _earlier(reading: Reading, shift_ns: int) -> Reading:
+    """Speed as if it had not been delayed; all else as it is."""
+    if isinstance(reading, SpeedReading):
+        return replace(reading, stamp_ns=reading.stamp_ns - shift_ns)
+    return reading

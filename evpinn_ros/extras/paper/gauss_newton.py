@@ -1,0 +1,126 @@
+"""Gauss-Newton in the space of residuals, for networks with far more weights than samples.
+
+The damped step dw = (J^T J + d I)^-1 J^T r of the weights equals
+
+    dw = J^T (J J^T + d I)^-1 r
+
+(push-through identity), a system of one unknown per sample instead of one per weight: 1000 in
+place of 50 049. For a fully connected network J need never be formed. With the activations A_l
+that enter layer l and the derivatives D_l of the output by what leaves it,
+
+    J J^T = sum over l of (A_l A_l^T + 1) o (D_l D_l^T)      (o elementwise)
+
+and J^T a is one more product per layer (dual Gauss-Newton: Jnini et al., arXiv 2505.21404).
+"""
+
+from __future__ import annotations
+
+import torch
+
+from evpinn_ros.extras.paper.network import PowerNetwork
+
+LEAST_DAMPING = 1e-3  # of `levenberg_marquardt`, which keeps what the samples do not determine
+LESS, MORE = 1.0 / 3.0, 5.0  # factors of the damping after a step that helped, and any other
+MOST_DAMPING = 1.0  # of the mean diagonal; beyond it a step is no more than a gradient's
+
+
+class Linearised:
+    """A network at its present weights and samples.
+
+    Attributes:
+        residual: the target less the output, shape (n,).
+        system: J J^T, shape (n, n).
+    """
+
+    @torch.no_grad()
+    def __init__(self, network: PowerNetwork, inputs: torch.Tensor, target: torch.Tensor) -> None:
+        """Linearise about inputs of shape (n, inputs) and the wanted output, shape (n,)."""
+        output, *layers = network.sweep(inputs)
+        self._layers = list(zip(*layers, strict=True))
+        self.residual = target - output
+        self.system = inputs.new_zeros(len(inputs), len(inputs))
+        for entering, derivative in self._layers:
+            self.system += (entering @ entering.T + 1.0) * (derivative @ derivative.T)
+
+    @torch.no_grad()
+    def step(self, damping: float) -> torch.Tensor | None:
+        """The step of all weights towards the target, shape (weights,).
+
+        In the order of `PowerNetwork.vector`; `damping` is d over the mean of the diagonal of
+        J J^T. None where the precision of the numbers does not suffice to solve the system.
+        """
+        damped = self.system.clone()
+        damped.diagonal().add_(damping * self.system.diagonal().mean())
+        factor, failed = torch.linalg.cholesky_ex(damped)
+        dual = torch.cholesky_solve(self.residual[:, None], factor)
+        parts: list[torch.Tensor] = []
+        for entering, derivative in self._layers:
+            weighted = derivative * dual
+            parts += [(weighted.T @ entering).flatten(), weighted.sum(0)]
+        step = torch.cat(parts)
+        return None if failed or not torch.isfinite(step).all() else step
+
+
+def gauss_newton_step(
+    network: PowerNetwork, inputs: torch.Tensor, target: torch.Tensor, damping: float
+) -> torch.Tensor:
+    """The step of all weights, shape (weights,), that brings the output to a target.
+
+    Args:
+        network: at its present weights; it is not changed.
+        inputs: shape (n, inputs).
+        target: wanted output, shape (n,).
+        damping: see `Linearised.step`. Where single precision cannot factor the system it is
+            raised tenfold.
+
+    Returns:
+        The step, in the order of `PowerNetwork.vector`; zero where no damping helps.
+    """
+    linearised = Linearised(network, inputs, target)
+    while damping <= MOST_DAMPING:
+        step: torch.Tensor | None = linearised.step(damping)
+        if step is not None:
+            return step
+        damping *= 10.0
+    return torch.zeros_like(network.vector())
+
+
+@torch.no_grad()
+def levenberg_marquardt(
+    network: PowerNetwork,
+    inputs: torch.Tensor,
+    target: torch.Tensor,
+    steps: int,
+    damping: float,
+) -> float:
+    """Bring the output of a network nearer to a target, in a fixed number of trials.
+
+    A step is taken only when it lessens the mean square of the residual; the damping falls after
+    such a step and rises after any other (Marquardt, 1963).
+
+    Args:
+        network: changed in place, never for the worse.
+        inputs: shape (n, inputs).
+        target: wanted output, shape (n,).
+        steps: solutions of the system of n unknowns.
+        damping: to begin with, see `Linearised.step`.
+
+    Returns:
+        The damping to go on with.
+    """
+    moved = True
+    for _ in range(steps):
+        if moved:
+            weights, linearised = network.vector(), Linearised(network, inputs, target)
+            least = torch.mean(linearised.residual**2)
+        step, moved = linearised.step(damping), False
+        if step is not None:
+            network.load_vector(weights + step)
+            # An error that is not finite is no better.
+            moved = bool(torch.mean((target - network(inputs)) ** 2) < least)
+        if moved:
+            damping = max(LESS * damping, LEAST_DAMPING)
+        else:
+            damping = min(MORE * damping, MOST_DAMPING)
+            network.load_vector(weights)
+    return damping

@@ -1,0 +1,194 @@
+"""Three ways to train network and parameters on a `Problem`.
+
+- `Adam`: as published, full batch, a learning rate for the layers and one for the parameters.
+- `AdamThenLbfgs`: the usual improvement on it in the literature of PINNs.
+- `GaussNewton`: ours. The parameters are solved for (`Problem.fit`), so what is left is a plain
+  regression of the network on (P_data + lambda P_physics) / (1 + lambda), which minimises eq. 22
+  at these parameters. Steps are dual Gauss-Newton (`gauss_newton`) on random batches.
+  The first layer starts with its units spread over the drive, each bending at a moment of its
+  own: under Glorot's rule all bend near t = 0 and hours of descent go into moving them.
+
+Each takes one epoch with `step()`; `state()` is all that a resumed training needs to go on with
+the same numbers (L-BFGS alone begins its memory of curvature anew).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import torch
+
+from evpinn_ros.extras.paper.checkpoint import adam_state, load_adam_state
+from evpinn_ros.extras.paper.gauss_newton import gauss_newton_step
+from evpinn_ros.extras.paper.log_parameters import LEARNED
+from evpinn_ros.extras.paper.network import (
+    PAPER_WIDTHS,
+    PHYSICS_LOSS,
+    PowerNetwork,
+    paper_adam,
+    spread_over_time,
+)
+from evpinn_ros.extras.paper.optimizer_name import OptimizerName
+from evpinn_ros.extras.paper.problem import InputForm, Problem
+
+ADAM_EPOCHS_BEFORE_LBFGS = 1000
+LBFGS_MEMORY = 50
+LBFGS_EVALUATIONS = 25  # of the loss in one line search
+
+BATCH = 1000  # samples of a Gauss-Newton step: the unknowns of its system
+STEP = 0.5  # share of the Gauss-Newton step taken: a batch is not the drive
+FULL_STEPS = 100  # after these the share falls as 1 / n (Robbins, Monro), and with it the noise
+DAMPING = 1e-4  # of the mean diagonal
+PARAMETERS_EVERY = 10  # steps between solutions for the parameters
+KINK_SHARPNESS = 3.0  # distance of two kinks over the width of one
+
+# Raw inputs suit Adam best of those tried. Gauss-Newton wants its inputs of one size.
+INPUTS = {
+    OptimizerName.ADAM: InputForm.RAW,
+    OptimizerName.ADAM_LBFGS: InputForm.RAW,
+    OptimizerName.GAUSS_NEWTON: InputForm.UNIT,
+}
+
+
+class Optimizer(ABC):
+    """Trains on a problem.
+
+    Attributes:
+        network: of Fig. 4, by Glorot's rule, on the problem's device.
+        log_scale: z of the five parameters, shape (5,).
+    """
+
+    def __init__(self, problem: Problem, seed: int) -> None:
+        """Start at the initial values of eq. 24, 25 and a fresh network."""
+        self.problem = problem
+        network = PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=problem.dtype)
+        self.network = network.to(problem.device)
+        self.log_scale = torch.zeros(len(LEARNED), dtype=problem.dtype, device=problem.device)
+
+    @abstractmethod
+    def step(self) -> None:
+        """One epoch."""
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """State that a resumed training needs, besides the problem and the seed."""
+        return {"weights": self.network.vector(), "log_scale": self.log_scale.detach().clone()}
+
+    def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Go on from `state`."""
+        self.network.load_vector(state["weights"].to(self.problem.device))
+        with torch.no_grad():
+            self.log_scale.copy_(state["log_scale"])
+
+
+class Adam(Optimizer):
+    """Adam as published (section III.D)."""
+
+    def __init__(self, problem: Problem, seed: int) -> None:
+        super().__init__(problem, seed)
+        self.log_scale.requires_grad_()
+        self._adam = paper_adam(self.network, self.log_scale)
+
+    def loss(self) -> torch.Tensor:
+        """Eq. 22 on the training data with gradients at hand."""
+        self._adam.zero_grad()
+        data, physics = self.problem.terms(self.problem.training, self.network, self.log_scale)
+        total = data + physics
+        total.backward()  # type: ignore[no-untyped-call]
+        return total
+
+    def step(self) -> None:
+        """One full-batch step."""
+        self.loss()
+        self._adam.step()
+
+    def trained(self) -> list[torch.Tensor]:
+        """Trained state."""
+        return [*self.network.parameters(), self.log_scale]
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Weights, z and Adam's moments."""
+        return super().state() | adam_state(self._adam, self.trained())
+
+    def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Go on from `state`."""
+        super().load_state(state)
+        load_adam_state(self._adam, self.trained(), state)
+
+
+class AdamThenLbfgs(Adam):
+    """`ADAM_EPOCHS_BEFORE_LBFGS` epochs of Adam, then L-BFGS with a line search."""
+
+    def __init__(self, problem: Problem, seed: int) -> None:
+        super().__init__(problem, seed)
+        self._epoch = 0
+        self._lbfgs = torch.optim.LBFGS(
+            self.trained(),
+            max_iter=1,
+            max_eval=LBFGS_EVALUATIONS,  # PyTorch's default for one iteration is one: no step
+            history_size=LBFGS_MEMORY,
+            line_search_fn="strong_wolfe",
+        )
+
+    def step(self) -> None:
+        """One step of Adam, or one iteration of L-BFGS."""
+        self._epoch += 1
+        if self._epoch <= ADAM_EPOCHS_BEFORE_LBFGS:
+            super().step()
+        else:
+            self._lbfgs.step(self.loss)
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """As `Adam`, and how far it is."""
+        return {**super().state(), "epoch": torch.tensor(self._epoch)}
+
+    def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Go on from `state`."""
+        super().load_state(state)
+        self._epoch = int(state["epoch"])
+
+
+class GaussNewton(Optimizer):
+    """Parameters solved for, network by dual Gauss-Newton on random batches."""
+
+    def __init__(self, problem: Problem, seed: int) -> None:
+        """Start with the parameters that fit the data and units spread over the drive."""
+        super().__init__(problem, seed)
+        self._generator = torch.Generator().manual_seed(seed)
+        spread_over_time(self.network, self._generator, -1.0, 1.0, KINK_SHARPNESS)
+        self.log_scale = problem.fit(problem.training, problem.training.power).log_scale
+        self._steps = 0
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """One batch; now and then the parameters too."""
+        samples, network = self.problem.training, self.network
+        if self._steps % PARAMETERS_EVERY == 0 and self._steps > 0:
+            fit = self.problem.fit(samples, network(samples.inputs), self.log_scale)
+            self.log_scale = fit.log_scale
+        self._steps += 1
+        rows = torch.randperm(len(samples), generator=self._generator)[:BATCH]
+        rows = rows.to(self.problem.device)
+        physics = self.problem.physics(samples.motion, self.log_scale)[rows]
+        target = (samples.power[rows] + PHYSICS_LOSS * physics) / (1.0 + PHYSICS_LOSS)
+        step = gauss_newton_step(network, samples.inputs[rows], target, DAMPING)
+        share = STEP * min(1.0, FULL_STEPS / self._steps)
+        network.load_vector(network.vector() + share * step)
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Weights, z, and where in the draw of batches it is."""
+        drawn = {"steps": torch.tensor(self._steps), "generator": self._generator.get_state()}
+        return super().state() | drawn
+
+    def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Go on from `state`."""
+        super().load_state(state)
+        self._steps = int(state["steps"])
+        self._generator.set_state(state["generator"])
+
+
+OPTIMIZERS: Mapping[OptimizerName, type[Optimizer]] = {
+    OptimizerName.ADAM: Adam,
+    OptimizerName.ADAM_LBFGS: AdamThenLbfgs,
+    OptimizerName.GAUSS_NEWTON: GaussNewton,
+}

@@ -1,0 +1,71 @@
+"""`evpinn reproduce`: the paper's experiment on a recorded drive.
+
+What it does stands in `paper.run`, which is imported when it is done: torch takes
+seconds, for which no page of help should wait.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from evpinn_ros.cli.options import VehicleOption, with_read_options
+from evpinn_ros.core.vehicle.physics import RegenForm
+from evpinn_ros.extras.paper.optimizer_name import OptimizerName
+from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
+
+
+class Device(str, Enum):
+    """Device to train on."""
+
+    CPU = "cpu"
+    CUDA = "cuda"
+
+
+@with_read_options
+def reproduce(
+    log: Annotated[Path, typer.Argument(help="CSV, bag or CAN log of one drive.")],
+    vehicle: VehicleOption,
+    optimizer: Annotated[
+        OptimizerName | None,
+        typer.Option(
+            help="Optimizer of the power network: adam; with --quick gauss_newton.",
+            show_default=False,
+        ),
+    ] = None,
+    epochs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Epochs of the power network; 10000 for adam, fewer for others."),
+    ] = None,
+    regen_form: Annotated[RegenForm, typer.Option(help="Form of eq. 21.")] = RegenForm.RECOVERY,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of split, networks and batches.")] = 0,
+    device: Annotated[Device, typer.Option(help="Device to train on.")] = Device.CPU,
+    quick: Annotated[
+        bool,
+        typer.Option(
+            "--quick",
+            help="Take a first look in two minutes, by a training that is faster than that of the "
+            "paper.",
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for report, results and trainings; else out/reproduce/LOG."),
+    ] = None,
+    read_options: ReadOptions = READ_DEFAULTS,
+) -> None:
+    """Repeat the experiment of the EV-PINN paper on a drive, and check every claim.
+
+    Shows tables II to VI and figures 5, 8 and 9 (for a Model S 6, 8 and 10) beside the numbers of
+    the paper. Adds what the paper leaves out: a baseline, a chronological split, its published
+    parameters on this drive, and least squares. If you stop it, the same command continues.
+
+    Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick
+    """
+    from evpinn_ros.extras.paper.run import Training, run_reproduction
+
+    training = Training(optimizer, epochs, regen_form, seed, device.value, quick)
+    run_reproduction(log, vehicle, training, out, read_options)

@@ -1,0 +1,200 @@
+"""The work of `evpinn reproduce`: the paper's experiment on a recorded drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+import time
+from typing import NamedTuple
+
+import torch
+
+from evpinn_ros.cli.console import (
+    Report,
+    command_line,
+    note,
+    progress_bar,
+    results,
+    say,
+    show,
+    write_json,
+)
+from evpinn_ros.common.blas_threads import limit_blas_threads
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.physics import RegenForm
+from evpinn_ros.extras.paper.drive_log import ReadLog, read_drive_log
+from evpinn_ros.extras.paper.experiment import (
+    TRAININGS,
+    Experiment,
+    OnProgress,
+    Outcome,
+    Settings,
+)
+from evpinn_ros.extras.paper.optimizer_name import DEFAULT_EPOCHS, OptimizerName
+from evpinn_ros.extras.paper.page import write_reproduction
+from evpinn_ros.extras.paper.results import results_of
+from evpinn_ros.extras.paper.saved import write_estimator_state, write_vehicle_file
+from evpinn_ros.extras.paper.tables import ResultTable, all_tables
+from evpinn_ros.extras.paper.verdict import CRITERIA, verdict
+from evpinn_ros.logs.read_options import ReadOptions
+
+ENERGY_EPOCHS = PUBLISHED_EPOCHS = 10_000
+QUICK_EPOCHS = {
+    OptimizerName.ADAM: 300,
+    OptimizerName.ADAM_LBFGS: 1200,
+    OptimizerName.GAUSS_NEWTON: 200,
+}
+FILE_WIDTH = 100  # characters of a table where no terminal limits it
+QUICK_ENERGY_EPOCHS = 1000
+
+
+class Training(NamedTuple):
+    """A training as the command line has it; None stands for the default.
+
+    Attributes:
+        optimizer: of the power network.
+        epochs: of it.
+        form: reading of eq. 21.
+        seed: of split, networks and batches.
+        device: "cpu" or "cuda".
+        quick: whether to take a first look.
+    """
+
+    optimizer: OptimizerName | None
+    epochs: int | None
+    form: RegenForm
+    seed: int
+    device: str
+    quick: bool
+
+    def settings(self) -> Settings:
+        """Settings of the experiment."""
+        default = OptimizerName.GAUSS_NEWTON if self.quick else OptimizerName.ADAM
+        chosen = self.optimizer or default
+        return Settings(
+            optimizer=chosen,
+            epochs=self.epochs or (QUICK_EPOCHS if self.quick else DEFAULT_EPOCHS)[chosen],
+            energy_epochs=QUICK_ENERGY_EPOCHS if self.quick else ENERGY_EPOCHS,
+            seed=self.seed,
+            device=self.device,
+            form=self.form,
+        )
+
+
+def run_reproduction(
+    log: Path, vehicle: str, training: Training, out: Path | None, options: ReadOptions
+) -> None:
+    """Train, print verdict and tables, and write report, results and what was found.
+
+    Raises:
+        InputError: the log cannot be read, the folder not written, or there is no such device.
+    """
+    if training.device == "cuda" and not torch.cuda.is_available():
+        raise InputError("--device cuda: torch finds no CUDA device here")
+    # One thread: small matrices gain nothing from two, and the same run gives the same bits.
+    limit_blas_threads()
+    car = load_vehicle(vehicle)
+    read = read_drive_log(log, car, options)
+    folder = out or Path("out") / "reproduce" / log.stem
+    with as_input_error(f"{folder}: cannot be written"):
+        folder.mkdir(parents=True, exist_ok=True)
+    note(_what_was_read(read))
+    settings = training.settings()
+    label = _label(settings, training.quick)
+    begin = time.perf_counter()
+    with training_progress() as on_progress:
+        outcome = Experiment(read.drive, car, settings, folder).run(on_progress)
+    note(f"trained and scored in {time.perf_counter() - begin:.0f} s")
+    say(label)
+    say()
+    for finding in verdict(outcome):
+        say(str(finding))
+    say(CRITERIA, style="dim")
+    say()
+    for table in all_tables(outcome):
+        _print(table)
+    _write(outcome, read, folder, log, label)
+
+
+def _what_was_read(read: ReadLog) -> str:
+    dropped = ", ".join(f"{count} {reason}" for reason, count in read.dropped.items())
+    return (
+        f"{len(read.drive.time)} samples, {read.drive.time[-1]:.0f} s; speed "
+        f"{1000 * read.delay:.0f} ms behind power, taken out; dropped: {dropped or 'nothing'}"
+    )
+
+
+def _label(settings: Settings, quick: bool) -> str:
+    text = (
+        f"{settings.optimizer.value}, {settings.epochs} epochs (energy networks "
+        f"{settings.energy_epochs}), seed {settings.seed}, eq. 21 as {settings.form.value}"
+    )
+    published = settings.optimizer is OptimizerName.ADAM and settings.epochs == PUBLISHED_EPOCHS
+    if quick:
+        return f"QUICK LOOK: {text}. {_left_out(settings)}"
+    return f"as published: {text}" if published else f"not as published: {text}"
+
+
+def _left_out(settings: Settings) -> str:
+    adam = settings.optimizer is OptimizerName.ADAM
+    done = f"{settings.epochs} of the" if adam else "none of the"
+    return (
+        f"Shortened: {done} paper's {PUBLISHED_EPOCHS} epochs of adam, and "
+        f"{settings.energy_epochs} of {ENERGY_EPOCHS} epochs of the energy networks. Leave out "
+        "--quick and --optimizer to run them all."
+    )
+
+
+@contextmanager
+def training_progress() -> Iterator[OnProgress]:
+    """The progress of one training after the other, on a terminal with the newest loss."""
+    shown: dict[str, Report] = {}
+    with ExitStack() as bar:
+
+        def show(title: str, epoch: int, epochs: int, loss: float) -> None:
+            if title not in shown:
+                bar.close()
+                unit = f"of {epochs} epochs"
+                shown[title] = bar.enter_context(progress_bar(_numbered(title), epochs, unit))
+            shown[title](epoch, f"loss {loss:.2e}")
+
+        yield show
+
+
+def _numbered(title: str) -> str:
+    """Title of a training and its number, for the time left is that of this training alone."""
+    return f"{title}, {TRAININGS.index(title) + 1} of {len(TRAININGS)}"
+
+
+def _print(table: ResultTable) -> None:
+    shown = PlainTable(table.title, table.columns, table.rows, unbroken=table.columns[:1])
+    show(shown, at_least=0 if results.is_terminal else FILE_WIDTH)
+    say(table.note, style="dim")
+    say()
+
+
+def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str) -> None:
+    """Report, results and what was found, each in the folder."""
+    command = command_line()
+    report, numbers = folder / "report.html", folder / "results.json"
+    state, vehicle = folder / "state.json", folder / "vehicle.yaml"
+    with as_input_error(f"{folder}: cannot be written"):
+        write_reproduction(report, outcome, command, label)
+        found = {
+            "command": command,
+            "log": {"path": str(log), "delay_s": read.delay, "dropped": dict(read.dropped)},
+            **results_of(outcome),
+        }
+        write_json(numbers, found)
+        write_estimator_state(state, outcome)
+        write_vehicle_file(vehicle, outcome, log.name)
+    for path, use in (
+        (report, "every table and figure"),
+        (numbers, "the same as numbers"),
+        (state, f"start of an estimator: evpinn replay --mode paper --state {state}"),
+        (vehicle, f"vehicle file with what was found: --vehicle {vehicle}"),
+    ):
+        note(f"{path}: {use}")

@@ -1,0 +1,149 @@
+"""Scores of a power, and the baselines the paper leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from evpinn_ros.core.estimation.parameter_set import VALID_BELOW
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.parameters import Parameters
+from evpinn_ros.core.vehicle.physics import RegenForm
+from evpinn_ros.extras.paper.energy_network import MAX_GAP
+from evpinn_ros.extras.paper.log_parameters import (
+    COMBINATIONS,
+    LEARNED,
+    LogParameters,
+    relative_std,
+)
+from evpinn_ros.extras.paper.problem import Problem, Scale
+
+GAUGE_FREE = ("c_rr", "mu")  # parameters that eq. 21 holds by themselves
+KNOWN_BELOW = VALID_BELOW  # share of the prior's variance left when the data determine a value
+
+
+class PowerScore(NamedTuple):
+    """A predicted power against the measured one."""
+
+    rmse_w: float  # W
+    mae_w: float  # W
+    r2: float | None  # 1 for perfect, 0 for the mean; None when the measured power is constant
+    data_loss: float  # mean square of the error in the units of Tables II and III
+    energy_error_percent: float | None  # of the sum over these samples; None when that sum is zero
+
+
+def power_score(predicted: np.ndarray, measured: np.ndarray, scale: Scale) -> PowerScore:
+    """Score powers, W, shape (n,) each."""
+    error = predicted - measured
+    spread = float(np.sum((measured - measured.mean()) ** 2))
+    total = float(measured.sum())
+    mean_square = float(np.mean(error**2))
+    return PowerScore(
+        rmse_w=mean_square**0.5,
+        mae_w=float(np.mean(np.abs(error))),
+        r2=1.0 - float(np.sum(error**2)) / spread if spread > 0 else None,
+        data_loss=mean_square / scale.half_range**2,
+        energy_error_percent=100.0 * float(error.sum()) / abs(total) if total else None,
+    )
+
+
+def least_squares_power(problem: Problem) -> tuple[np.ndarray, Parameters]:
+    """Eq. 21 fitted to the training data alone: its power on the validation data, W.
+
+    Five numbers against the network's 50 049, and no time among its inputs.
+    """
+    fit = problem.fit(problem.training, problem.training.power)
+    power = problem.physics(problem.validation.motion, fit.log_scale)
+    return problem.scale.restored(power), problem.values(fit.log_scale)
+
+
+def exact_energy(time: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """Energy since the first sample, J, shape (n,), by trapezoids.
+
+    With P(t + dt/2) between two samples on their line, RK4 is this very sum.
+    """
+    steps = np.diff(time)
+    parts = np.where(steps <= MAX_GAP, 0.5 * (power[1:] + power[:-1]) * steps, 0.0)
+    return np.concatenate(([0.0], np.cumsum(parts)))
+
+
+def drift_included(
+    vehicle: Vehicle, log_scale: torch.Tensor, covariance: np.ndarray
+) -> np.ndarray:
+    """Covariance of z plus how far it drifted without the data's support, shape (5, 5).
+
+    No prior holds the paper's parameters: where the data say nothing, descent lets them go. The
+    part of z that the priors alone would pull back is C S^-1 z, with S the priors' covariance.
+    """
+    z = log_scale.detach().double().cpu().numpy()
+    drift = covariance @ (z / LogParameters(vehicle).prior_std ** 2)
+    return covariance + np.outer(drift, drift)
+
+
+class TableFiveRow(NamedTuple):
+    """One parameter as in Table V, with what the paper leaves out."""
+
+    name: str  # of the parameter
+    initial: float  # guess of eq. 24, 25
+    value: float  # found
+    std: float  # 1-sigma from the curvature of the physics loss and the priors
+    prior_share: float  # variance left of the prior's: 0 all data, 1 all prior
+    determined: bool  # whether the data tell it
+
+
+def parameter_rows(
+    vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
+) -> list[TableFiveRow]:
+    """Rows of Table V from the covariance of the log parameters, shape (5, 5).
+
+    eta, mass and C_d scale together without changing any power, so no data determine them alone.
+    """
+    free = GAUGE_FREE if form is not RegenForm.WHEEL_POWER else ("c_rr",)
+    rows = []
+    for index, name in enumerate(LEARNED):
+        prior = vehicle.priors[name]
+        variance = float(covariance[index, index])
+        share = min(1.0, variance / (prior.std / prior.value) ** 2)
+        value = float(getattr(values, name))
+        known = name in free and share < KNOWN_BELOW
+        rows.append(TableFiveRow(name, prior.value, value, variance**0.5 * value, share, known))
+    return rows
+
+
+def combination_rows(
+    vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
+) -> list[TableFiveRow]:
+    """Rows of the combinations that enter eq. 21, as those of the parameters."""
+    before_data = np.diag(LogParameters(vehicle).prior_std ** 2)
+    area = vehicle.frontal_area
+    before, after = (combinations(p, area, form) for p in (vehicle.initial, values))
+    rows = []
+    for name, exponents in _exponents(form).items():
+        relative = relative_std(exponents, covariance)
+        share = min(1.0, (relative / relative_std(exponents, before_data)) ** 2)
+        std = relative * after[name]
+        rows.append(TableFiveRow(name, before[name], after[name], std, share, share < KNOWN_BELOW))
+    return rows
+
+
+def combinations(parameters: Parameters, area: float, form: RegenForm) -> dict[str, float]:
+    """Values of the combinations that enter eq. 21 in a form; area in m^2."""
+    values = parameters._asdict()
+    found = {
+        name: math.prod(float(values[p]) ** power for p, power in exponents.items())
+        for name, exponents in _exponents(form).items()
+    }
+    found["drag_area_over_eta"] *= area
+    return found
+
+
+def _exponents(form: RegenForm) -> Mapping[str, Mapping[str, float]]:
+    """The combinations of a form; in `wheel_power` alone braking comes back by eta mu."""
+    if form is RegenForm.WHEEL_POWER:
+        return COMBINATIONS
+    others = {name: each for name, each in COMBINATIONS.items() if name != "regeneration"}
+    return {**others, "mu": {"mu": 1.0}}

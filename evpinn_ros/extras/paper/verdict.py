@@ -1,0 +1,169 @@
+"""The paper's claims on one drive: five findings, each from what was measured there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.extras.paper.experiment import (
+    BASELINES,
+    CHRONOLOGICAL,
+    NETWORK,
+    RANDOM,
+    REGRESSION,
+    TIME_HELD,
+    WHOLE,
+    Outcome,
+)
+from evpinn_ros.extras.paper.optimizer_name import DEFAULT_EPOCHS, OptimizerName
+from evpinn_ros.extras.paper.published import ENERGY_LOSSES, POWER_LOSSES
+from evpinn_ros.extras.paper.scores import PowerScore
+from evpinn_ros.extras.paper.tables import r2_text
+
+GOOD_R2 = 0.9  # of power, for it to count as predicted
+GOOD_ENERGY = 5.0  # percent of energy, for it to count as predicted
+BETTER = 0.5  # of the loss of the plain network, for the other to count as better; paper: 0.38
+EXPLAINING = 0.1  # of R\u00b2, by which holding the time explains a bad one
+NAMES = {
+    "c_rr": "C_rr",
+    "c_d": "C_d",
+    "mass_over_eta": "mass/eta",
+    "drag_area_over_eta": "A C_d/eta",
+    "regeneration": "eta mu",
+}
+CRITERIA = (
+    "A claim holds by: the paper's validation loss or less; R\u00b2 of power "
+    f"{GOOD_R2:g} or more; energy within {GOOD_ENERGY:g} %; all five parameters known from data; "
+    f"at most {BETTER:g} of the plain network's loss (medians over the last nine tenths of the "
+    "epochs)."
+)
+
+
+class ClaimAnswer(str, Enum):
+    """Answer of a drive to a claim."""
+
+    HOLDS = "holds"
+    PARTLY = "holds in part"
+    FAILS = "does not hold"
+    OPEN = "left open"
+
+
+class Finding(NamedTuple):
+    """One claim of the paper."""
+
+    claim: str  # of the paper
+    answer: ClaimAnswer  # of this drive
+    measured: str  # behind the answer
+
+    def __str__(self) -> str:
+        return f"{self.answer.value.upper()}. {self.claim}: {self.measured}."
+
+
+def verdict(outcome: Outcome) -> list[Finding]:
+    """The five claims in the order of the paper's abstract, Table IV last."""
+    return [_fits(outcome), *_predicts(outcome), _parameters(outcome), _integrates(outcome)]
+
+
+def _fits(outcome: Outcome) -> Finding:
+    settings, rows = outcome.settings, POWER_LOSSES.get(outcome.vehicle.key)
+    published = [rows] if rows else POWER_LOSSES.values()
+    asked = max(each[-1].validation.total for each in published)
+    reached = outcome.power_rows[-1].validation.total
+    if reached <= asked:
+        answer = ClaimAnswer.HOLDS
+    elif settings.epochs < DEFAULT_EPOCHS[settings.optimizer]:
+        answer = ClaimAnswer.OPEN
+    else:
+        answer = ClaimAnswer.FAILS
+    other = "" if settings.optimizer is OptimizerName.ADAM else ", not the paper's adam"
+    line = _score(outcome, BASELINES[RANDOM], RANDOM).data_loss
+    return Finding(
+        "The network learns the power of a drive",
+        answer,
+        f"loss {_loss(reached)} after {settings.epochs} epochs of {settings.optimizer.value}"
+        f"{other}; the paper's is {_loss(asked)}, that of a straight line between neighbouring "
+        f"samples {_loss(line)}",
+    )
+
+
+def _predicts(outcome: Outcome) -> tuple[Finding, Finding]:
+    """Power and energy of the last fifth of the drive, on which nothing was trained."""
+    network = _score(outcome, NETWORK, CHRONOLOGICAL)
+    physics = _score(outcome, REGRESSION, CHRONOLOGICAL)
+    power = energy = ClaimAnswer.OPEN
+    if network.r2 is not None:
+        power = ClaimAnswer.HOLDS if network.r2 >= GOOD_R2 else ClaimAnswer.FAILS
+    if network.energy_error_percent is not None:
+        good = abs(network.energy_error_percent) <= GOOD_ENERGY
+        energy = ClaimAnswer.HOLDS if good else ClaimAnswer.FAILS
+    held = _score(outcome, TIME_HELD, CHRONOLOGICAL)
+    why = ""
+    if network.r2 is not None and held.r2 is not None and held.r2 - network.r2 > EXPLAINING:
+        why = (
+            ". Time is one of its inputs, and every time there is new to it: asked for the last "
+            f"time that it was trained on, it has {r2_text(held.r2)}"
+        )
+    return (
+        Finding(
+            "It predicts power on road not yet driven",
+            power,
+            f"R\u00b2 {r2_text(network.r2)} on the last fifth, where the mean has 0 and the "
+            f"physics alone (eq. 21, fitted) {r2_text(physics.r2)}{why}",
+        ),
+        Finding(
+            "It predicts energy there",
+            energy,
+            f"off by {_off(network)}, the physics alone by {_off(physics)}",
+        ),
+    )
+
+
+def _parameters(outcome: Outcome) -> Finding:
+    known = [row.name for row in outcome.combinations if row.determined]
+    guessed = [row.name for row in outcome.parameters if not row.determined]
+    answer = (ClaimAnswer.PARTLY if known else ClaimAnswer.FAILS) if guessed else ClaimAnswer.HOLDS
+    measured = f"the data determine {_named(known)}; not determined: {_named(guessed)}"
+    table_five = f"Table V, {outcome.settings.form.value}"
+    if any(each.method == table_five for each in outcome.scores):
+        off = _off(_score(outcome, table_five, WHOLE))
+        measured += f". With Table V's values the energy of this drive is off by {off}"
+    return Finding("Speed and power give the parameters of the car", answer, measured)
+
+
+def _integrates(outcome: Outcome) -> Finding:
+    last = outcome.energy_rows[-1].epoch
+    late = [row for row in outcome.energy_rows if row.epoch > last / 10]
+    rknn = float(np.median([row.rknn_validation for row in late]))
+    plain = float(np.median([row.dnn_validation for row in late]))
+    paper = ENERGY_LOSSES[-1]
+    if rknn <= BETTER * plain:
+        answer = ClaimAnswer.HOLDS
+    else:
+        answer = ClaimAnswer.OPEN if last < paper.epoch else ClaimAnswer.FAILS
+    return Finding(
+        "Runge-Kutta makes the energy network better",
+        answer,
+        f"loss {_loss(rknn)} with it, {_loss(plain)} without, in {last} epochs; in the paper "
+        f"{_loss(paper.rknn_validation)} and {_loss(paper.dnn_validation)} in {paper.epoch}. "
+        "Exact integration needs no network",
+    )
+
+
+def _score(outcome: Outcome, method: str, split: str) -> PowerScore:
+    return next(s.score for s in outcome.scores if (s.method, s.split) == (method, split))
+
+
+def _loss(value: float) -> str:
+    return np.format_float_positional(value, 2, fractional=False, trim="-")
+
+
+def _off(score: PowerScore) -> str:
+    off = score.energy_error_percent
+    return "an unknown share" if off is None else f"{off:+.1f} %"
+
+
+def _named(names: Sequence[str]) -> str:
+    return ", ".join(NAMES.get(name, name) for name in names) or "nothing"

@@ -1,0 +1,108 @@
+"""The learned vehicle in the terms of Open-RMF (rmf_battery), which plans charging for fleets.
+
+RMF counts the energy of motion as mass |a| v + friction mass 9.81 v, so braking costs as much as
+speeding up and no efficiency is between wheels and battery; beside that there is a constant
+power. Its `mass` and `friction_coefficient` are therefore not those of the scales: given here are
+those with which RMF finds what this vehicle draws from its battery, for a trip from rest to rest
+at its usual speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
+from evpinn_ros.core.energy.plan import Plan, plan_from_speed_profile
+from evpinn_ros.core.energy.power_model import PowerModel, Weather
+from evpinn_ros.core.vehicle.files import Vehicle
+
+RMF_GRAVITY = 9.81  # m/s^2, that of rmf_battery
+RAMP = 2.0  # s in which the speed is reached; energies hardly depend on it
+CRUISES = 50.0, 100.0  # s at that speed, of the two trips that are compared
+STANDING = 100.0  # s
+SECONDS_PER_HOUR = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class RmfEnergy:
+    """Parameters of energy that a fleet adapter of RMF takes.
+
+    Attributes:
+        voltage: of the battery, V.
+        capacity: A h that it holds at this voltage, and 1-sigma; NaN where not known.
+        mass: kg, with which RMF finds the energy, not that of the scales.
+        friction: coefficient.
+        ambient: power whether it moves or not, W.
+        speed: at which these hold, m/s.
+        trip: energy of the longer trip that they were found by, J, and its 1-sigma.
+        trip_metres: length of that trip, m.
+    """
+
+    voltage: float
+    capacity: Uncertain
+    mass: float
+    friction: float
+    ambient: float
+    speed: float
+    trip: Uncertain
+    trip_metres: float
+
+
+def rmf_energy(
+    model: PowerModel, vehicle: Vehicle, capacity: Uncertain, speed: float | None = None
+) -> RmfEnergy:
+    """The parameters with which RMF comes to the forecasts of a vehicle.
+
+    Args:
+        model: of the vehicle.
+        vehicle: its file.
+        capacity: of its battery, J.
+        speed: m/s, None for `nominal_speed` of the file.
+
+    Raises:
+        InputError: by what is known now it costs nothing to speed up or to roll.
+    """
+    if speed is None:
+        speed = NOMINAL_SPEED if math.isnan(vehicle.nominal_speed) else vehicle.nominal_speed
+    weather = Weather(vehicle.air_density, heating=0.0)
+    time = np.arange(0.0, STANDING + 1.0)
+    rest = plan_from_speed_profile(time, None, 0.0 * time)
+    short, long = (_trip(each, speed) for each in CRUISES)
+    standing, less, more = (_energy(each, model, weather) for each in (rest, short, long))
+    ambient = max(standing.value / STANDING, 0.0)
+    duration, length = long.time[-1] - short.time[-1], long.distance[-1] - short.distance[-1]
+    force = (more.value - less.value - ambient * duration) / length
+    mass = (more.value - ambient * long.time[-1] - force * long.distance[-1]) / speed**2
+    if not (mass > 0.0 and force > 0.0):
+        raise InputError(
+            f"by what is known of {vehicle.key} now it costs nothing to drive: let it learn on"
+        )
+    charge = vehicle.nominal_voltage * SECONDS_PER_HOUR
+    return RmfEnergy(
+        voltage=vehicle.nominal_voltage,
+        capacity=Uncertain(capacity.value / charge, capacity.sigma / charge),
+        mass=mass,
+        friction=force / (mass * RMF_GRAVITY),
+        ambient=ambient,
+        speed=speed,
+        trip=more,
+        trip_metres=float(long.distance[-1]),
+    )
+
+
+def _trip(cruise: float, speed: float) -> Plan:
+    """Plan from rest to rest, with so many s at a speed, a point each second or less."""
+    ends = np.array([0.0, RAMP, RAMP + cruise, 2.0 * RAMP + cruise])
+    time = np.unique(np.concatenate((np.arange(0.0, ends[-1], 1.0), ends)))
+    return plan_from_speed_profile(time, None, np.interp(time, ends, [0.0, speed, speed, 0.0]))
+
+
+def _energy(plan: Plan, model: PowerModel, weather: Weather) -> Uncertain:
+    found = forecast_plan(plan, model, weather)
+    return Uncertain(float(found.energy[-1]), float(found.sigma[-1]))

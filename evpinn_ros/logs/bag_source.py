@@ -1,0 +1,80 @@
+"""A bag of our topics as a recorded drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from evpinn_ros.bags.convert import BagReadings, NoTopicsError
+from evpinn_ros.bags.metadata import stated_seconds
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import FRAME_TYPE
+from evpinn_ros.core.signals.readings import Reading
+from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.logs.source import Source
+
+_SENT = "to_can_bus"  # the topic by which ros2_socketcan sends frames
+
+
+class BagSource(Source):
+    """A rosbag2 folder, a bare `.mcap` or `.db3`."""
+
+    def __init__(self, path: Path, options: ReadOptions = READ_DEFAULTS) -> None:
+        """Open the bag; InputError when it is none or has none of our topics."""
+        super().__init__(path)
+        self._reader, self._terrain = BagReader(path), options.terrain
+        self._readings = BagReadings(self._reader, options.car, options.mounting)
+        self.dropped = self._readings.dropped
+
+    @property
+    def seconds(self) -> float | None:
+        """Length that the bag's metadata states, s."""
+        return stated_seconds(self.path)
+
+    @property
+    def problem(self) -> str | None:
+        """Losses of the bag, in one line."""
+        return self._reader.problem
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Topics that are nearly those that are missing."""
+        return self._readings.notes
+
+    def readings(self) -> Iterator[Reading]:
+        """The readings in order of log time."""
+        with self._reader:
+            found = iter(self._readings)
+            yield from found if self._terrain is None else self._terrain.on(found)
+
+
+def bag_of_topics(path: Path, options: ReadOptions) -> BagSource | None:
+    """A bag by its topics; None where its raw frames are asked for, or are all there is.
+
+    Raises:
+        InputError: it is no bag, has neither, or topics of several cars.
+    """
+    if options.can_profile is not None and holds_frames(path, options.car):
+        return None
+    try:
+        return BagSource(path, options)
+    except NoTopicsError:
+        if holds_frames(path, options.car):
+            return None
+        raise
+
+
+def holds_frames(path: Path, car: str | None = None) -> bool:
+    """True if a bag has raw frames, of the car if given; InputError when it is no bag."""
+    with BagReader(path) as reader:
+        return bool(frame_topics(reader, car))
+
+
+def frame_topics(reader: BagReader, car: str | None = None) -> list[str]:
+    """Topics with received frames, of the car with this namespace if given."""
+    begin = f"/{car.strip('/')}/" if car else ""
+    return [
+        name
+        for name, info in reader.topics.items()
+        if info.type_name == FRAME_TYPE and name.startswith(begin) and not name.endswith(_SENT)
+    ]

@@ -1,0 +1,178 @@
+"""Recorded buses: CAN logs, and bags of raw frames."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import TypeAlias
+
+from evpinn_ros.bags.can_frames import read_frame
+from evpinn_ros.bags.metadata import stated_seconds
+from evpinn_ros.bags.names import is_bag
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import FRAME_TYPE
+from evpinn_ros.can.bridge import CanBridge
+from evpinn_ros.can.frame import CanFrame, FirstBus
+from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.inspection import BusReport, Inspection
+from evpinn_ros.can.log_names import LOG_SUFFIXES
+from evpinn_ros.can.logs import LogFile
+from evpinn_ros.can.profile import bundled_profiles, load_profile
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.readings import Reading
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.logs.bag_source import frame_topics
+from evpinn_ros.logs.formats import suffix_of, unknown_kind
+from evpinn_ros.logs.read_options import ReadOptions
+from evpinn_ros.logs.source import Source
+
+BITRATE = 500_000  # bit/s; the load of the bus is not known here
+INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
+
+
+class BagFrames:
+    """The frames of the `can_msgs/Frame` topics of a bag.
+
+    Of several topics each id is read from one, see `FirstBus`. Stamps are those of the messages'
+    headers, or the log time where a header has none.
+
+    Attributes:
+        path: of the file or folder.
+        count: frames read so far.
+        skipped: what is not a data frame, by kind; complete once all are read.
+    """
+
+    def __init__(self, path: Path, car: str | None = None) -> None:
+        """Find the topics, of the car with this namespace if given.
+
+        Raises:
+            InputError: it is no bag, or has no frames.
+        """
+        self.path = path
+        self.count = 0
+        self.skipped: Counter[str] = Counter()
+        self._reader = BagReader(path)
+        self._topics = frame_topics(self._reader, car)
+        if not self._topics:
+            of_car = f" of the car {car!r}" if car else ""
+            raise InputError(f"{path}: no CAN frames ({FRAME_TYPE}){of_car} in this bag")
+
+    @property
+    def seconds(self) -> float | None:
+        """Length that the bag's metadata states, s."""
+        return stated_seconds(self.path)
+
+    @property
+    def problem(self) -> str | None:
+        """Losses of the bag, in one line."""
+        return self._reader.problem
+
+    def frames(self) -> Iterator[CanFrame]:
+        """Every data frame in order of log time; InputError when there is none."""
+        first_bus = FirstBus()
+        with self._reader:
+            for record in self._reader.records(self._topics):
+                message = record.message
+                if message.is_error or message.is_rtr:
+                    self.skipped["error_frame" if message.is_error else "remote_frame"] += 1
+                elif not first_bus.takes((message.id, message.is_extended), record.topic):
+                    self.skipped["other_bus"] += 1
+                else:
+                    self.count += 1
+                    yield read_frame(message, record.log_time_ns)
+        self.skipped.update(self._reader.dropped)
+        if self.count == 0:
+            raise InputError(self.problem or f"{self.path}: no CAN data frame in it")
+
+
+CanLog: TypeAlias = LogFile | BagFrames
+"""A recorded bus, read once by `frames()`."""
+
+
+def open_can_log(path: Path, car: str | None = None) -> CanLog:
+    """A CAN log of any kind: a file of frames, or a bag with a topic of them.
+
+    `car` is the namespace of the one that is asked for.
+
+    Raises:
+        InputError: it is neither, or of no such car; the text has the file and the reason.
+    """
+    if is_bag(path):
+        return BagFrames(path, car)
+    if car:
+        raise InputError(f"{path}: a CAN log does not tell cars apart, so there is no {car!r}")
+    return LogFile(path)
+
+
+def inspected(log: CanLog) -> BusReport:
+    """Report on the first frames of a log, with the bundled profile that fits them."""
+    inspection = Inspection(bundled_profiles(), BITRATE)
+    for frame in islice(log.frames(), INSPECTED):
+        inspection.add_frame(frame)
+    return inspection.report()
+
+
+class CanLogSource(Source):
+    """A CAN log, or the raw frames of a bag, decoded by a profile."""
+
+    def __init__(self, log: CanLog, bridge: CanBridge) -> None:
+        super().__init__(log.path)
+        self._log, self._bridge = log, bridge
+
+    @property
+    def seconds(self) -> float | None:
+        """Length of the log, s."""
+        return self._log.seconds
+
+    @property
+    def problem(self) -> str | None:
+        """Break of the log, or the point from where on it contradicts the profile."""
+        if self._bridge.refusal:
+            return f"{self.path}: {self._bridge.refusal}; --trust-profile overrules this"
+        return self._log.problem
+
+    def readings(self) -> Iterator[Reading]:
+        """The readings frame by frame, up to where the log contradicts the profile.
+
+        Raises:
+            InputError: it does from the start, or no frame of the whole log gave a reading.
+        """
+        newest, decoded = 0, 0
+        for frame in self._log.frames():
+            newest = max(newest, frame.stamp_ns)
+            found = self._bridge.decode(frame)
+            decoded += len(found)
+            yield from found
+            if self._bridge.refusal:
+                break
+        found = self._bridge.finish()
+        yield from found
+        status = self._bridge.status(newest)
+        self.dropped.update(status.dropped)
+        self.dropped.update(self._log.skipped)
+        if not decoded and not found:
+            raise InputError(self.problem or f"{self.path}: {status.text}")
+
+
+def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Source:
+    """Open a CAN log, or the raw frames of a bag.
+
+    Raises:
+        InputError: it is neither, or there is no profile.
+    """
+    if not is_bag(path) and suffix_of(path) not in LOG_SUFFIXES:
+        raise unknown_kind(path)
+    log = open_can_log(path, options.car)
+    name = options.can_profile or vehicle.can_profile
+    if name is None:
+        raise InputError(
+            f"{path}: vehicle '{vehicle.key}' names no CAN profile; "
+            "give the --vehicle of a car that does, or --can-profile"
+        )
+    profile = load_profile(name)
+    guard = None
+    if not options.trust_profile:
+        guard = FitGuard(profile, bundled_profiles(), patient=True)
+    return CanLogSource(log, CanBridge(profile, guard=guard))

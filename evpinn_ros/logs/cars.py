@@ -1,0 +1,104 @@
+"""The rows of one car: published data sets keep a whole fleet in one table."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+import re
+
+from evpinn_ros.common.errors import SAY_CAR, InputError, near_names
+from evpinn_ros.logs.numbers import is_missing
+from evpinn_ros.logs.quantities import words_of
+from evpinn_ros.logs.survey import Head, Table, data_rows, until_broken
+from evpinn_ros.logs.text_table import Row
+
+# Names of a column that tells cars apart, by their words.
+NAMES = frozenset(
+    (
+        *("car", "car id", "carid", "car name", "car no", "car number", "imei"),
+        *("vehicle", "vehicle id", "vehicleid", "veh id", "vehid", "vin", "vehicle name"),
+        *("vehicle no", "vehicle number", "device id", "deviceid", "license plate"),
+        *("licence plate", "number plate", "fahrzeug", "kennzeichen", "车牌号", "车架号"),
+    )
+)
+LEAST_ROWS, LEAST_SHARE = 20, 0.1  # of a car, and of the rows of the commonest: others are torn
+MOST_CARS = 10_000
+MOST_NAMED = 10  # cars in a message
+FRACTION = re.compile(r"[+-]?\d*[.,]\d*[1-9]\d*")
+
+
+class CarTable:
+    """The rows of one car of a table."""
+
+    def __init__(self, table: Table, head: Head, place: int, car: str) -> None:
+        """Take the rows that have the car in the column at this place."""
+        self._table, self._head, self._place, self._car = table, head, place, car
+
+    @property
+    def torn(self) -> int:
+        """Lines that are no row, of all cars."""
+        return self._table.torn
+
+    def rows(self) -> Iterator[Row]:
+        """The rows above the data, then those of the car."""
+        for number, row in self._table.rows():
+            if number <= self._head.row or _car_of(row, self._place) == self._car:
+                yield number, row
+
+    def last_row(self) -> list[str]:
+        """None: the end of the file may be of another car."""
+        return []
+
+
+def table_of_car(table: Table, head: Head, car: str | None) -> Table:
+    """The table, or of one of several cars the rows of the one that is asked for.
+
+    Raises:
+        InputError: it holds several and none is asked for, or one that it does not hold.
+    """
+    rows = _rows_by_car(table, head)
+    cars = {place: found for place in rows if (found := _cars(rows[place]))}
+    if not cars:
+        if car is not None:
+            raise InputError(f"no column tells cars apart, so there is no car {car!r}")
+        return table
+    place = max(cars, key=lambda each: len(cars[each]))  # a model may have a column as well
+    found = cars[place]
+    there = f"column {head.names[place]!r} has {', '.join(found[:MOST_NAMED])}"
+    if len(found) > MOST_NAMED:
+        there += f" and {len(found) - MOST_NAMED} more"
+    if car is not None:
+        if car not in rows[place]:
+            raise InputError(f"no row of the car {car!r}{near_names(car, found)}; {there}")
+        return CarTable(table, head, place, car)
+    if len(found) > 1:
+        raise InputError(f"rows of {len(found)} cars; {there}; {SAY_CAR}")
+    return table
+
+
+def _rows_by_car(table: Table, head: Head) -> dict[int, Counter[str]]:
+    """Number of rows of each car, by the place of a column that may tell cars apart."""
+    words = {place: words_of(name) for place, name in enumerate(head.names)}
+    # What has a bracket has a unit: `Vin [V]` is a voltage.
+    rows: dict[int, Counter[str]] = {
+        place: Counter()
+        for place, (name, unit) in words.items()
+        if name.strip() in NAMES and not unit
+    }
+    for _, row in until_broken(data_rows(table, head)) if rows else ():
+        for place, cars in rows.items():
+            car = _car_of(row, place)
+            if car in cars or len(cars) < MOST_CARS:
+                cars[car] += 1
+    return rows
+
+
+def _cars(rows: Counter[str]) -> list[str]:
+    """The cars of a column, sorted; none of a column of measured values."""
+    least = min(LEAST_ROWS, LEAST_SHARE * max(rows.values(), default=0))
+    cars = sorted(car for car, count in rows.items() if count >= least and not is_missing(car))
+    return [] if any(map(FRACTION.fullmatch, cars)) else cars
+
+
+def _car_of(row: list[str], place: int) -> str:
+    return row[place].strip() if place < len(row) else ""

@@ -1,0 +1,213 @@
+"""The clock of a table: cells of dates and times, or numbers, to stamps that run on.
+
+polars reads the cells by one format for the whole column; `logs.clock_choice` finds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+import polars as pl
+
+from evpinn_ros.core.signals.readings import DAY_NS, NANOSECONDS
+from evpinn_ros.logs.numbers import POINT, Style, to_floats
+from evpinn_ros.logs.quantities import QUANTITIES
+
+NONE = np.iinfo(np.int64).min  # where there is no time
+HALF_DAY_NS = DAY_NS // 2
+LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
+BACK_NS = 10 * NANOSECONDS  # to where it began, about: a clock that begins anew with each drive
+PAUSE_NS = 3600 * NANOSECONDS  # between such drives; it is not known, but a drive has ended
+
+# Months as phones abbreviate them in German, French, Spanish, Italian, Dutch and Portuguese, where
+# English does not.
+_MONTHS = {
+    f"-{name}-": f"-{month}-"
+    for month, names in {
+        "Jan": "jän janv ene gen",
+        "Feb": "févr fév fev",
+        "Mar": "mär märz mrz mars mrt",
+        "Apr": "avr abr",
+        "May": "mai mag mei",
+        "Jun": "juin giu",
+        "Jul": "juil lug",
+        "Aug": "août aoû ago",
+        "Sep": "sept set",
+        "Oct": "okt ott out",
+        "Dec": "déc dez dic",
+    }.items()
+    for name in names.split()
+}
+
+UNITS_NS = {name: 1e9 * unit.factor for name, unit in QUANTITIES["time"].units.items()}
+UNITS_NS["day"] = float(DAY_NS)  # of spreadsheets alone
+
+
+class Order(Enum):
+    """Order in which the rows of a table stand."""
+
+    OLDEST_FIRST = "oldest first"
+    NEWEST_FIRST = "newest first"  # as a database exports them
+    SHUFFLED = "in no order"  # as a database exports them that was not asked to sort
+
+    def rows(self, times: NDArray[Any]) -> NDArray[np.intp]:
+        """Places of rows from the oldest to the newest; shape (n,) as their times."""
+        if self is Order.SHUFFLED:
+            return np.argsort(times, kind="stable")
+        return np.arange(times.size)[:: -1 if self is Order.NEWEST_FIRST else 1]
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """Reader of the cells of the time columns."""
+
+    columns: tuple[int, ...]  # of the table, one, or two where date and time are apart
+    kind: str  # `number`, `date` or `time of day`
+    formats: str = ""  # of polars, one for a date or a time of day
+    unit: str = "s"  # of numbers
+    zoned: bool = False  # the cells name a zone or are seconds since 1970, so the stamps are UTC
+    why: str = ""  # this was chosen, for people
+    twelve: bool = False  # hours are counted to twelve
+    style: Style = POINT  # of numbers
+    daily: bool = False  # numbers begin anew at midnight
+    zero_ns: int = 0  # moment that numbers count from, ns since 1970
+    drives_from_ns: int | None = None  # time that each drive begins at; None if there is one
+    order: Order = Order.OLDEST_FIRST  # of the rows
+
+    @property
+    def period_ns(self) -> int:
+        """Time after which it begins anew, a day or half of it; 0 where it runs on."""
+        if self.kind != "time of day" and not self.daily:
+            return 0
+        return HALF_DAY_NS if self.twelve and "%p" not in self.formats else DAY_NS
+
+    @property
+    def begins_anew(self) -> bool:
+        """True if its times do not run on, at midnight or with the next drive."""
+        return self.period_ns > 0 or self.drives_from_ns is not None
+
+    def running(self) -> RunningClock:
+        """Counter that lets its times run on where it begins anew."""
+        return RunningClock(self.period_ns, self.drives_from_ns)
+
+    @property
+    def dated(self) -> bool:
+        """True if the cells hold the date."""
+        return self.kind == "date" or (self.kind == "number" and (self.zoned or self.zero_ns != 0))
+
+    def stamps(self, cells: Mapping[int, Sequence[str]]) -> NDArray[np.int64]:
+        """Times of n rows, ns since 1970, midnight or the start; `NONE` where there is none.
+
+        `cells` are n of each of `columns`, and of others perhaps, by the place of the column.
+        """
+        own = [cells[place] for place in self.columns]
+        if self.kind != "number":
+            return parsed_times(joined_cells(own), self.formats)
+        values = to_floats(own[0], self.style)
+        factor = UNITS_NS[self.unit]
+        bad = ~np.isfinite(values) | (np.abs(values) > 9e18 / factor)
+        values = np.where(bad, 0.0, values)
+        # Apart from the whole ones, for a float of ns since 1970 is 256 ns coarse.
+        whole = np.floor(values)
+        rest: NDArray[np.int64] = np.rint((values - whole) * factor).astype(np.int64)
+        return np.where(bad, NONE, whole.astype(np.int64) * int(factor) + rest + self.zero_ns)
+
+
+class RunningClock:
+    """Times made to run on over midnight, or from drive to drive, batch by batch.
+
+    A 12 h clock without AM and PM goes from 12:59 to 1:00; what falls by about half a day and was
+    never above 12 is such a one.
+    """
+
+    def __init__(self, period_ns: int, drives_from_ns: int | None = None) -> None:
+        """Make times run on that begin anew after a period, or at a time with each drive."""
+        self._period, self._first = period_ns, drives_from_ns
+        self._added = 0
+        self._before: NDArray[np.int64] | None = None  # the last two times
+
+    def add(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The times of the next rows."""
+        there = np.flatnonzero(stamps != NONE)
+        if there.size == 0 or not (self._period or self._first is not None):
+            return stamps
+        known = stamps[there]
+        before = known[[0, 0]] if self._before is None else self._before
+        steps = np.diff(known, prepend=before[1])
+        added = self._added + np.cumsum(self._turns(known, before, steps))
+        self._added, self._before = int(added[-1]), np.append(before, known)[-2:]
+        found = stamps.copy()
+        found[there] = known + added
+        return found
+
+    def _turns(
+        self, known: NDArray[np.int64], before: NDArray[np.int64], steps: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Time to add from each row on, ns."""
+        if self._first is not None:
+            begins = begin_drives(known, before, self._first, BACK_NS)
+            return np.where(begins, PAUSE_NS - steps, 0)
+        turns = np.where(steps < -self._period // 2, self._period, 0)
+        # A straggler from before midnight belongs to the day before.
+        straggles = (steps > self._period // 2) & (np.cumsum(turns) + self._added > 0)
+        return turns - np.where(straggles, self._period, 0)
+
+
+def begin_drives(
+    times: NDArray[Any], before: NDArray[Any], first: float, back: float
+) -> NDArray[np.bool_]:
+    """True where a drive begins: it and the next row lie behind the two before, so none is wrong.
+
+    `before` are the two times before these; `first` is where drives begin, about.
+    """
+    padded = np.concatenate((before, times))
+    least = np.minimum(padded[1:-1], padded[:-2]) - back
+    following = np.append(times[1:], times[-1:])
+    return np.asarray((np.maximum(times, following) < least) & (times <= first + back))
+
+
+def joined_cells(cells: Sequence[Sequence[str]]) -> pl.Series:
+    """Date and time of each row in one cell, their signs made uniform."""
+    text = pl.Series("", cells[0], dtype=pl.String).str.strip_chars()
+    if len(cells) > 1:  # a spreadsheet's date is one of midnight
+        text = text.str.replace(r"[T ]00:00(:00(\.0+)?)?$", "")
+    for other in cells[1:]:
+        more = pl.Series("", other, dtype=pl.String).str.strip_chars()
+        text = text + " " + more
+    # 2024-03-05T07:08:09,5Z and 5.3.2024 7:08:09.5 p.m. become one pattern.
+    return (
+        text.str.replace(r"^(\w{3}) (\w{3}) (\d)", "$1-$2-$3")
+        .str.replace(r"^(\d{1,2}[ -]\pL{3,9})\.([ -])", "$1$2")
+        .str.replace(r"^(\d{1,4})[./ -]([\w]{1,9})[./ -](\d{1,4})\.?", "$1-$2-$3")
+        .str.replace(r"^(\d{1,4}-\w{1,9}-\d{1,4}),?[T ,]+", "$1 ")
+        .str.replace_many(_MONTHS, ascii_case_insensitive=True)
+        .str.replace(r"(:\d\d)[,](\d+)", "$1.$2")
+        .str.replace(r"\s*([AaPp])\.?\s?[Mm]\.?", " ${1}M")
+        .str.replace(r"^(20\d{6})[T_ ]?(\d\d)(\d\d)(\d\d)$", "$1 $2:$3:$4")
+        .str.replace(r"(\d)\s*(Z|UTC|GMT)$", "$1+0000")
+        .str.replace(r"(:[\d.]+)\s+([+-]\d\d)", "$1$2")
+        .str.replace(r"([+-]\d\d)$", "${1}00")
+        .str.replace(r"^(\d+:\d+:\d+):(\d{3})\b", "$1.$2")
+    )
+
+
+def parsed_times(text: pl.Series, formats: str) -> NDArray[np.int64]:
+    """Times of cells by one format, ns since 1970 or midnight; `NONE` where it does not fit."""
+    if formats.startswith(("%H", "%I")):
+        parsed = text.str.to_time(formats, strict=False).to_physical()
+    elif ":" not in formats:
+        days = text.str.to_date(formats, strict=False).to_physical().cast(pl.Int64)
+        parsed = pl.select(
+            pl.when(days.abs() < LAST_TIME_NS // DAY_NS).then(days * DAY_NS)
+        ).to_series()
+    else:
+        micros = text.str.to_datetime(formats, strict=False, time_unit="us").to_physical()
+        # Digits below a microsecond are for logs whose stamps are numbers.
+        far = micros.abs() > LAST_TIME_NS // 1000
+        parsed = pl.select(pl.when(~far).then(micros * 1000)).to_series()
+    return np.asarray(parsed.fill_null(NONE), np.int64)

@@ -1,0 +1,360 @@
+"""The choice of a table's clock: dates of any order, 12 h clocks, seconds since anything.
+
+A format is chosen once, over the whole column: the one that reads most cells, runs backwards least
+and jumps least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from itertools import permutations, product
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evpinn_ros.core.signals.readings import DAY_NS, NANOSECONDS
+from evpinn_ros.logs.clock import (
+    BACK_NS,
+    HALF_DAY_NS,
+    LAST_TIME_NS,
+    NONE,
+    UNITS_NS,
+    Clock,
+    Order,
+    begin_drives,
+    joined_cells,
+    parsed_times,
+)
+from evpinn_ros.logs.column import Column
+from evpinn_ros.logs.numbers import Style, is_missing, to_floats
+from evpinn_ros.logs.quantities import score
+from evpinn_ros.logs.source import STRAGGLING_NS
+from evpinn_ros.logs.survey import Survey
+
+FIRST_TIME_NS = 1_200_000_000 * NANOSECONDS  # no log of an electric car is older than 2008
+LARGEST = 1e19  # of a number that is a time: ns since 1970 to the end of 64 bits
+RELATIVE_BELOW_S = 1e8  # a first time below this (3 years) counts from the start of something
+SELDOM = 0.05  # of the rows lie behind the one before, in a table whose drives are in order
+SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is smaller
+# Spreadsheets store a moment as days since 30 December 1899, and a time of day as a part of one.
+SERIAL_ZERO_NS = -25_569 * DAY_NS
+SERIALS = (39_448.0, 50_424.0)  # days, from 2008 to the end of ROS time
+SERIAL_STEP = 60.0 / 86_400.0  # days: less is no step between rows in seconds
+MOSTLY = 0.8  # of the steps between rows
+SHUFFLED = 0.2  # of the rows lie farther behind the one before: no drive is of so few rows
+ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
+
+# Orders of a date, the likeliest first among equals: ISO, then day first as most of the world has
+# it, unless an AM or PM says that an American wrote it.
+_DATES = {
+    "year, month, day": ("%Y-%m-%d", "%Y%m%d"),
+    "day, month, year": ("%d-%m-%Y", "%d-%m-%y", "%d-%b-%Y", "%d-%b-%y"),
+    "month, day, year": ("%m-%d-%Y", "%m-%d-%y", "%b-%d-%Y"),
+}
+_CLOCKS_24 = ("%H:%M:%S%.f", "%H:%M")
+_CLOCKS_12 = ("%I:%M:%S%.f %p", "%I:%M %p")
+_ZONES = ("", "%z")
+# Torque's "GPS Time", the text of a Java date: Mon Dec 17 17:46:23 GMT+01:00 2018.
+_JAVA = ("%a-%b-%d %H:%M:%S GMT%z %Y", "%a-%b-%d %H:%M:%S UTC %Y")
+_SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s"))
+
+
+def clocks_of(found: Sequence[Column], survey: Survey, days: Collection[int] = ()) -> list[Clock]:
+    """The clocks of a table, the best first; none when no column of time can be read.
+
+    `days` since 1970 decide where a date can be read in two ways.
+
+    The best reads most rows, never runs backwards, tells rows apart, and knows the date: LeafSpy's
+    `epoch time` goes on where its `Date/Time` jumps with the phone's time zone.
+    """
+    columns = [column for column in found if column.quantity == "time"]
+    names = {column.place: column.name for column in columns}
+    clocks = [clock for column in columns if (clock := _clock(column, survey, days))]
+    by_place = {clock.columns[0]: clock for clock in clocks}
+    for date, time in permutations(clocks, 2):
+        # A date in one column and the time of day in another; half a clock each.
+        if _is_day_alone(date, survey) and time.kind == "time of day":
+            cells = [survey.cells[date.columns[0]], survey.cells[time.columns[0]]]
+            if joined := clock_of_text((date.columns[0], time.columns[0]), cells, days):
+                by_place[date.columns[0]] = joined
+    merits: dict[Clock, tuple[float, ...]] = {}
+    for clock in by_place.values():
+        if not _is_day_alone(clock, survey):
+            stamps = clock.stamps(survey.cells)
+            clock = _in_its_order(clock, stamps, survey, names)
+            merits[clock] = _merit(clock, stamps, names[clock.columns[0]])
+    return sorted(merits, key=lambda clock: merits[clock], reverse=True)
+
+
+def _clock(column: Column, survey: Survey, days: Collection[int]) -> Clock | None:
+    cells = survey.cells[column.place]
+    style, unit = survey.styles[column.place], column.unit or None
+    numbers = clock_of_numbers(column.place, cells, style, unit, in_seconds=column.is_ours)
+    if column.is_ours:  # its name says seconds; cells that are none are counted one by one
+        return numbers or Clock((column.place,), "number", style=style)
+    return numbers or clock_of_text((column.place,), [cells], days)
+
+
+def clock_of_numbers(
+    column: int, cells: Sequence[str], style: Style, unit: str | None, *, in_seconds: bool = False
+) -> Clock | None:
+    """The clock of a column of numbers; None where most cells are none.
+
+    Args:
+        column: its place.
+        cells: of it.
+        style: of their numbers.
+        unit: that its name tells, or None.
+        in_seconds: numbers that are no dates are s, however far apart rows are: those of a plan
+            may be minutes.
+    """
+    values = to_floats(cells, style)
+    known = values[np.abs(values) < LARGEST]
+    filled = [cell for cell in cells if not is_missing(cell)]
+    if known.size == 0 or known.size < ENOUGH * len(filled):
+        return None
+    if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", filled[0].strip()):
+        return None  # 20240305070809 is a date
+    known = _forward(known)
+    if unit is None and (serial := _serial_clock(column, known, style)):
+        return serial
+    size = float(np.median(np.abs(known)))
+    since_1970 = next((name for least, name in _SINCE_1970 if size >= least), None)
+    if since_1970 is not None and (
+        unit is None or size * UNITS_NS[unit] / 1e9 >= RELATIVE_BELOW_S
+    ):
+        name = unit or since_1970
+        why = "since 1970, by its values"
+        return Clock((column,), "number", unit=name, zoned=True, why=why, style=style)
+    name = "s" if in_seconds else unit or _unit_of_steps(known)
+    why = "by its name" if unit or in_seconds else "by the step between rows"
+    clock = Clock((column,), "number", unit=name, why=why, style=style)
+    if _begins_anew(known, DAY_NS / UNITS_NS[name]):
+        return replace(clock, daily=True)
+    if _holds_drives(known, BACK_NS / UNITS_NS[name]):
+        return replace(clock, drives_from_ns=int(known[0] * UNITS_NS[name]))
+    return clock
+
+
+def _serial_clock(column: int, known: NDArray[np.float64], style: Style) -> Clock | None:
+    """The clock of a column of a spreadsheet's serial dates, or times of day; None of others."""
+    forward = np.diff(known)
+    forward = forward[forward > 0]
+    if not forward.size or np.median(forward) > SERIAL_STEP:
+        return None
+    if SERIALS[0] <= known.min() and known.max() <= SERIALS[1]:
+        why = "serial dates of a spreadsheet, by their size"
+        return Clock((column,), "number", unit="day", why=why, style=style, zero_ns=SERIAL_ZERO_NS)
+    if known.min() >= 0.0 and known.max() < 1.0:
+        why = "parts of a day, by their size"
+        return Clock((column,), "number", unit="day", why=why, style=style, daily=True)
+    return None
+
+
+def _unit_of_steps(times: NDArray[np.float64]) -> str:
+    """Unit of times by how far apart they are, in whichever order the rows stand."""
+    steps = np.diff(times if _is_in_order(times) else np.sort(times))
+    forward = steps[steps > 0]
+    step = float(np.median(forward)) if forward.size else 0.0
+    if step <= SLOWEST_STEP:
+        return "s"
+    return "ms" if step < SLOWEST_STEP * 1e3 else "us" if step < SLOWEST_STEP * 1e6 else "ns"
+
+
+def _begins_anew(times: NDArray[np.float64], day: float) -> bool:
+    """True if times are those of a day, in the unit of `day`, and midnight passes."""
+    inside = times.min() >= 0 and times.max() <= day
+    return bool(inside and (np.diff(times) < -0.9 * day).any())
+
+
+def _is_in_order(times: NDArray[np.float64]) -> bool:
+    """True if nearly every time is later than the one before."""
+    return times.size > 1 and float(np.mean(np.diff(times) < 0)) <= SELDOM
+
+
+def _holds_drives(times: NDArray[np.float64], back: float) -> bool:
+    """True if times go back to the first one, by more than `back`, and on from there."""
+    return _is_in_order(times) and bool(begin_drives(times, times[[0, 0]], times[0], back).any())
+
+
+def clock_of_text(
+    columns: tuple[int, ...], cells: Sequence[Sequence[str]], days: Collection[int] = ()
+) -> Clock | None:
+    """The clock of columns of dates or times of day; None where most cells are neither.
+
+    `days` since 1970 may be the first one: they decide where a date can be read in two ways.
+    """
+    text = joined_cells(cells)
+    text = text.filter(text.str.contains(r"\d\D\d|\d{8}"))
+    filled = max(sum(not is_missing(cell) for cell in column) for column in cells)
+    if len(text) == 0 or len(text) < 0.5 * filled:
+        return None
+    first = text.head(200)
+    with_date = bool(text.str.contains(r"^\w+-\w+-\w+|^\d{8}").any())
+    twelve = bool(text.str.contains(r" [AaPp]M").any())
+    found: list[tuple[tuple[float, ...], Clock]] = []
+    for rank, (order, pattern) in enumerate(_formats(with_date, twelve)):
+        if (parsed_times(first, pattern) == NONE).mean() > 0.5:
+            continue
+        stamps = parsed_times(text, pattern)
+        stamps = stamps[stamps != NONE]
+        if stamps.size < 0.5 * len(text) or (with_date and not _plausible(stamps)):
+            continue
+        steps = np.diff(_forward(stamps))
+        backwards = int((steps < 0).sum())
+        if not with_date and not twelve:
+            hours = stamps // (3600 * NANOSECONDS)
+            twelve = bool(
+                hours.min() >= 1 and hours.max() <= 12 and (steps < -HALF_DAY_NS * 0.9).any()
+            )
+        long = float(np.sum(np.abs(steps) > DAY_NS)) if with_date else 0.0
+        span = float(np.ptp(stamps)) if with_date else 0.0
+        named = with_date and int(stamps[0]) // DAY_NS in days
+        merit = (
+            *(-float(stamps.size), float(backwards), long, span),
+            *(-float(named), float(rank)),
+        )
+        kind = "date" if with_date else "time of day"
+        clock = Clock(columns, kind, pattern, "", "%z" in pattern, order, twelve)
+        found.append((merit, clock))
+    return _best(found)
+
+
+def _best(found: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
+    if not found:
+        return None
+    found.sort(key=lambda each: each[0])
+    merit, clock = found[0]
+    rivals = [other for m, other in found[1:] if m[:5] == merit[:5] and other.why != clock.why]
+    if rivals and clock.why:
+        doubt = f"{clock.why}; could be {rivals[0].why} as well"
+        clock = replace(clock, why=doubt)
+    return clock
+
+
+def _plausible(stamps: NDArray[np.int64]) -> bool:
+    """True if most times are those of a log."""
+    return bool(FIRST_TIME_NS < np.median(stamps) < LAST_TIME_NS)
+
+
+def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
+    clocks = _CLOCKS_12 if twelve else _CLOCKS_24
+    if not with_date:
+        return [("", clock) for clock in clocks]
+    orders = list(_DATES)
+    if twelve:
+        orders = [orders[0], orders[2], orders[1]]
+    dated = [
+        (order, f"{date} {clock}{zone}")
+        for order in orders
+        for date, clock, zone in product(_DATES[order], clocks, _ZONES)
+    ]
+    dated += [(order, date) for order in orders for date in _DATES[order]]
+    return [*dated, *(("", pattern) for pattern in _JAVA)]
+
+
+def _in_its_order(
+    clock: Clock, stamps: NDArray[np.int64], survey: Survey, times: Collection[int]
+) -> Clock:
+    """The clock with the order of the rows; columns at the places `times` are of time.
+
+    Where time goes back, yet not within any one column, the columns stand one after the other, as
+    `melt` of pandas and InfluxDB write them: then no drive begins. Nor does one where time begins
+    anew so often because each of two columns or more goes through all drives.
+    """
+    there = stamps != NONE
+    if not _is_newest_first(stamps[there]) and _goes_back(stamps[there]):
+        filled = (
+            np.isfinite(to_floats(cells, survey.styles[place]))
+            for place, cells in survey.cells.items()
+            if place not in times
+        )
+        columns = [stamps[there & each] for each in filled]
+        if columns and not any(map(_goes_back, columns)):
+            return replace(clock, order=Order.SHUFFLED, daily=False, drives_from_ns=None)
+        if (first := clock.drives_from_ns) is not None:
+            begins = [_begins(each, first) for each in (stamps[there], *columns)]
+            if begins[0] > 2 * max(begins[1:], default=0):
+                clock = replace(clock, drives_from_ns=None)
+    if clock.drives_from_ns is not None:
+        clock = replace(clock, why=f"{clock.why}, anew with each drive")
+    return replace(clock, order=_order_of(clock, stamps))
+
+
+def _goes_back(times: NDArray[np.int64]) -> bool:
+    return bool((np.diff(times) < -STRAGGLING_NS).any())
+
+
+def _begins(times: NDArray[np.int64], first: int) -> int:
+    """Number of drives that begin anew."""
+    if times.size < 2:
+        return 0
+    return int(begin_drives(times, times[[0, 0]], first, BACK_NS).sum())
+
+
+def _order_of(clock: Clock, stamps: NDArray[np.int64]) -> Order:
+    """Order of rows that have these times of a clock."""
+    if _is_newest_first(stamps[stamps != NONE]):
+        return Order.NEWEST_FIRST
+    times = clock.running().add(stamps)
+    times = times[times != NONE]
+    back = np.diff(times) < -STRAGGLING_NS
+    if not back.any():
+        return Order.OLDEST_FIRST
+    mixed = back.size >= 3 and np.mean(back) > SHUFFLED
+    return (
+        Order.SHUFFLED
+        if mixed or (clock.dated and _lie_apart(times, back))
+        else Order.OLDEST_FIRST
+    )
+
+
+def _lie_apart(times: NDArray[np.int64], back: NDArray[np.bool_]) -> bool:
+    """True if no two parts of a table, between which time goes back, are of the same hours.
+
+    They are then drives that were put together in the order of their names. A clock that was set
+    back, as in autumn, goes through the same hour twice.
+    """
+    begins = np.append(0, np.flatnonzero(back) + 1)
+    first, last = np.minimum.reduceat(times, begins), np.maximum.reduceat(times, begins)
+    order = np.argsort(first)
+    return bool((last[order][:-1] < first[order][1:]).all())
+
+
+def _is_newest_first(times: NDArray[Any]) -> bool:
+    """True if times run backwards on the whole, in whichever unit."""
+    steps = np.diff(times)
+    return steps.size >= 3 and float(np.mean(steps < 0)) > MOSTLY
+
+
+def _forward(times: NDArray[Any]) -> NDArray[Any]:
+    return times[::-1] if _is_newest_first(times) else times
+
+
+def _is_day_alone(clock: Clock, survey: Survey) -> bool:
+    """True if the column holds dates without a clock, or with that of midnight."""
+    if clock.kind != "date" or len(clock.columns) > 1:
+        return False
+    stamps = clock.stamps(survey.cells)
+    known = stamps[stamps != NONE]
+    return known.size > 1 and not (known % DAY_NS).any()
+
+
+def _merit(clock: Clock, stamps: NDArray[np.int64], name: str) -> tuple[float, ...]:
+    if clock.order is Order.NEWEST_FIRST:
+        stamps = stamps[::-1]
+    stamps = clock.running().add(stamps)
+    known = stamps[stamps != NONE]
+    steps = np.diff(known)
+    rising = float((steps > 0).mean()) if steps.size else 0.0
+    return (
+        round(known.size / max(1, stamps.size), 1),
+        -float((steps < 0).sum()),
+        float(rising > 0.5),  # a date that comes in bursts tells no rows apart
+        float(clock.dated),
+        round(rising, 1),
+        score("time", name),
+    )

@@ -1,0 +1,239 @@
+"""Columns of a table: those that are used, as names or a person say, and why others are not."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+import math
+
+from evpinn_ros.common.errors import InputError, near_names
+from evpinn_ros.logs.apps import app_of
+from evpinn_ros.logs.quantities import (
+    BY_COLUMN,
+    NEEDED,
+    QUANTITIES,
+    Unit,
+    known_unit,
+    score,
+    speaks_of,
+    unit_of,
+)
+
+SIGNED = ("current", "power")
+LONGEST_LIST = 200  # characters of column names in a message
+EMPTY = "empty"
+NO_USE = "not needed"
+OF_PARTS = {
+    "voltage": "not of the whole traction battery",
+    "current": "not of the whole traction battery",
+    "power": "not of the whole traction battery",
+    "speed": "not the speed of the car",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column that is used."""
+
+    quantity: str  # of `QUANTITIES`
+    name: str  # in the file
+    factor: float = 1.0  # to SI
+    unit: str = ""  # that of the file, with a minus where the sign is turned
+    why: str = ""  # the reason for the unit; empty when the name is one of ours
+    offset: float = 0.0  # to SI, added after the factor
+    place: int = 0  # of the column in the file, from 0
+
+    @property
+    def is_ours(self) -> bool:
+        """True if its name is one of ours, which tells the unit and the sign."""
+        return self.name == QUANTITIES[self.quantity].column
+
+    def measured_in(self, text: str, unit: Unit, why: str) -> Column:
+        """Column whose unit is known."""
+        return replace(self, factor=unit.factor, offset=unit.offset, unit=text, why=why)
+
+    def turned(self) -> Column:
+        """Column with the other sign."""
+        return replace(self, factor=-self.factor, offset=-self.offset, unit=f"-{self.unit}")
+
+    def in_unit(self, text: str, why: str) -> Column:
+        """Column in a unit of its quantity, as `QUANTITIES` spells it."""
+        return self.measured_in(text, QUANTITIES[self.quantity].units[text], why)
+
+
+def columns_by_name(
+    header: Sequence[str], chosen: Sequence[str], empty: Collection[int] = ()
+) -> list[Column]:
+    """The columns of a header that are used, those for the time all: their cells decide.
+
+    A choice is `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign. Columns
+    at the places `empty` hold nothing, so they are not guessed at.
+
+    Raises:
+        InputError: a choice that names no quantity, no column or no unit, or a bracketed unit
+            that is not known, of a quantity that is needed; without others a drive can be read.
+    """
+    own = [
+        Column(BY_COLUMN[name], name, place=i)
+        for i, name in enumerate(header)
+        if name in BY_COLUMN
+    ]
+    given = [_chosen(text, header) for text in chosen]
+    known = {column.quantity for column in given}
+    found = [column for column in own if column.quantity not in known] + given
+    if len({column.quantity for column in own}) < len(own):
+        raise InputError("a column is there twice")
+    if is_complete({column.quantity for column in found}):
+        return found
+    known = {column.quantity for column in found}
+    taken = {column.place for column in found}
+    app = app_of(header)
+    for quantity in QUANTITIES:
+        if quantity in known:
+            continue
+        if quantity == "time":
+            names = [i for i in range(len(header)) if score(quantity, header[i]) > 0]
+            found += [column_of(quantity, header, i) for i in names if i not in taken]
+            continue
+        # Power is voltage times current: of a stranger's file it is not needed then.
+        if quantity == "power" and {"voltage", "current"} <= known:
+            continue
+        free = (i for i in range(len(header)) if i not in taken and i not in empty)
+        best_name = app.columns.get(quantity) if app else None
+        scores = {
+            i: math.inf if header[i] == best_name else score(quantity, header[i]) for i in free
+        }
+        if quantity not in NEEDED:
+            scores = {i: each for i, each in scores.items() if not _foreign(quantity, header[i])}
+        best = max(scores, key=lambda i: scores[i], default=None)
+        if best is not None and scores[best] > 0:
+            found.append(column_of(quantity, header, best))
+            known.add(quantity)
+            taken.add(best)
+    return found
+
+
+def _foreign(quantity: str, name: str) -> str:
+    """The unit that a name has in brackets where it is none of the quantity's; empty if not."""
+    text, unit = unit_of(quantity, name)
+    return text if unit is None else ""
+
+
+def is_complete(quantities: set[str]) -> bool:
+    """True if all that is needed is there: other columns of such a file are not guessed at."""
+    battery = "power" in quantities or {"voltage", "current"} <= quantities
+    return battery and {"time", "speed"} <= quantities
+
+
+def check_columns(found: Sequence[Column], header: Sequence[str], *, battery: bool = True) -> None:
+    """Refuse a table without what is needed: time, speed and, if asked for, the battery.
+
+    Raises:
+        InputError: with the option that would mend it.
+    """
+    quantities = {column.quantity for column in found}
+    there = f"there are {', '.join(header)[:LONGEST_LIST]}"
+    if missing := [name for name in ("time", "speed") if name not in quantities]:
+        say = " ".join(f"--column {name}=NAME" for name in missing)
+        raise InputError(f"no column of {' and '.join(missing)}; {there}; say {say}")
+    if battery and not is_complete(quantities):
+        one = [name for name in ("voltage", "current") if name in quantities]
+        lacks = f"a column of {one[0]} alone" if one else "no columns of voltage and current"
+        raise InputError(f"{lacks}, and none of power; {there}; say --column power=NAME")
+
+
+def _chosen(text: str, header: Sequence[str]) -> Column:
+    quantity, _, rest = text.partition("=")
+    if quantity not in QUANTITIES or not rest:
+        known = ", ".join(QUANTITIES)
+        near = near_names(quantity, QUANTITIES)
+        raise InputError(
+            f"--column {text}{near}: say QUANTITY=NAME or QUANTITY=NAME:UNIT, with {known}"
+        )
+    name, unit = (rest, "") if rest in header else (*rest.rpartition(":")[::2],)
+    if name not in header:
+        near = near_names(rest.partition(":")[0], header)
+        raise InputError(f"--column {text}: no such column{near}; there are {', '.join(header)}")
+    place = list(header).index(name)
+    if not unit:
+        column, _ = _named(quantity, header, place)
+        return replace(column, why="as given")
+    bare = unit.lstrip("-")
+    meant = known_unit(quantity, bare.lower())
+    if meant is None:
+        raise InputError(f"--column {text}: the unit is one of {_spellings(quantity)}")
+    column = Column(quantity, name, place=place).measured_in(bare, meant, "as given")
+    return column.turned() if unit.startswith("-") else column
+
+
+def column_of(quantity: str, header: Sequence[str], place: int) -> Column:
+    """A column for a quantity with the unit that its name or the app tells, or none.
+
+    Raises:
+        InputError: its name has a unit that is not known.
+    """
+    column, foreign = _named(quantity, header, place)
+    if foreign and quantity != "time":
+        raise InputError(
+            f"column {column.name!r}: the unit [{foreign}] of {quantity} is not known; say "
+            f"--column '{quantity}={column.name}:UNIT' with one of {_spellings(quantity)}"
+        )
+    return column
+
+
+def _named(quantity: str, header: Sequence[str], place: int) -> tuple[Column, str]:
+    """A column with the unit that its name or the app tells; and one that is not known, if any."""
+    name, app = header[place], app_of(header)
+    column = Column(quantity, name, place=place)
+    text, unit = unit_of(quantity, name)
+    if unit is not None:
+        return column.measured_in(text, unit, "by its name"), ""
+    by_app = app.units.get(name, "") if app else ""
+    if app and (unit := known_unit(quantity, by_app)):
+        return column.measured_in(by_app, unit, f"as in logs with a column {app.mark!r}"), ""
+    return column, text
+
+
+def _spellings(quantity: str) -> str:
+    return ", ".join(QUANTITIES[quantity].units)
+
+
+def unused_columns(
+    header: Sequence[str], used: Sequence[Column], clock: Collection[int], empty: Collection[int]
+) -> dict[str, str]:
+    """Names of the columns that are not used, in the order of the file, each with the reason.
+
+    Args:
+        header: names of all columns.
+        used: those that are used.
+        clock: places of those that the time is read from.
+        empty: places of those without a cell.
+    """
+    taken = {column.quantity: column for column in used}
+    places = {*(column.place for column in used), *clock}
+    return {
+        name: EMPTY if place in empty else _reason(name, taken)
+        for place, name in enumerate(header)
+        if name and place not in places
+    }
+
+
+def _reason(name: str, taken: Mapping[str, Column]) -> str:
+    for quantity, column in taken.items():
+        if score(quantity, name) > 0.0:
+            return f"{quantity} is read from {column.name!r}"
+    for quantity in QUANTITIES.keys() - taken.keys() - NEEDED:
+        if score(quantity, name) > 0.0 and (text := _foreign(quantity, name)):
+            return f"the unit [{text}] of {quantity} is not known"
+    if score("power", name) > 0.0 and {"voltage", "current"} <= taken.keys():
+        return "power is voltage times current"
+    parts = (why for quantity, why in OF_PARTS.items() if speaks_of(quantity, name))
+    return next(parts, NO_USE)
+
+
+def by_reason(unused: Mapping[str, str]) -> dict[str, list[str]]:
+    """Names by the reason why they are not used."""
+    found: dict[str, list[str]] = {}
+    for name, why in unused.items():
+        found.setdefault(why, []).append(name)
+    return found

@@ -1,0 +1,39 @@
+"""Parquet and Feather as text, by polars, which runs apart (`common.apart`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.opener import open_file
+from evpinn_ros.logs.text_table import MOST_COLUMNS, plain_cell
+
+
+def write_columns(path: Path, out: Path) -> None:
+    """Write the columns of such a file, their names first, a row a line."""
+    with open_file(path) as file:
+        # By its number, for in a name there may be signs of a pattern, or no text at all.
+        source = f"/dev/fd/{file.fileno()}"
+        is_parquet = path.suffix.lower() in (".parquet", ".pq")
+        frame = pl.scan_parquet(source) if is_parquet else pl.scan_ipc(source)
+        # Nested columns hold no signal; a table of ours or of pandas has none.
+        schema = frame.collect_schema()
+        flat = {name: kind for name, kind in schema.items() if not kind.is_nested()}
+        if len(flat) > MOST_COLUMNS:
+            raise InputError(f"more than {MOST_COLUMNS} columns")
+        frame.select([_text(name, kind) for name, kind in flat.items()]).sink_csv(out)
+
+
+def _text(name: str, kind: pl.DataType) -> pl.Expr:
+    """A column as text."""
+    column, shown = pl.col(name), plain_cell(name)
+    if isinstance(kind, pl.Duration):
+        return (column.dt.total_nanoseconds() / 1e9).alias(f"{shown} [s]")
+    if kind == pl.Time:  # cast, it would lose what is below a second
+        return column.dt.to_string("%H:%M:%S%.f").alias(shown)
+    text = column.cast(pl.String, strict=False)
+    if kind in (pl.String, pl.Binary, pl.Categorical):
+        text = text.str.replace_all(r"[\r\n]+", " ")
+    return text.alias(shown)

@@ -1,0 +1,148 @@
+"""Contents of a recording: `evpinn info`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from evpinn_ros.bags.names import is_bag
+from evpinn_ros.can.log_names import LOG_SUFFIXES
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.progress import reported
+from evpinn_ros.core.vehicle.files import load_vehicle, vehicle_names
+from evpinn_ros.logs.column import Column
+from evpinn_ros.logs.data_coverage import DataCoverage, ReadingFlow, data_coverage
+from evpinn_ros.logs.formats import is_drive_table, suffix_of, unknown_kind
+from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.logs.source import Source
+from evpinn_ros.logs.sources import open_source
+
+GENERIC = "generic"
+
+Bar = Callable[[float | None], AbstractContextManager[Callable[[float], None] | None]]
+
+
+@dataclass(frozen=True, slots=True)
+class TopicContents:
+    """A topic of a bag, with the log times of its messages."""
+
+    name: str
+    type_name: str
+    flow: ReadingFlow
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """Contents of a recording."""
+
+    path: Path  # of it
+    kind: str  # `bag`, `CAN log` or `table`
+    topics: tuple[TopicContents, ...] = ()  # of a bag
+    columns: tuple[Column, ...] = ()  # of a table that are used
+    unused: Mapping[str, str] = field(default_factory=dict)  # those that are not, and why
+    # what tells the day of a table, see `Source`; None of what has stamps
+    dated: str | None = None
+    zoned: bool = True  # whether its clock is UTC or names its zone
+    frames: int = 0  # of a CAN log or a bag, that were looked at for the profile; 0 without
+    profile: str | None = None  # that fits the frames, None when none does, or without frames
+    vehicles: tuple[str, ...] = ()  # whose profile that is
+    # what the estimator can use, None when there is nothing of ours in it
+    drive: DataCoverage | None = None
+    dropped: Counter[str] | None = None  # what was not used of the drive, by reason
+    notes: tuple[str, ...] = ()  # what could not be read or used, and why
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """First and last time, of messages or else of readings; None when there is none."""
+        flows = [topic.flow for topic in self.topics if topic.flow.count]
+        if not flows and self.drive is not None:
+            flows = [*self.drive.flows.values()]
+        if not flows:
+            return None
+        return min(flow.first_ns for flow in flows), max(flow.last_ns for flow in flows)
+
+
+def contents(
+    path: Path, options: ReadOptions = READ_DEFAULTS, bar: Bar = lambda _: nullcontext()
+) -> Contents:
+    """Look through a bag, a CAN log or a table.
+
+    `bar` takes the length of the drive, s, None while unknown, and gives what takes the seconds of
+    it that are done.
+
+    Raises:
+        InputError: it is none of these, or nothing can be read.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if is_drive_table(path):
+        return _with_drive(Contents(path, "table"), options, bar)
+    # What reads bags and buses takes a while to import: no other drive waits for it.
+    from evpinn_ros.logs.bag_source import holds_frames
+
+    found = Contents(path, "CAN log")
+    if is_bag(path):
+        found = Contents(path, "bag", topics=_topics(path))
+        if not holds_frames(path, options.car):
+            return _with_drive(found, options, bar)
+    elif suffix_of(path) not in LOG_SUFFIXES:
+        raise unknown_kind(path)
+    from evpinn_ros.logs import bus_sources
+
+    report = bus_sources.inspected(bus_sources.open_can_log(path, options.car))
+    profile = report.best.fit.profile if report.best is not None else None
+    cars = map(load_vehicle, vehicle_names())
+    names = tuple(car.key for car in cars if profile and car.can_profile == profile)
+    found = replace(found, frames=report.frames, profile=profile, vehicles=names)
+    if profile is None and found.kind != "bag":
+        return replace(found, notes=("no known CAN profile fits: evpinn can inspect says why",))
+    return _with_drive(found, options, bar)
+
+
+def _topics(path: Path) -> tuple[TopicContents, ...]:
+    from evpinn_ros.bags.reader import BagReader
+
+    with BagReader(path) as reader:
+        flows = {name: ReadingFlow() for name in reader.topics}
+        for name, log_time_ns in reader.log_times():
+            flows[name].add(log_time_ns)
+        return tuple(
+            TopicContents(name, info.type_name, flows[name])
+            for name, info in reader.topics.items()
+        )
+
+
+def _with_drive(found: Contents, options: ReadOptions, bar: Bar) -> Contents:
+    """Add what the estimator can use."""
+    try:
+        source = _source(found, options)
+        with bar(source.seconds) as progress:
+            drive = data_coverage(reported(source.readings(), progress))
+    except InputError as error:
+        if found.kind != "bag":
+            raise
+        return replace(found, notes=(str(error),))
+    return replace(
+        found,
+        columns=source.rules,
+        unused=source.ignored,
+        dated=source.dated,
+        zoned=source.zoned,
+        drive=drive,
+        dropped=source.dropped,
+        notes=(*source.notes, *filter(None, [source.problem])),
+    )
+
+
+def _source(found: Contents, options: ReadOptions) -> Source:
+    """The drive in a recording; topics of ours are preferred to the frames of a bag."""
+    vehicle = load_vehicle(GENERIC)
+    if found.kind == "bag":
+        from evpinn_ros.logs.bag_source import bag_of_topics
+
+        if (bag := bag_of_topics(found.path, options)) is not None:
+            return bag
+    return open_source(found.path, vehicle, replace(options, can_profile=found.profile))

@@ -1,0 +1,128 @@
+"""File formats of recorded drives: which one a path is by its name, and the search for them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+import os
+from pathlib import Path
+import zlib
+
+from evpinn_ros.bags.names import BAG_SUFFIXES
+from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.opener import open_unpacked
+from evpinn_ros.logs.text_table import ConvertedTable
+
+TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
+SHEET_SUFFIXES = (".xlsx", ".xlsm")
+COLUMNAR_SUFFIXES = (".parquet", ".pq", ".feather", ".arrow")
+JSON_SUFFIXES = (".jsonl", ".ndjson")
+MEASUREMENT_SUFFIX = ".mf4"
+TABLE_SUFFIXES = (
+    *(*TEXT_SUFFIXES, *SHEET_SUFFIXES, *COLUMNAR_SUFFIXES),
+    *(*JSON_SUFFIXES, MEASUREMENT_SUFFIX),
+)
+CONVERTERS = {  # what writes a table that is no text as one, in a process of its own
+    **dict.fromkeys(SHEET_SUFFIXES, "evpinn_ros.logs.sheets:write_sheet"),
+    **dict.fromkeys(COLUMNAR_SUFFIXES, "evpinn_ros.logs.columnar:write_columns"),
+    **dict.fromkeys(JSON_SUFFIXES, "evpinn_ros.logs.json_lines:write_objects"),
+    MEASUREMENT_SUFFIX: "evpinn_ros.logs.measurement:write_signals",
+}
+_DRIVES = (*TABLE_SUFFIXES, *LOG_SUFFIXES)  # that a folder of drives may hold
+_BAG_FILES = (*BAG_SUFFIXES, ".yaml", ".zstd")  # of a folder that is a bag
+FRAME_COLUMNS = (b"arbitration_id", GVRET_HEADER.encode())  # tell a CAN log's CSV from a drive's
+
+
+def suffix_of(path: Path) -> str:
+    """In lower case and without .gz."""
+    return Path(path.name.lower().removesuffix(".gz")).suffix
+
+
+def unknown_kind(path: Path) -> InputError:
+    """Error for a file that is no recording; it names the kinds that are."""
+    logs, tables = ", ".join(LOG_SUFFIXES), ", ".join(TABLE_SUFFIXES)
+    return InputError(f"{path}: neither a bag, a CAN log ({logs}) nor a table ({tables})")
+
+
+def is_drive_table(path: Path) -> bool:
+    """True if a path is that of a table which is no log of a CAN bus.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    suffix = suffix_of(path)
+    if path.is_dir() or suffix not in TABLE_SUFFIXES:
+        return False
+    if suffix == MEASUREMENT_SUFFIX:
+        return _holds_signals(path)
+    if suffix != ".csv":
+        return True
+    with as_input_error(path, EOFError, zlib.error), open_unpacked(path) as file:
+        header = file.readline(10_000)
+    return not any(column in header for column in FRAME_COLUMNS)
+
+
+def _holds_signals(path: Path) -> bool:
+    """True if an .mf4 holds measured signals that may be of use, and not only frames of a bus."""
+    try:
+        ConvertedTable(path, CONVERTERS[MEASUREMENT_SUFFIX])
+    except InputError:
+        return False
+    return True
+
+
+def files_of(path: Path) -> list[Path]:
+    """The path itself, or the drives in a folder that is no bag, in order of their names."""
+    if not path.is_dir() or any(each.suffix in _BAG_FILES for each in path.iterdir()):
+        return [path]
+    return sorted(each for each in path.iterdir() if suffix_of(each) in _DRIVES) or [path]
+
+
+def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
+    """The recordings at or below a path, in no order; a file is taken for one, whatever it is.
+
+    Links are followed last, and nothing is found twice: a folder may link to itself, and a drive
+    that another car's folder links to is of the car in whose folder it lies.
+
+    Args:
+        path: file or folder.
+        seen: real paths found so far, which grow; none if not given.
+
+    Raises:
+        OSError: a folder cannot be read.
+    """
+    seen = set() if seen is None else seen
+    waiting = deque([path])
+    while waiting:
+        each = waiting.popleft()
+        real = os.path.realpath(each)
+        if real in seen:
+            continue
+        seen.add(real)
+        if not each.is_dir() or _is_bag_folder(each):
+            yield each
+            continue
+        for inner in each.iterdir():
+            if not (inner.is_dir() or _is_recording(inner)):
+                continue
+            if inner.is_symlink():
+                waiting.append(inner)
+            else:
+                waiting.appendleft(inner)
+
+
+def _is_recording(path: Path) -> bool:
+    """True if a file's name is that of a recording; most texts are a read-me."""
+    return suffix_of(path) in {*BAG_SUFFIXES, *LOG_SUFFIXES, *TABLE_SUFFIXES} - {".txt"}
+
+
+def _is_bag_folder(path: Path) -> bool:
+    """True if a folder is one bag, as rosbag2 writes it; a killed recorder left no metadata.
+
+    Other folders with bag files hold as many bags.
+    """
+    if (path / "metadata.yaml").is_file():
+        return True
+    names = (each.name for each in path.iterdir() if each.suffix in BAG_SUFFIXES)
+    return any(name.startswith(f"{path.name}_") for name in names)

@@ -1,0 +1,52 @@
+"""Measured signals of an ASAM .mf4 as a long table, by asammdf.
+
+A file of frames of a CAN bus holds none; it is a CAN log (`evpinn_ros.can.logs`). asammdf reads
+a file as a whole and can crash over a damaged one, so it runs apart (`common.apart`).
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from evpinn_ros.common.errors import extra_needed
+from evpinn_ros.common.opener import open_file
+from evpinn_ros.logs.quantities import may_be_of_use
+
+with suppress(ImportError):  # at once, for the process is limited from what it took until then
+    import asammdf  # noqa: F401
+
+HEADER = ("seconds", "name", "value", "unit")
+
+
+def write_signals(path: Path, out: Path) -> None:
+    """Write the signals of an .mf4 that may be of use, in order of time; no file without any."""
+    with extra_needed(".mf4 needs asammdf", "mf4"):
+        from asammdf import MDF
+    stamps, names, values = [], [], []
+    found: list[tuple[str, str]] = []
+    with open_file(path) as file, MDF(file) as measured:
+        start = measured.header.start_time.timestamp()
+        channels = measured.channels_db.items()
+        wanted = {place for name, places in channels if may_be_of_use(name) for place in places}
+        for group, index in sorted(wanted):
+            signal = measured.get(group=group, index=index)
+            if signal.samples.dtype.kind not in "iuf" or signal.samples.ndim != 1:
+                continue
+            stamps.append(signal.timestamps + start)
+            values.append(signal.samples.astype(np.float64))
+            names.append(np.full(len(signal), len(found)))
+            found.append((signal.name, signal.unit or ""))
+    if not found:
+        return
+    order = np.argsort(np.concatenate(stamps), kind="stable")
+    columns = (np.concatenate(each)[order] for each in (stamps, names, values))
+    with out.open("w", newline="", encoding="utf-8") as table:
+        writer = csv.writer(table)
+        writer.writerow(HEADER)
+        for stamp, number, value in zip(*columns, strict=True):
+            name, unit = found[number]
+            writer.writerow((f"{stamp:.9f}", name, repr(float(value)), unit))

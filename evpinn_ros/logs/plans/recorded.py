@@ -1,0 +1,142 @@
+"""Plans in recordings: the newest of a planner, else the drive itself, by its speed and height.
+
+The battery of a recorded drive is ignored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+import math
+from pathlib import Path
+
+import numpy as np
+
+from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import FRAME_TYPE
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.energy.driven import PLAN_STEP, drive_plan
+from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
+from evpinn_ros.core.energy.plan import Plan, PlanError, sums, travelled
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    GradeReading,
+    Reading,
+    SpeedReading,
+)
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.logs.plans.way import plausible_heights
+from evpinn_ros.logs.read_options import ReadOptions
+from evpinn_ros.logs.sources import open_source
+from evpinn_ros.topics import AUTOWARE_TRAJECTORY_TYPE, PATH_TYPE, SPEEDS, TRAJECTORY_TYPE
+from evpinn_ros.topics.cdr import CdrError
+from evpinn_ros.topics.plans import path_plan, speed_profile_plan, trajectory_plan
+
+FIELDS = {SpeedReading: "speed", AltitudeReading: "altitude", GradeReading: "grade"}
+LEAST_GAP = 60.0  # s between two speeds
+GAP_STEPS = 10.0  # mean steps, which a gap exceeds as well: some plans have few rows
+LONG_GAP = 600.0  # s, after which the log is of another drive
+STANDING = 0.5  # m/s before a gap and after it
+SHORTEST = 2.0  # s
+UNIT_OF_TIME = "a column of times says its unit, as t_s or 'time [ms]' do"
+DRIVEN = {topic.type_name for topic in SPEEDS} | {FRAME_TYPE}
+
+
+def driven_plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan:
+    """The plan that a recorded drive would have been, of any kind that `evpinn replay` reads.
+
+    Raises:
+        InputError: it cannot be read; `PlanError`: it is no valid plan.
+    """
+    source = open_source(path, vehicle, replace(options, battery=False))
+    readings = [reading for reading in source.readings() if type(reading) in FIELDS]
+    if source.problem:
+        raise InputError(source.problem)
+    mixed = not source.in_order and not source.dated  # how long legs take may stand there
+    if mixed or source.dropped["time_not_increasing"] > len(readings):
+        raise PlanError("its times do not rise, so they are no times")
+    return plan_of_readings(readings)
+
+
+def plan_of_readings(readings: Iterable[Reading]) -> Plan:
+    """The plan of a drive's speeds, and of its altitudes or, where there is none, its grades.
+
+    What was not recorded is not in the plan, as in a replay: after the pauses of a log it goes on
+    at once.
+
+    Raises:
+        PlanError: too short.
+    """
+    rows: dict[type, list[tuple[int, float]]] = {kind: [] for kind in FIELDS}
+    for reading in readings:
+        if (kind := type(reading)) in FIELDS:
+            rows[kind].append((reading.stamp_ns, getattr(reading, FIELDS[kind])))
+    start = min((stamp for stamp, _ in rows[SpeedReading]), default=0)
+    speed, altitude, grade = (_series(rows[kind], start) for kind in FIELDS)
+    if len(speed) < 2 or speed[-1, 0] < SHORTEST:
+        raise PlanError(f"a drive of less than {SHORTEST:g} s is no plan; {UNIT_OF_TIME}")
+    time = _driven(speed)
+    for series in (altitude, grade, speed):
+        series[:, 0] = np.interp(series[:, 0], speed[:, 0], time)
+    if len(altitude):
+        along = np.interp(altitude[:, 0], time, travelled(time, speed[:, 1]))
+        altitude[:, 1] = plausible_heights(along, altitude[:, 1])
+    elif len(grade):
+        slope = np.sin(np.interp(time, *grade.T))
+        altitude = np.column_stack((time, travelled(time, speed[:, 1] * slope)))
+    return drive_plan(speed, altitude)
+
+
+def _series(rows: list[tuple[int, float]], start: int) -> np.ndarray:
+    """Time, s, and value, each moment once and in order, shape (n, 2)."""
+    found = dict(sorted(row for row in rows if np.isfinite(row[1])))
+    seconds = [((stamp - start) / NANOSECONDS, value) for stamp, value in found.items()]
+    return np.array(seconds, float).reshape(-1, 2)
+
+
+def _driven(speed: np.ndarray) -> np.ndarray:
+    """Times since the first speed, s, shape (n,), without the gaps in which the drive is unknown.
+
+    Speed is a straight line over short gaps, and over those of up to `LONG_GAP` at a standstill.
+    """
+    steps = np.diff(speed[:, 0])
+    gap = steps > max(LEAST_GAP, GAP_STEPS * float(np.minimum(steps, LONG_GAP).mean()))
+    moving = np.maximum(np.abs(speed[:-1, 1]), np.abs(speed[1:, 1])) > STANDING
+    left_out = gap & (moving | (steps > LONG_GAP))
+    return sums(np.where(left_out, PLAN_STEP, steps))
+
+
+def planned_in_bag(path: Path, vehicle: Vehicle) -> Plan | None:
+    """The newest plan in a bag, as the node reads it from a topic.
+
+    None where it holds none, or a speed or frames of a CAN bus, which are a drive.
+
+    Args:
+        path: of the bag.
+        vehicle: whose nominal speed a path without times is driven at.
+
+    Raises:
+        InputError: it is no bag; `PlanError`: the newest cannot be driven.
+    """
+    own = vehicle.nominal_speed
+    usual = NOMINAL_SPEED if math.isnan(own) else own
+    readers: dict[str, Callable[[bytes], Plan]] = {
+        PATH_TYPE: partial(path_plan, nominal_speed=usual),
+        TRAJECTORY_TYPE: speed_profile_plan,
+        AUTOWARE_TRAJECTORY_TYPE: trajectory_plan,
+    }
+    found: Plan | PlanError | None = None
+    with BagReader(path) as bag:
+        if DRIVEN & {each.type_name for each in bag.topics.values()}:
+            return None
+        names = {name for name, each in bag.topics.items() if each.type_name in readers}
+        for record in bag.raw_records(names):
+            try:
+                found = readers[record.type_name](record.message)
+            except (CdrError, PlanError) as error:
+                found = found or PlanError(f"{record.topic}: {error}")
+    if isinstance(found, PlanError):
+        raise found
+    return found

@@ -1,0 +1,239 @@
+"""Answers of route services, the first route of each.
+
+Formats by their documentation: Valhalla's `route` and `trace_attributes`
+(valhalla.github.io/valhalla/api/turn-by-turn/api-reference, .../map-matching/api-reference), OSRM
+(project-osrm.org/docs, "HTTP API"), GraphHopper (docs.graphhopper.com, "Routing API"; api-doc in
+its repository) and openrouteservice (giscience.github.io/openrouteservice/api-reference/endpoints/
+directions).
+
+The finest parts whose duration is known are read: edges, then steps or maneuvers, then the parts
+between waypoints. A service gives each edge the time of its class of road: it knows no stop, and
+no driver is as steady. So short parts become legs together (`_lasting`), for which what drivers do
+between two points of a plan was learned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+import math
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, sums
+from evpinn_ros.logs.plans.way import Heights, legs_between, way_length
+
+Json: TypeAlias = Mapping[str, Any]
+
+METRES = {"m": 1.0, "km": 1000.0, "mi": 1609.344, "kilometers": 1000.0, "miles": 1609.344}
+FOOT = 0.3048  # m
+NO_HEIGHT = 32768.0  # in Valhalla's elevations
+SETTLED = 60.0  # s that a leg lasts at least
+OSRM_ROUTES = ("routes", "matchings", "trips")  # of its services route, match and trip
+LONGEST = 16 * MAX_POINTS  # characters; a point takes four to twelve
+MOST_CHUNKS = 7  # characters of a number: 35 bits, of which places need 29
+
+
+class RoutePart(NamedTuple):
+    """A part of a route: length, m, and duration, s."""
+
+    length: float
+    duration: float
+
+
+def legs_of_route(data: Json) -> Legs | None:
+    """Legs of the answer of a route service; None for other JSON.
+
+    Raises:
+        PlanError: the service found no route, or a route that is no valid plan.
+        KeyError, TypeError, ValueError: the answer is damaged.
+    """
+    if "legs" in (data.get("trip") or ()):
+        return _valhalla_route(data["trip"])
+    if "edges" in data:
+        return _valhalla_edges(data)
+    if data.get("paths"):
+        return _graphhopper(data["paths"][0])
+    if data.get("features") and "segments" in (data["features"][0].get("properties") or {}):
+        feature = data["features"][0]
+        return _openrouteservice(feature["properties"], feature["geometry"], data)
+    routes = next((data[name] for name in OSRM_ROUTES if data.get(name)), None)
+    if routes and "segments" in routes[0]:
+        return _openrouteservice(routes[0], routes[0].get("geometry"), data)
+    if routes:
+        return _legs([part for leg in routes[0]["legs"] for part in _osrm_parts(leg)])
+    if reason := data.get("error") or data.get("message") or data.get("code"):
+        text = reason.get("message", reason) if isinstance(reason, Mapping) else reason
+        if text == "Ok":  # of another service, as OSRM's table
+            raise PlanError("there is no route in this answer")
+        raise PlanError(f"the route service found no route: {text}")
+    return None
+
+
+def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
+    if not parts:
+        raise PlanError("its route has no parts")
+    length, duration = _lasting(np.array(parts, float)).T
+    return legs_between(sums(duration), sums(length), heights)
+
+
+def _lasting(parts: np.ndarray) -> np.ndarray:
+    """Parts in order, shape (n, 2), joined so that each lasts `SETTLED`."""
+    begins, lasted = [0], 0.0
+    for index, seconds in enumerate(parts[:, 1].tolist()):
+        if lasted >= SETTLED:
+            begins.append(index)
+            lasted = 0.0
+        lasted += seconds
+    if lasted < SETTLED and len(begins) > 1:
+        del begins[-1]
+    return np.asarray(np.add.reduceat(parts, begins))
+
+
+def _scaled(parts: Sequence[float] | np.ndarray, total: float) -> np.ndarray:
+    """The parts, made to sum up to a total, of which they leave out what is between them."""
+    numbers = np.array(parts, float)
+    return numbers * (total / numbers.sum()) if total > 0 and numbers.sum() > 0 else numbers
+
+
+def _valhalla_route(trip: Json) -> Legs:
+    metres, metres_up = _units(trip)
+    parts: list[RoutePart] = []
+    heights: list[np.ndarray] = []
+    end = 0.0
+    for leg in trip["legs"]:
+        made = leg.get("maneuvers") or [leg["summary"]]
+        parts += [RoutePart(each["length"] * metres, each["time"]) for each in made]
+        begin, end = end, end + sum(each["length"] for each in made) * metres
+        if leg.get("elevation"):
+            up = np.array(leg["elevation"], float) * metres_up
+            along = begin + np.arange(len(up)) * float(leg["elevation_interval"]) * metres_up
+            heights.append(np.array([np.minimum(along, end), up]))
+    return _legs(parts, Heights(*np.hstack(heights)) if heights else None)
+
+
+def _valhalla_edges(data: Json) -> Legs:
+    """The edges of `trace_attributes`, by the time that the path takes to their ends."""
+    edges = data["edges"]
+    metres, metres_up = _units(data)
+    length = np.array([edge["length"] for edge in edges], float) * metres
+    ends = [(edge.get("end_node") or {}).get("elapsed_time") for edge in edges]
+    if None in ends:
+        duration = length / (np.array([edge["speed"] for edge in edges], float) * metres / 3600)
+    else:
+        duration = np.diff(np.array(ends, float), prepend=0.0)
+    middle = np.array([edge.get("mean_elevation", NO_HEIGHT) for edge in edges], float)
+    height = np.where(middle == NO_HEIGHT, np.nan, middle * metres_up)
+    return _legs(
+        [*map(RoutePart, length, duration)], Heights(np.cumsum(length) - length / 2, height)
+    )
+
+
+def _units(answer: Json) -> tuple[float, float]:
+    """Metres in the lengths of an answer of Valhalla, and in its heights."""
+    units = answer.get("units", "kilometers")
+    return METRES[units], FOOT if units == "miles" else 1.0
+
+
+def _osrm_parts(leg: Json) -> Iterator[RoutePart]:
+    """Segments of the annotation with the leg's duration, which has that of turns; or steps."""
+    given = leg.get("annotation") or {}
+    if "distance" in given and ("duration" in given or "speed" in given):
+        length = np.array(given["distance"], float)
+        if "duration" in given:
+            duration = np.array(given["duration"], float)
+        else:
+            duration = length / np.array(given["speed"], float)
+        yield from map(RoutePart, length, _scaled(duration, float(leg["duration"])))
+    else:
+        for part in leg.get("steps") or [leg]:
+            yield RoutePart(part["distance"], part["duration"])
+
+
+def _graphhopper(path: Json) -> Legs:
+    """Intervals of `details`, whose ends are points of the line; else instructions."""
+    total, details = float(path["distance"]), path.get("details") or {}
+    line = _line(path.get("points"), total, path.get("points_encoded_multiplier", 1e5))
+    timed = next((name for name in ("time", "average_speed") if name in details), "")
+    if line and timed:
+        rows = [(line.along[end] - line.along[begin], value)
+                for begin, end, value in details[timed]]  # fmt: skip
+    else:
+        made = path.get("instructions") or [path]
+        rows = [(each["distance"], each["time"]) for each in made]
+    lengths, values = np.array(rows, float).T
+    by_speed = line and timed == "average_speed"
+    seconds = _scaled(lengths / values if by_speed else values, path["time"] / 1000)
+    return _legs([*map(RoutePart, lengths, seconds)], line)
+
+
+def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
+    """The steps of the segments, or the segments of an answer without instructions."""
+    query = (data.get("metadata") or {}).get("query") or {}
+    metres = METRES[query.get("units", "m")]
+    parts: list[RoutePart] = []
+    for segment in route["segments"]:
+        made = segment.get("steps") or [segment]
+        lengths = _scaled([each["distance"] for each in made], segment["distance"] * metres)
+        parts += map(RoutePart, lengths, [each["duration"] for each in made])
+    return _legs(parts, _line(geometry, sum(part.length for part in parts), 1e5))
+
+
+def _line(line: Any, total: float, scale: float) -> Heights | None:
+    """Points of a line, encoded or of GeoJSON, made as long as the route, m; None without one.
+
+    Nothing tells whether an encoded line has heights: it does if it is nearer to its length then.
+    """
+    if not line:
+        return None
+    if isinstance(line, str):
+        found = [*_decoded(line, scale)]
+        if not found:
+            raise PlanError("its polyline is damaged")
+        places = min(found, key=lambda each: abs(each[0][-1] - total))
+    else:
+        rows = np.array([[*point[:3], math.nan][:3] for point in line["coordinates"]], float)
+        places = way_length(rows[:, 0], rows[:, 1]), rows[:, 2]
+    along, height = places
+    return Heights(sums(_scaled(np.diff(along), total)), height)
+
+
+def _decoded(line: str, scale: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Distance along an encoded line and heights, m: without heights, and with, as it may be."""
+    for dimensions in (2, 3):
+        with suppress(PlanError):
+            latitude, longitude, *height = decode_polyline(line, scale, dimensions).T
+            along = way_length(longitude, latitude)
+            yield along, height[0] if height else np.full(len(along), math.nan)
+
+
+def decode_polyline(text: str, scale: float, dimensions: int) -> np.ndarray:
+    """Latitude, longitude and, of three dimensions, height of n points; shape (n, dimensions).
+
+    The algorithm is Google's (developers.google.com/maps/documentation/utilities, "Encoded
+    Polyline Algorithm Format"); GraphHopper and openrouteservice add height, in 0.01 m.
+
+    Args:
+        text: the polyline.
+        scale: numbers in a degree, 1e5 or 1e6.
+        dimensions: 2, or 3 with heights.
+
+    Raises:
+        PlanError: it is damaged.
+    """
+    if len(text) > LONGEST:
+        raise PlanError(f"a polyline of more than {LONGEST} characters")
+    codes = np.frombuffer(text.encode("latin-1", "replace"), np.uint8).astype(np.int64) - 63
+    ends = np.flatnonzero(codes < 32)
+    starts = np.concatenate(([0], ends[:-1] + 1))
+    lengths = ends - starts + 1
+    valid = len(ends) > 0 and len(ends) % dimensions == 0 and ends[-1] == len(codes) - 1
+    if not valid or codes.min() < 0 or codes.max() > 63 or lengths.max() > MOST_CHUNKS:
+        raise PlanError("its polyline is damaged")
+    shifts = 5 * (np.arange(len(codes)) - np.repeat(starts, lengths))
+    numbers = np.add.reduceat((codes & 31) << shifts, starts)
+    steps = np.where(numbers & 1, ~(numbers >> 1), numbers >> 1)
+    places = steps.reshape(-1, dimensions).cumsum(axis=0)
+    found: np.ndarray = places / np.array([scale, scale, 100.0])[:dimensions]
+    return found

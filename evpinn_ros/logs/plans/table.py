@@ -1,0 +1,186 @@
+"""Tables of plans: speed over time under our names, and legs with their units in the header."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import chain, islice
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.core.energy.plan import (
+    LEAST_LENGTH,
+    MAX_POINTS,
+    UNITS_APART,
+    Legs,
+    Plan,
+    PlanError,
+    legs_of,
+    legs_of_trip,
+    plan_from_speed_profile,
+)
+from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of, to_floats
+from evpinn_ros.logs.quantities import score, unit_of, words_of
+from evpinn_ros.logs.survey import data_rows, find_head
+from evpinn_ros.logs.text_table import TextTable
+
+COLUMNS = "columns t_s and speed_mps, or those of legs, length_m and duration_s or speed_kmh"
+FEW = 8  # names that an error lists
+NEEDED, OPTIONAL = ("t_s", "speed_mps"), ("distance_m", "elevation_m")
+BATTERY = ({"voltage_v", "current_a"}, {"power_w"})  # of a drive; a forecast has a distance too
+LEG_COLUMNS = {  # by what they hold: words before the unit, and a quantity of the same units
+    "length": (("length", "distance"), "odometer"),
+    "duration": (("duration", "travel time"), "time"),
+    "speed": (("speed", "mean speed"), "speed"),
+    "climb": (("climb", "rise"), "elevation"),
+    "start": (("start elevation", "start height"), "elevation"),
+    "end": (("end elevation", "end height", "elevation", "height"), "elevation"),
+}
+
+
+def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
+    """The plan of columns by their names: `t_s` and `speed_mps`, or those of legs.
+
+    Raises:
+        InputError: columns are missing, or hold what is no number; `PlanError`: no trip.
+    """
+    if {*NEEDED} <= {*given}:
+        found = {
+            name: _numbers(name, given[name]) for name in (*NEEDED, *OPTIONAL) if name in given
+        }
+        time, speed = found["t_s"], found["speed_mps"]
+        height = found.get("elevation_m")
+        return plan_from_speed_profile(time, found.get("distance_m"), speed, height)
+    if columns := leg_columns([*given]):
+        legs = _in_si(columns, given)
+        if "end" in legs and "start" not in legs:
+            legs["start"] = np.concatenate(([np.nan], legs["end"][:-1]))
+        return legs_of_trip(*_leg_numbers(legs))
+    there = ", ".join([*map(str, given)][:FEW]) or "none"
+    raise InputError(f"a plan has the {COLUMNS}; there are: {there}")
+
+
+def edges_of_columns(given: Mapping[str, Any]) -> Legs:
+    """Edges of a road network, of columns as those of legs; none follows another.
+
+    Raises:
+        InputError: columns are missing, or hold what is no number; `PlanError`: no edges.
+    """
+    columns = leg_columns([*given])
+    if not columns:
+        raise InputError("edges have two of the columns length_m, duration_s and speed_kmh")
+    return legs_of(*_leg_numbers(_in_si(columns, given)))
+
+
+def table_plan(path: Path) -> Plan | Legs | None:
+    """The plan of a table of text; None for one of other columns, which may be a drive.
+
+    Raises:
+        InputError: it cannot be read, or as of `plan_of_columns`.
+    """
+    table = TextTable(path)
+    head = find_head(table)
+    names = {*head.names}
+    recorded = "distance_m" not in names and any(columns <= names for columns in BATTERY)
+    if recorded:
+        return None
+    of_legs = {} if {*NEEDED} <= names else leg_columns(head.names)
+    used = {name for name, _ in of_legs.values()} if of_legs else {*NEEDED, *OPTIONAL}
+    if not (of_legs or {*NEEDED} <= names):
+        return None
+    places = {name: place for place, name in enumerate(head.names) if name in used}
+    cells: dict[str, list[str]] = {name: [] for name in places}  # the others may be thousands
+    for _, row in islice(data_rows(table, head), MAX_POINTS + 1):
+        for name, place in places.items():
+            cells[name].append(row[place] if place < len(row) else "")
+    style = style_of(chain(*cells.values())) or POINT
+    return plan_of_columns({name: Cells(each, style) for name, each in cells.items()})
+
+
+class Cells(NamedTuple):
+    """Cells of a column of text, and the style of their numbers."""
+
+    cells: list[str]
+    style: Style
+
+
+def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
+    """Columns of legs by what they hold, each with its SI value per unit; empty for others.
+
+    Raises:
+        PlanError: a column of legs does not say its unit.
+    """
+    found: dict[str, tuple[str, float]] = {}
+    bare = ""
+    for name in map(str, names):
+        for what, (phrases, quantity) in LEG_COLUMNS.items():
+            text, unit = unit_of(quantity, name)
+            words = words_of(name)[0].strip()
+            if unit is None and words in phrases:
+                bare, found[what] = name, (name, math.nan)
+            elif unit and words.removesuffix(text.replace("/", " ")).strip() in phrases:
+                found[what] = name, unit.factor
+    ours = {name for name, _ in found.values()}
+    timed = any(score("time", str(name)) > 0 for name in names if name not in ours)
+    if timed or len(found.keys() & {"length", "duration", "speed"}) < 2:
+        return {}
+    if bare:
+        raise PlanError(
+            f"the column {bare!r} does not say its unit, as length_km and speed_kmh do"
+        )
+    return found
+
+
+def _in_si(
+    columns: Mapping[str, tuple[str, float]], given: Mapping[str, Any]
+) -> dict[str, np.ndarray]:
+    """Numbers of legs by what they hold, in SI."""
+    numbers = {
+        what: _numbers(name, given[name]) * factor for what, (name, factor) in columns.items()
+    }
+    if len({len(each) for each in numbers.values()}) > 1:
+        lengths = ", ".join(f"{name} {len(numbers[what])}" for what, (name, _) in columns.items())
+        raise InputError(f"the columns have different numbers of rows: {lengths}")
+    return numbers
+
+
+def _leg_numbers(
+    given: Mapping[str, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Length, duration and climb; a cell that is missing follows from others."""
+    unknown = np.full(len(next(iter(given.values()))), np.nan)
+    length, duration, speed, climb = (
+        given.get(name, unknown) for name in ("length", "duration", "speed", "climb")
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        duration = np.where(np.isnan(duration), length / speed, duration)
+        length = np.where(np.isnan(length), speed * duration, length)
+        apart = np.abs(np.log(length / (speed * duration))) > math.log(UNITS_APART)
+    if (wrong := apart & (length > LEAST_LENGTH)).any():
+        raise PlanError(
+            f"length, duration and speed contradict each other at leg {wrong.argmax()}"
+        )
+    if "end" in given and "start" in given:
+        climb = np.where(np.isnan(climb), given["end"] - given["start"], climb)
+    return length, duration, climb
+
+
+def _numbers(name: str, values: Any) -> np.ndarray:
+    """Numbers of one column; NaN where a cell is empty."""
+    if isinstance(values, Cells):
+        numbers = to_floats(*values)
+        for place in np.flatnonzero(np.isnan(numbers)):
+            if not is_missing(cell := values.cells[place][:40]):
+                raise InputError(f"{name} holds what is no number, {cell!r} in row {place + 1}")
+        return numbers
+    with as_input_error(f"{name} holds what is no number", TypeError, ValueError, OverflowError):
+        found = np.atleast_1d(np.asarray(values))
+        if found.dtype.kind in "mM":
+            raise InputError(f"{name} holds dates; a plan's are seconds, as of dt.total_seconds()")
+        numbers = np.array(found.tolist(), float)
+    if numbers.ndim > 1:
+        raise InputError(f"{name} has the shape {numbers.shape}; a plan is one trip")
+    return numbers

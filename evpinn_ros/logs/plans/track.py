@@ -1,0 +1,197 @@
+"""Tracks and routes of places: GPX, and lines of GeoJSON.
+
+GPX 1.0 and 1.1 (topografix.com/GPX/1/0 and /1/1): latitude and longitude of `trkpt` and `rtept` in
+degrees, `ele` in m, `time` in UTC as ISO 8601; `speed`, m/s, is a child in 1.0 and, by Garmin's
+TrackPointExtension v2, an extension in 1.1. GeoJSON (RFC 7946): longitude first, then latitude,
+then height in m. Times of its points have no standard. They are read from `coordTimes`
+(tyrasd/togpx) or `times`, beside each other or in `coordinateProperties`
+(mapbox/geojson-coordinate-properties): ISO 8601, s, or ms since 1970; speeds, m/s, from `speeds`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import ParseError, XMLParser
+
+import numpy as np
+import polars as pl
+
+from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, sums
+from evpinn_ros.logs.plans.way import Heights, legs_between, way_length
+
+MILLISECONDS_FROM = 1e11  # as seconds since 1970 it would be the year 5138
+TIMES, SPEEDS = ("coordTimes", "times"), ("speeds",)
+POINTS, DETAILS = ("trkpt", "rtept"), ("ele", "time", "speed")
+MOST_PLACES = 2 * MAX_POINTS  # of a GPX; each takes some 500 bytes, and not all have a time
+PIECE = 1 << 16  # bytes
+DEEPEST = 100  # elements in each other: the parser keeps each that is open
+NEITHER = (
+    "its points have neither times nor speeds: export it with times, or give the route as the "
+    "JSON of its service or as a table of legs"
+)
+
+
+class GeoTrack(NamedTuple):
+    """Points of a track.
+
+    Attributes:
+        place: shape (n, 3), longitude and latitude, degrees, and height, m, NaN where unknown.
+        time: shape (n,), s since anything, NaN where unknown.
+        speed: shape (n,), m/s, NaN where unknown.
+    """
+
+    place: np.ndarray
+    time: np.ndarray
+    speed: np.ndarray
+
+
+def legs_of_track(track: GeoTrack) -> Legs:
+    """Legs from each point that has a time to the next; by the speeds where no point has.
+
+    Raises:
+        PlanError: the points have neither times nor speeds, or are no trip.
+    """
+    place, time, speed = track
+    if len(place) < 2:
+        raise PlanError("it has no line of two points or more")
+    along = way_length(*place[:, :2].T)
+    timed = np.isfinite(time)
+    if timed.sum() > 1:
+        along = along - along[timed.argmax()]
+        return legs_between(time[timed], along[timed], Heights(along, place[:, 2]))
+    if not np.isfinite(speed).all():
+        raise PlanError(NEITHER)
+    length, mean = np.diff(along), (speed[1:] + speed[:-1]) / 2
+    if (stuck := (length > 0) & (mean <= 0)).any():
+        raise PlanError(f"it has no times, and its speed is 0 from point {stuck.argmax()} on")
+    elapsed = sums(length / np.where(length > 0, mean, 1.0))
+    return legs_between(elapsed, along, Heights(along, place[:, 2]))
+
+
+def gpx_track(content: bytes) -> GeoTrack:
+    """The points of a GPX file: of its tracks, or of its routes where no track has times.
+
+    Raises:
+        PlanError: no GPX, or damaged.
+    """
+    reader = _Gpx()
+    parser = XMLParser(target=reader)
+    try:
+        for begin in range(0, len(content), PIECE):  # what is refused ends with its piece
+            parser.feed(content[begin : begin + PIECE])
+        parser.close()
+        found = [_gpx_points(reader.points[kind]) for kind in POINTS]
+    except (ParseError, LookupError, ValueError) as error:  # of an encoding as well
+        raise PlanError(f"its XML is damaged: {error}") from error
+    if not reader.is_gpx:
+        raise PlanError("XML that is no GPX")
+    timed = [track for track in found if np.isfinite(track.time).any()]
+    return next(iter(timed), found[0] if len(found[0].place) else found[1])
+
+
+class _Gpx:
+    """Collector of points while XML is parsed, so that no tree of it fills the memory."""
+
+    def __init__(self) -> None:
+        self.is_gpx = False
+        self.points: dict[str, list[dict[str, str]]] = {kind: [] for kind in POINTS}
+        self._point: dict[str, str] | None = None
+        self._depth = 0
+        self._text: list[str] = []
+
+    def doctype(self, *_: object) -> None:
+        raise PlanError("XML with a DOCTYPE, which may expand without end; no GPX has one")
+
+    def start(self, tag: str, attributes: Mapping[str, str]) -> None:
+        name = _local(tag)
+        self.is_gpx |= name == "gpx"
+        self._text = []
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise PlanError(f"its XML is more than {DEEPEST} elements deep")
+        if name in POINTS:
+            self._point = {"lat": attributes["lat"], "lon": attributes["lon"]}
+            self.points[name].append(self._point)
+            if len(self.points[name]) > MOST_PLACES:
+                raise PlanError(f"more than {MOST_PLACES} points")
+
+    def data(self, text: str) -> None:
+        if self._point is not None:
+            self._text.append(text)
+
+    def end(self, tag: str) -> None:
+        name = _local(tag)
+        self._depth -= 1
+        if name in POINTS:
+            self._point = None
+        elif name in DETAILS and self._point is not None:
+            self._point[name] = "".join(self._text)
+
+
+def _local(tag: str) -> str:
+    """The name of an element without its namespace."""
+    return tag.rpartition("}")[2]
+
+
+def _gpx_points(points: Sequence[Mapping[str, str]]) -> GeoTrack:
+    def numbers(name: str) -> np.ndarray:
+        return np.array([point.get(name, "nan") for point in points], float)
+
+    places = [[point["lon"], point["lat"], point.get("ele", "nan")] for point in points]
+    time = _seconds([point.get("time") for point in points])
+    return GeoTrack(np.array(places, float).reshape(-1, 3), time, numbers("speed"))
+
+
+def geojson_track(data: Mapping[str, Any]) -> GeoTrack:
+    """The points of all lines of a GeoJSON object, in order.
+
+    Raises:
+        PlanError: times or speeds are not as many as the points.
+    """
+    places: list[Sequence[float]] = []
+    times: list[Any] = []
+    speeds: list[Any] = []
+    for line, given in _lines(data):
+        places += [[*point[:3], np.nan][:3] for point in line]
+        for names, found in ((TIMES, times), (SPEEDS, speeds)):
+            values = next((given[name] for name in names if given.get(name)), [None] * len(line))
+            if len(values) != len(line):
+                raise PlanError(f"{len(values)} {names[-1]} for {len(line)} points of a line")
+            found += values
+    place = np.array(places, float).reshape(-1, 3)
+    return GeoTrack(place, _seconds(times), np.array(speeds, float))
+
+
+def _lines(data: Mapping[str, Any]) -> Iterator[tuple[Sequence[Any], Mapping[str, Any]]]:
+    """Each line of places, and what is given for its points."""
+    if data["type"] == "FeatureCollection":
+        for feature in data["features"]:
+            yield from _lines(feature)
+        return
+    geometry = data["geometry"] if data["type"] == "Feature" else data
+    properties = data.get("properties") or {}
+    given = {**properties, **(properties.get("coordinateProperties") or {})}
+    if geometry and geometry["type"] == "LineString":
+        yield geometry["coordinates"], given
+    elif geometry and geometry["type"] == "MultiLineString":
+        for i, line in enumerate(geometry["coordinates"]):
+            yield line, {name: given[name][i] for name in (*TIMES, *SPEEDS) if given.get(name)}
+
+
+def _seconds(times: Sequence[Any]) -> np.ndarray:
+    """Times as s, ms since 1970 or texts of ISO 8601, in UTC where none is named; NaN for None.
+
+    Raises:
+        ValueError: a text that is no time.
+    """
+    if not any(isinstance(time, str) for time in times):
+        numbers = np.array(times, float)
+        return numbers / 1e3 if (np.abs(numbers) > MILLISECONDS_FROM).any() else numbers
+    texts = pl.Series(times, dtype=pl.String).str.strip_chars()
+    zoned = texts.str.replace(r"(T\d\d:\d\d:\d\d(\.\d*)?)$", "${1}Z")
+    micros = zoned.str.to_datetime("%+", time_unit="us", strict=False).to_physical()
+    if (wrong := texts.is_not_null() & micros.is_null()).any():
+        raise ValueError(f"{texts.filter(wrong)[0][:40]!r} is no time of ISO 8601")
+    seconds: np.ndarray = (micros - (micros.min() or 0)).cast(pl.Float64).to_numpy() / 1e6
+    return seconds

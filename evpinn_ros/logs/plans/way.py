@@ -1,0 +1,91 @@
+"""A way from point to point with times, which tracks and routes become before they are legs."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.core.energy.driven import road_height
+from evpinn_ros.core.energy.plan import LONGEST, MAX_SPEED, Legs, PlanError, legs_of_trip, sums
+from evpinn_ros.core.signals.height import AltitudeDetector
+
+FARTHEST = MAX_SPEED * LONGEST  # m that a trip can be long
+EARTH_RADIUS = 6_371_008.8  # m, the mean of WGS 84
+
+
+class Heights(NamedTuple):
+    """Heights along a way: `along`, m from its begin, and `height`, m; shape (m,) each."""
+
+    along: np.ndarray
+    height: np.ndarray
+
+    def climbs(self, distance: np.ndarray) -> np.ndarray | None:
+        """Climb, m, from each of n distances, m, to the next, shape (n - 1,); NaN where unknown.
+
+        None where too few heights are known, which are NaN then. They are smoothed, for those of
+        maps and of GNSS come in steps.
+        """
+        known = np.isfinite(self.height)
+        if known.sum() < 2:
+            return None
+        along = np.clip(self.along[known], 0.0, FARTHEST)
+        middle = (distance[1:] + distance[:-1]) / 2
+        height = plausible_heights(along, self.height[known])
+        climb = np.diff(road_height(along, height, distance))
+        return np.where((middle >= along[0]) & (middle <= along[-1]), climb, np.nan)
+
+
+def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Heights, m, shape (m,), without leaps, as the estimator takes altitudes.
+
+    Args:
+        along: m, not falling, shape (m,).
+        height: measured or of a map, m, shape (m,).
+    """
+    detector, rises = AltitudeDetector(), []
+    for place, altitude in zip(along.tolist(), height.tolist(), strict=True):
+        detector = detector.after(place, altitude)
+        rises.append(0.0 if detector.rise is None else detector.rise.height)
+    found: np.ndarray = height[0] + np.cumsum(rises)
+    return found
+
+
+def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None = None) -> Legs:
+    """Legs from point to point; points of one moment become one.
+
+    Args:
+        time: shape (n,), s, never falling.
+        distance: shape (n,), m, from 0, never falling.
+        heights: of the road.
+
+    Raises:
+        PlanError: the points are no trip.
+    """
+    steps = np.diff(time)
+    if not (np.isfinite(time).all() and (np.abs(distance) <= FARTHEST).all()):
+        raise PlanError(f"a time is not finite, or a distance is above {FARTHEST / 1e3:g} km")
+    if (steps < 0).any():
+        raise PlanError(f"time goes back at point {int(np.argmax(steps < 0)) + 1}")
+    kept = np.flatnonzero(np.concatenate(([True], steps > 0)))
+    if len(kept) < 2:
+        raise PlanError("it takes no time")
+    kept[-1] = len(time) - 1
+    distance = distance[kept]
+    climb = heights.climbs(distance) if heights else None
+    return legs_of_trip(np.diff(distance), np.diff(time[kept]), climb)
+
+
+def way_length(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
+    """Distance along n places, degrees, from the first, m, shape (n,), by great circles.
+
+    Raises:
+        PlanError: a place that is not on Earth.
+    """
+    if not ((np.abs(latitude) <= 90) & (np.abs(longitude) <= 360)).all():
+        raise PlanError("a place of it is not on Earth (longitude and latitude in degrees?)")
+    x, y = np.radians(longitude), np.radians(latitude)
+    across = np.cos(y[1:]) * np.cos(y[:-1]) * np.sin(np.diff(x) / 2) ** 2
+    part = np.sqrt(np.sin(np.diff(y) / 2) ** 2 + across)
+    steps = 2 * EARTH_RADIUS * np.arcsin(np.minimum(part, 1.0))
+    return sums(steps)

@@ -1,0 +1,66 @@
+"""A recorded drive of any kind, as one stream of readings."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.logs.column import Column
+
+STRAGGLING_NS = 10 * NANOSECONDS  # by which readings may be late; further back time began anew
+
+
+class Source(ABC):
+    """A recorded drive.
+
+    Attributes:
+        path: where it lies.
+        dropped: what was not used, by reason; complete once the readings are exhausted.
+        rules: columns of a table that are used, in the order of the file.
+        ignored: names of those that are not, each with the reason.
+        dated: what tells the day of a table: `log`, `name` of the file, "" for nothing; None of
+            what has stamps.
+        zoned: the clock is UTC or names its zone.
+        in_order: False for a table whose rows stood in no order of time, and were sorted.
+    """
+
+    rules: tuple[Column, ...] = ()
+    ignored: Mapping[str, str] = MappingProxyType({})
+    dated: str | None = None
+    zoned = True
+    in_order = True
+
+    def __init__(self, path: Path, log: Source | None = None) -> None:
+        """Nothing was dropped yet; columns and clock are those of the log that it is made of."""
+        self.path = path
+        self.dropped: Counter[str] = Counter()
+        if log is not None:
+            self.rules, self.ignored, self.in_order = log.rules, log.ignored, log.in_order
+            self.dated, self.zoned = log.dated, log.zoned
+
+    @property
+    @abstractmethod
+    def seconds(self) -> float | None:
+        """Length of the drive, s; None where only reading it tells."""
+
+    @property
+    @abstractmethod
+    def problem(self) -> str | None:
+        """Unreadable part, in one line; None while all is well, final when exhausted."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for a person on how it was read; complete once exhausted."""
+        return ()
+
+    @abstractmethod
+    def readings(self) -> Iterator[Reading]:
+        """The readings in recorded order, up to where the drive can be read.
+
+        Raises:
+            InputError: there is none in it.
+        """

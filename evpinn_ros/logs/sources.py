@@ -1,0 +1,73 @@
+"""Opens recorded drives: bags, CAN logs and tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from evpinn_ros.bags.names import is_bag
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.logs.formats import (
+    CONVERTERS,
+    TABLE_SUFFIXES,
+    TEXT_SUFFIXES,
+    is_drive_table,
+    suffix_of,
+)
+from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.logs.source import Source
+from evpinn_ros.logs.text_table import ConvertedTable, TextTable
+
+if TYPE_CHECKING:
+    from evpinn_ros.logs.table_drive import TableDrive
+
+NOMINAL_VOLTAGE = 350.0  # V, of a car that is not known
+
+
+def open_source(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAULTS) -> Source:
+    """Open a recorded drive of any kind, of a vehicle.
+
+    Raises:
+        InputError: no such file, no kind known, a CAN log without a profile, or several cars of
+            which none is chosen.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if is_drive_table(path):
+        return open_drive(path, vehicle.nominal_voltage, options)
+    # What reads bags and buses takes a while to import: no other drive waits for it.
+    if is_bag(path):
+        from evpinn_ros.logs.bag_source import bag_of_topics
+
+        if (bag := bag_of_topics(path, options)) is not None:
+            return bag
+    from evpinn_ros.logs.bus_sources import open_bus_source
+
+    return open_bus_source(path, vehicle, options)
+
+
+def open_drive(
+    path: Path,
+    nominal_voltage: float = NOMINAL_VOLTAGE,
+    options: ReadOptions = READ_DEFAULTS,
+) -> TableDrive:
+    """Open a table of a drive: CSV and the like, a spreadsheet, Parquet, signals of an .mf4.
+
+    Power alone becomes current at `nominal_voltage`, V.
+
+    Raises:
+        InputError: it cannot be read, or holds no drive.
+    """
+    # polars takes a quarter of a second: whoever opens no table does not wait for it.
+    from evpinn_ros.logs.table_drive import TableDrive
+
+    path = Path(path)
+    suffix = suffix_of(path)
+    if path.suffix.lower() == ".gz" and suffix not in TEXT_SUFFIXES:
+        raise InputError(f"{path}: unpack it first")
+    if suffix not in TABLE_SUFFIXES:
+        raise InputError(f"{path}: no table of a drive; known are {', '.join(TABLE_SUFFIXES)}")
+    apart = CONVERTERS.get(suffix)
+    table = TextTable(path) if apart is None else ConvertedTable(path, apart)
+    return TableDrive(table, path, nominal_voltage, options)

@@ -1,0 +1,299 @@
+"""A look through a whole table before it is read: header, widths of rows, some cells.
+
+A log may come without a header, because it continues a full one: some apps are known by their
+cells. A table with one value a row (time, name of the signal, value, unit) is read as a wide
+one: Car Scanner's "All in one" export is `SECONDS;PID;VALUE;UNITS;LATITUDE;LONGTITUDE`, its
+seconds counted from midnight and on over the next one, every cell quoted, each line with a
+separator at its end, the names in the language of the phone (as its readers say: obd2_viewer's
+data structure document, the tests of `car_scanner.dart`).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import islice
+from typing import Protocol
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.logs.apps import ANNOTATIONS, layout_of
+from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of
+from evpinn_ros.logs.quantities import QUANTITIES, known_unit, may_be_of_use, score
+from evpinn_ros.logs.text_table import Row
+
+# The columns of a table with one value a row.
+NAMES = (
+    *("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item"),
+    *("variable", "_field"),  # of pandas' melt and of InfluxDB
+)
+VALUES = ("value", "reading", "wert", "val", "_value")
+UNITS = ("units", "unit", "einheit")
+HEADER_WITHIN = 60  # rows
+LEAST_SHARE = 0.02  # of rows that are wider than the header: an app that was updated
+NARROW_SHARE = 0.05  # of narrower ones, which leave out empty cells at the end
+ROWS_THAT_TELL = 2000  # whether a table can be read at all
+MOST_CELLS = 500_000  # kept
+MOST_ROWS = 300_000  # looked at: eight hours at 10 Hz
+
+MOST_SIGNALS = 10_000
+
+
+class Table(Protocol):
+    """Rows of cells, which can be gone through again."""
+
+    @property
+    def torn(self) -> int:
+        """Lines that are no row; complete after `rows`."""
+
+    def rows(self) -> Iterator[Row]:
+        """Every row that is not blank, header and all; InputError where it breaks off."""
+
+    def last_row(self) -> list[str]:
+        """The cells of the last row, none where it is not known without reading all."""
+
+
+@dataclass(slots=True)
+class Head:
+    """The header of a table."""
+
+    names: list[str]  # of the columns
+    row: int  # its number; data begin below it
+    comments: list[str] = field(default_factory=list)  # the lines before it
+
+
+def find_head(table: Table) -> Head:
+    """The first row whose cells are names of ours, a row of units below it joined in.
+
+    A log without header that a known app wrote has that of the app.
+
+    Raises:
+        InputError: the table is empty or cannot be read.
+    """
+    rows = list(islice(table.rows(), HEADER_WITHIN))
+    if not rows:
+        raise InputError("the file is empty")
+    place = next((i for i, (_, row) in enumerate(rows) if _names_some(row)), None)
+    if place is None:
+        layouts = (layout_of(row) for _, row in rows)
+        if names := next(filter(None, layouts), None):
+            return Head(names, rows[0][0] - 1)
+        place = 0
+    number, row = rows[place]
+    names = [name.strip().strip("\ufeff") for name in row]
+    comments = [",".join(cells) for _, cells in rows[:place]]
+    if place + 1 < len(rows) and (units := _units_row(names, rows[place + 1][1])):
+        number = rows[place + 1][0]
+        names = [
+            f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)
+        ]
+    return Head(names, number, comments)
+
+
+def long_form(head: Head) -> tuple[int, int, int | None] | None:
+    """The columns of names, values and units of a long table; None where it is none."""
+    names = [name.strip().lower() for name in head.names]
+
+    def place(known: Sequence[str]) -> int | None:
+        return next((names.index(each) for each in known if each in names), None)
+
+    name, value = place(NAMES), place(VALUES)
+    if name is None or value is None or name == value:
+        return None
+    return name, value, place(UNITS)
+
+
+def _names_some(row: Sequence[str]) -> bool:
+    """True if two cells of a row or more are names of quantities."""
+    if row[0] in ANNOTATIONS:
+        return False
+    names = [cell.strip() for cell in row if 0 < len(cell) < 100]
+    names = [name for name in names if not name[:1].isdigit()][:1000]
+    found = {
+        quantity
+        for quantity, known in QUANTITIES.items()
+        for name in names
+        if name == known.column or score(quantity, name) > 0
+    }
+    return len(found) >= 2 or ("time" in found and long_form(Head(names, 0)) is not None)
+
+
+def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:
+    """The units of a row that holds nothing else; empty when it does."""
+    cells = [cell.strip().strip("[]()") for cell in row]
+    if len(cells) != len(names) or any(
+        character.isdigit() for cell in cells for character in cell
+    ):
+        return []
+    units = {
+        i
+        for i, cell in enumerate(cells)
+        for quantity in QUANTITIES
+        if cell and score(quantity, names[i]) > 0 and known_unit(quantity, cell.lower())
+    }
+    return cells if len(units) >= 2 else []
+
+
+@dataclass
+class Survey:
+    """Survey of a table."""
+
+    cells: dict[int, list[str]]  # of each wanted column, in the order of the file, thinned evenly
+    widths: Counter[int]  # how many rows have so many cells
+    width: int  # of the header
+    empty: frozenset[int] = frozenset()  # places of columns without a cell in the rows looked at
+
+    @cached_property
+    def styles(self) -> dict[int, Style]:
+        """Number style of each wanted column; an undecided one takes that of the others."""
+        found = {place: style_of(cells) for place, cells in self.cells.items()}
+        given = Counter(style for style in found.values() if style is not None)
+        common = given.most_common(1)[0][0] if given else POINT
+        return {
+            place: style or style_of(self.cells[place], common) or common
+            for place, style in found.items()
+        }
+
+    def put_in_order(self, rows: Sequence[int]) -> None:
+        """Let the rows that were kept follow each other like this, by their places."""
+        for column in self.cells.values():
+            column[:] = [column[row] for row in rows]
+
+    def is_whole(self, width: int) -> bool:
+        """True if a row of so many cells is one of this table and not torn."""
+        if width == self.width:
+            return True
+        least, share = (3, LEAST_SHARE) if width > self.width else (10, NARROW_SHARE)
+        return self.widths[width] >= max(least, share * self.widths.total())
+
+
+def look_through(
+    table: Table,
+    head: Head,
+    wanted: Sequence[int],
+    early: Callable[[Survey], object],
+    limit: int = MOST_ROWS,
+) -> Survey:
+    """Keep the cells of the wanted columns, every k-th row of a long table.
+
+    `early` is called after some rows; it may raise, so that a bomb is not read to its end. `limit`
+    is how many rows are looked at.
+    """
+    widths: Counter[int] = Counter()
+    kept: list[tuple[str, ...]] = []
+    most = max(1000, MOST_CELLS // max(1, len(wanted)))
+    stride = 1
+    empty = set(range(len(head.names)))
+
+    def seen() -> Survey:
+        columns = list(zip(*kept, strict=True)) if kept else [()] * len(wanted)
+        cells = {place: list(column) for place, column in zip(wanted, columns, strict=True)}
+        return Survey(cells, widths, len(head.names), frozenset(empty))
+
+    looked = islice(data_rows(table, head), limit)
+    for index, (_, row) in enumerate(until_broken(looked)):
+        width = len(row)
+        widths[width] += 1
+        if empty:
+            empty -= {at for at in empty if at < width and not is_missing(row[at])}
+        if index == ROWS_THAT_TELL:
+            early(seen())
+        if index % stride:
+            continue
+        kept.append(tuple(row[i] if i < width else "" for i in wanted))
+        if len(kept) > most:
+            kept, stride = kept[::2], 2 * stride
+    return seen()
+
+
+def until_broken(rows: Iterator[Row]) -> Iterator[Row]:
+    """The rows up to where the file breaks off, which is reported on reading."""
+    with suppress(InputError):
+        yield from rows
+
+
+def data_rows(table: Table, head: Head) -> Iterator[Row]:
+    """The rows below the header, without comments and further headers."""
+    again = head.names[:5]  # an app that was restarted writes its header again
+    first, begin = head.names[0], head.row
+    for number, row in table.rows():
+        cell = row[0]
+        if number <= begin or cell[:1] == "#":
+            continue
+        if cell.strip() == first and [each.strip() for each in row[:5]] == again:
+            continue
+        yield number, row
+
+
+class LongTable:
+    """A long table as a wide one, with the columns that may be of use; one value a row.
+
+    Attributes:
+        others: names of signals that have no column.
+    """
+
+    def __init__(self, table: Table, head: Head, places: tuple[int, int, int | None]) -> None:
+        """Find all signals: one pass over the table.
+
+        `places` are those of the columns of names, values and units.
+        """
+        self._table, self._head = table, head
+        self._name, self._value, self._unit = places
+        self._last = max(place for place in places if place is not None)
+        self._narrow = 0
+        self._time = [i for i, name in enumerate(head.names) if score("time", name) > 0]
+        self._columns: dict[tuple[str, str], int] = {}
+        self.others: list[str] = []
+        self._names = [head.names[i] for i in self._time]
+        self._find()
+
+    @property
+    def torn(self) -> int:
+        """Lines that are no row."""
+        return self._narrow + self._table.torn
+
+    def rows(self) -> Iterator[Row]:
+        """The header, then a row for each value of a signal that has a column."""
+        yield self._head.row, self._names
+        width = len(self._names)
+        self._narrow = 0
+        for number, row in self._table.rows():
+            if number <= self._head.row:
+                continue
+            if len(row) <= self._last:
+                self._narrow += 1
+                continue
+            place = self._columns.get((row[self._name], self._unit_of(row)))
+            if place is None:
+                continue
+            cells = [""] * width
+            for at, time in enumerate(self._time):
+                cells[at] = row[time] if time < len(row) else ""
+            cells[place] = row[self._value]
+            yield number, cells
+
+    def last_row(self) -> list[str]:
+        """The times of the last row, none where the table does not show it."""
+        row = self._table.last_row()
+        return [row[time] for time in self._time if time < len(row)]
+
+    def _find(self) -> None:
+        seen: set[tuple[str, str]] = set()
+        for number, row in until_broken(self._table.rows()):
+            if number <= self._head.row or len(row) <= self._last:
+                continue
+            key = row[self._name], self._unit_of(row)
+            if key in seen or len(seen) >= MOST_SIGNALS:
+                continue
+            seen.add(key)
+            name, unit = key[0].strip(), key[1].strip()
+            if may_be_of_use(name):
+                self._columns[key] = len(self._names)
+                self._names.append(f"{name} ({unit})" if unit else name)
+            else:
+                self.others.append(name)
+
+    def _unit_of(self, row: Sequence[str]) -> str:
+        return row[self._unit] if self._unit is not None else ""

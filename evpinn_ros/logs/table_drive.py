@@ -1,0 +1,443 @@
+"""A drive in a table: which column is what, and the readings of its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+import math
+from pathlib import Path
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.readings import DRIVE_START_NS, NANOSECONDS, Reading
+from evpinn_ros.logs.cars import table_of_car
+from evpinn_ros.logs.clock import LAST_TIME_NS, NONE, Clock, Order
+from evpinn_ros.logs.clock_choice import RELATIVE_BELOW_S, clocks_of
+from evpinn_ros.logs.clock_start import (
+    day_of_name,
+    days_of_name,
+    start_by_date,
+    start_of_comments,
+)
+from evpinn_ros.logs.column import NO_USE, Column, check_columns, columns_by_name, unused_columns
+from evpinn_ros.logs.numbers import is_missing, to_floats
+from evpinn_ros.logs.quantities import NEEDED, PLACES, QUANTITIES, Unit
+from evpinn_ros.logs.read_options import ReadOptions
+from evpinn_ros.logs.rows_to_readings import MOST, HeldSignals, RowOrder, RowReadings
+from evpinn_ros.logs.source import Source
+from evpinn_ros.logs.survey import (
+    MOST_ROWS,
+    LongTable,
+    Survey,
+    Table,
+    data_rows,
+    find_head,
+    long_form,
+    look_through,
+)
+from evpinn_ros.logs.text_table import Row
+from evpinn_ros.logs.values import (
+    Signal,
+    contradictions,
+    held_columns,
+    power_beside,
+    stands_still,
+    with_units,
+)
+
+if TYPE_CHECKING:
+    from evpinn_ros.logs.terrain import Terrain
+
+BATCH, BATCH_CELLS = 16_384, 500_000  # rows, and cells of them, converted at once
+FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed
+
+Stamps = NDArray[np.int64]
+Batch = tuple[Row, ...]
+Numbers = dict[str, NDArray[np.float64]]
+Block = tuple[Stamps, Numbers]  # times of some rows, and their values, SI
+
+
+class TableDrive(Source):
+    """A table of a drive.
+
+    Attributes:
+        clock: how the time is read.
+        rows: below the header that were read, and `used`, those that gave a reading; both
+            complete once the readings are exhausted.
+        first_bad: the first cell that could not be read, with the way to mend it.
+    """
+
+    problem: str | None = None
+
+    def __init__(
+        self,
+        table: Table,
+        path: Path,
+        nominal_voltage: float,
+        options: ReadOptions,
+    ) -> None:
+        """Look through the table.
+
+        The path is for messages, and a date in its name. Power alone becomes current at
+        `nominal_voltage`, V.
+
+        Raises:
+            InputError: empty, columns are missing, a choice is wrong, a unit is not known, or it
+                is of several cars.
+        """
+        super().__init__(path)
+        self._terrain = options.terrain
+        self._nominal_voltage = nominal_voltage
+        self._at_nominal_voltage = 0
+        self._no_speed = False  # zero throughout while the odometer goes on, so it is not used
+        self.rows = self.used = 0
+        self.first_bad: str | None = None
+        try:
+            self._head = find_head(table)
+            self._table = table_of_car(table, self._head, options.car)
+            self._long: LongTable | None = None
+            if places := long_form(self._head):
+                self._table = self._long = LongTable(self._table, self._head, places)
+                self._head = find_head(self._table)
+            header = self._head.names
+            found = columns_by_name(header, options.columns)
+            check_columns(found, header, battery=options.battery)
+            self._beside = power_beside(header, found)
+        except InputError as error:
+            text = str(error)
+            raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
+        own = all(not column.why and column.is_ours for column in found)
+        limit = FEW_ROWS if own else MOST_ROWS
+        if self._long is not None:  # one signal may come after the other
+            limit = sys.maxsize
+        survey = self._look_through(found, limit)
+        filled = _filled(found, survey, header, options.columns)
+        if filled != found:
+            found, survey = filled, self._look_through(filled, limit)
+        self._looked_at_all = survey.widths.total() < limit
+        self._survey = survey
+        self.clock, *clocks = self._clocks(found, survey)
+        self.zoned = self.clock.zoned
+        self.in_order = self.clock.order is not Order.SHUFFLED
+        stamps = self.clock.stamps(survey.cells)
+        if self.clock.order is not Order.OLDEST_FIRST:
+            rows = self.clock.order.rows(stamps)
+            stamps = stamps[rows]
+            survey.put_in_order(rows.tolist())
+        self._contradictions: tuple[str, ...] = ()
+        self.rules = self._ruled(found, own, stamps)
+        self.ignored = unused_columns(header, self.rules, self.clock.columns, survey.empty)
+        if self._long is not None:
+            self.ignored |= dict.fromkeys(self._long.others, NO_USE)
+        self._start_ns, self.dated = self._start(clocks, stamps)
+
+    @property
+    def seconds(self) -> float | None:
+        """Time from the first row to the last, s; None where only reading it tells."""
+        clock, cells = self.clock, self._survey.cells
+        if not self._looked_at_all:
+            ends_last = self.in_order and not clock.begins_anew
+            last = self._table.last_row() if ends_last else []
+            if max(clock.columns) >= len(last):
+                return None
+            # Of the file; what was kept is turned.
+            first = -1 if clock.order is Order.NEWEST_FIRST else 0
+            cells = {place: [cells[place][first], last[place]] for place in clock.columns}
+        ends = clock.running().add(clock.stamps(cells))
+        there = ends[ends != NONE]
+        return abs(int(there[-1]) - int(there[0])) / NANOSECONDS if there.size > 1 else None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for a person on how it was read; complete once exhausted."""
+        notes = [*self._contradictions]
+        if not self.in_order:
+            notes.append("rows stand in no order of time, so they were sorted by it")
+        if self._held:
+            names = " and ".join(sorted(self._held))
+            notes.append(f"{names}: cells that repeat the last value are not used")
+        if self._no_speed:
+            notes.append("speed is always 0 while the odometer counts up, so it is not used")
+        if self._at_nominal_voltage:
+            notes.append(
+                f"{self._at_nominal_voltage} battery readings have power only; their voltage is "
+                f"assumed to be the nominal {self._nominal_voltage:g} V"
+            )
+        return (*notes, self.first_bad) if self.first_bad else tuple(notes)
+
+    def readings(self) -> Iterator[Reading]:
+        """The readings in order of time, up to where the file can be read.
+
+        An empty cell makes none.
+
+        Raises:
+            InputError: there is none in it.
+        """
+        begun, self.problem = False, None
+        try:
+            for reading in self._readings():
+                begun = True
+                yield reading
+        except InputError as error:
+            if not begun:
+                raise
+            self.problem = str(error)
+        if not begun:
+            reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.dropped.items()))
+            nothing = f"{self.path}: no reading in it; dropped: {reasons or 'nothing'}"
+            raise InputError(self.first_bad or nothing)
+
+    def _look_through(self, found: Sequence[Column], limit: int) -> Survey:
+        """Cells of these columns."""
+        return look_through(
+            self._table,
+            self._head,
+            sorted({column.place for column in (*found, *filter(None, [self._beside]))}),
+            early=partial(self._clocks, found),
+            limit=limit,
+        )
+
+    def _clocks(self, found: Sequence[Column], survey: Survey) -> list[Clock]:
+        """The clocks of the table, the best first; InputError when no time can be read."""
+        days = days_of_name(self.path.name)
+        clocks = clocks_of(found, survey, days)
+        if not clocks:
+            raise InputError(f"{self.path}: {_no_time(found, survey)}")
+        return clocks
+
+    def _readings(self) -> Iterator[Reading]:
+        self.dropped.clear()
+        self.rows = self.used = 0
+        self.first_bad = None
+        order = RowOrder()
+        makers = RowReadings(self.rules, self._nominal_voltage, self.dropped)
+        held = HeldSignals(self._held)
+        for stamps, values in self._blocks():
+            there = stamps != NONE
+            stamps = np.where(there, stamps, 0) + self._start_ns
+            late = there & ((stamps >= LAST_TIME_NS) | (stamps <= 0))
+            self.dropped["time_out_of_range"] += int(late.sum())
+            if self._no_speed:
+                self.dropped["speed_stands_still"] += int(np.isfinite(values["speed"]).sum())
+                values["speed"][:] = math.nan
+            rows = order.sorted(stamps, np.flatnonzero(there & ~late))
+            held.drop_repeats(stamps, values, rows)
+            yield from makers.readings(stamps, values, rows)
+        self.used, self._at_nominal_voltage = makers.used, makers.at_nominal_voltage
+        self.rows += self._table.torn
+        self.dropped["time_not_increasing"] += order.dropped
+        self.dropped["wrong_number_of_cells"] += self._table.torn
+        for reason in [reason for reason, count in self.dropped.items() if not count]:
+            del self.dropped[reason]
+
+    def _blocks(self) -> Iterator[Block]:
+        """Times by the clock, which run on, and numbers of whole rows, some thousand at a time.
+
+        What a broken file still gives comes before the error.
+        """
+        broken: list[InputError] = []
+        running = self.clock.running()
+        batches = _batches(self._until_broken(broken))
+        places = self.clock.columns
+        timed = ((b, self.clock.stamps({i: _cells(b, i) for i in places})) for b in batches)
+        blocks = ((stamps, self._values(batch, stamps)) for batch, stamps in timed)
+        for stamps, values in _oldest_first(blocks, self.clock.order):
+            yield running.add(stamps), values
+        if broken:
+            raise broken[0]
+
+    def _values(self, batch: Batch, stamps: Stamps) -> Numbers:
+        """SI values of the quantities that are used; cells without a time are counted."""
+        self._count_times(batch, stamps)
+        values = {
+            rule.quantity: self._numbers(batch, rule)
+            for rule in self.rules
+            if rule.quantity not in ("time", "odometer")
+        }
+        if self._terrain is not None and values.keys() >= set(PLACES):
+            heights = _heights(self._terrain, *(values[each] for each in PLACES))
+            recorded = values.get("elevation", heights)  # which stay where no tile knows better
+            values["elevation"] = np.where(np.isnan(heights), recorded, heights)
+        return values
+
+    def _until_broken(self, broken: list[InputError]) -> Iterator[Row]:
+        """Rows that are whole; the error that ends the file goes to `broken`."""
+        known: dict[int, bool] = {}
+        try:
+            for number, row in data_rows(self._table, self._head):
+                self.rows += 1
+                width = len(row)
+                if width not in known:
+                    known[width] = self._survey.is_whole(width)
+                if known[width]:
+                    yield number, row
+                else:
+                    self.dropped["wrong_number_of_cells"] += 1
+        except InputError as error:
+            broken.append(error)
+
+    def _numbers(self, batch: Batch, rule: Column) -> NDArray[np.float64]:
+        """SI values of a column; NaN where there is none."""
+        values = to_floats(_cells(batch, rule.place), self._survey.styles[rule.place])
+        self._count_bad(batch, rule, ~np.isfinite(values), "is no number")
+        values = values * rule.factor + rule.offset
+        values[~(np.abs(values) < MOST)] = math.nan
+        return values
+
+    def _count_times(self, batch: Batch, stamps: Stamps) -> None:
+        place = self.clock.columns[0]
+        bad = stamps == NONE
+        self.dropped["no_time"] += int(bad.sum())
+        time = Column("time", self._head.names[place], place=place)
+        self._count_bad(batch, time, bad, "is no time like the others")
+
+    def _count_bad(self, batch: Batch, rule: Column, bad: NDArray[np.bool_], what: str) -> None:
+        """Count the bad cells of a column that are not just missing, and quote the first."""
+        for i in np.flatnonzero(bad):
+            line, row = batch[i]
+            cell = row[rule.place] if rule.place < len(row) else ""
+            if is_missing(cell):
+                continue
+            self.dropped[f"{QUANTITIES[rule.quantity].column}_not_a_number"] += 1
+            if self.first_bad is None:
+                self.first_bad = (
+                    f"{self.path}:{line}: column {rule.name!r}: {cell[:40]!r} {what}; "
+                    f"--column {rule.quantity}=NAME takes another column"
+                )
+
+    def _ruled(self, found: Sequence[Column], own: bool, stamps: Stamps) -> tuple[Column, ...]:
+        """The columns with units and signs, in the order of the file."""
+        clock, header = self.clock, self._head.names
+        time = Column("time", header[clock.columns[0]], place=clock.columns[0])
+        if not time.is_ours:
+            given = any(each.quantity == "time" and each.why == "as given" for each in found)
+            meant = QUANTITIES["time"].units.get(clock.unit, Unit(1.0))
+            why = "as given" if given else clock.why or "by its values"
+            time = time.measured_in(clock.unit or clock.kind, meant, why)
+        used = {column.quantity: column for column in found if column.quantity != "time"}
+        times = _seconds(clock.running().add(stamps))
+        beside = {"power": self._beside} if self._beside else {}
+        signals = {name: self._signal(each, times) for name, each in {**used, **beside}.items()}
+        if not own:
+            used = with_units(used, signals)
+            self._no_speed = stands_still(used, signals)
+        self._held = held_columns(signals)
+        self._contradictions = tuple(contradictions({**used, **beside}, signals))
+        return tuple(sorted([time, *used.values()], key=lambda column: column.place))
+
+    def _signal(self, column: Column, times: NDArray[np.float64]) -> Signal:
+        """The cells of a column that were looked at, in the file's unit."""
+        survey, place = self._survey, column.place
+        return Signal(times, to_floats(survey.cells[place], survey.styles[place]))
+
+    def _start(self, others: Sequence[Clock], stamps: Stamps) -> tuple[int, str]:
+        """Offset to add to the times of the clock, ns, and the source of the date."""
+        clock, known = self.clock, stamps[stamps != NONE]
+        first = int(known[0]) if known.size else NONE
+        if clock.dated or first >= RELATIVE_BELOW_S * NANOSECONDS:
+            return 0, "log"
+        if dated := start_by_date(clock, others, self._survey):
+            self.zoned = dated[1].zoned
+            return dated[0], "log"
+        # A time of day, or seconds since midnight as Car Scanner's long form has them.
+        day = day_of_name(self.path.name, first, certain=clock.kind == "time of day")
+        if day is not None:
+            return day, "name"
+        started = start_of_comments(self._head.comments)
+        if started is not None and clock.kind == "number":
+            return started - first, "log"
+        return DRIVE_START_NS, ""
+
+
+def _filled(
+    found: list[Column], survey: Survey, header: Sequence[str], chosen: Sequence[str]
+) -> list[Column]:
+    """The columns without guessed ones that have no cell; others of their quantity come instead.
+
+    What a drive needs stays, for it is missed by name later.
+    """
+    empty = {
+        column.place
+        for column in found
+        if column.why != "as given" and not column.is_ours and column.place in survey.empty
+    }
+    others = columns_by_name(header, chosen, empty) if empty else found
+    lost = {column.quantity for column in found} - {column.quantity for column in others}
+    return found if lost & NEEDED else others
+
+
+def _heights(
+    terrain: Terrain, latitude: NDArray[np.float64], longitude: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Heights of the ground where the place is new, m; of a place in two rows at the second."""
+    new = np.isfinite(latitude) | np.isfinite(longitude)
+    place = [_held(each)[new] for each in (latitude, longitude)]
+    heights = np.full(latitude.shape, np.nan)
+    heights[new] = terrain.heights(*place)
+    return heights
+
+
+def _held(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each value until the next."""
+    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))
+    return np.asarray(values[last])
+
+
+def _batches(rows: Iterator[Row]) -> Iterator[Batch]:
+    """Rows in batches of so many rows or cells."""
+    batch: list[Row] = []
+    cells = 0
+    for row in rows:
+        batch.append(row)
+        cells += len(row[1])
+        if len(batch) == BATCH or cells > BATCH_CELLS:
+            yield tuple(batch)
+            batch, cells = [], 0
+    if batch:
+        yield tuple(batch)
+
+
+def _oldest_first(blocks: Iterator[Block], order: Order) -> Iterator[Block]:
+    """Blocks in order of time; in any other order all numbers are held, though no text."""
+    if order is Order.OLDEST_FIRST:
+        yield from blocks
+        return
+    if order is Order.NEWEST_FIRST:  # times of a day may begin anew, so they are not sorted
+        for stamps, values in reversed(list(blocks)):
+            yield stamps[::-1], {name: each[::-1] for name, each in values.items()}
+        return
+    held = list(blocks)
+    stamps = np.concatenate([each for each, _ in held] or [np.empty(0, np.int64)])
+    names = held[0][1] if held else {}
+    values = {name: np.concatenate([each[name] for _, each in held]) for name in names}
+    del held
+    rows = order.rows(stamps)
+    for begin in range(0, rows.size, BATCH):
+        block = rows[begin : begin + BATCH]
+        yield stamps[block], {name: each[block] for name, each in values.items()}
+
+
+def _cells(batch: Batch, place: int) -> list[str]:
+    return [row[place] if place < len(row) else "" for _, row in batch]
+
+
+def _seconds(stamps: Stamps) -> NDArray[np.float64]:
+    """Times since the first one that is known, s; NaN where there is none."""
+    there = stamps != NONE
+    first = int(stamps[there.argmax()]) if there.any() else 0
+    return np.where(there, (stamps - first) / NANOSECONDS, math.nan)
+
+
+def _no_time(found: Sequence[Column], survey: Survey) -> str:
+    column = next(column for column in found if column.quantity == "time")
+    cell = next((cell for cell in survey.cells[column.place] if not is_missing(cell)), "")
+    if not survey.widths.total():
+        return "no row below the header"
+    return (
+        f"column {column.name!r}: {cell[:40]!r} is no time that is known; "
+        "say --column time=NAME or time=NAME:s"
+    )

@@ -1,0 +1,186 @@
+"""Heights of the ground by place, from tiles of elevation that the user has.
+
+A tile of SRTM (`N48E011.hgt`) holds one degree of latitude and longitude as big-endian 16-bit
+metres, in rows from north to south, with the last row and column those of the next tile: 1201 x
+1201 of three, or 3601 x 3601 of one arc second ("SRTM Topography", USGS). A GeoTIFF may have any
+extent and projection; GDAL reads it apart (`common.apart`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from functools import lru_cache
+from importlib.util import find_spec
+import math
+from pathlib import Path
+import re
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evpinn_ros.common.apart import run_apart
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.opener import open_file, open_unpacked
+from evpinn_ros.core.signals.readings import AltitudeReading, Reading
+
+with suppress(ImportError):  # at once, for the process is limited from what it took until then
+    import rasterio  # noqa: F401
+
+_NAME = re.compile(r"([NS])(\d\d)([EW])(\d\d\d)\.hgt(?:\.gz)?", re.IGNORECASE)
+_GEOTIFF = (".tif", ".tiff")
+TILES_KEPT = 16
+_SIDES = (1201, 3601)  # samples
+_VOID = -32768
+MOST_HEIGHTS = 200_000_000  # of a GeoTIFF: 14 000 x 14 000
+
+FloatArray = NDArray[np.float64]
+
+
+class Terrain:
+    """Heights of the tiles in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        """Look for tiles; InputError where there is none, or a GeoTIFF cannot be read."""
+        self._paths: dict[tuple[int, int], Path] = {}
+        with as_input_error(folder):
+            paths = sorted(folder.iterdir())
+        for path in paths:
+            if match := _NAME.fullmatch(path.name):
+                south = int(match[2]) * (1 if match[1].upper() == "N" else -1)
+                west = int(match[4]) * (1 if match[3].upper() == "E" else -1)
+                self._paths[south, west] = path
+        self._hgt = lru_cache(TILES_KEPT)(read_hgt)
+        tiffs = [path for path in paths if path.suffix.lower() in _GEOTIFF]
+        if not self._paths and not tiffs:
+            raise InputError(
+                f"{folder}: no tile of elevation, as N48E011.hgt, N48E011.hgt.gz or a GeoTIFF"
+            )
+        if tiffs and find_spec("rasterio") is None:
+            raise InputError(
+                f"{tiffs[0]}: a GeoTIFF needs rasterio: pip install 'evpinn_ros[elevation]'"
+            )
+        self._folder = TemporaryDirectory()  # lasts as long as the grids
+        self._grids = [read_geotiff(path, Path(self._folder.name)) for path in tiffs]
+
+    def heights(self, latitude: FloatArray, longitude: FloatArray) -> FloatArray:
+        """Heights at n places, m, NaN where no tile has one; shape (n,) like the degrees given.
+
+        Raises:
+            InputError: a tile cannot be read.
+        """
+        found = np.full(latitude.shape, np.nan)
+        known = np.isfinite(latitude) & np.isfinite(longitude)
+        corners = np.floor(np.column_stack((latitude, longitude))[known]).astype(int)
+        for south, west in np.unique(corners, axis=0).tolist():
+            path = self._paths.get((south, west))
+            if path is None:
+                continue
+            here = known & (np.floor(latitude) == south) & (np.floor(longitude) == west)
+            found[here] = self._hgt(path, south, west).at(latitude[here], longitude[here])
+        for grid in self._grids:
+            left = known & np.isnan(found)
+            found[left] = grid.at(latitude[left], longitude[left])
+        return found
+
+    def on(self, readings: Iterator[Reading]) -> Iterator[Reading]:
+        """Readings whose altitudes are those of the ground at their place, where that is known."""
+        for reading in readings:
+            if isinstance(reading, AltitudeReading):
+                place = np.array([reading.latitude]), np.array([reading.longitude])
+                height = float(self.heights(*place)[0])
+                yield reading if math.isnan(height) else replace(reading, altitude=height)
+            else:
+                yield reading
+
+
+class HeightGrid(NamedTuple):
+    """Heights at the crossings of parallels and meridians.
+
+    Attributes:
+        heights: m, rows from north to south, columns from west to east; NaN or `_VOID` unknown.
+        north: latitude of the first row, degrees.
+        west: longitude of the first column, degrees.
+        steps: between rows and between columns, degrees, both above zero.
+    """
+
+    heights: NDArray[np.generic]
+    north: float
+    west: float
+    steps: tuple[float, float]
+
+    def at(self, latitude: FloatArray, longitude: FloatArray) -> FloatArray:
+        """Bilinear heights at n places, m, NaN where there is none; shape (n,).
+
+        Cells reach half a step beyond the outermost samples.
+        """
+        found = np.full(latitude.shape, np.nan)
+        rows, columns = self.heights.shape
+        row, column = (
+            (self.north - latitude) / self.steps[0],
+            (longitude - self.west) / self.steps[1],
+        )
+        inside = (row >= -0.5) & (row <= rows - 0.5) & (column >= -0.5) & (column <= columns - 0.5)
+        row = np.clip(row[inside], 0, rows - 1)
+        column = np.clip(column[inside], 0, columns - 1)
+        i, j = np.minimum(row.astype(int), rows - 2), np.minimum(column.astype(int), columns - 2)
+        down, right = row - i, column - j
+        corners = [self.heights[i + m, j + n].astype(float) for m in (0, 1) for n in (0, 1)]
+        values = np.array(corners)
+        values[values == _VOID] = np.nan
+        weights = np.array([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right)])
+        found[inside] = (np.vstack((weights, down * right)) * values).sum(0)
+        return found
+
+
+def read_hgt(path: Path, south: int, west: int) -> HeightGrid:
+    """Heights of a tile of SRTM; its name tells the corner, degrees.
+
+    Raises:
+        InputError: it cannot be read, or is no such tile.
+    """
+    with as_input_error(path, EOFError), open_unpacked(path) as file:
+        data = file.read(2 * max(_SIDES) ** 2 + 1)
+    side = math.isqrt(len(data) // 2)
+    if side not in _SIDES or 2 * side**2 != len(data):
+        raise InputError(f"{path}: no tile of 1201 x 1201 or 3601 x 3601 heights")
+    step = 1.0 / (side - 1)
+    heights = np.frombuffer(data, ">i2").reshape(side, side)
+    return HeightGrid(heights, south + 1.0, float(west), (step, step))
+
+
+def read_geotiff(path: Path, folder: Path) -> HeightGrid:
+    """Heights of a GeoTIFF, which stay in a file of the folder as long as the grid is used.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    heights, place = folder / f"{path.name}.npy", folder / f"{path.name}.place.npy"
+    if failed := run_apart(f"{__name__}:write_grid", path, heights):
+        raise InputError(f"{path}: {failed}")
+    with open_file(place) as file:
+        north, west, *steps = np.load(file).tolist()
+    return HeightGrid(np.load(heights, mmap_mode="r"), north, west, (steps[0], steps[1]))
+
+
+def write_grid(path: Path, out: Path) -> None:
+    """Write the first band of a GeoTIFF as heights by latitude and longitude, and their place."""
+    from rasterio import open as open_raster
+    from rasterio.enums import Resampling
+    from rasterio.vrt import WarpedVRT
+
+    with open_raster(path, driver="GTiff") as file:
+        if file.crs is None:
+            raise InputError("no coordinate system in it")
+        floats = {"dtype": "float32", "nodata": math.nan, "resampling": Resampling.bilinear}
+        with WarpedVRT(file, crs="EPSG:4326", **floats) as grid:
+            if grid.width * grid.height > MOST_HEIGHTS or min(grid.shape) < 2:
+                raise InputError(f"{grid.width} x {grid.height} heights")
+            heights = grid.read(1)
+            corner = grid.transform  # of the first cell, whose height is that of its middle
+    place = corner.f + corner.e / 2, corner.c + corner.a / 2, -corner.e, corner.a
+    np.save(out, heights)
+    np.save(out.with_suffix(".place.npy"), np.array(place))

@@ -1,0 +1,234 @@
+"""Logs into trips: those torn into several files are joined, those of a day are split.
+
+A file that begins within `LONGEST_PAUSE` of the end of the one before continues its drive.
+
+An app that logs from morning to evening writes one file. A trip of it ends where no speed comes
+for `LONGEST_PAUSE`, where the car stands as long, and where it charges: it stands for
+`LEAST_CHARGING` and takes more than `CHARGING_POWER` on average.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from itertools import pairwise, takewhile
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    drawn_power,
+)
+from evpinn_ros.logs.source import STRAGGLING_NS, Source
+
+LONGEST_PAUSE = 600.0  # s
+LEAST_CHARGING, CHARGING_POWER = 120.0, 300.0  # s, W
+STANDING = 0.3  # m/s
+EDGE = 30.0  # s that the car stands before and after a trip and that belong to it
+LEAST_DISTANCE = 500.0  # m; shorter ones are manoeuvres
+
+
+class Trip(NamedTuple):
+    """Begin and end of a trip, ns, and its length, m."""
+
+    begin_ns: float
+    end_ns: float
+    distance: float
+
+
+class Trips(NamedTuple):
+    """Trips of a log, in order, and the energy that it was charged with outside of them, J."""
+
+    found: tuple[Trip, ...]
+    charged: float
+
+
+class JoinedLog(Source):
+    """Files that an app wrote of one drive, one after another."""
+
+    def __init__(self, files: Sequence[Source]) -> None:
+        """The files in order; the first has the name and the columns that are shown."""
+        super().__init__(files[0].path, files[0])
+        self._files = files
+
+    @property
+    def seconds(self) -> float | None:
+        """Length of all files together, without the pauses between them, s."""
+        lengths = [each.seconds for each in self._files]
+        return sum(filter(None, lengths)) if all(lengths) else None
+
+    @property
+    def problem(self) -> str | None:
+        """Unreadable parts of the files."""
+        return "; ".join(each.problem for each in self._files if each.problem) or None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes of all files, each once."""
+        return tuple(dict.fromkeys(note for each in self._files for note in each.notes))
+
+    def readings(self) -> Iterator[Reading]:
+        """The readings of all files in order."""
+        for each in self._files:
+            yield from each.readings()
+        self.dropped.clear()
+        for each in self._files:
+            self.dropped.update(each.dropped)
+
+
+def joined(logs: Sequence[Source]) -> list[Source]:
+    """The logs, those that continue the one before joined with it.
+
+    Files continue each other if their dates are known and the pause between them ends no trip.
+    """
+    groups: list[list[Source]] = []
+    end_ns = None
+    for log in logs:
+        span = _span(log)
+        pause = (span[0] - end_ns) / NANOSECONDS if span and end_ns is not None else math.inf
+        if groups and 0.0 <= pause <= LONGEST_PAUSE:
+            groups[-1].append(log)
+        else:
+            groups.append([log])
+        end_ns = span[1] if span else None
+    return [group[0] if len(group) == 1 else JoinedLog(group) for group in groups]
+
+
+def _span(log: Source) -> tuple[int, int] | None:
+    """First and last stamp of a table whose day is known, ns; None of any other log."""
+    seconds = log.seconds
+    if not log.rules or not log.dated or seconds is None:
+        return None
+    with suppress(InputError):
+        if (first := next(log.readings(), None)) is not None:
+            return first.stamp_ns, first.stamp_ns + round(seconds * NANOSECONDS)
+    return None
+
+
+class TripSource(Source):
+    """One trip of a log that holds several."""
+
+    def __init__(self, log: Source, number: int, trips: Sequence[Trip]) -> None:
+        """Trip of this number, from 1 on; its name is that of the log with the number."""
+        name = f"{log.path.name.partition('.')[0]}:{number}"
+        super().__init__(log.path.with_name(name), log)
+        self._log, self._trip = log, trips[number - 1]
+        self._last = number == len(trips)
+
+    @property
+    def seconds(self) -> float | None:
+        """Length of the trip, s."""
+        span = self._trip.end_ns - self._trip.begin_ns
+        return span / NANOSECONDS if math.isfinite(span) else None
+
+    @property
+    def problem(self) -> str | None:
+        """Unreadable part of the log; it lies behind the last trip, which names it."""
+        return self._log.problem if self._last else None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on how the log was read; the last trip has them, for then it was read whole."""
+        return self._log.notes if self._last else ()
+
+    def readings(self) -> Iterator[Reading]:
+        """Readings of the trip in recorded order; what the log lost counts with its last trip."""
+        begin, end = self._trip.begin_ns, self._trip.end_ns
+        until = math.inf if self._last else end + STRAGGLING_NS
+        for reading in takewhile(lambda one: one.stamp_ns <= until, self._log.readings()):
+            if begin <= reading.stamp_ns <= end:
+                yield reading
+        if self._last:
+            self.dropped.update(self._log.dropped)
+
+
+def split(log: Source) -> tuple[Sequence[Source], float]:
+    """The trips of a log as sources, and the energy it was charged with between them, J.
+
+    A log of one trip is given as it is.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    trips = trips_of(log.readings())
+    if len(trips.found) < 2:
+        return [log], 0.0
+    count = len(trips.found)
+    return [TripSource(log, 1 + i, trips.found) for i in range(count)], trips.charged
+
+
+def trips_of(readings: Iterable[Reading]) -> Trips:
+    """Find the trips among readings in recorded order."""
+    speed, power, voltage = [], [], math.nan
+    for reading in readings:
+        if isinstance(reading, SpeedReading) and math.isfinite(reading.speed):
+            speed.append((reading.stamp_ns, abs(reading.speed)))
+        elif isinstance(reading, BatteryReading):
+            voltage = reading.voltage if math.isfinite(reading.voltage) else voltage
+            power.append((reading.stamp_ns, drawn_power(voltage, reading.current)))
+    if len(speed) < 2:
+        return Trips((), 0.0)
+    start_ns = speed[0][0]
+    time, fast = _series(speed, start_ns)
+    drawn = _series(power, start_ns)
+    breaks, charged = [(-math.inf, -math.inf)], 0.0
+    for begin, end in sorted([*_pauses(time), *stands(time, fast)]):
+        taken = _charged(*drawn, begin, end)
+        if taken > CHARGING_POWER * (end - begin) and end - begin >= LEAST_CHARGING:
+            charged += taken
+        elif end - begin < LONGEST_PAUSE:
+            continue
+        edge = min(EDGE, (end - begin) / 2)
+        breaks.append((begin + edge, end - edge))
+    breaks.append((math.inf, math.inf))
+    way = np.concatenate(([0.0], np.cumsum((fast[1:] + fast[:-1]) / 2 * _steps(time))))
+    found = []
+    for (_, begin), (end, _) in pairwise(breaks):
+        far = float(np.interp(end, time, way) - np.interp(begin, time, way))
+        if far >= LEAST_DISTANCE:
+            begin_ns, end_ns = (start_ns + each * NANOSECONDS for each in (begin, end))
+            found.append(Trip(begin_ns, end_ns, far))
+    return Trips(tuple(found), charged)
+
+
+def _series(rows: Sequence[tuple[int, float]], start_ns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times, s since a start, and values in order of time, shape (n,) each."""
+    stamps = np.array([stamp - start_ns for stamp, _ in rows], dtype=float) / NANOSECONDS
+    order = np.argsort(stamps, kind="stable")
+    return stamps[order], np.array([value for _, value in rows], dtype=float)[order]
+
+
+def _steps(time: np.ndarray) -> np.ndarray:
+    """Steps of time, none across a pause."""
+    steps = np.diff(time)
+    return np.where(steps > LONGEST_PAUSE, 0.0, steps)
+
+
+def _pauses(time: np.ndarray) -> Iterator[tuple[float, float]]:
+    for i in np.flatnonzero(np.diff(time) > LONGEST_PAUSE).tolist():
+        yield float(time[i]), float(time[i + 1])
+
+
+def stands(time: np.ndarray, speed: np.ndarray) -> Iterator[tuple[float, float]]:
+    """Times in which the car stands for `LEAST_CHARGING` or longer, none across a pause."""
+    still = speed < STANDING
+    ends = np.flatnonzero((still[1:] != still[:-1]) | (np.diff(time) > LONGEST_PAUSE))
+    begins = np.concatenate(([0], ends + 1))
+    for begin, end in zip(begins, np.concatenate((ends, [time.size - 1])), strict=True):
+        if still[begin] and time[end] - time[begin] >= LEAST_CHARGING:
+            yield float(time[begin]), float(time[end])
+
+
+def _charged(time: np.ndarray, power: np.ndarray, begin: float, end: float) -> float:
+    """Energy into the battery between two times where its power is known, J."""
+    inside = (time >= begin) & (time <= end) & np.isfinite(power)
+    if inside.sum() < 2:
+        return 0.0
+    time, power = time[inside], power[inside]
+    return -float((power[1:] + power[:-1]) @ _steps(time)) / 2

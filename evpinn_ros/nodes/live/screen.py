@@ -1,0 +1,345 @@
+"""The live view as text of a given size, as one line without a terminal, and for scripts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+import math
+from typing import Any, NamedTuple
+
+from rich.cells import set_cell_size
+from rich.text import Text
+
+from evpinn_ros import topics
+from evpinn_ros.common.errors import printable
+from evpinn_ros.core.estimation.operating_range import MANNERS
+from evpinn_ros.nodes.live.data import NOTHING, POWERS, LiveData, ParameterRow
+from evpinn_ros.nodes.live.power_line import BIN_NS, DOT_COLUMNS, braille_line, power_axis
+from evpinn_ros.report.parameter_text import MEANINGS, UNITS, number
+from evpinn_ros.topics.messages import Level
+
+TITLE, HEADING, FAINT = "bold reverse", "bold", "dim"
+STATE_STYLES = {
+    "valid": "green",
+    "estimating": "yellow",
+    "stale": "red",
+    "invalid": "bold red",
+}
+LEVEL_STYLES = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "bold red"}
+POWER_STYLES = {"measured": "cyan", "predicted": "magenta"}
+SPEED_HEADINGS = ("<30", "<60", "<90", "<120", ">120")  # of operating_range.SPEEDS
+BARS = "▁▂▃▄▅▆▇█"
+RATES = {
+    "speed": topics.SPEED,
+    "battery": topics.BATTERY,
+    "predicted": topics.POWER_PREDICTED,
+    "parameters": topics.PARAMETERS,
+}
+
+WIDE = 76  # characters from which every column is shown
+AXIS_WIDTH = 6
+MOST_CHART_ROWS, MOST_PROBLEMS, MOST_BREAKDOWN_ROWS = 6, 3, 2
+BESIDE = {"measured", "regained"}  # of the breakdown: not parts that add up
+UNKNOWN = "-"
+GREATEST = 1e7  # shown in full
+
+
+class ScreenColumn(NamedTuple):
+    """A column of the table of parameters."""
+
+    title: str
+    width: int
+    wide_only: bool = False
+
+
+COLUMNS = (
+    ScreenColumn("", 6),
+    ScreenColumn("meaning", 13, wide_only=True),
+    ScreenColumn("value", 9),
+    ScreenColumn("1-sigma", 9),
+    ScreenColumn("bounds", 19, wide_only=True),
+    ScreenColumn("prior", 6),
+    ScreenColumn("data", 6),
+)
+
+
+def screen(data: LiveData, now: float, width: int, height: int) -> Text:
+    """The view, never wider or higher than asked; what does not fit is left out, by weight."""
+    problems = data.problems(now)
+    breakdown = list(_breakdown(data, width))
+    # In the order of their weight, with the rows that each needs.
+    needs = {
+        "title": 1,
+        "problems": min(len(problems), 1),
+        "owner": 1,
+        "breakdown": len(breakdown),
+        "parameters": 1 + len(data.parameters()),
+        "power": 1 + len(POWERS),
+        "coverage": 1 + len(MANNERS),
+    }
+    kept, left = set(), height
+    for name, rows in needs.items():
+        if rows <= left:
+            kept.add(name)
+            left -= rows
+    more_problems = min(max(len(problems) - 1, 0), MOST_PROBLEMS - 1, left)
+    chart_rows = min(1 + (left - more_problems) // len(POWERS), MOST_CHART_ROWS)
+    parts: dict[str, Iterable[Text]] = {
+        "title": [_title(data, now, width)],
+        "owner": [_owner(data)],
+        "breakdown": breakdown,
+        "parameters": _parameters(data, width),
+        "power": _power(data, now, width, chart_rows),
+        "coverage": _coverage(data, now, width),
+        "problems": _problems(problems[: 1 + more_problems]),
+    }
+    lines = [line for name, part in parts.items() if name in kept for line in part]
+    for line in lines:
+        line.truncate(width, overflow="ellipsis")
+    return Text("\n").join(lines)
+
+
+def plain_line(data: LiveData, now: float) -> str:
+    """The state in one line without styles, for pipes and files."""
+    if not data.received:
+        return NOTHING
+    parts = [f"{_number(3.6 * data.fresh_speed(now), 1)} km/h", _owner(data).plain]
+    for topic, name in POWERS.items():
+        found = data.power(topic, now)
+        parts.append(f"{name} {_kilowatts(found.value)}{_sigma(found.sigma)} kW drawn")
+    parts.append(f"Wh went to {', '.join(_amounts(data)) or UNKNOWN}")
+    parts += [
+        f"{row.name} {_parameter(row, row.value)} +- {_parameter(row, row.sigma)}"
+        + (f" {row.status}" if row.status else "")
+        for row in data.parameters()
+        if math.isfinite(row.value)
+    ]
+    return "; ".join(parts)
+
+
+def problem_lines(data: LiveData, now: float) -> list[str]:
+    """Missing inputs and their reasons, one line each."""
+    return [f"{level.name.lower()}: {text}" for level, text in data.problems(now)]
+
+
+def _title(data: LiveData, now: float, width: int) -> Text:
+    battery = data.fresh_battery(now)
+    right = f"{_number(3.6 * data.fresh_speed(now), 1)} km/h "
+    if battery is not None:
+        drawn = f"{_number(0.0 - battery.current, 1)} A drawn"  # as power: + is drawn
+        right = f"{_number(battery.voltage, 0)} V  {drawn}  {right}"
+    room = max(width - len(right) - 1, 0)
+    left = set_cell_size(f" evpinn  {data.activity(now) or _silent(data)}", room)
+    return Text(f"{left} {right}", style=TITLE)
+
+
+def _parameters(data: LiveData, width: int) -> Iterable[Text]:
+    columns = [column for column in COLUMNS if width >= WIDE or not column.wide_only]
+    yield Text(f"{_row(columns, {c.title: c.title for c in columns})} state", style=HEADING)
+    for row in data.parameters():
+        bounds = f"{_parameter(row, row.lower, '')} .. {_parameter(row, row.upper, '')}"
+        texts = {
+            "": row.name,
+            "meaning": MEANINGS[row.name].removesuffix(" efficiency"),
+            "value": _parameter(row, row.value),
+            "1-sigma": _parameter(row, row.sigma),
+            "bounds": bounds if math.isfinite(row.lower) else UNKNOWN,
+            "prior": _percent(100 * row.prior_share),
+            "data": _percent(row.progress),
+        }
+        shown = row.status or UNKNOWN
+        yield Text(f"{_row(columns, texts)} ").append(shown, STATE_STYLES.get(row.status, FAINT))
+
+
+def _row(columns: Iterable[ScreenColumn], texts: Mapping[str, str]) -> str:
+    words = ("", "meaning")
+    return "".join(_cell(texts[c.title], c.width, right=c.title not in words) for c in columns)
+
+
+def _power(data: LiveData, now: float, width: int, rows: int) -> Iterable[Text]:
+    room = max(width - AXIS_WIDTH, 0)
+    bins = room * DOT_COLUMNS
+    lines = {name: data.line.last(name, bins) for name in POWERS.values()}
+    axis = power_axis([value for line in lines.values() for value in line])
+    heading = Text("kW drawn", style=HEADING)
+    for topic, name in POWERS.items():
+        found = data.power(topic, now)
+        heading.append(f"  {name} ", "not bold")
+        heading.append(f"{_kilowatts(found.value)}{_sigma(found.sigma)}", POWER_STYLES[name])
+    coverage = data.band_coverage()
+    if math.isfinite(coverage):
+        heading.append(f"  {100 * coverage:.0f} % in band", f"not bold {FAINT}")
+    heading.append(f"  {bins * BIN_NS / 1e9:.0f} s", f"not bold {FAINT}")
+    yield heading
+    for name, values in lines.items():
+        for index, dots in enumerate(braille_line(values, room, rows, axis)):
+            ends = {0: axis[1], rows - 1: axis[0]} if rows > 1 else {0: axis[1]}
+            label = f"{ends[index] / 1e3:g}" if index in ends else ""
+            yield Text(_cell(label, AXIS_WIDTH - 1, right=True) + " ", FAINT).append(
+                dots, f"not dim {POWER_STYLES[name]}"
+            )
+
+
+def _owner(data: LiveData) -> Text:
+    """An owner's line: charge, range with its 90 % band, consumption, energy of the trip."""
+    energy = data.vector(topics.ENERGY_STATE)
+    words = (
+        f"  {_percent(100 * data.charge())}",
+        f"  range {_range(data)}",
+        f"  {_number(data.consumption(), 0)} Wh/km",
+        f"  used {_watt_hours(energy, 'consumed')} Wh",
+        f"  regained {_watt_hours(energy, 'regenerated')} Wh",
+    )
+    return Text("charge", style=HEADING).append("".join(words), "not bold")
+
+
+def _range(data: LiveData) -> str:
+    """Distance to empty with its 90 % band; why there is none, if the charge is known."""
+    found = data.vector(topics.ENERGY_RANGE)
+    ends = ("to_empty", "lower", "upper")
+    middle, low, high = (_number(found.get(f"distance_{e}", math.nan) / 1e3, 0) for e in ends)
+    if "distance_to_empty" in found:
+        return f"{middle} km ({low}-{high})"
+    return UNKNOWN if math.isnan(data.charge()) else "from 10 km on"
+
+
+def _breakdown(data: LiveData, width: int) -> Iterable[Text]:
+    """Parts of the energy so far, the largest first, in as many rows as they need, but two."""
+    title = "Wh went to"
+    rows = [""]
+    for each in _amounts(data) or [UNKNOWN]:
+        if rows[-1] and len(title) + len(rows[-1]) + len(each) + 2 > width:
+            rows.append("")
+        rows[-1] += f"  {each}"
+    for index, row in enumerate(rows[:MOST_BREAKDOWN_ROWS]):
+        head = title if index == 0 else " " * len(title)
+        yield Text(head, style=HEADING).append(row, "not bold")
+
+
+def _amounts(data: LiveData) -> list[str]:
+    """Each part with its 1-sigma, Wh, the largest first."""
+    values = data.vector(topics.ENERGY_BREAKDOWN)
+    sigmas = data.sigmas(topics.ENERGY_BREAKDOWN)
+    names = sorted(set(values) - BESIDE, key=lambda name: -abs(values[name]))
+    return [
+        f"{printable(name)} {_watt_hours(values, name)}+-{_watt_hours(sigmas, name)}"
+        for name in names
+        if values[name] or sigmas.get(name)
+    ]
+
+
+def _silent(data: LiveData) -> str:
+    return "estimator silent" if data.received else "no nodes"
+
+
+def _coverage(data: LiveData, now: float, width: int) -> Iterable[Text]:
+    """Data coverage, and beside it the rates of messages."""
+    seen = data.seen()
+    most = max([1.0, *(n for row in seen for n in row if math.isfinite(n))])
+    cell, gap = (8, 4 * " ") if width >= WIDE else (6, " ")
+    rates = [f"{gap}{name} {data.rate(topic, now):.1f}/s" for name, topic in RATES.items()]
+    heading = "".join(_cell(title, cell, right=True) for title in SPEED_HEADINGS)
+    yield (
+        Text("samples km/h", HEADING)
+        .append(heading, "not bold")
+        .append(rates[0], f"not bold {FAINT}")
+    )
+    for manner, row, rate in zip(MANNERS, seen, rates[1:], strict=True):
+        line = Text(_cell(manner, 12))
+        for count in row:
+            line.append(_cell(_count(count, most), cell, right=True), "" if count > 0 else FAINT)
+        yield line.append(rate, FAINT)
+
+
+def _problems(found: Iterable[tuple[Level, str]]) -> Iterable[Text]:
+    for level, text in found:
+        yield Text(f"! {printable(text)}", LEVEL_STYLES.get(level, LEVEL_STYLES[Level.ERROR]))
+
+
+def _count(count: float, most: float) -> str:
+    if not math.isfinite(count):
+        return UNKNOWN
+    if count <= 0:
+        return "."
+    short = f"{count:.0f}" if count < 1000 else f"{count / 1000:.3g}k"
+    return BARS[min(int(count / most * len(BARS)), len(BARS) - 1)] + short
+
+
+def _parameter(row: ParameterRow, value: float, unit: str | None = None) -> str:
+    if not abs(value) < GREATEST:
+        return UNKNOWN if not math.isfinite(value) else f"{value:.1e}"
+    text = number(row.name, value)
+    return text if unit is None else text.removesuffix(UNITS.get(row.name, "")) + unit
+
+
+def _percent(value: float) -> str:
+    return f"{value:.0f} %" if abs(value) < GREATEST else UNKNOWN
+
+
+def _watt_hours(energies: Mapping[str, float], name: str) -> str:
+    return _number(energies.get(name, math.nan) / 3600, 0)
+
+
+def _kilowatts(watts: float) -> str:
+    return _number(watts / 1e3, 1)
+
+
+def _sigma(watts: float) -> str:
+    return f" +- {_kilowatts(watts)}" if 50 <= watts < math.inf else ""
+
+
+def _number(value: float, decimals: int) -> str:
+    if not math.isfinite(value):
+        return UNKNOWN
+    if abs(value) >= GREATEST:
+        return f"{value:.1e}"
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"  # no -0
+
+
+def _cell(text: str, width: int, *, right: bool = False) -> str:
+    """Text of exactly this many characters."""
+    short = text if len(text) <= width else text[: width - 1] + "…"
+    return short.rjust(width) if right else short.ljust(width)
+
+
+def as_json(data: LiveData, now: float) -> dict[str, Any]:
+    """State of the system for scripts, ready for `json_text`: `evpinn watch --json`.
+
+    SI units; None or NaN where nothing is known. The current keeps the sign of `battery/state`;
+    power and energy are positive when drawn from the battery.
+    """
+    battery = data.fresh_battery(now)
+    parts, sigmas = data.vector(topics.ENERGY_BREAKDOWN), data.sigmas(topics.ENERGY_BREAKDOWN)
+    return {
+        "speed_mps": data.fresh_speed(now),
+        "voltage_v": battery.voltage if battery else None,
+        "current_a": battery.current if battery else None,
+        "power_w": {name: _estimate(*data.power(topic, now)) for topic, name in POWERS.items()},
+        "receiving": data.received,
+        "state_of_charge": data.charge(),
+        "wh_per_km": data.consumption(),
+        "energy_j": data.vector(topics.ENERGY_STATE),
+        "breakdown_j": {
+            name: _estimate(value, sigmas.get(name, math.nan)) for name, value in parts.items()
+        },
+        "consumption": data.vector(topics.ENERGY_CONSUMPTION),
+        "range_m": data.vector(topics.ENERGY_RANGE),
+        "parameters": {
+            row.name: {
+                **_estimate(row.value, row.sigma),
+                "prior_share": row.prior_share,
+                "lower": row.lower,
+                "upper": row.upper,
+                "state": row.status or None,
+            }
+            for row in data.parameters()
+        },
+        "per_second": {name: data.rate(topic, now) for name, topic in RATES.items()},
+        "doing": data.activity(now) or None,
+        "problems": [
+            {"level": level.name.lower(), "text": text} for level, text in data.problems(now)
+        ],
+    }
+
+
+def _estimate(value: float, std: float) -> dict[str, float]:
+    return {"value": value, "std": std}

@@ -1,0 +1,201 @@
+"""Live view of a running system: takes our topics, and shows them ten times a second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from io import TextIOWrapper
+import multiprocessing
+import os
+import signal
+import sys
+import tempfile
+import time
+from typing import Any, TextIO
+
+import rclpy
+from rclpy.exceptions import NameValidationException, NotInitializedException
+from rclpy.node import Node
+from rich.console import Console
+from rich.live import Live
+
+from evpinn_ros.common.errors import InputError, printable
+from evpinn_ros.common.json_text import json_text
+from evpinn_ros.nodes.factory import installed, message_class, qos_profile
+from evpinn_ros.nodes.live.data import NOTHING, WATCHED, LiveData
+from evpinn_ros.nodes.live.screen import as_json, plain_line, problem_lines, screen
+from evpinn_ros.topics import NAMESPACE, QUEUE_DEPTH, Qos
+
+PERIOD = 0.1  # s between two pictures
+PLAIN_PERIOD = 1.0  # s between two lines
+YIELDS = 5  # of niceness: the nodes come first
+END_TIMEOUT = 5.0  # s for the view to leave the terminal as it was
+
+Show = Callable[[LiveData, float], None]
+
+
+class LiveListener(Node):
+    """Receives what the view shows and sends nothing itself.
+
+    Attributes:
+        data: received messages.
+    """
+
+    def __init__(self, namespace: str) -> None:
+        """Subscribe, best effort: a view that falls behind must not hold up a publisher."""
+        super().__init__(
+            f"live_view_{os.getpid()}",
+            namespace=namespace,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self.data = LiveData(self.get_namespace())
+        profile = qos_profile(Qos(reliable=False, transient_local=False, depth=QUEUE_DEPTH))
+        self._inputs = {
+            topic: self.create_subscription(
+                message_class(topic.type_name), topic.name, self._never_called, profile
+            )
+            for topic in installed(WATCHED)
+        }
+
+    def take_all(self) -> None:
+        """Take all that has come since the last time.
+
+        Without an executor: that gives one message of a topic for each time it wakes up, and
+        waking up costs more than reading ten.
+        """
+        for topic, subscription in self._inputs.items():
+            for _ in range(QUEUE_DEPTH):
+                with subscription.handle:
+                    taken = subscription.handle.take_message(subscription.msg_type, False)
+                if taken is None:
+                    break
+                self.data.take(topic, taken[0], time.monotonic())
+
+    def _never_called(self, _: Any) -> None:
+        """There is no executor."""
+
+
+def watch(namespace: str = NAMESPACE, *, plain: bool = False, for_scripts: bool = False) -> None:
+    """Show a running system until SIGINT or SIGTERM, or until the parent process has gone.
+
+    Args:
+        namespace: of its topics.
+        plain: lines also on a terminal.
+        for_scripts: these lines as JSON.
+
+    Raises:
+        InputError: the namespace is none, or ROS does not start.
+    """
+    os.nice(YIELDS)
+    # As in `running.run`: rclpy shuts down at SIGINT by itself.
+    signal.signal(signal.SIGINT, lambda *_: None)
+    started = False
+    try:
+        rclpy.init(args=[])
+        started = True
+        listener = LiveListener(namespace)
+    except (NameValidationException, NotInitializedException, RuntimeError) as error:
+        if started and not rclpy.ok():
+            return  # a signal came while the view began
+        rclpy.try_shutdown()
+        raise InputError(" ".join(str(error).split())) from error
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # not every terminal knows Braille
+    console = Console(highlight=False)
+    # rich alone would take a pipe for a terminal where FORCE_COLOR is set.
+    drawn = console.is_terminal and sys.stdout.isatty() and not console.is_dumb_terminal
+    try:
+        if for_scripts:
+            _follow(listener, PLAIN_PERIOD, _print_json)
+        elif plain or not drawn:
+            _follow(listener, PLAIN_PERIOD, _plain(sys.stdout))
+        else:
+            with Live(console=console, screen=True, auto_refresh=False) as live:
+                _follow(listener, PERIOD, partial(_picture, live))
+    except RuntimeError:
+        if rclpy.ok():
+            raise
+        # The shutdown came in the middle of a call into rclpy.
+    finally:
+        rclpy.try_shutdown()
+    if multiprocessing.parent_process() is None:
+        print(printable(_ending(listener.data)), file=sys.stderr)
+
+
+def _ending(data: LiveData) -> str:
+    """Words for the end of a view of its own: what was saved, and what to do next."""
+    if not data.received:
+        return f"evpinn: {NOTHING}"
+    return (
+        "evpinn: the view has ended and saved nothing; the nodes go on. To keep a drive and what "
+        "was learned: evpinn run --record FOLDER --state FILE"
+    )
+
+
+def _picture(live: Live, data: LiveData, now: float) -> None:
+    live.update(screen(data, now, *live.console.size), refresh=True)
+
+
+def _plain(out: TextIO) -> Show:
+    """Prints a line a second, and problems when they change."""
+    shown: list[str] = []
+
+    def show(data: LiveData, now: float) -> None:
+        found = problem_lines(data, now)
+        for line in found:
+            if line not in shown:
+                print(printable(line), file=out)
+        shown[:] = found
+        print(printable(plain_line(data, now)), file=out, flush=True)
+
+    return show
+
+
+def _print_json(data: LiveData, now: float) -> None:
+    print(json_text({"time_s": time.time(), **as_json(data, now)}), flush=True)
+
+
+def _follow(listener: LiveListener, period: float, show: Show) -> None:
+    parent = multiprocessing.parent_process()
+    due = time.monotonic()
+    while rclpy.ok() and (parent is None or parent.is_alive()):
+        listener.take_all()
+        now = time.monotonic()
+        if now >= due:
+            show(listener.data, now)
+            due = max(due + period, now)
+        time.sleep(min(max(due - time.monotonic(), 0.0), PERIOD))
+
+
+@contextmanager
+def live_view() -> Iterator[None]:
+    """Show this process's nodes in a view of its own process, which their threads never wait for.
+
+    The terminal is the view's until the end; what is written to stderr meanwhile comes after it.
+    """
+    # Spawned, not forked: ROS and torch have threads.
+    view = multiprocessing.get_context("spawn").Process(
+        target=watch, args=(NAMESPACE,), daemon=True
+    )
+    # Ctrl-C reaches the view too. While it imports it shall not receive it, which it inherits.
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        view.start()
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    terminal = os.dup(2)
+    with tempfile.TemporaryFile() as kept:
+        os.dup2(kept.fileno(), 2)
+        try:
+            yield
+        finally:
+            view.terminate()
+            view.join(END_TIMEOUT)
+            view.kill()  # it may hang in a terminal that stands still; no harm to what has ended
+            os.dup2(terminal, 2)
+            os.close(terminal)
+            kept.seek(0)
+            for line in kept.read().decode(errors="replace").splitlines():
+                print(printable(line), file=sys.stderr)

@@ -1,5 +1,0 @@
-"""Plans as planners have them: tables, tracks, answers of route services, recorded drives."""
-
-from evpinn_ros.plans.read import read_plan
-
-__all__ = ["read_plan"]

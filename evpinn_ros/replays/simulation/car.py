@@ -1,0 +1,179 @@
+"""A simulated car: far more than the five parameters, so that finding these is no foregone end.
+
+What the estimator does not know: a loss map over torque and speed in place of constant
+efficiencies, friction brakes, wind, an auxiliary load that changes, tyres that roll harder at
+speed, an air density and a rotating inertia a little off those of the vehicle file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.parameters import Parameters
+from evpinn_ros.core.vehicle.physics import (
+    RegenForm,
+    battery_power,
+    drag_force,
+    grade_force,
+    inertia_force,
+    rolling_force,
+)
+from evpinn_ros.replays.simulation.drive import SAMPLE_RATE, IntervalMotion
+from evpinn_ros.replays.simulation.powertrain import Battery, Brakes, Drivetrain
+from evpinn_ros.replays.simulation.surroundings import Surroundings
+
+STEP = 1 / SAMPLE_RATE
+ROLLING_SPEED = 150.0  # m/s: rolling resistance grows as 1 + (v / ROLLING_SPEED)^2
+TORQUE_GAIN_STD = 0.02  # of the torque that inverters compute from currents
+CELL_RESISTANCE = 0.09  # ohm of a 350 V pack; grows with the square of the voltage
+
+
+@dataclass(frozen=True, slots=True)
+class Car:
+    """One car, with everything about it."""
+
+    mass: float  # with everyone and everything in it, kg
+    c_rr: float  # coefficient of rolling resistance near standstill
+    c_d: float  # coefficient of drag
+    frontal_area: float  # m^2
+    air_density: float  # of the day, kg/m^3
+    rotating_mass_factor: float  # effective over static mass when accelerating
+    mean_auxiliary: float  # mean of the auxiliary load over a drive, W
+    drivetrain: Drivetrain  # inverter, motor and gear
+    brakes: Brakes  # motor and friction brakes
+    battery: Battery  # the pack
+    torque_gain: float  # torque that the inverter reports over the true one, for it is an estimate
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """Every true signal of a drive, shape (n,) each, at the middle of each STEP.
+
+    Power is positive drawn from the battery. Two balances hold in every interval:
+    `power = wheel_power + friction_power + no_load_loss + load_loss + auxiliary` and
+    `wheel_power = drag_power + rolling_power + m v (g sin(grade) + factor a)`.
+    """
+
+    motion: IntervalMotion  # time, speed, acceleration, elevation and grade
+    head_wind: np.ndarray  # m/s
+    # W at the wheels, motor and friction brakes together; negative when braking
+    wheel_power: np.ndarray
+    drag_power: np.ndarray  # W lost to the air (negative when the wind pushes)
+    rolling_power: np.ndarray  # W lost in the tyres
+    friction_power: np.ndarray  # W turned to heat in the friction brakes, >= 0
+    no_load_loss: np.ndarray  # W turned to heat in the drivetrain because it turns, >= 0
+    load_loss: np.ndarray  # W turned to heat in the drivetrain because of torque, >= 0
+    auxiliary: np.ndarray  # W of auxiliary load
+    power: np.ndarray  # W at the battery's terminals, voltage times current
+    voltage: np.ndarray  # V at the terminals
+    current: np.ndarray  # A, positive while discharging
+    open_circuit: np.ndarray  # V
+    state_of_charge: np.ndarray  # 0..1
+
+
+def draw_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator) -> Car:
+    """A car with this mass, c_rr, c_d and p_aux; what else there is to a car is drawn.
+
+    Its efficiencies are those of the plain loss map, and p_aux is taken for the auxiliary load
+    alone: `truth.tuned` brings all six to `parameters` for one drive.
+    """
+    capacity = vehicle.battery_capacity if vehicle.battery_capacity > 0 else 2.0e8
+    return Car(
+        mass=parameters.mass,
+        c_rr=parameters.c_rr,
+        c_d=parameters.c_d,
+        frontal_area=vehicle.frontal_area,
+        air_density=vehicle.air_density * (1 + 0.01 * rng.standard_normal()),
+        rotating_mass_factor=vehicle.rotating_mass_factor + 0.004 * rng.standard_normal(),
+        mean_auxiliary=parameters.p_aux,
+        drivetrain=Drivetrain(),
+        brakes=Brakes(),
+        battery=Battery(
+            nominal_voltage=vehicle.nominal_voltage,
+            resistance=CELL_RESISTANCE * (vehicle.nominal_voltage / 350) ** 2,
+            capacity=capacity,
+            start=rng.uniform(0.4, 0.9),
+        ),
+        torque_gain=1 + TORQUE_GAIN_STD * rng.standard_normal(),
+    )
+
+
+def drive_car(car: Car, motion: IntervalMotion, around: Surroundings) -> Trace:
+    """Everything that happens while `car` moves like this."""
+    speed = motion.speed
+    drag = drag_force(speed + around.head_wind, car.frontal_area * car.c_d, car.air_density)
+    rolling = rolling_force(car.mass, car.c_rr * rolling_growth(speed), motion.grade)
+    climbing = grade_force(car.mass, motion.grade)
+    inertia = inertia_force(car.mass * car.rotating_mass_factor, motion.acceleration)
+    wheel = drag + rolling + climbing + inertia
+    braking = car.brakes.motor_force(np.maximum(-wheel, 0.0), speed, car.mass)
+    motor = np.where(wheel > 0, wheel, -braking)
+    no_load_loss = car.drivetrain.no_load_loss(speed)
+    load_loss = car.drivetrain.load_loss(motor, speed)
+    auxiliary = car.mean_auxiliary * around.auxiliary
+    power = motor * speed + no_load_loss + load_loss + auxiliary
+    battery = car.battery.deliver(power, STEP)
+    return Trace(
+        motion=motion,
+        head_wind=around.head_wind,
+        wheel_power=wheel * speed,
+        drag_power=drag * speed,
+        rolling_power=rolling * speed,
+        friction_power=(motor - wheel) * speed,
+        no_load_loss=no_load_loss,
+        load_loss=load_loss,
+        auxiliary=auxiliary,
+        power=power,
+        **battery._asdict(),
+    )
+
+
+def rolling_growth(speed: np.ndarray) -> np.ndarray:
+    """Rolling resistance at a speed, m/s, over that near standstill."""
+    return 1 + (speed / ROLLING_SPEED) ** 2
+
+
+def equation_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator) -> Car:
+    """A car that obeys eq. 21 to the letter: what a method must find if it can find anything.
+
+    It has the air and no more inertia than eq. 12-15 know, one constant efficiency each way, no
+    loss map, no wind, no hills, a constant auxiliary load. No real car is like it.
+    """
+    car = draw_car(vehicle, parameters, rng)
+    return replace(car, air_density=vehicle.air_density, rotating_mass_factor=1.0)
+
+
+def drive_equation_car(
+    car: Car, parameters: Parameters, motion: IntervalMotion, form: RegenForm, beta: float
+) -> Trace:
+    """Everything that happens while the car moves like this on a flat road."""
+    speed, nothing = motion.speed, np.zeros_like(motion.speed)
+    drag = drag_force(speed, car.frontal_area * car.c_d, car.air_density) * speed
+    rolling = rolling_force(car.mass, car.c_rr) * speed
+    power = battery_power(
+        speed,
+        motion.acceleration,
+        parameters,
+        area=car.frontal_area,
+        air_density=car.air_density,
+        form=form,
+        beta=beta,
+    )
+    wheel = drag + rolling + inertia_force(car.mass, motion.acceleration) * speed
+    battery = car.battery.deliver(power, STEP)
+    return Trace(
+        motion=motion,
+        head_wind=nothing,
+        wheel_power=wheel,
+        drag_power=drag,
+        rolling_power=rolling,
+        friction_power=nothing,
+        no_load_loss=nothing,
+        load_loss=power - wheel - parameters.p_aux,
+        auxiliary=np.full_like(speed, parameters.p_aux),
+        power=power,
+        **battery._asdict(),
+    )

@@ -1,0 +1,202 @@
+"""A seeded driver on a seeded route: speed at 100 Hz and the motion that follows from it.
+
+A route is a chain of legs, each with a speed limit and a speed at its end: a red light, a queue
+that creeps, a turn, or free road. The driver keeps to the limit as traffic allows, brakes on
+v^2 = u^2 + 2 b d to pass the end of the leg at speed u, and moves the pedals with bounded jerk.
+No regulatory cycle is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from itertools import chain
+import math
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.units import KMH
+from evpinn_ros.replays.simulation.noise import slow_noise
+from evpinn_ros.replays.simulation.road import HillyRoad
+
+SAMPLE_RATE = 100  # Hz, of every true signal
+DRIVER_RATE = 10  # Hz, at which the driver decides
+SMOOTHING = 0.15  # s, driveline and tyres pass on no sharper change of speed
+LEAST_DURATION, MOST_DURATION = 10.0, 86_400.0  # s
+START_WAIT = 6.0  # s standing at the start
+
+REACTION = 0.8  # s, to close a difference of speed
+JERK = 2.0  # m/s^3, bound of the pedals' movement
+SPECIFIC_POWER = 45.0  # W/kg, what a driver asks of the car at most
+TRAFFIC_MEMORY = 8.0  # s
+TRAFFIC_SPREAD = 0.05  # relative 1-sigma of the speed that traffic allows
+FOOT_UNREST, FOOT_MEMORY = 0.15, 1.0  # m/s^2, s: no foot holds a pedal still
+
+
+class DriveKind(str, Enum):
+    """Kind of road that the car is driven on."""
+
+    URBAN = "urban"
+    HIGHWAY = "highway"
+    MIXED = "mixed"
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A piece of the route: m, m/s, speed at its end m/s, s to wait there, m/s^2, m/s^2."""
+
+    length: float
+    limit: float
+    end_speed: float
+    wait: float
+    braking: float
+    pickup: float
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalMotion:
+    """Motion of the car: shape (n,) at the middle of each 1 / SAMPLE_RATE interval.
+
+    Mid-interval values make the sums over intervals exact: m v a adds up to the kinetic energy
+    gained, m g slope v to the potential energy.
+    """
+
+    time: np.ndarray  # s from the start
+    speed: np.ndarray  # m/s, never negative
+    acceleration: np.ndarray  # m/s^2
+    elevation: np.ndarray  # m above the start
+    grade: np.ndarray  # rad, positive uphill
+
+
+def motion_on(road: HillyRoad, speed: np.ndarray) -> IntervalMotion:
+    """The motion of a car on a road, from speeds of shape (n + 1,), m/s, at SAMPLE_RATE."""
+    step = 1 / SAMPLE_RATE
+    middle = (speed[1:] + speed[:-1]) / 2
+    distance = np.concatenate(([0.0], np.cumsum(middle) * step))
+    slope = road.mean_slope(distance[:-1], distance[1:])
+    elevation = road.elevation(distance)
+    return IntervalMotion(
+        time=(np.arange(middle.size) + 0.5) * step,
+        speed=middle,
+        acceleration=np.diff(speed) / step,
+        elevation=(elevation[1:] + elevation[:-1]) / 2,
+        grade=np.arcsin(slope),
+    )
+
+
+def drive_speed(kind: DriveKind, duration_s: float, rng: np.random.Generator) -> np.ndarray:
+    """Speed of a drive, m/s, shape (duration_s * SAMPLE_RATE + 1,); it starts at standstill.
+
+    Raises:
+        InputError: the length is outside [LEAST_DURATION, MOST_DURATION].
+    """
+    if not LEAST_DURATION <= duration_s <= MOST_DURATION:
+        bounds = f"[{LEAST_DURATION:g}, {MOST_DURATION:g}]"
+        raise InputError(f"a drive of {duration_s:g} s is outside {bounds} s")
+    steps = math.ceil(duration_s * DRIVER_RATE) + 1
+    decided = _follow(_route(kind, duration_s, rng), *_moods(steps, rng))
+    time = np.arange(round(duration_s * SAMPLE_RATE) + 1) / SAMPLE_RATE
+    sharp = np.interp(time, np.arange(steps) / DRIVER_RATE, decided)
+    smooth = gaussian_filter1d(sharp, SMOOTHING * SAMPLE_RATE, mode="nearest")
+    return np.asarray(np.maximum(smooth, 0.0))
+
+
+def _route(kind: DriveKind, duration_s: float, rng: np.random.Generator) -> Iterator[Leg]:
+    endless = _town(math.inf, rng)
+    if kind is DriveKind.URBAN:
+        return endless
+    if kind is DriveKind.HIGHWAY:
+        return chain(_town(250.0, rng), _motorway(28.0 * (duration_s - 110.0), rng), endless)
+    return chain(_town(3.0 * duration_s, rng), _motorway(11.0 * duration_s, rng), endless)
+
+
+def _town(length: float, rng: np.random.Generator) -> Iterator[Leg]:
+    """Blocks that end at a red light (some with a queue), in a turn, or in free road."""
+    driven = 0.0
+    while driven < length:
+        limit = rng.choice([30.0, 40.0, 50.0, 50.0, 60.0]) * KMH
+        block = rng.uniform(120.0, 450.0)
+        event = rng.uniform()
+        if event < 0.5:
+            yield _leg(block, limit, 0.0, rng.uniform(6.0, 30.0), rng)
+            for _ in range(rng.integers(1, 4) if event < 0.15 else 0):
+                yield _leg(rng.uniform(7.0, 25.0), 3.5, 0.0, rng.uniform(2.0, 6.0), rng)
+        elif event < 0.75:
+            yield _leg(block, limit, rng.uniform(4.0, 7.0), 0.0, rng)
+        else:
+            yield _leg(block, limit, math.inf, 0.0, rng)
+        driven += block
+
+
+def _motorway(length: float, rng: np.random.Generator) -> Iterator[Leg]:
+    """A ramp with a bend, sections of different limits, a jam now and then, and the exit."""
+    yield _leg(220.0, 50 * KMH, 11.0, 0.0, rng)
+    driven = 0.0
+    while driven < length:
+        section = rng.uniform(500.0, 2500.0)
+        jam = rng.uniform() < 0.25
+        limit = rng.uniform(80.0, 95.0) if jam else rng.choice([100.0, 110.0, 120.0, 130.0])
+        length_now = section / 3 if jam else section
+        yield _leg(length_now, limit * KMH, math.inf, 0.0, rng, braking=(0.5, 1.1))
+        driven += length_now
+    yield _leg(400.0, 90 * KMH, 10.0, 0.0, rng)
+
+
+def _leg(
+    length: float,
+    limit: float,
+    end_speed: float,
+    wait: float,
+    rng: np.random.Generator,
+    braking: tuple[float, float] = (0.7, 1.7),
+) -> Leg:
+    """A leg with a driver's mood: now and then the brakes are used hard."""
+    brakes = (2.6, 3.4) if rng.uniform() < 0.08 else braking
+    return Leg(length, limit, end_speed, wait, rng.uniform(*brakes), rng.uniform(0.8, 2.1))
+
+
+def _moods(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Share of the limit that traffic allows and unrest of the foot, m/s^2, shape (count,)."""
+    time = np.arange(count) / DRIVER_RATE
+    traffic = 0.97 + TRAFFIC_SPREAD * slow_noise(time, TRAFFIC_MEMORY, rng)
+    return traffic, FOOT_UNREST * slow_noise(time, FOOT_MEMORY, rng)
+
+
+def _follow(route: Iterator[Leg], traffic: np.ndarray, unrest: np.ndarray) -> np.ndarray:
+    """The driver: speed at DRIVER_RATE, m/s, shape (n,) as of `_moods`."""
+    step = 1 / DRIVER_RATE
+    speeds = np.zeros(traffic.size)
+    leg = next(route)
+    left, wait, speed, acceleration = leg.length, START_WAIT, 0.0, 0.0
+    for i, (share, twitch) in enumerate(zip(traffic.tolist(), unrest.tolist(), strict=True)):
+        if wait > 0:
+            wait -= step
+            continue
+        wish = _wish(leg, left, speed, leg.limit * share) + twitch
+        acceleration += min(max(wish - acceleration, -JERK * step), JERK * step)
+        speed = max(speed + acceleration * step, 0.0)
+        left -= speed * step
+        stopped = leg.end_speed == 0 and left < 1.0 and speed < 0.2
+        if stopped:
+            speed, acceleration = 0.0, 0.0
+        if stopped or (leg.end_speed > 0 and left <= 0):
+            wait = leg.wait
+            leg = next(route)
+            left = leg.length
+        speeds[i] = speed
+    return speeds
+
+
+def _wish(leg: Leg, left: float, speed: float, allowed: float) -> float:
+    """Acceleration the driver would like, m/s^2, with `left` m to go in the leg."""
+    left = max(left, 0.0)
+    approach = math.sqrt(leg.end_speed**2 + 2 * leg.braking * left)
+    approach = min(approach, leg.end_speed + left / REACTION)  # ease into a stop
+    target = min(allowed, approach)
+    planned = -leg.braking if approach <= allowed and speed > 0.8 * approach else 0.0
+    pickup = min(leg.pickup, SPECIFIC_POWER / max(speed, 1.0))
+    wish = (target - speed) / REACTION + planned
+    return min(max(wish, -1.5 * leg.braking), pickup)

@@ -1,0 +1,56 @@
+"""Loads on the car from outside and inside while it drives: wind and auxiliary loads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from evpinn_ros.core.signals.road import GAS_CONSTANT
+from evpinn_ros.replays.simulation.noise import slow_noise
+
+WIND_SPREAD = 1.2  # m/s, 1-sigma of the head wind as the road turns and shelters
+WIND_MEMORY = 25.0  # s
+PRESSURE = 101_325.0  # Pa
+FREEZING = 273.15  # K
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """Series of shape (n,): head wind, m/s, and auxiliary load over its mean, 1."""
+
+    head_wind: np.ndarray
+    auxiliary: np.ndarray
+
+
+def draw_surroundings(time: np.ndarray, rng: np.random.Generator) -> Surroundings:
+    """Wind and auxiliary loads at evenly spaced times, s, of shape (n,)."""
+    wind = WIND_SPREAD * slow_noise(time, WIND_MEMORY, rng)
+    steady = 1.0 + 0.02 * slow_noise(time, 2.0, rng)
+    load = steady + _compressor(time, rng) + _heater(time, rng)
+    return Surroundings(wind, load / load.mean())
+
+
+def ambient_celsius(air_density: float) -> float:
+    """Temperature, degrees Celsius, of dry air of this density, kg/m^3, at sea level."""
+    return PRESSURE / (GAS_CONSTANT * air_density) - FREEZING
+
+
+def _compressor(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """On for a part of each cycle of about a minute and a half."""
+    period, duty = rng.uniform(60.0, 120.0), rng.uniform(0.3, 0.6)
+    phase = (time / period + rng.uniform()) % 1.0
+    return _soft(0.25 * (phase < duty), time)
+
+
+def _heater(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Three settings, in turn, of seat or cabin heating."""
+    changes = np.sort(rng.uniform(0.0, time[-1], 2))
+    levels = rng.uniform(0.0, 0.3, 3)
+    return _soft(levels[np.searchsorted(changes, time)], time)
+
+
+def _soft(steps: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Half a second of ramp instead of a jump."""
+    return np.asarray(gaussian_filter1d(steps, 0.25 / (time[1] - time[0]), mode="nearest"))

@@ -1,0 +1,207 @@
+"""The true parameters of a simulated drive, by definition, and cars that have wished ones.
+
+A car with an efficiency map has no single eta. The values that go beside a drive are those with
+which eq. 21 comes nearest to the energy of its steps without noise, in least squares: the same
+functional by which the estimator publishes what it learned (`estimation.published.project`). So
+losses that come with torque belong to eta and mu, as does what the friction brakes take, and the
+force that an idle drivetrain turns with belongs to C_rr and C_d, for no battery tells it apart
+from tyres and air. Wind counts as a disturbance. Mass is that of the car, p_aux the mean of the
+auxiliary load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from evpinn_ros.core.estimation.published import project
+from evpinn_ros.core.estimation.states import PHYSICS
+from evpinn_ros.core.estimation.terms import Equation, Wheels
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.identifiable import Identifiable, identifiable
+from evpinn_ros.core.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
+from evpinn_ros.replays.simulation.car import STEP, Car, Trace, drive_car
+from evpinn_ros.replays.simulation.drive import IntervalMotion
+from evpinn_ros.replays.simulation.surroundings import Surroundings
+
+TRUTH_STEP = 1.0  # s of a step of the definition
+ROUNDS = 3  # of tuning a car: what one wish moves of another is a hundredth of it
+PLAUSIBLE_ETA = (0.85, 0.92)
+PLAUSIBLE_MU = (0.70, 0.82)
+PLAUSIBLE_SPREAD = 1.5  # prior sigmas within which the other parameters are drawn
+
+LEAST_AUXILIARY = 50.0  # W, no car draws less
+
+DEFINITIONS: Mapping[str, str] = {
+    "eta": "mass / (m/eta of the projection on eq. 21)",
+    "mu": "(eta mu of the projection) / eta, friction brakes counted as lost",
+    "mass": "kg, with everyone and everything in the car",
+    "c_rr": "of the projection; an idle drivetrain belongs to it",
+    "c_d": "of the projection; wind is a disturbance",
+    "p_aux": "mean of the auxiliary load over the drive, W",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """True parameters of one drive and what the data alone can determine of them."""
+
+    parameters: Parameters
+    identifiable: Identifiable
+
+
+def true_values(car: Car, trace: Trace, equation: Equation) -> Truth:
+    """The parameters of `car` on this drive, as the module defines them.
+
+    Args:
+        car: that was driven.
+        trace: of the drive.
+        equation: of the vehicle file, whose car tells which steps drive and which brake.
+    """
+    wheels, duration, energy = _steps(car, trace, equation)
+    found = combinations(equation, wheels, duration, energy)
+    mass, rolling, drag = (
+        found[name] for name in ("mass_over_eta", "rolling_over_eta", "drag_area_over_eta")
+    )
+    eta = car.mass / mass
+    parameters = Parameters(
+        eta=eta,
+        mu=found["regeneration"] / eta,
+        mass=car.mass,
+        c_rr=rolling / mass,
+        c_d=drag * eta / car.frontal_area,
+        p_aux=float(np.mean(trace.auxiliary)),
+    )
+    return Truth(parameters, identifiable(parameters, car.frontal_area))
+
+
+def combinations(
+    equation: Equation, wheels: Wheels, duration: np.ndarray, energy: np.ndarray
+) -> dict[str, float]:
+    """The true combinations of a car by what steps of driving took, without noise.
+
+    What the steps do not determine, as braking where there was none, is that of the vehicle file.
+
+    Args:
+        equation: of the vehicle file.
+        wheels: of the steps, shape (n,).
+        duration: s.
+        energy: of the battery without standing load, J.
+
+    Returns:
+        `mass_over_eta`, `regeneration`, `rolling_over_eta` (C_rr m / eta), `drag_area_over_eta`.
+    """
+    terms = np.asarray(wheels.terms)
+    prior = equation.mean[PHYSICS]
+    over = (terms / duration[:, None]).T
+    change = project(over @ terms, over @ (energy - terms @ prior)[:, None], equation)
+    drag, rolling, mass, back = (prior + change[:, 0]).tolist()
+    braking = 1.0 - wheels.driving
+    moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
+    braked = np.array([float(braking @ each) for each in moved])
+    before = float(braked @ equation.mean[PHYSICS[:3]])
+    share = before / float(braked @ (drag, rolling, mass)) if before else 1.0
+    return {
+        "mass_over_eta": mass,
+        "regeneration": equation.back + share * back,
+        "rolling_over_eta": rolling,
+        "drag_area_over_eta": drag,
+    }
+
+
+def _steps(car: Car, trace: Trace, equation: Equation) -> tuple[Wheels, np.ndarray, np.ndarray]:
+    """A drive in steps of `TRUTH_STEP`: prior car, s, and energy without standing load, J."""
+    count = round(TRUTH_STEP / STEP)
+    motion = trace.motion
+    whole = len(motion.speed) // count * count
+
+    def total(power: np.ndarray) -> np.ndarray:
+        return np.asarray(power[:whole].reshape(-1, count).sum(1) * STEP)
+
+    speed = motion.speed
+    duration = np.full(whole // count, TRUTH_STEP)
+    wheels = equation.wheels(
+        duration=duration,
+        distance=total(speed),
+        air=total(speed**3),
+        kinetic=total(speed * motion.acceleration),
+        climb=total(speed * np.sin(motion.grade)),
+        density=car.air_density,
+    )
+    return wheels, duration, total(trace.power - trace.auxiliary)
+
+
+def plausible_parameters(vehicle: Vehicle, rng: np.random.Generator) -> Parameters:
+    """Parameters a real car could have.
+
+    Mass, c_rr, c_d and p_aux within PLAUSIBLE_SPREAD sigmas of their priors; eta and mu of a
+    modern drivetrain, whatever the priors say (the paper's 0.7 and 0.5 are low).
+    """
+    drawn = _draw(vehicle, rng, PLAUSIBLE_SPREAD)
+    return drawn._replace(eta=rng.uniform(*PLAUSIBLE_ETA), mu=rng.uniform(*PLAUSIBLE_MU))
+
+
+def prior_parameters(vehicle: Vehicle, rng: np.random.Generator) -> Parameters:
+    """All six drawn from the vehicle's priors: what makes intervals testable for coverage."""
+    return _draw(vehicle, rng, np.inf)
+
+
+def _draw(vehicle: Vehicle, rng: np.random.Generator, spread: float) -> Parameters:
+    """Normal values, drawn anew until inside the limits and within `spread` sigmas."""
+
+    def value(name: str) -> float:
+        prior, limits = vehicle.priors[name], LIMITS[name]
+        while True:
+            drawn = float(rng.normal(prior.value, prior.std))
+            near = abs(drawn - prior.value) <= spread * prior.std
+            if near and limits.lower < drawn < limits.upper:
+                return drawn
+
+    return Parameters(*(value(name) for name in PARAMETER_NAMES))
+
+
+def tuned(
+    car: Car, motion: IntervalMotion, around: Surroundings, wish: Parameters, equation: Equation
+) -> Car:
+    """The car whose true values on this drive are `wish`; mass and c_d are taken as they are.
+
+    Two wishes may be more than a car can do: mu, when even without friction brakes less comes
+    back (none are used then but for the limits of `Brakes`), and a p_aux below
+    LEAST_AUXILIARY. `true_values` tells what came of it.
+    """
+    car = replace(car, mean_auxiliary=max(wish.p_aux, LEAST_AUXILIARY))
+    for _ in range(ROUNDS):
+        plain = true_values(car, drive_car(car, motion, around), equation).parameters
+        # A short drive does not determine eta, so a wish may be out of reach.
+        scale = np.clip((1.0 / wish.eta - 1.0) / max(1.0 / plain.eta - 1.0, 1e-3), 0.5, 2.0)
+        drivetrain = car.drivetrain
+        car = replace(
+            car,
+            c_rr=float(np.clip(car.c_rr + wish.c_rr - plain.c_rr, 0.5 * car.c_rr, 2 * car.c_rr)),
+            drivetrain=replace(drivetrain, load_scale=drivetrain.load_scale * float(scale)),
+        )
+        car = _with_recovery(car, motion, around, wish.mu, equation)
+    return car
+
+
+def _with_recovery(
+    car: Car, motion: IntervalMotion, around: Surroundings, mu: float, equation: Equation
+) -> Car:
+    """The car with the share of the motor in braking that gives this mu, or as near as it can."""
+
+    def with_share(share: float) -> Car:
+        return replace(car, brakes=replace(car.brakes, motor_share=share))
+
+    def excess(share: float) -> float:
+        candidate = with_share(share)
+        trace = drive_car(candidate, motion, around)
+        return float(true_values(candidate, trace, equation).parameters.mu - mu)
+
+    if excess(1.0) <= 0:
+        return with_share(1.0)
+    if excess(0.0) >= 0:
+        return with_share(0.0)
+    return with_share(float(brentq(excess, 0.0, 1.0, xtol=1e-4)))

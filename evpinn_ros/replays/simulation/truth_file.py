@@ -1,0 +1,25 @@
+"""The true parameters beside a simulated drive, read back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from evpinn_ros.common.yaml_section import compose
+from evpinn_ros.core.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
+
+TRUTH_FILE = "truth.yaml"
+
+
+def read_truth(path: Path) -> Parameters | None:
+    """True parameters beside a simulated drive, None for a real one.
+
+    The path is that of the bag's folder.
+
+    Raises:
+        InputError: there is a `truth.yaml`, but a wrong one.
+    """
+    file = path / TRUTH_FILE
+    if not file.is_file():
+        return None
+    section = compose(file, "truth").section("parameters")
+    return Parameters(*(section.number(name, *LIMITS[name]) for name in PARAMETER_NAMES))

@@ -1,0 +1,42 @@
+"""Cars for tests: the physics of eq. 21 alone, and one that has learned from a drive."""
+
+from dataclasses import replace
+from functools import cache
+
+from hypothesis import settings
+import numpy as np
+
+from benchmarks.truth import CarChain
+from evpinn_ros.core.energy.power_model import PowerModel, combined_model
+from evpinn_ros.core.estimation.states import PHYSICS, SIZE, State
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.identifiable import Identifiable
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
+
+FEW = settings(max_examples=25, deadline=None)  # one more finds nothing
+CAR = load_vehicle("tesla_model_3_lr")
+COMBINED = Identifiable(2200.0, 0.65, 0.0096, 0.6, 1100.0)
+EXACT = Identifiable(0.0, 0.0, 0.0, 0.0, 0.0)
+SIGMAS = Identifiable(20.0, 0.05, 0.0005, 0.03, 100.0)
+KEPT = [*PHYSICS, State.P_AUX]
+
+
+def plain(combined: Identifiable = COMBINED, sigmas: Identifiable = EXACT) -> PowerModel:
+    """A car of which eq. 21 is the whole truth: no other loss, load, noise or hill."""
+    car = combined_model(combined, sigmas, CAR).car
+    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    mean[KEPT], square = car.mean[KEPT], np.ix_(KEPT, KEPT)
+    covariance[square] = car.covariance[square]
+    nothing = {"load_variance": 0.0, "growth": 0.0, "trust": 1.0, "noise": np.zeros(3)}
+    return PowerModel(replace(car, mean=mean, covariance=covariance, **nothing))
+
+
+@cache
+def taught(seconds: float = 200.0) -> PowerModel:
+    """A car as an estimator learned it from a drive in town."""
+    chain = CarChain(CAR)
+    for reading in simulate(DriveKind.URBAN, CAR, seconds, 4).readings:
+        chain.add_reading(reading)
+    car = chain.car.begin_drive()
+    return PowerModel(car.model())

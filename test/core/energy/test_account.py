@@ -1,0 +1,389 @@
+import json
+import math
+
+import numpy as np
+import pytest
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.dropout import Verdict
+from evpinn_ros.core.energy.forecast import Forecast
+from evpinn_ros.core.energy.meter import EnergyMeter
+from evpinn_ros.core.energy.plan import Plan
+from evpinn_ros.core.energy.plausible import MAX_POWER
+from evpinn_ros.core.energy.rknn import Rknn
+from evpinn_ros.core.signals.readings import MAX_SPEED
+
+START = 1_700_000_000_000_000_000
+CAPACITY = 70e6  # J
+SPEED = 20.0  # m/s
+NEVER = range(0)
+
+
+def itself(power, energy=0.0):
+    return power
+
+
+CLASSICAL = Rknn((itself, itself, itself, itself))  # the network is tested elsewhere
+
+
+def account(capacity=CAPACITY, vehicle="bmw_i3"):
+    return EnergyAccount(EnergyMeter(CLASSICAL), vehicle, capacity)
+
+
+def drive(
+    to, seconds, *, power=10e3, predicted=10.5e3, silent=NEVER, blind=NEVER, first_charge=0.9
+):
+    """2 Hz; the battery with its charge is silent in one range, speed in another.
+
+    The state of charge falls as the power says, from second 0 on, in steps of 1 / 500.
+    """
+    for tick in range(seconds.start * 2, seconds.stop * 2 + 1):
+        t, stamp = tick / 2, START + tick * 500_000_000
+        if not silent.start < t < silent.stop:
+            charge = first_charge - power * t / CAPACITY
+            to.add_charge(stamp, round(charge * 500) / 500)
+            to.add_measured(stamp, power, 30.0)
+        if not blind.start < t < blind.stop:
+            to.add_speed(stamp, SPEED)
+            to.add_predicted(stamp, predicted, 1e3)
+    return to
+
+
+@pytest.fixture(scope="module")
+def minute():
+    """A saved account of a minute's drive."""
+    return drive(account(), range(60)).export()
+
+
+@pytest.fixture(scope="module")
+def hour():
+    """A saved account of an hour's drive, from which the capacity was learned."""
+    return drive(account(), range(3600)).export()
+
+
+def restored(saved):
+    found = account()
+    found.restore(json.loads(json.dumps(saved, allow_nan=False)))
+    return found
+
+
+def test_before_anything_nothing_is_known():
+    summary = account().summary()
+    assert summary.since_reset == summary.lifetime
+    assert summary.since_reset.net == (0.0, 0.0)
+    assert summary.consumption == {} and summary.remaining is None
+    assert not summary.charge.known and not summary.usable.known
+
+
+def test_totals_and_consumption_of_a_drive():
+    summary = drive(account(), range(600)).summary()
+    assert summary.since_reset.net.value == pytest.approx(6e6)
+    assert summary.since_reset.drawn == pytest.approx(6e6)
+    assert summary.since_reset.distance == pytest.approx(12e3)
+    assert set(summary.consumption) == {"1", "10", "trip", "lifetime"}
+    assert all(cost == pytest.approx(500.0, rel=1e-3) for cost in summary.consumption.values())
+    assert summary.usable.value == pytest.approx((0.9 - 6 / 70) * CAPACITY, rel=0.01)
+    expected = summary.usable.value / 500.0
+    assert summary.remaining.lower < expected < summary.remaining.upper
+    assert summary.remaining.distance == pytest.approx(expected, rel=1e-2)
+
+
+def test_a_reset_of_the_trip_leaves_the_lifetime_and_the_charge():
+    counted = drive(account(), range(300))
+    charge = counted.charge()
+    counted.reset_trip()
+    assert counted.since_reset().net.value == 0.0
+    assert counted.lifetime().net.value == pytest.approx(3e6)
+    assert counted.charge() == charge
+    drive(counted, range(300, 600))
+    assert counted.since_reset().net.value == pytest.approx(3e6)
+    assert counted.lifetime().net.value == pytest.approx(6e6)
+    assert counted.lifetime().distance == pytest.approx(12e3)
+    assert counted.summary().consumption["10"] == pytest.approx(500.0, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_silence_is_reconciled_with_the_state_of_charge(hour):
+    """The prediction is 20 % low over a silence of 20 minutes; charge tells most of that."""
+    counted = restored(hour)
+    assert counted.gauge.learned
+    before = counted.lifetime().net.value
+    drive(counted, range(3600, 5460), predicted=9e3, silent=range(3660, 4860))
+    found = counted.reconciled
+    assert found.verdict is Verdict.JOINED
+    assert found.dropout.duration == pytest.approx(1200.0, abs=1.0)
+    assert found.dropout.bridge.energy == pytest.approx(10.8e6, rel=0.01)
+    assert found.by_charge.value == pytest.approx(12e6, abs=2 * found.by_charge.sigma)
+    error = counted.lifetime().net.value - before - 18.6e6
+    assert abs(error) < 0.5 * 1.2e6
+    net = counted.since_reset().net
+    assert net.sigma < counted.meter.state.consumed_sigma
+    uncorrected = sum(window.total.energy for window in counted.trip.windows[:1])
+    assert uncorrected == pytest.approx(1e3 * 500.0, rel=0.1)  # no jump in the last kilometre
+
+
+def test_without_a_state_of_charge_a_silence_stays_predicted():
+    counted = drive(account(math.nan), range(300), silent=range(100, 200))
+    assert counted.reconciled.verdict is Verdict.PREDICTED
+    assert counted.since_reset().net.value == pytest.approx(2e6 + 1.05e6, rel=0.01)
+
+
+@pytest.mark.slow
+def test_speed_silent_too_is_counted_and_told_by_the_charge(hour):
+    counted = restored(hour)
+    drive(counted, range(3600, 5460), silent=range(3660, 4860), blind=range(3660, 4860))
+    assert counted.reconciled.verdict is Verdict.CHARGE_ALONE
+    assert counted.since_reset().unknown_s == pytest.approx(1200.0, abs=2.0)
+    assert counted.since_reset().net.value == pytest.approx(54.6e6, rel=0.02)
+    assert counted.since_reset().distance == pytest.approx((5460 - 1200) * SPEED, rel=1e-3)
+
+
+def test_the_charge_is_projected_while_the_battery_is_silent():
+    counted = drive(account(), range(600))
+    heard = counted.charge()
+    drive(counted, range(600, 1200), silent=range(600, 1300))
+    summary = counted.summary()
+    assert summary.projected
+    assert summary.charge.value == pytest.approx(heard.value - 6.3e6 / CAPACITY, abs=0.003)
+    assert summary.charge.sigma > heard.sigma
+
+
+def test_usual_legs_count_in_the_distance_to_empty_once_there_is_a_long_run():
+    """Before 10 km are driven there is no long run to return to."""
+    counted = account()
+    counted.usual = 500.0
+    drive(counted, range(300))
+    summary = counted.summary()
+    assert summary.consumption["lifetime"] > 0.0 and "10" not in summary.consumption
+    assert summary.remaining is None
+    drive(counted, range(300, 600))
+    far = counted.summary().remaining.distance
+    counted.usual = 1000.0  # J/m: 3/4 of 500 more than the road so far, over a memory of 10 km
+    assert far - counted.summary().remaining.distance == pytest.approx(3.75e6 / 500.0, abs=2.0)
+
+
+def test_a_route_planned_before_setting_off_is_followed_until_it_is_driven():
+    time, length = np.array([0.0, 50.0, 600.0]), np.array([0.0, 1e3, 12e3])
+    plan = Plan(time, length, np.full(3, SPEED), np.zeros(3))
+    energy = np.array([0.0, 1e6, 12e6])  # twice as much as usual
+    planned, usual = account(), account()
+    planned.follow(plan, Forecast(time, energy, np.full(3, 2e4), 0.1 * energy))
+    start = drive(planned, range(40)).summary()
+    assert drive(usual, range(40)).summary().remaining is None
+    assert start.remaining.distance == pytest.approx(start.usable.value / 1e3, abs=3.0)
+    found = [drive(each, range(41, 520)).summary().remaining for each in (planned, usual)]
+    left = 12e3 - 520 * SPEED
+    assert found[0].distance == pytest.approx(found[1].distance - left, abs=30.0)
+    over = [drive(each, range(521, 620)).summary().remaining for each in (planned, usual)]
+    assert over[0] == over[1]
+
+
+def test_a_route_is_followed_on_after_a_restart_and_not_the_next_morning():
+    time, length = np.array([0.0, 50.0, 600.0]), np.array([0.0, 1e3, 12e3])
+    plan = Plan(time, length, np.full(3, SPEED), np.zeros(3))
+    energy = np.array([0.0, 1e6, 12e6])  # twice as much as usual
+    first = drive(account(), range(600))
+    first.follow(plan, Forecast(time, energy, np.full(3, 2e4), 0.1 * energy))
+    saved = json.loads(json.dumps(drive(first, range(600, 700)).export(), allow_nan=False))
+    older = {name: value for name, value in saved.items() if name != "route"}
+    one, another, without, morning = account(), account(), account(), account()
+    one.restore(saved)
+    another.restore(one.export())  # stopped before anything came
+    without.restore(older)
+    morning.restore(saved)
+    left = first.route.left(first.odometer, 0)
+    assert left == pytest.approx(12e3 - 101 * SPEED, abs=SPEED)
+    on = [drive(each, range(700, 720)).summary().remaining for each in (one, another, without)]
+    assert on[0] == on[1]
+    dearer = one.route.left(one.odometer, 0)  # by as many metres as cost twice as much
+    assert left - 20 * SPEED <= dearer < left - 15 * SPEED
+    assert on[2].distance - on[0].distance == pytest.approx(dearer, rel=0.05)
+    late = [drive(each, range(3000, 3020)).summary().remaining for each in (morning, without)]
+    assert late[0].distance == pytest.approx(late[1].distance, rel=0.01)
+    saved["route"]["energy"].pop()
+    with pytest.raises(ValueError, match="route"):
+        account().restore(saved)
+
+
+def test_saved_and_restored_the_totals_are_the_same_and_go_on():
+    first = drive(account(), range(300), silent=range(100, 200))
+    first.reset_trip()
+    drive(first, range(300, 600))
+    second = restored(first.export())
+    one, other = first.summary(), second.summary()
+    assert other.since_reset == pytest.approx(one.since_reset)
+    assert other.lifetime == pytest.approx(one.lifetime)
+    assert other.consumption == pytest.approx(one.consumption)
+    assert other.capacity == one.capacity
+    drive(second, range(90_000, 90_100))
+    assert second.lifetime().net.value == pytest.approx(one.lifetime.net.value + 1e6)
+    assert second.lifetime().distance == pytest.approx(one.lifetime.distance + 2e3)
+
+
+def test_without_a_sigma_of_power_totals_are_kept_all_the_same():
+    first = account()
+    for tick in range(20):
+        first.add_measured(START + tick * 500_000_000, 1e3, math.nan)
+    first.reset_trip()
+    second = restored(first.export())
+    assert second.lifetime().net.value == pytest.approx(9.5e3)
+    assert math.isnan(second.lifetime().net.sigma)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"vehicle": "tesla_model_s"}, "not for"),
+        ({"version": 99}, "not for"),
+        ({"meter": None}, "'meter' is None, expected measured"),
+        ({"trip": []}, r"'trip' is \[\], expected speed"),
+        ({"charge": {}}, "learned"),
+        ({"correction": [1.0]}, "correction"),
+        ({"before_reset": [1.0] * 6 + ["x"]}, "before_reset"),
+        ({"before_reset": [-1.0] * 7}, "before_reset.variance.* 0 to"),
+    ],
+)
+def test_a_wrong_saved_account_is_refused(minute, wrong, reason):
+    with pytest.raises(InputError, match=reason):
+        account().restore({**minute, **wrong})
+
+
+@pytest.mark.parametrize("wrong", [1e9, -1e9, 1e308, math.inf, math.nan])
+def test_what_no_car_can_do_is_refused_and_all_goes_on(wrong):
+    """One speed of 1e9 m/s used to be 50 000 km of the lifetime; a power of 1e308 ended it."""
+    counted, sound = account(), drive(account(), range(120))
+    drive(counted, range(60))
+    late = START + 60_250_000_000
+    counted.add_speed(late, wrong)
+    counted.add_measured(late, wrong, 30.0)
+    assert not counted.add_predicted(late, wrong, 1e3)
+    counted.add_measured(late, 1e4, 1e308)
+    assert not counted.add_predicted(late, 1e4, -1.0)
+    drive(counted, range(60, 120))
+    assert counted.summary().lifetime == pytest.approx(sound.summary().lifetime)
+    assert counted.refused == {"speed_out_of_range": 1, "power_out_of_range": 4}
+    json.dumps(counted.export(), allow_nan=False)
+
+
+def test_the_largest_power_and_speed_that_are_taken_never_stop_the_account():
+    counted = account()
+    for second in range(1000):
+        stamp = START + second * 1_000_000_000
+        counted.add_speed(stamp, MAX_SPEED)
+        counted.add_predicted(stamp, MAX_POWER, MAX_POWER)
+    again = restored(counted.export())
+    assert again.lifetime().distance == pytest.approx(999 * MAX_SPEED)
+
+
+def changed(saved, path, value):
+    """A copy of a saved account with one value changed."""
+    saved = json.loads(json.dumps(saved))
+    place = saved
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    return saved
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (["trip", "speed", "drawn"], 1e8),  # in a minute
+        (["trip", "energy"], 1e300),
+        (["trip", "windows", 2, 0, 0], 1e300),
+        (["trip", "windows", 0, 0, 1], -1e300),
+        (["meter", "measured", "drawn"], 1e12),
+        (["meter", "predicted", "regenerated"], 1e12),
+        (["meter", "rknn"], -1e12),
+        (["meter", "bridged", 0], 1e300),
+        (["meter", "measured_sigma"], 1e200),
+        (["meter", "measured", "covered_s"], 1e300),
+        (["before_reset", 0], 1e300),
+        (["before_reset", 3], 1e11),
+        (["before_reset", 6], 1e300),
+        (["correction", 0], 1e300),
+        (["trip", "windows", 0, 0, 0], 10**400),
+        (["trip", "windows", 0, 0, 0], "50"),
+        (["trip", "windows", 0, 0, 0], 1.0),  # a bucket of another size
+        (["charge", "learned"], math.inf),
+        (["charge", "learned"], 1e300),
+        (["charge", "learned"], "1"),
+        (["charge", "step"], 10**400),
+        (["charge", "capacity"], [1e308, 1.0]),
+        (["charge", "capacity"], [CAPACITY, 10**400]),
+        (["battery", "samples"], 1e300),
+        (["trip", "energy"], True),
+    ],
+)
+def test_a_saved_account_of_what_no_car_can_do_is_refused(minute, path, value):
+    account().restore(minute)
+    with pytest.raises(InputError, match="saved"):
+        account().restore(changed(minute, path, value))
+
+
+def test_a_state_of_charge_cannot_add_what_no_battery_can_give():
+    """Full, then empty, a minute later: 70 MJ in 61 s of dropout are 1.1 MW; of 5 GJ 80 MW."""
+    counted = drive(account(5e9), range(30), first_charge=1.0)
+    drive(counted, range(95, 97), first_charge=0.01)
+    assert counted.reconciled.verdict is Verdict.PREDICTED
+    assert counted.lifetime().net.value < 1e6
+
+
+@pytest.mark.slow
+def test_the_lifetime_never_falls_whatever_time_does():
+    """Jumps under both policies, trips reset, restarts from what was saved last."""
+    counted, random = account(), np.random.default_rng(3)
+    before = counted.lifetime()
+    for _ in range(30):
+        begin = int(random.integers(0, 500))
+        drive(counted, range(begin, begin + 20), silent=range(begin, begin + 5))
+        now = counted.lifetime()
+        assert now.distance > before.distance and now.drawn > before.drawn
+        match random.integers(4):
+            case 0:
+                counted.begin_after_jump()
+            case 1:
+                counted.begin_next_trip()
+                assert counted.since_reset().distance == 0.0
+            case 2:
+                counted.reset_trip()
+                counted.begin_after_jump()
+            case _:
+                counted = restored(counted.export())
+        before = counted.lifetime()
+        assert before == pytest.approx(now)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_published_never_falls_among_leaps(seed):
+    """Stamps leap by 3 s, power changes its sign, samples are lost, the process restarts."""
+    random, counted, skew, fell = np.random.default_rng(seed), account(), 0.0, 0.0
+    before, inside = counted.summary().lifetime, 0.0
+    for tick in range(600):
+        skew += random.choice([-3.0, 3.0]) if random.random() < 0.03 else 0.0
+        if random.random() < 0.01:
+            random.choice([counted.begin_after_jump, counted.begin_next_trip])()
+        if random.random() < 0.01:
+            counted.restore(json.loads(json.dumps(counted.export(), allow_nan=False)))
+        stamp_ns, power = START + int((tick / 2 + skew) * 1e9), random.choice([10e3, -8e3, 30e3])
+        if random.random() < 0.8:
+            counted.add_measured(stamp_ns, power, 30.0)
+        if random.random() < 0.9:
+            counted.add_speed(stamp_ns, SPEED)
+            counted.add_predicted(stamp_ns, 1.05 * power + 300.0 * random.normal(), 1e3)
+        now = counted.summary().lifetime
+        assert now.drawn >= before.drawn and now.regenerated >= before.regenerated
+        assert now.net.value == pytest.approx(counted.lifetime().net.value)
+        drawn = counted.lifetime().drawn
+        before, inside, fell = now, drawn, max(fell, inside - drawn)
+    assert fell > 0.0  # inside it does: what was predicted is put right
+
+
+@pytest.mark.slow
+def test_a_jump_of_time_joins_nothing():
+    counted = drive(account(), range(600))
+    counted.begin_after_jump()
+    drive(counted, range(600))
+    assert counted.since_reset().net.value == pytest.approx(12e6)
+    assert counted.since_reset().unmeasured_s == 0.0

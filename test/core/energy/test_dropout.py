@@ -1,0 +1,50 @@
+import math
+
+import pytest
+
+from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
+from evpinn_ros.core.energy.dropout import Bridge, Dropout, Verdict, reconcile
+
+WH = 3600.0
+
+
+def silence(energy=1000 * WH, sigma=60 * WH, duration=600.0, covered=600.0):
+    bridge = Bridge(energy, 0.0, abs(energy), covered)
+    return Dropout(0, duration, bridge, 10 * WH, sigma)
+
+
+def test_without_a_state_of_charge_only_the_prediction_is_there():
+    found = reconcile(silence(), UNKNOWN)
+    assert (found.verdict, found.correction) == (Verdict.PREDICTED, 0.0)
+    assert math.isnan(found.by_charge.value)
+
+
+def test_two_statements_are_joined_by_their_variances():
+    found = reconcile(silence(), Uncertain(1100 * WH, 60 * WH))
+    assert found.verdict is Verdict.JOINED
+    assert found.correction == pytest.approx(50 * WH)
+    assert found.variance_taken == pytest.approx((60 * WH) ** 2 / 2)
+    rough = reconcile(silence(), Uncertain(1100 * WH, 600 * WH))
+    assert rough.correction == pytest.approx(1 * WH, rel=0.02)
+
+
+def test_in_a_minute_the_state_of_charge_says_nothing():
+    found = reconcile(silence(duration=59.0, covered=59.0), Uncertain(1100 * WH, 60 * WH))
+    assert (found.verdict, found.correction) == (Verdict.SHORT, 0.0)
+
+
+def test_a_contradiction_is_told_and_changes_nothing():
+    found = reconcile(silence(), Uncertain(2000 * WH, 60 * WH))
+    assert (found.verdict, found.correction) == (Verdict.CONTRADICTED, 0.0)
+
+
+def test_a_charge_in_between_is_no_consumption():
+    found = reconcile(silence(covered=100.0), Uncertain(-9000 * WH, 60 * WH))
+    assert (found.verdict, found.correction) == (Verdict.CHARGED, 0.0)
+
+
+def test_where_speed_was_silent_too_the_state_of_charge_counts_alone():
+    found = reconcile(silence(covered=300.0), Uncertain(2000 * WH, 80 * WH))
+    assert found.verdict is Verdict.CHARGE_ALONE
+    assert found.correction == pytest.approx(1000 * WH)
+    assert found.variance_taken == pytest.approx((60 * WH) ** 2 - (80 * WH) ** 2)

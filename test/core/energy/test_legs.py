@@ -1,0 +1,99 @@
+"""Legs of a trip and what they are as points."""
+
+from dataclasses import replace
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.plan import Plan, PlanError, legs_of, legs_of_trip, points_of
+from evpinn_ros.core.energy.power_model import Weather, vehicle_model
+from evpinn_ros.core.estimation.states import PHYSICS
+from evpinn_ros.core.estimation.unevenness import Path, even_rows
+from test.core.energy.cars import CAR, FEW
+
+MODEL = vehicle_model(CAR)
+LEG = st.tuples(st.floats(1.0, 600.0), st.floats(0.5, 40.0) | st.just(0.0), st.floats(-0.1, 0.1))
+
+
+@given(st.lists(LEG, min_size=1, max_size=30))
+def test_points_keep_length_duration_and_climb_of_every_leg(rows):
+    duration, speed, slope = np.array(rows).T
+    legs = legs_of_trip(duration * speed, duration, slope * duration * speed)
+    plan = points_of(legs)
+    np.testing.assert_allclose(np.diff(plan.time), legs.duration, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(plan.distance), legs.length, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(np.diff(plan.elevation), legs.climb, rtol=1e-6, atol=1e-6)
+
+
+@FEW
+@given(st.lists(LEG, min_size=1, max_size=30))
+def test_a_leg_costs_the_same_whatever_is_before_and_after_it_but_for_its_ends(rows):
+    """Rows of legs add up: the whole is the sum, and beyond even speed nothing is below zero."""
+    duration, speed, slope = np.array(rows).T
+    legs = legs_of_trip(duration * speed, duration, slope * duration * speed)
+    zero = np.zeros_like(duration)
+    path = Path(duration, legs.length, zero, zero, legs.climb, zero + 1.2, zero)
+    whole, beyond = MODEL.leg_rows(path, Weather(1.2))
+    even = even_rows(MODEL.car.equation, path)
+    np.testing.assert_allclose((whole - beyond)[:, PHYSICS], even[:, PHYSICS], atol=1e-6)
+
+
+def test_unevenness_vanishes_as_steps_become_short():
+    """Two minutes in legs of less and less duration: what uneven speed takes goes to zero."""
+    shares = []
+    for seconds in (60.0, 1.0, 0.1, 0.01):
+        count = round(120.0 / seconds)
+        one, zero = np.full(count, seconds), np.zeros(count)
+        path = Path(one, 15.0 * one, zero, zero, zero, zero + 1.2, zero)
+        whole, beyond = MODEL.leg_rows(path, Weather(1.2))
+        shares.append(float((beyond @ MODEL.car.mean).sum() / (whole @ MODEL.car.mean).sum()))
+    assert shares[0] > 0.05 and shares[3] < 2e-3 * shares[0]
+    assert 8.0 < shares[2] / shares[3] < 12.0
+
+
+def test_a_road_of_unknown_height_is_less_sure():
+    legs = legs_of_trip(np.full(10, 900.0), np.full(10, 60.0))
+    level, unknown = (
+        forecast_plan(replace(legs, height_known=np.full(10, known)), MODEL, Weather(1.2))
+        for known in (True, False)
+    )
+    assert unknown.energy[-1] == level.energy[-1] and unknown.sigma[-1] > level.sigma[-1]
+
+
+def test_a_coarse_plan_costs_more_than_even_speed_and_is_less_sure():
+    legs = legs_of_trip([9000.0], [600.0])
+    minute = legs_of_trip(np.full(10, 900.0), np.full(10, 60.0))
+    whole, parts = (forecast_plan(each, MODEL, Weather(1.2)) for each in (legs, minute))
+    time = np.arange(0.0, 601.0)
+    even = Plan(time, 15.0 * time, np.full(601, 15.0), np.zeros(601))
+    fine = forecast_plan(even, MODEL, Weather(1.2))
+    assert parts.energy[-1] > 1.05 * fine.energy[-1]
+    assert parts.sigma[-1] > fine.sigma[-1] and whole.sigma[-1] > fine.sigma[-1]
+
+
+def test_legs_need_not_be_one_trip():
+    """A road network's are checked one by one, and may last longer than a trip."""
+    n = 60_000
+    edges = legs_of(np.full(n, 900.0), np.full(n, 60.0))
+    assert len(edges.length) == n
+    with pytest.raises(PlanError, match="60000 points are more than 50000"):
+        legs_of_trip(edges.length, edges.duration)
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"length": [np.nan, 1.0]}, "length is not finite at leg 0"),
+        ({"climb": [0.0, 200.0]}, "climbs more than it is long at leg 1"),
+        ({"climb": [0.0]}, "arrays of one length"),
+        ({"length": [], "duration": []}, "arrays of one length"),
+        ({"length": [[1.0]], "duration": [[1.0]]}, "arrays of one length"),
+        ({"length": 5.0, "duration": 5.0}, "arrays of one length"),
+    ],
+)
+def test_what_are_no_legs_is_refused(given, reason):
+    with pytest.raises(PlanError, match=reason):
+        legs_of_trip(**{"length": [100.0, 100.0], "duration": [9.0, 9.0]} | given)

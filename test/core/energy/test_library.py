@@ -1,0 +1,178 @@
+"""`evpinn_ros.core.energy.forecast`: many profiles at once, numpy or torch."""
+
+from dataclasses import replace
+import subprocess
+import sys
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+import evpinn_ros.core.energy
+from evpinn_ros.core.energy.forecast import Profiles, forecast, forecast_plan
+from evpinn_ros.core.energy.plan import PlanError, plan_from_speed_profile
+from evpinn_ros.core.energy.power_model import PowerModel, Weather
+from evpinn_ros.core.estimation.states import State
+from test.core.energy.cars import CAR, COMBINED, FEW, SIGMAS, plain, taught
+
+SIMPLE = plain(COMBINED, SIGMAS)
+LEARNED = pytest.param("learned", marks=pytest.mark.slow)
+MODELS = pytest.mark.parametrize("model", ["combinations", LEARNED], indirect=True)
+
+
+@pytest.fixture(scope="module")
+def model(request):
+    """Made when it is wanted, for it takes seconds."""
+    return SIMPLE if request.param == "combinations" else taught()
+
+
+def profiles(seed=0, batch=5, points=60, hills=True):
+    rng = np.random.default_rng(seed)
+    speed = np.clip(14 + np.cumsum(rng.normal(0, 0.9, (batch, points)), axis=1), 0.5, 38)
+    elevation = np.cumsum(rng.normal(0, 0.15, (batch, points)), axis=1)
+    return Profiles(np.arange(float(points)), speed, elevation if hills else None)
+
+
+def energy(found, model):
+    return forecast(found, CAR, model).energy[0]
+
+
+def test_the_package_has_it():
+    assert evpinn_ros.core.energy.forecast is forecast
+
+
+@MODELS
+def test_a_batch_is_its_plans(model):
+    many = profiles(1)
+    found = forecast(many, CAR, model)
+    for i, (speed, height) in enumerate(zip(many.speed, many.elevation, strict=True)):
+        distance = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2)))
+        plan = plan_from_speed_profile(many.time, distance, speed, height)
+        one = forecast_plan(plan, model, Weather(CAR.air_density))
+        # One point in the middle of a leg against three, where the car turns to braking.
+        assert found.energy[i] == pytest.approx(one.energy[-1], rel=0.01)
+        assert found.sigma[i] == pytest.approx(one.sigma[-1], rel=0.01)
+
+
+@MODELS
+def test_chunks_make_no_difference(model):
+    many = profiles(2, batch=70)
+    found = forecast(many, CAR, model)
+    alone = [forecast(Profiles(many.time, v[None], z[None]), CAR, model)
+             for v, z in zip(many.speed, many.elevation, strict=True)]  # fmt: skip
+    assert found.energy == pytest.approx([one.energy[0] for one in alone], rel=1e-12)
+    assert found.sigma == pytest.approx([one.sigma[0] for one in alone], rel=1e-12)
+
+
+@pytest.mark.slow
+@MODELS
+def test_torch_gives_the_same_and_its_own_kind(model):
+    import torch  # takes seconds
+
+    many = profiles(3)
+    found = forecast(many, CAR, model)
+    tensors = forecast(Profiles(*map(torch.as_tensor, many)), CAR, model)
+    assert isinstance(found.energy, np.ndarray) and isinstance(tensors.energy, torch.Tensor)
+    assert tensors.energy.numpy() == pytest.approx(found.energy, rel=1e-10)
+    assert tensors.sigma.numpy() == pytest.approx(found.sigma, rel=1e-10)
+
+
+@pytest.mark.slow
+@MODELS
+@pytest.mark.parametrize("name", Profiles._fields)
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_the_gradient_is_that_of_finite_differences(model, name, seed):
+    """Away from where power bends or jumps, which a step this small does not cross."""
+    import torch  # takes seconds
+
+    many = profiles(seed, batch=2, points=20)
+    wanted = getattr(many, name)
+    leaves = {field: torch.as_tensor(array) for field, array in many._asdict().items()}
+    leaves[name].requires_grad_()
+    found = forecast(Profiles(**leaves), CAR, model)
+    (found.energy.sum() + found.sigma.sum()).backward()
+    gradient = leaves[name].grad.numpy()
+    step = 1e-6
+    index = tuple(np.random.default_rng(seed).integers(0, wanted.shape))
+    ends = []
+    for side in (step, -step):
+        array = wanted.copy()
+        array[index] += side
+        at = forecast(Profiles(*map(torch.as_tensor, many._replace(**{name: array}))), CAR, model)
+        ends.append(float(at.energy.sum() + at.sigma.sum()))
+    difference = (ends[0] - ends[1]) / (2 * step)
+    assert gradient[index] == pytest.approx(difference, rel=1e-4, abs=1.0)
+
+
+@pytest.mark.slow
+def test_numpy_alone_never_loads_torch():
+    code = (
+        "import sys, numpy as np\n"
+        "from evpinn_ros.core.energy import Profiles, forecast\n"
+        "from evpinn_ros.core.vehicle.files import load_vehicle\n"
+        "found = forecast(Profiles(np.arange(3.0), np.ones((1, 3))), load_vehicle('generic'))\n"
+        "assert found.energy[0] > 0 and 'torch' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"time": np.array([0.0, 1.0, 1.0])}, "time does not rise"),
+        ({"time": np.arange(4.0)}, "must be"),
+        ({"speed": np.ones(3)}, "must be"),
+        ({"speed": -np.ones((2, 3))}, "speed is negative"),
+        ({"speed": np.full((2, 3), np.nan)}, "not finite"),
+        ({"speed": np.full((2, 3), np.inf)}, "not finite"),
+        ({"time": np.array([0.0, np.nan, 2.0])}, "time does not rise"),
+        ({"elevation": np.full((2, 3), np.inf)}, "not finite"),
+    ],
+)
+@MODELS
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_what_is_no_profile_is_refused(change, reason, model):
+    with pytest.raises(PlanError, match=reason):
+        forecast(Profiles(np.arange(3.0), np.ones((2, 3)))._replace(**change), CAR, model)
+
+
+# What holds for the physics and for every learned model, exactly.
+
+
+@MODELS
+@FEW
+@given(st.integers(0, 10_000), st.integers(1, 58))
+def test_a_profile_cut_in_two_adds_up(model, seed, cut):
+    # Tyres, cabin and the load of now fade from the start of a plan, so a cut starts them anew.
+    mean = model.car.mean.copy()
+    mean[[State.ROLLING_START, State.COLD_START, State.HOT_START, State.LOAD]] = 0.0
+    model = PowerModel(replace(model.car, mean=mean))
+    whole = profiles(seed, 1)
+    first = Profiles(*(array[..., : cut + 1] for array in whole))
+    second = Profiles(*(array[..., cut:] for array in whole))
+    parts = energy(first, model) + energy(second, model)
+    assert parts == pytest.approx(energy(whole, model), rel=1e-9, abs=1e-4)
+
+
+@MODELS
+@FEW
+@given(st.integers(0, 10_000))
+def test_what_is_not_known_only_adds_to_sigma(model, seed):
+    found = forecast(profiles(seed), CAR, model)
+    certain = PowerModel(replace(model.car, covariance=0.0 * model.car.covariance))
+    assert (forecast(profiles(seed), CAR, certain).sigma <= found.sigma).all()
+
+
+@FEW
+@given(st.floats(5, 35), st.floats(0.3, 3.0))
+def test_driving_slower_saves_drag_and_costs_auxiliary_power(speed, slower):
+    """One way at constant speed, and in `slower` times the time."""
+    time = np.arange(0.0, 601.0, 60.0)
+    base = Profiles(time, np.full((1, time.size), speed))
+    scaled = Profiles(slower * time, base.speed / slower)
+    drag = 0.5 * CAR.air_density * COMBINED.drag_area_over_eta * speed**3 * 600
+    change = drag * (slower**-2 - 1) + COMBINED.p_aux * 600 * (slower - 1)
+    found = energy(scaled, SIMPLE) - energy(base, SIMPLE)
+    assert found == pytest.approx(change, rel=1e-6, abs=1e-3 * drag)

@@ -1,0 +1,289 @@
+import json
+import math
+
+import pytest
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.energy.meter import EnergyMeter, Integrator
+from evpinn_ros.core.energy.quadrature import EnergyIntegral
+from evpinn_ros.core.energy.rknn import load_rknn
+from evpinn_ros.core.energy.uncertainty import LASTING_SHARE
+
+RKNN = load_rknn()
+START = 1_700_000_000_000_000_000
+NEVER = range(0)
+
+
+SEAM = 1.2e3  # J: the energy of one sample, where measured and predicted energy join
+
+
+def meter(**settings):
+    return EnergyMeter(RKNN, **settings)
+
+
+def drive(
+    to,
+    seconds,
+    *,
+    measured=10e3,
+    predicted=11e3,
+    silent=NEVER,
+    blind=NEVER,
+    sigma=1e3,
+    measured_sigma=math.nan,
+):
+    """Push 10 Hz samples for the seconds of a range.
+
+    No battery in those of `silent`, and no speed, so no prediction, in those of `blind`.
+    """
+    for tick in range(seconds.start * 10, seconds.stop * 10 + 1):
+        stamp = START + tick * 100_000_000
+        if tick / 10 <= silent.start or tick / 10 > silent.stop:
+            to.add_measured(stamp, measured, measured_sigma)
+        if tick / 10 <= blind.start or tick / 10 > blind.stop:
+            to.add_predicted(stamp, predicted, sigma)
+    return to
+
+
+def test_before_anything_is_counted():
+    state = meter().state
+    assert (state.stamp_ns, state.measuring, state.unmeasured_s) == (0, False, 0.0)
+    assert state.measured.energy == state.predicted.energy == state.rknn.energy == 0.0
+    assert math.isnan(state.predicted.power)
+
+
+def test_both_integrals_by_hand():
+    state = drive(meter(), range(60)).state
+    assert state.stamp_ns == START + 60_000_000_000
+    assert state.measured == pytest.approx((600e3, 10e3, math.nan), nan_ok=True)
+    assert state.predicted[:2] == pytest.approx((660e3, 11e3))
+    assert state.rknn[:2] == pytest.approx((660e3, 11e3), rel=1e-4)
+    assert state.predicted.sigma == pytest.approx(math.sqrt(2 * 5 * (60 - 5)) * 1e3, rel=1e-3)
+    assert state.regenerated[:2] == (0.0, 0.0)
+    assert state.measuring and state.unmeasured_s == 0.0
+
+
+def test_measured_sigma_when_the_sensor_is_known():
+    known = meter()
+    for tick in range(3):
+        known.add_measured(START + tick * 100_000_000, 1e3, 50.0)
+    assert 0 < known.state.measured.sigma < 50.0
+
+
+def test_a_silent_battery_stops_only_what_is_measured():
+    silent = drive(meter(), range(60), silent=range(20, 60))
+    state = silent.state
+    assert not state.measuring
+    assert state.measured.energy == pytest.approx(200e3)
+    assert math.isnan(state.measured.power)
+    assert state.predicted.energy == pytest.approx(660e3)
+    assert state.unmeasured_s == pytest.approx(40.0)
+    assert state.consumed == pytest.approx(200e3 + 40 * 11e3, abs=SEAM)
+
+
+def test_silence_is_declared_after_the_timeout():
+    late = drive(meter(), range(10))
+    late.add_predicted(START + 11_900_000_000, 11e3, 1e3)
+    assert late.state.measuring
+    late.add_predicted(START + 12_100_000_000, 11e3, 1e3)
+    assert not late.state.measuring
+
+
+def test_a_battery_that_returns_is_bridged_by_the_prediction():
+    state = drive(meter(), range(60), silent=range(20, 40)).state
+    assert state.measuring
+    assert state.measured.energy == pytest.approx(400e3, abs=SEAM)
+    assert state.unmeasured_s == pytest.approx(20.1)
+    assert state.consumed == pytest.approx(400e3 + 220e3, abs=2 * SEAM)
+    assert state.gaps == 1
+
+
+@pytest.mark.slow
+def test_sigma_grows_while_silent_and_does_not_shrink_when_the_battery_returns():
+    """The lasting 6 % of the gross energy counts for the silence alone."""
+    driven = drive(meter(), range(100), measured_sigma=10.0)
+    speaking = driven.state
+    drive(driven, range(100, 400), silent=range(100, 400), measured_sigma=10.0)
+    silent = driven.state
+    assert silent.consumed_sigma == pytest.approx(
+        math.hypot(LASTING_SHARE * 300 * 11e3, math.sqrt(2 * 5 * 295) * 1e3), rel=1e-2
+    )
+    assert silent.predicted.sigma > silent.consumed_sigma > 20 * speaking.consumed_sigma
+    later = drive(driven, range(401, 440), measured_sigma=10.0).state
+    assert later.consumed_sigma == pytest.approx(silent.consumed_sigma, rel=1e-2)
+    assert driven.last_dropout.sigma == pytest.approx(silent.consumed_sigma, rel=1e-2)
+
+
+def test_time_without_battery_and_speed_is_counted_and_nothing_is_drawn_across_it():
+    driven = drive(meter(), range(140), silent=range(20, 120), blind=range(40, 80))
+    state = driven.state
+    assert state.unknown_s == pytest.approx(40.0, abs=0.3)
+    assert state.unmeasured_s == pytest.approx(100.0, abs=0.3)
+    assert state.consumed == pytest.approx(40 * 10e3 + 60 * 11e3, abs=2 * SEAM)
+    assert driven.last_dropout.unknown_s == pytest.approx(40.0, abs=0.3)
+
+
+@pytest.mark.slow
+def test_speed_that_is_silent_while_the_battery_speaks_costs_nothing():
+    state = drive(meter(), range(300), blind=range(100, 200)).state
+    assert (state.unknown_s, state.unmeasured_s) == (0.0, 0.0)
+    assert state.consumed == pytest.approx(300 * 10e3)
+
+
+def test_regenerated_is_measured_then_predicted():
+    driven = drive(
+        meter(), range(30), measured=-5e3, predicted=-4e3, silent=range(10, 30), measured_sigma=0.0
+    )
+    state = driven.state
+    assert state.regenerated.energy == pytest.approx(10 * 5e3 + 20 * 4e3, abs=SEAM)
+    assert state.regenerated.power == 4e3
+    assert state.regenerated.sigma == state.consumed_sigma  # a part of it
+    assert state.predicted.energy == pytest.approx(-30 * 4e3)
+
+
+def test_prediction_without_any_battery():
+    state = drive(meter(), range(30), silent=range(-1, 30)).state
+    assert not state.measuring
+    assert state.consumed == state.rknn.energy == pytest.approx(state.predicted.energy, rel=1e-4)
+    assert state.unmeasured_s == pytest.approx(30.0)
+
+
+def test_what_cannot_be_used_is_counted():
+    faulty = drive(meter(), range(10))
+    before = faulty.state
+    faulty.add_predicted(START, 1e3, 1e3)
+    faulty.add_measured(START, 1e3)
+    faulty.add_measured(START + 10_000_000_000, 1e3)
+    faulty.add_predicted(START + 10_100_000_000, math.nan, 1e3)
+    state = faulty.state
+    assert state.dropped == 4
+    assert state.measured == pytest.approx(before.measured, nan_ok=True)
+    assert state.predicted == before.predicted
+    assert state.consumed == before.consumed
+
+
+def test_a_battery_that_says_nan_is_silent():
+    state = drive(meter(), range(10), measured=math.nan).state
+    assert not state.measuring
+    assert state.consumed == pytest.approx(110e3, rel=1e-4)
+
+
+def test_reset_allows_time_to_start_over():
+    again = drive(meter(), range(20))
+    again.reset()
+    assert again.state.predicted.energy == 0.0
+    state = drive(again, range(10)).state
+    assert state.measured.energy == pytest.approx(100e3)
+    assert (state.dropped, state.gaps) == (0, 0)
+
+
+def town(tick):
+    """Power, W, that changes its sign every few seconds."""
+    return 4e3 + 20e3 * math.sin(tick / 7) + 9e3 * math.sin(tick / 2.3)
+
+
+def slow_battery(to, ticks, every, lag=3):
+    """A battery at every so many ticks of 0.1 s, predictions 6 % high and late, as on board."""
+    for tick in ticks:
+        if tick % every == 0:
+            to.add_measured(START + tick * 100_000_000, town(tick), 30.0)
+        if tick >= lag:
+            late = tick - lag
+            to.add_predicted(START + late * 100_000_000, 1.06 * town(late), 500.0)
+    return to.state
+
+
+@pytest.mark.slow
+def test_between_two_words_of_a_slow_battery_the_prediction_tells_the_course():
+    truth, coarse = EnergyIntegral(), EnergyIntegral()
+    for tick in range(6001):
+        truth.append(START + tick * 100_000_000, town(tick))
+        if tick % 10 == 0:
+            coarse.append(START + tick * 100_000_000, town(tick))
+    joined = meter()
+    state = slow_battery(joined, range(6004), every=10)
+    missed = abs(coarse.regenerated - truth.regenerated)
+    assert missed > 0.1 * truth.regenerated
+    assert abs(state.regenerated.energy - truth.regenerated) < 0.15 * missed
+    assert state.consumed == pytest.approx(truth.energy, abs=2e3)
+    assert state.measured.energy == pytest.approx(coarse.energy)  # what was measured stays so
+    assert abs(state.consumed - truth.energy) < state.consumed_sigma
+    assert state.measuring and (state.gaps, state.unmeasured_s, state.unknown_s) == (0, 0.0, 0.0)
+    again = meter()
+    again.restore(json.loads(json.dumps(joined.export())))
+    assert again.state.consumed == pytest.approx(state.consumed)
+    assert again.state.consumed_sigma == pytest.approx(state.consumed_sigma)
+
+
+@pytest.mark.parametrize("integrator", Integrator)
+def test_short_dropouts_are_the_prediction_between_the_two_words_of_the_battery(integrator):
+    """A battery every 5 s; the prediction lags by 0.3 s, and its integral must not.
+
+    Its rate is known from the second step on, and what comes at its rate is no dropout.
+    """
+    truth = EnergyIntegral()
+    joined = meter(integrator=integrator)
+    for tick in range(1501):
+        truth.append(START + tick * 100_000_000, town(tick))
+        if tick % 50 == 0:
+            joined.add_measured(START + tick * 100_000_000, town(tick), 30.0)
+        if tick >= 3:
+            late = tick - 3
+            joined.add_predicted(START + late * 100_000_000, town(late), 500.0)
+    joined.add_predicted(START + 1500 * 100_000_000, town(1500), 500.0)
+    state = joined.state
+    assert state.consumed == pytest.approx(truth.energy, rel=1e-3)
+    assert state.regenerated.energy == pytest.approx(truth.regenerated, rel=1e-3)
+    assert state.unmeasured_s == pytest.approx(5.0) and state.unknown_s < 1.0
+
+
+@pytest.mark.slow
+def test_a_battery_as_frequent_as_the_prediction_is_counted_as_it_is():
+    state = slow_battery(meter(), range(1001), every=1)
+    assert state.consumed == state.measured.energy
+    assert state.consumed_sigma == state.measured.sigma
+
+
+def test_a_straight_line_stands_until_the_prediction_has_passed_it():
+    early = meter()
+    slow_battery(early, range(11), every=10)
+    assert early.state.consumed == early.state.measured.energy
+    early.add_predicted(START + 10 * 100_000_000, 1.06 * town(10), 500.0)
+    assert early.state.consumed != early.state.measured.energy
+
+
+@pytest.mark.parametrize("integrator", Integrator)
+def test_a_silence_is_bridged_by_the_integrator_chosen(integrator):
+    state = drive(meter(integrator=integrator), range(60), silent=range(-1, 60)).state
+    chosen = state.rknn if integrator is Integrator.RKNN else state.predicted
+    assert state.predicted.energy != state.rknn.energy
+    assert state.consumed == chosen.energy
+
+
+@pytest.mark.parametrize("silent", [NEVER, range(10, 30), range(10, 20), range(-1, 30)])
+def test_saved_and_restored_it_goes_on(silent):
+    first = drive(meter(), range(30), silent=silent)
+    second = meter()
+    second.restore(json.loads(json.dumps(first.export())))
+    before, after = first.state, second.state
+    for name in ("measured", "predicted", "rknn", "regenerated"):
+        assert getattr(after, name).energy == pytest.approx(getattr(before, name).energy)
+    assert after.predicted.sigma == pytest.approx(before.predicted.sigma)
+    assert after.consumed == pytest.approx(before.consumed)
+    assert after.unmeasured_s == pytest.approx(before.unmeasured_s)
+    later = drive(second, range(40_000, 40_010)).state
+    assert later.predicted.energy == pytest.approx(before.predicted.energy + 110e3)
+    assert later.consumed == pytest.approx(before.consumed + 100e3)
+    assert later.gaps == before.gaps
+
+
+def test_what_an_older_version_kept_besides_does_not_void_a_file():
+    kept = drive(meter(), range(10))
+    other = meter()
+    other.restore({**kept.export(), "lasting": [1, 0.0]})
+    assert other.state.consumed == kept.state.consumed
+
+
+def test_a_gap_longer_than_the_network_knows_is_refused():
+    with pytest.raises(InputError, match="max_gap"):
+        meter(max_gap=5.0)

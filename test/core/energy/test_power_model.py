@@ -1,0 +1,170 @@
+"""A car as plans take it, against the posterior that it is made from."""
+
+from dataclasses import replace
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from benchmarks.truth import CarChain
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.network_table import GRID_FORCE, GRID_SPEED, looked_up
+from evpinn_ros.core.energy.plan import plan_from_speed_profile
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
+from evpinn_ros.core.estimation.journey import NOWHERE, noise_of
+from evpinn_ros.core.estimation.states import TABLE, WEIGHTS, State
+from evpinn_ros.core.estimation.terms import WARM, Warmth, Wheels
+from evpinn_ros.core.signals.interval import Steps
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
+from test.core.energy.cars import CAR, taught
+
+MILD = Weather(1.2, 20.0)
+
+
+def trip(seed, points=600):
+    """Seconds of a drive with stops, hills and hard braking."""
+    rng = np.random.default_rng(seed)
+    speed = np.maximum(12 + np.cumsum(rng.normal(0, 0.9, points)) * 0.8, 0.0).clip(0, 34)
+    climb = speed * np.sin(0.03 * np.sin(np.arange(points) / 60.0 + seed))
+    return Steps(np.ones(points), speed, speed**3, speed * np.gradient(speed), climb)
+
+
+def withheld():
+    """Intervals of a drive after another one, and the car without their battery."""
+    chain = CarChain(CAR)
+    for reading in simulate(DriveKind.URBAN, CAR, 300.0, 4).readings:
+        chain.add_reading(reading)
+    car, another, taken = chain.car.begin_drive(), CarChain(CAR), []
+    model, another.take = car.state.model(car.equation), taken.append
+    for reading in simulate(DriveKind.URBAN, CAR, 300.0, 5).readings:
+        another.add_reading(reading)
+    return model, car.after([replace(each, energy=np.nan) for each in taken]), taken
+
+
+@pytest.mark.slow
+def test_the_forecast_of_a_driven_speed_is_the_drive_without_its_battery():
+    """Energy and sigma: the same rows, the same posterior."""
+    model, car, intervals = withheld()
+    predicted, sigma = car.state.model(car.equation).predicted(car.dropout)
+    rows, noise, unseen = [], 0.0, 0.0
+    weather = Weather(intervals[0].conditions.air_density, intervals[0].conditions.celsius)
+    for each in intervals:
+        steps = each.steps
+        now = replace(model, seconds=sum(e.duration for e in intervals[: len(rows)]))
+        rows.append(PowerModel(now).rows(steps, weather).sum(0))
+        noise += float(model.noise @ noise_of(steps))
+        unseen += 0.0 if each.height_known else abs(each.distance)
+    elapsed = sum(each.duration for each in intervals)
+    energy, spread = PowerModel(model).predicted(np.sum(rows, 0), elapsed, noise, unseen)
+    gross = float(np.nansum([abs(each.energy) for each in intervals]))
+    assert energy == pytest.approx(predicted, abs=0.005 * gross)
+    assert spread == pytest.approx(sigma, rel=0.01)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 599))
+def test_rows_add_up_however_a_trip_is_cut(seed, cut):
+    motion, model = trip(seed), taught()
+    weather = MILD._replace(start=WARM)  # warm: a second part does not begin cold
+    whole = model.rows(motion, weather).sum(0)
+    parts = (
+        Steps(*(column[part] for column in motion[:5])) for part in (slice(cut), slice(cut, None))
+    )
+    added = sum(model.rows(part, weather).sum(0) for part in parts)
+    np.testing.assert_allclose(added, whole, rtol=1e-9, atol=1e-6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([None, -10.0, 30.0]))
+def test_rows_along_a_trip_and_of_the_whole_are_sums_of_those_of_its_steps(seed, celsius):
+    motion, model, weather = trip(seed), taught(), Weather(1.2, celsius)
+    steps = model.rows(motion, weather)
+    along = np.cumsum(steps, axis=0)
+    size, way = np.abs(along).max(), np.cumsum(motion.distance)[:, None]
+
+    def check(found, wanted, metres):
+        """Units of the network, of 1 at most, are in single precision, all else is in double."""
+        np.testing.assert_allclose(found[..., :TABLE], wanted[..., :TABLE], atol=1e-12 * size)
+        assert (np.abs(found - wanted)[..., WEIGHTS] <= 1e-6 * metres).all()
+
+    check(model.rows_along(motion, weather), along, way)
+    row, energy = model.whole_row(motion, weather)
+    check(row, along[-1], way[-1])
+    steps[:, State.LOAD] = 0.0
+    rounding = 1e-6 * motion.distance * np.abs(model.car.mean[WEIGHTS]).sum()
+    assert (np.abs(energy - steps @ model.car.mean) <= rounding + 1e-9 * np.ptp(energy)).all()
+    many = Steps(*(np.stack((column, column)) for column in motion[:5]))
+    for each in model.rows_along(many, weather):
+        check(each, along, way)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_table_of_the_network_is_as_good_as_the_network(seed):
+    motion, model = trip(seed), taught()
+    many = Steps(*(column[None] for column in motion[:5]))
+    exact = model.rows(motion, MILD).sum(0)
+    looked_up = model.summed_rows(many, MILD)[0]
+    car = model.car
+    gross = float(np.abs(model.rows(motion, MILD) @ car.mean).sum())
+    assert looked_up @ car.mean == pytest.approx(exact @ car.mean, abs=1e-3 * gross)
+
+
+def test_cold_weather_heats_and_stiffens_tyres_and_heating_given_is_what_it_takes():
+    model, motion = vehicle_model(CAR), trip(1)
+
+    def energy(weather):
+        return float(model.rows(motion, weather).sum(0) @ model.car.mean)
+
+    mild, cold = energy(MILD), energy(Weather(1.2, -10.0))
+    assert cold > mild + 600 * 1000.0
+    off, on = (energy(Weather(1.2, 20.0, watts)) for watts in (0.0, 2000.0))
+    assert on - off == pytest.approx(600 * 2000.0)
+    cold = Weather(1.2, 20.0, start=Warmth(1.0, 1.0))
+    assert energy(cold) > energy(cold._replace(start=WARM))
+
+
+def test_payload_is_mass_and_rolling():
+    model, motion = vehicle_model(CAR), trip(2)
+    heavy = model.with_payload(300.0)
+    eta = CAR.priors["eta"].value
+    assert heavy.car.mean[State.MASS] - model.car.mean[State.MASS] == pytest.approx(300.0 / eta)
+    per_kg = model.car.mean[State.ROLLING] / model.car.mean[State.MASS]
+    assert heavy.car.mean[State.ROLLING] / heavy.car.mean[State.MASS] == pytest.approx(per_kg)
+    rows = model.rows(motion, MILD).sum(0)
+    assert rows @ heavy.car.mean > rows @ model.car.mean
+    assert model.with_payload(0.0) is model
+
+
+def test_nowhere_takes_nothing():
+    assert vehicle_model(CAR).car.predicted(NOWHERE) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("along", [True, False])
+def test_heating_goes_on_as_in_this_drive_unless_the_planner_gives_it(along):
+    """A car that reports its heating takes 500 W more than its temperature makes likely."""
+    car, time = vehicle_model(CAR).car, np.arange(0.0, 600.0)
+    plan = plan_from_speed_profile(time, None, np.full(600, 15.0))
+    mean = car.mean.copy()
+    mean[State.CLIMATE_DRIVE] += 500.0
+
+    def energy(weather, mean, reports):
+        model = PowerModel(replace(car, mean=mean, reports=reports))
+        return forecast_plan(plan, model, weather, along=along).energy[-1]
+
+    for weather, reports, extra in (
+        (MILD, True, 500.0 * 599.0),
+        (MILD, False, 0.0),
+        (MILD._replace(heating=900.0), True, 0.0),
+    ):
+        more = energy(weather, mean, reports) - energy(weather, car.mean, reports)
+        assert more == pytest.approx(extra, abs=1e-3)
+
+
+def test_a_table_that_is_linear_in_speed_and_force_is_looked_up_exactly():
+    speed, force = np.array([[3.3, 17.2, 30.1]]), np.array([[0.4, -1.1, 0.05]])
+    way, table = np.array([[10.0, 20.0, 30.0]]), (GRID_SPEED[:, None] + 3.0 * GRID_FORCE)
+    found = looked_up(Wheels(*np.zeros(7), speed, force), way, table[..., None])
+    assert found == pytest.approx((way * (speed + 3.0 * force)).sum())

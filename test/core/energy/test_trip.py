@@ -1,0 +1,97 @@
+from itertools import pairwise
+import json
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+from evpinn_ros.core.energy.trip import BUCKETS, WINDOWS, DistanceWindow, Stretch, TripLog
+
+SECOND = 1_000_000_000
+stretches = st.lists(
+    st.builds(Stretch, st.floats(0.0, 300.0), st.floats(-1e5, 3e5)), min_size=1, max_size=300
+)
+
+
+def drive(to, seconds, *, speed=20.0, cost=500.0, start=0.0, silent=range(0)):
+    """10 Hz at constant speed, m/s, and cost, J/m; no speed in the seconds of `silent`."""
+    for tick in range(round(seconds * 10) + 1):
+        t = start + tick / 10
+        if not silent.start < t < silent.stop:
+            to.update(round(t * SECOND), speed, cost * speed * t)
+    return to
+
+
+@given(stretches, st.sampled_from(WINDOWS))
+def test_a_window_holds_exactly_the_end_of_what_was_driven(driven, length):
+    window = DistanceWindow(length)
+    for each in driven:
+        window.add(each)
+    total = window.total
+    assert len(window.whole) <= BUCKETS
+    longest = max(each.distance for each in driven)
+    distance = math.fsum(each.distance for each in driven)
+    assert total.distance <= length * (1 + 1 / BUCKETS) + 2 * longest
+    assert total.distance >= min(distance, length) * (1 - 1e-12)
+    # What it spans are the last stretches, whole.
+    ends = [driven[begin:] for begin in range(len(driven))]
+    sums = [tuple(math.fsum(column) for column in zip(*end, strict=True)) for end in ends]
+    assert any(total == pytest.approx(end, rel=1e-9, abs=1e-6) for end in sums)
+
+
+@given(st.lists(st.floats(1.0, 40.0), min_size=30, max_size=400), st.floats(-3e3, 3e3))
+def test_windows_and_total_agree_while_nothing_is_forgotten(speeds, cost):
+    log, energy, distance = TripLog(), 0.0, 0.0
+    log.update(0, speeds[0], 0.0)
+    for second, (before, speed) in enumerate(pairwise(speeds), start=1):
+        distance += (before + speed) / 2
+        energy += cost * (before + speed) / 2
+        log.update(second * SECOND, speed, energy)
+    assert log.total == pytest.approx((distance, energy), rel=1e-9, abs=1e-6)
+    assert log.windows[-1].total == pytest.approx(log.total, rel=1e-9, abs=1e-6)
+
+
+def test_the_last_kilometre_forgets_the_one_before():
+    log = drive(TripLog(), 100.0, cost=500.0)  # 2 km
+    energy = log.total.energy
+    for tick in range(1, 1001):  # 2 km more at twice the cost
+        log.update(round((100 + tick / 10) * SECOND), 20.0, energy + 1000.0 * 2.0 * tick)
+    short = log.windows[0]
+    assert short.known and short.total.energy / short.total.distance == pytest.approx(1000.0)
+    assert not log.windows[1].known
+    assert log.total.energy / log.total.distance == pytest.approx(750.0)
+
+
+def test_energy_without_distance_is_in_no_kilometre():
+    log = drive(TripLog(), 200.0, silent=range(50, 150))
+    assert log.total.distance == pytest.approx(100 * 20.0, rel=1e-6)
+    assert log.total.energy / log.total.distance == pytest.approx(500.0)
+
+
+def test_in_reverse_a_car_covers_distance_too():
+    assert drive(TripLog(), 10.0, speed=-2.0, cost=-500.0).total.distance == pytest.approx(20.0)
+
+
+def test_what_is_late_or_no_number_changes_nothing():
+    log = drive(TripLog(), 10.0)
+    before = log.total
+    log.update(5 * SECOND, 20.0, 9e9)
+    log.update(11 * SECOND, math.nan, 9e9)
+    assert log.total == before
+
+
+def test_a_reset_of_the_trip_leaves_the_last_kilometres():
+    log = drive(TripLog(), 100.0)
+    log.reset_trip()
+    assert log.total == (0.0, 0.0)
+    assert log.windows[0].known
+
+
+def test_saved_and_restored_it_goes_on():
+    log = drive(TripLog(), 100.0)
+    copy = TripLog()
+    copy.restore(json.loads(json.dumps(log.export())))
+    assert copy.export() == log.export()
+    drive(copy, 100.0, start=5000.0)  # the night between is no gap and no distance
+    assert copy.total.distance == pytest.approx(2 * log.total.distance)

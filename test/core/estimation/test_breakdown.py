@@ -1,0 +1,186 @@
+"""Where the energy of a drive went: parts of the one equation, summed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.breakdown import NET_CLIMB, climb_as_rolling, net_climb
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.posterior import passed
+from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.estimation.terms import WHOLE, Part, equation_of
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.drive import DriveKind
+
+EQUATION = equation_of(load_vehicle("tesla_model_3_lr"))
+TRUTH = EQUATION.mean.copy()
+TRUTH[State.MASS] *= 1.05
+
+
+def measured(drive, noise=500.0, seed=0):
+    """Intervals with the energy of a car a little heavier than the prior."""
+    rng = np.random.default_rng(seed)
+    return [
+        replace(
+            one,
+            energy=float(passed(EQUATION, one, 0.0).journey.row @ TRUTH) + rng.normal(0, noise),
+            sampling_variance=0.0,
+        )
+        for one in drive
+    ]
+
+
+@pytest.fixture(scope="module")
+def town(intervals):
+    return measured(intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0))
+
+
+@pytest.fixture(scope="module")
+def learned(town) -> LearnedCar:
+    """From `town`, whose heights nobody knows."""
+    return LearnedCar.new(EQUATION).after(town)
+
+
+@pytest.fixture(scope="module")
+def seen(town) -> LearnedCar:
+    """From the same intervals, their heights known."""
+    return LearnedCar.new(EQUATION).after(replace(one, height_known=True) for one in town)
+
+
+@pytest.fixture(scope="module")
+def later(learned, intervals):
+    """Another drive in town, a minute after the first."""
+    begin_ns = learned.end_ns + 60 * 10**9
+    return measured(intervals((DriveKind.URBAN, 300.0, 1), begin_ns=begin_ns), seed=1)
+
+
+@pytest.fixture(scope="module")
+def both(learned, later):
+    return learned.begin_drive(compare=True).after(later).breakdowns()
+
+
+def test_parts_and_the_unexplained_are_the_measured_energy(learned, town):
+    found = learned.breakdowns().of(-1)
+    total = sum(one.energy for one in town)
+    assert found.measured == pytest.approx(total)
+    explained = sum(found.energy[WHOLE])
+    assert explained == pytest.approx(total, rel=0.02)
+    assert found.total().kwh * 3.6e6 == pytest.approx(explained, rel=0.05)
+
+
+def test_parts_have_the_sign_and_size_of_what_they_are(learned):
+    found = learned.breakdowns().of(-1)
+    energy = dict(zip(Part, found.energy, strict=True))
+    assert energy[Part.AIR] > 0 and energy[Part.TYRES] > 0 and energy[Part.BRAKES] > 0
+    assert energy[Part.DRIVETRAIN] > 0 and energy[Part.STANDING] > 0
+    assert energy[Part.REGAINED] > 0  # beside the sum: what braking gave back
+    assert abs(energy[Part.SLOPE]) < 0.1 * energy[Part.TYRES]  # a flat road
+
+
+def test_what_is_learned_later_moves_the_parts_of_before(learned, both):
+    before, first = learned.breakdowns().of(-1), both.of(0)
+    assert first.measured == pytest.approx(before.measured)
+    assert first.energy != pytest.approx(before.energy, rel=1e-12)
+    assert np.linalg.det(first.covariance[:4, :4]) < np.linalg.det(before.covariance[:4, :4])
+
+
+def test_a_difference_is_the_one_less_the_other_per_100_km(both):
+    assert len(both.drives) == 2
+    difference = both.difference(1, 0)
+    for part in Part:
+        base, other = (
+            each.of(part).kwh * 1e5 / each.distance for each in (both.of(0), both.of(1))
+        )
+        assert difference.of(part).kwh == pytest.approx(other - base, abs=1e-6)
+
+
+def test_a_difference_is_as_unseen_as_the_less_seen_of_its_drives(both):
+    first, second = both.drives  # neither has heights
+    half = replace(first, unseen=first.distance / 2.0)
+    found = [replace(both, drives=(half, each)) for each in (second, replace(second, unseen=0.0))]
+    unseen = [each.difference(1, 0).unseen for each in found]
+    assert unseen == pytest.approx([100e3, 50e3])
+
+
+def test_a_drive_that_goes_on_over_a_long_stop_is_one(learned, later):
+    on = learned.begin_drive(goes_on=True).after(later).breakdowns()
+    assert len(on.drives) == 1
+    total = learned.breakdowns().of(-1).measured + sum(each.energy for each in later)
+    assert on.of(-1).measured == pytest.approx(total)
+
+
+def test_an_interval_without_battery_is_in_no_part(learned, town):
+    before = learned.breakdowns().of(-1)
+    silent = [replace(one, energy=float("nan")) for one in town]
+    after = learned.after(silent).breakdowns().of(-1)
+    assert after.measured == before.measured
+    assert after.energy == pytest.approx(before.energy)
+
+
+def test_parts_that_data_tell_apart_badly_are_given_together(learned):
+    found = learned.breakdowns().of(-1)
+    for group in found.together():
+        apart = sum(found.of(part).sigma_kwh ** 2 for part in group)
+        assert found.of(*group).sigma_kwh ** 2 < apart
+
+
+def test_before_any_drive_there_is_nothing():
+    assert LearnedCar.new(EQUATION).breakdowns().of(-1) is None
+
+
+def test_without_heights_the_net_climb_is_as_unknown_as_roads_make_it(seen, learned):
+    """It is no part of what they add up to: what slopes took more, others took less."""
+    seen, unseen = (car.breakdowns().of(-1) for car in (seen, learned))
+    assert (seen.unseen, unseen.unseen) == (0.0, pytest.approx(unseen.distance))
+    climb = net_climb(unseen.distance)
+    assert unseen.of(Part.SLOPE).sigma_kwh * 3.6e6 >= 0.9 * climb * 9.81 * EQUATION.mean[2]
+    assert seen.of(Part.SLOPE).sigma_kwh < 0.1 * unseen.of(Part.SLOPE).sigma_kwh
+    for part in (Part.BRAKES, Part.DRIVETRAIN):
+        assert unseen.of(part).sigma_kwh > seen.of(part).sigma_kwh
+    whole = list(Part)[WHOLE]
+    assert unseen.of(*whole).sigma_kwh < 1.5 * seen.of(*whole).sigma_kwh
+
+
+def test_an_unseen_climb_is_no_steeper_than_roads_and_no_higher_than_their_net_climbs():
+    assert net_climb(200.0) == pytest.approx(10.0)
+    assert net_climb(1e5) == pytest.approx(NET_CLIMB)
+    lengths = [100.0, 1000.0, 3000.0, 1e4, 1e5]
+    assert sorted(map(net_climb, lengths)) == [net_climb(each) for each in lengths]
+    assert climb_as_rolling(0.0) == 0.0 and climb_as_rolling(1e4) > climb_as_rolling(1e5)
+
+
+def test_the_ends_of_a_drive_without_heights_widen_the_climb_by_little(town, seen):
+    """A profile of heights begins some metres late, and the net climb is known all the same."""
+    ends = (replace(one, height_known=one is not town[0]) for one in town)
+    late = LearnedCar.new(EQUATION).after(ends)
+    all_seen, but_ends = (car.breakdowns().of(-1) for car in (seen, late))
+    weight = 9.81 * EQUATION.mean[2] * EQUATION.eta / 3.6e6
+    wider = but_ends.of(Part.SLOPE).sigma_kwh - all_seen.of(Part.SLOPE).sigma_kwh
+    assert 0.0 <= wider < 0.06 * but_ends.unseen * weight
+
+
+def test_what_one_hard_braking_leaves_unexplained_is_no_reason_to_doubt_the_model(learned, town):
+    energies = [one.energy for one in town]
+    hard = [*town[:-1], replace(town[-1], energy=energies[-1] + 5e5)]  # friction took it
+    calm, braked = (
+        car.breakdowns().of(-1).amounts()["unexplained"]
+        for car in (learned, LearnedCar.new(EQUATION).after(hard))
+    )
+    assert abs(calm.kwh) < 3.0 * calm.sigma_kwh
+    assert braked.kwh > 0.08 and braked.kwh < 3.0 * braked.sigma_kwh
+
+
+def test_parts_of_a_known_car_are_as_unsure_as_they_are_mistaken_for_each_other(seen):
+    """Wind looks like tyres, and brakes blend in differently; the sum stays known."""
+    state = seen.state
+    mean = np.repeat(state.mixture().mean[None], len(state.mean), axis=0)
+    known = replace(state, mean=mean, covariance=1e-9 * state.covariance)
+    found = replace(seen, state=known).breakdowns().of(0)
+    energy, std = found.energy, np.sqrt(np.diagonal(found.covariance))
+    for part, share in {Part.AIR: 0.05, Part.STANDING: 0.05}.items():
+        assert std[part] == pytest.approx(share * energy[part], rel=0.1)
+    # No torque shows braking here, and what brakes took is missing in what was regained.
+    assert 0.08 < std[Part.REGAINED] / energy[Part.REGAINED] < 0.15
+    assert std[Part.BRAKES] == pytest.approx(std[Part.REGAINED], rel=0.1)
+    assert np.sqrt(found.covariance[WHOLE, WHOLE].sum()) < 0.5 * std[Part.REGAINED]

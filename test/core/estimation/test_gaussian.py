@@ -1,0 +1,93 @@
+"""Predict and condition against the same in dense algebra, written out one by one."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.gaussian import (
+    Gaussian,
+    Innovation,
+    condition,
+    innovate,
+    mixture,
+    outlier_variance,
+    predict,
+    replace_states,
+)
+
+COUNT, SIZE = 3, 5
+seeds = st.integers(0, 10_000)
+
+
+def covariances(rng, count=COUNT) -> np.ndarray:
+    root = rng.standard_normal((count, SIZE, SIZE))
+    return root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(SIZE)
+
+
+def drawn(rng) -> Gaussian:
+    return Gaussian(rng.standard_normal((COUNT, SIZE)), covariances(rng))
+
+
+@given(seeds)
+def test_a_step_and_a_measurement_are_those_of_each_hypothesis_alone(seed):
+    rng = np.random.default_rng(seed)
+    state, transition, noise = drawn(rng), rng.standard_normal((SIZE, SIZE)), covariances(rng)
+    gradient, measured = rng.standard_normal((COUNT, SIZE)), rng.standard_normal(COUNT)
+    variance, extra = rng.uniform(0.1, 2.0, (2, COUNT))
+    after = predict(state, transition, noise)
+    seen = innovate(after, gradient, measured, variance)
+    found = condition(after, seen, extra)
+    for k in range(COUNT):
+        mean = transition @ state.mean[k]
+        covariance = transition @ state.covariance[k] @ transition.T + noise[k]
+        # The information form: precisions add up.
+        row = gradient[k]
+        inverse = np.linalg.inv(covariance) + np.outer(row, row) / (variance[k] + extra[k])
+        posterior = np.linalg.inv(inverse)
+        np.testing.assert_allclose(found.covariance[k], posterior, rtol=1e-6, atol=1e-8)
+        expected = mean + posterior @ row * measured[k] / (variance[k] + extra[k])
+        np.testing.assert_allclose(found.mean[k], expected, rtol=1e-6, atol=1e-8)
+
+
+@given(seeds)
+def test_a_mixture_of_equals_is_the_one_and_moments_are_those_of_draws(seed):
+    rng = np.random.default_rng(seed)
+    one, weights = drawn(rng), rng.dirichlet(np.ones(COUNT))
+    equal = mixture(weights, Gaussian(*(np.repeat(part[:1], COUNT, 0) for part in one)))
+    np.testing.assert_allclose(equal.mean, one.mean[0], atol=1e-12)
+    np.testing.assert_allclose(equal.covariance, one.covariance[0], atol=1e-12)
+    whole = mixture(weights, one)
+    second = sum(
+        w * (c + np.outer(m, m)) for w, m, c in zip(weights, one.mean, one.covariance, strict=True)
+    )
+    outer = np.outer(whole.mean, whole.mean)
+    np.testing.assert_allclose(whole.covariance + outer, second, atol=1e-9)
+
+
+def test_what_is_replaced_is_without_correlation_and_the_rest_is_as_it_was():
+    state = drawn(np.random.default_rng(0))
+    before = Gaussian(state.mean.copy(), state.covariance.copy())
+    found = replace_states(state, {1: np.array([1.0, 2.0, 3.0]), 3: 0.0})
+    assert found.mean[:, [1, 3]].tolist() == [[0.0, 0.0]] * COUNT
+    assert found.covariance[:, 1, 1].tolist() == [1.0, 2.0, 3.0]
+    off = found.covariance.copy()
+    off[:, 1, 1] = 0.0
+    assert not off[:, [1, 3]].any() and not off[:, :, [1, 3]].any()
+    rest = np.ix_(range(COUNT), [0, 2, 4], [0, 2, 4])
+    assert np.array_equal(found.covariance[rest], state.covariance[rest])
+    assert np.array_equal(before.covariance, state.covariance), "functions are pure"
+
+
+def test_an_outlier_pulls_no_further_than_its_limit():
+    """Huber: beyond the limit the weighted residual, r / (R x^2), falls instead of growing."""
+    variance = np.array([4.0])
+
+    def pull(residual: float) -> tuple[float, float]:
+        seen = Innovation(np.array([residual]), variance, np.ones((1, 1)))
+        extra = outlier_variance(seen, variance, limit=2.5)
+        return float(extra[0]), residual / float(variance[0] + extra[0])
+
+    assert pull(4.9)[0] == pull(-5.0)[0] == 0.0
+    assert pull(10.0)[0] == pytest.approx(4.0 * (2.0**2 - 1.0))
+    assert pull(50.0)[1] < pull(10.0)[1] < pull(5.0)[1]

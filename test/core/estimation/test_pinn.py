@@ -1,0 +1,249 @@
+"""The online learner: what it predicts, and what it takes of an update."""
+
+from copy import deepcopy
+from dataclasses import replace
+import json
+import math
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.estimate import Trust
+from evpinn_ros.core.estimation.learner import PowerPrediction
+from evpinn_ros.core.estimation.pinn import PARKED, PinnLearner
+from evpinn_ros.core.estimation.states import NAMES, State
+from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.signals.kinematics import PROFILE
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.replays.simulation.drive import DriveKind
+
+STEP = NANOSECONDS // 10
+
+
+def sample(tick: int, speed=15.0, **others) -> Sample:
+    values = {"profile": (0.0,) * PROFILE, **others}
+    return Sample(tick * STEP, speed, 0.0, 0.0, 1.17, 0.0, **values)
+
+
+@pytest.fixture(scope="module")
+def town(vehicle, as_prior):
+    """Two minutes of a car like the prior, measured."""
+    return as_prior(equation_of(vehicle), (DriveKind.URBAN, 120.0, 0))
+
+
+@pytest.fixture(scope="module")
+def learned(vehicle, town) -> PinnLearner:
+    found = PinnLearner(vehicle)
+    for one in town:
+        found.add_interval(one)
+    assert found.consider(found.prepare_update()()) is None
+    return found
+
+
+@pytest.fixture
+def learner(learned) -> PinnLearner:
+    return deepcopy(learned)
+
+
+def test_before_anything_no_parameter_is_estimated(vehicle):
+    learner = PinnLearner(vehicle)
+    trusts = {found.trust for found in learner.parameters().parameters.values()}
+    assert trusts == {Trust.UNESTIMATED} and not learner.parameters().reliable
+    assert learner.prepare_update() is None
+    assert learner.report() == (None, 0, 0, None)
+    prediction = learner.predict(sample(0))
+    assert prediction.sigma > 0.0 and prediction.energy == 0.0  # a drive without a battery
+
+
+def test_an_update_works_on_a_copy_and_a_snapshot(learner, town, vehicle):
+    before = json.dumps(learner.export())
+    learner.add_interval(town[0])
+    work = learner.prepare_update()
+    learner.add_interval(town[1])
+    first, again = work(), work()
+    assert json.dumps(learner.export()) == before
+    assert np.array_equal(first.state.mean, again.state.mean)
+    assert learner.consider(first) is None and json.dumps(learner.export()) != before
+    assert learner.prepare_update() is not None, "the second interval still waits"
+    assert learner.prepare_update() is None
+
+
+def test_one_by_one_and_all_at_once_are_the_same(vehicle, town, learner):
+    other = PinnLearner(vehicle)
+    for one in town:
+        other.add_interval(one)
+        other.consider(other.prepare_update()())
+    assert other.export() == learner.export()
+
+
+def test_what_is_not_finite_or_of_a_drive_that_ended_is_not_taken(learner, town):
+    learner.add_interval(town[0])
+    candidate = learner.prepare_update()()
+    state = candidate.state
+    broken = replace(candidate, state=replace(state, mean=state.mean * math.nan))
+    before = json.dumps(learner.export())
+    assert learner.consider(broken) == "not_finite"
+    assert json.dumps(learner.export()) == before
+    # The car parks while the update is under way: it may not bring the last drive back.
+    learner.advance(sample(0))
+    learner.advance(sample(10 * round(PARKED) + 10))
+    assert learner._car.state.intervals == 0
+    assert learner.consider(candidate) == "outdated"
+    assert learner._car.state.intervals == 0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "same"),
+    [(3.0, True), (-3.0, True), (-300.0, True), (900.0, False), (-900.0, False)],
+)
+@pytest.mark.parametrize("jumped", [True, False])
+def test_a_clock_that_is_set_right_ends_no_drive(learner, seconds, same, jumped):
+    """`jumped`: the stream saw the jump and had the window forgotten."""
+    learner.advance(sample(20_000))
+    before = learner.parameters().identifiable
+    if jumped:
+        learner.forget_window()
+    learner.advance(sample(20_000 + round(10 * seconds)))
+    assert (learner._car.state.intervals > 0) == same
+    after = learner.parameters().identifiable
+    assert after.mass_over_eta == pytest.approx(before.mass_over_eta, rel=1e-9)
+
+
+def test_the_breakdown_goes_on_over_a_long_stop_and_begins_with_another_drive(learner):
+    """A log of some trips, with hours between them: its breakdown is of all of them."""
+    learner.advance(sample(0))
+    before = learner.breakdowns().of(-1)
+    learner.advance(sample(10 * round(PARKED) + 10))
+    assert learner._car.state.intervals == 0
+    after = learner.breakdowns().of(-1).energy
+    # What is of the first part alone is as the states of the car say of it.
+    assert after == pytest.approx(before.energy, rel=0.05, abs=10.0)
+    learner.end_drive()
+    assert learner.breakdowns().of(-1) is None
+
+
+def test_reverse_and_charging_teach_nothing(learner, town):
+    before = json.dumps(learner.export()["car"])
+    steps = town[5].steps
+    back = replace(town[5], steps=steps._replace(distance=-np.abs(steps.distance) - 1.0))
+    still = replace(town[5], steps=steps._replace(distance=0 * steps.distance), energy=-6 * 7000.0)
+    for one in (back, still):
+        learner.add_interval(one)
+    assert learner.consider(learner.prepare_update()()) is None
+    assert learner.gated == {"reverse": 1, "charging": 1}
+    assert json.dumps(learner.export()["car"]) == before
+    learner.observe(sample(1, speed=-2.0), 5000.0)
+    learner.observe(sample(2, speed=0.0), -7000.0)
+    assert learner.gated == {"reverse": 2, "charging": 2}
+
+
+def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(learner, town):
+    silent = [
+        replace(
+            one,
+            energy=math.nan,
+            start_ns=one.start_ns + 200 * NANOSECONDS,
+            end_ns=one.end_ns + 200 * NANOSECONDS,
+        )
+        for one in town
+    ]
+    learner.predict(sample(0))
+    sigmas = []
+    for one in silent:
+        learner.add_interval(one)
+        learner.consider(learner.prepare_update()())
+        sigmas.append(learner.predict(sample(one.end_ns // STEP)).energy_sigma)
+    total = learner.predict(sample(silent[-1].end_ns // STEP + 1)).energy
+    truth = sum(one.energy for one in town)
+    assert sigmas[-1] > sigmas[0] > 0.0 and abs(total - truth) < 2 * sigmas[-1]
+    learner.add_interval(replace(silent[-1], energy=town[-1].energy))
+    learner.consider(learner.prepare_update()())
+    learner.battery_measured(sample(9000).stamp_ns)
+    assert math.isnan(learner.predict(sample(9001)).energy)
+
+
+@pytest.fixture(scope="module")
+def drew_more(learned) -> PinnLearner:
+    """For a minute, to its tick 600, the car drew 3 kW more than it does alone."""
+    found = deepcopy(learned)
+    alone = found.predict(sample(0)).power
+    for tick in range(1, 600):
+        predicted(found, tick)
+        found.battery_measured(sample(tick).stamp_ns)
+        found.observe(sample(tick), alone + 3000.0)
+    return found
+
+
+def predicted(learner, tick: int) -> PowerPrediction:
+    learner.advance(sample(tick))
+    return learner.predict(sample(tick))
+
+
+def test_a_dropout_begins_with_what_the_last_seconds_had_beyond_the_car(learner, drew_more):
+    """Energy of its first seconds is the integral of the power that is published."""
+    alone, learner = learner.predict(sample(0)).power, deepcopy(drew_more)
+    found = [predicted(learner, tick) for tick in range(600, 630)]
+    assert found[0].power - alone > 1000.0
+    assert found[-1].energy == pytest.approx(0.1 * sum(each.power for each in found), rel=0.03)
+
+
+def test_of_a_step_that_the_battery_saw_in_part_the_rest_counts(drew_more):
+    learner = deepcopy(drew_more)
+    predicted(learner, 610)
+    learner.battery_measured(sample(619).stamp_ns)
+    first, second = predicted(learner, 620), predicted(learner, 630)
+    assert second.energy == pytest.approx(0.1 * first.power + second.power, rel=0.03)
+
+
+def test_the_newest_sample_is_predicted_and_nothing_follows_it(learner):
+    newest = replace(sample(5), profile=(), newest=True)
+    first = learner.predict(newest)
+    assert learner.predict(newest).power == first.power and math.isnan(first.energy)
+
+
+def saved_car(learner) -> dict:
+    return json.loads(json.dumps(learner.export()))
+
+
+def test_a_state_is_kept_and_what_does_not_fit_is_refused(learner, vehicle):
+    saved = saved_car(learner)
+    other = PinnLearner(vehicle)
+    other.restore(saved)
+    assert saved_car(other) == saved
+    assert other.parameters().identifiable == learner.parameters().identifiable
+    fresh = PinnLearner(vehicle)
+    before = saved_car(fresh)
+    car, uneven = saved["car"], saved["unevenness"]
+    for wrong in (
+        {"car": {}},
+        {"car": {**car, "names": car["names"][1:]}},
+        {"car": {**car, "mean": [[math.nan] * len(NAMES)] * len(car["mean"])}},
+        {"unevenness": {**uneven, "rows": uneven["rows"][:-1]}},
+        {"unevenness": {**uneven, "squares": 1e30}},
+        {"seen_ns": -1},
+        {"seen_ns": 2**70},
+        {"trim": math.nan},
+        {"payload": {**saved["payload"], "chance": {"count": -8.0, "squares": 0.0}}},
+        {"grade": {"detected": True, "sums": [1.0]}},
+    ):
+        with pytest.raises((KeyError, TypeError, ValueError)):
+            fresh.restore({**saved, **wrong})
+    assert saved_car(fresh)["car"] == before["car"]
+
+
+def test_a_car_saved_before_hills_were_known_goes_on(learner, vehicle):
+    saved = saved_car(learner)
+    del saved["hills"]
+    other = PinnLearner(vehicle)
+    other.restore(saved)
+    assert other.parameters().identifiable == learner.parameters().identifiable
+
+
+def test_a_car_that_forecasts_is_the_car_that_was_learned(learner):
+    car = learner.model()
+    assert np.isfinite(car.mean).all() and np.isfinite(car.covariance).all()
+    published = learner.parameters().identifiable
+    assert car.mean[State.MASS] == pytest.approx(published.mass_over_eta, rel=0.05)
+    learner.end_drive()
+    assert learner.model().seconds == 0.0

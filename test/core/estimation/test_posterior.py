@@ -1,0 +1,275 @@
+"""The posterior: pure functions of values, and one solve over a window is the same estimate."""
+
+from dataclasses import FrozenInstanceError, replace
+import math
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation import posterior
+from evpinn_ros.core.estimation.journey import LOAD_TIME, NOWHERE, Journey, noise_of, wandered
+from evpinn_ros.core.estimation.posterior import (
+    BANK,
+    advance,
+    begin_drive,
+    condition,
+    forget_road,
+    initial_state,
+    learn,
+    passed,
+    see_motor,
+    see_reported_climate,
+)
+from evpinn_ros.core.estimation.states import LASTING, OFFSETS, PHYSICS, SIZE, WEIGHTS, State
+from evpinn_ros.core.estimation.terms import Warmth, equation_of
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.drive import DriveKind
+
+CAR = load_vehicle("tesla_model_3_lr")
+EQUATION = equation_of(CAR)
+
+
+@pytest.fixture(scope="module")
+def town(intervals):
+    """Four minutes of a car that differs from the prior, with noise."""
+    rng = np.random.default_rng(1)
+    truth = EQUATION.mean.copy()
+    truth[State.MASS] *= 1.1
+    truth[State.DRAG] *= 0.9
+    found = []
+    for one in intervals((DriveKind.URBAN, 240.0, 0), begin_ns=0):
+        energy = float(passed(EQUATION, one, 0.0).journey.row @ truth)
+        found.append(replace(one, energy=energy + rng.normal(0, 2e3), sampling_variance=0.0))
+    return found
+
+
+def learned(drive):
+    state = initial_state(EQUATION)
+    for one in drive:
+        state, _ = learn(state, EQUATION, passed(EQUATION, one, state.seconds))
+    return state
+
+
+@pytest.fixture(scope="module")
+def known(town):
+    """The state after that drive."""
+    return learned(town)
+
+
+def test_nothing_in_a_state_changes(town):
+    state = learned(town[:10])
+    kept = state.mean.copy(), state.covariance.copy(), state.evidence.copy()
+    for after in (
+        advance(state, 10.0, 100.0),
+        learn(state, EQUATION, passed(EQUATION, town[10], 60.0))[0],
+        begin_drive(state, EQUATION),
+        forget_road(state),
+    ):
+        assert after is not state
+    for before, now in zip(kept, (state.mean, state.covariance, state.evidence), strict=True):
+        np.testing.assert_array_equal(before, now)
+    with pytest.raises(FrozenInstanceError):
+        state.mean = kept[0]
+
+
+def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
+    """Given noise, without outliers: what is older is the arrival cost, to 1e-9.
+
+    A load that wanders is given by its covariance over the window.
+    """
+    monkeypatch.setattr(posterior, "OUTLIER", 1e6)
+    monkeypatch.setattr(posterior, "LEAST_SCALE", 1.0)
+    monkeypatch.setattr(posterior, "MOST_SCALE", 1.0)
+    rng = np.random.default_rng(0)
+    state, count, seconds = initial_state(EQUATION), 25, 10.0
+    start = state
+    rows = rng.normal(size=(count, SIZE)) * np.sqrt(np.diag(EQUATION.covariance) + 1.0) * 10.0
+    rows[:, State.LOAD :] = 0.0  # states of this moment: the journey puts them in
+    rows[:, WEIGHTS] = rng.normal(size=(count, rows[:, WEIGHTS].shape[1])) * 1e3
+    energy, sampling = rng.normal(size=count) * 1e5, 4e6
+    for row, measured in zip(rows, energy, strict=True):
+        journey = Journey(row, seconds, np.zeros(3), 0.0)
+        state, _ = condition(advance(state, seconds), journey, measured, sampling)
+    left, integral, rest = wandered(seconds)
+    for k in range(len(BANK)):
+        # Loads of each interval as sums of independent numbers: start, then fresh ones.
+        size = BANK[k, 1]
+        fresh = size**2 * np.array(
+            [[1.0 - left**2, integral * (1.0 - left)], [integral * (1.0 - left), rest]]
+        )
+        load, drawn = [size], []
+        shape = np.linalg.cholesky(fresh)
+        for _ in range(count):
+            drawn.append([each * integral for each in load])
+            load = [each * left for each in load] + shape[0].tolist()
+            drawn[-1] += shape[1].tolist()
+        parts = np.array([row + [0.0] * (len(drawn[-1]) - len(row)) for row in drawn])
+        covariance = parts @ parts.T + sampling * np.eye(count)
+        prior = start.covariance[k].copy()
+        prior[State.LOAD, State.LOAD] = 0.0
+        seen = rows @ prior @ rows.T + covariance
+        gain = prior @ rows.T @ np.linalg.inv(seen)
+        mean = start.mean[k] + gain @ (energy - rows @ start.mean[k])
+        left_over = prior - gain @ rows @ prior
+        index = LASTING + OFFSETS
+        scale = np.sqrt(np.diag(prior)[index]) + 1e-12
+        away = (state.mean[k][index] - mean[index]) / scale
+        assert np.abs(away).max() < 1e-9
+        block = np.ix_(index, index)
+        apart = (state.covariance[k][block] - left_over[block]) / np.outer(scale, scale)
+        assert np.abs(apart).max() < 1e-9
+
+
+def test_a_car_is_learned_from_its_energies(known):
+    before, after = initial_state(EQUATION).mixture(), known.mixture()
+    truth = 1.1 * EQUATION.mean[State.MASS]
+    assert abs(after.mean[State.MASS] - truth) < 0.7 * abs(before.mean[State.MASS] - truth)
+    for state in PHYSICS:
+        assert after.covariance[state, state] < before.covariance[state, state]
+    sigma = math.sqrt(after.covariance[State.MASS, State.MASS])
+    assert abs(after.mean[State.MASS] - truth) < 3.0 * sigma
+
+
+def test_an_outlier_moves_little(town, known):
+    wild = [*town[:20], replace(town[20], energy=town[20].energy + 1e7), *town[21:]]
+    calm, shaken = known.mixture(), learned(wild).mixture()
+    sigma = np.sqrt(np.diag(calm.covariance))[PHYSICS]
+    assert (np.abs(calm.mean - shaken.mean)[PHYSICS] < 2.0 * sigma).all()
+
+
+def test_the_wandering_load_forgets_itself():
+    state = initial_state(EQUATION)
+    kept, integral, rest = wandered(np.array([0.0, LOAD_TIME, 1e6]))
+    assert kept == pytest.approx([1.0, math.exp(-1.0), 0.0])
+    assert integral[2] == pytest.approx(LOAD_TIME) and rest[0] == 0.0
+    later = advance(state, 1e6)
+    assert later.covariance[:, State.LOAD, State.LOAD] == pytest.approx(BANK[:, 1] ** 2)
+    mean = np.zeros(SIZE)
+    mean[State.LOAD] = 100.0  # W
+    long = Journey(np.zeros(SIZE), 1e6, np.zeros(3), 0.0)
+    energy, _ = replace(state.model(EQUATION), mean=mean).predicted(long)
+    assert energy == pytest.approx(100.0 * LOAD_TIME)
+
+
+def test_another_drive_keeps_the_car_and_part_of_the_offsets(known):
+    after = begin_drive(known, EQUATION)
+    np.testing.assert_array_equal(after.mean[:, LASTING], known.mean[:, LASTING])
+    assert after.mean[:, OFFSETS] == pytest.approx(posterior.DRIVE_KEPT * known.mean[:, OFFSETS])
+    grown = np.diagonal(after.covariance - known.covariance, axis1=1, axis2=2)[:, LASTING]
+    assert (grown >= 0.0).all() and grown.max() > 0.0
+    assert (after.seconds, after.intervals, after.last_drive) == (0.0, 0, known.seconds)
+    # The prior of a car never driven is as wide as it is; from then on drives are judged.
+    assert initial_state(EQUATION).model(EQUATION).trust == 1.0 < after.model(EQUATION).trust
+
+
+def test_how_drives_differ_is_learned_from_many(known):
+    state = known
+    for sign in (1, -1) * 10:
+        mean = state.mean.copy()
+        mean[:, State.LOAD_DRIVE] = sign * 2000.0
+        state = begin_drive(replace(state, mean=mean, intervals=20), EQUATION)
+    index = OFFSETS.index(State.LOAD_DRIVE)
+    learned_std = math.sqrt(state.offset_variance[index])
+    assert learned_std > 1000.0 > math.sqrt(known.offset_variance[index])
+
+
+def test_reported_heating_teaches_how_it_goes_with_temperature():
+    row = np.zeros(SIZE)
+    row[State.COLD] = 25.0  # K below a mild day
+    state = initial_state(EQUATION)
+    for _ in range(360):
+        state = see_reported_climate(state, row, 4000.0, 10.0)
+    mean = state.mixture().mean
+    assert 25.0 * mean[State.COLD] + mean[State.CLIMATE_DRIVE] == pytest.approx(4000.0, rel=0.05)
+
+
+def test_heating_that_the_battery_does_not_give_loses_its_share(intervals):
+    """On a warm day a car reports 3 kW, and the battery gives none of it."""
+    state = initial_state(EQUATION)
+    conditions = {"celsius": 28.0, "load": 0.0, "load_known": True, "doubted_load": 3000.0}
+    for one in intervals((DriveKind.URBAN, 600.0, 1), begin_ns=0, **conditions):
+        done = passed(EQUATION, one, state.seconds)
+        truth = EQUATION.mean.copy()
+        truth[State.DOUBTED] = 0.0
+        seen = replace(one, energy=float(done.journey.row @ truth), sampling_variance=0.0)
+        state, _ = learn(state, EQUATION, passed(EQUATION, seen, state.seconds))
+    whole = state.mixture()
+    assert abs(whole.mean[State.DOUBTED]) < 0.1
+    assert state.celsius == 28.0
+    prior = EQUATION.covariance[State.DOUBTED, State.DOUBTED]
+    assert whole.covariance[State.DOUBTED, State.DOUBTED] < 0.5 * prior
+
+
+def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town, known):
+    model, sigmas = known.model(EQUATION), []
+    first, second = (passed(EQUATION, one, 300.0).journey for one in town[:2])
+    both = first.plus(second)
+    assert both.less(second).row == pytest.approx(first.row)
+    assert both.share(0.5).seconds == pytest.approx(first.seconds)
+    journey = NOWHERE
+    for one in town:
+        journey = journey.plus(passed(EQUATION, one, 300.0).journey)
+        sigmas.append(model.predicted(journey)[1])
+    assert (np.diff(sigmas) > 0.0).all()
+    assert model.predicted(NOWHERE) == (0.0, 0.0)
+    trusted_less = replace(model, trust=4.0 * model.trust)  # a factor of the variance
+    assert trusted_less.predicted(journey)[1] == pytest.approx(2.0 * sigmas[-1])
+
+
+def test_what_is_wrong_while_driving_says_nothing_of_a_car_that_stands(town):
+    """Where clocks of speed and battery differ, starts and stops are wrong, and nothing else."""
+    town = [replace(one, height_known=True) for one in town]  # no hill takes the blame
+    way = [abs(one.distance) / one.duration for one in town]
+    assert min(way) < 0.1, "it stands at times"
+    wrong = [
+        replace(one, energy=one.energy + (-1) ** i * 2000.0 * one.duration * (0.2 < speed < 5.0))
+        for i, (one, speed) in enumerate(zip(town, way, strict=True))
+    ]
+    right, spoilt = (learned(4 * each).model(EQUATION) for each in (town, wrong))
+    journeys = [passed(EQUATION, one, 600.0).journey for one in town]
+    still, fast = (journeys[way.index(found)] for found in (min(way), max(way)))
+    assert spoilt.predicted(fast)[1] > 2.0 * right.predicted(fast)[1]
+    assert spoilt.predicted(still)[1] < 1.3 * right.predicted(still)[1]
+
+
+def test_noise_is_of_the_kind_of_what_the_car_did(town):
+    """150 W while it stands, with 40 N more while it moves, 30 N with torque; ten s, scale 1."""
+    steps, ten = town[0].steps, np.full(10, 1.0)
+    unknown = np.nan * ten
+    still = steps._replace(
+        duration=ten, distance=0.0 * ten, motor_drive=unknown, motor_brake=unknown
+    )
+    assert noise_of(still) == pytest.approx([1.5 * 10 * 150**2, 0, 0])
+    fast = still._replace(distance=20.0 * ten)
+    moving = 1.5 * 10 * (150**2 + (40 * 20) ** 2)
+    assert noise_of(fast) == pytest.approx([0, moving, 0])
+    with_torque = 1.5 * 10 * (150**2 + (30 * 20) ** 2)
+    told = fast._replace(motor_drive=ten, motor_brake=ten)
+    assert noise_of(told) == pytest.approx([0, 0, with_torque])
+
+
+def test_coldness_goes_from_one_to_nothing_and_comes_back_as_the_car_stands():
+    assert Warmth.after(0.0) == (1.0, 1.0)
+    assert max(Warmth.after(1e6)) < 1e-9
+    assert Warmth.after(1e6).stood(1e6) == pytest.approx((1.0, 1.0))
+
+
+def test_what_the_hypotheses_were_worth_is_forgotten(town):
+    """What one had over another before an interval is less after it, whatever it shows."""
+    state = learned(town[:5])
+    head_start = np.arange(len(BANK)) * 3.0
+    ahead = replace(state, evidence=state.evidence + head_start)
+    one, other = (
+        learn(each, EQUATION, passed(EQUATION, town[5], 30.0))[0] for each in (state, ahead)
+    )
+    left = np.diff(other.evidence - one.evidence)
+    assert left == pytest.approx(3.0 * (1.0 - 1.0 / posterior.EVIDENCE_KEPT), abs=1e-9)
+
+
+def test_a_fast_car_s_motor_tells_less_of_its_mass():
+    """Its noise is a force, which is energy by the road; drawn alike, more of it is noise."""
+    rows = np.zeros((2, SIZE))
+    rows[:, State.MASS], rows[:, State.MOTOR_DRIVE] = 100.0, -1e5
+    slow, fast = (see_motor(initial_state(EQUATION), rows, square) for square in (1e2, 1e5))
+    variances = [each.covariance[:, State.MASS, State.MASS] for each in (slow, fast)]
+    assert (variances[0] < 0.9 * variances[1]).all()

@@ -1,0 +1,98 @@
+"""Rehearsals: dropouts that did not happen say how far sigma is to be trusted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.bands import (
+    GROWTHS,
+    PRIOR_CASES,
+    PRIOR_SCALE,
+    Bands,
+    PredictedEnergy,
+    Spread,
+)
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.posterior import passed
+from evpinn_ros.core.estimation.rehearsal import LENGTHS
+from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.drive import DriveKind
+
+EQUATION = equation_of(load_vehicle("tesla_model_3_lr"))
+
+
+def learned(intervals, energy, seconds=1200.0, seed=0):
+    """A car after a drive of which each interval took `energy(number)` J beside the prior's."""
+    car = LearnedCar.new(EQUATION)
+    for number, one in enumerate(intervals((DriveKind.URBAN, seconds, seed), begin_ns=0)):
+        own = float(passed(EQUATION, one, 0.0).journey.row @ EQUATION.mean)
+        measured = replace(one, energy=own + energy(number), sampling_variance=0.0)
+        car = car.after([measured])
+    return car
+
+
+@pytest.mark.slow
+def test_energy_that_strays_for_minutes_widens_the_band_and_little_noise_narrows_it(intervals):
+    rng = np.random.default_rng(0)
+    strays = np.repeat(rng.normal(0.0, 2e4, 20), 35)  # for three minutes each, W times 6 s
+    wild = learned(intervals, lambda number: strays[number]).state.bands.dropout
+    calm = learned(intervals, lambda _: rng.normal(0.0, 100.0)).state.bands.dropout
+    assert wild.cases == calm.cases > 3.0
+    assert wild.scale > 1.0 > calm.scale
+
+
+def test_a_rehearsal_lasts_as_long_as_the_dropout_it_stands_for(intervals):
+    car, longest = LearnedCar.new(EQUATION), dict.fromkeys(LENGTHS, 0.0)
+    for one in intervals((DriveKind.URBAN, 1.1 * max(LENGTHS), 0), begin_ns=0):
+        car = car.after([replace(one, energy=3e3, sampling_variance=0.0)])
+        for length, rehearsal in car.rehearsals.dropouts.items():
+            longest[length] = max(longest[length], rehearsal.journey.seconds)
+    for length, seconds in longest.items():
+        assert length - 15.0 < seconds < length
+
+
+def test_nothing_is_proved_by_a_dropout_or_a_car_that_stands(intervals):
+    car = LearnedCar.new(EQUATION)
+    for one in intervals((DriveKind.URBAN, 600.0, 0), begin_ns=0):
+        car = car.after([one])  # its battery was not measured
+    assert car.state.bands == Bands() and not car.measured
+    parked = LearnedCar.new(EQUATION)
+    for one in intervals(np.zeros(60_000), begin_ns=0):
+        parked = parked.after([replace(one, energy=3e3, sampling_variance=0.0)])
+    assert parked.state.bands == Bands()
+
+
+def test_a_spread_goes_both_ways_and_one_odd_road_counts_little():
+    spread = Spread()
+    assert spread.scale == PRIOR_SCALE
+    for _ in range(100):
+        spread = spread.after(0.5)
+    assert 0.25 < spread.scale < 0.25 + PRIOR_CASES * PRIOR_SCALE / 40
+    odd = spread.after(1e6)
+    assert odd.scale < spread.scale + 16.0 / 40
+
+
+def test_flat_country_has_narrow_bands_and_mountains_wide_ones():
+    """By the errors of 60 s without a height, of 20 km of road each."""
+    rng, found = np.random.default_rng(0), []
+    for growth in (GROWTHS[0], GROWTHS[-1]):
+        bands = Bands()
+        weight = 2e4**2
+        for _ in range(60):
+            energy = PredictedEnergy(0.0, 1e9, weight * 1000.0)
+            drawn = rng.normal(0.0, np.sqrt(1e9 + growth * weight * 1000.0))
+            bands = bands.after_dropout(energy, drawn, long=False)
+        found.append(bands.growth)
+    assert found[0] < 2.0 * GROWTHS[0] and found[1] > 0.5 * GROWTHS[-1]
+
+
+def test_a_whole_drive_is_judged_from_the_second_on(intervals):
+    car = learned(intervals, lambda _: 0.0, 300.0)
+    assert car.begin_drive().state.bands.drive == Spread()
+    second = car.begin_drive()
+    for one in intervals((DriveKind.URBAN, 300.0, 1), begin_ns=10**12):
+        own = float(passed(EQUATION, one, 0.0).journey.row @ EQUATION.mean)
+        second = second.after([replace(one, energy=own, sampling_variance=0.0)])
+    assert second.begin_drive().state.bands.drive.cases == pytest.approx(1.0)

@@ -1,0 +1,199 @@
+"""A saved car names its states: a file outlives a new state, and a damaged one is refused."""
+
+from copy import deepcopy
+from dataclasses import replace
+import json
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.pinn import PinnLearner
+from evpinn_ros.core.estimation.posterior import CarState, initial_state, passed
+from evpinn_ros.core.estimation.saved_car import SavedState, saved_state, state_of
+from evpinn_ros.core.estimation.states import NAMES, OFFSETS, SIZE, State
+from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.estimation.unevenness import Path
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.drive import DriveKind
+
+CAR = load_vehicle("bmw_i3")
+EQUATION = equation_of(CAR)
+FRESH = initial_state(EQUATION)
+
+
+@pytest.fixture(scope="module")
+def town(intervals):
+    """Five minutes of a car that is heavier than its prior, on a cold day."""
+    truth, rng = EQUATION.mean.copy(), np.random.default_rng(2)
+    truth[State.MASS] *= 1.1
+    found, conditions = [], {"celsius": 5.0}
+    for one in intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0, **conditions):
+        energy = float(passed(EQUATION, one, 0.0).journey.row @ truth) + rng.normal(0.0, 1e3)
+        found.append(replace(one, energy=energy, sampling_variance=0.0))
+    return found
+
+
+@pytest.fixture(scope="module")
+def learned(town) -> CarState:
+    return LearnedCar.new(EQUATION).after(town[:30]).begin_drive().after(town[30:]).state
+
+
+def with_states(saved: SavedState, order: list[int | None]) -> SavedState:
+    """A file with these of the states in this order; None is one that this version lacks.
+
+    That one, as any state, has something in common with the others.
+    """
+    count, size = len(saved.evidence), len(saved.names)
+    mean = np.reshape(saved.mean, (count, size))
+    covariance = np.reshape(saved.covariance, (count, size, size))
+    like = [State.MASS if each is None else each for each in order]
+    own = covariance[:, like][:, :, like]
+    names = [f"of_later_{k}" if i is None else saved.names[i] for k, i in enumerate(order)]
+    return replace(
+        saved,
+        names=tuple(names),
+        mean=tuple(mean[:, like].ravel().tolist()),
+        covariance=tuple(own.ravel().tolist()),
+        offset_variance=tuple(np.take(saved.offset_variance, like).tolist()),
+    )
+
+
+def assert_same(found: CarState, other: CarState) -> None:
+    for name in ("mean", "covariance", "evidence", "scale", "offset_variance"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(other, name))
+    for name in ("bands", "drives", "intervals", "seconds", "reports", "celsius", "known"):
+        assert getattr(found, name) == getattr(other, name)
+
+
+def test_a_file_gives_back_every_number(learned):
+    assert_same(state_of(saved_state(learned), EQUATION), learned)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.permutations(range(SIZE)))
+def test_the_order_of_states_in_a_file_means_nothing(learned, order):
+    assert_same(state_of(with_states(saved_state(learned), order), EQUATION), learned)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.sets(st.integers(0, SIZE - 1), min_size=1, max_size=3))
+def test_a_state_that_a_file_lacks_begins_at_its_prior(learned, missing):
+    kept = [index for index in range(SIZE) if index not in missing]
+    found = state_of(with_states(saved_state(learned), kept), EQUATION)
+    lacked = sorted(missing)
+    np.testing.assert_array_equal(found.mean[:, lacked], FRESH.mean[:, lacked])
+    block = np.ix_(range(len(FRESH.mean)), lacked, lacked)
+    np.testing.assert_array_equal(found.covariance[block], FRESH.covariance[block])
+    assert not found.covariance[:, lacked][:, :, kept].any()  # tells nothing of the others
+    np.testing.assert_array_equal(found.mean[:, kept], learned.mean[:, kept])
+    theirs = np.ix_(range(len(FRESH.mean)), kept, kept)
+    np.testing.assert_array_equal(found.covariance[theirs], learned.covariance[theirs])
+    for place, state in enumerate(OFFSETS):
+        source = FRESH if state in missing else learned
+        assert found.offset_variance[place] == source.offset_variance[place]
+
+
+def test_a_state_of_a_later_version_is_left_out(learned):
+    later = with_states(saved_state(learned), [None, *range(SIZE), None])
+    assert_same(state_of(later, EQUATION), learned)
+
+
+@pytest.fixture(scope="module")
+def saved(town) -> dict:
+    """What a learner saves after that drive."""
+    learner = PinnLearner(CAR)
+    for one in town:
+        learner.add_interval(one)
+    update = learner.prepare_update()
+    assert update is not None and learner.consider(update()) is None
+    return json.loads(json.dumps(learner.export()))
+
+
+def without(saved: dict, state: State) -> dict:
+    """The file as it was before a state was added."""
+    older, count = deepcopy(saved), len(FRESH.mean)
+    car, uneven = older["car"], older["unevenness"]
+    at = car["names"].index(NAMES[state])
+    covariance = np.reshape(car["covariance"], (count, SIZE, SIZE))
+    shorter = np.delete(np.delete(covariance, at, 1), at, 2)
+    car["covariance"] = shorter.ravel().tolist()
+    car["mean"] = np.delete(np.reshape(car["mean"], (count, SIZE)), at, 1).ravel().tolist()
+    rows = np.reshape(uneven["rows"], (-1, SIZE))
+    uneven["rows"] = np.delete(rows, at, 1).ravel().tolist()
+    for names in (car["names"], uneven["names"], car["offset_variance"]):
+        del names[at]
+    return older
+
+
+@pytest.mark.parametrize("state", [State.TURNING, State.DOUBTED])
+def test_a_car_of_an_older_version_goes_on_learning(saved, town, state):
+    older, same = PinnLearner(CAR), PinnLearner(CAR)
+    older.restore(without(saved, state))
+    same.restore(saved)
+    found, before = older.model(), same.model()
+    assert found.mean[State.MASS] == pytest.approx(before.mean[State.MASS], rel=1e-12)
+    assert found.mean[state] == pytest.approx(EQUATION.mean[state])
+    for one in town[:10]:
+        older.add_interval(one)
+    update = older.prepare_update()
+    assert update is not None and older.consider(update()) is None
+    assert older.export()["car"]["names"] == [*NAMES]
+
+
+def test_uneven_speed_costs_a_new_state_what_simulated_drives_say(saved):
+    """Until the car has driven with it, and not nothing on roads that it knows well."""
+    older, fresh = PinnLearner(CAR), PinnLearner(CAR)
+    older.restore(without(saved, State.TURNING))
+    one, minute = np.ones(1), np.full(1, 60.0)
+    legs = Path(minute, 480.0 * one, 4e4 * one, 0.0 * one, 0.0 * one, 1.2 * one, 0.0 * one)
+    found, before = (each.model().unevenness.of_legs(EQUATION, legs)[0] for each in (older, fresh))
+    assert found[State.TURNING] == pytest.approx(before[State.TURNING]) and before[State.TURNING]
+    assert found[State.MASS] != pytest.approx(before[State.MASS], rel=1e-3)  # as it was driven
+
+
+def many(car: dict, name: str, number: float) -> None:
+    car[name] = [number] * len(car[name])
+
+
+def twice(car: dict, _: str, __: float) -> None:
+    car["names"][1] = car["names"][0]
+
+
+def shorter(car: dict, name: str, _: float) -> None:
+    car[name] = car[name][:-1]
+
+
+def of_nothing(car: dict, _: str, __: float) -> None:
+    car.update(names=[], mean=[], covariance=[], offset_variance=[])
+
+
+def of_others(car: dict, _: str, __: float) -> None:
+    car["names"] = [f"another_{k}" for k in range(SIZE)]
+
+
+@pytest.mark.parametrize(
+    ("damage", "name", "number"),
+    [
+        (twice, "names", 0.0),
+        *((shorter, name, 0.0) for name in ("names", "mean", "covariance", "offset_variance")),
+        *((many, name, math.nan) for name in ("mean", "covariance", "offset_variance")),
+        (many, "mean", 1e30),
+        (many, "covariance", -1.0),
+        (many, "covariance", 1e30),
+        (many, "offset_variance", -1.0),
+        (of_nothing, "", 0.0),
+        (of_others, "", 0.0),
+    ],
+)
+def test_a_damaged_car_is_refused_in_words_and_nothing_is_taken(saved, damage, name, number):
+    learner, wrong = PinnLearner(CAR), deepcopy(saved)
+    before = learner.export()
+    damage(wrong["car"], name, number)
+    with pytest.raises(ValueError, match=r"saved.* [a-z]+") as refused:
+        learner.restore(wrong)
+    assert "\n" not in str(refused.value)
+    assert learner.export() == before

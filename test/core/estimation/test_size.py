@@ -1,0 +1,96 @@
+"""Smaller vehicles, robots above all: learned as the car that is similar to them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.plan import Plan
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
+from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import AuxiliaryReading, BatteryReading
+from evpinn_ros.core.vehicle.files import EXTENSIVE, Vehicle
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
+
+SIZE = 1 / 32  # whose products with floats are exact
+PLAN = Plan(
+    np.array([0.0, 10.0, 100.0, 110.0]),
+    np.array([0.0, 50.0, 950.0, 1000.0]),
+    np.array([0.0, 10.0, 10.0, 0.0]),
+    np.zeros(4),
+)
+
+
+def smaller(vehicle: Vehicle) -> Vehicle:
+    """A vehicle whose similar car is this one."""
+    priors = dict(vehicle.priors)
+    for name in ("mass", "p_aux"):
+        prior = priors[name]
+        priors[name] = replace(prior, value=SIZE * prior.value, std=SIZE * prior.std)
+    return replace(
+        vehicle,
+        relative_size=SIZE,
+        frontal_area=SIZE * vehicle.frontal_area,
+        priors=priors,
+        paper_start={},
+    )
+
+
+def run(vehicle, readings):
+    """An estimator after some readings, with the powers it gave."""
+    estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
+    found = [each for reading in readings for each in estimator.add_reading(reading)]
+    return estimator, found
+
+
+@pytest.mark.slow
+def test_a_vehicle_of_a_part_of_a_car_s_size_is_learned_as_that_car(vehicle, drive):
+    readings = list(drive(1, 120.0).readings)
+    start = readings[0].stamp_ns
+    readings.insert(1, AuxiliaryReading(start, 320.0))
+    small = [
+        replace(each, current=SIZE * each.current)
+        if isinstance(each, BatteryReading)
+        else replace(each, heating=SIZE * each.heating)
+        if isinstance(each, AuxiliaryReading)
+        else each
+        for each in readings
+    ]
+    (car, big), (robot, little) = run(vehicle, readings), run(smaller(vehicle), small)
+    assert len(big) == len(little) > 1000
+    for one, other in zip(big, little, strict=True):
+        if isinstance(one, PowerEstimate):
+            assert SIZE * one.power == pytest.approx(other.power, rel=1e-9, abs=1e-9)
+            assert SIZE * one.sigma == pytest.approx(other.sigma, rel=1e-9)
+        else:
+            assert isinstance(other, ParameterSet) and one.stamp_ns == other.stamp_ns
+    ours, theirs = car.parameters(), robot.parameters()
+    for name in PARAMETER_NAMES:
+        scale = SIZE if name in EXTENSIVE else 1.0
+        one, other = ours.parameters[name], theirs.parameters[name]
+        assert scale * one.value == pytest.approx(other.value)
+        assert scale * one.std == pytest.approx(other.std)
+        assert one.trust == other.trust
+    assert SIZE * ours.identifiable.mass_over_eta == pytest.approx(
+        theirs.identifiable.mass_over_eta
+    )
+    parts, small_parts = car.breakdown(), robot.breakdown()
+    assert small_parts.energy == pytest.approx(SIZE * parts.energy)
+    assert small_parts.measured == pytest.approx(SIZE * parts.measured)
+    by_car, by_robot = (
+        forecast_plan(PLAN, PowerModel(each.model()), Weather(1.2), 60.0) for each in (car, robot)
+    )
+    assert by_robot.energy == pytest.approx(SIZE * by_car.energy, rel=1e-6)
+    assert by_robot.sigma == pytest.approx(SIZE * by_car.sigma, rel=1e-6)
+
+
+def test_a_plan_of_a_vehicle_never_driven_goes_with_its_size(vehicle):
+    by_car, by_robot = (
+        forecast_plan(PLAN, vehicle_model(each), Weather(1.2), 60.0)
+        for each in (vehicle, smaller(vehicle))
+    )
+    assert by_robot.energy == pytest.approx(SIZE * by_car.energy)
+    assert by_robot.sigma == pytest.approx(SIZE * by_car.sigma)

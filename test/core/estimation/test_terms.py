@@ -1,0 +1,188 @@
+"""The one equation: rows add up, parts are the whole, and gradients are rows."""
+
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.network import reference_driving, share_of_terms
+from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State
+from evpinn_ros.core.estimation.terms import (
+    COUNT,
+    WHOLE,
+    Part,
+    Warmth,
+    coldness,
+    equation_of,
+)
+from evpinn_ros.core.signals.interval import Steps
+from evpinn_ros.core.signals.road import Conditions
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.identifiable import combined_power, prior_identifiable
+from evpinn_ros.core.vehicle.physics import GRAVITY
+
+CAR = load_vehicle("bmw_i3")
+EQUATION = equation_of(CAR)
+MILD = Conditions(1.2, 0.0, None, 0.0, False)
+COLD = Conditions(1.3, 0.0, -5.0, 0.0, False)
+REPORTED = Conditions(1.2, 0.0, 15.0, 800.0, True, 200.0)
+START = Warmth(1.0, 1.0)
+
+
+def steps_of(seed: int, count: int = 12, *, motor: bool = False, length: float = 1.0) -> Steps:
+    """Steps of a drive with stops, hills and braking; `length`: s of each."""
+    rng = np.random.default_rng(seed)
+    ends = np.maximum(np.cumsum(rng.normal(0, 2.0, count + 1)) + 8.0, 0.0)
+    start, end = ends[:-1], ends[1:]
+    distance = (start + end) / 2.0 * length
+    air = (start + end) * (start**2 + end**2) / 4.0 * length
+    climb = distance * rng.normal(0.0, 0.03, count)
+    power = rng.normal(0.0, 2e4, count) * length if motor else np.full(count, math.nan)
+    motors = np.maximum(power, 0.0), np.maximum(-power, 0.0)
+    one = np.full(count, length)
+    return Steps(one, distance, air, (end**2 - start**2) / 2.0, climb, *motors)
+
+
+def one_more(state: int, amount: float) -> np.ndarray:
+    """States of the prior, one of them changed."""
+    mean = EQUATION.mean.copy()
+    mean[state] += amount
+    return mean
+
+
+def parts_of(steps, conditions) -> np.ndarray:
+    rows, wheels = EQUATION.rows(steps, conditions, START), EQUATION.of_steps(steps, conditions)
+    return EQUATION.split(rows, wheels, coldness(conditions.celsius), START.tyres)
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from([MILD, COLD, REPORTED]),
+    st.booleans(),
+    st.sampled_from([0.1, 1.0, 10.0]),
+)
+def test_parts_add_up_to_the_whole_for_every_state(seed, conditions, motor, length):
+    steps = steps_of(seed, motor=motor, length=length)
+    parts = parts_of(steps, conditions)
+    whole = EQUATION.rows(steps, conditions, START).sum(0)
+    assert parts.shape == (COUNT, SIZE)
+    np.testing.assert_allclose(parts[WHOLE].sum(0), whole, rtol=1e-9, atol=1e-6)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10_000), st.integers(1, 11))
+def test_rows_of_steps_do_not_depend_on_their_neighbours(seed, cut):
+    steps = steps_of(seed)
+    whole = EQUATION.rows(steps, COLD, START)
+    for part in (slice(cut), slice(cut, None)):
+        columns = Steps._make(
+            column[part] if isinstance(column, np.ndarray) else column for column in steps
+        )
+        found = EQUATION.rows(columns, COLD, START)
+        np.testing.assert_allclose(found, whole[part], rtol=1e-9, atol=1e-9)
+
+
+def test_an_even_step_costs_the_same_in_one_piece_or_many():
+    """Energies are exact whatever the length of a step, for the network too."""
+
+    def even(count: int) -> np.ndarray:
+        one = np.full(count, 60.0 / count)
+        nothing, none = np.zeros(count), np.full(count, math.nan)
+        columns = one, 20.0 * one, 20.0**3 * one, nothing, 0.2 * one, none, none
+        return EQUATION.rows(Steps(*columns), COLD, START).sum(0)
+
+    np.testing.assert_allclose(even(1), even(60), rtol=1e-9, atol=1e-6)
+
+
+def test_power_of_the_prior_car_is_that_of_eq_21():
+    """Power of a moment, where the beyond-physics states are zero."""
+    combined, _ = prior_identifiable(CAR)
+    mean = np.zeros(SIZE)
+    mean[[*PHYSICS, State.P_AUX]] = EQUATION.mean[[*PHYSICS, State.P_AUX]]
+    for speed, acceleration in ((20.0, 0.0), (10.0, 1.0), (15.0, -1.5), (0.0, 0.0)):
+        none = np.full(1, math.nan)
+        one, v = np.ones(1), np.full(1, speed)
+        steps = Steps(one, v, v**3, v * acceleration, 0.0 * v, none, none)
+        found = float(EQUATION.rows(steps, MILD, Warmth(0.0, 0.0))[0] @ mean)
+        expected = combined_power(
+            v, np.full(1, acceleration), combined,
+            air_density=1.2, rotating_mass_factor=CAR.rotating_mass_factor,
+        )  # fmt: skip
+        assert found == pytest.approx(float(expected[0]), rel=1e-9)
+
+
+@pytest.mark.parametrize("state", [*State])
+def test_a_row_is_the_gradient_of_energy(state):
+    rows = EQUATION.rows(steps_of(3), REPORTED, START).sum(0)
+    more, less = (rows @ one_more(state, side) for side in (0.5, -0.5))
+    assert more - less == pytest.approx(rows[state], rel=1e-9, abs=1e-6)
+
+
+def test_the_network_has_no_part_in_the_terms_of_eq_21():
+    driving = reference_driving()
+    speed = driving.speed
+    wheels = EQUATION.wheels(
+        np.ones_like(speed), speed, speed**3, speed * driving.acceleration,
+        speed * driving.slope, CAR.air_density,
+    )  # fmt: skip
+    rows = EQUATION.moving_rows(wheels, np.ones_like(speed), 0.0, 0.0)
+    for beyond in (WEIGHTS, slice(State.FORCE_SQUARED, State.FORCE_SQUARED + 1)):
+        power = rows[:, beyond]
+        share = share_of_terms(driving, wheels.terms, power)
+        size = np.sqrt(driving.seconds @ power**2 / driving.seconds.sum())
+        explained = np.sqrt(driving.seconds @ (wheels.terms @ share) ** 2 / driving.seconds.sum())
+        assert (explained <= 1e-6 * size + 1e-9).all()
+    assert np.linalg.matrix_rank(rows[:, WEIGHTS]) == rows[:, WEIGHTS].shape[1]
+
+
+def test_a_motor_that_reports_its_torque_stands_in_for_the_wheels():
+    steps = steps_of(5, motor=True)
+    rows = EQUATION.rows(steps, MILD, START)
+    assert not rows[:, PHYSICS].any()
+    np.testing.assert_allclose(rows[:, State.MOTOR_DRIVE], steps.motor_drive)
+    np.testing.assert_allclose(rows[:, State.MOTOR_BRAKE], -steps.motor_brake)
+    assert not rows[:, State.MOTOR_RATIO].any()
+    unknown = EQUATION.rows(steps._replace(motor_scaled=False), MILD, START)
+    assert unknown[:, State.MOTOR_RATIO].any()  # the ratio of its motor is learned
+
+
+def test_loads_are_those_of_the_temperature_or_of_the_report():
+    steps = steps_of(1)
+    mild, cold, reported = (
+        EQUATION.rows(steps, each, START)[0] for each in (MILD, COLD, REPORTED)
+    )
+    assert mild[State.COLD] == mild[State.HOT] == 0.0 and cold[State.COLD] == 25.0
+    assert 0.0 < cold[State.COLD_START] <= 25.0 and cold[State.HOT_START] == 0.0
+    assert (reported[State.REPORTED], reported[State.DOUBTED]) == (800.0, 200.0)
+    assert reported[State.COLD] == 0.0 and cold[State.REPORTED] == 0.0
+    assert coldness(-5.0) == 2.5 and coldness(None) == coldness(30.0) == 0.0
+
+
+def test_lifting_a_car_takes_its_weight_times_the_height():
+    one, none = np.ones(1), np.full(1, math.nan)
+    steps = Steps(one, 20.0 * one, 8000.0 * one, 0.0 * one, one, none, none)
+    parts = parts_of(steps, MILD) @ EQUATION.mean
+    assert parts[Part.SLOPE] == pytest.approx(GRAVITY * CAR.initial.mass)
+
+
+def test_a_drivetrain_that_turns_loses_as_much_while_the_car_brakes():
+    one, none = np.ones(1), np.full(1, math.nan)
+    braking = Steps(one, 20.0 * one, 8000.0 * one, -30.0 * one, 0.0 * one, none, none)
+    parts = parts_of(braking, MILD)
+    assert parts[Part.REGAINED, State.BACK] > 0.0
+    assert parts[Part.DRIVETRAIN, State.TURNING] == pytest.approx(1.5)
+    assert parts[Part.BRAKES, State.TURNING] == parts[Part.REGAINED, State.TURNING] == 0.0
+
+
+@pytest.mark.parametrize("scaled", [True, False])
+def test_braking_is_what_the_motor_reports_in_whichever_step(scaled):
+    steps = steps_of(5, motor=True)._replace(motor_scaled=scaled)
+    regained = parts_of(steps, MILD)[Part.REGAINED]
+    whole = steps.motor_brake.sum()
+    assert regained[State.MOTOR_BRAKE] == pytest.approx(whole)
+    assert regained[State.MOTOR_DRIVE] == 0.0
+    ratio = 0.0 if scaled else EQUATION.mean[State.MOTOR_BRAKE] * whole
+    assert regained[State.MOTOR_RATIO] == pytest.approx(ratio)

@@ -1,0 +1,138 @@
+"""What the trim adds to the car, and when it keeps silent."""
+
+import math
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.trim import (
+    AHEAD,
+    PRIOR_SHARE,
+    TRIM_SECONDS,
+    Persistence,
+    Trim,
+)
+from evpinn_ros.core.signals.kinematics import PROFILE
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.sample import Sample
+
+STEP = 0.1  # s
+
+
+def sample(second: float, speed: float, acceleration: float) -> Sample:
+    profile = (0.1 * math.sin(second), *(0.0,) * (PROFILE - 1))
+    return Sample(
+        round(second * NANOSECONDS), speed, acceleration, 0.0, 1.17, 0.0, profile=profile
+    )
+
+
+def drive(seconds: float):
+    """Speed goes up and down within twenty seconds."""
+    for second in np.arange(0.0, seconds, STEP).tolist():
+        phase = 2 * math.pi * second / 20.0
+        yield sample(second, 15.0 + 5.0 * math.sin(phase), 1.6 * math.cos(phase))
+
+
+def taught(residual, seconds=120.0) -> Trim:
+    """A network after a drive on which physics left so much, W."""
+    network = Trim(0)
+    for moment in drive(seconds):
+        network.advance(STEP)
+        network.learn(moment, residual(moment), STEP)
+    return network
+
+
+def pattern(moment: Sample) -> float:
+    """400 N more than physics has where the car pulls away."""
+    return moment.speed * 400.0 * max(0.0, moment.acceleration)
+
+
+def test_a_pattern_is_learned_and_followed():
+    network, errors, left = Trim(0), [], []
+    for moment in drive(120.0):
+        network.advance(STEP)
+        if moment.stamp_ns > 60 * NANOSECONDS:
+            errors.append(pattern(moment) - network.correct(moment).power)
+            left.append(pattern(moment))
+        network.learn(moment, pattern(moment), STEP)
+    assert network.share > 0.99
+    assert np.std(errors) < 0.35 * np.std(left)
+
+
+def test_it_fades_once_nothing_is_measured():
+    network = taught(lambda moment: 300.0 * moment.speed)
+    moment = sample(120.0, 15.0, 0.5)
+    before = network.correct(moment)
+    network.advance(TRIM_SECONDS)
+    later = network.correct(moment)
+    assert abs(later.power) < 0.6 * abs(before.power) and later.sigma > before.sigma
+    network.advance(20 * TRIM_SECONDS)
+    assert abs(network.correct(moment).power) < 1.0
+
+
+def test_at_standstill_it_says_nothing_and_learns_nothing():
+    network = taught(pattern)
+    assert network.correct(sample(0.0, 0.0, 0.0)) == (0.0, 0.0)
+    before, moment = network.correct(sample(0.0, 15.0, 1.0)), sample(1.0, 0.05, 0.0)
+    network.learn(moment, 9000.0, STEP)
+    assert network.correct(sample(0.0, 15.0, 1.0)) == before
+
+
+@pytest.mark.slow
+def test_where_there_is_nothing_to_learn_it_is_silent():
+    rng = np.random.default_rng(0)
+    network = taught(lambda moment: 2000.0 * rng.standard_normal(), seconds=600.0)
+    assert network.share < 0.2
+    said = [abs(network.correct(moment).power) for moment in drive(20.0)]
+    assert np.mean(said) < 0.1 * 2000.0
+
+
+def test_one_seed_gives_one_network_and_an_outlier_moves_it_little():
+    moment = sample(0.0, 15.0, 1.0)
+
+    def after(residual: float, seed: int = 0) -> float:
+        network = Trim(seed)
+        network.learn(moment, residual, STEP)
+        network.evidence = 20.0
+        return network.correct(moment).power
+
+    assert after(3e3) == after(3e3) != after(3e3, seed=1)
+    assert 0.0 < after(1e7) < 3 * after(3e4)
+
+
+@pytest.mark.slow
+def test_a_wind_that_holds_is_kept_longer_than_noise_that_does_not():
+    rng = np.random.default_rng(1)
+    last = 0.0
+
+    def noise(moment: Sample) -> float:
+        """Noise of half a second, as errors of speed and battery are."""
+        nonlocal last
+        last += 0.2 * (300.0 * rng.standard_normal() - last)
+        return last * moment.speed
+
+    wind = taught(lambda moment: 300.0 * moment.speed, 300.0).persistence
+    short = taught(noise, 300.0).persistence
+    assert wind.share_after(1.0) > 0.9
+    assert short.share_after(1.0) < 0.3 < 0.5 < short.share_after(0.1)
+
+
+def test_persistence_is_a_share_of_what_was_said_and_the_prior_before():
+    fresh, seen = Persistence(), Persistence()
+    assert fresh.share_after(AHEAD) == pytest.approx(PRIOR_SHARE)
+    for _ in range(300):
+        seen.learn(200.0, 50.0, 5.0)
+    assert seen.share_after(5.0) == pytest.approx(0.25, abs=0.01)
+    assert seen.share_after(0.0) == 1.0
+    for _ in range(3000):
+        seen.learn(0.0, 0.0, 1.0)
+    assert seen.share_after(AHEAD) == pytest.approx(PRIOR_SHARE, abs=0.01)
+    for _ in range(300):
+        seen.learn(200.0, -100.0, 1.0)
+    assert 0.0 < seen.share_after(1.0) < 0.05
+
+
+def test_what_lasts_is_its_evidence():
+    network, other = taught(pattern), Trim(0)
+    other.evidence = network.evidence
+    assert other.share == network.share

@@ -1,0 +1,161 @@
+"""What uneven speed takes beyond even: nothing at even speed, and learned without a battery."""
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.saved_car import saved_unevenness, unevenness_of
+from evpinn_ros.core.estimation.states import PHYSICS, SIZE, State
+from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.estimation.unevenness import (
+    DURATIONS,
+    OF_LEGS,
+    PRIOR_SHARE,
+    Path,
+    Unevenness,
+    even_rows,
+    size_of,
+)
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed
+
+EQUATION = equation_of(load_vehicle("bmw_i3"))
+
+
+def path_of(speed: np.ndarray) -> Path:
+    """Steps of a flat road from speed once a second."""
+    start, end = speed[:-1], speed[1:]
+    one = np.ones(len(start))
+    air = (start + end) * (start**2 + end**2) / 4.0
+    kinetic = (end**2 - start**2) / 2.0
+    return Path(one, (start + end) / 2.0, air, kinetic, 0.0 * one, 1.2 * one, 0.0 * one)
+
+
+def town(seed: int, seconds: float = 900.0) -> Path:
+    speed = drive_speed(DriveKind.URBAN, seconds, np.random.default_rng(seed))
+    return path_of(np.maximum(speed[::SAMPLE_RATE], 0.0))
+
+
+def rows_of(path: Path) -> np.ndarray:
+    wheels = EQUATION.wheels(*path[:5], path.density)
+    return EQUATION.moving_rows(wheels, path.duration, 0.0, 0.0).sum(0)
+
+
+def legs(seconds: int, path: Path) -> Path:
+    """A plan of this drive with a point every so many seconds."""
+    return path.legs((np.arange(len(path.duration)) // seconds).astype(np.int64))
+
+
+def test_legs_have_time_and_way_of_their_steps():
+    path = town(0)
+    for seconds in (10, 60, 10_000):
+        found = legs(seconds, path)
+        assert found.duration.sum() == pytest.approx(path.duration.sum())
+        assert found.distance.sum() == pytest.approx(path.distance.sum())
+        assert found.air.sum() == pytest.approx(path.air.sum())
+        assert found.density == pytest.approx(1.2)
+
+
+def test_even_legs_keep_way_and_time_and_begin_and_end_standing():
+    found = even_rows(EQUATION, legs(60, town(0))).sum(0)
+    path = town(0)
+    assert found[State.TURNING] > 0.0
+    climbed = path.distance.sum() * 9.80665
+    mean = EQUATION.mean[PHYSICS]
+    assert found[PHYSICS] @ mean > 0.5 * EQUATION.mean[State.ROLLING] * climbed * 0.5
+    whole = rows_of(path) @ EQUATION.mean
+    assert 0.3 * whole < found @ EQUATION.mean < whole  # even is cheaper, not free
+
+
+def test_a_drive_that_was_driven_before_is_expected_as_it_was():
+    path = town(0)
+    cut, driven = legs(60, path), rows_of(path) @ EQUATION.mean
+    found = Unevenness.none()
+    for _ in range(2):
+        found = found.after(EQUATION, EQUATION.mean, path)
+    even = even_rows(EQUATION, cut).sum(0) @ EQUATION.mean
+    expected = even + found.of_legs(EQUATION, cut).sum(0) @ EQUATION.mean
+    assert even < 0.6 * driven
+    assert expected == pytest.approx(driven, rel=0.12)  # the prior still counts
+
+
+@pytest.mark.slow
+def test_what_is_expected_of_legs_makes_up_for_even_speed():
+    """A dozen drives of one driver teach what another one, cut by the minute, takes."""
+    found = Unevenness.none()
+    for seed in range(100, 112):
+        found = found.after(EQUATION, EQUATION.mean, town(seed))
+    errors, before = [], []
+    for seed in range(4, 16):
+        path = town(seed)
+        cut = legs(60, path)
+        even = even_rows(EQUATION, cut).sum(0) @ EQUATION.mean
+        more = found.of_legs(EQUATION, cut).sum(0) @ EQUATION.mean
+        driven = rows_of(path) @ EQUATION.mean
+        errors.append((even + more) / driven - 1.0)
+        before.append(even / driven - 1.0)
+    assert abs(np.mean(errors)) < 0.03
+    assert np.mean(before) < -0.3  # even speed alone
+
+
+def test_it_vanishes_with_the_duration_of_a_leg():
+    found = Unevenness.none()
+    one = np.ones(1)
+    powers = []
+    for seconds in (10.0, 1.0, 0.1):
+        step = Path(seconds * one, 8.0 * seconds * one, 512.0 * seconds * one, *(0.0 * one,) * 2,
+                    1.2 * one, 0.0 * one)  # fmt: skip
+        powers.append(float(found.of_legs(EQUATION, step)[0] @ EQUATION.mean) / seconds)
+    assert powers[0] > 0.0
+    assert powers[1:] == pytest.approx([0.1 * powers[0], 0.01 * powers[0]], rel=1e-6)
+    assert DURATIONS[0] == 10.0
+
+
+@pytest.mark.slow
+def test_a_driver_of_habit_narrows_the_scatter_and_a_moody_one_widens_it():
+    rng = np.random.default_rng(0)
+    calm = moody = Unevenness.none()
+    same = town(0)
+    for _ in range(25):
+        calm = calm.after(EQUATION, EQUATION.mean, same)
+        mood = town(int(rng.integers(100)), 300.0)
+        speed = np.where(rng.uniform() < 0.5, 8.0, 1.0) * np.ones(400)
+        other = mood if rng.uniform() < 0.5 else path_of(speed)
+        moody = moody.after(EQUATION, EQUATION.mean, other)
+    assert calm.share < PRIOR_SHARE and moody.share > calm.share
+
+
+def test_a_drive_leaves_what_was_known_before_as_it_was():
+    before = Unevenness.none()
+    after = before.after(EQUATION, EQUATION.mean, town(1))
+    assert not before.metres.any() and not before.rows.any() and after.metres.any()
+    parked = path_of(np.zeros(600))
+    assert before.after(EQUATION, EQUATION.mean, parked) is before
+
+
+def test_driving_of_150_km_ago_counts_a_third():
+    slow = Unevenness.none().after(EQUATION, EQUATION.mean, path_of(np.full(2000, 2.0)))
+    later = slow.after(EQUATION, EQUATION.mean, path_of(np.full(5001, 30.0)))  # of other nodes
+    assert later.metres[0] == pytest.approx(slow.metres[0] / np.e)
+    assert slow.metres[0].any()
+
+
+def test_it_is_saved_by_the_names_of_states():
+    known = Unevenness.none().after(EQUATION, EQUATION.mean, town(1))
+    saved = saved_unevenness(known)
+    found = unevenness_of(saved, EQUATION)
+    np.testing.assert_array_equal(found.rows, known.rows)
+    assert found.share == known.share and len(saved.names) == SIZE
+    with pytest.raises(ValueError, match="numbers of the unevenness are missing"):
+        unevenness_of(
+            saved.__class__(saved.names, saved.metres, saved.rows[:-1], 1.0, 1.0), EQUATION
+        )
+    with pytest.raises(ValueError, match="out of range"):
+        unevenness_of(saved.__class__(saved.names, saved.metres, saved.rows, 1e9, 1.0), EQUATION)
+
+
+def test_chance_counts_less_over_many_legs_and_habit_as_much():
+    """Chance decides whether one short leg has a stop; a hundred legs show the habit."""
+    size = size_of(np.full(100, 1e5), np.full(100, 1e6)) / np.cumsum(np.full(100, 1e5))
+    assert size[0] == pytest.approx(np.sqrt(1.0 + OF_LEGS * 10.0))
+    assert size[-1] == pytest.approx(np.sqrt(1.0 + OF_LEGS * 0.1))
+    assert not size_of(np.zeros(3), np.full(3, 1e6)).any()

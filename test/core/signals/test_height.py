@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+
+from evpinn_ros.core.signals.detector import ALTITUDE_STUCK, ONE_ALTITUDE
+from evpinn_ros.core.signals.height import (
+    KNOWN_WITHIN,
+    LEAP,
+    LENGTH,
+    REACH,
+    AltitudeDetector,
+    HeightProfile,
+)
+
+
+def driven(height, places) -> HeightProfile:
+    found = HeightProfile()
+    for place in places:
+        found.add(float(place), float(height(place)))
+    return found
+
+
+def test_a_height_is_the_average_around_a_place():
+    found = driven(lambda x: 100.0 + 0.05 * x, np.arange(0.0, 1000.0, 5.0))
+    assert found.mean_around(500.0) == pytest.approx(125.0)
+    rng = np.random.default_rng(0)
+    noisy = driven(lambda x: rng.standard_normal(), np.arange(0.0, 1000.0, 10.0))
+    errors = [noisy.mean_around(place) for place in np.arange(100.0, 900.0, 10.0)]
+    # Fifteen readings within 150 m.
+    assert np.std(errors) == pytest.approx(15**-0.5, rel=0.5)
+
+
+def test_near_the_ends_it_is_of_what_is_known_and_beyond_unknown():
+    found = driven(lambda x: x, np.arange(0.0, 501.0, 5.0))
+    assert found.mean_around(500.0) == pytest.approx(500.0 - REACH / 2)
+    assert found.mean_around(0.0) == pytest.approx(REACH / 2)
+    assert found.mean_around(500.0 + REACH + 1) is None and found.mean_around(-REACH - 1) is None
+    assert found.known_at(500.0 + KNOWN_WITHIN - 1) and not found.known_at(500.0 + KNOWN_WITHIN)
+
+
+def test_of_no_height_nothing_is_known():
+    found = HeightProfile()
+    assert found.mean_around(0.0) is None and not found.known_at(0.0)
+
+
+def test_a_standing_car_tells_nothing_new():
+    found = driven(lambda x: 7.0, [0.0])
+    for _ in range(100):
+        found.add(0.2, 99.0)
+    assert found.mean_around(0.0) == 7.0
+
+
+def test_only_so_much_road_is_kept():
+    found = driven(lambda x: 0.1 * x, np.arange(0.0, 20_000.0, 5.0))
+    assert found.mean_around(19_000.0) == pytest.approx(1900.0)
+    assert found.mean_around(20_000.0 - 3 * LENGTH) is None
+
+
+def rises(*altitudes) -> list:
+    """Rises between (odometer, altitude), m, and the fault that is seen at the end."""
+    detector, found = AltitudeDetector(), []
+    for place in altitudes:
+        detector = detector.after(*place)
+        found.append(detector.rise)
+    return [*found, detector.detected]
+
+
+def test_an_altitude_counts_once_it_has_moved_and_until_it_is_stuck():
+    moved, long = [(0.0, 0.0), (50.0, 0.0), (100.0, 2.0)], 100.0 + ONE_ALTITUDE.on
+    assert rises(*moved) == [None, None, (50.0, 2.0), None]
+    stuck = [*moved, (long, 2.0), (long + 1.0, 2.0)]
+    assert rises(*stuck)[3:] == [(100.0, 0.0), None, ALTITUDE_STUCK]
+    assert rises(*stuck, (long + 50.0, 5.0))[-2:] == [(long + 1.0, 3.0), None]
+
+
+def test_a_leap_is_no_rise():
+    found = rises((0.0, 0.0), (10.0, LEAP), (20.0, 1000.0), (30.0, 1001.0))
+    assert [rise.height for rise in found[1:4]] == [LEAP, 0.0, 1.0]
+    assert rises((0.0, 0.0), (10.0, 1.0), (210.0, 61.0))[2].height == 60.0  # a street of 30 %

@@ -1,0 +1,204 @@
+from itertools import pairwise
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.core.signals.kinematics import (
+    INITIAL_TAPS,
+    MIN_POINTS,
+    PROFILE,
+    PROFILE_EDGES,
+    TAP_PERIOD,
+    TAPS,
+    CausalDifferentiator,
+    SpeedTrack,
+)
+from evpinn_ros.core.signals.readings import NANOSECONDS, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
+from test.core.signals.conftest import START
+from test.core.signals.conftest import stamp_at as at
+
+
+def track(times, speeds) -> SpeedTrack:
+    found = SpeedTrack(2.5)
+    for time, speed in zip(times, speeds, strict=True):
+        found.add(at(time), speed)
+    return found
+
+
+steps = st.lists(st.floats(0.01, 0.5), min_size=8, max_size=40)
+coefficients = st.tuples(st.floats(-30, 30), st.floats(-4, 4), st.floats(-2, 2))
+
+
+@given(steps, coefficients, st.integers(4, 40))
+def test_the_local_quadratic_is_exact_on_quadratics_at_uneven_steps(gaps, shape, pick):
+    times = np.cumsum(gaps)
+    level, slope, bend = shape
+    speeds = level + slope * times + bend * times**2
+    moment = times[min(pick, len(times) - 3)]
+    found = track(times, speeds).smoothed(at(moment), at(times[-1]))
+    expected = (level + slope * moment + bend * moment**2, slope + 2 * bend * moment)
+    assert found == pytest.approx(expected, rel=1e-6, abs=1e-5)
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0, 5.0, 10.0, 33.0, 100.0])
+def test_constant_acceleration_at_any_rate(rate):
+    times = np.arange(0, 6, 1 / rate)
+    moment = times[-1] - 1 / rate
+    found = track(times, 3.0 + 1.5 * times).smoothed(at(moment), at(times[-1]))
+    assert found == pytest.approx((3.0 + 1.5 * moment, 1.5), rel=1e-6)
+
+
+@pytest.mark.parametrize("rate", [2.0, 10.0, 33.0, 100.0])
+def test_a_constant_acceleration_has_no_profile(rate):
+    times = np.arange(0, 4, 1 / rate)
+    found = track(times, 3.0 + 1.5 * times).profile(at(2.0), at(times[-1]), 1.5)
+    assert found == pytest.approx([0.0] * PROFILE, abs=1e-6)
+
+
+def test_the_profile_of_a_jerk_by_hand():
+    """v = t^3 / 6 m/s: mean slopes over the spans, less a = t^2 / 2 at 2 s."""
+    times = np.arange(0, 40) / 10
+    found = track(times, times**3 / 6).profile(at(2.0), at(2.3), 2.0)
+    begin, end = 2.0 + PROFILE_EDGES.T
+    expected = (end**3 - begin**3) / 6 / (end - begin) - 2.0
+    assert found == pytest.approx(expected, abs=1e-6)
+    assert found[0] > 0.3 and found[-1] < -0.8
+
+
+def test_what_is_not_known_has_no_profile():
+    """Neither before the first speed nor after the last that may be used."""
+    times = 1.6 + np.arange(0, 10) / 10
+    speeds = np.random.default_rng(0).standard_normal(10)
+    found = track(times, speeds).profile(at(2.0), at(2.1), 0.5)
+    assert found[0] == found[2] == 0.0 != found[1]
+    speeds[6:] += 5.0  # of 2.2 s on
+    assert track(times, speeds).profile(at(2.0), at(2.1), 0.5) == found
+
+
+@given(steps, st.floats(-5, 20))
+@settings(max_examples=25)
+def test_distance_and_flow_are_exact_where_speed_is_linear(gaps, head_wind):
+    """In pieces as in one, and as the integrals of v and w |w| v by hand."""
+    times = np.cumsum(gaps)
+    found = track(times, 5.0 + 2.0 * times)
+    stamps = [at(time) for time in times]
+    whole = found.travelled(stamps[0], stamps[-1], head_wind)
+    pieces = [found.travelled(*pair, head_wind) for pair in pairwise(stamps)]
+    assert np.sum(pieces, axis=0) == pytest.approx(whole, rel=1e-9)
+    fine = np.linspace(times[0], times[-1], 20_001)
+    speed = 5.0 + 2.0 * fine
+    flow = speed + head_wind
+    expected = (np.trapezoid(speed, fine), np.trapezoid(flow * np.abs(flow) * speed, fine))
+    assert whole == pytest.approx(expected, rel=1e-3, abs=1e-3)
+
+
+def test_smoothing_averages_noise():
+    """A quadratic through 9 points at 10 Hz: the variance of its slope by ordinary algebra."""
+    times = np.arange(9) * 0.1
+    moment = 0.5
+    basis = np.stack((np.ones(9), times - moment, (times - moment) ** 2), axis=1)
+    expected = math.sqrt(np.linalg.inv(basis.T @ basis)[1, 1])
+    rng = np.random.default_rng(0)
+    slopes = [
+        track(times, rng.standard_normal(9)).smoothed(at(moment), at(0.8))[1] for _ in range(2000)
+    ]
+    assert np.std(slopes) == pytest.approx(expected, rel=0.06)  # 4 sigma of 2000 draws
+
+
+def test_what_comes_after_until_is_not_used():
+    times = np.arange(0, 2, 0.1)
+    speeds = np.sin(times)
+    before = track(times, speeds).smoothed(at(1.0), at(1.3))
+    speeds[times > 1.3 + 1e-9] = 99.0
+    assert track(times, speeds).smoothed(at(1.0), at(1.3)) == before
+
+
+@given(st.permutations(range(20)))
+@settings(max_examples=25)
+def test_the_order_of_arrival_within_the_track_is_all_the_same(order):
+    speeds = [math.sin(0.3 * k) for k in range(20)]
+    found = track([0.1 * k for k in order], [speeds[k] for k in order])
+    expected = track([0.1 * k for k in range(20)], speeds)
+    assert found.smoothed(at(1.5), at(1.9)) == expected.smoothed(at(1.5), at(1.9))
+    assert found.differences().tolist() == expected.differences().tolist()
+
+
+def test_too_few_speeds_tell_no_acceleration():
+    speed, acceleration = track([0.0, 0.1], [1.0, 2.0]).smoothed(at(0.1), at(0.1))
+    assert MIN_POINTS == 3
+    assert speed == 2.0 and math.isnan(acceleration)
+
+
+def test_differences_by_hand():
+    # 0 at 0 s, 1 at 0.1 s, 3 at 0.2 s: slopes 20 and 10 m/s^2, and nothing before.
+    found = track([0.0, 0.1, 0.2], [0.0, 1.0, 3.0]).differences()
+    assert found == pytest.approx([20.0, 10.0] + [0.0] * (TAPS - 2))
+    # Between readings, linear: 1 Hz readings 2 m/s apart give 2 m/s^2 throughout.
+    slow = track([0.0, 1.0, 2.0], [0.0, 2.0, 4.0]).differences()
+    assert slow == pytest.approx([2.0] * TAPS)
+
+
+def test_the_first_guess_is_the_mean_slope():
+    guess = CausalDifferentiator()
+    assert guess.acceleration(START, np.arange(TAPS)) == pytest.approx((0 + 1 + 2 + 3) / 4)
+    assert (INITIAL_TAPS, TAP_PERIOD) == (4, 0.1)
+
+
+def test_the_differentiator_finds_a_linear_rule():
+    rng = np.random.default_rng(2)
+    rule = rng.standard_normal(TAPS) / TAPS
+    learner = CausalDifferentiator()
+    for k in range(3000):
+        slopes = rng.standard_normal(TAPS)
+        learner.acceleration(k, slopes)
+        learner.learn(k, float(slopes @ rule))
+    # Ridge regression with penalty (0.2 / 0.2)^2 = 1 on about 3000 unit rows: 1/3000 is left.
+    np.testing.assert_allclose(learner.weights, rule, atol=1e-3)
+
+
+def test_what_is_not_pending_teaches_nothing():
+    learner = CausalDifferentiator()
+    start = learner.weights.copy()
+    learner.learn(1, 3.0)
+    learner.acceleration(2, np.ones(TAPS))
+    learner.learn(1, 3.0)  # older than all that waits
+    learner.learn(3, 3.0)  # newer: what waited is over
+    learner.acceleration(4, np.ones(TAPS))
+    learner.forget_pending()
+    learner.learn(4, 3.0)
+    assert learner.weights.tolist() == start.tolist()
+
+
+def test_the_learned_differentiator_beats_a_plain_difference():
+    """Noisy simulated speed against the true acceleration, the second half of two minutes."""
+    drive = simulate(DriveKind.URBAN, load_vehicle("tesla_model_3_lr"), 120.0, 1)
+    readings = [r for r in drive.readings if isinstance(r, SpeedReading)]
+    times = (np.array([r.stamp_ns for r in readings]) - readings[0].stamp_ns) / NANOSECONDS
+    times += (readings[0].stamp_ns - 1_735_689_600 * NANOSECONDS) / NANOSECONDS
+    truth = np.interp(times, drive.trace.motion.time, drive.trace.motion.acceleration)
+    speeds, learner = SpeedTrack(2.5), CausalDifferentiator()
+    found, first_guess = [], []
+    for k, reading in enumerate(readings):
+        speeds.add(reading.stamp_ns, reading.speed)
+        slopes = speeds.differences()
+        first_guess.append(slopes[:INITIAL_TAPS].mean())
+        found.append(learner.acceleration(reading.stamp_ns, slopes))
+        if k >= 3:
+            past = readings[k - 3].stamp_ns
+            smooth = speeds.smoothed(past, reading.stamp_ns)[1]
+            if not math.isnan(smooth):
+                learner.learn(past, smooth)
+    raw = np.diff([r.speed for r in readings], prepend=0.0) / np.diff(times, prepend=-1.0)
+
+    def error(estimate) -> float:
+        late = slice(len(times) // 2, None)
+        return float(np.sqrt(np.mean((np.asarray(estimate)[late] - truth[late]) ** 2)))
+
+    assert error(found) < error(first_guess)
+    assert error(found) < 0.9 * error(raw)

@@ -1,0 +1,281 @@
+import math
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.kinematics import LAG_TOLERANCE_NS
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    AuxiliaryReading,
+    BatteryReading,
+    MotorReading,
+    SpeedReading,
+    TemperatureReading,
+)
+from evpinn_ros.core.signals.sample import MeasuredSample, Sample
+from evpinn_ros.core.signals.stream import SAMPLE_PERIOD
+
+LAG = 0.3
+
+
+def of(events, kind) -> list:
+    return [event for event in events if isinstance(event, kind)]
+
+
+def newest(events) -> list[Sample]:
+    return [sample for sample in of(events, Sample) if sample.newest]
+
+
+def smoothed(events) -> list[Sample]:
+    return [sample for sample in of(events, Sample) if not sample.newest]
+
+
+def stamps(samples) -> list[int]:
+    return [sample.stamp_ns for sample in samples]
+
+
+@pytest.fixture
+def ramp(at):
+    """Speeds of a constant acceleration at a rate, from and to these seconds."""
+
+    def readings(rate, begin, end, start=5.0, acceleration=0.5):
+        times = begin + np.arange(round((end - begin) * rate) + 1) / rate
+        return [SpeedReading(at(t), start + acceleration * (t - begin)) for t in times.tolist()]
+
+    return readings
+
+
+@pytest.fixture
+def battery(at):
+    """Battery readings at these seconds whose power is linear in time: 100 W/s from 0."""
+
+    def readings(*times):
+        return [BatteryReading(at(t), 100.0, -t) for t in times]
+
+    return readings
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0, 10.0, 12.5, 50.0, 100.0])
+def test_every_speed_gives_a_newest_sample_and_smoothed_ones_follow(
+    new_stream, play, ramp, at, rate
+):
+    readings = ramp(rate, 0.0, 8.0)
+    events = play(new_stream(), readings)
+    assert stamps(newest(events)) == [reading.stamp_ns for reading in readings]
+    found = smoothed(events)
+    assert len(found) >= min(rate, 6.0) * (8.0 - 0.5) - 4
+    for event in found:
+        seconds = (event.stamp_ns - at(0)) / NANOSECONDS
+        assert event.speed == pytest.approx(5.0 + 0.5 * seconds, rel=1e-6)
+        assert event.acceleration == pytest.approx(0.5, rel=1e-5)
+    # Every so manyth moment, the fewest that are `SAMPLE_PERIOD` less the tolerance apart.
+    every = math.ceil((SAMPLE_PERIOD - LAG_TOLERANCE_NS / NANOSECONDS) * rate - 1e-6)
+    steps = np.diff(stamps(smoothed(events))) / NANOSECONDS
+    np.testing.assert_allclose(steps, every / rate, atol=1e-8)
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0, 10.0, 12.5, 50.0, 100.0])
+def test_a_smoothed_sample_comes_with_the_first_speed_a_lag_later(new_stream, ramp, rate):
+    stream = new_stream()
+    newest = None
+    for reading in ramp(rate, 0.0, 8.0):
+        before, newest = newest, reading.stamp_ns
+        for stamp in stamps(smoothed(stream.add_reading(reading))):
+            needed = stamp + int(LAG * NANOSECONDS) - LAG_TOLERANCE_NS
+            early = stamp <= before and before >= needed  # it could have come before
+            # The first moments wait for enough speeds to fit a quadratic.
+            assert newest >= needed and not early
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 100.0])
+def test_a_smoothed_sample_uses_no_speed_beyond_its_lag(new_stream, play, ramp, rate):
+    readings = ramp(rate, 0.0, 4.0)
+    readings = [SpeedReading(r.stamp_ns, 8 + math.sin(k)) for k, r in enumerate(readings)]
+    reference = smoothed(play(new_stream(), readings))
+    for event in reference[10::13]:
+        beyond = event.stamp_ns + int(LAG * NANOSECONDS) + LAG_TOLERANCE_NS
+        changed = [SpeedReading(r.stamp_ns, 0.0) if r.stamp_ns > beyond else r for r in readings]
+        assert event in smoothed(play(new_stream(), changed))
+
+
+def test_the_newest_acceleration_rests_on_the_past(new_stream, play, ramp):
+    events = newest(play(new_stream(), ramp(10.0, 0.0, 5.0)))
+    assert events[0].acceleration == 0.0  # one speed tells none
+    # Before it has learned: the mean slope of the last 0.4 s, of which 0.1, 0.2... are known.
+    found = [e.acceleration for e in events[1:4]]
+    assert found == pytest.approx([0.5 / 4, 2 * 0.5 / 4, 3 * 0.5 / 4])
+    assert events[-1].acceleration == pytest.approx(0.5, rel=0.01)
+
+
+def test_measured_samples_interpolate_power(new_stream, play, ramp, battery, at):
+    """Battery at 4 Hz and off the beat; the power is linear, so interpolation is exact."""
+    times = 0.07 + np.arange(24) / 4
+    readings = sorted(
+        [*ramp(10.0, 0.0, 6.0), *battery(*times.tolist())], key=lambda reading: reading.stamp_ns
+    )
+    found = of(play(new_stream(), readings), MeasuredSample)
+    assert len(found) > 45
+    for event in found:
+        seconds = (event.sample.stamp_ns - at(0)) / NANOSECONDS
+        assert seconds >= 0.07 and event.power == pytest.approx(100.0 * seconds, rel=1e-6)
+
+
+def test_a_measured_sample_waits_for_the_predictions_up_to_its_readings(
+    new_stream, ramp, battery, at
+):
+    """Battery once a second and early. No smoothed moment before a reading comes after its use."""
+    readings = [r for k in range(8) for r in (*battery(float(k)), *ramp(10.0, k, k + 0.9))]
+    stream, used_ns = new_stream(), 0
+    seen = measured = 0
+    for reading in readings:
+        for event in stream.add_reading(reading):
+            if isinstance(event, MeasuredSample):
+                second = (event.sample.stamp_ns - at(0)) / NANOSECONDS
+                used_ns = max(used_ns, at(math.ceil(second - 1e-9)))
+                measured += 1
+            elif isinstance(event, Sample):
+                assert event.stamp_ns > used_ns
+                seen += not event.newest
+    assert seen > 70 and measured > 60
+
+
+def test_a_battery_that_comes_late_is_waited_for(new_stream, play, ramp, battery):
+    """Two seconds of speed first, then their battery readings."""
+    stream = new_stream()
+    events = play(stream, ramp(10.0, 0.0, 2.0))
+    assert not of(events, MeasuredSample)
+    events = play(stream, battery(*(k / 10 for k in range(21))))
+    assert len(of(events, MeasuredSample)) >= 13
+
+
+def test_moments_without_a_battery_are_given_up(new_stream, play, ramp, battery):
+    stream = new_stream()
+    play(stream, ramp(10.0, 0.0, 30.0, acceleration=0.01))
+    events = play(stream, battery(*(29.0 + k / 10 for k in range(10))))
+    assert len(of(events, MeasuredSample)) == 8  # 29.0 to 29.7 s
+    assert not stream.dropped
+
+
+def test_a_gap_separates(new_stream, play, ramp, at):
+    stream = new_stream()
+    play(stream, [*ramp(10.0, 0.0, 3.0), AuxiliaryReading(at(3.0), 500.0)])
+    events = play(stream, ramp(10.0, 5.6, 8.0, start=30.0))
+    while isinstance(events[0], Interval):  # what waited for the battery is given first
+        assert events.pop(0).end_ns <= at(3.0)
+    # The quadratic never bends from one side to the other: all of it is the new ramp.
+    for event in smoothed(events):
+        assert event.stamp_ns >= at(5.6)
+        assert event.acceleration == pytest.approx(0.5, rel=1e-5)
+    assert (events[0].stamp_ns, events[0].acceleration) == (at(5.6), 0.0)
+    assert events[0].known_auxiliary == 0.0  # nor are loads
+
+
+def test_just_within_max_gap_is_no_gap(new_stream, play, at):
+    stream = new_stream()
+    readings = [SpeedReading(at(t), 5.0 + t) for t in (0.0, 2.5, 5.0, 7.5)]
+    assert [sample.acceleration > 0.0 for sample in newest(play(stream, readings))] == [
+        False, True, True, True
+    ]  # fmt: skip
+
+
+def test_late_and_doubled_speeds(new_stream, play, ramp, at):
+    stream = new_stream()
+    play(stream, ramp(10.0, 0.0, 2.0))
+    late = [SpeedReading(at(1.7), 5.7), SpeedReading(at(2.0), 99.0), SpeedReading(at(1.75), 5.8)]
+    assert play(stream, late) == []
+    assert stream.dropped == {"speed_late": 1, "speed_doubled": 1}
+    assert stream.newest_ns == at(2.0)
+
+
+def test_a_straggler_within_the_lateness_is_used(new_stream, play, ramp, at):
+    readings = ramp(10.0, 0.0, 2.1)
+    straggler = readings[17]
+    late = [*readings[:17], *readings[18:20], straggler, *readings[20:]]
+    in_order = smoothed(play(new_stream(), readings))
+    found = smoothed(play(new_stream(), late))
+    # Those after it are smoothed with it; it is no moment of its own.
+    assert in_order[-1].stamp_ns == at(1.8) and found[-1] == in_order[-1]
+    assert straggler.stamp_ns not in [event.stamp_ns for event in found]
+
+
+def test_impossible_accelerations(new_stream, play, ramp, at):
+    stream = new_stream()
+    play(stream, ramp(10.0, 0.0, 2.0))
+    events = play(stream, [SpeedReading(at(2.1), 60.0)])
+    assert not newest(events)
+    assert stream.dropped["acceleration_impossible"] >= 1
+
+
+def test_voltage_and_current_may_come_apart(new_stream, play, ramp, at):
+    """The current with the voltage of its own moment, 100 V/s: P = -V I."""
+    rows = [BatteryReading(at(k / 10), 200.0 + 10 * k, math.nan) for k in range(60)]
+    rows += [BatteryReading(at(k / 10 + 0.05), math.nan, -10.0) for k in range(60)]
+    stream = new_stream()
+    events = play(stream, sorted([*ramp(10.0, 0.0, 6.0), *rows], key=lambda r: r.stamp_ns))
+    found = of(events, MeasuredSample)
+    assert len(found) > 45 and not stream.dropped
+    for event in found:
+        seconds = (event.sample.stamp_ns - at(0)) / NANOSECONDS
+        assert event.power == pytest.approx(10.0 * (200.0 + 100.0 * seconds))
+    alone = BatteryReading(at(5.95), math.nan, -10.0)
+    assert stream.measured_power(alone) == pytest.approx(10.0 * 790.0)
+    assert math.isnan(stream.measured_power(rows[0]))
+
+
+def test_late_and_doubled_batteries(new_stream, play, battery, at):
+    stream = new_stream()
+    play(stream, battery(1.0, 0.7, 0.72, 1.0))
+    assert stream.dropped == {"battery_late": 1, "battery_doubled": 1}
+    assert stream.battery_ns == at(1.0)
+
+
+def test_impossible_readings_are_dropped(new_stream, play, ramp, at):
+    stream = new_stream()
+    wrong = [
+        SpeedReading(at(0), 100.1),
+        BatteryReading(at(0), 350.0, math.inf),
+        BatteryReading(at(0), math.nan, math.nan),
+        TemperatureReading(at(0), -273.15),
+        AltitudeReading(at(0), math.nan),
+        AuxiliaryReading(at(0), -1.0),
+        MotorReading(at(0), 20_001.0),
+        MotorReading(at(0), math.nan),
+    ]
+    assert play(stream, wrong) == [] and (stream.newest_ns, stream.battery_ns) == (None, None)
+    events = play(stream, ramp(10.0, 0.0, 1.0))
+    assert {(e.grade, e.air_density, e.known_auxiliary) for e in events} == {(0.0, 1.2, 0.0)}
+    assert stream.dropped == {
+        "speed_out_of_range": 1,
+        "battery_out_of_range": 1,
+        "battery_unmeasured": 1,
+        "temperature_out_of_range": 1,
+        "altitude_out_of_range": 1,
+        "auxiliary_out_of_range": 1,
+        "motor_torque_out_of_range": 2,
+    }
+
+
+def test_what_is_late_stays_dropped_however_much_of_it_comes(new_stream, play, ramp, at):
+    """Whether time went back is decided before the stream, in one place for all."""
+    stream = new_stream()
+    play(stream, ramp(10.0, 3600.0, 3605.0))
+    assert play(stream, ramp(10.0, 0.0, 5.0)) == []
+    assert stream.dropped["speed_late"] > 40
+
+
+def test_a_reset_forgets_readings_and_keeps_what_was_learned(new_stream, play, ramp, at):
+    stream = new_stream()
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal(200)
+    readings = [SpeedReading(at(k / 10), 10 + noise[k]) for k in range(200)]
+    play(stream, readings)
+    stream.reset()
+    assert (stream.newest_ns, stream.battery_ns) == (None, None)
+    # As the first time, but for what the differentiator has learned meanwhile.
+    again, fresh = (play(one, readings[:20]) for one in (stream, new_stream()))
+    assert smoothed(again) == smoothed(fresh)
+    found, first = (newest(events) for events in (again, fresh))
+    assert [e.stamp_ns for e in found] == [e.stamp_ns for e in first]
+    assert found[2].acceleration != first[2].acceleration

@@ -1,0 +1,154 @@
+"""Whatever is thrown at the stream: order of batteries, nonsense of every kind."""
+
+import math
+from typing import get_args
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.core.signals.interval import DURATION, Interval
+from evpinn_ros.core.signals.kinematics import MAX_ACCELERATION
+from evpinn_ros.core.signals.readings import (
+    MAX_SPEED,
+    NANOSECONDS,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+)
+from evpinn_ros.core.signals.sample import MeasuredSample, Sample
+from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
+from evpinn_ros.core.signals.time_jump import Jump, StampGuard
+
+START = 1_700_000_000 * NANOSECONDS
+COUNT = 150  # readings, 15 s
+
+
+@given(
+    st.lists(st.integers(0, 289_000_000), min_size=COUNT, max_size=COUNT),
+    st.lists(st.floats(-200.0, 200.0), min_size=COUNT, max_size=COUNT),
+    st.integers(0, 99),
+)
+@settings(max_examples=10, deadline=None)
+@pytest.mark.slow
+def test_batteries_that_come_up_to_the_allowed_lateness_late_change_nothing(
+    delays, currents, phase
+):
+    """Each battery reading is held up on its way; the speeds come on time."""
+    speeds = [SpeedReading(START + k * 100_000_000, 8 + math.sin(k / 5)) for k in range(COUNT)]
+    first = START + phase * 1_000_000
+    batteries = [
+        BatteryReading(first + k * 100_000_000, 350.0, current)
+        for k, current in enumerate(currents)
+    ]
+
+    def measured(held_up) -> list:
+        arrivals = [(speed.stamp_ns, 0, speed) for speed in speeds]
+        arrivals += [(b.stamp_ns + d, 1, b) for b, d in zip(batteries, held_up, strict=True)]
+        stream = SampleStream(StreamSettings(), 1.2)
+        events = [
+            e
+            for *_, reading in sorted(arrivals, key=lambda a: a[:2])
+            for e in stream.add_reading(reading)
+        ]
+        assert not stream.dropped
+        kept = [event for event in events if isinstance(event, (MeasuredSample, Interval))]
+        return [repr(event) for event in kept]
+
+    in_order = measured([0] * COUNT)
+    assert len(in_order) > 50 and any("Interval(" in event for event in in_order)
+    assert sorted(measured(delays)) == sorted(in_order)
+
+
+numbers = st.one_of(
+    st.floats(-120.0, 120.0),
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.sampled_from([0.0, 1e-300, 1e300, 400.0, 2000.0]),
+)
+kinds = st.sampled_from(sorted({*get_args(Reading)} - {BatteryReading}, key=str))
+# Mostly onwards by a step of any size, now and then anywhere at all.
+onwards = st.one_of(
+    st.integers(0, 300_000_000),
+    st.sampled_from([0, 1, 2, 1000, 100_000_000, 100_000_000, 100_000_000]),
+    st.integers(-3_000_000_000, 3_000_000_000),
+)
+anywhere = st.one_of(st.integers(-(2**63), 2**63), st.sampled_from([0, -1, 2**63 - 1, -(2**63)]))
+
+
+def kind_of(event):
+    """Kind of a sample, or type of another event."""
+    if isinstance(event, Sample):
+        return "newest" if event.newest else "smoothed"
+    return type(event)
+
+
+@st.composite
+def nonsense(draw):
+    """Readings of all kinds with stamps that mostly move on."""
+    stamp, readings = START, []
+    for _ in range(draw(st.integers(1, 60))):
+        stray = draw(st.integers(0, 30)) == 0
+        moment = draw(anywhere) if stray else stamp + draw(onwards)
+        stamp = stamp if stray else moment
+        if draw(st.booleans()):
+            readings.append(SpeedReading(moment, draw(numbers)))
+        elif draw(st.booleans()):
+            readings.append(BatteryReading(moment, draw(numbers), draw(numbers), draw(numbers)))
+        else:
+            readings.append(draw(kinds)(moment, draw(numbers)))
+    return readings
+
+
+@given(nonsense(), st.integers(0, 3))
+@settings(max_examples=80, deadline=None)
+@pytest.mark.slow
+def test_nonsense_gives_finite_samples_in_order_and_no_exception(readings, lag):
+    stream = SampleStream(StreamSettings(smoothing_lag=0.1 * lag), 1.2)
+    last: dict[object, int] = {}
+    for reading in readings:
+        for event in stream.add_reading(reading):
+            check(event)
+            if (kind := kind_of(event)) is not Interval:
+                stamp_ns = (event if isinstance(event, Sample) else event.sample).stamp_ns
+                assert stamp_ns > last.get(kind, -(2**64))
+                last[kind] = stamp_ns
+
+
+@given(nonsense())
+@settings(max_examples=30, deadline=None)
+@pytest.mark.slow
+def test_after_any_nonsense_a_good_drive_is_taken(readings):
+    """Four seconds of good speed and battery after anything, and samples of each kind come."""
+    stream, guard = SampleStream(StreamSettings(), 1.2), StampGuard(SpeedReading)
+    begin, kinds_seen = START + 500 * NANOSECONDS, set()
+    good = [
+        reading
+        for stamp in range(begin, begin + 4 * NANOSECONDS, NANOSECONDS // 10)
+        for reading in (SpeedReading(stamp, 5.0), BatteryReading(stamp, 350.0, -10.0))
+    ]
+    for k, reading in enumerate([*readings, *good]):
+        for item in guard.follow(reading):
+            if isinstance(item, Jump):
+                stream.reset()
+                continue
+            for event in stream.add_reading(item):
+                if k >= len(readings):
+                    kinds_seen.add(kind_of(event))
+    assert {"newest", "smoothed", MeasuredSample} <= kinds_seen
+
+
+def check(event) -> None:
+    """Nothing that is not finite, nor beyond what can be."""
+    if isinstance(event, Interval):
+        assert all(np.isfinite(column).all() for column in event.steps[:5])
+        assert event.duration >= 0.9 * DURATION and (event.steps.duration > 0).all()
+        return
+    if isinstance(event, MeasuredSample):
+        assert math.isfinite(event.power)
+    sample = event if isinstance(event, Sample) else event.sample
+    assert abs(sample.speed) <= MAX_SPEED
+    assert abs(sample.acceleration) <= MAX_ACCELERATION
+    assert abs(sample.grade) <= 0.3 and 0.5 < sample.air_density < 2.0
+    assert abs(sample.head_wind) <= 60.0
+    assert 0.0 <= sample.known_auxiliary <= 50_000.0

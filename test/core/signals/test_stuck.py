@@ -1,0 +1,139 @@
+"""A sensor that hangs at one value, told from a car that does."""
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+from evpinn_ros.core.signals.detector import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.signals.stuck import StuckDetector
+
+
+def driven(seconds, speed, current, detector=None, begin=0.0) -> StuckDetector:
+    """The detector after a drive at 10 Hz: functions of time give m/s and A at 350 V."""
+    detector = detector or StuckDetector()
+    for step in range(round(10 * seconds)):
+        now = begin + step / 10
+        stamp_ns = round(now * NANOSECONDS)
+        detector = detector.after(BatteryReading(stamp_ns, 350.0, current(now)))
+        detector = detector.after(SpeedReading(stamp_ns, speed(now)))
+    return detector
+
+
+def judge(seconds, speed, current):
+    """The verdict after such a drive."""
+    return driven(seconds, speed, current).detected
+
+
+def waves(mean, size):
+    return lambda t: mean + size * math.sin(t / 3)
+
+
+def test_a_car_that_drives_is_not_suspected():
+    assert judge(60, waves(15, 8), waves(-50, 120)) is None
+
+
+@pytest.mark.parametrize("current", [-40.0, -2.0])
+def test_a_battery_that_hangs_while_speed_changes_even_at_next_to_nothing(current):
+    assert judge(20, waves(15, 8), lambda _: current) == BATTERY_STUCK
+
+
+def test_a_speed_that_hangs_while_power_changes():
+    assert judge(20, lambda _: 15.0, waves(-50, 120)) == SPEED_STUCK
+
+
+def test_a_value_that_moves_again_clears_the_verdict():
+    hung = driven(20, lambda _: 15.0, waves(-50, 120))
+    assert hung.detected == SPEED_STUCK
+    assert driven(1, waves(15, 8), waves(-50, 120), hung, begin=20.0).detected is None
+
+
+@pytest.mark.parametrize(
+    ("speed", "current"),
+    [
+        (lambda _: 0.0, lambda _: -3.0),  # parked
+        (lambda _: 0.0, waves(-50, 100)),  # charging, heating
+        (lambda _: 30.0, waves(-60, 20)),  # cruise control in wind, speed in whole km/h
+        (lambda t: 15.0 - t / 10, lambda _: -3.0),  # coasting, current in whole A
+        (lambda t: max(0.0, 15.0 - 3 * t), lambda _: -2.0),  # a full battery takes nothing back
+    ],
+)
+def test_a_car_that_does_one_thing_is_not_suspected(speed, current):
+    assert judge(25, speed, current) is None
+
+
+def test_a_speed_in_whole_kilometres_per_hour_repeats_by_itself():
+    """As OBD tells it, on a motorway; the same hang is told where speeds are finer."""
+
+    def held(step):
+        def speed(t):
+            return 27.0 if 12 <= t < 15 else 28.0 + step * math.floor(t)
+
+        return judge(14.9, speed, lambda t: -20 - 60 * math.cos(2 * t))
+
+    assert held(1 / 3.6) is None
+    assert held(0.05) == SPEED_STUCK
+
+
+def test_a_coarse_speed_that_hangs_for_long_is_suspected():
+    def speed(t):
+        return round(min(t, 15.0)) / 3.6
+
+    assert judge(30, speed, waves(-50, 120)) == SPEED_STUCK
+
+
+def test_long_cruising_over_hills_is_not_suspected():
+    assert judge(600, lambda _: 30.0, lambda t: -60 + 60 * math.sin(t / 60)) is None
+
+
+def _held_after_braking(t):
+    """Exactly 13 m/s after a strong deceleration, as a simulator's driver or a cruise control."""
+    return max(13.0, 30.0 - 4.0 * max(0.0, t - 5.0)) if t < 40.0 else 13.0 - 2.0 * (t - 40.0)
+
+
+def _rounded_peaks(t):
+    """Speeding up and slowing down in steps of 0.02 m/s: each turn repeats some values."""
+    return round((12.0 + 3.0 * math.sin(t / 2.0)) / 0.02) * 0.02
+
+
+@pytest.mark.parametrize("speed", [_held_after_braking, _rounded_peaks])
+def test_a_speed_that_goes_on_as_it_was_did_not_hang(speed):
+    """Nine in ten intervals of the Changchun sedan were left out, and all braking of SUMO's."""
+    detector = StuckDetector()
+
+    def current(t):
+        return -10.0 - 4.0 * speed(t) * (speed(t) - speed(t - 0.1)) / 0.1
+
+    for second in range(44):
+        detector = driven(1.0, speed, current, detector, begin=float(second))
+        assert detector.why_not(0, second * NANOSECONDS) is None
+
+
+def test_a_battery_that_is_not_measured_says_nothing():
+    assert judge(20, waves(15, 8), lambda _: math.nan) is None
+
+
+def test_what_lies_behind_is_spoilt_from_before_the_value_hung_until_it_moved():
+    """Half a second on both sides; long before it is suspected, and once it is no longer."""
+    detector = driven(10, waves(15, 8), waves(-50, 20))
+    detector = driven(1.5, lambda _: 15.0, waves(-50, 20), detector, begin=10.0)
+    assert detector.detected is None
+    detector = driven(5, waves(15, 8), waves(-50, 20), detector, begin=11.5)
+
+    def why_not(*span):
+        return detector.why_not(*(round(each * NANOSECONDS) for each in span))
+
+    assert why_not(9.6, 9.6) == why_not(10.5, 10.5) == why_not(11.8, 11.8) == SPEED_REPEATS
+    assert why_not(8.0, 9.6) == why_not(11.8, 13.0) == why_not(9.0, 12.0) == SPEED_REPEATS
+    assert why_not(0.0, 9.4) is why_not(12.0, 14.0) is None
+
+
+@given(st.lists(st.tuples(st.integers(0, 10**11), st.floats(), st.floats(), st.booleans())))
+def test_any_readings_are_survived(items):
+    detector = StuckDetector()
+    for stamp_ns, first, second, battery in items:
+        reading = BatteryReading(stamp_ns, first, second) if battery else None
+        detector = detector.after(reading or SpeedReading(stamp_ns, first))
+    assert detector.detected in (None, SPEED_STUCK, BATTERY_STUCK)

@@ -1,0 +1,294 @@
+from pathlib import Path
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.vehicle.files import (
+    CONSTANTS,
+    OPTIONAL_CONSTANTS,
+    Vehicle,
+    limits_of,
+    load_vehicle,
+    vehicle_names,
+    write_vehicle,
+)
+from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES, Parameters
+
+NAMES = [
+    "bmw_i3",
+    "bmw_i4",
+    "chevrolet_bolt",
+    "generic",
+    "hyundai_ioniq_6",
+    "mobile_robot",
+    "nissan_leaf",
+    "tesla_model_3_lr",
+    "tesla_model_s",
+]
+GOOD = """\
+name: A car
+frontal_area: {value: 2.2, source: "a sheet"}
+air_density: {value: 1.2, source: "a sheet"}
+beta: {value: -0.045, source: "the paper"}
+nominal_voltage: {value: 350, source: "a sheet"}
+rotating_mass_factor: {value: 1.03, source: "typical"}
+parameters:
+  eta: {value: 0.8, std: 0.1, source: "typical"}
+  mu: {value: 0.6, std: 0.2, source: "typical"}
+  mass: {value: 1800, std: 100, source: "a sheet"}
+  c_rr: {value: 0.01, std: 0.002, source: "typical"}
+  c_d: {value: 0.25, std: 0.02, source: "typical"}
+  p_aux: {value: 600, std: 400, source: "typical"}
+"""
+
+
+@pytest.fixture
+def car(tmp_path):
+    """Writes a vehicle file; gives its path."""
+
+    def write(text: str | bytes) -> Path:
+        path = tmp_path / "a_car.yaml"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write
+
+
+def test_the_files_of_the_package():
+    assert vehicle_names() == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_file_of_the_package_loads(name):
+    vehicle = load_vehicle(name)
+    assert vehicle.key == name and vehicle.name
+    for parameter in PARAMETER_NAMES:
+        prior = vehicle.priors[parameter]
+        limits = limits_of(parameter, vehicle.relative_size)
+        assert limits.lower < prior.value < limits.upper and prior.std > 0 and prior.source
+    for constant, limits in CONSTANTS.items():
+        value = getattr(vehicle, constant)
+        missing = constant in OPTIONAL_CONSTANTS and value != value
+        assert missing or limits.lower <= value <= limits.upper
+
+
+def test_values_of_the_paper():
+    three, s = load_vehicle("tesla_model_3_lr"), load_vehicle("tesla_model_s")
+    starts = [car.as_published.initial for car in (three, s)]
+    assert starts[0] == Parameters(0.7, 0.5, 1823.0, 0.0096, 0.23, 1100.0)  # eq. 24
+    assert starts[1] == Parameters(0.7, 0.5, 2250.0, 0.0096, 0.23, 390.0)  # eq. 25
+    assert (three.frontal_area, s.frontal_area) == (2.22, 2.40)  # section III.D
+    assert {car.air_density for car in (three, s)} == {1.17}
+    assert {car.beta for car in (three, s)} == {-0.045}  # eq. 20
+    assert (three.can_profile, s.can_profile) == ("tesla_model_3", "tesla_model_s")
+
+
+@pytest.mark.parametrize(
+    ("name", "row"),
+    [
+        ("hyundai_ioniq_6", (0.75, 2086.0, 0.0065, 0.21)),
+        ("tesla_model_3_lr", (0.70, 1823.0, 0.0096, 0.23)),
+    ],
+)
+def test_values_of_table_vi(name, row):
+    start = load_vehicle(name).as_published.initial
+    assert (start.eta, start.mass, start.c_rr, start.c_d) == row
+
+
+def test_a_file_by_its_path(car):
+    vehicle = load_vehicle(car(GOOD))
+    assert (vehicle.key, vehicle.name, vehicle.can_profile) == ("a_car", "A car", None)
+    assert vehicle.initial == Parameters(0.8, 0.6, 1800.0, 0.01, 0.25, 600.0)
+    assert vehicle.battery_capacity != vehicle.battery_capacity
+    with_pack = load_vehicle(car(GOOD + 'battery_capacity: {value: 2e8, source: "a sheet"}\n'))
+    assert with_pack.battery_capacity == 2e8
+    assert load_vehicle(str(car(GOOD + "can_profile: nissan_leaf\n"))).can_profile == "nissan_leaf"
+
+
+def test_limits_of_a_robot_are_those_of_a_car_by_its_size(car):
+    robot = GOOD.replace("1800, std: 100", "60, std: 20").replace("600, std: 400", "30, std: 20")
+    with pytest.raises(InputError, match="value = 60 is outside"):
+        load_vehicle(car(robot))
+    vehicle = load_vehicle(car(robot + 'relative_size: {value: 0.03, source: "60 kg"}\n'))
+    assert vehicle.priors["mass"].value == 60.0
+    similar = vehicle.similar_car
+    assert similar.priors["mass"].value == pytest.approx(2000.0)
+    assert similar.priors["p_aux"].std == pytest.approx(20.0 / 0.03)
+    assert similar.frontal_area == pytest.approx(2.2 / 0.03)
+    assert similar.priors["c_rr"] == vehicle.priors["c_rr"]
+
+
+WRONG = [
+    # what is replaced, by what, the line, words of the reason
+    ("name: A car", "nam: A car", 1, "unknown key 'nam'"),
+    ("name: A car", '"na\\nme": A car', 1, "unknown key 'na me'"),
+    ("name: A car\n", "", 1, "'name' is missing"),
+    ("name: A car", "name: [1]", 1, "'name' must be text"),
+    ("name: A car", "name:", 1, "'name' must be text"),
+    ("value: 1800", "value: -1800", 10, "mass: value = -1800 is outside [100, 60000]"),
+    ("value: 1800", "value: .nan", 10, "'value' must be a number"),
+    ("value: 1800", "value: nan", 10, "value = nan is outside [100, 60000]"),
+    ("value: 1800", "value: inf", 10, "value = inf is outside"),
+    ("value: 1800", "value: heavy", 10, "'value' must be a number"),
+    ("value: 1800", "value: [1800]", 10, "'value' must be a number"),
+    ("value: 1800", "value: {a: 1}", 10, "'value' must be a number"),
+    ("value: 1800", "value: 1e99999", 10, "value = inf is outside"),
+    ("value: 1800", "value: 18" + "0" * 5000, 10, "value = inf is outside"),
+    ("std: 100", "std: 0", 10, "std = 0 is outside"),
+    ("std: 100, ", "", 10, "'std' is missing"),
+    ('0.6, std: 0.2, source: "typical"', "0.6, std: 0.2", 9, "'source' is missing"),
+    ("0.6, std: 0.2, source: ", "0.6, std: 0.2, src: ", 9, "unknown key 'src'"),
+    ("value: 0.8", "value: 1.01", 8, "value = 1.01 is outside [0.05, 1]"),
+    ("value: 0.6", "value: 0", 9, "value = 0 is outside"),
+    ('frontal_area: {value: 2.2, source: "a sheet"}', "frontal_area: 2.2", 2, "expected 'key"),
+    ('frontal_area: {value: 2.2, source: "a sheet"}\n', "", 1, "'frontal_area' is missing"),
+    ("value: 2.2", "value: 0", 2, "value = 0 is outside [0.1, 20]"),
+    ("value: -0.045", "value: 0.045", 4, "value = 0.045 is outside [-2, 0]"),
+    ('  mass: {value: 1800, std: 100, source: "a sheet"}\n', "", 8, "'mass' is missing"),
+    ("  mass:", "  weight:", 8, "'mass' is missing"),
+    ("  p_aux:", "  colour: {}\n  p_aux:", 13, "unknown key 'colour'"),
+    ("  p_aux:", "  ? [a]\n  : 1\n  p_aux:", 13, "a key must be a word"),
+    ("  eta:", '  c_d: {value: 0.2, std: 0.1, source: "x"}\n  eta:', 13, "'c_d' is given twice"),
+    ("parameters:", "parameters: []\nmore:", 7, "expected 'key: value' lines"),
+    ("parameters:", "parameters: [", 9, "not YAML"),
+    ("parameters:", "\tparameters:", 7, "not YAML"),
+    ("name: A car", "name: *nothing", 1, "not YAML"),
+    ("name: A car", "name: A car\n---\nname: B", 2, "not YAML"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "line", "reason"), WRONG)
+def test_a_wrong_file_is_refused_with_line_and_reason(car, old, new, line, reason):
+    assert GOOD.count(old) == 1
+    path = car(GOOD.replace(old, new))
+    with pytest.raises(InputError) as refused:
+        load_vehicle(path)
+    text = str(refused.value)
+    assert text.startswith(f"{path}:{line}: ") and "\n" not in text
+    assert reason in text
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"", "is empty"),
+        (b"# only a comment\n", "is empty"),
+        (b"just words", "expected 'key: value' lines"),
+        (b"- a\n- b\n", "expected 'key: value' lines"),
+        (b"\x00\x01\x02", "not YAML"),
+        (b"\xff\xfe\xff", "not YAML"),
+        (b'name: "\\UFFFFFFFF"', "not YAML"),
+        (b"name: \xe9\n", "not YAML"),
+        (b"a: " + b"[" * 20_000, "nested too deeply"),
+        (b"#" * 200_000, "larger than 100000 bytes"),
+        (b"%YAML 1." + b"9" * 5000 + b"\n---\na: 1\n", "not YAML"),
+    ],
+)
+def test_what_is_no_vehicle_file_at_all(car, content, reason):
+    path = car(content)
+    with pytest.raises(InputError) as refused:
+        load_vehicle(path)
+    assert str(path) in str(refused.value) and reason in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_bomb_of_aliases_is_refused_at_once(car):
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]" for i in range(12)]
+    with pytest.raises(InputError, match=r"a_car\.yaml:2: not YAML: aliases .* are not read"):
+        load_vehicle(car("\n".join(lines)))
+
+
+def test_unknown_names_and_missing_files(tmp_path):
+    with pytest.raises(InputError, match="no vehicle named 'zeppelin'; known are bmw_i3, bmw_i4"):
+        load_vehicle("zeppelin")
+    with pytest.raises(InputError, match="No such file"):
+        load_vehicle(tmp_path / "absent.yaml")
+    folder = tmp_path / "folder.yaml"
+    folder.mkdir()
+    with pytest.raises(InputError, match=r"folder\.yaml: Is a directory"):
+        load_vehicle(folder)
+
+
+@pytest.mark.parametrize("name", ["", ".", "a\0b", "a\0b.yaml", "x" * 5000, "../vehicles", "~"])
+def test_odd_names_are_refused_too(name):
+    with pytest.raises(InputError):
+        load_vehicle(name)
+
+
+def refused_or_read(path: Path) -> None:
+    try:
+        assert isinstance(load_vehicle(path), Vehicle)
+    except InputError as error:
+        assert str(error).startswith(str(path)) and "\n" not in str(error)
+
+
+@given(st.one_of(st.binary(max_size=300), st.text(max_size=300).map(lambda t: t.encode("utf8"))))
+@settings(max_examples=50, deadline=None)
+def test_whatever_a_file_holds(tmp_path_factory, content):
+    path = tmp_path_factory.getbasetemp() / "anything.yaml"
+    path.write_bytes(content)
+    refused_or_read(path)
+
+
+@given(
+    st.integers(0, len(GOOD)),
+    st.integers(0, 40),
+    st.one_of(st.text(max_size=12), st.text("{}[]:-,&*!|>'\"%@`\\?# \n\tUux0F~", max_size=12)),
+)
+@settings(max_examples=100, deadline=None)
+def test_whatever_is_done_to_a_good_file(tmp_path_factory, start, length, new):
+    path = tmp_path_factory.getbasetemp() / "damaged.yaml"
+    path.write_bytes((GOOD[:start] + new + GOOD[start + length :]).encode("utf8"))
+    refused_or_read(path)
+
+
+@pytest.mark.parametrize("said, meant", [("nissan_leaf", "nissan_leaf"), ("my.yaml", None)])
+def test_a_profile_of_ones_own_lies_beside_the_vehicle_file(tmp_path, said, meant):
+    (tmp_path / "car.yaml").write_text(f"can_profile: {said}\n" + GOOD)
+    assert load_vehicle(tmp_path / "car.yaml").can_profile == (meant or str(tmp_path / said))
+
+
+def test_a_start_of_the_paper_is_not_the_prior(car):
+    plain = load_vehicle(car(GOOD))
+    assert plain.as_published is plain
+    start = GOOD[GOOD.index("parameters") :].replace("parameters", "paper_start")
+    path = car(GOOD + start.replace("value: 0.8", "value: 0.7"))
+    vehicle = load_vehicle(path)
+    assert (vehicle.initial.eta, vehicle.as_published.initial.eta) == (0.8, 0.7)
+    write_vehicle(path, vehicle)
+    assert load_vehicle(path).paper_start == vehicle.paper_start
+    with pytest.raises(InputError, match=r"a_car\.yaml:15: .*paper_start: 'c_d' is missing"):
+        load_vehicle(car(GOOD + start.replace("  c_d:", "  c_w:")))
+
+
+CORRELATED = GOOD + "correlations: {source: a sheet, mass: {c_rr: 0.2, c_d: -0.5}}\n"
+
+
+def test_correlations_of_parameters(car):
+    vehicle = load_vehicle(car(CORRELATED))
+    assert vehicle.correlations == {("mass", "c_rr"): 0.2, ("mass", "c_d"): -0.5}
+    mass, c_d = PARAMETER_NAMES.index("mass"), PARAMETER_NAMES.index("c_d")
+    assert vehicle.correlation[mass, c_d] == vehicle.correlation[c_d, mass] == -0.5
+    assert (load_vehicle(car(GOOD)).correlation == np.eye(6)).all()
+    write_vehicle(car("").with_name("b.yaml"), vehicle)
+    assert load_vehicle(car("").with_name("b.yaml")).correlations == vehicle.correlations
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("c_rr: 0.2", "c_rr: 0.9", "can have these correlations together"),
+        ("c_rr: 0.2", "c_rr: 1.2", "outside [-1, 1]"),
+        ("c_rr: 0.2", "eta: 0.2", "unknown key 'eta'; known are c_rr, c_d, p_aux"),
+        ("mass: {c", "tyres: {c", "unknown key 'tyres'"),
+        ("source: a sheet, mass", "mass", "'source' is missing"),
+    ],
+)
+def test_correlations_that_cannot_be(car, old, new, reason):
+    with pytest.raises(InputError) as refused:
+        load_vehicle(car(CORRELATED.replace(old, new)))
+    assert ":14: " in str(refused.value) and reason in str(refused.value), str(refused.value)

@@ -1,0 +1,424 @@
+"""The bridge with a real mosquitto: drives in, energy out, and all that goes wrong between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from itertools import count
+import json
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.extras.bridges.bridge import BridgeSettings, MqttBridge
+from evpinn_ros.extras.bridges.broker import IN_FLIGHT, BrokerSettings, Connection
+from evpinn_ros.extras.bridges.layouts import read_layout
+from evpinn_ros.extras.bridges.mqtt import credentials, split_address
+from test.extras.bridges.conftest import Broker, Client
+from test.extras.bridges.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
+from test.waiting import wait_until
+
+pytestmark = pytest.mark.slow
+
+Make = Callable[..., tuple[MqttBridge, Connection]]
+Sets = Iterable[tuple[int, dict[str, str]]]
+EVERYTHING = ("evpinn/#", "homeassistant/#")
+
+
+class Clock:
+    """A clock that goes as the drive that is published."""
+
+    def __init__(self) -> None:
+        self.now_ns = drive()[0].stamp_ns
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+
+def settings(layout: object, **of: object) -> BridgeSettings:
+    given = {"vehicles": {}, "other": load_vehicle(VEHICLE), "estimator": EstimatorSettings()}
+    return BridgeSettings(layout, **{**given, **of})
+
+
+def play(
+    sets: Sets, client: Client, bridge: MqttBridge, connection: Connection, clock: Clock
+) -> None:
+    """Publish a drive as fast as the broker passes it on, each second at its moment."""
+    for stamp_ns, messages in sets:
+        clock.now_ns = stamp_ns
+        for topic, payload in messages.items():
+            client.client.publish(topic, payload, 1, True)
+        for _ in messages:
+            wait_until(lambda: bridge.step(0.05), meanwhile=lambda: None)
+        clock.now_ns += 500_000_000
+        bridge.step(0.0)
+        step_until(bridge, lambda: nothing_is_held_back(connection))
+
+
+def nothing_is_held_back(connection: Connection) -> bool:
+    """Of what a slow broker has not taken, the newest of each topic alone remains."""
+    return connection.waiting < IN_FLIGHT
+
+
+def step_until(bridge: MqttBridge, condition: Callable[[], object]) -> None:
+    """Let a bridge work until something is so."""
+
+    wait_until(condition, meanwhile=lambda: bridge.step(0.001))
+
+
+def finish(bridge: MqttBridge, connection: Connection) -> None:
+    bridge.close()
+    wait_until(lambda: connection.send() or not connection.waiting)
+
+
+@pytest.mark.parametrize(
+    ("layout", "sets", "car", "digits", "error"),
+    [("teslamate", as_teslamate, "1", 0, 1e-6), ("ovms", as_ovms, "CAR", None, 1e-4)],
+    ids=["teslamate", "ovms"],
+)
+def test_a_drive_over_the_broker_has_its_energy(
+    broker: Broker, bridged: Make, layout: str, sets, car: str, digits: int | None, error: float
+) -> None:
+    clock = Clock()
+    bridge, connection = bridged(settings(read_layout(layout)), clock)
+    reader, writer = broker.client(topics=("evpinn/#",)), broker.client()
+    play(sets(), writer, bridge, connection, clock)
+    finish(bridge, connection)
+    broker.settle(reader, "evpinn/end")
+    published = json.loads(reader.newest()[f"evpinn/{car}/energy"])
+    assert published["trip_kwh"] == pytest.approx(energy(drive(), digits), rel=error)
+    scalar = float(reader.newest()[f"evpinn/{car}/energy/trip_kwh"])
+    assert scalar == pytest.approx(published["trip_kwh"], abs=5e-4)
+    assert reader.newest()["evpinn/status"] == "online"
+    parameters = json.loads(reader.newest()[f"evpinn/{car}/parameters"])
+    assert parameters["mass"]["state"] in ("estimating", "valid")
+    assert {"kwh", "share"} <= json.loads(reader.newest()[f"evpinn/{car}/breakdown"])["air"].keys()
+    powers = [json.loads(p) for t, p, _ in reader.came if t == f"evpinn/{car}/power"]
+    assert len(powers) > 0.8 * len(drive()), "once a second"
+    late = broker.client(topics=("evpinn/#",))
+    broker.settle(late, "evpinn/end")
+    assert f"evpinn/{car}/power" not in late.newest(), "an old power is of no use"
+    assert f"evpinn/{car}/parameters" in late.newest()
+
+
+def test_each_second_of_a_source_that_jitters_is_answered(broker: Broker, bridged: Make) -> None:
+    clock = Clock()
+    bridge, connection = bridged(settings(read_layout("teslamate")), clock)
+    reader, writer = broker.client(topics=("evpinn/1/power",)), broker.client()
+    begin_ns = clock.now_ns
+    sets = enumerate(messages for _, messages in as_teslamate(seconds=30))
+    early = ((begin_ns + i * 980_000_000, messages) for i, messages in sets)
+    play(early, writer, bridge, connection, clock)
+    last = (begin_ns + 28 * 980_000_000) / NANOSECONDS
+    step_until(bridge, lambda: _times(reader)[-1:] > [last])
+    assert np.diff(_times(reader)) == pytest.approx(0.98, abs=0.01)
+    assert len(reader.came) > 24  # power is predicted from the third speed on
+
+
+def _times(reader: Client) -> list[float]:
+    """Stamps of the answers that came, s."""
+    return [json.loads(payload)["time"] for _, payload, _ in reader.came]
+
+
+def test_two_cars_are_two(broker: Broker, bridged: Make) -> None:
+    clock = Clock()
+    bridge, connection = bridged(
+        settings(read_layout("teslamate"), vehicles={"2": load_vehicle("bmw_i3")}), clock
+    )
+    writer = broker.client()
+    both = zip(as_teslamate("1", seconds=60), as_teslamate("2", seconds=30), strict=False)
+    play(((s, {**a, **b}) for (s, a), (_, b) in both), writer, bridge, connection, clock)
+    one, two = bridge.cars["1"], bridge.cars["2"]
+    assert (one.vehicle.key, two.vehicle.key) == (VEHICLE, "bmw_i3")
+    trips = [car.documents()["energy"]["trip_km"] for car in (one, two)]
+    assert trips[0] == pytest.approx(trips[1], rel=0.01) and trips[0] > 0.05
+
+
+def test_cars_without_a_vehicle_are_ignored(broker: Broker, bridged: Make) -> None:
+    bridge, _ = bridged(
+        settings(read_layout("teslamate"), vehicles={"1": load_vehicle(VEHICLE)}, other=None)
+    )
+    writer = broker.client()
+    for car in ("1", "7"):
+        writer.publish(f"teslamate/cars/{car}/speed", "36")
+    step_until(bridge, lambda: bridge.ignored and bridge.cars)
+    assert (set(bridge.cars), bridge.ignored) == ({"1"}, {"7"})
+
+
+def test_retained_old_values_at_the_start_are_not_now(broker: Broker, bridged: Make) -> None:
+    writer = broker.client()
+    for name, value in (("speed", "90"), ("power", "25"), ("usable_battery_level", "55")):
+        writer.publish(f"teslamate/cars/1/{name}", value, retain=True)
+    bridge, _ = bridged(settings(read_layout("teslamate")))
+    step_until(bridge, lambda: "1" in bridge.cars)
+    writer.publish("teslamate/cars/2/latitude", "48.1")  # comes after all that was retained
+    step_until(bridge, lambda: "2" in bridge.cars)
+    assert bridge.cars["1"].readings == 0
+    writer.publish("teslamate/cars/1/latitude", "48.1")
+    step_until(bridge, lambda: bridge.cars["1"].readings)
+    assert bridge.cars["1"].readings == 1, "the charge alone"
+    assert bridge.cars["1"].documents()["range"]["charge_percent"] == pytest.approx(55.0)
+
+
+def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
+    broker: Broker, bridged: Make
+) -> None:
+    clock = Clock()
+    bridge, connection = bridged(settings(read_layout("teslamate")), clock)
+    writer = broker.client()
+    halves = list(as_teslamate(seconds=120))
+    play(halves[:60], writer, bridge, connection, clock)
+    before = bridge.cars["1"].documents()["energy"]["trip_kwh"]
+    broker.kill()
+    writer.close()
+    step_until(bridge, lambda: not connection.connected)
+    for _ in range(50):
+        clock.now_ns += 1_000_000_000
+        bridge.step(0.0)
+    assert connection.waiting < 100, "of each topic one payload waits"
+    broker.start()
+    step_until(bridge, lambda: connection.connections == 2)
+    step_until(bridge, lambda: not connection.waiting)
+    reader, writer = broker.client(topics=EVERYTHING), broker.client()
+    wait_until(lambda: "evpinn/1/parameters" in reader.newest())
+    assert any(topic.startswith("homeassistant/sensor/") for topic in reader.newest())
+    assert reader.newest()["evpinn/status"] == "online"
+    play(halves[60:], writer, bridge, connection, clock)
+    assert bridge.cars["1"].documents()["energy"]["trip_kwh"] > before
+
+
+def test_a_process_that_is_killed_leaves_its_last_will(broker: Broker, tmp_path: Path) -> None:
+    reader = broker.client(topics=("evpinn/status",))
+    process = command(broker)
+    wait_until(lambda: reader.newest().get("evpinn/status") == "online")
+    process.kill()
+    process.wait()
+    wait_until(lambda: reader.newest()["evpinn/status"] == "offline")
+
+
+def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) -> None:
+    bridge, connection = bridged(settings(read_layout("teslamate")))
+    reader, writer = broker.client(topics=("homeassistant/sensor/#",)), broker.client()
+    writer.publish("teslamate/cars/1/speed", "36")
+    step_until(bridge, lambda: len(reader.came) >= 28)
+    step_until(bridge, lambda: not connection.waiting)
+    first = len(reader.newest())
+    reader.came.clear()
+    writer.publish("homeassistant/status", "online", retain=False)
+    step_until(bridge, lambda: len(reader.newest()) >= first)
+
+
+def test_a_slow_broker_gets_the_newest_and_no_more(broker: Broker, bridged: Make) -> None:
+    _, connection = bridged(settings(read_layout("teslamate")))
+    reader = broker.client(topics=("slow/#",))
+    wait_until(lambda: not connection.waiting)
+    broker.process.send_signal(signal.SIGSTOP)
+    for i in range(5000):
+        connection.publish(f"slow/{i % 10}", str(i))
+    assert connection.waiting <= 30
+    broker.process.send_signal(signal.SIGCONT)
+    wait_until(lambda: connection.send() or not connection.waiting)
+    broker.settle(reader, "slow/end")
+    assert reader.newest() == {f"slow/{i}": str(4990 + i) for i in range(10)}
+    assert len(reader.came) <= 40
+
+
+def command(broker: Broker, *options: object, **environment: str) -> subprocess.Popen[str]:
+    words = ("--vehicle", VEHICLE, "--broker", f"127.0.0.1:{broker.port}", *map(str, options))
+    return subprocess.Popen(
+        [sys.executable, "-m", "evpinn_ros", "mqtt", *words],
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
+    )
+
+
+PASSWORD = "kW-5ecret"
+
+
+@pytest.fixture
+def closed(broker: Broker) -> Broker:
+    """A broker that lets in `ev` with its password alone."""
+    users = broker.folder / "users"
+    tool = shutil.which("mosquitto_passwd")
+    if tool is None:
+        pytest.skip("mosquitto_passwd")
+    subprocess.run([tool, "-b", "-c", users, "ev", PASSWORD], check=True, capture_output=True)
+    users.chmod(0o644)
+    broker.kill()
+    broker.lines = f"allow_anonymous false\npassword_file {users}\n"
+    broker.start()
+    return broker
+
+
+def test_a_wrong_password_is_one_line_and_ends_the_command(closed: Broker) -> None:
+    process = command(closed, "--user", "ev", EVPINN_MQTT_PASSWORD="wrong-one")
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert said.splitlines()[-1].startswith(f"evpinn: mqtt://127.0.0.1:{closed.port}: refused: ")
+    assert "wrong-one" not in said and "Traceback" not in said
+
+
+def test_the_right_password_from_a_file_is_in_no_list_of_processes(
+    closed: Broker, tmp_path: Path
+) -> None:
+    file = tmp_path / "password"
+    file.write_text(PASSWORD + "\n")
+    process = command(closed, "--user", "ev", "--password-file", file)
+    assert process.stderr.readline().strip().endswith(": connected")
+    words = Path(f"/proc/{process.pid}/cmdline").read_bytes()
+    assert PASSWORD.encode() not in words
+    process.terminate()
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 0 and PASSWORD not in said
+
+
+def test_an_owner_is_told_why_there_is_no_connection(broker: Broker) -> None:
+    broker.kill()
+    process = command(broker)
+    said = next(line for line in process.stderr if ": not connected: " in line)
+    process.terminate()
+    process.communicate(timeout=60)
+    assert said.endswith(": not connected: Connection refused\n")
+
+
+def test_a_sender_whose_clock_is_set_back_goes_on_to_be_answered(
+    broker: Broker, bridged: Make, tmp_path: Path
+) -> None:
+    path = tmp_path / "topics.yaml"
+    path.write_text(
+        "stamp: t\ntopics:\n  my/{car}:\n    fields:\n"
+        "      v: {quantity: speed, unit: km/h}\n      p: {quantity: power, unit: kW}\n"
+    )
+    bridge, connection = bridged(settings(read_layout(str(path))))
+    reader, writer = broker.client(topics=("evpinn/zoe/power",)), broker.client()
+    seconds = drive()[:60]
+    for i, s in enumerate(seconds):
+        ahead_s = 7200 if i < 30 else 0  # until the sender asks a time server
+        payload = {"t": s.stamp_ns / 1e6 + 1e3 * ahead_s, "v": s.speed, "p": s.power}
+        writer.publish("my/zoe", json.dumps(payload))
+        wait_until(lambda i=i: bridge.step(0.01) and bridge.cars["zoe"].readings == 2 * i + 2)
+        step_until(bridge, lambda: nothing_is_held_back(connection))
+    last_s = seconds[-1].stamp_ns / 1e9
+
+    def answered() -> bool:
+        return json.loads(reader.newest()["evpinn/zoe/power"])["time"] == pytest.approx(last_s)
+
+    step_until(bridge, answered)
+    assert len(reader.came) > 50, "once a second, before and after"
+    trip = bridge.cars["zoe"].documents()["energy"]["trip_kwh"]
+    assert trip == pytest.approx(energy(seconds), rel=0.1)
+
+
+def certificates(folder: Path) -> None:
+    """An authority, and certificates of a broker and of a client by it."""
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("openssl")
+
+    def run(*words: str) -> None:
+        subprocess.run([openssl, *words], cwd=folder, check=True, capture_output=True)
+
+    key = ("-newkey", "rsa:2048", "-nodes", "-keyout")
+    run("req", "-x509", *key, "ca.key", "-out", "ca.pem", "-subj", "/CN=ca", "-days", "2")
+    (folder / "names").write_text("subjectAltName=IP:127.0.0.1\n")
+    for name, serial in zip(("broker", "client"), count(1), strict=False):
+        run("req", *key, f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}")
+        by = ("-CA", "ca.pem", "-CAkey", "ca.key", "-set_serial", str(serial), "-days", "2")
+        run("x509", "-req", "-in", f"{name}.csr", *by, "-out", f"{name}.pem", "-extfile", "names")
+    for path in folder.iterdir():
+        path.chmod(0o644)
+
+
+def test_tls_with_a_certificate_of_the_client(broker: Broker, tmp_path: Path) -> None:
+    certificates(tmp_path)
+    broker.kill()
+    broker.lines = (
+        f"allow_anonymous true\ncafile {tmp_path}/ca.pem\ncertfile {tmp_path}/broker.pem\n"
+        f"keyfile {tmp_path}/broker.key\nrequire_certificate true\n"
+    )
+    broker.start()
+
+    def connections(until: Callable[[Connection], object], **of: object) -> int:
+        settings = BrokerSettings("127.0.0.1", broker.port, tls=True, **of)
+        connection = Connection(settings, ("a",), "evpinn/status")
+        connection.start()
+        wait_until(lambda: until(connection), report=broker.log.read_text)
+        connection.close()
+        return connection.connections
+
+    def refused(why: str) -> Callable[[Connection], bool]:
+        return lambda _: why in broker.log.read_text()
+
+    own = {"certificate": f"{tmp_path}/client.pem", "key": f"{tmp_path}/client.key"}
+    connected = connections(lambda c: c.connections, ca=f"{tmp_path}/ca.pem", **own)
+    assert connected == 1
+    without_one = refused("peer did not return a certificate")
+    assert connections(without_one, ca=f"{tmp_path}/ca.pem") == 0
+    assert connections(refused("alert unknown ca"), **own) == 0
+    with pytest.raises(InputError, match=r"none\.pem: No such file"):
+        connections(bool, ca=f"{tmp_path}/none.pem")
+
+
+def test_the_command_learns_from_a_mapping_file_and_keeps_it(
+    broker: Broker, tmp_path: Path
+) -> None:
+    """Payloads with stamps of their own: a drive of six minutes in seconds."""
+    (tmp_path / "topics.yaml").write_text(
+        "stamp: t\ntopics:\n  my/{car}:\n    fields:\n"
+        "      kmh: {quantity: speed, scale: 0.2777777777777778}\n"
+        "      kw: {quantity: power, scale: 1000}\n"
+    )
+    state = tmp_path / "cars"
+    process = command(broker, "--source", tmp_path / "topics.yaml", "--state", state)
+    reader, writer = broker.client(topics=("evpinn/#",)), broker.client()
+    wait_until(lambda: reader.newest().get("evpinn/status") == "online")
+    for s in drive():
+        payload = json.dumps({"t": s.stamp_ns / 1e9, "kmh": s.speed, "kw": s.power})
+        writer.client.publish("my/zoe", payload, 1)
+
+    def newest_s() -> float:
+        return json.loads(reader.newest().get("evpinn/zoe/power", "{}")).get("time") or 0.0
+
+    wait_until(lambda: newest_s() > drive()[-1].stamp_ns / 1e9 - 1.0)
+    process.send_signal(signal.SIGHUP)  # its terminal was closed
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 0 and "Traceback" not in said, said
+    wait_until(lambda: reader.newest()["evpinn/status"] == "offline")
+    published = json.loads(reader.newest()["evpinn/zoe/energy"])
+    assert published["trip_kwh"] == pytest.approx(energy(drive()), rel=1e-4)
+    assert {p.name for p in state.iterdir()} == {"zoe.json"}
+    assert json.loads((state / "zoe.json").read_text()).keys() == {"learned", "energy"}
+    layout = read_layout(str(tmp_path / "topics.yaml"))
+    assert layout.subscriptions == ("my/+",)
+
+
+def test_what_would_show_a_password_is_no_address() -> None:
+    for text in ("ev:secret@host", "mqtt://host", "host:x", "host:0", ":1883"):
+        with pytest.raises(InputError) as refused:
+            split_address(text, "--broker", 1883)
+        assert "secret" not in str(refused.value)
+    assert split_address("host", "--broker", 8883) == ("host", 8883)
+    assert split_address("[::1]:1884", "--broker", 1883) == ("::1", 1884)
+    assert "secret" not in repr(BrokerSettings("host", password="secret"))
+
+
+def test_a_password_comes_from_the_environment_and_wants_a_user(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("EVPINN_MQTT_PASSWORD", "p")
+    monkeypatch.setenv("EVPINN_MQTT_USER", "u")
+    assert credentials(None, None) == ("u", "p")
+    monkeypatch.delenv("EVPINN_MQTT_USER")
+    with pytest.raises(InputError, match="a password without a user"):
+        credentials(None, None)

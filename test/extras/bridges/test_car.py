@@ -1,0 +1,150 @@
+"""A car behind a bridge: the same energy as was sent, its drives, its files."""
+
+from pathlib import Path
+
+import pytest
+
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.signals.readings import SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.extras.bridges.car import BridgedCar
+from evpinn_ros.extras.bridges.layouts import Layout, read_layout
+from evpinn_ros.extras.bridges.sensors import SENSORS
+from evpinn_ros.extras.bridges.snapshot import Snapshots
+from test.extras.bridges.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
+
+SECOND = 1_000_000_000
+
+
+def car(state: Path | None = None) -> BridgedCar:
+    return BridgedCar("1", load_vehicle(VEHICLE), EstimatorSettings(), state)
+
+
+def send(to: BridgedCar, layout: Layout, sets: object, shift_ns: int = 0) -> None:
+    snapshots = Snapshots(to.vehicle.nominal_voltage, on_change=True)
+    for stamp_ns, messages in sets:
+        for topic, payload in messages.items():
+            parsed = layout.parse(topic, payload.encode())
+            to.add_readings(snapshots.add(parsed, stamp_ns + shift_ns, retained=False))
+    to.add_readings(snapshots.flush(stamp_ns + shift_ns + SECOND))
+
+
+@pytest.fixture(scope="module")
+def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("car") / "1.json"
+
+
+@pytest.fixture(scope="module")
+def tesla(state: Path) -> BridgedCar:
+    """A car behind TeslaMate, after a drive; nothing is saved yet."""
+    found = car(state)
+    send(found, read_layout("teslamate"), as_teslamate())
+    return found
+
+
+@pytest.fixture(scope="module")
+def ovms() -> BridgedCar:
+    """A car behind OVMS, whose numbers are not rounded, after that drive."""
+    found = car()
+    send(found, read_layout("ovms"), as_ovms())
+    return found
+
+
+def test_teslamate_gives_the_energy_of_its_rounded_power(tesla: BridgedCar) -> None:
+    counted = tesla.documents()["energy"]["trip_kwh"]
+    assert counted == pytest.approx(energy(drive(), digits=0), rel=1e-9)
+    assert counted == pytest.approx(energy(drive()), rel=0.01)
+
+
+def test_the_energy_of_whole_kilowatts_is_as_unsure_as_they_are(
+    tesla: BridgedCar, ovms: BridgedCar
+) -> None:
+    coarse, fine = tesla.documents()["energy"], ovms.documents()["energy"]
+    error = abs(coarse["trip_kwh"] - energy(drive()))
+    assert coarse["trip_sigma_kwh"] > 1.5 * fine["trip_sigma_kwh"]
+    assert error < 2 * coarse["trip_sigma_kwh"]
+
+
+def test_ovms_gives_the_energy_that_was_drawn(ovms: BridgedCar) -> None:
+    assert ovms.documents()["energy"]["trip_kwh"] == pytest.approx(energy(drive()), rel=1e-4)
+
+
+def test_whole_kilowatts_teach_what_exact_ones_do(tesla: BridgedCar, ovms: BridgedCar) -> None:
+    """Within the sigma that either claims; a town tells little of drag and tyres.
+
+    The load of a standing car is one number that is rounded, so it is less sure.
+    """
+    for name, coarse in tesla.documents()["parameters"]["combinations"].items():
+        fine = ovms.documents()["parameters"]["combinations"][name]
+        before = car().documents()["parameters"]["combinations"][name]
+        assert abs(coarse["value"] - fine["value"]) < 2 * fine["std"], name
+        most = 1.8 if name == "p_aux" else 1.2
+        assert coarse["std"] < most * fine["std"], name
+        if name in ("mass_over_eta", "regeneration", "p_aux"):
+            assert coarse["std"] < 0.6 * before["std"], name
+
+
+def test_each_sensor_finds_its_number(tesla: BridgedCar) -> None:
+    documents = {**tesla.documents(), "power": tesla.power()}
+    texts = {s.topic: s.text(documents[s.document]) for s in SENSORS}
+    unknown = {topic for topic, text in texts.items() if text == "None"}
+    far = {"consumption/10", "consumption/100"}  # the drive has 2.6 km
+    assert unknown == far | {"range/range_km", "range/lower_km", "range/upper_km"}
+    assert float(texts["breakdown/measured/kwh"]) > 0.3
+
+
+def test_a_long_stop_begins_another_drive_and_the_lifetime_goes_on(tmp_path: Path) -> None:
+    found = car(tmp_path / "1.json")
+    send(found, read_layout("teslamate"), as_teslamate(seconds=120))
+    first = found.documents()["energy"]
+    send(found, read_layout("teslamate"), as_teslamate(seconds=120), shift_ns=3600 * SECOND)
+    second = found.documents()["energy"]
+    assert second["trip_kwh"] == pytest.approx(first["trip_kwh"], rel=0.05)
+    assert second["drawn_kwh"] == pytest.approx(2 * first["drawn_kwh"], rel=0.05)
+    assert (tmp_path / "1.json").exists(), "saved where a drive ends"
+
+
+def test_one_wild_stamp_ends_no_drive() -> None:
+    found, sets = car(), [*as_teslamate(seconds=60)]
+    send(found, read_layout("teslamate"), sets[:30])
+    before = found.documents()["energy"]["trip_km"]
+    send(found, read_layout("teslamate"), sets[30:31], shift_ns=24 * 3600 * SECOND)
+    send(found, read_layout("teslamate"), sets[31:])
+    assert found.documents()["energy"]["trip_km"] > before > 0.0
+    assert found.newest_ns == sets[-1][0]
+
+
+def test_what_was_learned_outlives_the_process(tesla: BridgedCar, state: Path) -> None:
+    tesla.save()
+    before, after = tesla.documents(), car(state).documents()
+    assert after["energy"]["drawn_kwh"] == pytest.approx(before["energy"]["drawn_kwh"])
+    assert after["energy"]["trip_kwh"] == 0.0
+    mass = {d["parameters"]["combinations"]["mass_over_eta"]["std"] for d in (before, after)}
+    assert (
+        max(mass) < 0.5 * car().documents()["parameters"]["combinations"]["mass_over_eta"]["std"]
+    )
+
+
+def test_a_state_of_another_car_is_set_aside_and_said(tmp_path: Path) -> None:
+    path = tmp_path / "1.json"
+    path.write_text('{"version": 1}')
+    found = car(path)
+    assert "not used" in found.problem
+    assert found.health()["problem"] == found.problem
+    send(found, read_layout("teslamate"), as_teslamate(seconds=30))
+    found.save()
+    assert (tmp_path / "1.json.refused").read_text() == '{"version": 1}'
+
+
+def test_nothing_new_is_not_written_again(tmp_path: Path) -> None:
+    found = car(tmp_path / "1.json")
+    found.save()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stamp_that_leapt_ahead_is_not_the_newest_for_ever() -> None:
+    """A bridge that waits for it would publish no power until then."""
+    found = car()
+    stamps = [(1_700_000_000 + second) * SECOND for second in (0, 1, 50_000, 2, 3)]
+    found.add_readings(SpeedReading(stamp_ns, 10.0) for stamp_ns in stamps)
+    assert found.newest_ns == stamps[-1]

@@ -1,0 +1,160 @@
+"""One car over its drives: order, going on, and what may go wrong."""
+
+from dataclasses import replace
+import json
+import os
+from pathlib import Path
+import shutil
+import time
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.state_file import read_state
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.extras.fleet import car as car_module
+from evpinn_ros.extras.fleet.car import RESULT_FILE, STATE_FILE, CarTask, StoppedError, learn_car
+from evpinn_ros.extras.fleet.manifest import CarDrives
+from evpinn_ros.logs.sources import open_source
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.run import ReplayOptions, replay
+
+
+def result(task):
+    return json.loads((task.folder / RESULT_FILE).read_text())
+
+
+def names(task):
+    return [row["path"].rsplit("/", 1)[-1] for row in result(task)["drives"]]
+
+
+@pytest.fixture(scope="module")
+def learned(recorded, leaf, tmp_path_factory):
+    """Task of the three drives, learned in two runs; a test may write in a copy of its folder."""
+    folder = tmp_path_factory.mktemp("learned")
+    for names in ("ca", "bac"):
+        drives = tuple(recorded / name for name in names)
+        task = CarTask(CarDrives("car", leaf, drives), folder / "out", folder / "stop")
+        done = learn_car(task)
+    assert (done.learned, done.kept, done.failed) == (1, 2, 0)
+    return task
+
+
+@pytest.fixture
+def instant(recorded, leaf, monkeypatch):
+    """Replays cost nothing and teach nothing; every drive has the scores of the first."""
+    chain = Chain(leaf, EstimatorSettings(), InlineWorker(time.perf_counter))
+    source = open_source(recorded / "c", leaf)
+    done = replay(source, chain, ReplayOptions(duration=1.0), vehicle=leaf.key, mode="hybrid")
+    monkeypatch.setattr(car_module, "replay", lambda *_, **__: done)
+
+
+def test_drives_are_learned_in_order_of_time(learned):
+    assert names(learned) == ["c", "a", "b"]
+    shares = [row["mass_prior_share"] for row in result(learned)["drives"]]
+    assert shares[0] > shares[1] > shares[2], "what was learned is carried on"
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_numbers(learned, tmp_path):
+    whole = replace(learned, folder=tmp_path / "whole")
+    assert learn_car(whole).learned == 3
+    assert result(whole) == result(learned)
+    assert read_state(whole.folder / STATE_FILE) == read_state(learned.folder / STATE_FILE)
+
+
+def test_what_is_done_is_not_done_again(learned, monkeypatch):
+    before = (learned.folder / RESULT_FILE).stat().st_mtime_ns
+    monkeypatch.setattr(car_module, "replay", None)
+    monkeypatch.setattr(car_module, "open_source", None)
+    assert learn_car(learned).kept == 3
+    assert (learned.folder / RESULT_FILE).stat().st_mtime_ns == before
+
+
+@pytest.mark.usefixtures("instant")
+@pytest.mark.parametrize("change", ["earlier drive", "drive", "vehicle", "state", "result"])
+def test_what_changed_is_learned_anew(task, drives, leaf, change):
+    one = task(drives / "a", drives / "b")
+    learn_car(one)
+    again = one
+    if change == "earlier drive":
+        again = task(drives / "a", drives / "b", drives / "c")
+    elif change == "drive":
+        os.utime(next((drives / "a").glob("*.mcap")), (0, 0))
+    elif change == "vehicle":
+        again = task(drives / "a", drives / "b", vehicle=replace(leaf, frontal_area=2.5))
+    elif change == "state":
+        (one.folder / STATE_FILE).write_text("{}")
+        os.utime(next((drives / "b").glob("*.mcap")), (0, 0))
+    else:
+        (one.folder / RESULT_FILE).write_text('{"basis": ')
+    assert learn_car(again).kept == 0
+    assert len(result(again)["drives"]) == len(again.drives.drives)
+
+
+def test_a_bad_drive_costs_itself_alone(learned, tmp_path):
+    folder = Path(shutil.copytree(learned.folder, tmp_path / "out"))
+    garbage, empty, halfway, book, columns = (
+        tmp_path / name
+        for name in ("no.mcap", "no.csv", "halfway.csv", "damaged.xlsx", "damaged.parquet")
+    )
+    garbage.write_bytes(b"no bag")
+    empty.write_text("")
+    # It opens, but its speed is no number.
+    halfway.write_text("t_s,speed_mps,power_w\n" + "1800000000,nan,5\n" * 3)
+    book.write_bytes(b"PK\x03\x04" + bytes(range(256)) * 8)
+    columns.write_bytes(b"PAR1" + bytes(range(256)) * 8 + b"PAR1")
+
+    def learn(*bad):
+        drives = CarDrives("car", learned.drives.vehicle, (*learned.drives.drives, *bad))
+        one = CarTask(drives, folder, learned.stop)
+        return learn_car(one), result(one)
+
+    bad = (halfway, garbage, empty, tmp_path / "gone", book, columns)
+    done, found = learn(*bad)
+    assert (done.failed, done.kept) == (len(bad), 3)
+    rows = [*found["unreadable"], *found["drives"]]
+    assert len([row for row in rows if row["problem"]]) == len(bad)
+    assert found["precision"] == result(learned)["precision"]
+    done, _ = learn(*bad[:2])
+    assert done.learned == 0, "a bad drive does not keep the others from being done"
+
+
+@pytest.mark.usefixtures("instant")
+def test_a_new_drive_is_added_beside_a_bad_one(task, drives):
+    garbage = drives / "garbage.mcap"
+    garbage.write_bytes(b"no bag")
+    learn_car(task(drives / "c", garbage))
+    done = learn_car(task(drives / "c", garbage, drives / "a"))
+    assert (done.learned, done.kept, done.failed) == (1, 1, 1)
+
+
+def test_a_drive_without_battery_is_no_evidence(task, drives):
+    path = drives / "speed.csv"
+    rows = [f"{i / 10},{5 + np.sin(i / 20)}," for i in range(150)]
+    path.write_text("t_s,speed_mps,power_w\n" + "\n".join(rows))
+    one = task(path)
+    assert learn_car(one).failed == 0
+    assert not np.any(result(one)["precision"])
+
+
+def test_it_stops_when_asked(task, drives):
+    one = task(drives / "c", drives / "a")
+    one.stop.touch()
+    with pytest.raises(StoppedError):
+        learn_car(one)
+    assert not one.folder.exists()
+
+
+def test_it_stops_within_a_drive(task, drives, monkeypatch):
+    one = task(drives / "c", drives / "a")
+    asked = iter(range(10))
+
+    def stop_if(_):
+        if next(asked) == 5:
+            raise StoppedError
+
+    monkeypatch.setattr(car_module, "_stop_if", stop_if)
+    with pytest.raises(StoppedError):
+        learn_car(one)
+    assert not (one.folder / RESULT_FILE).exists(), "half a drive is none"

@@ -1,0 +1,113 @@
+"""Where tasks run: real processes, and a real Dask cluster of one worker."""
+
+from functools import partial
+from itertools import count
+import math
+import operator
+import os
+import shutil
+import socket
+import subprocess
+import threading
+
+import pytest
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.extras.fleet.executor import DaskExecutor, LocalExecutor
+
+
+@pytest.fixture(scope="module")
+def dask():
+    """The address of a scheduler with one worker in a process of its own."""
+    distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(params=["local", "dask"])
+def executor(request):
+    if request.param == "local":
+        found = LocalExecutor(1)
+    else:
+        found = DaskExecutor(request.getfixturevalue("dask"))
+    yield found
+    found.close()
+
+
+def test_every_task_has_its_outcome(executor):
+    found = {one.task: one for one in executor.outcomes(math.sqrt, [4.0, -1.0, 9.0])}
+    assert found[4.0].result == 2.0 and found[9.0].result == 3.0
+    assert found[-1.0].result is None and "ValueError" in found[-1.0].problem
+
+
+def test_few_tasks_are_held_at_a_time(executor):
+    taken = []
+    endless = (taken.append(i) or float(i) for i in count())
+    outcomes = executor.outcomes(math.sqrt, endless)
+    for _ in range(20):
+        next(outcomes)
+    assert len(taken) < 30
+
+
+def test_no_tasks_no_outcomes(executor):
+    assert list(executor.outcomes(math.sqrt, [])) == []
+
+
+def test_a_worker_that_dies_costs_its_own_task_alone():
+    end, roots = partial(os._exit, 1), [partial(math.sqrt, x) for x in (4.0, 9.0, 16.0)]
+    executor = LocalExecutor(2)
+    call = operator.methodcaller("__call__")
+    found = list(executor.outcomes(call, [end, roots[0], end, *roots[1:]]))
+    executor.close()
+    assert [one.task for one in found if one.problem].count(end) == 2
+    assert sorted(one.result for one in found if one.problem is None) == [2.0, 3.0, 4.0]
+
+
+def test_no_worker_at_the_address(monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    monkeypatch.setattr("evpinn_ros.extras.fleet.executor.PATIENCE", 1)
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as cluster,
+        pytest.raises(InputError, match="has no worker"),
+    ):
+        DaskExecutor(cluster.scheduler_address)
+
+
+def test_what_does_not_answer_leaves_nothing_that_a_later_cluster_could_wait_for(monkeypatch):
+    pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    monkeypatch.setattr("evpinn_ros.extras.fleet.executor.PATIENCE", 1)
+    before = threading.active_count()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        for address in (f"tcp://127.0.0.1:{silent.getsockname()[1]}", "tcp://127.0.0.1:1", "no"):
+            with pytest.raises(InputError, match=r"no scheduler answers: ."):
+                DaskExecutor(address)
+    assert threading.active_count() == before
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_a_scheduler_that_wants_the_certificates_of_dasks_configuration(tmp_path):
+    distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    import dask
+
+    pair = {"cert": str(tmp_path / "cert.pem"), "key": str(tmp_path / "key.pem")}
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
+         "-nodes", "-subj", "/CN=localhost", "-keyout", pair["key"], "-out", pair["cert"]],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    parts = {
+        f"{part}.{key}": pair[key] for part in ("client", "scheduler", "worker") for key in pair
+    }
+    files = {"ca-file": pair["cert"], **parts}
+    with (
+        dask.config.set({f"distributed.comm.tls.{key}": file for key, file in files.items()}),
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, protocol="tls://",
+            security=distributed.Security(), dashboard_address="127.0.0.1:0",
+        ) as cluster,
+    ):  # fmt: skip
+        executor = DaskExecutor(cluster.scheduler_address)
+        assert [one.result for one in executor.outcomes(math.sqrt, [4.0])] == [2.0]
+        executor.close()

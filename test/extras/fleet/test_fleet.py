@@ -1,0 +1,162 @@
+"""`evpinn fleet` as a person meets it."""
+
+import json
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from typer.testing import CliRunner
+
+from evpinn_ros.cli.main import app
+from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.extras.fleet import fleet as fleet_command
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.output import write
+from evpinn_ros.replays.simulation.simulate import simulate
+
+parquet = pytest.importorskip("pyarrow.parquet", reason="the extra fleet is not installed")
+COMMAND = [sys.executable, "-m", "evpinn_ros", "fleet"]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory) -> Path:
+    """A folder of two Leafs, one with a bag that is none."""
+    folder = tmp_path_factory.mktemp("data")
+    for index, name in enumerate(("ann/monday", "ann/tuesday", "bob/monday")):
+        write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 20.0, index), folder / name)
+    (folder / "bob" / "bad.mcap").write_bytes(b"no bag")
+    return folder
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["fleet", *map(str, arguments)])
+
+
+def read(path):
+    return parquet.read_table(path).to_pylist()
+
+
+def learn(recorded, out, *more):
+    return run(recorded, "--vehicle", "nissan_leaf", "--out", out, "--workers", 1, *more)
+
+
+def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
+    out, file = tmp_path / "out", tmp_path / "leaf_fleet.yaml"
+    done = learn(recorded, out, "--write-vehicle", file, "--json", tmp_path / "found.json")
+    assert done.exit_code == 0, done.output
+    assert "2 cars, 3 of 4 drives learned, 1 problem." in done.output
+    assert "bad.mcap: not an MCAP file" in done.output
+    drives = {row["path"].split("/data0/")[-1]: row for row in read(out / "drives.parquet")}
+    assert len(drives) == 4
+    cars = read(out / "cars.parquet")
+    assert [(row["car"], row["drives"], row["learned"]) for row in cars] == [
+        ("ann", 2, 2),
+        ("bob", 2, 1),
+    ]
+    assert all(row["in_population"] and row["mass"] > 1000 for row in cars)
+    population = {row["name"]: row for row in read(out / "population.parquet")}
+    assert len(population["mass"]["covariance"]) == 6
+    assert population["mass_over_eta"]["cars"] > population["c_d"]["cars"]
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert (found["stopped"], found["drives"], found["problems"]) == (False, 4, 1)
+    assert found["failed"][0]["what"].endswith("bad.mcap")
+    assert found["populations"]["nissan_leaf"]["mass"]["mean"] == population["mass"]["mean"]
+    page = (out / "report.html").read_text()
+    for text in ("ann", "nissan_leaf", "bad.mcap", "mass_over_eta", "evpinn fleet"):
+        assert text in page
+    assert "2 cars, 3 of 4 drives learned, 1 problem." in page
+    assert page.count('<div class="forest">') == 5 and page.count(">bob<") == 6  # charts and table
+    assert "http:" not in page and "https:" not in page
+    learned = load_vehicle(file)
+    assert learned.priors["eta"].std < load_vehicle("nissan_leaf").priors["eta"].std * 1.01
+    state = json.loads((out / "cars" / "ann" / "state.json").read_text())
+    assert state["vehicle"] == "nissan_leaf", "as evpinn replay --state takes it"
+
+
+def test_an_interrupted_run_leaves_results_and_goes_on(recorded, tmp_path):
+    data, out = tmp_path / "data", tmp_path / "out"
+    shutil.copytree(recorded, data)
+    write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 300.0, 9), data / "cy" / "long")
+    arguments = [data, "--vehicle", "nissan_leaf", "--out", out, "--workers", "1"]
+    process = subprocess.Popen(
+        [*COMMAND, *map(str, arguments)],
+        cwd=share_directory(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    first = out / "cars" / "bob" / "result.json"
+    begun = time.monotonic()
+    while not first.exists() and time.monotonic() - begun < 120:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "goes on from here" in errors and "Traceback" not in errors
+    assert [row["car"] for row in read(out / "cars.parquet")] == ["ann", "bob"]
+    shutil.rmtree(data / "cy")
+    again = run(*arguments)
+    assert again.exit_code == 0, again.output
+    assert "2 cars, 3 of 4 drives learned" in again.output
+
+
+def test_two_runs_do_not_write_to_one_folder(recorded, tmp_path):
+    with fleet_command.claimed(tmp_path):
+        done = learn(recorded, tmp_path)
+    assert "another evpinn fleet" in str(done.exception)
+
+
+@pytest.mark.nightly
+def test_the_same_on_a_cluster(recorded, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    here, there = tmp_path / "here", tmp_path / "there"
+    learn(recorded, here)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        done = learn(recorded, there, "--scheduler", cluster.scheduler_address)
+    assert done.exit_code == 0, done.output
+    for name in ("drives", "cars", "population"):
+        assert read(here / f"{name}.parquet") == read(there / f"{name}.parquet")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ([], "give bags"),
+        (["data", "--manifest", "fleet.yaml"], "give no others"),
+        (["nowhere"], "nothing there"),
+        (["data", "--vehicle", "no_car"], "no vehicle named"),
+        (["--manifest", "fleet.csv", "--write-vehicle", "one.yaml"], "name of a folder"),
+        (["data", "--out", "file"], "file: "),
+    ],
+)
+def test_wrong_usage_is_one_line(recorded, tmp_path, monkeypatch, arguments, reason):
+    (tmp_path / "data").symlink_to(recorded)
+    (tmp_path / "file").write_text("")
+    (tmp_path / "fleet.csv").write_text(
+        "drive,car,vehicle\ndata/ann,a,nissan_leaf\ndata/bob,b,bmw_i3\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    done = run(*arguments)
+    assert reason in str(done.exception) and "\n" not in str(done.exception)
+
+
+@pytest.mark.nightly
+def test_nobody_at_the_address_of_a_scheduler(recorded, tmp_path):
+    pytest.importorskip("distributed", reason="the extra fleet is not installed")
+    done = subprocess.run(
+        [*COMMAND, recorded, "--out", tmp_path, "--scheduler", "tcp://127.0.0.1:1"],
+        cwd=share_directory(), capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1 and "no scheduler answers" in done.stderr
+
+
+def test_without_parquet_it_says_what_to_install(recorded, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    assert "evpinn_ros[fleet]" in str(learn(recorded, tmp_path).exception)

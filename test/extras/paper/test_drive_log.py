@@ -1,0 +1,105 @@
+"""Reading a log for the experiment: the same gates as on the road, and clear refusals."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from evpinn_ros.can.logs import write_log
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.extras.paper.drive_log import DriveLog, read_drive_log, speed_delay
+from evpinn_ros.extras.paper.problem import Problem, random_split
+from evpinn_ros.extras.paper.scores import combinations
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
+from test.extras.paper.conftest import TRUE
+
+
+def write_csv(path: Path, log: DriveLog, rows: slice = slice(None), delay: float = 0.0) -> Path:
+    """A drive's CSV; speed stamped `delay` s later than it was."""
+    speed = np.interp(log.time - delay, log.time, log.speed)
+    columns = zip(log.time[rows], speed[rows], log.power[rows], strict=True)
+    lines = [f"{t:.3f},{v:.6f},{p:.3f}" for t, v, p in columns]
+    path.write_text("\n".join(["t_s,speed_mps,power_w", *lines]) + "\n")
+    return path
+
+
+def test_log_is_read_with_its_acceleration(
+    tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    log = make_log(noise=0.0)
+    read = read_drive_log(write_csv(tmp_path / "a.csv", log), vehicle).drive
+    assert len(read.time) > 380
+    problem = Problem(read, vehicle, random_split(len(read.time), 0), dtype=torch.float64)
+    fit = problem.fit(problem.training, problem.training.power)
+    found = combinations(problem.values(fit.log_scale), vehicle.frontal_area, problem.form)
+    truth = combinations(TRUE, vehicle.frontal_area, problem.form)
+    assert found["mass_over_eta"] == pytest.approx(truth["mass_over_eta"], rel=0.02)
+    assert found["mu"] == pytest.approx(truth["mu"], rel=0.02)
+    assert all(np.isfinite(column).all() for column in read)
+
+
+@pytest.mark.parametrize("delay", [-0.12, 0.0, 0.2])
+def test_delay_of_speed_is_found(
+    delay: float, tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    log = make_log()
+    late = log._replace(
+        speed=np.interp(log.time - delay, log.time, log.speed),
+        acceleration=np.interp(log.time - delay, log.time, log.acceleration),
+    )
+    assert speed_delay(late, vehicle) == pytest.approx(delay, abs=0.03)
+
+
+def test_twenty_samples_are_refused(
+    tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    path = write_csv(tmp_path / "short.csv", make_log(), slice(20))
+    with pytest.raises(InputError, match=r"short\.csv: \d+ samples .* needs 100"):
+        read_drive_log(path, vehicle)
+
+
+def test_cells_that_are_no_numbers_are_left_out(
+    tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    path = write_csv(tmp_path / "nan.csv", make_log())
+    lines = path.read_text().splitlines()
+    lines[50] = "4.900,nan,inf"
+    lines[120] = "11.900,,"
+    path.write_text("\n".join(lines))
+    read = read_drive_log(path, vehicle)
+    assert len(read.drive.time) > 370
+    assert all(np.isfinite(column).all() for column in read.drive)
+    assert sum(read.dropped.values()) >= 2
+
+
+def test_time_that_goes_back_is_refused(tmp_path: Path, vehicle: Vehicle) -> None:
+    """Two drives in one CAN log, the second with the stamps of the first."""
+    frames = simulate(DriveKind.URBAN, vehicle, 30.0, 1).frames
+    write_log(tmp_path / "twice.log", [*frames, *frames])
+    with pytest.raises(InputError, match=r"twice\.log: time goes back"):
+        read_drive_log(tmp_path / "twice.log", vehicle)
+
+
+def test_only_bad_cells_are_named(
+    tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    path = write_csv(tmp_path / "nan.csv", make_log())
+    lines = [line.rsplit(",", 1)[0] + ",bad" for line in path.read_text().splitlines()[1:]]
+    path.write_text("\n".join(["t_s,speed_mps,power_w", *lines]))
+    with pytest.raises(InputError, match="power_w_not_a_number"):
+        read_drive_log(path, vehicle)
+
+
+def test_constant_speed_is_read_without_a_delay(
+    tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    made = make_log(np.full(400, 20.0))
+    log = read_drive_log(write_csv(tmp_path / "flat.csv", made), vehicle).drive
+    assert log.speed == pytest.approx(20.0)
+    assert np.abs(log.acceleration).max() < 1e-6
+    assert speed_delay(made, vehicle) == 0.0
+    assert speed_delay(make_log(np.zeros(400)), vehicle) == 0.0

@@ -1,0 +1,243 @@
+from copy import deepcopy
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from scipy.integrate import simpson, trapezoid
+import torch
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.energy.quadrature import Step
+from evpinn_ros.core.energy.rknn import energy_step, slopes
+from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
+from evpinn_ros.extras.paper.energy_network import (
+    CURVE_EPOCHS,
+    MAX_GAP,
+    MIN_STEPS,
+    EnergyTraining,
+    step_data,
+)
+
+EPOCHS = 60
+
+
+def drive(samples=201):
+    """Time, s, and a smooth power, W, with regeneration."""
+    time = 0.1 * np.arange(samples)
+    return time, 4e3 + 9e3 * np.sin(0.7 * time) + 5e3 * np.sin(2.3 * time)
+
+
+def training(seed=3):
+    return EnergyTraining(step_data(*drive()), seed=seed)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    run = training()
+    run.run_to(EPOCHS)
+    return run
+
+
+# The quadrature that the networks are to learn
+
+
+def identity(power, energy=0.0):
+    return power
+
+
+powers = st.floats(-3e5, 3e5)
+
+
+@given(powers, powers, powers, st.floats(0.01, 2.5), st.floats(-1e9, 1e9))
+def test_runge_kutta_of_the_power_itself_is_simpson_whatever_the_energy(start, mid, end, dt, e):
+    step = energy_step(slopes([identity] * 4, start, mid, end, dt, e), dt)
+    assert step == pytest.approx(simpson([start, mid, end], dx=dt / 2), rel=1e-12, abs=1e-6)
+
+
+@given(powers, powers, st.floats(0.01, 2.5))
+def test_with_a_linear_middle_it_is_the_quadrature_of_the_meter(start, end, dt):
+    step = energy_step(slopes([identity] * 4, start, (start + end) / 2, end, dt), dt)
+    assert step == pytest.approx(Step(dt, start, end).energy, rel=1e-12, abs=1e-6)
+
+
+def test_each_subnetwork_starts_from_the_energy_so_far():
+    seen = []
+
+    def network(*arguments):
+        seen.append(arguments)
+        return arguments[0] * 10
+
+    slopes([network] * 4, 1.0, 2.0, 3.0, 0.5, 100.0)
+    assert seen == [(1.0,), (2.0, 102.5), (2.0, 105.0), (3.0, 110.0)]
+
+
+def test_order_of_convergence():
+    errors = []
+    for steps in (60, 120):
+        time = np.linspace(0.0, 3.0, steps + 1)
+        data = step_data(time, np.sin(time))
+        errors.append(abs(data.step_energy.sum() - (1 - np.cos(3.0))))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.02)
+
+
+# Steps
+
+
+def test_steps_hold_the_series_and_its_integral():
+    time, power = drive()
+    data = step_data(time, power)
+    assert data.power_next[:-1] == pytest.approx(data.power[1:])
+    assert data.power_mid == pytest.approx((power[:-1] + power[1:]) / 2)
+    assert data.energy[0] == 0
+    assert data.energy[-1] + data.step_energy[-1] == pytest.approx(trapezoid(power, time))
+
+
+def test_steps_across_gaps_and_beside_unknown_power_are_left_out():
+    time, power = drive()
+    power[10] = np.nan
+    time[100:] += MAX_GAP
+    data = step_data(time, power)
+    assert len(data.dt) == 200 - 2 - 1
+    assert data.dt.max() < 0.2
+    assert data.energy == pytest.approx(np.cumsum(data.step_energy) - data.step_energy)
+
+
+def test_too_few_steps_are_said():
+    time, power = drive(MIN_STEPS + 1)
+    step_data(time, power)
+    with pytest.raises(InputError, match=f"{MIN_STEPS - 1} usable steps"):
+        step_data(time[:-1], power[:-1])
+
+
+def test_a_drive_without_power_is_said():
+    with pytest.raises(InputError, match="zero"):
+        step_data(drive()[0], np.zeros(201))
+
+
+def test_a_single_step_with_energy_is_enough_to_train_on():
+    time, power = drive()
+    power[:-1] = 0.0
+    run = EnergyTraining(step_data(time, power), seed=1)
+    run.run_to(3)
+    assert np.isfinite(run.losses).all()
+
+
+# Training
+
+
+def test_the_networks_have_equally_many_weights():
+    networks = training()._networks
+    rknn, dnn = (
+        sum(weights.numel() for weights in part.parameters())
+        for part in (networks.subnetworks, networks.plain)
+    )
+    assert rknn == 8932
+    assert dnn == pytest.approx(rknn, rel=0.015)
+
+
+def test_losses_begin_near_one_and_fall(trained):
+    assert [row.epoch for row in trained.losses] == [
+        n for n in range(1, EPOCHS + 1) if n in CURVE_EPOCHS
+    ]
+    first, last = trained.losses[0], trained.losses[-1]
+    for begin, end in zip(first[1:], last[1:], strict=True):
+        assert begin == pytest.approx(1.0, abs=0.35)
+        assert end < begin / 10
+    assert {1, 10, 100, 1000, 10_000} <= CURVE_EPOCHS
+
+
+def test_losses_are_eq_30_over_the_mean_square_step():
+    data = step_data(*drive())
+    run = EnergyTraining(data, seed=1)
+    for weights in run._networks.parameters():
+        torch.nn.init.zeros_(weights)
+    run.run_to(1)
+    losses = run.losses[0]
+    for train, validation in ((losses.rknn_training, losses.rknn_validation), losses[3:]):
+        assert 0.8 * train + 0.2 * validation == pytest.approx(1.0, rel=1e-5)
+
+
+def test_interrupted_training_gives_the_same_numbers(trained, tmp_path):
+    first = training()
+    first.run_to(25)
+    save_checkpoint(tmp_path / "energy.npz", "same", first.state())
+    resumed = training()
+    saved = load_checkpoint(tmp_path / "energy.npz", "same")
+    resumed.load_state(saved)
+    assert resumed.epoch == 25
+    resumed.run_to(EPOCHS)
+    assert resumed.losses == trained.losses
+    for one, other in zip(resumed.integrate(*drive()), trained.integrate(*drive()), strict=True):
+        assert (one == other).all()
+    again = training()
+    again.load_state(saved)  # training did not write into what was saved
+    again.run_to(EPOCHS)
+    assert again.losses == trained.losses
+
+
+def test_a_saved_state_does_not_move_with_further_training():
+    run = training()
+    run.run_to(3)
+    state = run.state()
+    run.run_to(6)
+    resumed = training()
+    resumed.load_state(state)
+    resumed.run_to(6)
+    assert all(map(torch.equal, run._networks.parameters(), resumed._networks.parameters()))
+
+
+def test_every_epoch_is_told(trained):
+    told = []
+    run = training()
+    run.run_to(4, lambda *heard: told.append(heard))
+    run.run_to(2, lambda *heard: told.append(heard))
+    assert told == [(row.epoch, row.rknn_training) for row in trained.losses[:4]]
+
+
+def test_the_seed_leaves_the_random_numbers_of_the_caller_alone():
+    torch.manual_seed(7)
+    expected = torch.rand(3)
+    torch.manual_seed(7)
+    training()
+    assert torch.equal(torch.rand(3), expected)
+
+
+def test_divergence_is_said():
+    run = training()
+    with torch.no_grad():
+        next(run._networks.parameters()).fill_(torch.nan)
+    with pytest.raises(InputError, match="diverged at epoch 1"):
+        run.run_to(5)
+    assert run.epoch == 0
+    assert not run.losses
+    with pytest.raises(InputError, match="diverged"):
+        run.integrate(*drive())
+
+
+# Roll-out
+
+
+def test_roll_out_starts_every_step_from_its_own_energy(trained):
+    time, power = drive()
+    unit, networks = trained._units.energy, deepcopy(trained._networks).double()
+    steps = trained._units.scaled(step_data(time, power), torch.float64)
+    rolled = np.array(trained.integrate(time, power))
+    energy = torch.zeros(2, 1, dtype=torch.float64)
+    for i in range(len(time) - 1):
+        assert rolled[:, i] == pytest.approx(energy[:, 0].numpy() * unit, abs=1e-8 * unit)
+        with torch.no_grad():
+            energy = energy + networks(type(steps)(*(c[i : i + 1] for c in steps)), energy)
+    assert rolled[:, -1] == pytest.approx(energy[:, 0].numpy() * unit, abs=1e-8 * unit)
+
+
+def test_roll_out_follows_the_quadrature_and_stands_still_in_gaps(trained):
+    time, power = drive()
+    gap = 80
+    time[gap:] += 10 * MAX_GAP
+    data = step_data(time, power)
+    total = data.step_energy.sum()
+    for rolled in trained.integrate(time, power):
+        assert rolled.shape == time.shape
+        assert rolled[gap] == rolled[gap - 1]
+        assert rolled[-1] == pytest.approx(total, rel=0.2)

@@ -1,0 +1,114 @@
+"""The step in the space of residuals is the dense least-squares step."""
+
+from itertools import pairwise
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import pytest
+import torch
+
+from evpinn_ros.extras.paper.gauss_newton import (
+    LEAST_DAMPING,
+    MOST_DAMPING,
+    Linearised,
+    gauss_newton_step,
+    levenberg_marquardt,
+)
+from evpinn_ros.extras.paper.network import PAPER_WIDTHS, PowerNetwork, spread_over_time
+
+WIDTHS = (2, 6, 5, 1)
+
+
+def drawn(seed: int, samples: int) -> tuple[PowerNetwork, torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    network = PowerNetwork(WIDTHS, seed=seed, dtype=torch.float64)
+    inputs = torch.randn(samples, 2, generator=generator, dtype=torch.float64)
+    target = torch.randn(samples, generator=generator, dtype=torch.float64)
+    return network, inputs, target
+
+
+def jacobian_of(network: PowerNetwork, inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Output and Jacobian, a row of gradients for each sample."""
+    output = network(inputs)
+    weights = list(network.parameters())
+    rows = [torch.autograd.grad(each, weights, retain_graph=True) for each in output]
+    jacobian = torch.stack([torch.cat([part.ravel() for part in row]) for row in rows])
+    return output.detach(), jacobian
+
+
+@given(seed=st.integers(0, 1000), samples=st.integers(2, 120))
+@settings(max_examples=10)
+def test_gram_is_jacobian_times_its_transpose(seed: int, samples: int) -> None:
+    network, inputs, target = drawn(seed, samples)
+    _, jacobian = jacobian_of(network, inputs)
+    system = Linearised(network, inputs, target).system
+    assert torch.allclose(system, jacobian @ jacobian.T, rtol=1e-10)
+
+
+@pytest.mark.parametrize("samples", [20, 200])  # fewer and more than the 59 weights
+def test_step_is_the_dense_least_squares_solution(samples: int) -> None:
+    """min |J dw - r|^2 + d |dw|^2 solved as an ordinary least-squares problem of stacked rows."""
+    network, inputs, target = drawn(4, samples)
+    output, jacobian = jacobian_of(network, inputs)
+    damping = 1e-3 * float((jacobian**2).sum(1).mean())
+    weights = jacobian.shape[1]
+    rows = torch.cat((jacobian, damping**0.5 * torch.eye(weights, dtype=torch.float64)))
+    right = torch.cat((target - output.detach(), torch.zeros(weights, dtype=torch.float64)))
+    dense = torch.linalg.lstsq(rows, right[:, None]).solution[:, 0]
+    step = gauss_newton_step(network, inputs, target, 1e-3)
+    assert torch.allclose(step, dense, rtol=1e-7, atol=1e-10)
+
+
+def test_network_is_not_changed() -> None:
+    network, inputs, target = drawn(1, 30)
+    before = network.vector()
+    gauss_newton_step(network, inputs, target, 1e-3)
+    assert torch.equal(network.vector(), before)
+
+
+def off(network: PowerNetwork, inputs: torch.Tensor) -> float:
+    return abs(float(network(inputs)[0].detach()) - 3.0)
+
+
+def test_singular_system_raises_the_damping() -> None:
+    """One sample 100 times in single precision: J J^T has rank one."""
+    network = PowerNetwork(WIDTHS, seed=0, dtype=torch.float32)
+    inputs = torch.ones(100, 2)
+    step = gauss_newton_step(network, inputs, torch.full((100,), 3.0), 1e-12)
+    assert torch.isfinite(step).all()
+    before = off(network, inputs)
+    network.load_vector(network.vector() + step)
+    assert off(network, inputs) < before
+
+
+@pytest.mark.parametrize("broken", ["inputs", "target"])
+def test_hopeless_system_gives_no_step(broken: str) -> None:
+    network, inputs, target = drawn(1, 30)
+    inputs, target = (
+        (inputs * torch.nan, target) if broken == "inputs" else (inputs, target * torch.nan)
+    )
+    assert not gauss_newton_step(network, inputs, target, 1e-3).any()
+
+
+def test_marquardt_never_makes_it_worse_and_comes_near_where_adam_does_not():
+    network = PowerNetwork(PAPER_WIDTHS, seed=2, dtype=torch.float32)
+    spread_over_time(network, torch.Generator().manual_seed(2), -1.0, 0.0, 0.1)
+    inputs = torch.stack((torch.rand(200), torch.linspace(-1.0, 0.0, 200)), dim=1)
+    target = torch.sin(12.0 * inputs[:, 1]) * inputs[:, 0]
+    errors, damping = [], 1e-2
+    for _ in range(12):
+        damping = levenberg_marquardt(network, inputs, target, 4, damping)
+        errors.append(float(torch.mean((network(inputs) - target).detach() ** 2)))
+        assert LEAST_DAMPING <= damping <= MOST_DAMPING
+    assert all(after <= before for before, after in pairwise(errors))
+    assert errors[-1] < 0.01 * float(torch.var(target))
+
+
+def test_marquardt_refuses_what_is_not_finite():
+    network = PowerNetwork((2, 8, 1), seed=0, dtype=torch.float32)
+    before = network.vector()
+    inputs = torch.rand(20, 2)
+    damping = levenberg_marquardt(network, inputs, torch.full((20,), math.nan), 3, 1e-2)
+    assert torch.equal(network.vector(), before) and damping == MOST_DAMPING
+    assert levenberg_marquardt(network, inputs, torch.zeros(20), 0, 0.5) == 0.5

@@ -1,0 +1,269 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from evpinn_ros.core.estimation.estimate import Trust
+from evpinn_ros.core.estimation.estimator import PaperOptimizer
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
+from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
+from evpinn_ros.extras.paper.learner import (
+    EPOCHS,
+    MIN_SAMPLES,
+    POWER_SCALE,
+    WINDOW,
+    PaperLearner,
+)
+from evpinn_ros.extras.paper.log_parameters import LEARNED
+from evpinn_ros.extras.paper.network import NETWORK_RATE, PARAMETER_RATE, PHYSICS_LOSS
+
+TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux=1250.0)
+
+
+def teach(learner: PaperLearner, drive, first=0, last=None) -> PaperLearner:
+    pairs = list(zip(drive.samples, drive.powers, strict=True))
+    for sample, power in pairs[first:last]:
+        learner.observe(sample, power)
+    return learner
+
+
+def train(learner: PaperLearner, updates: int) -> PaperLearner:
+    for _ in range(updates):
+        assert learner.consider(learner.prepare_update()()) is None
+    return learner
+
+
+def loss(learner: PaperLearner, drive, first, last) -> tuple[float, float]:
+    """Data and physics loss of eq. 22 over the window, worked out sample by sample."""
+    data = physics = 0.0
+    pairs = list(zip(drive.samples, drive.powers, strict=True))[first:last]
+    for sample, power in pairs:
+        said = learner.predict(sample).power / POWER_SCALE
+        by_physics = float(learner._physics(sample, learner._values())) / POWER_SCALE
+        data += (power / POWER_SCALE - said) ** 2 / len(pairs)
+        physics += (by_physics - said) ** 2 / len(pairs)
+    return data, physics
+
+
+def test_it_starts_where_the_paper_does():
+    """Not at the priors of the vehicle file (eq. 24)."""
+    car = load_vehicle("tesla_model_3_lr")
+    found = PaperLearner(car).parameters().parameters
+    assert tuple(found[name].value for name in LEARNED) == (0.7, 0.5, 1823.0, 0.0096, 0.23)
+    assert found["mass"].value != car.initial.mass
+
+
+def test_the_paper_s_numbers():
+    assert LEARNED == ("eta", "mu", "mass", "c_rr", "c_d")
+    assert (PHYSICS_LOSS, NETWORK_RATE, EPOCHS) == (0.1, 1e-3, 20)
+
+
+def test_before_the_first_update_it_says_what_the_physics_says(vehicle):
+    learner = PaperLearner(vehicle)
+    sample = Sample(0, 15.0, -1.0, 0.0, 1.17, 200.0)
+    power = battery_power(
+        15.0,
+        -1.0,
+        vehicle.initial,
+        area=vehicle.frontal_area,
+        air_density=1.17,
+        form=RegenForm.RECOVERY,
+        beta=vehicle.beta,
+    )
+    assert learner.predict(sample).power == pytest.approx(power + 200.0)
+    found = learner.parameters()
+    assert [found.parameters[n].value for n in PARAMETER_NAMES] == pytest.approx(vehicle.initial)
+    assert {p.trust for p in found.parameters.values()} == {Trust.UNESTIMATED}
+
+
+@pytest.mark.parametrize("form", list(RegenForm))
+def test_the_loss_falls_from_update_to_update(vehicle, synthetic, form):
+    learner, drive = PaperLearner(vehicle, form=form), synthetic(TRUTH)
+    teach(learner, drive, 100, 250)
+    losses = []
+    for _ in range(3):
+        train(learner, 1)
+        data, physics = loss(learner, drive, 100, 250)
+        losses.append(data + PHYSICS_LOSS * physics)
+    assert losses[0] > losses[1] > losses[2]
+
+
+def test_parameters_move_by_one_adam_step_of_their_logarithms(vehicle, synthetic):
+    """Adam moves each by at most its rate an epoch, whatever the unit: 20 * 0.002."""
+    learner = train(teach(PaperLearner(vehicle), synthetic(TRUTH), 100, 400), 1)
+    found = learner.parameters().parameters
+    moved = [math.log(found[n].value / getattr(vehicle.initial, n)) for n in LEARNED]
+    most = EPOCHS * PARAMETER_RATE
+    assert all(0 < abs(step) <= most * 1.2 for step in moved)
+    # While the sign of a gradient stays, Adam moves its full rate each epoch.
+    assert max(map(abs, moved)) == pytest.approx(most, rel=0.1)
+
+
+def test_warm_start_goes_on_where_it_was(vehicle, synthetic):
+    """Two updates on one window are one of twice the epochs, Adam's memory included."""
+    drive = synthetic(TRUTH)
+    twice = train(teach(PaperLearner(vehicle), drive, 100, 400), 2)
+    epochs = [group["step"].item() for group in twice._trained.optimizer_state["state"].values()]
+    assert set(epochs) == {2 * EPOCHS}
+
+
+def test_p_aux_is_the_median_at_standstill_less_known_loads(vehicle):
+    learner = PaperLearner(vehicle)
+    for k in range(100):
+        sample = Sample(k * NANOSECONDS // 10, 0.0, 0.0, 0.0, 1.17, 400.0)
+        learner.observe(sample, 1500.0 + (k % 3 - 1) * 50.0)
+    train(learner, 1)
+    assert learner.parameters().parameters["p_aux"].value == pytest.approx(1100.0)
+
+
+def test_a_parked_car_that_draws_the_same_to_the_watt(vehicle):
+    """All residuals are zero then; sigmas stay finite."""
+    learner = PaperLearner(vehicle)
+    for k in range(MIN_SAMPLES):
+        learner.observe(Sample(k * NANOSECONDS // 10, 0.0, 0.0, 0.0, 1.17, 0.0), 900.0)
+    train(learner, 2)
+    found = learner.parameters()
+    assert found.parameters["p_aux"].value == 900.0
+    assert np.isfinite([p.std for p in found.parameters.values()]).all()
+    assert np.isfinite(found.identifiable_std).all()
+
+
+def test_power_drawn_back_at_standstill_is_no_negative_load(vehicle):
+    learner = PaperLearner(vehicle)
+    for k in range(MIN_SAMPLES):
+        learner.observe(Sample(k * NANOSECONDS // 10, 0.0, 0.0, 0.0, 1.17, 0.0), -300.0)
+    train(learner, 1)
+    assert learner.parameters().parameters["p_aux"].value == 0.0
+
+
+def test_what_is_published_is_within_its_limits(vehicle, synthetic):
+    """A car that gives twice the power: eta is driven up; what is published stays possible."""
+    drive = synthetic(TRUTH._replace(eta=1.0, p_aux=300.0))
+    learner = train(teach(PaperLearner(vehicle), drive, 100, 200), 15)
+    found = learner.parameters().parameters
+    for name, estimate in found.items():
+        assert LIMITS[name].lower <= estimate.value <= LIMITS[name].upper
+        assert estimate.std > 0 and 0 <= estimate.prior_share <= 1
+    assert found["eta"].value > vehicle.initial.eta
+
+
+def test_sigma_is_told_by_data_and_prior(vehicle, synthetic):
+    learner = train(teach(PaperLearner(vehicle), synthetic(TRUTH), 100, 400), 1)
+    found = learner.parameters()
+    for name in LEARNED:
+        prior = vehicle.priors[name]
+        estimate = found.parameters[name]
+        relative = estimate.std / estimate.value
+        # What drifted off the prior without the data's support is error as well.
+        drift = abs(math.log(estimate.value / prior.value))
+        assert relative <= math.hypot(prior.std / prior.value, drift) * (1 + 1e-6)
+        assert relative >= estimate.prior_share * drift
+    relative = found.identifiable_std.mass_over_eta / found.identifiable.mass_over_eta
+    assert relative < 0.5 * math.hypot(110 / 1823, 0.1 / 0.7)
+
+
+def test_the_window_drops_what_becomes_too_old(vehicle):
+    """A minute is kept, both ends included, and ages count from the newest sample."""
+    learner = PaperLearner(vehicle)
+    for second in range(int(WINDOW) + 3):
+        learner.observe(Sample(second * NANOSECONDS, 10.0, 0.5, 0.01, 1.2, 300.0), 1000.0)
+    assert len(learner._window) == WINDOW + 1
+    assert learner._window[0][0].stamp_ns == 2 * NANOSECONDS
+    learner.forget_window()
+    assert not learner._window and learner.prepare_update() is None
+
+
+def test_reverse_and_charging_teach_nothing(vehicle):
+    learner = PaperLearner(vehicle)
+    learner.observe(Sample(0, -0.2, 0.0, 0.0, 1.17, 0.0), 1000.0)
+    learner.observe(Sample(1, 0.0, 0.0, 0.0, 1.17, 0.0), -3000.0)
+    assert learner.gated == {"reverse": 1, "charging": 1}
+    assert learner.prepare_update() is None
+
+
+def test_an_update_that_is_not_finite_is_refused(vehicle, synthetic):
+    learner = teach(PaperLearner(vehicle), synthetic(TRUTH), 100, 400)
+    candidate = learner.prepare_update()()
+    before = learner.export()
+    for wrong in (
+        candidate._replace(log_scale=candidate.log_scale * math.nan),
+        candidate._replace(network=learner.prepare_update()().network),
+    ):
+        if wrong.log_scale.isfinite().all():
+            wrong.network.load_vector(wrong.network.vector() * math.inf)
+        assert learner.consider(wrong) == "not_finite"
+    assert learner.export() == before
+
+
+def test_a_round_trip_gives_the_same_predictions(vehicle, synthetic):
+    drive = synthetic(TRUTH)
+    learner = train(teach(PaperLearner(vehicle), drive, 100, 400), 2)
+    other = PaperLearner(vehicle)
+    other.restore(learner.export())
+    assert other.export() == learner.export()
+    # Ages count from the newest sample, which is not saved: those of now agree.
+    assert other.predict(drive.samples[-1]) == learner.predict(drive.samples[-1])
+    assert torch.equal(other._trained.log_scale, learner._trained.log_scale)
+
+
+def test_a_round_trip_before_the_first_update_keeps_to_the_physics(vehicle):
+    learner, other = PaperLearner(vehicle), PaperLearner(vehicle)
+    other.restore(learner.export())
+    sample = Sample(0, 15.0, 0.5, 0.0, 1.17, 0.0)
+    assert other.predict(sample) == learner.predict(sample)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"network": [0.0] * 7},
+        {"network": [math.nan] * 50_049},
+        {"log_scale": [0.0] * 4},
+        {"log_scale": [math.inf] * 5},
+        {"log_scale": [90.0] * 5},
+        {"covariance": [[1.0]]},
+        {"covariance": np.full((5, 5), math.nan).tolist()},
+        {"covariance": np.diag([1.0, 1.0, 1.0, 1.0, -1.0]).tolist()},
+        {"p_aux": math.nan},
+        {"variance": -1.0},
+        {"variance": math.inf},
+    ],
+)
+def test_a_state_that_does_not_fit_is_refused(vehicle, wrong):
+    learner = PaperLearner(vehicle)
+    saved = learner.export()
+    with pytest.raises(ValueError, match="saved"):
+        learner.restore({**saved, **wrong})
+    assert learner.export() == saved
+
+
+def test_gauss_newton_comes_nearer_to_the_least_loss_and_finds_the_parameters(vehicle, synthetic):
+    drive, losses = synthetic(TRUTH, hills=0.0), {}
+    for optimizer in PaperOptimizer:
+        form = RegenForm.WHEEL_POWER  # the car's
+        learner = teach(PaperLearner(vehicle, form=form, optimizer=optimizer), drive, 300, 600)
+        train(learner, 4)
+        data, physics = loss(learner, drive, 300, 600)
+        losses[optimizer] = data + PHYSICS_LOSS * physics
+        found = learner.parameters()
+    assert losses[PaperOptimizer.GAUSS_NEWTON] < 0.1 * losses[PaperOptimizer.ADAM], losses
+    # The car obeys eq. 21, so the window alone tells what it tells.
+    assert found.identifiable.mass_over_eta == pytest.approx(1960 / 0.85, rel=0.05)
+    assert found.identifiable.regeneration == pytest.approx(0.85 * 0.78, rel=0.1)
+
+
+def test_gauss_newton_gives_the_same_bits_and_survives_a_round_trip(vehicle, synthetic):
+    drive = synthetic(TRUTH)
+
+    def learner() -> PaperLearner:
+        return PaperLearner(vehicle, optimizer=PaperOptimizer.GAUSS_NEWTON)
+
+    first, second = (train(teach(learner(), drive, 100, 400), 2) for _ in range(2))
+    assert first.export() == second.export()
+    other = learner()
+    other.restore(first.export())
+    assert other.predict(drive.samples[-1]) == first.predict(drive.samples[-1])

@@ -1,0 +1,125 @@
+"""Training: resumable to the same numbers, and how far each way comes in a few epochs."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.physics import RegenForm
+from evpinn_ros.extras.paper import optimizers
+from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
+from evpinn_ros.extras.paper.drive_log import DriveLog
+from evpinn_ros.extras.paper.optimizer_name import OptimizerName
+from evpinn_ros.extras.paper.optimizers import INPUTS
+from evpinn_ros.extras.paper.power_training import PowerTraining, curve_epochs
+from evpinn_ros.extras.paper.problem import Problem, random_split
+from evpinn_ros.extras.paper.scores import combinations
+from test.extras.paper.conftest import TRUE
+
+
+@pytest.fixture(scope="module")
+def begin(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> Callable[[OptimizerName, int], PowerTraining]:
+    log = make_log()
+
+    def make(name: OptimizerName, epochs: int) -> PowerTraining:
+        split = random_split(len(log.time), 0)
+        problem = Problem(log, vehicle, split, inputs=INPUTS[name])
+        return PowerTraining(name, problem, epochs, seed=1)
+
+    return make
+
+
+@pytest.mark.parametrize("name", [OptimizerName.ADAM, OptimizerName.GAUSS_NEWTON])
+def test_resumed_training_gives_the_same_numbers(
+    name: OptimizerName, begin: Callable[..., PowerTraining], tmp_path
+) -> None:
+    whole = begin(name, 12)
+    whole.run_to(12)
+    first = begin(name, 12)
+    first.run_to(7)
+    save_checkpoint(tmp_path / "a.npz", "same", first.state())
+    second = begin(name, 12)
+    second.load_state(load_checkpoint(tmp_path / "a.npz", "same"))
+    second.run_to(12)
+    assert second.rows == whole.rows
+    assert torch.equal(second.optimizer.network.vector(), whole.optimizer.network.vector())
+
+
+def test_lbfgs_takes_over_and_can_be_resumed(
+    begin: Callable[..., PowerTraining], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(optimizers, "ADAM_EPOCHS_BEFORE_LBFGS", 5)
+    training = begin(OptimizerName.ADAM_LBFGS, 30)
+    training.run_to(15)
+    resumed = begin(OptimizerName.ADAM_LBFGS, 30)
+    resumed.load_state(training.state())
+    resumed.run_to(30)
+    totals = {row.epoch: row.training.total for row in resumed.rows}
+    assert totals[30] < totals[5]
+
+
+def test_ours_is_below_adam_after_as_many_epochs_and_finds_the_true_combinations(
+    begin: Callable[..., PowerTraining], vehicle: Vehicle
+) -> None:
+    final = {}
+    for name in (OptimizerName.ADAM, OptimizerName.GAUSS_NEWTON):
+        training = begin(name, 40)
+        training.run_to(40)
+        final[name] = training.rows[-1].validation.total
+    assert final[OptimizerName.GAUSS_NEWTON] < 0.2 * final[OptimizerName.ADAM]
+    values = training.problem.values(training.optimizer.log_scale)
+    found = combinations(values, vehicle.frontal_area, RegenForm.RECOVERY)
+    truth = combinations(TRUE, vehicle.frontal_area, RegenForm.RECOVERY)
+    for name in ("mass_over_eta", "mu", "c_rr"):
+        assert found[name] == pytest.approx(truth[name], rel=0.05)
+
+
+def test_losses_are_logged_at_the_epochs_of_the_tables(
+    begin: Callable[..., PowerTraining],
+) -> None:
+    told = []
+    training = begin(OptimizerName.ADAM, 12)
+    training.run_to(100, lambda epoch, loss: told.append((epoch, loss)))
+    assert [row.epoch for row in training.rows] == curve_epochs(12)
+    assert {1, 10, 12} <= {row.epoch for row in training.rows}
+    assert told[-1] == (12, training.rows[-1].validation.total)
+
+
+def test_divergence_is_said(begin: Callable[..., PowerTraining]) -> None:
+    training = begin(OptimizerName.ADAM, 5)
+    with torch.no_grad():
+        training.optimizer.log_scale.fill_(torch.nan)
+    with pytest.raises(InputError, match="diverged before epoch 1"):
+        training.run_to(5)
+
+
+def test_a_checkpoint_of_other_settings_is_none_and_a_broken_one_refused(tmp_path) -> None:
+    path = tmp_path / "a.npz"
+    assert load_checkpoint(path, "x") is None
+    save_checkpoint(path, "x", {"weights": torch.arange(4.0)})
+    assert load_checkpoint(path, "y") is None
+    kept = load_checkpoint(path, "x")
+    assert kept is not None and torch.equal(kept["weights"], torch.arange(4.0))
+
+    def is_refused() -> None:
+        with pytest.raises(InputError, match=r"a\.npz: the training .*delete it to train"):
+            load_checkpoint(path, "x")
+
+    np.savez(path, settings=np.array("x"), weights=np.array(["no number"]))
+    is_refused()
+    with path.open("wb") as file:
+        np.save(file, np.arange(3))
+    is_refused()
+    path.write_bytes(path.read_bytes()[:10])
+    is_refused()
+
+
+def test_a_folder_that_is_a_file_is_said(tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        save_checkpoint(tmp_path / "file" / "a.npz", "x", {"weights": torch.zeros(1)})

@@ -1,0 +1,128 @@
+"""Five parameters by least squares: the truth where the data tell it, the prior where not."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+
+from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.physics import RegenForm
+from evpinn_ros.extras.paper.drive_log import DriveLog
+from evpinn_ros.extras.paper.problem import Problem, random_split
+from evpinn_ros.extras.paper.scores import (
+    TableFiveRow,
+    combination_rows,
+    combinations,
+    drift_included,
+    parameter_rows,
+)
+from test.extras.paper.conftest import TRUE
+
+
+def fitted(
+    log: DriveLog, vehicle: Vehicle, form: RegenForm = RegenForm.RECOVERY
+) -> tuple[Problem, torch.Tensor, np.ndarray]:
+    split = random_split(len(log.time), 0)
+    problem = Problem(log, vehicle, split, form=form, dtype=torch.float64)
+    fit = problem.fit(problem.training, problem.training.power)
+    assert fit.converged
+    return problem, fit.log_scale, fit.covariance
+
+
+def rows_of(log: DriveLog, vehicle: Vehicle) -> dict[str, TableFiveRow]:
+    problem, z, covariance = fitted(log, vehicle)
+    arguments = (vehicle, problem.values(z), covariance, RegenForm.RECOVERY)
+    both = parameter_rows(*arguments) + combination_rows(*arguments)
+    return {row.name: row for row in both}
+
+
+@pytest.mark.parametrize("form", [RegenForm.RECOVERY, RegenForm.PRINTED])
+def test_combinations_are_the_true_ones(
+    form: RegenForm, make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    problem, z, _ = fitted(make_log(form=form), vehicle, form)
+    found = combinations(problem.values(z), vehicle.frontal_area, form)
+    truth = combinations(TRUE, vehicle.frontal_area, form)
+    assert found["mass_over_eta"] == pytest.approx(truth["mass_over_eta"], rel=0.01)
+    assert found["mu"] == pytest.approx(truth["mu"], rel=0.01)
+    assert found["c_rr"] == pytest.approx(truth["c_rr"], rel=0.05)
+
+
+def test_absolute_values_keep_their_prior(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    """eta, mass and C_d may slide together: the data leave much of their prior's variance."""
+    found = rows_of(make_log(), vehicle)
+    assert found["mass"].prior_share > 100 * found["mass_over_eta"].prior_share
+    assert found["mass"].std / found["mass"].value > 0.03
+    assert found["mass_over_eta"].determined
+
+
+def test_without_braking_mu_is_not_determined(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    found = rows_of(make_log(np.linspace(1.0, 30.0, 400)), vehicle)
+    assert found["mu"].prior_share == pytest.approx(1.0)
+    assert not found["mu"].determined
+    assert found["mu"].value == pytest.approx(vehicle.priors["mu"].value, rel=1e-6)
+
+
+def test_at_constant_speed_rolling_and_drag_are_one(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    found = rows_of(make_log(np.full(400, 15.0)), vehicle)
+    assert not found["mu"].determined
+    assert found["mass_over_eta"].std / found["mass_over_eta"].value > 0.1
+    assert all(np.isfinite((row.value, row.std)).all() for row in found.values())
+
+
+def test_a_network_s_power_can_be_fitted_as_well(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    log = make_log(noise=0.0)
+    problem = Problem(log, vehicle, random_split(len(log.time), 0), dtype=torch.float64)
+    z = torch.tensor([0.1, 0.2, 0.08, -0.1, 0.02], dtype=torch.float64)
+    power = problem.physics(problem.training.motion, z)
+    fit = problem.fit(problem.training, power)
+    found, wanted = (
+        combinations(problem.values(x), vehicle.frontal_area, problem.form)
+        for x in (fit.log_scale, z)
+    )
+    assert found == pytest.approx(wanted, rel=2e-3)
+
+
+def test_drift_along_the_unknown_direction_spares_the_combinations(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    """Descent may let eta, mass and C_d go together: that is their error, not that of mass/eta."""
+    problem, z, covariance = fitted(make_log(), vehicle)
+    drift = torch.tensor([0.5, 0.0, 0.5, 0.0, 0.5], dtype=torch.float64)
+    values = problem.values(z + drift)
+    wide = drift_included(vehicle, z + drift, covariance)
+    alone, together = (
+        {row.name: row for row in rows(vehicle, values, wide, problem.form)}
+        for rows in (parameter_rows, combination_rows)
+    )
+    narrow = {row.name: row for row in combination_rows(vehicle, values, covariance, problem.form)}
+    assert alone["mass"].std / alone["mass"].value > 0.4
+    assert together["mass_over_eta"].std < 1.5 * narrow["mass_over_eta"].std
+    assert together["mass_over_eta"].determined and not alone["mass"].determined
+
+
+def test_constant_speed_determines_nothing(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    found = rows_of(make_log(np.full(400, 20.0)), vehicle)
+    assert not any(row.determined for row in found.values())
+
+
+def test_in_the_form_wheel_power_braking_is_told_with_eta(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    form = RegenForm.WHEEL_POWER
+    problem, z, covariance = fitted(make_log(form=form), vehicle, form)
+    rows = combination_rows(vehicle, problem.values(z), covariance, form)
+    told = next(row for row in rows if row.name == "regeneration")
+    assert told.determined
+    assert told.value == pytest.approx(TRUE.eta * TRUE.mu, rel=0.02)

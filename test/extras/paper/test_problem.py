@@ -1,0 +1,136 @@
+"""Eq. 22 on a drive: its terms, its gradients, its splits."""
+
+from collections.abc import Callable
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+import torch
+
+from evpinn_ros.common.arrays import chosen_rows
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
+from evpinn_ros.extras.paper.drive_log import DriveLog
+from evpinn_ros.extras.paper.network import PHYSICS_LOSS, PowerNetwork
+from evpinn_ros.extras.paper.problem import (
+    InputForm,
+    Problem,
+    chronological_split,
+    random_split,
+)
+
+WIDTHS = (2, 7, 7, 1)
+Z = torch.tensor([0.1, -0.2, 0.05, 0.03, -0.04], dtype=torch.float64)
+
+
+@pytest.fixture
+def problem(make_log: Callable[..., DriveLog], vehicle: Vehicle) -> Problem:
+    log = make_log()
+    return Problem(log, vehicle, random_split(len(log.time), 3), dtype=torch.float64)
+
+
+@pytest.fixture
+def network() -> PowerNetwork:
+    return PowerNetwork(WIDTHS, seed=2, dtype=torch.float64)
+
+
+@given(samples=st.integers(100, 5000), seed=st.integers(0, 9))
+def test_random_split_uses_every_sample_once(samples: int, seed: int) -> None:
+    split = random_split(samples, seed)
+    both = np.concatenate((split.training, split.validation))
+    assert np.array_equal(np.sort(both), np.arange(samples))
+    assert len(split.validation) == round(0.2 * samples)
+
+
+def test_chronological_split_validates_on_the_future_alone() -> None:
+    split = chronological_split(1000)
+    assert split.training.max() < split.validation.min()
+    assert len(split.validation) == 200
+
+
+def test_random_split_differs_by_seed() -> None:
+    assert not np.array_equal(random_split(500, 0).validation, random_split(500, 1).validation)
+
+
+def test_loss_is_eq_22_in_normalised_units(problem: Problem, network: PowerNetwork) -> None:
+    log = chosen_rows(problem.log, problem.split.validation)
+    middle = (problem.log.power.max() + problem.log.power.min()) / 2
+    half = (problem.log.power.max() - problem.log.power.min()) / 2
+    inputs = torch.tensor(np.stack((log.speed, log.time), axis=1))
+    with torch.no_grad():
+        output = network(inputs).numpy()
+    vehicle = problem.vehicle
+    physics = battery_power(
+        log.speed,
+        log.acceleration,
+        problem.values(Z),
+        area=vehicle.frontal_area,
+        air_density=vehicle.air_density,
+        form=RegenForm.RECOVERY,
+        beta=vehicle.beta,
+    )
+    data_term = np.mean(((log.power - middle) / half - output) ** 2)
+    physics_term = PHYSICS_LOSS * np.mean(((physics - middle) / half - output) ** 2)
+    found = problem.losses(problem.validation, network, Z)
+    assert found == pytest.approx((data_term + physics_term, data_term, physics_term), rel=1e-12)
+
+
+def test_initial_values_are_those_of_eq_24(problem: Problem) -> None:
+    problem = Problem(problem.log, load_vehicle("tesla_model_3_lr"), problem.split)
+    values = problem.values(torch.zeros(5, dtype=torch.float64))
+    assert values[:5] == pytest.approx((0.7, 0.5, 1823.0, 0.0096, 0.23))
+    assert problem.p_aux == pytest.approx(900.0, abs=60.0)  # the median at standstill
+
+
+def test_gradients_of_weights_equal_autograd(problem: Problem, network: PowerNetwork) -> None:
+    """d loss / dw by the analytic Jacobian against back-propagation, to 1e-6 (here 1e-9)."""
+    samples = problem.training
+    data, physics = problem.terms(samples, network, Z)
+    (data + physics).backward()  # type: ignore[no-untyped-call]
+    automatic = torch.cat([p.grad.flatten() for p in network.parameters()])
+    output, activations, derivatives = network.sweep(samples.inputs)
+    rows = []
+    for entering, derivative in zip(activations, derivatives, strict=True):
+        rows += [(derivative[:, :, None] * entering[:, None, :]).flatten(1), derivative]
+    jacobian = torch.cat(rows, dim=1)
+    with torch.no_grad():
+        pull = output - samples.power
+        pull += PHYSICS_LOSS * (output - problem.physics(samples.motion, Z))
+        analytic = 2.0 * jacobian.T @ pull / len(samples)
+    assert torch.allclose(analytic, automatic, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("form", RegenForm)
+def test_gradients_of_parameters_equal_autograd(
+    form: RegenForm, make_log: Callable[..., DriveLog], vehicle: Vehicle
+) -> None:
+    """Forward-mode rows of the physics, as `paper.log_parameters` has them, against reverse."""
+    log = make_log()
+    split = random_split(len(log.time), 0)
+    problem = Problem(log, vehicle, split, form=form, dtype=torch.float64)
+    motion = problem.training.motion
+    rows = torch.func.jacfwd(lambda z: problem.physics(motion, z))(Z)
+    z = Z.clone().requires_grad_()
+    for index in (0, 57, 200):
+        (expected,) = torch.autograd.grad(problem.physics(motion, z)[index], z)
+        assert torch.allclose(rows[index], expected, rtol=1e-9, atol=1e-14)
+
+
+def test_unit_inputs_span_the_drive(make_log: Callable[..., DriveLog], vehicle: Vehicle) -> None:
+    log = make_log()
+    split = random_split(len(log.time), 0)
+    problem = Problem(log, vehicle, split, inputs=InputForm.UNIT, dtype=torch.float64)
+    inputs = torch.cat((problem.training.inputs, problem.validation.inputs))
+    assert inputs.min(0).values.tolist() == pytest.approx([-1.0, -1.0])
+    assert inputs.max(0).values.tolist() == pytest.approx([1.0, 1.0])
+
+
+def test_constant_speed_and_power_stay_finite(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle, network: PowerNetwork
+) -> None:
+    log = make_log(np.full(200, 20.0), noise=0.0)
+    problem = Problem(
+        log, vehicle, random_split(200, 0), inputs=InputForm.UNIT, dtype=torch.float64
+    )
+    assert np.isfinite(problem.losses(problem.training, network, Z)).all()

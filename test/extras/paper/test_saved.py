@@ -1,0 +1,167 @@
+"""What was found goes into the car: the same function for the node, a valid vehicle file."""
+
+from collections.abc import Callable
+from dataclasses import replace
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
+from evpinn_ros.core.estimation.state_file import read_state
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import SpeedReading
+from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.parameters import LIMITS, Parameters
+from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
+from evpinn_ros.extras.paper.drive_log import DriveLog
+from evpinn_ros.extras.paper.experiment import Experiment, Outcome, Settings
+from evpinn_ros.extras.paper.learner import POWER_SCALE, SPEED_SCALE, WINDOW
+from evpinn_ros.extras.paper.optimizers import OptimizerName
+from evpinn_ros.extras.paper.results import results_of
+from evpinn_ros.extras.paper.saved import (
+    possible,
+    window_network,
+    write_estimator_state,
+    write_vehicle_file,
+)
+from evpinn_ros.extras.paper.tables import all_tables
+
+
+@pytest.fixture(scope="module", params=list(OptimizerName))
+def outcome(
+    request: pytest.FixtureRequest, reproduced: Callable[[OptimizerName], Outcome]
+) -> Outcome:
+    return reproduced(request.param)
+
+
+def test_window_network_is_the_same_function(outcome: Outcome) -> None:
+    """Time now counts back from the end of the log, in windows."""
+    problem, network = outcome.training.problem, outcome.training.optimizer.network
+    log = outcome.log
+    age = log.time[-1] - log.time
+    inputs = np.stack((log.speed / SPEED_SCALE, -age / WINDOW), axis=1)
+    with torch.no_grad():
+        output = window_network(problem, network)(torch.tensor(inputs, dtype=torch.float32))
+    expected = problem.predicted_power(network, log)
+    assert output.numpy() * POWER_SCALE == pytest.approx(expected, rel=1e-3, abs=20.0)
+
+
+def test_estimator_starts_from_the_state(outcome: Outcome, tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    write_estimator_state(path, outcome)
+    settings = EstimatorSettings(mode=Mode.PAPER, regen_form=outcome.settings.form)
+    estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
+    estimator.restore(read_state(path))
+    outputs = [
+        output
+        for index in range(20)
+        for output in estimator.add_reading(
+            SpeedReading((1000 + index) * 100_000_000, 10.0, float("nan"))
+        )
+    ]
+    assert outputs
+    assert all(np.isfinite(getattr(o, "power", 0.0)) for o in outputs)
+    assert estimator.export()["learner"]["fresh"] is False
+
+
+def test_vehicle_file_is_valid_and_holds_what_was_found(outcome: Outcome, tmp_path: Path) -> None:
+    path = tmp_path / "found.yaml"
+    write_vehicle_file(path, outcome, "drive.csv")
+    read = load_vehicle(path)
+    values = possible(outcome.values, outcome.settings.form)
+    for name in ("eta", "mass", "c_rr", "c_d", "p_aux"):
+        assert getattr(read.initial, name) == pytest.approx(getattr(values, name), rel=1e-6)
+    assert 0.7 < read.initial.mu <= 1.0  # that of `wheel_power`, whatever the experiment's form
+    assert read.frontal_area == outcome.vehicle.frontal_area
+    assert read.can_profile == outcome.vehicle.can_profile
+    assert "drive.csv" in read.priors["eta"].source
+
+
+@pytest.mark.parametrize("form", RegenForm)
+def test_an_impossible_eta_slides_back_without_changing_power(form: RegenForm) -> None:
+    found = Parameters(eta=1.25, mu=0.6, mass=1500.0, c_rr=0.01, c_d=0.3, p_aux=800.0)
+    slid = possible(found, form)
+    assert slid.eta == 1.0
+    speed, acceleration = np.array([5.0, 20.0, 30.0]), np.array([1.0, -1.0, 0.0])
+    powers = [
+        battery_power(
+            speed, acceleration, parameters, area=2.2, air_density=1.2, form=form, beta=-0.045
+        )
+        for parameters in (found, slid)
+    ]
+    assert powers[0] == pytest.approx(powers[1])
+
+
+def test_state_of_another_reading_of_eq_21_is_refused(outcome: Outcome, tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    write_estimator_state(path, outcome)
+    settings = EstimatorSettings(mode=Mode.PAPER, regen_form=RegenForm.PRINTED)
+    estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
+    with pytest.raises(ValueError, match="regen_form 'recovery', not for regen_form 'printed'"):
+        estimator.restore(read_state(path))
+
+
+def test_what_lies_outside_the_limits_is_brought_in() -> None:
+    wild = Parameters(eta=0.5, mu=1.7, mass=1e6, c_rr=1e-9, c_d=0.2, p_aux=500.0)
+    for name, value in possible(wild, RegenForm.RECOVERY)._asdict().items():
+        assert LIMITS[name].lower <= value <= LIMITS[name].upper
+
+
+def test_tables_say_what_the_results_say(outcome: Outcome) -> None:
+    tables = {table.title.split(":")[0]: table for table in all_tables(outcome)}
+    assert {"Table II", "Table IV", "Table V", "Table VI"} <= set(tables)
+    for table in tables.values():
+        assert all(len(row) == len(table.columns) for row in table.rows)
+    last = next(row for row in tables["Table II"].rows if row[0] == "30 V")
+    assert last[1] == f"{outcome.power_rows[-1].validation.total:.4g}"
+    found = results_of(outcome)
+    assert found["power_losses"]["random"][-1]["validation"]["total"] == pytest.approx(
+        float(last[1]), rel=1e-3
+    )
+    baseline = next(s for s in found["scores"] if s["method"].startswith("baseline"))
+    assert baseline["split"] == "random 20 %" and baseline["r2"] > 0.9
+
+
+def test_finished_trainings_are_not_run_again(
+    make_log: Callable[..., DriveLog], vehicle: Vehicle, tmp_path: Path
+) -> None:
+    settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=4, energy_epochs=4)
+    first = Experiment(make_log(), vehicle, settings, tmp_path).run(lambda *_: None)
+    kept = sorted(path.name for path in tmp_path.iterdir())
+    told: list[str] = []
+    again = Experiment(make_log(), vehicle, settings, tmp_path).run(
+        lambda title, *_: told.append(title)
+    )
+    assert not told
+    assert results_of(again) == results_of(first)
+    other = replace(settings, seed=1)
+    Experiment(make_log(), vehicle, other, tmp_path).run(lambda title, *_: told.append(title))
+    assert set(told) == {"power network", "chronological split", "energy networks"}
+    assert set(kept) < {path.name for path in tmp_path.iterdir()}  # nothing was thrown away
+
+
+@pytest.mark.parametrize(
+    ("speed", "untold"),
+    [
+        (np.full(300, 20.0), {"mass_over_eta", "drag_area_over_eta", "c_rr", "mu"}),
+        (np.linspace(1.0, 30.0, 300), {"mu"}),
+    ],
+    ids=["constant speed", "no braking"],
+)
+def test_what_a_poor_drive_does_not_tell_is_said(
+    speed: np.ndarray,
+    untold: set[str],
+    make_log: Callable[..., DriveLog],
+    vehicle: Vehicle,
+    tmp_path: Path,
+) -> None:
+    settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=4, energy_epochs=2)
+    found = results_of(
+        Experiment(make_log(speed), vehicle, settings, tmp_path).run(lambda *_: None)
+    )
+    json.dumps(found, allow_nan=False)
+    rows = found["combinations"]
+    assert not any(rows[name]["determined"] for name in untold)

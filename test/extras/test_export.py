@@ -1,0 +1,62 @@
+"""`evpinn export rmf`: lines that a fleet adapter of Open-RMF reads."""
+
+import pytest
+import yaml
+
+from test.robots import learned, robot
+
+pytestmark = pytest.mark.slow
+
+# What a fleet adapter reads of its config.yaml, all of them numbers.
+KEYS = {
+    "battery_system": {"voltage", "capacity", "charging_current"},
+    "mechanical_system": {"mass", "moment_of_inertia", "friction_coefficient"},
+    "ambient_system": {"power"},
+    "tool_system": {"power"},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robot")
+    learned(1).save(folder / "robot.json")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory):
+    """A folder with the state of a robot that has hardly driven."""
+    folder = tmp_path_factory.mktemp("begun")
+    learned(1, minutes=0.5).save(folder / "robot.json")
+    return folder
+
+
+@pytest.mark.nightly
+def test_the_learned_robot_for_a_fleet_adapter(evpinn, folder):
+    given = ("--capacity", 25, "--charging-current", 5, "--radius", 0.4, "--tool", 12.5)
+    done = evpinn("export", "rmf", "robot.json", *given, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    fleet = yaml.safe_load(done.stdout)["rmf_fleet"]
+    assert {name: set(of) for name, of in fleet.items()} == KEYS
+    values = [value for of in fleet.values() for value in of.values()]
+    assert all(isinstance(value, float) and value > 0.0 for value in values)
+    assert fleet["battery_system"] == {"voltage": 25.6, "capacity": 25.0, "charging_current": 5.0}
+    assert fleet["tool_system"]["power"] == 12.5
+    mechanics, ours = fleet["mechanical_system"], robot()
+    force = mechanics["mass"] * mechanics["friction_coefficient"] * 9.81
+    wheels = ours.MASS * 9.81 * ours.ROLLING + ours.GEAR_LOSS
+    assert force == pytest.approx(wheels / ours.INVERTER, rel=0.3)
+    assert mechanics["moment_of_inertia"] == pytest.approx(0.08 * mechanics["mass"], rel=1e-3)
+    assert fleet["ambient_system"]["power"] == pytest.approx(ours.COMPUTER, rel=0.15)
+
+
+def test_what_is_not_known_of_the_battery_is_asked_for(evpinn, begun):
+    done = evpinn("export", "rmf", "robot.json", cwd=begun)
+    assert (done.returncode, done.stdout) == (1, "")
+    asked = "the capacity of the battery of mobile_robot is not known: give --capacity"
+    assert asked in done.stderr
+
+
+def test_a_state_of_another_vehicle_is_refused(evpinn, begun):
+    done = evpinn("export", "rmf", "robot.json", "--vehicle", "bmw_i3", cwd=begun)
+    assert done.returncode == 1 and "mobile_robot" in done.stderr and done.stdout == ""

@@ -1,0 +1,200 @@
+"""Answers of route services become the same legs, whoever answers and in whatever form."""
+
+from contextlib import suppress
+from copy import deepcopy
+import json
+from random import Random
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from benchmarks.fuzz_structures import mutate_json
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.plan import PlanError
+from evpinn_ros.core.energy.power_model import Weather, vehicle_model
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.logs.plans import read_plan
+from evpinn_ros.logs.plans.route import decode_polyline
+from test.logs.plans import samples
+
+CLIMBS = np.diff(samples.HEIGHTS)
+ANSWERS = {
+    "valhalla": (samples.valhalla(), True),
+    "valhalla in miles": (samples.valhalla("miles"), True),
+    "osrm with annotation": (samples.osrm(), False),
+    "osrm with steps": (samples.osrm(annotated=False), False),
+    "graphhopper with instructions": (samples.graphhopper(), True),
+    "graphhopper with details": (samples.graphhopper(["time"]), True),
+    "graphhopper by speed, not encoded": (
+        samples.graphhopper(["average_speed"], encode=False),
+        True,
+    ),
+    "graphhopper in the plane": (samples.graphhopper(["time"], up=False), False),
+    "openrouteservice": (samples.openrouteservice(), True),
+    "openrouteservice as geojson in km": (samples.openrouteservice("geojson", "km"), True),
+}
+
+
+@pytest.mark.parametrize(("answer", "heights"), ANSWERS.values(), ids=ANSWERS)
+def test_every_service_gives_the_legs_of_the_road(read, answer, heights):
+    legs = read(answer)
+    assert legs.length == pytest.approx(samples.LENGTHS, abs=1.0)
+    assert legs.duration == pytest.approx(samples.DURATIONS)
+    assert (legs.height_known == heights).all()
+    # Heights are smoothed over 50 m, which rounds the road at the ends of its legs.
+    assert legs.climb == pytest.approx(CLIMBS if heights else 0 * CLIMBS, abs=1.5)
+
+
+@pytest.mark.parametrize("timed", [True, False], ids=["by elapsed time", "by speed"])
+def test_edges_of_valhalla_have_mean_heights(read, timed):
+    legs = read(samples.valhalla_edges(timed))
+    assert legs.length == pytest.approx(samples.LENGTHS)
+    assert legs.duration == pytest.approx(samples.DURATIONS)
+    assert legs.height_known.tolist() == [True, True, True, False]  # 32768 of the last is unknown
+    assert legs.climb[2] > 30.0
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        samples.osrm(annotated=False, steps=False),
+        samples.openrouteservice(units="mi", steps=False),
+        {"paths": [{"distance": samples.TOTAL, "time": 1000 * samples.DURATION}]},
+        {
+            "trip": {
+                "legs": [{"summary": {"length": samples.TOTAL / 1000, "time": samples.DURATION}}]
+            }
+        },
+    ],
+    ids=["osrm", "openrouteservice", "graphhopper", "valhalla"],
+)
+def test_without_steps_the_route_is_one_leg(read, answer):
+    legs = read(answer)
+    assert legs.length == pytest.approx([samples.TOTAL])
+    assert legs.duration == pytest.approx([samples.DURATION])
+
+
+def test_edges_of_a_service_are_no_finer_than_its_steps(read):
+    """An edge has the speed of its class of road: that a driver is as steady is not said."""
+    fine = samples.osrm()
+    given = fine["routes"][0]["legs"][0]["annotation"]
+    for name in ("distance", "duration"):
+        given[name] = np.repeat(np.array(given[name]) / 20, 20).tolist()
+    edges, steps = read(fine), read(samples.osrm(annotated=False))
+    assert edges.duration.min() >= 60.0
+    fine_one, coarse = (
+        forecast_plan(each, vehicle_model(load_vehicle("bmw_i3")), Weather(1.2))
+        for each in (edges, steps)
+    )
+    assert fine_one.energy[-1] == pytest.approx(coarse.energy[-1], rel=0.05)
+    assert fine_one.sigma[-1] == pytest.approx(coarse.sigma[-1], rel=0.1)
+
+
+def test_a_part_without_duration_belongs_to_the_next(read):
+    """As Valhalla rounds short maneuvers; the whole keeps its length."""
+    answer = samples.valhalla()
+    maneuvers = answer["trip"]["legs"][0]["maneuvers"]
+    maneuvers.insert(0, {"length": 0.1, "time": 0})
+    maneuvers.append({"length": 0.02, "time": 0})
+    legs = read(answer)
+    assert legs.length == pytest.approx([500.0, 800.0, 5000.0, 1820.0])
+    assert legs.duration == pytest.approx(samples.DURATIONS)
+
+
+def test_legs_of_several_waypoints_follow_each_other(read):
+    answer = samples.valhalla()
+    (leg,) = answer["trip"]["legs"]
+    answer["trip"]["legs"] = [leg, deepcopy(leg)]
+    legs = read(answer)
+    assert legs.length == pytest.approx(samples.LENGTHS * 2)
+    assert legs.climb[5:7].sum() == pytest.approx(CLIMBS[1:3].sum(), abs=3.0)
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        ({"code": "NoRoute", "message": "Impossible route"}, "no route: Impossible route"),
+        ({"error_code": 442, "error": "No path could be found", "status_code": 400}, "No path"),
+        ({"error": {"code": 2010, "message": "no routable point"}}, "no route: no routable point"),
+        ({"message": "Cannot find point 2", "hints": []}, "no route: Cannot find point 2"),
+        ({"routes": [], "code": "Ok"}, "there is no route in this answer"),
+        ({"durations": [[0.0, 9.0]], "code": "Ok"}, "there is no route in this answer"),
+        ({"vehicle": "bmw_i3"}, "known are GeoJSON and the answers of Valhalla"),
+        ({"routes": [{"legs": [{"steps": []}]}]}, "lacks 'distance'"),
+        ({"routes": [{"legs": [{"distance": "x", "duration": 3}]}]}, "JSON is damaged"),
+        ({"routes": [{"legs": [{"distance": 9.0, "duration": 0}]}]}, "takes no time"),
+        ({"routes": [{"legs": [{"distance": 9e3, "duration": 2}]}]}, "lengths in m, durations"),
+        ({"routes": [{"legs": [{"distance": 9.0, "duration": 900}]}]}, "drives 0.01 m/s"),
+        ({"routes": [{"legs": [{"distance": 1e400, "duration": 900}]}]}, "above 120960 km"),
+        ({"routes": [{"legs": [{"distance": 9.0, "duration": 1e400}]}]}, "a time is not finite"),
+        (
+            {
+                "trip": {
+                    "legs": [
+                        {
+                            "summary": {"length": 1e300, "time": 9},
+                            "elevation": [1, 2],
+                            "elevation_interval": 1e300,
+                        }
+                    ]
+                }
+            },
+            "above 120960 km",
+        ),
+        ({"paths": [{"distance": 9.0, "time": 9, "points": "~"}]}, "polyline is damaged"),
+        ({"trip": {"units": "furlongs", "legs": []}}, "lacks 'furlongs'"),
+        ('{"routes": [', "JSON is damaged"),
+        ('{"routes": ' + "[" * 100_000, "JSON is damaged"),
+    ],
+)
+def test_what_is_no_route_is_refused_with_the_reason(read, answer, reason):
+    with pytest.raises(PlanError, match=reason) as error:
+        read(answer, "route.json")
+    assert "route.json: " in str(error.value) and "\n" not in str(error.value)
+
+
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(kind=st.sampled_from(sorted(ANSWERS)), seed=st.integers(0, 10**6))
+def test_a_damaged_answer_is_legs_or_an_input_error(tmp_path, kind, seed):
+    path = tmp_path / "route.json"
+    path.write_bytes(mutate_json(json.dumps(ANSWERS[kind][0]).encode(), Random(seed)))
+    with suppress(InputError):
+        legs = read_plan(path)
+        assert np.isfinite(legs.length).all() and (legs.duration > 0).all()
+
+
+def test_a_polyline_is_that_of_its_documentation():
+    """The example of Google's page on the algorithm."""
+    places = decode_polyline("_p~iF~ps|U_ulLnnqC_mqNvxq`@", 1e5, 2)
+    assert places.tolist() == [[38.5, -120.2], [40.7, -120.95], [43.252, -126.453]]
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-400, 9000)), min_size=1
+    ),
+    st.sampled_from([1e5, 1e6]),
+    st.sampled_from([2, 3]),
+)
+def test_a_polyline_comes_back(points, scale, dimensions):
+    rows = [point[:dimensions] for point in points]
+    scales = [scale, scale, 100.0][:dimensions]
+    found = decode_polyline(samples.encoded(rows, scales), scale, dimensions)
+    np.testing.assert_allclose(found, rows, atol=0.51 / min(scales[-1], scale), rtol=0)
+
+
+@settings(max_examples=25)
+@given(st.text(max_size=40), st.sampled_from([2, 3]))
+def test_any_text_is_a_polyline_or_refused(text, dimensions):
+    with suppress(PlanError):
+        assert decode_polyline(text, 1e5, dimensions).shape[1] == dimensions
+
+
+def test_a_polyline_that_is_too_long_is_refused():
+    with pytest.raises(PlanError, match="more than 800000 characters"):
+        decode_polyline("?" * 800_001, 1e5, 2)

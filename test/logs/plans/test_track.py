@@ -1,0 +1,165 @@
+"""GPX and GeoJSON: places with times or speeds become legs, others are refused."""
+
+from contextlib import suppress
+import math
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.energy.plan import PlanError
+from evpinn_ros.logs.plans import read_plan
+from evpinn_ros.logs.plans.way import way_length
+
+DEGREE = math.radians(1.0) * 6_371_008.8  # m of a meridian
+SECONDS = [0, 20, 20, 45, 105]  # one point twice, then a stop
+NORTH = [0.0, 400.0, 400.0, 900.0, 900.0]  # m
+CLOCK = [f"2024-05-01T10:{t // 60:02d}:{t % 60:02d}Z" for t in SECONDS]
+HEIGHTS = [500.0, 504.0, 504.0, 509.0, 509.0]
+
+
+def gpx(times=CLOCK, heights=HEIGHTS, speeds=None, kind="trk", version="1.1"):
+    """Points to the north, one element a line, as watches and route services write them."""
+    points = []
+    for i, north in enumerate(NORTH):
+        inner = f"<ele>{heights[i]}</ele>" if heights else ""
+        inner += f"<time>{times[i]}</time>" if times and times[i] else ""
+        if speeds and version == "1.0":
+            inner += f"<speed>{speeds[i]}</speed>"
+        elif speeds:
+            inner += (f"<extensions><gpxtpx:TrackPointExtension><gpxtpx:speed>{speeds[i]}"
+                      "</gpxtpx:speed></gpxtpx:TrackPointExtension></extensions>")  # fmt: skip
+        point = "rtept" if kind == "rte" else "trkpt"
+        points.append(f'<{point} lat="{48 + north / DEGREE:.8f}" lon="11.5">{inner}</{point}>')
+    body = "\n".join(points)
+    body = f"<rte>{body}</rte>" if kind == "rte" else f"<trk><trkseg>{body}</trkseg></trk>"
+    number = version.replace(".", "/")
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<gpx version="{version}" creator="test" '
+        f'xmlns="http://www.topografix.com/GPX/{number}" '
+        'xmlns:gpxtpx="http://www.garmin.com/xmlschemas/TrackPointExtension/v2">'
+        f'<wpt lat="0" lon="0"><name>not of the track</name></wpt>{body}</gpx>'
+    )
+
+
+def geojson(kind="Feature", **properties):
+    line = [[11.5, 48 + north / DEGREE, z] for north, z in zip(NORTH, HEIGHTS, strict=True)]
+    geometry = {"type": "LineString", "coordinates": line}
+    feature = {"type": "Feature", "properties": properties, "geometry": geometry}
+    if kind == "FeatureCollection":
+        house = {"type": "Feature", "properties": None,
+                 "geometry": {"type": "Point", "coordinates": [0.0, 0.0]}}  # fmt: skip
+        return {"type": kind, "features": [house, feature]}
+    return feature if kind == "Feature" else geometry
+
+
+MILLIS = [1_714_557_600_000 + 1000 * t for t in SECONDS]
+TRACKS = {
+    "gpx 1.1": gpx(),
+    "gpx 1.0": gpx(version="1.0"),
+    "route of gpx": gpx(kind="rte"),
+    "gpx in utf-16": gpx().replace("UTF-8", "UTF-16").encode("utf-16"),
+    "gpx of a zone": gpx([each.replace("Z", ".000+00:00") for each in CLOCK]),
+    "gpx without a zone": gpx([each.rstrip("Z") for each in CLOCK]),
+    "coordTimes": geojson(coordTimes=CLOCK),
+    "times, ms since 1970": geojson("FeatureCollection", times=MILLIS),
+    "times, s": geojson(times=SECONDS),
+    "coordinateProperties": geojson(coordinateProperties={"times": CLOCK}),
+}
+
+
+@pytest.mark.parametrize("track", TRACKS.values(), ids=TRACKS)
+def test_places_with_times_are_legs_from_each_to_the_next(read, track):
+    legs = read(track)
+    assert legs.length == pytest.approx([400.0, 500.0, 0.0], abs=0.01)  # the last is a stop
+    assert legs.duration == pytest.approx([20.0, 25.0, 60.0])
+    assert legs.climb == pytest.approx([4.0, 5.0, 0.0], abs=1.0)
+    assert legs.height_known.all()
+
+
+def test_with_speeds_no_times_are_needed(read):
+    speeds = [10.0, 30.0, 30.0, 20.0, 20.0]
+    old, new = (gpx(times=None, speeds=speeds, version=each) for each in ("1.0", "1.1"))
+    for track in (old, new, geojson(speeds=speeds)):
+        legs = read(track)
+        assert legs.length == pytest.approx([400.0, 500.0], abs=0.01)
+        assert legs.duration == pytest.approx([20.0, 20.0], abs=0.01)
+    with pytest.raises(PlanError, match="no times, and its speed is 0 from point 2 on"):
+        read(gpx(times=None, speeds=[10.0, 10.0, 0.0, 0.0, 0.0]))
+
+
+def test_points_without_a_time_lie_on_the_way_to_the_next(read):
+    legs = read(gpx([None, CLOCK[1], None, None, CLOCK[4]]))
+    assert legs.length == pytest.approx([500.0], abs=0.01)
+    assert legs.duration == pytest.approx([85.0])
+
+
+def test_a_track_without_heights_says_so(read):
+    legs = read(gpx(heights=None))
+    assert not legs.height_known.any() and not legs.climb.any()
+
+
+def test_a_height_that_leaps_adds_no_hill(read):
+    leaping = [0.0, 0.0, 0.0, 505.0, 505.0]
+    assert abs(read(gpx(heights=leaping)).climb).max() < 1.0
+
+
+def test_the_track_with_times_is_taken_where_a_route_stands_beside_it(read):
+    """As GraphHopper writes both."""
+    route = gpx(times=None, kind="rte").partition("</wpt>")[2].removesuffix("</gpx>")
+    assert read(gpx().replace("</wpt>", f"</wpt>{route}")).duration.sum() == pytest.approx(105.0)
+
+
+def test_lines_of_an_interrupted_recording_are_one_track(read):
+    whole = geojson()["geometry"]["coordinates"]
+    geometry = {"type": "MultiLineString", "coordinates": [whole[:2], whole[2:]]}
+    properties = {"coordinateProperties": {"times": [CLOCK[:2], CLOCK[2:]]}}
+    data = {"type": "Feature", "properties": properties, "geometry": geometry}
+    assert read(data).duration == pytest.approx([20.0, 25.0, 60.0])
+
+
+@pytest.mark.parametrize(
+    ("track", "reason"),
+    [
+        (gpx(times=None), "neither times nor speeds"),
+        (geojson("LineString"), "neither times nor speeds"),
+        (gpx(CLOCK[::-1]), "time goes back at point 1"),
+        (gpx([CLOCK[0]] * 5), "takes no time"),
+        (gpx(["soon"] * 5), "'soon' is no time of ISO 8601"),
+        (gpx().replace('lat="48', 'lat="148'), "not on Earth"),
+        (gpx(times=None, speeds=[200.0] * 5), "faster than 100 m/s"),
+        (gpx()[:-200], "its XML is damaged"),
+        ("<kml><Placemark/></kml>", "XML that is no GPX"),
+        ("<gpx/>", "no line of two points"),
+        ('<!DOCTYPE gpx [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><gpx>&b;</gpx>', "DOCTYPE"),
+        (geojson(times=SECONDS[1:]), "4 times for 5 points"),
+        ({"type": "FeatureCollection", "features": []}, "no line of two points"),
+        ({"type": "Feature", "geometry": None, "properties": None}, "no line of two points"),
+    ],
+)
+def test_what_is_no_track_is_refused_with_the_reason(read, track, reason):
+    with pytest.raises(PlanError, match=reason) as error:
+        read(track, "track.gpx")
+    assert "track.gpx: " in str(error.value)
+
+
+def test_a_degree_is_as_long_as_on_earth():
+    along = way_length(np.array([0.0, 1.0, 1.0]), np.array([60.0, 60.0, 61.0]))
+    assert np.diff(along) == pytest.approx([DEGREE / 2, DEGREE], rel=1e-4)
+
+
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.data())
+def test_damaged_gpx_is_legs_or_an_input_error(tmp_path, data):
+    content = bytearray(gpx(speeds=[1.0] * 5).encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content)))
+        content[at : at + data.draw(st.integers(0, 30))] = data.draw(st.binary(max_size=6))
+    path = tmp_path / "track.gpx"
+    path.write_bytes(content)
+    with suppress(InputError):
+        read_plan(path)

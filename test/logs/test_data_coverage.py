@@ -1,0 +1,136 @@
+"""What a recording holds, and which part of it the estimator can use."""
+
+import math
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+from evpinn_ros.bags.can_frames import FRAMES_TOPIC, encode_frame
+from evpinn_ros.bags.types import FRAME_TYPE
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.can.logs import LogFile
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.logs.contents import contents
+from evpinn_ros.logs.data_coverage import ReadingFlow, data_coverage
+from evpinn_ros.replays.run import span
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT.parent / "shared" / "data"
+START = 1_700_000_000 * NANOSECONDS
+
+
+def drive(speed_times, battery_times, speed=10.0):
+    stamped = [(t, SpeedReading(START + int(t * 1e9), speed)) for t in speed_times]
+    stamped += [(t, BatteryReading(START + int(t * 1e9), 400.0, -20.0)) for t in battery_times]
+    return [reading for _, reading in sorted(stamped, key=lambda pair: pair[0])]
+
+
+def seconds(found):
+    return [((a - START) / 1e9, (b - START) / 1e9) for a, b in found.spans]
+
+
+def test_spans_need_speed_and_battery_without_long_gaps():
+    tenths = [0.1 * i for i in range(1000)]
+    speeds = [t for t in tenths if not 20 < t < 25]
+    batteries = [t for t in tenths if t < 60]
+    found = data_coverage(drive(speeds, batteries))
+    assert seconds(found) == [(0.0, 20.0), pytest.approx((25.0, 59.9))]
+    assert found.moving == pytest.approx(54.9) and found.voltage == 400.0
+    assert found.flows["speed"].gaps == 1
+    assert found.flows["speed"].longest_gap == pytest.approx(5.0)
+    assert found.distance == pytest.approx(949.0)
+    assert "55 s can be used" in found.verdict
+
+
+VERDICTS = [
+    (drive([], [1, 2]), "no speed"),
+    (drive([1, 2], []), "no voltage"),
+    ([BatteryReading(START, math.nan, math.nan), SpeedReading(START, 1.0)], "no voltage"),
+    (drive(range(0, 900, 40), range(900)), "speed comes 0.025 times a second with gaps to 40 s"),
+    (drive(range(5), range(5)), "no 10 s with both"),
+    (drive(range(50), range(50), speed=0.0), "never moves"),
+    ([], "no speed"),
+]
+
+
+@pytest.mark.parametrize(("readings", "words"), VERDICTS)
+def test_why_nothing_can_be_learned(readings, words):
+    assert words in data_coverage(readings).verdict
+
+
+@given(st.lists(st.integers(0, 10**12)))
+def test_a_flow_takes_any_stamps(stamps):
+    flow = ReadingFlow()
+    for stamp in stamps:
+        flow.add(stamp)
+    assert flow.count == len(stamps)
+    assert len(flow.all_runs()) == (flow.gaps + 1 if stamps else 0)
+    assert all(begin <= end for begin, end in flow.all_runs())
+
+
+def test_voltage_and_current_have_stamps_of_their_own():
+    """As a phone polls them: one after the other, each every 1.2 s."""
+    steps = [1.2 * i for i in range(200)]
+    polled = [(t, SpeedReading(START + int(t * 1e9), 8.0)) for t in steps]
+    polled += [
+        (t + 0.4, BatteryReading(START + int((t + 0.4) * 1e9), 390.0, math.nan)) for t in steps
+    ]
+    late = [t + 0.8 for t in steps if not 100 < t < 150]
+    polled += [(t, BatteryReading(START + int(t * 1e9), math.nan, -20.0, 0.5)) for t in late]
+    found = data_coverage(reading for _, reading in sorted(polled, key=lambda pair: pair[0]))
+    assert [flow.count for flow in found.flows.values()] == [200, 200, len(late), len(late)]
+    assert len(found.spans) == 2 and found.seconds == pytest.approx(238 - 50, abs=3)
+    assert found.charge == (0.5, 0.5)
+
+
+def test_a_signal_every_five_seconds_is_bridged_over_its_own_steps():
+    times = [5.0 * i for i in range(100) if i not in (40, 41) and not 60 <= i < 70]
+    found = data_coverage(drive(times, times))
+    assert seconds(found) == [(0.0, 295.0), (350.0, 495.0)]
+    assert found.distance == pytest.approx(10 * (295 + 145))
+
+
+def test_a_part_of_a_drive():
+    readings = drive([0.5 * i for i in range(100)], [])
+    part = list(span(iter(readings), 10.0, 5.0))
+    assert [(r.stamp_ns - START) / 1e9 for r in part] == [10.0 + 0.5 * i for i in range(10)]
+    assert list(span(iter(readings), 0.0, None)) == readings
+    assert list(span(iter(readings), 49.0, None)) == readings[98:]
+    assert list(span(iter(readings), 60.0, 1.0)) == []
+    endless = span(iter([*readings[:4], *drive([100], []), *[None] * 9]), 0.0, 1.0)
+    assert len(list(endless)) == 2  # reading ends behind the part
+
+
+def test_a_bag():
+    found = contents(ROOT / "bags" / "urban")
+    assert found.kind == "bag" and found.profile is None and not found.notes
+    speed = next(topic for topic in found.topics if topic.name == "/ev/vehicle/speed")
+    assert speed.flow.rate == pytest.approx(10, abs=0.1) and speed.flow.count == 3595
+    assert found.drive.seconds == pytest.approx(360, abs=1)
+
+
+def test_a_bag_of_nothing_of_ours(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        for i in range(3):
+            writer.write_raw("/odd", "std_msgs/msg/String", b"not even CDR", START + i)
+    found = contents(tmp_path / "bag")
+    assert [(topic.name, topic.flow.count) for topic in found.topics] == [("/odd", 3)]
+    assert found.drive is None and "none of the topics" in found.notes[0]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
+@pytest.mark.nightly
+def test_a_can_log_and_a_bag_of_its_frames(tmp_path):
+    log = DATA / "can" / "nissan_leaf_62kwh" / "EV-CANeplus2.candump.log"
+    with BagWriter(tmp_path / "bag") as writer:
+        for frame in LogFile(log).frames():
+            if len(frame.data) <= 8:
+                data = encode_frame(frame)
+                writer.write_raw(f"/ev/{FRAMES_TOPIC}", FRAME_TYPE, data, frame.stamp_ns)
+    for path in (log, tmp_path / "bag"):
+        found = contents(path)
+        assert (found.profile, found.vehicles) == ("nissan_leaf", ("nissan_leaf",))
+        assert found.drive.seconds == pytest.approx(19, abs=0.5)

@@ -1,0 +1,83 @@
+"""A log of a day is split into its trips."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.signals.readings import SpeedReading
+from evpinn_ros.logs.sources import open_drive
+from evpinn_ros.logs.trips import joined, split, trips_of
+
+HEADER = "t_s,speed_mps,voltage_v,current_a\n"
+
+
+def rows(begin: float, seconds: int, speed: float, current: float) -> str:
+    times = begin + np.arange(seconds)
+    return "".join(f"{time},{speed},350,{current}\n" for time in times)
+
+
+@pytest.fixture
+def day(tmp_path: Path) -> Path:
+    """Two drives with an hour of charging between them, and a third after a night without rows."""
+    path = tmp_path / "day.csv"
+    text = rows(0, 300, 10.0, 20.0) + rows(300, 3600, 0.0, -10.0) + rows(3900, 300, 10.0, 20.0)
+    path.write_text(HEADER + text + rows(40_000, 300, 10.0, 20.0), encoding="utf-8")
+    return path
+
+
+def test_trips_end_where_the_car_charges_and_where_the_log_pauses(day: Path) -> None:
+    trips, charged = split(open_drive(day))
+    assert [trip.path.name for trip in trips] == ["day:1", "day:2", "day:3"]
+    assert charged == pytest.approx(3600 * 3500.0, rel=0.01)
+    for trip in trips:
+        speeds = [r for r in trip.readings() if isinstance(r, SpeedReading)]
+        assert sum(one.speed > 0 for one in speeds) == 300
+        assert len(speeds) < 370  # half a minute of standing at either end
+
+
+def test_a_log_of_one_trip_stays_whole(tmp_path: Path) -> None:
+    path = tmp_path / "one.csv"
+    path.write_text(HEADER + rows(0, 300, 10.0, 20.0) + rows(300, 3600, 0.0, -10.0))
+    log = open_drive(path)
+    assert split(log) == ([log], 0.0)
+
+
+def test_red_lights_and_manoeuvres_are_no_trips(tmp_path: Path) -> None:
+    path = tmp_path / "town.csv"
+    text = rows(0, 300, 10.0, 20.0) + rows(300, 200, 0.0, 2.0) + rows(500, 300, 10.0, 20.0)
+    text += rows(800, 900, 0.0, 2.0) + rows(1700, 20, 2.0, 5.0)
+    path.write_text(HEADER + text)
+    assert len(trips_of(open_drive(path).readings()).found) == 1
+
+
+def torn(folder: Path, *begins: int, header: str = "time") -> list[Path]:
+    """Files of 100 s each, which begin at these s of a day."""
+    paths = []
+    for number, begin in enumerate(begins):
+        path = folder / f"part{number}.csv"
+        clock = 1_700_000_000 if header == "time" else 0
+        path.write_text(HEADER.replace("t_s", header) + rows(clock + begin, 100, 10.0, 20.0))
+        paths.append(path)
+    return paths
+
+
+def test_a_drive_torn_into_files_is_one_again(tmp_path: Path) -> None:
+    paths = torn(tmp_path, 0, 103, 300, 2000)
+    logs = joined([open_drive(path) for path in paths])
+    assert [log.path for log in logs] == [paths[0], paths[3]], "the last begins after half an hour"
+    assert logs[0].seconds == pytest.approx(3 * 99.0)
+    alone = [reading for path in paths[:3] for reading in open_drive(path).readings()]
+    assert repr(list(logs[0].readings())) == repr(alone)
+    trips, _ = split(logs[0])
+    assert trips == [logs[0]]
+
+
+def test_files_of_unknown_days_are_not_joined(tmp_path: Path) -> None:
+    paths = torn(tmp_path, 0, 103, header="t_s")
+    assert [log.path for log in joined([open_drive(path) for path in paths])] == paths
+
+
+def test_a_file_that_begins_before_the_last_one_ended_is_another_drive(tmp_path: Path) -> None:
+    paths = torn(tmp_path, 0, 50)
+    assert len(joined([open_drive(path) for path in paths])) == 2
