@@ -49,7 +49,7 @@ setup(
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed", "__init__.pyi"],
-        f"{NAME}.energy": ["rknn_weights.npz"],
+        f"{NAME}.core.energy": ["rknn_weights.npz"],
         f"{NAME}.report": ["browser/*.*", "browser/uplot/*", "templates/*"],
     },
     data_files=[

@@ -73,7 +73,7 @@ def test_choices_and_defaults_are_those_of_the_cores():
         ("time_jump_policy", JumpPolicy),
     ):
         assert set(estimator[name].choices) == {member.value for member in kind}
-    assert estimator["mode"].default == EstimatorSettings.mode.value
+    assert estimator["mode"].default == EstimatorSettings().mode.value
     assert estimator["regen_form"].default == settings.regen_form.value
     assert estimator["paper_optimizer"].default == settings.optimizer.value
     assert estimator["grade_source"].default == settings.stream.grade_source.value

@@ -8,7 +8,6 @@ from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.experiment import Experiment, Settings
 from evpinn_ros.extras.paper.optimizer_name import OptimizerName
 from evpinn_ros.extras.paper.page import write_reproduction
-from test.report.conftest import browser  # noqa: F401
 
 pytestmark = pytest.mark.torch
 
