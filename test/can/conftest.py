@@ -18,9 +18,9 @@ from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.core.signals.readings import BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
-from evpinn_ros.core.vehicle.files import load_vehicle
 from test.waiting import HANG_S
 
 CONFIG = share_directory() / "config" / "can"

@@ -15,11 +15,12 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.core.signals.readings import SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.bus_sources import CanLogSource, open_can_log
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_source
 from evpinn_ros.nodes.recorder import FLUSH_PERIOD, RecorderNode
-from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import stamp_ns
 from test.nodes.processes import all_in_one, started
