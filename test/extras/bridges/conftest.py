@@ -15,8 +15,8 @@ from typing import Any
 import paho.mqtt.client as mqtt
 import pytest
 
-from evpinn_ros.extras.bridges.broker import BrokerSettings, Connection
 from evpinn_ros.extras.bridges.bridge import BridgeSettings, MqttBridge
+from evpinn_ros.extras.bridges.broker import BrokerSettings, Connection
 from test.waiting import HANG_S, wait_until
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")

@@ -15,14 +15,14 @@ import sys
 import numpy as np
 import pytest
 
-from evpinn_ros.extras.bridges.broker import IN_FLIGHT, BrokerSettings, Connection
-from evpinn_ros.extras.bridges.layouts import read_layout
-from evpinn_ros.extras.bridges.bridge import BridgeSettings, MqttBridge
-from evpinn_ros.extras.bridges.mqtt import credentials, split_address
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.extras.bridges.bridge import BridgeSettings, MqttBridge
+from evpinn_ros.extras.bridges.broker import IN_FLIGHT, BrokerSettings, Connection
+from evpinn_ros.extras.bridges.layouts import read_layout
+from evpinn_ros.extras.bridges.mqtt import credentials, split_address
 from test.extras.bridges.conftest import Broker, Client
 from test.extras.bridges.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
 from test.waiting import wait_until

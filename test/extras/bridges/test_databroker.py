@@ -19,17 +19,17 @@ from typing import Any
 
 import pytest
 
-from evpinn_ros.extras.bridges.car import BridgedCar
-from evpinn_ros.extras.bridges.databroker import INPUTS, METRES, OUTPUTS, DatabrokerFeed, signals
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.extras.bridges.car import BridgedCar
+from evpinn_ros.extras.bridges.databroker import INPUTS, METRES, OUTPUTS, DatabrokerFeed, signals
 from test.extras.bridges.published_topics import VEHICLE, drive, energy
 from test.waiting import wait_until
 
 pytestmark = pytest.mark.slow
 
-OVERLAY = Path(__file__).resolve().parents[2] / "config" / "vss" / "evpinn.vspec"
+OVERLAY = Path(__file__).resolve().parents[3] / "config" / "vss" / "evpinn.vspec"
 BATTERY = "Vehicle.Powertrain.TractionBattery"
 
 # The part of VSS that the bridge uses: names, types and units as in its repository.
