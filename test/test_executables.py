@@ -5,9 +5,10 @@ import re
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
+
+from test.waiting import HANG_S, wait_until
 
 pytestmark = pytest.mark.build
 
@@ -23,28 +24,28 @@ def hears(process: subprocess.Popen, number: signal.Signals) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("command", "number", "delay"),
+    ("command", "number", "library"),
     [
-        (ESTIMATOR, signal.SIGINT, 0.0),
-        (ESTIMATOR, signal.SIGTERM, 0.3),
-        (ESTIMATOR, signal.SIGINT, 0.7),
-        (ESTIMATOR, signal.SIGHUP, 0.2),
-        (RUN, signal.SIGTERM, 0.0),
-        (RUN, signal.SIGINT, 0.2),
-        (RUN, signal.SIGTERM, 1.0),
+        (ESTIMATOR, signal.SIGINT, ""),
+        (ESTIMATOR, signal.SIGTERM, "_rclpy_pybind11"),
+        (ESTIMATOR, signal.SIGINT, "_multiarray_umath"),
+        (ESTIMATOR, signal.SIGHUP, "typesupport_introspection"),
+        (RUN, signal.SIGTERM, ""),
+        (RUN, signal.SIGINT, "_umath_linalg"),
+        (RUN, signal.SIGTERM, "libfastdds"),
     ],
 )
-def test_a_signal_ends_a_process_that_still_starts(command, number, delay):
+def test_a_signal_ends_a_process_that_still_starts(command, number, library):
+    """As soon as it hears signals, and where it has just loaded some library."""
     process = subprocess.Popen(
         [sys.executable, *command], cwd=ROOT, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
     try:
-        while not hears(process, signal.SIGTERM):  # Python itself has none for this one
-            assert process.poll() is None, process.stderr.read()
-            time.sleep(0.005)
-        time.sleep(delay)
+        maps = Path(f"/proc/{process.pid}/maps")
+        # Python itself has no handler for this one.
+        wait_until(lambda: hears(process, signal.SIGTERM) and library in maps.read_text())
         process.send_signal(number)
-        _, said = process.communicate(timeout=20)
+        _, said = process.communicate(timeout=HANG_S)
         assert process.returncode == 0
         assert all(line.startswith(b"[INFO]") for line in said.splitlines()), said
     finally:

@@ -25,20 +25,14 @@ NOT_YET = frozenset(
     {
         "conftest.py",
         "ros2_bag.py",
-        "test_apart.py",
-        "test_bombs.py",
         "test_can.py",
         "test_drive_report.py",
-        "test_executables.py",
         "test_fleet.py",
         "test_foxglove.py",
         "test_live_view.py",
         "test_shell.py",
         "test_stopped.py",
         "test_supervision.py",
-        "test_table_costs.py",
-        "test_upstream.py",
-        "test_worker.py",
     }
 )
 """Names of files that still depend on time; the list only shrinks."""

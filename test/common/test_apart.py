@@ -5,13 +5,13 @@ import pytest
 from evpinn_ros.common import apart
 
 PROGRAM = """
-import os, sys, time
+import os, sys, threading
 
 def copy(path, out):
     out.write_bytes(path.read_bytes())
 
-def sleep(path, out):
-    time.sleep(60)
+def wait(path, out):
+    threading.Event().wait()
 
 def turn(path, out):
     while True:
@@ -41,7 +41,7 @@ def leave(path, out):
     ("function", "said"),
     [
         ("copy", None),
-        ("sleep", "not read within 3 s"),
+        ("wait", "not read within 3 s"),
         ("turn", "takes more than 1 s to read"),
         ("fill", "takes more than 160 MiB to read"),
         ("write", "File too large"),
@@ -54,10 +54,10 @@ def test_whatever_a_parser_does_is_one_line(tmp_path, monkeypatch, function, sai
     (tmp_path / "parsers.py").write_text(PROGRAM)
     (tmp_path / "in").write_text("abc")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    if function in ("sleep", "turn"):
+    if function in ("wait", "turn"):
         limits = apart.ParserLimits(1 << 30, 1 << 30, 1)
         monkeypatch.setattr(apart.ParserLimits, "of", lambda _: limits)
-        monkeypatch.setattr(apart, "PATIENCE", 3.0 if function == "sleep" else 60.0)
+        monkeypatch.setattr(apart, "PATIENCE", 3.0 if function == "wait" else 60.0)
     if function == "turn":  # the other process asks for itself
         (tmp_path / "sitecustomize.py").write_text(
             "import resource; resource.setrlimit(resource.RLIMIT_CPU, (1, 1))"

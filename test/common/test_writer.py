@@ -12,6 +12,7 @@ from evpinn_ros.common import writer
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.writer import DRAFT, check_outputs, claimed, replaced
 from evpinn_ros.core.estimation.state_file import Half, read_half, read_state, write_halves
+from test.waiting import wait_until
 
 
 def names(folder):
@@ -136,25 +137,36 @@ WRITER = """
 import sys
 from pathlib import Path
 from evpinn_ros.core.estimation.state_file import Half, write_halves
-half, count = Half(sys.argv[2]), int(sys.argv[3])
-for number in range(1, count + 1):
-    write_halves(Path(sys.argv[1]), {half: {"number": number, "bulk": [number] * 2000}})
+path, half, number = Path(sys.argv[1]), Half(sys.argv[2]), 0
+while not path.with_name("stop").exists():
+    number += 1
+    write_halves(path, {half: {"number": number, "bulk": [number] * 2000}})
+print(number)
 """
 
 
 @pytest.mark.slow
 def test_two_processes_tear_and_lose_nothing(tmp_path):
-    path, count = tmp_path / "car.json", 60
+    path, stop = tmp_path / "car.json", tmp_path / "stop"
     command = [sys.executable, "-c", WRITER, str(path)]
-    processes = [subprocess.Popen([*command, half.value, str(count)]) for half in Half]
-    reads = 0
-    while any(process.poll() is None for process in processes):
-        state = read_state(path) or {}
-        reads += 1
-        for half in state.values():
+    processes = [
+        subprocess.Popen([*command, half.value], stdout=subprocess.PIPE, text=True)
+        for half in Half
+    ]
+
+    def both_have_written_often():
+        halves = (read_state(path) or {}).values()
+        for half in halves:
             assert set(half["bulk"]) == {half["number"]}
-    assert [process.returncode for process in processes] == [0, 0] and reads > 10
-    assert [read_half(path, half)[0]["number"] for half in Half] == [count, count]
+        return [half["number"] >= 60 for half in halves] == [True, True]
+
+    try:
+        wait_until(both_have_written_often, meanwhile=lambda: None)
+    finally:
+        stop.touch()
+        counts = [int(process.communicate()[0]) for process in processes]
+    assert [read_half(path, half)[0]["number"] for half in Half] == counts
+    stop.unlink()
     assert names(tmp_path) == ["car.json"]
 
 

@@ -25,6 +25,7 @@ from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.report.drive_page import ReportedDrive
+from test.waiting import wait_until
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 PATIENCE = 60.0  # s for an answer: other tests run beside this one
@@ -77,7 +78,12 @@ class Browser:
         self.call("Emulation.setEmulatedMedia", features=[scheme])
         self.call("Page.navigate", url=page.as_uri())
         self.wait_for("document.readyState === 'complete'")
-        self.run("new Promise(done => requestAnimationFrame(() => setTimeout(done, 100)))")
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until what came before is drawn: whoever draws asks for a frame or two."""
+        for _ in range(4):
+            self.run("new Promise(requestAnimationFrame)")
 
     def run(self, expression: str) -> Any:
         """The value of an expression in the page, awaited."""
@@ -88,10 +94,7 @@ class Browser:
         return answer["result"].get("value")
 
     def wait_for(self, expression: str) -> None:
-        end = time.monotonic() + PATIENCE
-        while not self.run(expression):
-            assert time.monotonic() < end, expression
-            time.sleep(0.05)
+        wait_until(lambda: self.run(expression), report=lambda: expression)
 
     def drag(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
         """Press the mouse, move, let go."""
@@ -147,7 +150,7 @@ class Browser:
         os.close(self._to)
         os.close(self._from)
         self._process.terminate()
-        self._process.wait(30)
+        self._process.wait()
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,6 @@ INKED = """Array.from(document.querySelectorAll('canvas'), canvas => {
 })"""
 AS_PNG = "Array.from(document.querySelectorAll('canvas'), canvas => canvas.toDataURL())"
 WIDTHS = "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
-SETTLED = "new Promise(done => setTimeout(done, 200))"
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +63,7 @@ def zoom(browser, plot: str, begin: float, end: float) -> None:
     left, top, width, height = box(browser, plot)
     y = top + height / 2
     browser.drag((left + begin * width, y), (left + end * width, y))
-    browser.run(SETTLED)
+    browser.settle()
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
@@ -106,7 +105,7 @@ def test_to_zoom_one_curve_zooms_all_over_time_and_back(browser, page):
     # Four maps and plots of errors, and energy by speed, stay; the rest follows.
     assert changed.count(False) == 5 and len(changed) == 18
     browser.run("document.querySelector('button').click()")
-    browser.run(SETTLED)
+    browser.settle()
     assert not any(differ(before, pictures(browser)))
     assert browser.troubles == []
 
@@ -126,7 +125,7 @@ def test_a_stretch_has_its_own_figures(browser, reported, page):
         over = known.distance.sum() / 1e5
         assert consumption * over == pytest.approx(kwh, rel=0.03, abs=0.001)
     browser.run("document.querySelector('button').click()")
-    browser.run(SETTLED)
+    browser.settle()
     assert stretch(browser) == whole and browser.troubles == []
 
 
@@ -152,7 +151,7 @@ def stretch(browser) -> list[float]:
 def test_values_show_under_the_cursor(browser, page):
     browser.open(page, width=1100)
     browser.run("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
-    browser.run(SETTLED)
+    browser.settle()
     for plot, words in (
         ("power", ("measured", "predicted", "to")),
         ("mass", ("truth", "prior", "%")),
@@ -162,14 +161,14 @@ def test_values_show_under_the_cursor(browser, page):
         left, top, width, height = box(browser, plot)
         where = {"x": left + 0.6 * width, "y": top + 0.5 * height}
         browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
-        browser.run(SETTLED)
+        browser.settle()
         text = browser.run(f"document.querySelector(\"[data-plot='{plot}']\").innerText")
         assert all(word in text for word in words), (plot, text)
         assert any(character.isdigit() for character in text)
     left, top, width, height = box(browser, "coverage")
     where = {"x": left + 2, "y": top + 0.5 * height}
     browser.call("Input.dispatchMouseEvent", type="mouseMoved", **where)
-    browser.run(SETTLED)
+    browser.settle()
     assert "0 to 5 km/h" in browser.run("document.querySelector('.readout').innerText")
     assert browser.troubles == []
 
@@ -203,7 +202,7 @@ def test_a_finger_zooms_sideways(browser, page):
     for kind, share in (("touchStart", 0.3), ("touchMove", 0.6), ("touchEnd", None)):
         at = [] if share is None else [{"x": left + share * width, "y": top + height / 2}]
         browser.call("Input.dispatchTouchEvent", type=kind, touchPoints=at)
-    browser.run(SETTLED)
+    browser.settle()
     assert differ(before, pictures(browser)).count(True) == 13
     assert browser.troubles == []
 
@@ -215,7 +214,7 @@ def test_a_drive_that_is_opened_later_is_drawn(browser, reported, tmp_path):
     assert len(browser.run(INKED)) == 18
     browser.run("document.querySelectorAll('[data-drive] > summary')[1].click()")
     browser.wait_for("document.querySelectorAll('canvas').length === 36")
-    browser.run(SETTLED)
+    browser.settle()
     assert min(browser.run(INKED)) > 5
     whole, seen = browser.run(WIDTHS)
     assert whole <= seen
@@ -243,9 +242,9 @@ def test_dark_pages_print_as_light_ones(browser, page):
     dark = pictures(browser)
     assert all(differ(light, dark))
     browser.run("dispatchEvent(new Event('beforeprint'))")
-    browser.run(SETTLED)
+    browser.settle()
     assert not any(differ(light, pictures(browser)))
     assert browser.run("document.querySelector('details').open")  # paper unfolds nothing
     browser.run("dispatchEvent(new Event('afterprint'))")
-    browser.run(SETTLED)
+    browser.settle()
     assert not any(differ(dark, pictures(browser)))

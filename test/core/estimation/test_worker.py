@@ -4,6 +4,7 @@ import pytest
 
 from evpinn_ros.core.estimation.worker import InlineWorker, ThreadWorker
 from evpinn_ros.core.signals.readings import NANOSECONDS
+from test.waiting import HANG_S, wait_until
 
 
 def ticking():
@@ -45,28 +46,26 @@ def test_inline_gives_its_result_once_and_counts_its_time():
 
 def test_a_stop_does_not_wait_for_the_update_under_way(thread_worker):
     worker, go, ran = thread_worker(), threading.Event(), threading.Event()
-    worker.submit(lambda: (go.wait(10.0), ran.set()))
+    worker.submit(lambda: (go.wait(HANG_S), ran.set()))
     worker.close()
     assert not ran.is_set()
     go.set()
-    assert ran.wait(10.0)
+    assert ran.wait(HANG_S)
 
 
 def test_a_thread_never_makes_the_caller_wait(thread_worker):
     worker, go, ran = thread_worker(), threading.Event(), threading.Event()
 
     def work() -> str:
-        assert go.wait(10.0)
+        assert go.wait(HANG_S)
         ran.set()
         return threading.current_thread().name
 
     worker.submit(work)
     assert worker.collect() is None
     go.set()
-    assert ran.wait(10.0)
-    result = None
-    while result is None:
-        result = worker.collect()
+    assert ran.wait(HANG_S)
+    result = wait_until(worker.collect)
     assert result.startswith("update") and worker.collect() is None
     assert list(worker.durations) == [1]
 
@@ -83,11 +82,11 @@ def test_cancelled_work_runs_out_unseen(thread_worker):
 
     def work() -> str:
         begun.set()
-        assert go.wait(10.0)
+        assert go.wait(HANG_S)
         return "unseen"
 
     worker.submit(work)
-    assert begun.wait(10.0)
+    assert begun.wait(HANG_S)
     worker.cancel()
     assert worker.collect() is None
     worker.submit(lambda: "seen")
@@ -139,7 +138,7 @@ def test_a_thread_that_is_waited_for_gives_the_numbers_of_a_replay(
 def test_updates_that_take_too_long_are_counted(new_estimator, play, thread_worker, readings):
     """The thread is held up: each second that passes is an overrun, and nothing else begins."""
     worker, go = thread_worker(), threading.Event()
-    worker.submit(lambda: go.wait(10.0))  # what the update has to wait for
+    worker.submit(lambda: go.wait(HANG_S))  # what the update has to wait for
     estimator = new_estimator(worker)
     play(estimator, readings)
     status = estimator.status()
@@ -148,7 +147,7 @@ def test_updates_that_take_too_long_are_counted(new_estimator, play, thread_work
     assert status.rejected["overrun"] >= 10
     assert set(status.rejected) == {"overrun"}
     go.set()
-    worker._executor.submit(int).result(10.0)  # the update is done before this
+    worker._executor.submit(int).result(HANG_S)  # the update is done before this
     last = readings[-1].stamp_ns
     later = [type(r)(last + NANOSECONDS, r.speed) for r in readings if hasattr(r, "speed")][:1]
     play(estimator, later)
