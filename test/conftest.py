@@ -42,6 +42,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # interrupts would have it from here.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Without a deadline for an example, which depends on the machine: pytest-timeout ends a hang.
+settings.register_profile("default", deadline=None)
+settings.load_profile("default")
 settings.register_profile("quick", settings.get_profile("ci"), max_examples=25)
 
 

@@ -72,14 +72,21 @@ def names_of_durations(node: ast.AST) -> set[str]:
 def short_timeout(call: ast.Call) -> float | None:
     """Returns the timeout of a blocking call in s where it could end a test that does not hang."""
     name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+    if name == "settings":  # of Hypothesis: ms for an example
+        values = [keyword.value for keyword in call.keywords if keyword.arg == "deadline"]
+        return next((0.001 * value.value for value in values if is_number(value)), None)
     if name not in BOUNDED and name != "wait_until":
         return None
     place = BOUNDED.get(name, 1)
     values = [keyword.value for keyword in call.keywords if keyword.arg == "timeout"]
     if place is not None and len(call.args) > place:
         values.append(call.args[place])
-    numbers = [node.value for node in values if isinstance(node, ast.Constant)]
-    return next((n for n in numbers if isinstance(n, int | float) and n < LEAST_S), None)
+    numbers = [ast.literal_eval(value) for value in values if is_number(value)]
+    return next((number for number in numbers if number < LEAST_S), None)
+
+
+def is_number(node: ast.AST) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, int | float)
 
 
 def files() -> list[Path]:
@@ -109,6 +116,7 @@ def test_no_test_depends_on_the_speed_of_the_machine() -> None:
         "assert 0.1 < elapsed",
         "took = time.perf_counter() - begin\nassert took < 1.0",
         "process.communicate(timeout=20)",
+        "settings(deadline=5000)",
         "thread.join(5)",
         "stop.wait(0.5)",
         "wait_until(lambda: lines, 20)",
@@ -126,6 +134,7 @@ def test_what_depends_on_time_is_found(source: str) -> None:
         'assert ", ".join(names) == "a, b"',
         "process.communicate(timeout=60)",
         "thread.join()",
+        "settings(deadline=None)",
         "assert frame.index.is_monotonic_increasing",
     ],
 )

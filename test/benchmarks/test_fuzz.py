@@ -68,7 +68,6 @@ def test_a_seed_is_sound(target, seeds, folder):
 @given(data=st.data())
 @settings(
     max_examples=EXAMPLES,
-    deadline=10_000,  # a hang is a failure too
     suppress_health_check=[*HealthCheck],
 )
 def test_damage_is_refused_in_one_line(target, seeds, folder, data):
@@ -79,7 +78,7 @@ def test_damage_is_refused_in_one_line(target, seeds, folder, data):
     "target", [target for target in TARGETS if target.mutate], ids=lambda t: t.name, indirect=True
 )
 @given(seed=st.integers(0, 2**32), turns=st.integers(1, 3))
-@settings(max_examples=EXAMPLES, deadline=10_000, suppress_health_check=[*HealthCheck])
+@settings(max_examples=EXAMPLES, suppress_health_check=[*HealthCheck])
 def test_damage_that_keeps_the_structure_is_refused_in_one_line(
     target, seeds, folder, seed, turns
 ):

@@ -66,7 +66,6 @@ def read(path):
 def anything_goes(test):
     return settings(
         max_examples=25,
-        deadline=5000,  # a hang is a failure too
         suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
     )(test)
 

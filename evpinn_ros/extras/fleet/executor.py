@@ -25,7 +25,8 @@ from evpinn_ros.common.errors import InputError, extra_needed, one_line, with_ki
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-PATIENCE = 10  # s for a cluster to answer and to have a worker
+PATIENCE = 10  # s for a cluster to answer
+WORKER_PATIENCE = 10  # s for a cluster to have a worker
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +116,7 @@ class DaskExecutor:
             why = f"no scheduler answers: {one_line(error)}"
             raise InputError(f"--scheduler {address}: {why}") from error
         try:
-            self._client.wait_for_workers(1, timeout=PATIENCE)
+            self._client.wait_for_workers(1, timeout=WORKER_PATIENCE)
         except asyncio.TimeoutError as error:
             self._client.close()
             raise InputError(

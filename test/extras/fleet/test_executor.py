@@ -14,6 +14,7 @@ import pytest
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.extras.fleet.executor import DaskExecutor, LocalExecutor
+from test.waiting import wait_until
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +68,7 @@ def test_a_worker_that_dies_costs_its_own_task_alone():
 
 def test_no_worker_at_the_address(monkeypatch):
     distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
-    monkeypatch.setattr("evpinn_ros.extras.fleet.executor.PATIENCE", 1)
+    monkeypatch.setattr("evpinn_ros.extras.fleet.executor.WORKER_PATIENCE", 1)
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as cluster,
         pytest.raises(InputError, match="has no worker"),
@@ -83,7 +84,7 @@ def test_what_does_not_answer_leaves_nothing_that_a_later_cluster_could_wait_for
         for address in (f"tcp://127.0.0.1:{silent.getsockname()[1]}", "tcp://127.0.0.1:1", "no"):
             with pytest.raises(InputError, match=r"no scheduler answers: ."):
                 DaskExecutor(address)
-    assert threading.active_count() == before
+    wait_until(lambda: threading.active_count() == before)
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
