@@ -28,8 +28,6 @@ NOT_YET = frozenset(
         "test_can.py",
         "test_drive_report.py",
         "test_fleet.py",
-        "test_foxglove.py",
-        "test_live_view.py",
         "test_shell.py",
         "test_stopped.py",
         "test_supervision.py",

@@ -24,6 +24,7 @@ from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.plans import speed_profile_plan
 from test.conftest import load_example
 from test.nodes.processes import started, stopped
+from test.waiting import HANG_S
 
 VEHICLE = load_vehicle("tesla_model_3_lr")
 
@@ -38,7 +39,7 @@ def start(bench):
     started = []
 
     def make(**parameters):
-        values = {"period": 0.5, "timeout": 4.0 if bench.nodes else 0.4, **parameters}
+        values = {"period": 0.5, "timeout": HANG_S if bench.nodes else 0.4, **parameters}
         options = {"namespace": NAMESPACE, "parameter_overrides": overrides(values)}
         node = EXAMPLE.EcoSpeedPlanner(**options)
         started.append(node)
@@ -159,7 +160,7 @@ def test_the_battery_at_the_end_is_shown_and_an_empty_one_told(bench, start, cap
 
 def test_a_battery_that_nobody_knows_does_not_stop_it(bench, start):
     bench.start(EnergyNode)
-    planner, chosen = start(timeout=1.0)
+    planner, chosen = start()
     chosen_name(bench, planner, chosen)
     assert all(math.isnan(answer.battery) for answer in planner.answers)
 
@@ -173,7 +174,7 @@ def test_without_an_energy_node_it_says_so_and_goes_on(bench, start, capfd):
     in_time = [each for each in planner.candidates if each.arrival <= 720.0]
     assert chosen[0].header.frame_id == max(in_time, key=lambda each: each.arrival).name
     start_energy(bench)
-    planner._timeout.timer_period_ns = 15 * NANOSECONDS  # a busy computer answers late
+    planner._timeout.timer_period_ns = int(HANG_S * NANOSECONDS)
     bench.pump(lambda: answered(planner))
     chosen.clear()
     pick = EXAMPLE.cheapest_in_time(planner.candidates, planner.answers, 720.0)
@@ -185,7 +186,7 @@ def test_refused_plans_are_told_at_once_with_the_reason(bench, start, tmp_path, 
     energy = bench.start(EnergyNode)
     route = tmp_path / "wall.csv"
     route.write_text("distance_m,elevation_m\n0,0\n100,5000\n")
-    start(route=str(route), timeout=15.0)
+    start(route=str(route))
     refusal = "the energy node refuses: climbs more than it travels"
     bench.pump(lambda: refusal in capfd.readouterr().err)
     assert "climbs more than it travels" in bench.diagnosis(energy)["plan"][2]["last_refusal"]

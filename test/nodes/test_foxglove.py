@@ -11,7 +11,6 @@ from pathlib import Path
 import socket
 import struct
 import sys
-import time
 from typing import Any, NamedTuple
 
 import pytest
@@ -29,6 +28,7 @@ from evpinn_ros.nodes.live.foxglove_node import FoxgloveNode
 from evpinn_ros.topics.messages import Level, scalar
 from test.conftest import ROOT
 from test.nodes.processes import EVPINN, await_line, started, stopped
+from test.waiting import HANG_S, wait_until
 
 pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
 websockets = pytest.importorskip("websockets.sync.client", reason="no WebSocket client")
@@ -38,7 +38,6 @@ URBAN = ROOT / "bags" / "urban"
 SECOND = 10**9
 
 MESSAGE, TIME = 1, 2  # opcodes of binary frames from the server
-PATIENCE = 30.0  # s
 
 
 class Received(NamedTuple):
@@ -69,7 +68,7 @@ class Client:
 
     def await_channels(self, *topics: str) -> None:
         while not self.info or not set(topics) <= self.channels.keys():
-            self._take(self._connection.recv(timeout=PATIENCE))
+            self._take(self._connection.recv(timeout=HANG_S))
 
     def subscribe(self, *topics: str) -> None:
         self.await_channels(*topics)
@@ -79,7 +78,7 @@ class Client:
 
     def messages(self) -> Iterator[Received]:
         while True:
-            received = self._take(self._connection.recv(timeout=PATIENCE))
+            received = self._take(self._connection.recv(timeout=HANG_S))
             if received is not None:
                 yield received
 
@@ -238,7 +237,7 @@ def test_a_web_page_reads_only_where_it_was_named(origin, welcome):
 def test_whatever_comes_to_the_door_it_stays_shut(request_bytes):
     with FoxgloveServer(LOOPBACK, 0, {}) as server:
         port = int(server.address.rpartition(":")[2])
-        with socket.create_connection((LOOPBACK, port), timeout=PATIENCE) as guest:
+        with socket.create_connection((LOOPBACK, port), timeout=HANG_S) as guest:
             guest.sendall(request_bytes)
             answer = b""
             with suppress(ConnectionResetError):
@@ -250,20 +249,32 @@ def test_whatever_comes_to_the_door_it_stays_shut(request_bytes):
 @pytest.mark.skipif(sys.platform != "linux", reason="127/8 is this computer on Linux alone")
 def test_no_page_can_guess_where_the_server_behind_the_door_is():
     with FoxgloveServer(LOOPBACK, 0, {}) as server, pytest.raises(OSError, match="refused"):
-        socket.create_connection((LOOPBACK, server._server.port), timeout=PATIENCE)
+        socket.create_connection((LOOPBACK, server._server.port), timeout=HANG_S)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts files in /proc")
 def test_who_fills_the_doorway_takes_no_files_from_the_nodes():
     """A process may have a thousand files open: without any, no state would be saved."""
     files = Path("/proc/self/fd")
-    with FoxgloveServer(LOOPBACK, 0, {}) as server, ExitStack() as guests:
+    with FoxgloveServer(LOOPBACK, 0, {}) as server, ExitStack() as stack:
         port, before = int(server.address.rpartition(":")[2]), len([*files.iterdir()])
-        for _ in range(10 * MOST_CONNECTIONS):
-            guests.enter_context(socket.create_connection((LOOPBACK, port), timeout=PATIENCE))
-        time.sleep(1.0)  # to let them in
-        own = len([*files.iterdir()]) - before - 10 * MOST_CONNECTIONS
-        assert own <= MOST_CONNECTIONS
+        guests = [
+            stack.enter_context(socket.create_connection((LOOPBACK, port), timeout=HANG_S))
+            for _ in range(10 * MOST_CONNECTIONS)
+        ]
+        wait_until(lambda: sum(map(sent_away, guests)) >= len(guests) - MOST_CONNECTIONS)
+        assert len([*files.iterdir()]) - before - len(guests) <= MOST_CONNECTIONS
+
+
+def sent_away(guest):
+    """True if the other side has closed a connection that sends nothing."""
+    guest.setblocking(False)
+    try:
+        return not guest.recv(1)
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        return True
 
 
 def test_a_time_before_1970_ends_no_server():
@@ -274,8 +285,7 @@ def test_a_time_before_1970_ends_no_server():
         connected(server.address) as app,
     ):
         app.subscribe("/a")
-        while not server.watched:
-            time.sleep(0.01)
+        wait_until(lambda: server.watched)
         server.send_time(-5)
         server.send("/a", offered["/a"], bytes(12), -5)
         assert next(app.messages()).time_ns == 0
