@@ -11,18 +11,24 @@ import subprocess
 import sys
 import time
 import tty
+from types import SimpleNamespace
 
 import can
 import pytest
+from typer.testing import CliRunner
 
 from evpinn_ros.bags.can_frames import encode_frame
 from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.logs import LogFile, write_log
 from evpinn_ros.can.profile import load_profile
+from evpinn_ros.cli import can as can_command
+from evpinn_ros.cli.main import app
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
+from test.waiting import wait_until
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "80", "OMP_NUM_THREADS": "1"}
@@ -146,7 +152,8 @@ def test_what_cannot_be_looked_at(evpinn, folder, arguments, code, text):
     assert done.returncode == code and text in done.stderr and "Traceback" not in done.stderr
 
 
-def test_a_live_bus(folder):
+def test_a_live_bus(folder, monkeypatch):
+    """Time goes on with each frame that has come: a hundredth of a second."""
     port = 20_000 + (os.getpid() + 1) % 20_000
     options = ("--interface", "udp_multicast", "--channel", GROUP)
     more = ("--bus-options", f"port={port} hop_limit=0")
@@ -154,24 +161,28 @@ def test_a_live_bus(folder):
         bus = can.Bus(GROUP, interface="udp_multicast", port=port, hop_limit=0)
     except (OSError, can.CanError) as error:
         pytest.skip(f"no multicast here: {error}")
-    command = [sys.executable, "-m", "evpinn_ros", "can", "inspect", *options, *more]
-    listening = subprocess.Popen(
-        [*command, "--seconds", "4", "--json"],
-        cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    with bus:
-        for frame in itertools.cycle(list(LogFile(folder / "tesla_model_3.log").frames())):
-            message = can.Message(
-                arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
+    frames, taken = itertools.cycle(LogFile(folder / "tesla_model_3.log").frames()), []
+    add_frame = Inspection.add_frame
+    monkeypatch.setattr(
+        Inspection, "add_frame", lambda self, frame: add_frame(self, frame) or taken.append(frame)
+    )
+
+    def send(seconds):
+        for _ in range(round(100 * seconds)):
+            frame, before = next(frames), len(taken)
+            bus.send(
+                can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
             )
-            bus.send(message)
-            time.sleep(0.005)
-            if listening.poll() is not None:
-                break
-        printed, _ = listening.communicate(timeout=60)
-    assert listening.returncode == 0
-    found = json.loads(printed)
-    assert found["best"] == "tesla_model_3" and found["frames"] > 50
+            wait_until(lambda n=before: len(taken) > n)
+
+    clock = SimpleNamespace(monotonic=lambda: len(taken) / 100, sleep=send, time_ns=time.time_ns)
+    monkeypatch.setattr(can_command, "time", clock)
+    with bus:
+        command = ["can", "inspect", *options, *more, "--seconds", "4", "--json"]
+        done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["best"] == "tesla_model_3" and found["frames"] == 400
     assert found["source"] == f"udp_multicast {GROUP}"
 
 

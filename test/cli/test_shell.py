@@ -8,10 +8,11 @@ import re
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 from rosbags.rosbag2 import Reader
+
+from test.waiting import wait_until
 
 ROOT = Path(__file__).parents[2]
 URBAN = ROOT / "bags" / "urban"
@@ -169,9 +170,7 @@ def interrupted(
         stderr=(cwd / "stderr").open("w"),
         start_new_session=True,
     )
-    deadline = time.monotonic() + 120
-    while not once() and time.monotonic() < deadline and process.poll() is None:
-        time.sleep(0.02)
+    wait_until(lambda: once() or process.poll() is not None)
     os.kill(-process.pid if number == signal.SIGINT else process.pid, number)
     process.wait(timeout=120)
     with pytest.raises(ProcessLookupError):  # none is left

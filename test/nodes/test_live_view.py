@@ -141,7 +141,6 @@ ENDED_AT_ITS_START = """
 import os, signal
 import rclpy
 from evpinn_ros.nodes.live import view
-from evpinn_ros.live import view
 from waiting import wait_until
 
 class Ended(view.LiveListener):

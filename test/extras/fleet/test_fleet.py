@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 from typer.testing import CliRunner
@@ -19,6 +18,7 @@ from evpinn_ros.extras.fleet import fleet as fleet_command
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.output import write
 from evpinn_ros.replays.simulation.simulate import simulate
+from test.waiting import wait_until
 
 parquet = pytest.importorskip("pyarrow.parquet", reason="the extra fleet is not installed")
 COMMAND = [sys.executable, "-m", "evpinn_ros", "fleet"]
@@ -90,9 +90,7 @@ def test_an_interrupted_run_leaves_results_and_goes_on(recorded, tmp_path):
         start_new_session=True,
     )  # fmt: skip
     first = out / "cars" / "bob" / "result.json"
-    begun = time.monotonic()
-    while not first.exists() and time.monotonic() - begun < 120:
-        time.sleep(0.05)
+    wait_until(first.exists)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 1
