@@ -60,7 +60,7 @@ ColumnOption = Annotated[
     list[str] | None,
     typer.Option(
         help="Correct what a column is: speed=NAME:km/h says its unit, current=NAME:-A turns its "
-        "sign."
+        "sign, time=NAME:%H:%M:%S gives its format."
     ),
 ]
 CarOption = Annotated[

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+import re
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,6 @@ from evpinn_ros.logs.numbers import POINT, Style, to_floats
 from evpinn_ros.logs.quantities import QUANTITIES
 
 NONE = np.iinfo(np.int64).min  # where there is no time
-HALF_DAY_NS = DAY_NS // 2
 LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
 BACK_NS = 10 * NANOSECONDS  # to where it began, about: a clock that begins anew with each drive
 PAUSE_NS = 3600 * NANOSECONDS  # between such drives; it is not known, but a drive has ended
@@ -45,7 +45,8 @@ _MONTHS = {
 }
 
 UNITS_NS = {name: 1e9 * unit.factor for name, unit in QUANTITIES["time"].units.items()}
-UNITS_NS["day"] = float(DAY_NS)  # of spreadsheets alone
+DAY_OF_FORMAT = re.compile("%[-_0]?[cDdeFjvs]")  # what of a format tells the day
+CLOCK_OF_FORMAT = re.compile("%[-_0]?[cHIkMRrSsTX]")  # and the time of day
 
 
 class Order(Enum):
@@ -72,19 +73,16 @@ class Clock:
     unit: str = "s"  # of numbers
     zoned: bool = False  # the cells name a zone or are seconds since 1970, so the stamps are UTC
     why: str = ""  # this was chosen, for people
-    twelve: bool = False  # hours are counted to twelve
     style: Style = POINT  # of numbers
     daily: bool = False  # numbers begin anew at midnight
-    zero_ns: int = 0  # moment that numbers count from, ns since 1970
+    as_written: bool = False  # the format is a person's, for cells as they stand
     drives_from_ns: int | None = None  # time that each drive begins at; None if there is one
     order: Order = Order.OLDEST_FIRST  # of the rows
 
     @property
     def period_ns(self) -> int:
-        """Time after which it begins anew, a day or half of it; 0 where it runs on."""
-        if self.kind != "time of day" and not self.daily:
-            return 0
-        return HALF_DAY_NS if self.twelve and "%p" not in self.formats else DAY_NS
+        """Time after which it begins anew, a day; 0 where it runs on."""
+        return DAY_NS if self.kind == "time of day" or self.daily else 0
 
     @property
     def begins_anew(self) -> bool:
@@ -98,7 +96,7 @@ class Clock:
     @property
     def dated(self) -> bool:
         """True if the cells hold the date."""
-        return self.kind == "date" or (self.kind == "number" and (self.zoned or self.zero_ns != 0))
+        return self.kind == "date" or (self.kind == "number" and self.zoned)
 
     def stamps(self, cells: Mapping[int, Sequence[str]]) -> NDArray[np.int64]:
         """Times of n rows, ns since 1970, midnight or the start; `NONE` where there is none.
@@ -106,6 +104,8 @@ class Clock:
         `cells` are n of each of `columns`, and of others perhaps, by the place of the column.
         """
         own = [cells[place] for place in self.columns]
+        if self.as_written:
+            return parsed_times(pl.Series("", own[0], dtype=pl.String), self.formats)
         if self.kind != "number":
             return parsed_times(joined_cells(own), self.formats)
         values = to_floats(own[0], self.style)
@@ -115,15 +115,11 @@ class Clock:
         # Apart from the whole ones, for a float of ns since 1970 is 256 ns coarse.
         whole = np.floor(values)
         rest: NDArray[np.int64] = np.rint((values - whole) * factor).astype(np.int64)
-        return np.where(bad, NONE, whole.astype(np.int64) * int(factor) + rest + self.zero_ns)
+        return np.where(bad, NONE, whole.astype(np.int64) * int(factor) + rest)
 
 
 class RunningClock:
-    """Times made to run on over midnight, or from drive to drive, batch by batch.
-
-    A 12 h clock without AM and PM goes from 12:59 to 1:00; what falls by about half a day and was
-    never above 12 is such a one.
-    """
+    """Times made to run on over midnight, or from drive to drive, batch by batch."""
 
     def __init__(self, period_ns: int, drives_from_ns: int | None = None) -> None:
         """Make times run on that begin anew after a period, or at a time with each drive."""
@@ -198,9 +194,9 @@ def joined_cells(cells: Sequence[Sequence[str]]) -> pl.Series:
 
 def parsed_times(text: pl.Series, formats: str) -> NDArray[np.int64]:
     """Times of cells by one format, ns since 1970 or midnight; `NONE` where it does not fit."""
-    if formats.startswith(("%H", "%I")):
+    if not DAY_OF_FORMAT.search(formats):
         parsed = text.str.to_time(formats, strict=False).to_physical()
-    elif ":" not in formats:
+    elif not CLOCK_OF_FORMAT.search(formats):
         days = text.str.to_date(formats, strict=False).to_physical().cast(pl.Int64)
         parsed = pl.select(
             pl.when(days.abs() < LAST_TIME_NS // DAY_NS).then(days * DAY_NS)

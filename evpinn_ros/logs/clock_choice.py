@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from evpinn_ros.core.signals.readings import DAY_NS, NANOSECONDS
 from evpinn_ros.logs.clock import (
     BACK_NS,
-    HALF_DAY_NS,
+    DAY_OF_FORMAT,
     LAST_TIME_NS,
     NONE,
     UNITS_NS,
@@ -38,11 +38,8 @@ FIRST_TIME_NS = 1_200_000_000 * NANOSECONDS  # no log of an electric car is olde
 LARGEST = 1e19  # of a number that is a time: ns since 1970 to the end of 64 bits
 RELATIVE_BELOW_S = 1e8  # a first time below this (3 years) counts from the start of something
 SELDOM = 0.05  # of the rows lie behind the one before, in a table whose drives are in order
+FASTEST_STEP = 9e-4  # s: closer rows are no seconds, but days of a spreadsheet
 SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is smaller
-# Spreadsheets store a moment as days since 30 December 1899, and a time of day as a part of one.
-SERIAL_ZERO_NS = -25_569 * DAY_NS
-SERIALS = (39_448.0, 50_424.0)  # days, from 2008 to the end of ROS time
-SERIAL_STEP = 60.0 / 86_400.0  # days: less is no step between rows in seconds
 MOSTLY = 0.8  # of the steps between rows
 SHUFFLED = 0.2  # of the rows lie farther behind the one before: no drive is of so few rows
 ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
@@ -57,8 +54,6 @@ _DATES = {
 _CLOCKS_24 = ("%H:%M:%S%.f", "%H:%M")
 _CLOCKS_12 = ("%I:%M:%S%.f %p", "%I:%M %p")
 _ZONES = ("", "%z")
-# Torque's "GPS Time", the text of a Java date: Mon Dec 17 17:46:23 GMT+01:00 2018.
-_JAVA = ("%a-%b-%d %H:%M:%S GMT%z %Y", "%a-%b-%d %H:%M:%S UTC %Y")
 _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s"))
 
 
@@ -90,12 +85,21 @@ def clocks_of(found: Sequence[Column], survey: Survey, days: Collection[int] = (
 
 
 def _clock(column: Column, survey: Survey, days: Collection[int]) -> Clock | None:
+    if "%" in column.unit:
+        return clock_of_format(column.place, column.unit)
     cells = survey.cells[column.place]
     style, unit = survey.styles[column.place], column.unit or None
     numbers = clock_of_numbers(column.place, cells, style, unit, in_seconds=column.is_ours)
     if column.is_ours:  # its name says seconds; cells that are none are counted one by one
         return numbers or Clock((column.place,), "number", style=style)
     return numbers or clock_of_text((column.place,), [cells], days)
+
+
+def clock_of_format(column: int, formats: str) -> Clock:
+    """The clock of a column whose format a person gives, such as `%d.%m.%Y %H:%M:%S%.f`."""
+    kind = "date" if DAY_OF_FORMAT.search(formats) else "time of day"
+    zoned = "%z" in formats or "%s" in formats
+    return Clock((column,), kind, formats, "", zoned, why="as given", as_written=True)
 
 
 def clock_of_numbers(
@@ -119,8 +123,6 @@ def clock_of_numbers(
     if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", filled[0].strip()):
         return None  # 20240305070809 is a date
     known = _forward(known)
-    if unit is None and (serial := _serial_clock(column, known, style)):
-        return serial
     size = float(np.median(np.abs(known)))
     since_1970 = next((name for least, name in _SINCE_1970 if size >= least), None)
     if since_1970 is not None and (
@@ -130,6 +132,8 @@ def clock_of_numbers(
         why = "since 1970, by its values"
         return Clock((column,), "number", unit=name, zoned=True, why=why, style=style)
     name = "s" if in_seconds else unit or _unit_of_steps(known)
+    if not name:
+        return None
     why = "by its name" if unit or in_seconds else "by the step between rows"
     clock = Clock((column,), "number", unit=name, why=why, style=style)
     if _begins_anew(known, DAY_NS / UNITS_NS[name]):
@@ -139,28 +143,13 @@ def clock_of_numbers(
     return clock
 
 
-def _serial_clock(column: int, known: NDArray[np.float64], style: Style) -> Clock | None:
-    """The clock of a column of a spreadsheet's serial dates, or times of day; None of others."""
-    forward = np.diff(known)
-    forward = forward[forward > 0]
-    if not forward.size or np.median(forward) > SERIAL_STEP:
-        return None
-    if SERIALS[0] <= known.min() and known.max() <= SERIALS[1]:
-        why = "serial dates of a spreadsheet, by their size"
-        return Clock((column,), "number", unit="day", why=why, style=style, zero_ns=SERIAL_ZERO_NS)
-    if known.min() >= 0.0 and known.max() < 1.0:
-        why = "parts of a day, by their size"
-        return Clock((column,), "number", unit="day", why=why, style=style, daily=True)
-    return None
-
-
 def _unit_of_steps(times: NDArray[np.float64]) -> str:
-    """Unit of times by how far apart they are, in whichever order the rows stand."""
+    """Unit of times by how far apart they are, in whichever order the rows stand; "" of none."""
     steps = np.diff(times if _is_in_order(times) else np.sort(times))
     forward = steps[steps > 0]
     step = float(np.median(forward)) if forward.size else 0.0
     if step <= SLOWEST_STEP:
-        return "s"
+        return "s" if step >= FASTEST_STEP or not forward.size else ""
     return "ms" if step < SLOWEST_STEP * 1e3 else "us" if step < SLOWEST_STEP * 1e6 else "ns"
 
 
@@ -205,11 +194,6 @@ def clock_of_text(
             continue
         steps = np.diff(_forward(stamps))
         backwards = int((steps < 0).sum())
-        if not with_date and not twelve:
-            hours = stamps // (3600 * NANOSECONDS)
-            twelve = bool(
-                hours.min() >= 1 and hours.max() <= 12 and (steps < -HALF_DAY_NS * 0.9).any()
-            )
         long = float(np.sum(np.abs(steps) > DAY_NS)) if with_date else 0.0
         span = float(np.ptp(stamps)) if with_date else 0.0
         named = with_date and int(stamps[0]) // DAY_NS in days
@@ -218,7 +202,7 @@ def clock_of_text(
             *(-float(named), float(rank)),
         )
         kind = "date" if with_date else "time of day"
-        clock = Clock(columns, kind, pattern, "", "%z" in pattern, order, twelve)
+        clock = Clock(columns, kind, pattern, "", "%z" in pattern, order)
         found.append((merit, clock))
     return _best(found)
 
@@ -252,8 +236,7 @@ def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
         for order in orders
         for date, clock, zone in product(_DATES[order], clocks, _ZONES)
     ]
-    dated += [(order, date) for order in orders for date in _DATES[order]]
-    return [*dated, *(("", pattern) for pattern in _JAVA)]
+    return dated + [(order, date) for order in orders for date in _DATES[order]]
 
 
 def _in_its_order(

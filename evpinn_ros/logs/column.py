@@ -66,8 +66,9 @@ def columns_by_name(
 ) -> list[Column]:
     """The columns of a header that are used, those for the time all: their cells decide.
 
-    A choice is `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign. Columns
-    at the places `empty` hold nothing, so they are not guessed at.
+    A choice is `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign. That of
+    a time may be a format in place of a unit. Columns at the places `empty` hold nothing, so they
+    are not guessed at.
 
     Raises:
         InputError: a choice that names no quantity, no column or no unit, or a bracketed unit
@@ -150,7 +151,10 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
         raise InputError(
             f"--column {text}{near}: say QUANTITY=NAME or QUANTITY=NAME:UNIT, with {known}"
         )
-    name, unit = (rest, "") if rest in header else (*rest.rpartition(":")[::2],)
+    # The longest name, for names and formats may hold colons.
+    names = sorted((name for name in header if rest.startswith(f"{name}:")), key=len)
+    name = rest if rest in header or not names else names[-1]
+    unit = rest[len(name) + 1 :]
     if name not in header:
         near = near_names(rest.partition(":")[0], header)
         raise InputError(f"--column {text}: no such column{near}; there are {', '.join(header)}")
@@ -158,6 +162,8 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
     if not unit:
         column, _ = _named(quantity, header, place)
         return replace(column, why="as given")
+    if quantity == "time" and "%" in unit:
+        return replace(Column(quantity, name, place=place), unit=unit, why="as given")
     bare = unit.lstrip("-")
     meant = known_unit(quantity, bare.lower())
     if meant is None:

@@ -439,5 +439,5 @@ def _no_time(found: Sequence[Column], survey: Survey) -> str:
         return "no row below the header"
     return (
         f"column {column.name!r}: {cell[:40]!r} is no time that is known; "
-        "say --column time=NAME or time=NAME:s"
+        "say --column time=NAME, time=NAME:s or time=NAME:%d.%m.%Y %H:%M:%S%.f"
     )

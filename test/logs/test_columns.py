@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 import csv
+from datetime import datetime, timedelta
 import gzip
 import math
 from pathlib import Path
@@ -202,16 +203,39 @@ def test_dates_and_power_in_kilowatts(tmp_path):
     check(drive, 1_714_550_400_000_000_000)
 
 
-@pytest.mark.parametrize(
-    ("days", "start_ns", "dated"),
-    [(45_413, 1_714_521_600_000_000_000, "log"), (0, DRIVE_START_NS, "")],
-)
-def test_serial_dates_of_a_spreadsheet(tmp_path, days, start_ns, dated):
-    """45413 is 1 May 2024; a part of a day alone is a time of day without a date."""
+@pytest.mark.parametrize("days", [45_413, 0])
+def test_serial_dates_of_a_spreadsheet_are_no_seconds(tmp_path, days):
     lines = (f"{days + 0.25 + t / 86400:.12f},{v:.4f},{u},{i:.4f}" for t, v, u, i in rows())
-    drive = drive_of(tmp_path, "Date,speed (m/s),hv_voltage,hv_current", lines)
-    assert drive.dated == dated
-    check(drive, start_ns + 6 * 3600 * 10**9)
+    with pytest.raises(InputError, match=r"'Date': '[\d.]+' is no time .* time=NAME:%d"):
+        drive_of(tmp_path, "Date,speed (m/s),hv_voltage,hv_current", lines)
+
+
+@pytest.mark.parametrize(
+    ("cell", "given"),
+    [
+        ("{:%Y%m%d-%H%M%S.%f}", "%Y%m%d-%H%M%S%.f"),
+        ("{:%a %b %d %H:%M:%S.%f} GMT+02:00 2024", "%a %b %d %H:%M:%S%.f GMT%z %Y"),
+    ],
+)
+def test_a_format_of_the_time_is_taken_as_given(tmp_path, cell, given):
+    start = datetime(2024, 5, 1, 8)
+    lines = (
+        f"{cell.format(start + timedelta(seconds=t))},{v:.4f},{u},{i:.4f}" for t, v, u, i in rows()
+    )
+    header = "when: on board,speed (m/s),hv_voltage,hv_current"
+    drive = drive_of(tmp_path, header, lines, columns=[f"time=when: on board:{given}"])
+    assert drive.dated == "log" and drive.zoned == ("%z" in given)
+    hours = 6 if drive.zoned else 8
+    check(drive, 1_714_521_600_000_000_000 + hours * 3600 * 10**9)
+
+
+def test_a_time_of_day_of_a_given_format_runs_over_midnight(tmp_path):
+    times = ("23h59m58", "23h59m59", "00h00m01")
+    lines = [f"{time},1,1,1" for time in times]
+    header = "when,speed (m/s),hv_voltage,hv_current"
+    drive = drive_of(tmp_path, header, lines, columns=["time=when:%Hh%Mm%S"])
+    stamps = [r.stamp_ns for r in drive.readings() if isinstance(r, SpeedReading)]
+    assert np.diff(stamps).tolist() == [1_000_000_000, 2_000_000_000]
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
