@@ -27,8 +27,15 @@ from evpinn_ros.core.energy.plausible import (
     power_is_possible,
     speed_is_possible,
 )
-from evpinn_ros.core.energy.remaining import Cost, Remaining, Route, cost_spread, remaining
-from evpinn_ros.core.energy.trip import SavedTrip, Stretch, TripLog
+from evpinn_ros.core.energy.remaining import (
+    SHORTEST,
+    Cost,
+    Remaining,
+    Route,
+    cost_spread,
+    remaining,
+)
+from evpinn_ros.core.energy.trip import WINDOWS, SavedTrip, Stretch, TripLog
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 STATE_VERSION = 1
@@ -303,8 +310,12 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self._before_reset.distance + self.trip.total.distance
 
     def follow(self, plan: Plan, found: Forecast) -> None:
-        """Take a plan for the route that the car follows from here on."""
-        self.route = Route.from_here(plan, found, self.odometer, self._newest_ns)
+        """Take a plan for the route that the car follows from here on.
+
+        A plan shorter than `SHORTEST` is the horizon of a controller and changes nothing.
+        """
+        if plan.distance[-1] - plan.distance[0] >= SHORTEST:
+            self.route = Route.from_here(plan, found, self.odometer, self._newest_ns)
 
     def lifetime(self) -> EnergyTotals:
         """Totals since the first start."""
@@ -348,12 +359,18 @@ class EnergyAccount(Saveable[SavedAccount]):
         return {name: stretch.energy / stretch.distance for name, stretch in found.items()}
 
     def _remaining(self, usable: Uncertain, consumption: Mapping[str, float]) -> Remaining | None:
-        """It needs what the last 10 km cost, or a route; the long run is 100 km, or all so far."""
+        """It needs what the last 10 km cost; the long run is 100 km, or all so far.
+
+        On a route before that, the usual legs say what the road beyond it costs; while none are
+        known, a route of 10 km does.
+        """
         route = self._route_ahead()
-        recent = consumption.get("10", math.nan if route is None else route.cost)
-        long = consumption.get("100", consumption.get("lifetime", recent))
-        if math.isnan(recent):  # the long run is too short as well
+        recent = consumption.get("10", math.nan if route is None else self.usual)
+        if math.isnan(recent) and route is not None and route.distance[-1] >= WINDOWS[1]:
+            recent = route.cost
+        if math.isnan(recent):
             return None
+        long = consumption.get("100", consumption.get("lifetime", recent))
         spread = cost_spread(self.trip.windows[-1].whole)
         cost = Cost.ahead(recent, long, self.usual, spread)
         return remaining(usable, cost if route is None else route.ahead(self.odometer, cost))

@@ -13,8 +13,9 @@ process over distance with the same memory, whose 1-sigma is the spread of 5 km 
 energy left up or down, meets the energy left.
 
 While the car follows a route whose energy was forecast, the road ahead is the rest of that route,
-and the E above begins at its end. A car that has not driven 10 km yet takes the mean cost of the
-route for the road beyond it.
+and the E above begins at its end: what a route costs counts for that route alone. A car that has
+not driven 10 km yet expects its usual legs beyond it; while it knows none, as on its first
+kilometres, the mean of a route of 10 km. The horizon of a controller is no route (`SHORTEST`).
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and w
 FARTHEST = 2.0**21  # m; what is beyond is no answer
 HALVINGS = 21  # down to a metre
 QUANTILE = 1.6449  # of 90 %
+SHORTEST = 2e3  # m of a route; a controller plans some seconds, and those metres change no range
 GIVEN_UP = 2.0  # times its planned duration after which a route that was not driven is given up
 MOST_POINTS = 1000  # of a route, which is saved each minute: of 300 km one each 300 m
 Stamp: TypeAlias = Annotated[int, Range(0, sys.maxsize)]  # ns

@@ -179,6 +179,46 @@ def test_a_route_planned_before_setting_off_is_followed_until_it_is_driven():
     assert over[0] == over[1]
 
 
+def horizon(power, seconds=8.0, count=81):
+    """A plan of some seconds at `SPEED` and its forecast at a constant power, W."""
+    time = np.linspace(0.0, seconds, count)
+    plan = Plan(time, SPEED * time, np.full(count, SPEED), np.zeros(count))
+    return plan, Forecast(time, power * time, np.full(count, power), np.full(count, 1e3))
+
+
+@pytest.mark.parametrize("power", [10e3, 120e3, -60e3])  # even speed, speeding up, braking
+@pytest.mark.parametrize("driven", [20, 300, 700])  # s: nothing known, usual legs, 10 km
+def test_the_horizon_of_a_controller_changes_nothing(power, driven):
+    alone, planned = account(), account()
+    if driven > 100:
+        alone.usual = planned.usual = 600.0
+    for each in (alone, planned):
+        drive(each, range(driven))
+    for second in range(driven, driven + 8):
+        planned.follow(*horizon(power))
+        for each in (alone, planned):
+            drive(each, range(second, second + 1))
+        assert planned.summary().remaining == alone.summary().remaining
+
+
+def test_a_horizon_does_not_end_the_route_that_is_followed():
+    counted = drive(account(), range(20))
+    counted.follow(*horizon(40e3, seconds=600.0))
+    route = counted.route
+    counted.follow(*horizon(-60e3))
+    assert counted.route is route
+
+
+def test_what_a_route_costs_counts_for_the_route_alone():
+    """Before 10 km are driven the usual legs say what the road beyond it costs."""
+    counted = drive(account(), range(300))
+    counted.usual = 500.0
+    counted.follow(*horizon(40e3, seconds=150.0))  # 3 km of 2000 J/m
+    summary = counted.summary()
+    beyond = (summary.usable.value - 6e6) / summary.consumption["lifetime"]
+    assert summary.remaining.distance == pytest.approx(3e3 + beyond, rel=0.01)
+
+
 def test_a_route_is_followed_on_after_a_restart_and_not_the_next_morning():
     time, length = np.array([0.0, 50.0, 600.0]), np.array([0.0, 1e3, 12e3])
     plan = Plan(time, length, np.full(3, SPEED), np.zeros(3))
