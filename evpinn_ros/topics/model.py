@@ -16,7 +16,7 @@ from evpinn_ros.core.estimation.unevenness import SHAPE, Unevenness
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.topics.messages import BadMessage, NewMessage, finite
 
-MODEL_VERSION = 3  # of what `estimate/model` holds
+MODEL_VERSION = 4  # of what `estimate/model` holds
 MOST_NUMBERS = 100_000  # of a model: twenty times what an estimator sends
 UNKNOWN_CELSIUS = -1000.0  # for a message holds numbers only
 MOST_SEED = 2**53  # a seed is a number of the message
@@ -32,7 +32,7 @@ def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
     uneven = car.unevenness
     numbers = car.equation.seed, car.load_variance, car.growth, car.trust, car.seconds
     parts = {
-        "numbers": np.array([*numbers, celsius, float(car.reports)]),
+        "numbers": np.array([*numbers, celsius, float(car.reports), car.last_drive]),
         "noise": car.noise,
         "mean": car.mean,
         "covariance": car.covariance.ravel(),
@@ -62,7 +62,7 @@ def read_model(message: Any, vehicle: Vehicle) -> CarModel:
     labels = {dimension.label: dimension.size for dimension in message.layout.dim}
     if next(iter(labels), None) != f"{vehicle.key}/{MODEL_VERSION}":
         raise BadMessage("other_vehicle_or_version")
-    wanted = {"numbers": 7, "noise": 3, "mean": SIZE, "covariance": SIZE**2}
+    wanted = {"numbers": 8, "noise": 3, "mean": SIZE, "covariance": SIZE**2}
     classes = math.prod(SHAPE)
     wanted |= {"uneven_metres": classes, "uneven_rows": classes * SIZE, "uneven_scatter": 2}
     data = np.array(message.data, dtype=float)
@@ -73,7 +73,7 @@ def read_model(message: Any, vehicle: Vehicle) -> CarModel:
     numbers, noise, mean, covariance, metres, rows, scatter = np.split(
         data, np.cumsum([*wanted.values()])[:-1]
     )
-    seed, load_variance, growth, trust, seconds, celsius, reports = numbers.tolist()
+    seed, load_variance, growth, trust, seconds, celsius, reports, last_drive = numbers.tolist()
     if not 0.0 <= seed <= MOST_SEED or not math.isclose(seed, int(seed)):
         raise BadMessage("out_of_range")
     car = CarModel(
@@ -90,6 +90,7 @@ def read_model(message: Any, vehicle: Vehicle) -> CarModel:
         unevenness=Unevenness(
             metres.reshape(SHAPE), rows.reshape(*SHAPE, SIZE), *scatter.tolist()
         ),
+        last_drive=last_drive,
     )
     if not car_is_possible(car):
         raise BadMessage("out_of_range")

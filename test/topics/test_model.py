@@ -13,13 +13,26 @@ from evpinn_ros.core.energy.plan import LONGEST, legs_of_trip, plan_from_speed_p
 from evpinn_ros.core.energy.plausible import car_is_possible
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.core.estimation.size import model_of_file
+from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.vehicle.files import load_vehicle, vehicle_names
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.model import MOST_NUMBERS, model_message, read_model
 
 CAR = load_vehicle("bmw_i3")
-MODEL = model_of_file(CAR, 3)
-PARTS = ("mean", "covariance", "noise", "load_variance", "growth", "trust", "seconds", "celsius")
+MODEL = dataclasses.replace(model_of_file(CAR, 3), last_drive=1800.0)
+
+
+def assert_same(found, sent):
+    """Every field is equal, whatever fields there are."""
+    for field in dataclasses.fields(sent):
+        after, before = getattr(found, field.name), getattr(sent, field.name)
+        if dataclasses.is_dataclass(before) and not hasattr(before, "seed"):
+            assert_same(after, before)
+        elif field.name == "equation":
+            assert (after.seed, after.vehicle) == (before.seed, before.vehicle)
+        else:
+            assert np.array_equal(after, before), field.name
 
 
 def rclpy_message(type_name, /, **fields):
@@ -34,15 +47,42 @@ def test_a_model_survives_the_message(new):
     if new is new_message:
         message = decode(message.__msgtype__, encode(message))
     found = read_model(message, CAR)
-    for name in (*PARTS, "reports"):
-        assert np.array_equal(getattr(found, name), getattr(MODEL, name)), name
-    for field in dataclasses.fields(MODEL.unevenness):
-        sent = getattr(MODEL.unevenness, field.name)
-        assert np.array_equal(getattr(found.unevenness, field.name), sent), field.name
-    assert (found.equation.seed, found.equation.vehicle) == (3, CAR)
+    assert_same(found, MODEL)
     legs = legs_of_trip([9000.0, 4000.0], [600.0, 200.0])
     one, other = (forecast_plan(legs, PowerModel(each), Weather(1.2)) for each in (found, MODEL))
     assert one.energy.tolist() == other.energy.tolist()
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.fixed_dictionaries(
+        {
+            "load_variance": st.floats(0.0, 1e6),
+            "growth": st.floats(0.0, 10.0),
+            "trust": st.floats(0.1, 100.0),
+            "seconds": st.floats(0.0, 1e9),
+            "last_drive": st.floats(0.0, 1e9),
+            "celsius": st.none() | st.floats(-60.0, 60.0),
+            "reports": st.booleans(),
+            "noise": st.tuples(*3 * [st.floats(0.0, 10.0)]).map(np.array),
+            "mean": st.floats(1.0, 1.001).map(lambda factor: factor * MODEL.mean),
+            "covariance": st.floats(0.5, 1.0).map(lambda factor: factor * MODEL.covariance),
+            "equation": st.integers(0, 5).map(lambda seed: equation_of(CAR, seed)),
+            "unevenness": st.floats(0.5, 1.0).map(
+                lambda factor: Unevenness(
+                    *(
+                        factor * getattr(MODEL.unevenness, each.name)
+                        for each in dataclasses.fields(Unevenness)
+                    )
+                )
+            ),
+        }
+    )
+)
+def test_every_field_survives_the_message(values):
+    assert values.keys() == {field.name for field in dataclasses.fields(MODEL)}
+    sent = dataclasses.replace(MODEL, **values)
+    assert_same(read_model(model_message(new_message, "bmw_i3", sent), CAR), sent)
 
 
 def changed(**values):
@@ -90,6 +130,7 @@ def far_too_long():
         (lambda: changed(mean=-MODEL.mean), "out_of_range"),
         (lambda: changed(load_variance=-1.0), "out_of_range"),
         (lambda: changed(trust=1e9), "out_of_range"),
+        (lambda: changed(last_drive=-1.0), "out_of_range"),
         (lambda: changed(noise=MODEL.noise * 1e300), "out_of_range"),
         (lambda: changed(mean=MODEL.mean * 1e300), "out_of_range"),
         (lambda: changed(covariance=MODEL.covariance * 1e300), "out_of_range"),

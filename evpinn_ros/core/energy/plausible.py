@@ -53,14 +53,15 @@ def car_is_possible(car: CarModel) -> bool:
     Judged by a fast ride and by a stand in the cold: neither mean nor 1-sigma is beyond
     `MAX_POWER`, and no mass is.
     """
+    times = car.seconds, car.last_drive
     numbers = np.concatenate((car.mean, car.covariance.ravel(), car.noise))
-    numbers = np.append(numbers, (car.load_variance, car.growth, car.trust, car.seconds))
+    numbers = np.append(numbers, (car.load_variance, car.growth, car.trust, *times))
     if not (np.abs(numbers) <= MOST_NUMBER).all() or not 0.0 < car.mean[State.MASS] <= MOST_MASS:
         return False
     if car.celsius is not None and not TEMPERATURES[0] <= car.celsius <= TEMPERATURES[1]:
         return False
     least = min(float(np.diag(car.covariance).min()), float(car.noise.min()), car.load_variance)
-    if min(least, car.growth, car.trust, car.seconds) < 0.0 or car.trust > MOST_TRUST:
+    if min(least, car.growth, car.trust, *times) < 0.0 or car.trust > MOST_TRUST:
         return False
     speed, one = np.array([30.0, 10.0, 0.0]), np.ones(3)
     ride = even_steps(one, speed, 0.0 * speed)._replace(kinetic=0.5 * speed)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.common.saved_fields import ADDED, Range
 from evpinn_ros.core.estimation.bands import Bands
 from evpinn_ros.core.estimation.gaussian import MOST, Gaussian, is_possible
 from evpinn_ros.core.estimation.posterior import (
@@ -63,6 +63,7 @@ class SavedState:
     reports: bool
     celsius: Annotated[float, Range(*TEMPERATURES)] | None
     known: bool
+    last_drive: Annotated[Annotated[float, Range(0.0, 1e9)] | None, ADDED] = None
 
 
 # Fields that are saved as they are.
@@ -109,6 +110,7 @@ def state_of(saved: SavedState, equation: Equation) -> CarState:
     if variance[OFFSETS].min() < 0.0:
         raise ValueError("a variance of the state is negative")
     plain = {name: getattr(saved, name) for name in PLAIN}
+    plain["last_drive"] = saved.last_drive or 0.0
     return fresh.with_gaussian(found, offset_variance=variance[OFFSETS], **plain)
 
 
