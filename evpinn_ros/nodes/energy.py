@@ -326,7 +326,8 @@ class EnergyNode(StatefulNode):
         if not self.active:
             call.refuse_all(NOT_ACTIVE)
             return
-        done = Future(executor=self.executor)
+        executor = self.executor
+        answered = Future(executor=executor)
 
         def and_tell(forecaster: Forecaster) -> None:
             try:
@@ -335,9 +336,10 @@ class EnergyNode(StatefulNode):
                 call.refuse_all(f"internal fault: {type(error).__name__}")
                 raise
             finally:
-                done.set_result(None)
+                answered.set_result(None)
+                executor.wake()  # a future wakes only its callbacks; `await` of rclpy sets none
 
         if self._desk.ask(self.guarded(and_tell, "estimate_plan")):
-            await done
+            await answered
         else:
             call.refuse_all("too many plans are waiting")

@@ -4,6 +4,7 @@ from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager
 import math
+import sys
 import threading
 from unittest import mock
 
@@ -26,6 +27,7 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.plan_answers import SERVICE, PlanCall
 from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED, TYPED_FORECAST, quantities
 from evpinn_ros.topics.messages import named_vector
+from test.nodes import processes
 from test.waiting import HANG_S
 
 STATES = 20  # while a plan is answered
@@ -267,3 +269,29 @@ def test_typed_and_standard_topics_are_equal_and_plans_are_compared(bench, urban
     bench.stop(estimator)  # else it may tell a new model between two calls that are compared
     for check in (service, conditions, batches, energy_goes_on_beside_plans, refusals):
         check(bench, node)
+
+
+def test_calls_are_answered_though_nothing_else_wakes_the_node(bench):
+    """No input and no timer: what waits for the thread of the plans waits for it alone."""
+    bare = "; ".join((
+        "import sys",
+        "from evpinn_ros import executables",
+        "from evpinn_ros.nodes import base, stateful",
+        "base.REPORT_PERIOD = stateful.SAVE_PERIOD = 1e6",
+        "sys.exit(executables.energy())",
+    ))  # fmt: skip
+    command = [sys.executable, "-c", bare, *processes.node("energy")[3:]]
+    plans = batch(20, 2_000).plans
+    with processes.started(*command) as process:
+        found = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=plans)
+        assert not any(each.refusal for each in found.results)
+        client = ActionClient(bench.node, EstimatePlans, "/ev/energy/estimate_plans")
+        bench.pump(client.server_is_ready)
+        goal = client.send_goal_async(EstimatePlans.Goal(plans=plans))
+        bench.pump(goal.done)
+        result = goal.result().get_result_async()
+        bench.pump(result.done)
+        assert [r.name for r in result.result().result.results] == [r.name for r in found.results]
+        assert not any(each.refusal for each in result.result().result.results)
+        client.destroy()
+        processes.stopped(process)
