@@ -74,7 +74,9 @@ def test_a_change_is_found_followed_and_withdrawn_when_the_car_is_as_before(driv
     ratio = math.exp(driver.log_mass_over_eta - before)
     assert ratio == pytest.approx(1 + delta / driver._car.mass, rel=0.04)
     # As sharp as the car is known by now, not as when the change was found.
-    assert ratio == pytest.approx(1 + change.delta_mass / driver.payload.watched.mass, abs=0.003)
+    stop = driver.payload.watched
+    since = math.exp(driver.log_mass_over_eta - stop.before)
+    assert since == pytest.approx(1 + change.delta_mass / stop.mass, abs=1e-12)
     assert PayloadDetector.of(driver.payload.saved()).change == change
     old = replace(driver.payload, watched=replace(driver.payload.watched, motion=PROBATION))
     for payload, left in ((old, change), (driver.payload, None)):  # of no old one any more
