@@ -14,10 +14,14 @@ INSTALLED := $(VENV)/installed
 # A sourced ROS 2 brings its own rclpy; without one it comes as wheels, with the extra `ros`.
 ifdef ROS_DISTRO
 VENV_OPTIONS := --system-site-packages
-EXTRAS := dev,bench,foxglove,fleet,site,tables
+DEMO_EXTRAS := report,tables
 else
-EXTRAS := dev,ros,bench,foxglove,fleet,site,tables
+DEMO_EXTRAS := ros,report,tables
 endif
+EXTRAS := $(DEMO_EXTRAS),dev,bench,foxglove,fleet,site
+
+# `make demo` runs with all of the environment where there is one, else with what a user installs.
+DEMO := $(or $(wildcard $(INSTALLED)),$(VENV)/demo)
 
 # Nodes started here meet no other robot, and workers side by side take one core each.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
@@ -52,7 +56,7 @@ CORE_PYTHON := $(dir $(CORE))bin/python
 
 .PHONY: demo core quick mutants test nightly test-matrix test-wheels lint bags golden docs layouts site clean
 
-demo: $(INSTALLED)
+demo: $(DEMO)
 	@$(EVPINN) demo
 
 test:
@@ -163,8 +167,9 @@ $(CORE_VENV)/installed: pyproject.toml constraints.txt
 	@touch $@
 
 # Python compiles a module where it is first imported: of PyTorch that is a small part.
-$(INSTALLED): setup.py setup.cfg constraints.txt
-	@echo "Installing evpinn_ros and its tools into $(VENV); the first time takes a minute."
+$(VENV)/demo: EXTRAS := $(DEMO_EXTRAS)
+$(INSTALLED) $(VENV)/demo: setup.py setup.cfg constraints.txt
+	@echo "Installing evpinn_ros[$(EXTRAS)] into $(VENV); the first time takes a minute."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
 	@scripts/install.sh $(BIN)/python -c $(CONSTRAINTS) -e '.[$(EXTRAS)]'
 	@touch $@

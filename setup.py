@@ -61,16 +61,14 @@ setup(
     ],
     zip_safe=False,
     python_requires=">=3.10",
+    # What nodes, `evpinn run` and replays of bags and CAN logs need; PyTorch for `mode: paper`.
+    # A module of an extra is imported within `common.optional.optional_imports`.
     install_requires=[
         "can-isotp",
         "cantools",
-        "jinja2",
         "lz4",
-        "matplotlib",
         "mcap",
         "numpy",
-        "pandas",
-        "polars",
         "pyserial",
         "python-can[multicast]",
         "pyyaml",
@@ -98,14 +96,16 @@ setup(
             "ros-std-srvs",
             "ros-trajectory-msgs",
         ],
+        # Reads tables of drives and plans, spreadsheets too; DataFrames of `import evpinn_ros`.
+        "tables": ["openpyxl", "pandas", "polars"],
+        # Writes reports and draws pictures.
+        "report": ["jinja2", "matplotlib"],
         # `evpinn fleet`: Parquet, and Dask for a cluster.
-        "fleet": ["dask[distributed]", "pyarrow"],
+        "fleet": ["dask[distributed]", "jinja2", "pyarrow"],
         # Peers of `evpinn bench`.
         "bench": ["eclipse-sumo", "libsumo"],
         # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
         "fuzz": ["atheris"],
-        # Reads spreadsheets of drives.
-        "tables": ["openpyxl"],
         # Reads GeoTIFF tiles of `--elevation`.
         "elevation": ["rasterio"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.
@@ -117,8 +117,6 @@ setup(
         "foxglove": ["foxglove-sdk"],
         # `make site`: the documents and every public docstring as a site.
         "site": ["mkdocs-material", "mkdocstrings-python"],
-        # Nothing more than the package itself; asking for it is no mistake.
-        "report": [],
         # By this name `colcon test` knows that pytest is meant.
         "test": ["ELM327-emulator", "hypothesis", "openpyxl", "pytest", "pytest-timeout"],
         "dev": [

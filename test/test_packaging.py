@@ -1,6 +1,7 @@
 """What leaves the checkout: the wheel, the colcon install, and the dependencies both declare."""
 
 import ast
+from collections.abc import Iterable, Iterator
 from configparser import ConfigParser
 from email import message_from_string
 from importlib import import_module
@@ -17,6 +18,7 @@ import pytest
 import yaml
 
 import evpinn_ros
+from evpinn_ros.common.optional import EXTRA_OF
 
 pytestmark = pytest.mark.build
 
@@ -24,6 +26,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 DEPENDS = {tag.text for tag in MANIFEST.iter("exec_depend")}
 ROS_PACKAGES = {name for name in DEPENDS if not name.startswith("python3-")}
+OPTIONAL = "optional_imports()", "suppress(ImportError)", "TYPE_CHECKING"
 OURS = {"benchmarks", "evpinn_ros"}  # the first in a checkout alone, as the examples that use it
 EXECUTABLES = {"can_bridge", "energy", "estimator", "evpinn"}
 EXAMPLES = {path.name for path in (ROOT / "examples").glob("*.py")}
@@ -37,19 +40,20 @@ NAMES = {
     "distributed": ("dask", None),
     "foxglove": ("foxglove-sdk", None),
     "isotp": ("can-isotp", None),
-    "jinja2": ("jinja2", "python3-jinja2"),
+    "jinja2": ("jinja2", None),
     "libsumo": ("libsumo", None),
     "kuksa_client": ("kuksa-client", None),
     "lz4": ("lz4", None),
-    "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "matplotlib": ("matplotlib", None),
     "mcap": ("mcap", None),
     "numpy": ("numpy", "python3-numpy"),
     "openpyxl": ("openpyxl", None),
     "paho": ("paho-mqtt", None),
-    "pandas": ("pandas", "python3-pandas"),
+    "pandas": ("pandas", None),
     "polars": ("polars", None),
     "pyarrow": ("pyarrow", None),
     "rasterio": ("rasterio", None),
+    "rclpy": ("ros-rclpy", "rclpy"),
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),
@@ -66,11 +70,10 @@ NAMES = {
 # Seen in rosdep/python.yaml of rosdistro, in its fork InvincibleRMC/rosdistro at commit 30d139d7
 # (numpy and msgpack: ros/rosdistro at 000730dc).
 ROSDEP_KEYS = {
-    *("python3-can", "python3-cantools-pip", "python3-hypothesis", "python3-jinja2"),
-    *("python3-matplotlib", "python3-msgpack", "python3-numpy", "python3-pandas"),
-    *("python3-pytest", "python3-pytest-timeout", "python3-rich", "python3-rosbags-pip"),
-    "python3-scipy",
-    *("python3-serial", "python3-torch", "python3-typer", "python3-yaml"),
+    *("python3-can", "python3-cantools-pip", "python3-hypothesis", "python3-msgpack"),
+    *("python3-numpy", "python3-pytest", "python3-pytest-timeout", "python3-rich"),
+    *("python3-rosbags-pip", "python3-scipy", "python3-serial", "python3-torch"),
+    *("python3-typer", "python3-yaml"),
 }
 
 
@@ -99,21 +102,54 @@ def read_info(wheel: ZipFile, name: str) -> str:
     return wheel.read(f"evpinn_ros-{evpinn_ros.__version__}.dist-info/{name}").decode()
 
 
-def requirements(wheel: ZipFile, without_extra: str = "none") -> set[str]:
+def requirements(wheel: ZipFile) -> dict[str, set[str]]:
+    """Names of what is required, by extra; the empty one is what every installation has."""
     lines = message_from_string(read_info(wheel, "METADATA")).get_all("Requires-Dist")
-    kept = [line for line in lines if f'extra == "{without_extra}"' not in line]
-    return {re.match(r"[\w-]+", line)[0].lower() for line in kept}
+    by_extra: dict[str, set[str]] = {}
+    for line in lines:
+        extra = re.search(r'extra == "(\w+)"', line)
+        names = by_extra.setdefault(extra[1] if extra else "", set())
+        names.add(re.match(r"[\w-]+", line)[0].lower())
+    return by_extra
+
+
+def imports(nodes: Iterable[ast.AST]) -> set[str]:
+    """Packages that statements import, without Python's own and ours."""
+    names = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            names.add(node.module)
+    return {name.partition(".")[0] for name in names} - sys.stdlib_module_names - OURS
+
+
+def trees(folder: str) -> Iterator[ast.Module]:
+    return (ast.parse(path.read_text()) for path in (ROOT / folder).rglob("*.py"))
 
 
 def third_party_imports(folder: str) -> set[str]:
+    return set().union(*(imports(ast.walk(tree)) for tree in trees(folder)))
+
+
+def required_imports(folder: str) -> set[str]:
+    """Packages without which some file of a folder fails other than by `optional_imports`."""
     names = set()
-    for path in (ROOT / folder).rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                names |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and not node.level:
-                names.add(node.module)
-    return {name.partition(".")[0] for name in names} - sys.stdlib_module_names - OURS
+    for tree in trees(folder):
+        blocks = {kind: list(blocks_of(tree, kind)) for kind in OPTIONAL}
+        inside = {node for nodes in blocks.values() for node in nodes}
+        outside = imports(node for node in ast.walk(tree) if node not in inside)
+        names |= outside - imports(blocks["optional_imports()"])
+    return names
+
+
+def blocks_of(tree: ast.Module, head: str) -> Iterator[ast.AST]:
+    """All nodes in the blocks that begin with an expression, after `with` or `if`."""
+    for block in ast.walk(tree):
+        if isinstance(block, ast.With | ast.If):
+            first = block.test if isinstance(block, ast.If) else block.items[0].context_expr
+            if ast.unparse(first) == head:
+                yield from ast.walk(block)
 
 
 def test_version_is_one(wheel: ZipFile) -> None:
@@ -127,11 +163,14 @@ def test_manifest_is_an_ament_python_package() -> None:
     assert MANIFEST.findtext("export/build_type") == "ament_python"
 
 
-def test_manifest_declares_what_is_imported() -> None:
-    folders = "evpinn_ros", "launch", "examples"
-    imported = set().union(*map(third_party_imports, folders))
-    keys = {NAMES[name][1] for name in imported - ROS_PACKAGES} - {None}
-    assert keys <= DEPENDS
+def test_manifest_declares_what_every_installation_has(wheel: ZipFile) -> None:
+    """By its rosdep key; what has none is named in a comment."""
+    keys, required = dict(NAMES.values()), requirements(wheel)[""]
+    of_can = "python3-msgpack"  # of python-can[multicast]
+    assert {*(keys[name] for name in required), of_can} - {None} == DEPENDS - ROS_PACKAGES
+    text = (ROOT / "package.xml").read_text()
+    named = re.search(r"Without a rosdep key: ([^.]+)\.", text)[1].split(", ")
+    assert {*named} == {name for name in required if keys[name] is None}
 
 
 def test_every_key_is_one_that_rosdep_knows() -> None:
@@ -144,13 +183,26 @@ def test_wheel_declares_what_is_imported(wheel: ZipFile) -> None:
     needed = {NAMES[name][0] for name in imported - ROS_PACKAGES}
     imported -= {"launch", "launch_ros"}  # no wheels: launch files alone import what needs them
     needed |= {f"ros-{name.replace('_', '-')}" for name in imported & ROS_PACKAGES}
-    assert needed <= requirements(wheel, without_extra="dev")
+    declared = requirements(wheel)
+    del declared["dev"]
+    assert needed <= set().union(*declared.values())
+
+
+def test_every_installation_has_what_is_not_imported_as_optional(wheel: ZipFile) -> None:
+    imported = required_imports("evpinn_ros") - ROS_PACKAGES
+    assert {NAMES[name][0] for name in imported} <= requirements(wheel)[""]
+
+
+def test_an_optional_package_comes_with_the_extra_that_is_named(wheel: ZipFile) -> None:
+    declared = requirements(wheel)
+    for module, extra in EXTRA_OF.items():
+        assert NAMES[module][0] in declared[extra], module
 
 
 def test_constraints_pin_every_requirement(wheel: ZipFile) -> None:
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = {line.partition("==")[0].lower() for line in lines if "==" in line}
-    assert pinned == requirements(wheel)
+    assert pinned == set().union(*requirements(wheel).values())
 
 
 def test_wheel_holds_every_file(wheel: ZipFile) -> None:

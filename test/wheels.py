@@ -22,11 +22,12 @@ from zipfile import ZipFile
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(ROOT / "package.xml")
 # Of ROS 2 and of extras: what needs them is not imported without.
-OPTIONAL = {"ament_index_python", "atheris"} | {tag.text for tag in MANIFEST.iter("exec_depend")}
+OPTIONAL = {"ament_index_python", "extras"} | {tag.text for tag in MANIFEST.iter("exec_depend")}
 
 IMPORT_ALL = """
 import importlib, pathlib, sys
 import evpinn_ros
+from evpinn_ros.common.errors import InputError
 package = pathlib.Path(evpinn_ros.__file__).parent
 missed, count = {}, 0
 for path in sorted(package.rglob("*.py")):
@@ -38,6 +39,8 @@ for path in sorted(package.rglob("*.py")):
         count += 1
     except ModuleNotFoundError as error:
         missed.setdefault(error.name.partition(".")[0], []).append(".".join(parts))
+    except InputError:
+        missed.setdefault("extras", []).append(".".join(parts))
 print(count, *(f"{name}:{len(modules)}" for name, modules in sorted(missed.items())))
 """
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from importlib.util import find_spec
 import math
 import os
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +11,6 @@ import typer
 
 from evpinn_ros.cli.console import note, say, show, write_json
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 
 if TYPE_CHECKING:
@@ -38,8 +36,6 @@ def faults(
 
     Example: evpinn bench faults --only speed_nan --only unplug --kills 10
     """
-    if find_spec("rclpy") is None:
-        raise InputError("evpinn bench faults needs rclpy: pip install 'ros-rclpy[fastrtps]'")
     # Imported here: the rest of the commands work where no ROS is.
     from benchmarks.faults.campaign import run_campaign
     from benchmarks.faults.clocks import clock_setter

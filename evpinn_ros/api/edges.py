@@ -7,15 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from evpinn_ros.api.plan import KnownCar, basis_of, columns_of, known_car
 from evpinn_ros.common.arguments import finite, finite_or_none
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy import edges as energy_edges
 from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.plan import PlanConditions
 from evpinn_ros.core.vehicle.files import Vehicle
+
+with optional_imports():
+    import pandas as pd
 
 
 class EdgeEnergies:

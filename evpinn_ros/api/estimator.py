@@ -8,11 +8,10 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-import pandas as pd
-
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
 from evpinn_ros.common.arguments import finite, number, path_of
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
@@ -31,6 +30,9 @@ from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.replays.run import ReplayOptions
 from evpinn_ros.replays.scoring import parameter_metrics
+
+with optional_imports():
+    import pandas as pd
 
 NAN = math.nan
 

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import pandas as pd
+from evpinn_ros.common.optional import optional_imports
+
+with optional_imports():
+    import pandas as pd
+
 
 PARAMETER_COLUMNS = ("value", "std", "prior_share", "lower", "upper", "state")
 AMOUNT_COLUMNS = ("kwh", "sigma_kwh", "kwh_per_100km", "share")

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-import pandas as pd
 
 from evpinn_ros.common.arguments import finite_or_none, path_of, shown, truth_of
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge
@@ -23,6 +23,9 @@ from evpinn_ros.core.energy.plan import UNSAID, Legs, Plan, PlanConditions, Plan
 from evpinn_ros.core.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.core.estimation.terms import MILD_CELSIUS
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+
+with optional_imports():
+    import pandas as pd
 
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.car_model import CarModel
@@ -22,6 +22,9 @@ from evpinn_ros.replays.history import PowerSeries
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import measured_at, running_total
 from evpinn_ros.report.owner_text import owner_line
+
+with optional_imports():
+    import pandas as pd
 
 TIME = "t_s"
 FORECAST_COLUMNS = ("begin_s", "end_s", "measured_j", "forecast_j", "sigma_j", "covered")

@@ -29,6 +29,7 @@ from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES, MF4
 from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.common.opener import LONGEST_LINE, open_file, open_unpacked
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.writer import replaced
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
@@ -82,8 +83,9 @@ class LogFile:
         if self._suffix not in LOG_SUFFIXES:
             known = ", ".join(LOG_SUFFIXES)
             raise InputError(f"{self.path}: not a CAN log; known are {known}, also as .gz")
-        if self._suffix == MF4 and mf4.asammdf is None:
-            raise InputError(f"{self.path}: .mf4 needs asammdf; pip install 'evpinn_ros[mf4]'")
+        if self._suffix == MF4:
+            with optional_imports():
+                import asammdf  # noqa: F401
         with as_input_error(self.path):
             empty = self.path.stat().st_size == 0
         if empty:

@@ -13,6 +13,7 @@ from evpinn_ros.cli.options import (
     ParamsOption,
     StartOption,
     VehicleOption,
+    check_report,
     with_read_options,
 )
 from evpinn_ros.cli.table_columns import explain_columns
@@ -39,7 +40,8 @@ def compare(
     ],
     vehicle: VehicleOption = "generic",
     report: Annotated[
-        Path | None, typer.Option(help="Write the comparison to this HTML file.")
+        Path | None,
+        typer.Option(help="Write the comparison to this HTML file.", callback=check_report),
     ] = None,
     state: Annotated[
         Path | None,

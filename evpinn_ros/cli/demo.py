@@ -27,7 +27,6 @@ from evpinn_ros.replays.recorded import recorded_drive
 from evpinn_ros.replays.run import WARM_UP
 from evpinn_ros.replays.scoring import drive_scores
 from evpinn_ros.replays.simulation.truth_file import read_truth
-from evpinn_ros.report.figure import drive_figure, save_figure
 from evpinn_ros.report.tables import energy_lines
 from evpinn_ros.topics.node_parameters import Value
 
@@ -52,6 +51,7 @@ def demo(
     """
     # Imported here: all other commands work where no ROS is.
     from evpinn_ros.nodes.processes import record_through_nodes
+    from evpinn_ros.report.figure import drive_figure, save_figure
 
     source = share_directory() / "bags" / DRIVE
     bag, picture, log = out / "bag", out / "demo.png", out / f"{DRIVE}.log"

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import command_line, note, say, show, write_json
-from evpinn_ros.cli.options import JsonOption, VehicleOption, with_read_options
+from evpinn_ros.cli.options import JsonOption, VehicleOption, check_report, with_read_options
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH, kwh_digits
 from evpinn_ros.common.writer import check_outputs
@@ -73,7 +73,8 @@ def forecast(
         Path | None,
         typer.Option(
             help="Write an HTML page: charge along the way, where the energy goes, and what "
-            "would change it."
+            "would change it.",
+            callback=check_report,
         ),
     ] = None,
     json_file: JsonOption = None,

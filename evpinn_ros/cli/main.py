@@ -17,6 +17,7 @@ from evpinn_ros.cli.console import note, say
 from evpinn_ros.cli.interruption import INTERRUPTED
 from evpinn_ros.cli.lazy import LazyCommands
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.optional import optional_imports
 
 FAILED = 1
 
@@ -73,17 +74,13 @@ def main() -> None:
             stream.reconfigure(errors="replace")  # not every terminal knows every letter
     try:
         try:
-            app()
+            with optional_imports():
+                app()
         finally:
             if sys.stdout is not None:  # whoever started us may have closed it
                 sys.stdout.flush()  # a full disk shows now, and not after the last line of code
     except InputError as error:
         note(f"evpinn: {error}")
-        sys.exit(FAILED)
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "rclpy":
-            raise
-        note("evpinn: this needs rclpy: source a ROS 2, or pip install 'evpinn_ros[ros]'")
         sys.exit(FAILED)
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would be a traceback

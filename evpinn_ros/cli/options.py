@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import STDOUT, tables_beside
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.logs.read_options import ReadOptions
 
 
@@ -31,6 +32,18 @@ def complete_profile(incomplete: str) -> list[str]:
 
 def _tables_beside_json(path: Path | None) -> Path | None:
     tables_beside(path)
+    return path
+
+
+def check_report(path: Path | None) -> Path | None:
+    """Returns the path of a report.
+
+    Raises:
+        InputError: at once and not after hours of work, the extra is missing that writes it.
+    """
+    if path is not None:
+        with optional_imports():
+            import jinja2  # noqa: F401
     return path
 
 

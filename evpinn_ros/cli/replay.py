@@ -19,6 +19,7 @@ from evpinn_ros.cli.options import (
     ParamsOption,
     StartOption,
     VehicleOption,
+    check_report,
     with_read_options,
 )
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
@@ -73,7 +74,9 @@ def replay(
             help="Write inputs and results to this new bag; for several inputs, to a folder."
         ),
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write a report, one HTML file.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write a report, one HTML file.", callback=check_report)
+    ] = None,
     metrics: MetricsOption = None,
     units: Annotated[
         UnitSystem, typer.Option(help="Units of distance, here and in the report.")

@@ -24,6 +24,7 @@ from evpinn_ros.cli.options import (
     ParamsOption,
     TrustProfileOption,
     VehicleOption,
+    check_report,
     elm327_bus,
 )
 from evpinn_ros.common.units import MEGABYTE
@@ -94,7 +95,8 @@ def run(
         Path | None, typer.Option(help="New bag of all topics and CAN frames.")
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(help="Write a report at the end, one HTML file.")
+        Path | None,
+        typer.Option(help="Write a report at the end, one HTML file.", callback=check_report),
     ] = None,
     split_size: Annotated[
         float | None,

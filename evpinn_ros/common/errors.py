@@ -35,15 +35,6 @@ def as_input_error(what: object = None, *kinds: type[Exception]) -> Iterator[Non
         raise InputError(f"{begin}: {reason_of(error)}") from error
 
 
-@contextmanager
-def extra_needed(what: str, extra: str) -> Iterator[None]:
-    """Say in one line for what a package of an extra is missing, where a block imports it."""
-    try:
-        yield
-    except ImportError as error:
-        raise InputError(f"{what}: pip install 'evpinn_ros[{extra}]'") from error
-
-
 def reason_of(error: BaseException) -> str:
     """Reason of an error in one line: that of the system without its number and file."""
     return getattr(error, "strerror", None) or one_line(error)

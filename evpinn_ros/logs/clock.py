@@ -13,11 +13,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-import polars as pl
 
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.signals.readings import DAY_NS, NANOSECONDS
 from evpinn_ros.logs.numbers import POINT, Style, to_floats
 from evpinn_ros.logs.quantities import QUANTITIES
+
+with optional_imports():
+    import polars as pl
 
 NONE = np.iinfo(np.int64).min  # where there is no time
 LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import polars as pl
-
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.logs.text_table import MOST_COLUMNS, plain_cell
+
+with optional_imports():
+    import polars as pl
 
 
 def write_columns(path: Path, out: Path) -> None:

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from evpinn_ros.common.errors import extra_needed
 from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.logs.quantities import may_be_of_use
 
 with suppress(ImportError):  # at once, for the process is limited from what it took until then
@@ -24,7 +24,7 @@ HEADER = ("seconds", "name", "value", "unit")
 
 def write_signals(path: Path, out: Path) -> None:
     """Write the signals of an .mf4 that may be of use, in order of time; no file without any."""
-    with extra_needed(".mf4 needs asammdf", "mf4"):
+    with optional_imports():
         from asammdf import MDF
     stamps, names, values = [], [], []
     found: list[tuple[str, str]] = []

@@ -8,7 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-import polars as pl
+
+from evpinn_ros.common.optional import optional_imports
+
+with optional_imports():
+    import polars as pl
 
 # What apps write where a value is missing; NaN is MATLAB's and pandas'.
 MISSING = frozenset(("", "na", "n/a", "nan", "none", "null", "-", "--", "---", "?", "no data"))

@@ -10,8 +10,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from evpinn_ros.common.errors import InputError, extra_needed
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.logs.text_table import MOST_COLUMNS, plain_cell
 
 with suppress(ImportError):  # at once, for the process is limited from what it took until then
@@ -23,7 +24,7 @@ EMPTY_ABOVE = 50  # rows above the header
 
 def write_sheet(path: Path, out: Path) -> None:
     """Write the first sheet of an .xlsx that holds a table, a row a line."""
-    with extra_needed(".xlsx needs openpyxl", "tables"):
+    with optional_imports():
         from openpyxl import load_workbook
     with open_file(path) as file, out.open("w", newline="", encoding="utf-8") as table:
         book = load_workbook(file, read_only=True, data_only=True)

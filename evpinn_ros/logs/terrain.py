@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
-from importlib.util import find_spec
 import math
 from pathlib import Path
 import re
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import open_file, open_unpacked
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.signals.readings import AltitudeReading, Reading
 
 with suppress(ImportError):  # at once, for the process is limited from what it took until then
@@ -59,10 +59,9 @@ class Terrain:
             raise InputError(
                 f"{folder}: no tile of elevation, as N48E011.hgt, N48E011.hgt.gz or a GeoTIFF"
             )
-        if tiffs and find_spec("rasterio") is None:
-            raise InputError(
-                f"{tiffs[0]}: a GeoTIFF needs rasterio: pip install 'evpinn_ros[elevation]'"
-            )
+        if tiffs:
+            with optional_imports():
+                import rasterio  # noqa: F401
         self._folder = TemporaryDirectory()  # lasts as long as the grids
         self._grids = [read_geotiff(path, Path(self._folder.name)) for path in tiffs]
 

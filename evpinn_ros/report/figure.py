@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 import numpy as np
 
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.common.writer import replaced
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
@@ -17,6 +16,10 @@ from evpinn_ros.core.vehicle.identifiable import Identifiable
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import longest_step, running_total
+
+with optional_imports():
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"
 # Wide and pale: what is measured is seen under what predicts it.

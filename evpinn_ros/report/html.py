@@ -7,11 +7,13 @@ from collections.abc import Iterable
 from functools import cache
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.writer import replaced
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 BROWSER = Path(__file__).with_name("browser")  # what runs in the reader's browser
 UPLOT = BROWSER / "uplot"  # version 1.6.32 from npm, with its licence
@@ -59,6 +61,8 @@ def write_page(
 
 @cache
 def _templates() -> Environment:
+    with optional_imports():
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
     found = Environment(
         loader=FileSystemLoader(TEMPLATES),
         autoescape=True,

@@ -53,7 +53,7 @@ def test_without_ros_the_commands_that_need_it_fail_in_one_line(tmp_path, comman
         cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True, text=True, timeout=60,
     )  # fmt: skip
-    assert_fails_in_one_line(done, "needs rclpy", "evpinn_ros[ros]")
+    assert_fails_in_one_line(done, "rclpy is not installed", "evpinn_ros[ros]")
     assert not list(tmp_path.iterdir())
 
 

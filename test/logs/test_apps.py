@@ -249,10 +249,10 @@ def test_times_of_day_and_durations_of_columns_keep_parts_of_a_second(tmp_path, 
     ("name", "package", "extra"), [("d.xlsx", "openpyxl", "tables"), ("d.mf4", "asammdf", "mf4")]
 )
 def test_a_package_that_is_missing_is_told_in_words(tmp_path, monkeypatch, name, package, extra):
-    (tmp_path / f"{package}.py").write_text("raise ImportError")
+    (tmp_path / f"{package}.py").write_text(f"raise ModuleNotFoundError(name={package!r})")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     (tmp_path / name).write_bytes(b"anything")
-    with pytest.raises(InputError, match=rf"needs {package}: pip install 'evpinn_ros\[{extra}\]'"):
+    with pytest.raises(InputError, match=rf"{package} is not installed: .*evpinn_ros\[{extra}\]"):
         open_drive(tmp_path / name)
 
 

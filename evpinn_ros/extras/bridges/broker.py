@@ -17,7 +17,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from evpinn_ros.common.errors import as_input_error, extra_needed
+from evpinn_ros.common.errors import as_input_error
+from evpinn_ros.common.optional import optional_imports
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessageInfo
@@ -95,7 +96,7 @@ class Connection:
         Raises:
             InputError: paho-mqtt is missing, or a certificate cannot be used.
         """
-        with extra_needed("evpinn mqtt needs paho-mqtt", "mqtt"):
+        with optional_imports():
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
         self.settings, self._subscriptions, self._status = settings, subscriptions, status_topic

@@ -13,6 +13,7 @@ import math
 import time
 from typing import TYPE_CHECKING, Any
 
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.units import KMH
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.extras.bridges.car import BridgedCar
@@ -123,7 +124,8 @@ class DatabrokerFeed:
 
     def send(self) -> None:
         """Write all signals that are known."""
-        from kuksa_client import grpc as kuksa
+        with optional_imports():
+            from kuksa_client import grpc as kuksa
 
         for name, value in signals(self._car):
             if name in self.missing:

@@ -12,7 +12,7 @@ import typer
 
 from evpinn_ros.cli.console import note
 from evpinn_ros.cli.options import KeptStateOption, VehicleOption
-from evpinn_ros.common.errors import extra_needed
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.stopping import at_stop, leave_terminal
 from evpinn_ros.extras.bridges.mqtt import secret_of, split_address
 
@@ -48,7 +48,7 @@ def vss(
     from evpinn_ros.extras.bridges.car import BridgedCar
     from evpinn_ros.extras.bridges.databroker import DatabrokerFeed
 
-    with extra_needed("evpinn vss needs kuksa-client, of Python 3.11 on", "vss"):
+    with optional_imports():
         from kuksa_client.grpc import VSSClient, VSSClientError
     limit_blas_threads()
     token = None

@@ -20,7 +20,8 @@ import signal
 import threading
 from typing import Any, Generic, Protocol, TypeVar
 
-from evpinn_ros.common.errors import InputError, extra_needed, one_line, with_kind
+from evpinn_ros.common.errors import InputError, one_line, with_kind
+from evpinn_ros.common.optional import optional_imports
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -106,7 +107,7 @@ class DaskExecutor:
         Raises:
             InputError: Dask is not installed, nothing answers, or there is no worker.
         """
-        with extra_needed("--scheduler needs Dask", "fleet"):
+        with optional_imports():
             from distributed import Client
         self._running: dict[Any, Any] = {}
         try:

@@ -32,7 +32,7 @@ from evpinn_ros.extras.fleet.run import claimed, learn_fleet
 from evpinn_ros.extras.fleet.tables import (
     FleetSummary,
     population_rows,
-    require_parquet,
+    require_extra,
     write_tables,
 )
 
@@ -81,7 +81,7 @@ def fleet(
 
     Example: evpinn fleet drives/ --vehicle bmw_i3 --write-vehicle i3_fleet.yaml
     """
-    require_parquet()
+    require_extra()
     cars = _cars(bags or [], vehicle, manifest)
     _refuse_one_file_for_many(write_vehicle_to, cars)
     drives = (drive for car in cars for drive in car.drives)

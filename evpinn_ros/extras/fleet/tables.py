@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.common.errors import as_input_error, extra_needed
+from evpinn_ros.common.errors import as_input_error
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.writer import replaced
 from evpinn_ros.core.estimation.evidence import LINEAR, Evidence
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -84,13 +85,14 @@ class FleetSummary:
     counts: Counter[str] = field(default_factory=Counter)
 
 
-def require_parquet() -> None:
+def require_extra() -> None:
     """Raise now, not after hours of work.
 
     Raises:
-        InputError: pyarrow is not installed.
+        InputError: the extra `fleet` is not installed.
     """
-    with extra_needed("results are Parquet", "fleet"):
+    with optional_imports():
+        import jinja2  # noqa: F401
         import pyarrow.parquet  # noqa: F401
 
 

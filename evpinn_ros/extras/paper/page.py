@@ -8,17 +8,20 @@ import io
 from pathlib import Path
 from typing import Any
 
-from matplotlib import style
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 import numpy as np
 
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.extras.paper.experiment import Outcome
 from evpinn_ros.extras.paper.published import POWER_LOSSES, LossRow
 from evpinn_ros.extras.paper.tables import all_tables
 from evpinn_ros.extras.paper.verdict import CRITERIA, verdict
 from evpinn_ros.report.html import write_page
+
+with optional_imports():
+    from matplotlib import style
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SHORT = 11  # characters of a cell that stays in one line: `random 20 %`
 # Each is readable on white and on black.

@@ -15,10 +15,13 @@ from typing import Any, NamedTuple
 from xml.etree.ElementTree import ParseError, XMLParser
 
 import numpy as np
-import polars as pl
 
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, sums
 from evpinn_ros.logs.plans.way import Heights, legs_between, way_length
+
+with optional_imports():
+    import polars as pl
 
 MILLISECONDS_FROM = 1e11  # as seconds since 1970 it would be the year 5138
 TIMES, SPEEDS = ("coordTimes", "times"), ("speeds",)

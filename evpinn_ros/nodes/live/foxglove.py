@@ -18,7 +18,8 @@ import socket
 import threading
 
 from evpinn_ros.bags.types import typestore
-from evpinn_ros.common.errors import InputError, extra_needed, reason_of
+from evpinn_ros.common.errors import InputError, reason_of
+from evpinn_ros.common.optional import optional_imports
 
 LOOPBACK, PORT = "127.0.0.1", 8765  # 8765 is where Foxglove looks
 LAST_PORT = 65535
@@ -63,7 +64,7 @@ class FoxgloveServer:
         """
         if not 0 <= port <= LAST_PORT:
             raise InputError(f"port {port} is not in 0 to {LAST_PORT}")
-        with extra_needed("Foxglove wants an extra", "foxglove"):
+        with optional_imports():
             import foxglove
             from foxglove.websocket import Capability
         self._context = foxglove.Context()  # channels close with it

@@ -1,0 +1,43 @@
+"""Optional packages, and the extra of `setup.py` that brings each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from evpinn_ros.common.errors import InputError
+
+EXTRA_OF = {
+    "asammdf": "mf4",
+    "distributed": "fleet",
+    "foxglove": "foxglove",
+    "jinja2": "report",
+    "kuksa_client": "vss",
+    "matplotlib": "report",
+    "openpyxl": "tables",
+    "paho": "mqtt",
+    "pandas": "tables",
+    "polars": "tables",
+    "pyarrow": "fleet",
+    "rasterio": "elevation",
+    "rclpy": "ros",
+}
+"""Extra by the name of what is imported. All of `setup.py` that a command needs stand here."""
+
+
+@contextmanager
+def optional_imports() -> Iterator[None]:
+    """Imports optional packages in a block; if one is missing, the error names its extra.
+
+    Raises:
+        InputError: one line, with the command that installs the extra.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRA_OF:
+            raise
+        other = "source a ROS 2, or " if package == "rclpy" else ""
+        line = f"{other}pip install 'evpinn_ros[{EXTRA_OF[package]}]'"
+        raise InputError(f"{package} is not installed: {line}") from error
