@@ -16,15 +16,13 @@ import signal
 import subprocess
 import sys
 import sysconfig
-import time
 
 import pytest
 
 from test.nodes.processes import started
+from test.waiting import HANG_S, wait_until
 
 STAND_IN = Path(__file__).with_name("ros2_bag.py")
-STOP_TIMEOUT = 30.0  # s
-DISCOVERY_TIMEOUT = 30.0  # s
 DAEMON = """
 import rclpy
 from ros2cli.daemon import main
@@ -59,7 +57,7 @@ class Ros2:
 
     def _said(self, command: list[str]) -> str:
         return subprocess.run(
-            command, cwd=self.folder, env=self.environment, text=True, timeout=120.0,
+            command, cwd=self.folder, env=self.environment, text=True, timeout=HANG_S,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         ).stdout  # fmt: skip
 
@@ -73,10 +71,14 @@ class Ros2:
 
     def ask(self, *words: object) -> str:
         """What a command that asks the graph prints, once the daemon has found the node."""
-        end = time.monotonic() + DISCOVERY_TIMEOUT
-        while (said := self.run(*words)).strip() == "Node not found":
-            assert time.monotonic() < end, f"{words}: {said}"
-        return said
+        answers: list[str] = []
+
+        def answered() -> bool:
+            answers.append(self.run(*words))
+            return answers[-1].strip() != "Node not found"
+
+        wait_until(answered, report=lambda: words)
+        return answers[-1]
 
     @contextmanager
     def running(self, *words: object) -> Iterator["Running"]:
@@ -122,7 +124,7 @@ class Running:
         """As Ctrl-C does, which reaches the whole group; each process must end cleanly."""
         if self.process.poll() is None:
             os.killpg(self.process.pid, signal.SIGINT)
-        code = self.process.wait(STOP_TIMEOUT)
+        code = self.process.wait(HANG_S)
         assert code in self.codes, self.output
         assert self.output.count("process has died") == self.killed, self.output
         assert "Traceback" not in self.output, self.output
@@ -172,8 +174,6 @@ def _daemon(environment: dict[str, str], log: Path) -> Iterator[None]:
     command = (sys.executable, "-c", code)
     options = {"env": environment, "stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT}
     with log.open("w") as output, started(*command, stdout=output, **options) as daemon:
-        end = time.monotonic() + DISCOVERY_TIMEOUT
-        while "Serving" not in log.read_text():
-            assert daemon.poll() is None and time.monotonic() < end, log.read_text()
-            time.sleep(0.1)
+        wait_until(lambda: "Serving" in log.read_text() or daemon.poll() is not None)
+        assert daemon.poll() is None, log.read_text()
         yield

@@ -8,11 +8,12 @@ import argparse
 import os
 from pathlib import Path
 import signal
-import time
 
 import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
-from rosgraph_msgs.msg import Clock
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
@@ -44,28 +45,28 @@ def options() -> argparse.Namespace:
 def play(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
     moved = dict(pair.split(":=") for pair in asked.remap)
     outlets: dict[str, rclpy.publisher.Publisher] = {}
-    clock = node.create_publisher(Clock, "/clock", 10) if asked.clock else None
+    ticks = node.create_publisher(ClockMessage, "/clock", 10) if asked.clock else None
     seconds = float(os.environ.get("STAND_IN_SECONDS", "inf"))  # of the bag, to test quickly
     with BagReader(asked.path) as bag:
         for name in bag.topics:
             if name in asked.topics:
                 kind = factory.message_class(topic_of(name).type_name)
                 outlets[name] = node.create_publisher(kind, moved.get(name, name), 10)
-        time.sleep(asked.delay)
-        first, begin, ticked = None, time.monotonic(), 0
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        clock.sleep_for(Duration(seconds=asked.delay))
+        first, begin, ticked = None, clock.now(), 0
         for record in bag.raw_records():
             now = record.log_time_ns
             first = now if first is None else first
             if now - first > seconds * SECOND or not rclpy.ok():
                 break
-            time.sleep(max(0.0, begin + (now - first) / SECOND / asked.rate - time.monotonic()))
-            if clock is not None and now - ticked > SECOND / asked.clock:
-                message, ticked = Clock(), now
+            clock.sleep_until(begin + Duration(nanoseconds=round((now - first) / asked.rate)))
+            if ticks is not None and now - ticked > SECOND / asked.clock:
+                message, ticked = ClockMessage(), now
                 message.clock.sec, message.clock.nanosec = divmod(now, SECOND)
-                clock.publish(message)
+                ticks.publish(message)
             if record.topic in outlets:
                 outlets[record.topic].publish(record.message)
-    time.sleep(1.0)
 
 
 def record(node: rclpy.node.Node, asked: argparse.Namespace) -> None:

@@ -1,5 +1,6 @@
 """Managed nodes, driven by `ros2 lifecycle`."""
 
+from collections import deque
 import json
 
 from lifecycle_msgs.srv import GetState
@@ -19,13 +20,11 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
     powers, said = bench.hear(topics.POWER_PREDICTED), bench.hear(topics.DIAGNOSTICS)
     state = tmp_path / "car.json"
     options = ("-p", "vehicle:=tesla_model_3_lr", "-p", f"state_file:={state}")
-    drive = [(topic, message) for topic, _, message in urban(20.0)]
+    drive = deque((topic, message) for topic, _, message in urban(360.0))
 
     def send(count):
-        for topic, message in drive[:count]:
-            bench.send(topic, message)
-            bench.executor.spin_once(timeout_sec=0.01)
-        del drive[:count]
+        for _ in range(count):
+            bench.send(*drive.popleft())
 
     def to(transition):
         answer = ros2.ask("lifecycle", "set", "/ev/estimator", transition)
@@ -39,8 +38,7 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
         send(40)
         assert not powers
         to("activate")
-        send(120)
-        bench.pump(lambda: len(powers) > 20)
+        bench.pump(lambda: len(powers) > 20 or send(1))
         assert not state.exists()
         to("deactivate")
         assert json.loads(state.read_text())["learned"]["vehicle"] == "tesla_model_3_lr"
