@@ -21,14 +21,6 @@ CLOCK = re.compile(r"\b(perf_counter|monotonic|process_time|elapsed)(_ns)?\b")
 BOUNDED = {"communicate": 1, "join": 0, "result": 0, "run": None, "wait": 0}
 """Calls that end after a timeout, with its position among the arguments."""
 
-NOT_YET = frozenset(
-    {
-        "conftest.py",
-        "ros2_bag.py",
-    }
-)
-"""Names of files that still depend on time; the list only shrinks."""
-
 
 def violations(source: str) -> list[str]:
     """Returns what a file of tests does with time, each with its line number."""
@@ -86,16 +78,12 @@ def files() -> list[Path]:
 
 
 def test_no_test_depends_on_the_speed_of_the_machine() -> None:
-    broken = {path: violations(path.read_text()) for path in files()}
     texts = [
         f"{path.relative_to(ROOT.parent)}:{line}"
-        for path, lines in broken.items()
-        if path.name not in NOT_YET
-        for line in lines
+        for path in files()
+        for line in violations(path.read_text())
     ]
     assert not texts, "wait for a condition (test/waiting.py):\n" + "\n".join(texts)
-    dependent = {path.name for path, lines in broken.items() if lines}
-    assert dependent >= NOT_YET, f"mended, strike from NOT_YET: {sorted(NOT_YET - dependent)}"
 
 
 @pytest.mark.parametrize(
