@@ -1,4 +1,4 @@
-"""Linear algebra of Gaussians in batches: predict and condition, independent of cars.
+"""Linear algebra of Gaussians in batches, independent of cars.
 
 Arrays carry leading axes for the hypotheses of a bank: means have shape (..., n), covariances
 (..., n, n). Functions are pure: they return new arrays.
@@ -34,12 +34,6 @@ class Innovation(NamedTuple):
     residual: np.ndarray
     variance: np.ndarray
     along: np.ndarray
-
-
-def predict(state: Gaussian, transition: np.ndarray, noise: np.ndarray) -> Gaussian:
-    """The state after a linear step, shape (n, n), that adds noise of this covariance."""
-    mean = state.mean @ transition.T
-    return Gaussian(mean, transition @ state.covariance @ transition.T + noise)
 
 
 def innovate(

@@ -99,6 +99,8 @@ class PinnLearner(Saveable[SavedPinn]):
         self._measured_ns: int | None = None  # newest measured sample
         self._trimmed = 0.0  # J that the trim gave since then
         self._before: Journey | None = None  # from the last interval measured to that sample
+        # What the present car publishes, and how far that is from its prior, once asked for.
+        self._projected: tuple[ParameterSet, dict[str, float]] | None
         self._use(LearnedCar.new(self._equation))
 
     def advance(self, sample: Sample) -> None:
@@ -182,9 +184,12 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters, in the sense of eq. 12-21."""
-        found = published(self._car.state, self._equation, self._car.driven)
-        now = parameter_set(self._last_ns or 0, found)
-        return self._trust.judge(now, deviations(found), suspected=bool(self._sign.detected))
+        if self._projected is None:
+            found = published(self._car.state, self._equation, self._car.driven)
+            self._projected = parameter_set(0, found), deviations(found)
+        now, away = self._projected
+        now = replace(now, stamp_ns=self._last_ns or 0)
+        return self._trust.judge(now, away, suspected=bool(self._sign.detected))
 
     def breakdowns(self) -> Breakdowns | None:
         """Energy of this drive, and of those kept before it, by where it went."""
@@ -264,6 +269,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._car, self._model = car, car.model()
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
         self._powers.clear()
+        self._projected = None
 
     def _begin_tail(self) -> None:
         """Join nothing to the samples before."""

@@ -214,19 +214,23 @@ def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[Ca
 def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:
     """Let time, s, and road, m without height, pass: fast energies are those of this journey."""
     left, integral, rest = wandered(seconds)
-    transition, noise = np.eye(SIZE), np.zeros((len(state.mean), SIZE, SIZE))
     load, energy, climb = State.LOAD, State.LOAD_ENERGY, State.CLIMB
-    for present, before in ((energy, State.WANDERED), (climb, State.CLIMBED)):
-        transition[before, present] = 1.0
-        transition[present, present] = 0.0
+    mean, covariance = state.mean.copy(), state.covariance.copy()
+    # Only these rows and columns change: a transition matrix would be mostly identity.
+    for rows in (mean.T, covariance.transpose(1, 0, 2), covariance.transpose(2, 0, 1)):
+        rows[State.WANDERED] += rows[energy]
+        rows[State.CLIMBED] += rows[climb]
+        rows[climb] = 0.0
+        rows[energy] = integral * rows[load]
+        rows[load] *= left
     weight = GRAVITY * state.mean[:, State.MASS]
-    noise[:, climb, climb] = weight**2 * state.bands.growth * unseen
-    transition[energy, load], transition[load, load] = integral, left
-    noise[:, load, load] = state.load_variance * (1.0 - left**2)
-    noise[:, energy, energy] = state.load_variance * rest
-    noise[:, load, energy] = noise[:, energy, load] = state.load_variance * integral * (1.0 - left)
-    now = gaussian.predict(state.gaussian, transition, noise)
-    return state.with_gaussian(now, seconds=state.seconds + seconds)
+    covariance[:, climb, climb] += weight**2 * state.bands.growth * unseen
+    covariance[:, load, load] += state.load_variance * (1.0 - left**2)
+    covariance[:, energy, energy] += state.load_variance * rest
+    shared = state.load_variance * integral * (1.0 - left)
+    covariance[:, load, energy] += shared
+    covariance[:, energy, load] += shared
+    return state.with_gaussian(Gaussian(mean, covariance), seconds=state.seconds + seconds)
 
 
 def condition(
@@ -292,8 +296,9 @@ def begin_drive(state: CarState, equation: Equation, *, keep: float = DRIVE_KEPT
     prior = np.repeat(np.diag(equation.covariance)[None], len(state.mean), axis=0)
     prior[:, WEIGHTS] = BANK[:, :1] ** 2
     fresh[:, LASTING] = DRIFT**2 * prior[:, LASTING]
+    covariance = kept[:, None] * state.covariance * kept + fresh[:, :, None] * np.eye(SIZE)
     state = state.with_gaussian(
-        gaussian.predict(state.gaussian, np.diag(kept), fresh[:, :, None] * np.eye(SIZE)),
+        Gaussian(kept * state.mean, covariance),
         offset_variance=variance,
         drives=min(state.drives + 1.0, DRIVES_KEPT),
         intervals=0,

@@ -26,8 +26,8 @@ from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 UNITS = 16
 INPUTS = 2 + PROFILE
-INPUT_CENTRE = np.array([10.0, 0.0, *([0.0] * PROFILE)])  # m/s, m/s^2
-INPUT_SCALE = np.array([15.0, 1.2, *([0.5] * PROFILE)])
+INPUT_CENTRE = np.array([10.0, 0.0, *([0.0] * PROFILE), 0.0])  # m/s, m/s^2; of the bias none
+INPUT_SCALE = np.array([15.0, 1.2, *([0.5] * PROFILE), 1.0])
 SPREAD = np.array([1.2, 1.2, *([0.7] * PROFILE)])  # 1-sigma of the first input weights
 TRIM_FORCE = 1000.0  # N, 1-sigma of the force that the trim may add
 TRIM_SECONDS = 10.0  # s of driving in which weights return to the prior
@@ -44,6 +44,15 @@ AHEAD = 1.0  # s after which a correction is compared with what came, or at the 
 PRIOR_SQUARES, PRIOR_SHARE = 10.0 * 100.0**2, 0.5
 LEAST_PERSISTENCE = 0.01  # that holds
 MOST_SQUARES = 1e15  # N^2, sum over `EVIDENCE_TIME`
+LEAST_SCALE = 1e-30  # of the covariance, before it is taken into its shape
+
+
+class _Output(NamedTuple):
+    """Force of the trim at a sample, N, its variance, N^2, and shape times gradient."""
+
+    force: float
+    variance: float
+    along: np.ndarray
 
 
 class Correction(NamedTuple):
@@ -98,16 +107,21 @@ class Trim:
         """Start at the prior, with random input weights."""
         rng = np.random.default_rng(seed)
         inner = rng.normal(0.0, 1.0, (UNITS, INPUTS)) * SPREAD
-        bias = rng.normal(0.0, 1.0, UNITS)
-        self._start = np.concatenate((inner.ravel(), bias, np.zeros(UNITS + 1)))
-        inner_std = np.full(UNITS * (INPUTS + 1), WEIGHT_STD)
-        outer_std = np.full(UNITS, TRIM_FORCE / math.sqrt(UNITS))
-        self._prior = np.concatenate((inner_std, outer_std, [TRIM_FORCE])) ** 2
-        self._weights, self._covariance = self._start.copy(), np.diag(self._prior)
+        # Weights of a unit's inputs and its bias, of all units, then the outer ones and a force.
+        self._start = np.column_stack((inner, rng.normal(0.0, 1.0, UNITS)))
+        outer_variance = np.full(UNITS, TRIM_FORCE**2 / UNITS)
+        self._prior = np.concatenate((
+            np.full(self._start.size, WEIGHT_STD**2), outer_variance, [TRIM_FORCE**2]
+        ))  # fmt: skip
+        self._away = np.zeros(len(self._prior))  # of the weights from where they start
+        # The covariance is `_scale` times `_shape`: to let all of it fade costs one product.
+        self._shape, self._scale = np.diag(self._prior), 1.0
+        self._buffer = np.empty_like(self._shape)
         self.evidence, self.persistence = 0.0, Persistence()
         self._age = 0.0  # s since it last learned
         # Weights at a moment and the s since, to be compared with what comes.
         self._snapshot: tuple[np.ndarray, float] | None = None
+        self._newest: tuple[Sample, _Output] | None = None  # at these weights
 
     @property
     def share(self) -> float:
@@ -116,22 +130,24 @@ class Trim:
 
     def correct(self, sample: Sample) -> Correction:
         """Power that the trim adds at a sample, weighted by its evidence."""
-        force, gradient = self._output(sample, self._weights)
+        output = self._output(sample)
         reach = self.share * abs(sample.speed)
-        variance = float(gradient @ self._covariance @ gradient)
-        power = reach * force * self.persistence.share_after(self._age)
-        return Correction(power, reach * math.sqrt(max(0.0, variance)))
+        power = reach * output.force * self.persistence.share_after(self._age)
+        return Correction(power, reach * math.sqrt(max(0.0, output.variance)))
 
     def advance(self, duration: float) -> None:
         """Let s pass: weights return to the prior."""
         keep = math.exp(-duration / TRIM_SECONDS)
-        self._weights = self._faded(self._weights, duration)
+        self._newest = None
+        self._away = keep * self._away
         self._age += duration
         if self._snapshot is not None:
-            weights, age = self._snapshot
-            self._snapshot = weights, age + duration
-        self._covariance *= keep**2
-        self._covariance[np.diag_indices_from(self._covariance)] += (1.0 - keep**2) * self._prior
+            away, age = self._snapshot
+            self._snapshot = away, age + duration
+        self._scale *= keep**2
+        if self._scale < LEAST_SCALE:
+            self._shape, self._scale = self._scale * self._shape, 1.0
+        self._shape.flat[:: len(self._prior) + 1] += (1.0 - keep**2) / self._scale * self._prior
 
     def learn(self, sample: Sample, residual: float, duration: float) -> None:
         """Learn what the car leaves of power, W, at a sample that stands for some s."""
@@ -139,47 +155,57 @@ class Trim:
         if v < STANDSTILL_SPEED:
             return
         self._compare(sample, residual / v)
-        force, gradient = self._output(sample, self._weights)
-        error = residual - v * force
+        output, self._newest = self._output(sample), None
+        error = residual - v * output.force
         noise = POWER_NOISE**2 + (FORCE_NOISE * v) ** 2
         with_it, without = (
-            min(0.5 * each**2 / (noise * TEMPERATURE), MOST_LOSS) for each in (error, residual)
+            min(0.5 * miss**2 / (noise * TEMPERATURE), MOST_LOSS) for miss in (error, residual)
         )
         evidence = self.evidence * math.exp(-duration / EVIDENCE_TIME)
         self.evidence = evidence + duration * (without - with_it)
-        along = v * (self._covariance @ gradient)
-        variance = v * float(gradient @ along) + noise * CORRELATED
+        variance = v**2 * output.variance + noise * CORRELATED
         beyond = max(1.0, abs(error) / (OUTLIER * math.sqrt(variance)))
-        gain = along / (variance * beyond**2)
-        self._weights = self._weights + gain * error
-        self._covariance -= np.outer(gain, along)
+        gain = (v * self._scale / (variance * beyond**2)) * output.along
+        self._away = self._away + error * gain
+        np.dot(gain[:, None], v * output.along[None], out=self._buffer)
+        self._shape -= self._buffer
         self._age = 0.0
-        self._snapshot = self._snapshot or (self._weights, 0.0)
+        self._snapshot = self._snapshot or (self._away, 0.0)
 
     def _compare(self, sample: Sample, force: float) -> None:
         """Compare the force that is measured, N, with what the trim gave `AHEAD` before."""
         if self._snapshot is None or self._snapshot[1] < AHEAD:
             return
-        (weights, age), self._snapshot = self._snapshot, None
+        (away, age), self._snapshot = self._snapshot, None
         if age < TRIM_SECONDS:
-            given, _ = self._output(sample, self._faded(weights, age))
-            self.persistence.learn(given, force, age)
+            hidden, outer = self._hidden(_inputs(sample), math.exp(-age / TRIM_SECONDS) * away)
+            self.persistence.learn(float(outer[:-1] @ hidden + outer[-1]), force, age)
 
-    def _faded(self, weights: np.ndarray, duration: float) -> np.ndarray:
-        """Weights some s later, on their way back to the prior."""
-        return np.asarray(
-            self._start + math.exp(-duration / TRIM_SECONDS) * (weights - self._start)
-        )
+    def _output(self, sample: Sample) -> _Output:
+        """Output at a sample; that of the newest one is learned from next, at the same weights."""
+        if self._newest is not None and self._newest[0] is sample:
+            return self._newest[1]
+        inputs, count = _inputs(sample), self._start.size
+        hidden, outer = self._hidden(inputs, self._away)
+        gradient = np.ones(len(self._prior))
+        slope = outer[:-1] * (1.0 - hidden * hidden)
+        np.multiply(slope[:, None], inputs, out=gradient[:count].reshape(self._start.shape))
+        gradient[count:-1] = hidden
+        along = self._shape @ gradient
+        variance = self._scale * float(gradient @ along)
+        output = _Output(float(outer[:-1] @ hidden + outer[-1]), variance, along)
+        self._newest = sample, output
+        return output
 
-    def _output(self, sample: Sample, weights: np.ndarray) -> tuple[float, np.ndarray]:
-        """Output with these weights, a force, N, and its gradient, (weights,)."""
-        profile = sample.profile or (0.0,) * PROFILE
-        raw = np.array([sample.speed, sample.acceleration, *profile])
-        inputs = (raw - INPUT_CENTRE) / INPUT_SCALE
-        count = UNITS * INPUTS
-        inner = weights[:count].reshape(UNITS, INPUTS)
-        outer = weights[count + UNITS : -1]
-        hidden = np.tanh(inner @ inputs + weights[count : count + UNITS])
-        slope = outer * (1.0 - hidden**2)
-        force = float(outer @ hidden + weights[-1])
-        return force, np.concatenate((np.outer(slope, inputs).ravel(), slope, hidden, [1.0]))
+    def _hidden(self, inputs: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Output of each unit, (UNITS,), and the weights of these, the last of a constant."""
+        count = self._start.size
+        inner = self._start + away[:count].reshape(self._start.shape)
+        return np.tanh(inner @ inputs), away[count:]
+
+
+def _inputs(sample: Sample) -> np.ndarray:
+    """Inputs of the units at a sample, the last for their bias, shape (INPUTS + 1,)."""
+    profile = sample.profile or (0.0,) * PROFILE
+    raw = np.array((sample.speed, sample.acceleration, *profile, 1.0))
+    return np.asarray((raw - INPUT_CENTRE) / INPUT_SCALE)

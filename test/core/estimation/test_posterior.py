@@ -23,6 +23,7 @@ from evpinn_ros.core.estimation.posterior import (
 from evpinn_ros.core.estimation.states import LASTING, OFFSETS, PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import Warmth, equation_of
 from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.core.vehicle.physics import GRAVITY
 from evpinn_ros.replays.simulation.drive import DriveKind
 
 CAR = load_vehicle("tesla_model_3_lr")
@@ -273,3 +274,27 @@ def test_a_fast_car_s_motor_tells_less_of_its_mass():
     slow, fast = (see_motor(initial_state(EQUATION), rows, square) for square in (1e2, 1e5))
     variances = [each.covariance[:, State.MASS, State.MASS] for each in (slow, fast)]
     assert (variances[0] < 0.9 * variances[1]).all()
+
+
+def test_letting_time_pass_is_one_linear_step_of_the_states_with_noise():
+    rng = np.random.default_rng(0)
+    start = initial_state(EQUATION)
+    root = rng.standard_normal(start.covariance.shape)
+    mean, covariance = rng.standard_normal(start.mean.shape), root @ root.transpose(0, 2, 1)
+    before = replace(start, mean=mean, covariance=covariance)
+    after = advance(before, 10.0, 100.0)
+    left, integral, rest = wandered(10.0)
+    step = np.eye(SIZE)
+    step[State.WANDERED, State.LOAD_ENERGY] = step[State.CLIMBED, State.CLIMB] = 1.0
+    step[State.CLIMB, State.CLIMB] = step[State.LOAD_ENERGY, State.LOAD_ENERGY] = 0.0
+    step[State.LOAD_ENERGY, State.LOAD], step[State.LOAD, State.LOAD] = integral, left
+    fresh = after.covariance - step @ covariance @ step.T
+    np.testing.assert_allclose(after.mean, mean @ step.T, rtol=1e-12)
+    load, energy, climb = State.LOAD, State.LOAD_ENERGY, State.CLIMB
+    weight = GRAVITY * mean[:, State.MASS]
+    for k, variance in enumerate(before.load_variance):
+        expected = np.zeros((SIZE, SIZE))
+        expected[load, load], expected[energy, energy] = variance * (1 - left**2), variance * rest
+        expected[load, energy] = expected[energy, load] = variance * integral * (1 - left)
+        expected[climb, climb] = weight[k] ** 2 * before.bands.growth * 100.0
+        np.testing.assert_allclose(fresh[k], expected, rtol=1e-9, atol=1e-6 * variance)
