@@ -79,9 +79,11 @@ core: JOBS := 2
 core: $(CORE)
 	@$(CORE_PYTHON) -m pytest $(IN_PARALLEL) --hypothesis-profile=quick --quick $(ROOMS)
 
-# Whether `make core` finds a core that is broken: faults planted in a copy, one after the other.
-mutants: $(CORE)
-	@$(CORE_PYTHON) test/mutants.py
+# Whether `make core` finds a core that is broken: faults planted in it, one after the other.
+# mutmut wants other versions of what the tools of `make lint` use, so it has an environment apart.
+mutants: $(CORE_VENV)/installed
+	@$(CORE_VENV)/bin/python -m pip install -qq 'mutmut>=3.8,<4'
+	@$(CORE_VENV)/bin/mutmut run
 
 # Both distributions that rclpy comes as wheels of: Kilted as `make test` has it, and Jazzy.
 # PyTorch for Python 3.12 is a download of gigabytes.
@@ -133,7 +135,7 @@ site: $(INSTALLED)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf $(VENV) $(CORE_VENV) $(JAZZY) build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(CORE_VENV) $(JAZZY) mutants build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
 
 $(COMPILED): $(INSTALLED)
 	@$(BIN)/python -m pytest --collect-only -qq >/dev/null 2>&1; touch $@

@@ -104,8 +104,6 @@ setup(
         "fleet": ["dask[distributed]", "jinja2", "pyarrow"],
         # Peers of `evpinn bench`.
         "bench": ["eclipse-sumo", "libsumo"],
-        # Damages inputs for `evpinn bench fuzz`; wheels for Python 3.11 to 3.13.
-        "fuzz": ["atheris"],
         # Reads GeoTIFF tiles of `--elevation`.
         "elevation": ["rasterio"],
         # Reads ASAM .mf4 logs. Apart, for `import can` loads it and pandas whenever it is there.

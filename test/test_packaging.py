@@ -34,7 +34,6 @@ EXAMPLES = {path.name for path in (ROOT / "examples").glob("*.py")}
 # What is imported: its name at the package index and its rosdep key, where it has one.
 NAMES = {
     "asammdf": ("asammdf", None),
-    "atheris": ("atheris", None),
     "can": ("python-can", "python3-can"),
     "cantools": ("cantools", "python3-cantools-pip"),
     "distributed": ("dask", None),

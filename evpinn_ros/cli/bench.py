@@ -26,8 +26,6 @@ COMMANDS = (
     "breakdown",
     "speed",
     "soak",
-    "fuzz",
-    "faults",
 )
 
 

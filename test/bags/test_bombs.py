@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 import zstandard
 
-from benchmarks.fuzz_seeds import database
 from evpinn_ros.bags import mcap_file, salvage
 from evpinn_ros.bags.limits import most_messages
 from evpinn_ros.bags.mcap_content import HEAD, MAGIC
@@ -31,6 +30,7 @@ from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
 from evpinn_ros.common.yaml_section import load_plain
 from evpinn_ros.extras.paper import checkpoint
 from evpinn_ros.logs.sources import open_drive
+from test.damage.seeds import database
 
 pytestmark = pytest.mark.torch
 

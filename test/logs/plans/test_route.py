@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from benchmarks.fuzz_structures import mutate_json
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import PlanError
@@ -18,6 +17,7 @@ from evpinn_ros.core.energy.power_model import Weather, vehicle_model
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.plans import read_plan
 from evpinn_ros.logs.plans.route import decode_polyline
+from test.damage.structures import mutate_json
 from test.logs.plans import samples
 
 CLIMBS = np.diff(samples.HEIGHTS)

@@ -1,8 +1,6 @@
-"""Every parser of what comes from outside, in one table for all fuzzing.
+"""Every parser of what comes from outside, in one table.
 
-`evpinn bench fuzz` drives it by atheris, the tests by hypothesis. A parser may raise `InputError`
-or count what it drops; anything else that it raises is a bug, and so are a hang and a memory that
-fills.
+A parser may raise `InputError` or count what it drops; anything else that it raises is a bug.
 """
 
 from __future__ import annotations
@@ -16,16 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import fuzz_seeds as seeds
-from benchmarks.fuzz_seeds import READINGS, VEHICLE
-from benchmarks.fuzz_structures import (
-    Mutate,
-    mutate_json,
-    mutate_mcap,
-    mutate_packed,
-    mutate_table,
-    mutate_yaml,
-)
 from evpinn_ros import topics
 from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.metadata import METADATA
@@ -56,9 +44,15 @@ from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.parameter_file import check_parameter_file
 from evpinn_ros.topics.plans import path_plan, speed_profile_plan
 from evpinn_ros.topics.readings import READING_TOPICS, to_reading
-
-SLOW = 0.25  # part of the inputs for a parser that takes several times as long as most
-APART = 0.002  # of one that starts a process for each
+from test.damage import seeds
+from test.damage.seeds import READINGS, VEHICLE
+from test.damage.structures import (
+    Mutate,
+    mutate_json,
+    mutate_packed,
+    mutate_table,
+    mutate_yaml,
+)
 
 _PACKED_METADATA = """rosbag2_bagfile_information:
   compression_mode: FILE
@@ -76,7 +70,6 @@ class Target:
     parse: Callable[[Path], object]  # reads the file; it may raise InputError and nothing else
     # makes what the parser needs in the folder of the file
     beside: Callable[[Path], object] = lambda folder: None
-    weight: float = 1.0  # its part of all inputs; less where one input takes longer
     # damages an input and keeps its structure, where it has one to keep
     mutate: Mutate | None = None
 
@@ -245,15 +238,13 @@ def _account_seed() -> list[bytes]:
     return seeds.as_json(_account().export())
 
 
-_settings = partial(Target, weight=SLOW, mutate=mutate_yaml)
+_settings = partial(Target, mutate=mutate_yaml)
 
 TARGETS = (
-    Target("mcap", "drive.mcap", seeds.mcap_files, _bag, mutate=mutate_mcap),
-    Target("recover", "drive.mcap", seeds.mcap_files, _recovered, weight=SLOW, mutate=mutate_mcap),
+    Target("mcap", "drive.mcap", seeds.mcap_files, _bag),
+    Target("recover", "drive.mcap", seeds.mcap_files, _recovered),
     Target("sqlite3", "drive.db3", seeds.database, _bag),
-    Target(
-        "packed", "drive.mcap.zstd", seeds.packed_file, _bag_folder, _packed_beside, weight=SLOW
-    ),
+    Target("packed", "drive.mcap.zstd", seeds.packed_file, _bag_folder, _packed_beside),
     _settings("metadata", METADATA, seeds.metadata, _bag_folder, _mcap_beside),
     *(
         Target(suffix.strip("."), f"drive{suffix}", partial(seeds.can_log, suffix), _log)
@@ -262,21 +253,21 @@ TARGETS = (
     Target("log.gz", "drive.log.gz", seeds.zipped_log, _log, mutate=mutate_packed),
     Target("drive", "drive.csv", seeds.csv_drive, _csv_drive, mutate=mutate_table),
     Target("drive.gz", "drive.csv.gz", seeds.zipped_drive, _csv_drive, mutate=mutate_packed),
-    Target("xlsx", "drive.xlsx", seeds.workbooks, _csv_drive, weight=APART, mutate=mutate_packed),
-    Target("parquet", "drive.parquet", seeds.parquet_files, _csv_drive, weight=APART),
+    Target("xlsx", "drive.xlsx", seeds.workbooks, _csv_drive, mutate=mutate_packed),
+    Target("parquet", "drive.parquet", seeds.parquet_files, _csv_drive),
     Target("route", "plan", seeds.plan_files, read_plan, mutate=mutate_json),
     Target("legs", "plan.csv", seeds.plan_tables, read_plan, mutate=mutate_table),
-    Target("dbc", "input.dbc", _bundled("can/tesla_model_3.dbc"), _dbc, _profile_beside, SLOW),
+    Target("dbc", "input.dbc", _bundled("can/tesla_model_3.dbc"), _dbc, _profile_beside),
     _settings("profile", "p.yaml", _bundled("can/*.yaml"), load_profile, _dbc_beside),
     _settings("vehicle", "car.yaml", _bundled("vehicles/*.yaml"), load_vehicle),
     _settings("params", "p.yaml", _bundled("*.param.yaml"), check_parameter_file),
     Target(
         "truth", TRUTH_FILE, seeds.truth, lambda path: read_truth(path.parent), mutate=mutate_yaml
     ),
-    Target("state", "s.json", _estimator_seed, _estimator_state, weight=SLOW, mutate=mutate_json),
+    Target("state", "s.json", _estimator_seed, _estimator_state, mutate=mutate_json),
     Target("energy", "e.json", _account_seed, _energy_state, mutate=mutate_json),
     Target("message", "m", seeds.messages, partial(_refused, _reading)),
     Target("model", "m", seeds.model, partial(_refused, _model)),
     Target("plan", "m", seeds.plans, partial(_refused, _plan)),
-    Target("frames", "f", seeds.frames, _frames, weight=SLOW),
+    Target("frames", "f", seeds.frames, _frames),
 )

@@ -1,4 +1,4 @@
-"""The table of parsers under hypothesis, for seconds; `evpinn bench fuzz` is the long run."""
+"""Damaged inputs for every parser: each is read or refused in one line."""
 
 from random import Random
 
@@ -6,8 +6,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 import pytest
 
-from benchmarks.fuzz_targets import TARGETS, Target
 from evpinn_ros.common.errors import InputError
+from test.damage.targets import TARGETS, Target
 
 pytestmark = pytest.mark.nightly
 

@@ -16,24 +16,13 @@ from typing import Any, TypeAlias
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 import zlib
 
-from lz4.frame import compress as lz4  # type: ignore[import-untyped]
-from mcap.opcode import Opcode
 import yaml
-import zstandard
-
-from evpinn_ros.bags.mcap_content import HEAD, MAGIC
 
 Mutate: TypeAlias = Callable[[bytes, Random], bytes]
 
 MOST_GROWTH = 64
 """Times that a part is repeated: limits and ratios lie beyond what single bytes reach."""
 
-CHUNK = struct.Struct("<QQQI")  # start, end, size unpacked, checksum; then compression, data
-COMPRESSIONS: dict[str, Callable[[bytes], bytes]] = {
-    "": bytes,
-    "zstd": zstandard.ZstdCompressor().compress,
-    "lz4": lz4,
-}
 SIZES = (
     *(0, 1, 0xFF, 0xFFFF, 1 << 20, (1 << 27) + 1, (1 << 31) - 1, 1 << 32, 1 << 63),
     (1 << 64) - 1,
@@ -55,75 +44,6 @@ LINES = (
     *("a: 190:20:30:15", "t: 2001-12-14t21:59:43.10-05:00", "? [a, b]\n: c", "%YAML 9.9"),
     *("a: " + "[" * 50, "a: " + "9" * 3000, "\t- x", "a: |\n  x", "a: {b: 1, b: 2}", "..."),
 )
-
-
-def mutate_mcap(data: bytes, chance: Random) -> bytes:
-    """Another order, number or content of records, in and outside of chunks."""
-    records = _records(data[len(MAGIC) :])
-    if not records:
-        return _any(data, chance)
-    for _ in range(chance.randint(1, 4)):
-        _change_records(records, chance)
-    return MAGIC + b"".join(HEAD.pack(op, size) + body for op, size, body in records)
-
-
-def _records(data: bytes) -> list[tuple[int, int, bytes]]:
-    """Opcode, length as stated and body of each record; of the last what is there."""
-    found, at = [], 0
-    while at + HEAD.size <= len(data) and data[at : at + len(MAGIC)] != MAGIC:
-        opcode, size = HEAD.unpack_from(data, at)
-        at += HEAD.size
-        found.append((opcode, size, data[at : at + size]))
-        at += min(size, len(data))
-    return found
-
-
-def _change_records(records: list[tuple[int, int, bytes]], chance: Random) -> None:
-    at = chance.randrange(len(records))
-    opcode, size, body = records[at]
-    what = chance.randrange(8)
-    if what == 0 and len(records) > 1:
-        del records[at]
-    elif what == 1:
-        records[at:at] = [records[at]] * chance.choice((1, 2, MOST_GROWTH))
-    elif what == 2:
-        other = chance.randrange(len(records))
-        records[at], records[other] = records[other], records[at]
-    elif what == 3:
-        records[at] = chance.randrange(256), size, body
-    elif what == 4:
-        records[at] = opcode, chance.choice((*SIZES, (size + 1) % 2**64, max(size - 1, 0))), body
-    elif what == 5 and opcode == Opcode.CHUNK and len(body) >= CHUNK.size + 12:
-        changed = _chunk(body, chance)
-        records[at] = opcode, len(changed), changed
-    else:
-        changed = _field(body, chance)
-        records[at] = opcode, len(changed), changed
-
-
-def _chunk(body: bytes, chance: Random) -> bytes:
-    """A chunk with other records in it, packed anew; its head may claim something else."""
-    start, end, size, checksum = CHUNK.unpack_from(body)
-    (length,) = struct.unpack_from("<I", body, CHUNK.size)
-    first = CHUNK.size + 4 + min(length, len(body))
-    content = body[first + 8 :]
-    try:
-        if body[CHUNK.size + 4 : first] == b"zstd":
-            content = zstandard.ZstdDecompressor().decompress(content, 1 << 20)
-    except zstandard.ZstdError:
-        pass
-    records = _records(content)
-    for _ in range(chance.randint(0, 2) if records else 0):
-        _change_records(records, chance)
-    inside = b"".join(HEAD.pack(op, stated) + each for op, stated, each in records) or content
-    inside *= chance.choice((1, 1, 1, MOST_GROWTH))
-    name = chance.choice((*COMPRESSIONS, "none"))
-    packed = COMPRESSIONS.get(name, bytes)(inside)
-    stated = chance.choice((len(inside), len(inside), size, *SIZES))
-    times = [chance.choice((value, value, *SIZES)) for value in (start, end)]
-    head = CHUNK.pack(*times, stated, chance.choice((0, checksum)))
-    text = struct.pack("<I", len(name)) + name.encode()
-    return head + text + struct.pack("<Q", chance.choice((len(packed), *SIZES))) + packed
 
 
 def _field(body: bytes, chance: Random) -> bytes:

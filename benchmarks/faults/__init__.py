@@ -1,1 +1,0 @@
-"""Faults in sequence: each injected into running nodes over DDS, for `evpinn bench faults`."""
