@@ -27,7 +27,7 @@ from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import header
 from evpinn_ros.topics.model import model_message
-from evpinn_ros.topics.plans import DISTANCE_JOINT, ELEVATION_JOINT, request_header
+from evpinn_ros.topics.plans import DISTANCE_JOINT, ELEVATION_JOINT
 
 VEHICLE = "tesla_model_3_lr"
 WARM_UP = 20  # plans that are not counted: the first load code and learn addresses
@@ -196,7 +196,7 @@ class _Planner:
         self._statuses[message.header.frame_id] = len(differences)
 
     def _take(self, data: bytes) -> None:
-        self._answered = request_header(new_message, data).frame_id
+        self._answered = factory.decode("std_msgs/msg/Header", data).frame_id
 
     def _spin_until(self, condition: Callable[[], bool], seconds: float) -> None:
         end = time.monotonic() + seconds

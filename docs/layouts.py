@@ -45,7 +45,7 @@ from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.topics import DIAGNOSTICS, DIAGNOSTICS_TYPE, FORECAST, NAMED_VECTOR_TYPE, NAMESPACE
 from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.messages import diagnostics, header
-from evpinn_ros.topics.plans import forecast_bytes
+from evpinn_ros.topics.plans import forecast_message
 from evpinn_ros.topics.readings import reading_messages
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -104,8 +104,8 @@ def record(out: Path) -> None:
                     model = known_model(chain.estimator.model(), output, vehicle)
                     answer = forecast_plan(plan, model, vehicle.air_density)
                     columns = (answer.time, answer.energy, answer.power, answer.sigma)
-                    data = forecast_bytes(header(new_message, now_ns), *columns)
-                    writer.write_raw(FORECAST.under(NAMESPACE), FORECAST.type_name, data, now_ns)
+                    forecast = forecast_message(new_message, header(new_message, now_ns), *columns)
+                    found.append((FORECAST, forecast))
             for topic, message in found:
                 writer.write(topic.under(NAMESPACE), message, now_ns)
 

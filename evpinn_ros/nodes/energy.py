@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from copy import copy, deepcopy
 from functools import partial
 import math
@@ -16,7 +16,7 @@ from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.forecaster import Basis, Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.core.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
-from evpinn_ros.core.energy.plan import Plan, PlanError
+from evpinn_ros.core.energy.plan import PlanError
 from evpinn_ros.core.energy.remaining import usual_cost
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
@@ -33,7 +33,7 @@ from evpinn_ros.nodes.energy_diagnosis import (
     meter_status,
     plan_status,
 )
-from evpinn_ros.nodes.factory import installed, is_installed, message_class, new_message
+from evpinn_ros.nodes.factory import decode, installed, is_installed, message_class, new_message
 from evpinn_ros.nodes.plan_answers import BATCH, SERVICE, Job, Moment, PlanCall, PlanDesk
 from evpinn_ros.nodes.stateful import StatefulNode
 from evpinn_ros.nodes.typed import (
@@ -44,18 +44,14 @@ from evpinn_ros.nodes.typed import (
     assumed_conditions,
 )
 from evpinn_ros.topics import Topic
-from evpinn_ros.topics.cdr import CdrError
 from evpinn_ros.topics.estimates import output_messages, read_identifiable, read_power
 from evpinn_ros.topics.messages import BadMessage, Level
 from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.plans import (
-    forecast_bytes,
-    path_plan,
+    forecast_message,
+    plan_of_message,
     question,
     read_conditions,
-    request_header,
-    speed_profile_plan,
-    trajectory_plan,
 )
 from evpinn_ros.topics.readings import battery_message, to_reading
 from evpinn_ros.topics.settings import jump_rule
@@ -92,13 +88,8 @@ class EnergyNode(StatefulNode):
         for topic in (topics.TEMPERATURE, topics.PRESSURE, topics.WIND):
             self.listen(topic, partial(self._on_air, topic))
         self.listen(topics.CONDITIONS, self._on_conditions)
-        readers = {
-            topics.PLAN: self._path,
-            topics.SPEED_PROFILE: speed_profile_plan,
-            topics.TRAJECTORY: trajectory_plan,
-        }
-        for topic in installed(readers):
-            self.listen(topic, partial(self._on_plan, readers[topic]), raw=True)
+        for topic in installed((topics.PLAN, topics.SPEED_PROFILE, topics.TRAJECTORY)):
+            self.listen(topic, partial(self._on_plan, topic.type_name), raw=True)
         if is_installed(PACKAGE):
             self.advertise(TYPED_FORECAST)
             self._serve_plans()
@@ -196,19 +187,16 @@ class EnergyNode(StatefulNode):
         update(self.forecaster)
         self._desk.tell(update)
 
-    def _path(self, data: bytes) -> Plan:
-        own = self._vehicle.nominal_speed
-        usual = NOMINAL_SPEED if math.isnan(own) else own
-        return path_plan(data, self.values["nominal_speed"] or usual)
-
-    def _on_plan(self, read: Callable[[bytes], Plan], data: bytes) -> None:
-        job = partial(self._answer_plan, read, data, self._moment())
+    def _on_plan(self, type_name: str, data: bytes) -> None:
+        """Have a plan answered; its bytes are unpacked by the desk, beside what counts."""
+        job = partial(self._answer_plan, type_name, data, self._moment())
         if not self._desk.ask(self.guarded(job, "plan")):
-            self._refuse(request_header(new_message, data), "too many plans are waiting")
+            header = decode("std_msgs/msg/Header", data)  # with which every plan begins
+            self._refuse(header, "too many plans are waiting")
 
     def _answer_plan(
         self,
-        read: Callable[[bytes], Plan],
+        type_name: str,
         data: bytes,
         moment: Moment,
         forecaster: Forecaster,
@@ -216,11 +204,11 @@ class EnergyNode(StatefulNode):
         """Answer a plan or refuse it with the reason, whatever happens."""
         header = new_message("std_msgs/msg/Header")
         try:
-            header = request_header(new_message, data)
-            asked, plan = question(header), read(data)
+            header = decode("std_msgs/msg/Header", data)
+            asked, plan = question(header), plan_of_message(type_name, data, decode, self._speed())
             answer = forecaster.answer(plan, *moment, asked)
             messages = list(self._plan_messages(header, answer, forecaster.basis))
-        except (CdrError, PlanError) as error:
+        except (BadMessage, PlanError) as error:
             self._refuse(header, str(error))
             return
         except Exception as error:
@@ -230,6 +218,11 @@ class EnergyNode(StatefulNode):
         self.plans.answer(answer.charge)
         if asked.together is None:  # a plan that stands beside others is none to follow yet
             self.account.follow(plan, answer.forecast)
+
+    def _speed(self) -> float:
+        """Speed at which a path without times is driven, m/s."""
+        own = self._vehicle.nominal_speed
+        return self.values["nominal_speed"] or (NOMINAL_SPEED if math.isnan(own) else own)
 
     def _refuse(self, header: Any, reason: str) -> None:
         """Answer a plan with the reason why there is no forecast."""
@@ -248,7 +241,7 @@ class EnergyNode(StatefulNode):
         result = answer.forecast
         times = result.time - result.time[0]
         columns = (result.energy, result.power, result.sigma)
-        yield topics.FORECAST, forecast_bytes(header, times, *columns)
+        yield topics.FORECAST, forecast_message(new_message, header, times, *columns)
         if is_installed(PACKAGE):
             names = ("energy", "power", "sigma")
             numbers = dict(zip(names, (each.tolist() for each in columns), strict=True))

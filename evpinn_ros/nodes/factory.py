@@ -18,9 +18,11 @@ from rclpy.qos import (
     qos_policy_name_from_kind,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.topics import Qos, Topic
+from evpinn_ros.topics.messages import BadMessage
 
 OVERRIDABLE = tuple(
     getattr(QoSPolicyKind, name) for name in ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY")
@@ -50,6 +52,18 @@ def message_class(type_name: str) -> Any:
 def new_message(type_name: str, /, **fields: Any) -> Any:
     """A message for rclpy, as `messages.NewMessage` wants it."""
     return message_class(type_name)(**fields)
+
+
+def decode(type_name: str, data: bytes) -> Any:
+    """The message at the beginning of CDR bytes.
+
+    Raises:
+        BadMessage: there is none.
+    """
+    try:
+        return deserialize_message(data, message_class(type_name))
+    except RuntimeError as error:
+        raise BadMessage("damaged") from error
 
 
 def qos_profile(qos: Qos) -> QoSProfile:

@@ -1,15 +1,14 @@
-"""Plans and their energy forecasts as the bytes of ROS 2 messages (`cdr` says why bytes).
+"""Plans in messages of ROS 2, and their energy forecasts as such.
 
-Readers raise `PlanError` with the reason when a message is no plan, `CdrError` when bytes are no
-message.
+Readers raise `PlanError` with the reason when a message is no plan.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 import math
 import struct
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -24,30 +23,66 @@ from evpinn_ros.core.energy.plan import (
     plan_from_speed_profile,
 )
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.topics.cdr import ENCAPSULATION, CdrReader, cdr_text
+from evpinn_ros.topics import AUTOWARE_TRAJECTORY_TYPE, PATH_TYPE, TRAJECTORY_TYPE
 from evpinn_ros.topics.messages import BadMessage, NewMessage
 
 FORECAST_JOINT = "energy"
 DISTANCE_JOINT = "distance"
 ELEVATION_JOINT = "elevation"
+PLAN_TYPES = (PATH_TYPE, TRAJECTORY_TYPE, AUTOWARE_TRAJECTORY_TYPE)
 
-# A point of a forecast from a multiple of 8 bytes on: of three sequences that hold one number
-# each, and one that is empty.
-_POINT = np.dtype(
-    [
-        ("has_position", "<u4"),
-        ("before_position", "<u4"),
-        ("position", "<f8"),
-        ("has_velocity", "<u4"),
-        ("before_velocity", "<u4"),
-        ("velocity", "<f8"),
-        ("no_acceleration", "<u4"),
-        ("has_effort", "<u4"),
-        ("effort", "<f8"),
-        ("sec", "<i4"),
-        ("nanosec", "<u4"),
-    ]
-)
+Decode: TypeAlias = Callable[[str, bytes], Any]
+"""Gives the message of a type in CDR bytes; ValueError when there is none."""
+
+
+def plan_of_message(
+    type_name: str, data: bytes, decode: Decode, nominal_speed: float = NOMINAL_SPEED
+) -> Plan:
+    """The plan in the bytes of a message, of whose points not too many are unpacked.
+
+    Args:
+        type_name: one of `PLAN_TYPES`.
+        data: CDR.
+        decode: unpacks it.
+        nominal_speed: m/s at which a path without times is driven.
+
+    Raises:
+        PlanError: it is no plan, has too many points or cannot be driven.
+    """
+    try:
+        count = _point_count(type_name, data)
+        if count < 2:
+            raise PlanError(f"needs at least two points, not {count}")
+        if count > MAX_POINTS:
+            raise PlanError(f"{count} points are more than {MAX_POINTS}")
+        message = decode(type_name, data)
+    except PlanError:
+        raise
+    except (ValueError, struct.error) as error:
+        raise PlanError("the message is damaged") from error
+    if type_name == PATH_TYPE:
+        return path_plan(message, nominal_speed)
+    return (speed_profile_plan if type_name == TRAJECTORY_TYPE else trajectory_plan)(message)
+
+
+def _point_count(type_name: str, data: bytes) -> int:
+    """Points that a plan says it has; struct.error where its bytes end before."""
+    order = "<" if data[1:2] == b"\1" else ">"
+
+    def number(at: int) -> int:
+        (value,) = struct.unpack_from(f"{order}I", data, at)
+        return int(value)
+
+    def behind_text(at: int) -> int:
+        end = at + 4 + number(at)
+        return end + -end % 4
+
+    at = behind_text(12)  # of the frame, which follows four bytes on the encoding and the stamp
+    if type_name == TRAJECTORY_TYPE:  # names of joints
+        joints, at = number(at), at + 4
+        for _ in range(joints):
+            at = behind_text(at)
+    return number(at)
 
 
 def read_conditions(message: Any) -> PlanConditions:
@@ -67,12 +102,18 @@ def read_conditions(message: Any) -> PlanConditions:
         raise BadMessage("out_of_range") from error
 
 
-def forecast_bytes(
-    header: Any, times: np.ndarray, energies: np.ndarray, powers: np.ndarray, sigmas: np.ndarray
-) -> bytes:
+def forecast_message(
+    new: NewMessage,
+    header: Any,
+    times: np.ndarray,
+    energies: np.ndarray,
+    powers: np.ndarray,
+    sigmas: np.ndarray,
+) -> Any:
     """trajectory_msgs/JointTrajectory of the joint `energy`, the header of the plan echoed.
 
     Args:
+        new: makes messages.
         header: of the plan that is answered, std_msgs/Header.
         times: of each point since the start of the plan, s, shape (n,), not negative.
         energies: J since the start of the plan; drawn is positive.
@@ -85,25 +126,19 @@ def forecast_bytes(
     whole = np.isfinite(np.stack((energies, powers, sigmas))).all()
     if not whole or (sigmas < 0).any() or not 0 <= times.min() <= times.max() < 2**31 - 1:
         raise ValueError("a forecast is not finite, or a sigma or a time negative")
-    head = struct.pack("<iI", header.stamp.sec, header.stamp.nanosec) + cdr_text(header.frame_id)
-    head += struct.pack("<I", 1) + cdr_text(FORECAST_JOINT) + struct.pack("<I", len(times))
-    points = np.zeros(len(times), _POINT)
-    for name in ("has_position", "has_velocity", "has_effort"):
-        points[name] = 1
-    points["position"], points["velocity"], points["effort"] = energies, powers, sigmas
-    nanoseconds = np.rint(times * NANOSECONDS).astype(np.int64)
-    points["sec"], points["nanosec"] = np.divmod(nanoseconds, NANOSECONDS)
-    body = points.tobytes()
-    if len(head) % 8:  # 4 bytes further on the first number needs none before it
-        body = body[:4] + body[8:]
-    return ENCAPSULATION + head + body
-
-
-def request_header(new: NewMessage, data: bytes) -> Any:
-    """std_msgs/Header, with which every plan begins."""
-    reader = CdrReader(data)
-    stamp = new("builtin_interfaces/msg/Time", sec=reader.number("i"), nanosec=reader.number())
-    return new("std_msgs/msg/Header", stamp=stamp, frame_id=reader.text())
+    moments = np.divmod(np.rint(times * NANOSECONDS).astype(np.int64), NANOSECONDS)
+    columns = (column.tolist() for column in (*moments, energies, powers, sigmas))
+    points = [
+        new(
+            "trajectory_msgs/msg/JointTrajectoryPoint",
+            positions=[energy],
+            velocities=[power],
+            effort=[sigma],
+            time_from_start=new("builtin_interfaces/msg/Duration", sec=sec, nanosec=nanosec),
+        )
+        for sec, nanosec, energy, power, sigma in zip(*columns, strict=True)
+    ]
+    return new(TRAJECTORY_TYPE, header=header, joint_names=[FORECAST_JOINT], points=points)
 
 
 def question(header: Any) -> Question:
@@ -113,49 +148,43 @@ def question(header: Any) -> Question:
     return Question(header.frame_id, together)
 
 
-def path_plan(data: bytes, nominal_speed: float = NOMINAL_SPEED) -> Plan:
+def path_plan(message: Any, nominal_speed: float = NOMINAL_SPEED) -> Plan:
     """The plan in a nav_msgs/Path; without stamps on its poses it is driven at nominal speed.
 
     Raises:
         PlanError: the path cannot be driven.
-        CdrError: the bytes are no path.
     """
-    reader = _after_header(data)
-    _, stamp, position = _points(reader, _walk_pose, 1).T
-    x, y, z = (reader.numbers(position + 8 * axis, "f8") for axis in range(3))
-    return plan_from_path(x, y, z, _seconds(reader, stamp), nominal_speed=nominal_speed)
+    x, y, z = _positions(message.poses)
+    seconds = _seconds(pose.header.stamp for pose in message.poses)
+    return plan_from_path(x, y, z, seconds, nominal_speed=nominal_speed)
 
 
-def speed_profile_plan(data: bytes) -> Plan:
+def speed_profile_plan(message: Any) -> Plan:
     """The plan in a trajectory_msgs/JointTrajectory with the joint `distance`.
 
     A joint `elevation`, whose positions are m, may be given beside it; else the road is flat.
 
     Raises:
         PlanError: there is no such joint, a point lacks a number, or it cannot be driven.
-        CdrError: the bytes are no trajectory.
     """
-    reader = _after_header(data)
-    names = [reader.text() for _ in range(reader.number())]
+    names, points = list(message.joint_names), message.points
     if DISTANCE_JOINT not in names:
         raise PlanError(f"no joint '{DISTANCE_JOINT}' in this profile")
-    offsets = _points(reader, _walk_trajectory_point, 4)
 
     def column(field: str, joint: str) -> np.ndarray:
-        length, first = offsets[:, _FIELDS[field]].T
-        index = names.index(joint)
-        short = np.flatnonzero(reader.numbers(length, "u4") <= index)
-        if short.size:
-            raise PlanError(f"{field} are missing at point {short[0]}")
-        return reader.numbers(first + 8 * index, "f8")
+        index, rows = names.index(joint), [getattr(point, field) for point in points]
+        for number, row in enumerate(rows):
+            if len(row) <= index:
+                raise PlanError(f"{field} are missing at point {number}")
+        return np.array([row[index] for row in rows])
 
     distance, speed = column("positions", DISTANCE_JOINT), column("velocities", DISTANCE_JOINT)
     elevation = column("positions", ELEVATION_JOINT) if ELEVATION_JOINT in names else None
-    time = _seconds(reader, offsets[:, -1])
-    return plan_from_speed_profile(time, distance, speed, elevation)
+    seconds = _seconds(point.time_from_start for point in points)
+    return plan_from_speed_profile(seconds, distance, speed, elevation)
 
 
-def trajectory_plan(data: bytes) -> Plan:
+def trajectory_plan(message: Any) -> Plan:
     """The plan in an autoware_planning_msgs/Trajectory.
 
     Where its times do not rise, as of planners that leave them out, they are those of its speeds;
@@ -163,16 +192,14 @@ def trajectory_plan(data: bytes) -> Plan:
 
     Raises:
         PlanError: it cannot be driven, or backwards alone.
-        CdrError: the bytes are no trajectory.
     """
-    reader = _after_header(data)
-    time, position, velocity = _points(reader, _walk_autoware_point, 0).T
-    x, y, z = (reader.numbers(position + 8 * axis, "f8") for axis in range(3))
-    speed = reader.numbers(velocity, "f4").astype(float)
+    points = message.points
+    x, y, z = _positions(points)
+    speed = np.array([point.longitudinal_velocity_mps for point in points])
     with np.errstate(invalid="ignore", over="ignore"):  # the plan refuses what is not finite
         legs = np.sqrt(sum(np.diff(axis) ** 2 for axis in (x, y, z)))
     distance = np.concatenate(([0.0], np.cumsum(legs)))
-    seconds = _seconds(reader, time)
+    seconds = _seconds(point.time_from_start for point in points)
     if not seconds.any():
         seconds, count = _seconds_of_speeds(distance, speed)
         distance, speed, z = distance[:count], speed[:count], z[:count]
@@ -192,50 +219,13 @@ def _seconds_of_speeds(distance: np.ndarray, speed: np.ndarray) -> tuple[np.ndar
     return np.concatenate(([0.0], np.cumsum(step))), count
 
 
-def _walk_autoware_point(reader: CdrReader) -> tuple[int, ...]:
-    """Offsets of its time, of its position and of its speed."""
-    time, position = reader.take(8, 4), reader.take(7 * 8, 8)
-    return time, position, reader.take(6 * 4, 4)
+def _positions(items: Sequence[Any]) -> np.ndarray:
+    """Positions of messages with a pose, m, shape (3, n)."""
+    positions = (item.pose.position for item in items)
+    return np.array([(position.x, position.y, position.z) for position in positions]).T
 
 
-_FIELDS = {"positions": [0, 4], "velocities": [1, 5]}  # of `_walk_trajectory_point`
-
-
-def _walk_trajectory_point(reader: CdrReader) -> tuple[int, ...]:
-    """Offsets of the lengths of its four sequences, of the numbers of each, and of its time."""
-    lengths, numbers = zip(*(reader.sequence(8) for _ in range(4)), strict=True)
-    return (*lengths, *numbers, reader.take(8, 4))
-
-
-def _walk_pose(reader: CdrReader) -> tuple[int, ...]:
-    """Offsets of the length of the name of its frame, of its stamp and of its position."""
-    stamp = reader.take(8, 4)
-    length, _ = reader.sequence(1)
-    return length, stamp, reader.take(7 * 8, 8)
-
-
-def _after_header(data: bytes) -> CdrReader:
-    reader = CdrReader(data)
-    reader.take(8, 4)
-    reader.sequence(1)
-    return reader
-
-
-def _points(
-    reader: CdrReader, walk: Callable[[CdrReader], tuple[int, ...]], lengths: int
-) -> np.ndarray:
-    """Offsets of what is in each point; refused before they are looked at when too many."""
-    count = reader.number()
-    if count < 2:
-        raise PlanError(f"needs at least two points, not {count}")
-    if count > MAX_POINTS:
-        raise PlanError(f"{count} points are more than {MAX_POINTS}")
-    return reader.elements(count, walk, lengths)
-
-
-def _seconds(reader: CdrReader, offsets: np.ndarray) -> np.ndarray:
+def _seconds(times: Iterable[Any]) -> np.ndarray:
     """Seconds since the first time; exact, where seconds since 1970 would be 240 ns coarse."""
-    # Widened first: before numpy 2 a scalar does not widen an array, and seconds overflow.
-    whole = reader.numbers(offsets, "i4").astype(np.int64) * NANOSECONDS
-    whole += reader.numbers(offsets + 4, "u4")
-    return (whole - whole[:1]) / NANOSECONDS
+    stamps = np.array([time.sec * NANOSECONDS + time.nanosec for time in times], np.int64)
+    return (stamps - stamps[:1]) / NANOSECONDS

@@ -42,7 +42,7 @@ from evpinn_ros.logs.sources import open_drive
 from evpinn_ros.replays.simulation.truth_file import TRUTH_FILE, read_truth
 from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.parameter_file import check_parameter_file
-from evpinn_ros.topics.plans import path_plan, speed_profile_plan
+from evpinn_ros.topics.plans import plan_of_message
 from evpinn_ros.topics.readings import READING_TOPICS, to_reading
 from test.damage import seeds
 from test.damage.seeds import READINGS, VEHICLE
@@ -196,8 +196,8 @@ def _model(data: bytes) -> None:
 
 
 def _plan(data: bytes) -> None:
-    read = path_plan if data[:1] == b"\0" else speed_profile_plan
-    read(data[1:])
+    kind = topics.PATH_TYPE if data[:1] == b"\0" else topics.TRAJECTORY_TYPE
+    plan_of_message(kind, data[1:], decode)
 
 
 @cache

@@ -5,16 +5,15 @@ The battery of a recorded drive is ignored.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
-from functools import partial
 import math
 from pathlib import Path
 
 import numpy as np
 
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.bags.types import FRAME_TYPE
+from evpinn_ros.bags.types import FRAME_TYPE, decode
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.driven import PLAN_STEP, drive_plan
 from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
@@ -30,9 +29,8 @@ from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.logs.plans.way import plausible_heights
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_source
-from evpinn_ros.topics import AUTOWARE_TRAJECTORY_TYPE, PATH_TYPE, SPEEDS, TRAJECTORY_TYPE
-from evpinn_ros.topics.cdr import CdrError
-from evpinn_ros.topics.plans import path_plan, speed_profile_plan, trajectory_plan
+from evpinn_ros.topics import SPEEDS
+from evpinn_ros.topics.plans import PLAN_TYPES, plan_of_message
 
 FIELDS = {SpeedReading: "speed", AltitudeReading: "altitude", GradeReading: "grade"}
 LEAST_GAP = 60.0  # s between two speeds
@@ -122,20 +120,15 @@ def planned_in_bag(path: Path, vehicle: Vehicle) -> Plan | None:
     """
     own = vehicle.nominal_speed
     usual = NOMINAL_SPEED if math.isnan(own) else own
-    readers: dict[str, Callable[[bytes], Plan]] = {
-        PATH_TYPE: partial(path_plan, nominal_speed=usual),
-        TRAJECTORY_TYPE: speed_profile_plan,
-        AUTOWARE_TRAJECTORY_TYPE: trajectory_plan,
-    }
     found: Plan | PlanError | None = None
     with BagReader(path) as bag:
         if DRIVEN & {each.type_name for each in bag.topics.values()}:
             return None
-        names = {name for name, each in bag.topics.items() if each.type_name in readers}
+        names = {name for name, each in bag.topics.items() if each.type_name in PLAN_TYPES}
         for record in bag.raw_records(names):
             try:
-                found = readers[record.type_name](record.message)
-            except (CdrError, PlanError) as error:
+                found = plan_of_message(record.type_name, record.message, decode, usual)
+            except PlanError as error:
                 found = found or PlanError(f"{record.topic}: {error}")
     if isinstance(found, PlanError):
         raise found
