@@ -1,7 +1,8 @@
 """Stand-in for `ros2 bag`, which is C++ and no wheel: takes what our launch files ask of it.
 
 It really plays the messages of a bag, with /clock, and really records topics to a bag. An option
-that it does not know is an error, so a launch file cannot ask for more unnoticed.
+that it does not know is an error, so a launch file cannot ask for more unnoticed. In place of a
+delay it waits until both nodes listen; a file that STAND_IN_END names ends the bag early.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.nodes import factory
-from evpinn_ros.topics import topic_of
+from evpinn_ros.topics import BATTERY, SPEED, topic_of
 
 SECOND = 10**9
 
@@ -46,19 +47,21 @@ def play(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
     moved = dict(pair.split(":=") for pair in asked.remap)
     outlets: dict[str, rclpy.publisher.Publisher] = {}
     ticks = node.create_publisher(ClockMessage, "/clock", 10) if asked.clock else None
-    seconds = float(os.environ.get("STAND_IN_SECONDS", "inf"))  # of the bag, to test quickly
+    end = os.environ.get("STAND_IN_END")
     with BagReader(asked.path) as bag:
         for name in bag.topics:
             if name in asked.topics:
                 kind = factory.message_class(topic_of(name).type_name)
                 outlets[name] = node.create_publisher(kind, moved.get(name, name), 10)
+        needed = [o for name, o in outlets.items() if name.endswith((SPEED.name, BATTERY.name))]
+        while rclpy.ok() and min(outlet.get_subscription_count() for outlet in needed) < 2:
+            rclpy.spin_once(node, timeout_sec=0.05)
         clock = Clock(clock_type=ClockType.STEADY_TIME)
-        clock.sleep_for(Duration(seconds=asked.delay))
         first, begin, ticked = None, clock.now(), 0
         for record in bag.raw_records():
             now = record.log_time_ns
             first = now if first is None else first
-            if now - first > seconds * SECOND or not rclpy.ok():
+            if (end is not None and Path(end).exists()) or not rclpy.ok():
                 break
             clock.sleep_until(begin + Duration(nanoseconds=round((now - first) / asked.rate)))
             if ticks is not None and now - ticked > SECOND / asked.clock:

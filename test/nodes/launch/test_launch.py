@@ -85,9 +85,9 @@ def test_the_eco_planner_says_that_nothing_is_in_time(ros2, bench):
 
 
 def test_nodes_are_kept_after_the_bag_and_a_mistyped_argument_is_reported(
-    ros2, bench, monkeypatch
+    ros2, bench, monkeypatch, tmp_path
 ):
-    monkeypatch.setitem(ros2.environment, "STAND_IN_SECONDS", "3")
+    monkeypatch.setitem(ros2.environment, "STAND_IN_END", str(tmp_path))  # at once
     given = (f"bag:={ROOT / 'bags/urban'}", "vehcle:=bmw_i3", "rate:=4", "keep:=true")
     with ros2.running(*LAUNCH, "replay.launch.py", *given) as launch:
         bench.pump(lambda: "process has finished cleanly" in launch.output)
