@@ -14,12 +14,12 @@ chunks of 1 MB, and a longer message has one of its own."""
 LONGEST_MESSAGE = 16 * MEBIBYTE
 """Bytes of a message that is decoded: ours have at most 8 MB, a plan of 50 000 points."""
 
-MOST_HELD = 512 * MEBIBYTE
+LARGEST_SUMMARY = 64 * MEBIBYTE
+"""Bytes of the end of an MCAP file, that of 500 000 chunks; with a larger one its index is not
+used."""
+
+MOST_DEFINITIONS = 64 * MEBIBYTE
+"""Bytes of all schemas and channels of a file together."""
+
+MOST_HELD = 64 * MEBIBYTE
 """Bytes of messages held back to put them in order. Chunks of a recorder overlap by seconds."""
-
-FREE_MESSAGES = 100_000
-
-
-def most_messages(size: int) -> int:
-    """Messages in so many bytes: number and two times of each cost more, however they repeat."""
-    return FREE_MESSAGES + 4 * size

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple, TypeAlias
 import zstandard
 
 from evpinn_ros.bags.limits import LONGEST_MESSAGE
-from evpinn_ros.bags.mcap_file import Channel, McapFile, RawMessage
+from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
-from evpinn_ros.bags.rosbags_file import RosbagsFile
+from evpinn_ros.bags.rosbags_file import Channel, RawMessage, RosbagsFile
 from evpinn_ros.bags.types import decode, typestore
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import RATIO, check_file, most_unpacked, open_file

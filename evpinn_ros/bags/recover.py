@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
+import os
 from pathlib import Path
 from typing import Any
 
-from mcap.records import (
-    Attachment,
-    Channel,
-    Metadata,
-)
+from mcap.records import Attachment, Channel, Message
+from mcap.writer import Writer
 
-from evpinn_ros.bags.mcap_copy import McapCopy
+from evpinn_ros.bags.mcap_records import Loss, McapItem, McapRecords
 from evpinn_ros.bags.metadata import (
     METADATA,
     WrittenFile,
@@ -23,9 +21,9 @@ from evpinn_ros.bags.metadata import (
     bag_information,
     write_metadata,
 )
-from evpinn_ros.bags.salvage import Loss, Piece, Salvage
-from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.opener import FileBytes
+from evpinn_ros.bags.writer import LIBRARY
+from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.opener import open_file
 from evpinn_ros.common.yaml_section import plain_text
 
 MOST_LOSSES = 1000  # kept one by one; beyond, only their sum
@@ -43,11 +41,9 @@ class RecoveredFile:
     size: int = 0  # of it, bytes
     messages: int = 0  # saved
     unproven: int = 0  # those of them that no checksum covers
-    chunks: int = 0  # saved as they were packed
     stated: int | None = None  # messages that the file says it held, None when it does not say
     ended: bool = False  # it has its end and index
     unknown_topic: int = 0  # messages left out, since the definition of their topic is lost
-    doubtful_topics: tuple[str, ...] = ()  # whose definition comes from a damaged chunk
     start_ns: int = 0  # first log time saved; zero without a message
     end_ns: int = 0  # last log time saved
     losses: list[Loss] = field(default_factory=list)  # the first `MOST_LOSSES` of them, in order
@@ -73,8 +69,27 @@ class RecoveredFile:
     @property
     def whole(self) -> bool:
         """Nothing was lost but, perhaps, the index."""
-        lost = self.more_losses or any(loss.messages != 0 for loss in self.losses)
-        return not (lost or self.unknown_topic or self.problem)
+        if self.problem or self.unknown_topic or self.more_losses:
+            return False
+        return self.lost_messages == 0 if self.stated is not None else not self.losses
+
+    def count(self, log_time_ns: int, written: WrittenFile, proven: bool) -> None:
+        """Count a message that was saved."""
+        self.messages, self.unproven = written.count, self.unproven + (not proven)
+        self.start_ns, self.end_ns = written.start_ns, written.end_ns
+        for loss in reversed(self.losses):
+            if loss.before_ns is not None:
+                break
+            loss.before_ns = log_time_ns
+
+    def note(self, loss: Loss) -> None:
+        """Add a loss behind the messages saved so far."""
+        loss.after_ns = self.end_ns if self.messages else None
+        self.lost_bytes += loss.end - loss.begin
+        if len(self.losses) == MOST_LOSSES:
+            self.more_losses += 1
+        else:
+            self.losses.append(loss)
 
 
 def recover(source: Path, out: Path, progress: Progress = lambda _: None) -> list[RecoveredFile]:
@@ -116,13 +131,10 @@ def _recover_files(
     topics: dict[str, WrittenTopic] = {}
     written: list[WrittenFile] = []
     for path in paths:
-        copy = McapCopy(out / f"{out.resolve().name}_{len(files)}.mcap")
-        files.append(copy.path)
+        files.append(out / f"{out.resolve().name}_{len(files)}.mcap")
         before = sum(each.size for each in found)
-        try:
-            found.append(_recover_file(path, copy, topics, progress, before))
-        finally:
-            copy.close()
+        with _Copy(files[-1], topics) as copy:
+            found.append(_recover_file(path, copy, progress, before))
         if copy.written.count:
             written.append(copy.written)
         else:
@@ -170,88 +182,110 @@ def _number(path: Path) -> int:
     return int(digits) if digits.isascii() and digits.isdigit() else -1
 
 
-def _recover_file(
-    path: Path, copy: McapCopy, topics: dict[str, WrittenTopic], progress: Progress, before: int
-) -> RecoveredFile:
-    one = RecoveredFile(path)
+def _recover_file(path: Path, copy: _Copy, progress: Progress, before: int) -> RecoveredFile:
+    report = RecoveredFile(path)
     try:
-        file = FileBytes(path)
+        with as_input_error(path):
+            file = open_file(path)
     except InputError as error:
-        one.problem = str(error)
-        return one
-    with closing(file):
-        one.size = file.size
-        salvage = Salvage(file)
+        report.problem = str(error)
+        return report
+    with file:
+        records = McapRecords(file, path)
+        report.size = records.size
         try:
-            for done in _save_all(salvage, one, copy):
-                progress(before + done)
+            done = 0
+            for item in records:
+                _save(item, records, report, copy)
+                if records.position > done:
+                    done = records.position
+                    progress(before + done)
         except InputError as error:
-            one.problem = str(error)
-        one.stated, one.ended = salvage.stated, salvage.ended
-        one.unknown_topic = salvage.unknown
-        one.doubtful_topics = tuple(sorted(salvage.doubtful))
-        one.messages = copy.written.count
-        one.start_ns, one.end_ns = copy.written.start_ns, copy.written.end_ns
-        for id_ in sorted(copy.counts):
-            _count_topic(topics, salvage, id_, copy.counts[id_])
-        information = bag_information([copy.written], topics.values())
-        copy.note(Metadata(ROSBAG2, {"serialized_metadata": as_yaml(information)}))
-        copy.finish(salvage.definitions)
-        return one
+            report.problem = str(error)
+        report.stated, report.ended = records.stated, records.ended
+        report.unknown_topic = records.unknown
+        copy.finish()
+        return report
 
 
-def _save_all(salvage: Salvage, one: RecoveredFile, copy: McapCopy) -> Iterator[int]:
-    """Save what there is; gives the bytes done."""
-    unended: list[Loss] = []
-    for each in salvage:
-        if isinstance(each, Loss):
-            each.after_ns = copy.written.end_ns if copy.written.count else None
-            _note_loss(one, each, unended)
-            yield each.end
-        elif isinstance(each, Piece):
-            _save(one, each, copy, salvage, unended)
-            yield each.end
-        elif isinstance(each, Attachment):
-            copy.attach(each)
-        elif isinstance(each, Metadata) and each.name != ROSBAG2:
-            copy.note(each)
+def _save(item: McapItem, records: McapRecords, report: RecoveredFile, copy: _Copy) -> None:
+    if isinstance(item, Loss):
+        report.note(item)
+    elif isinstance(item, Message):
+        copy.add(item, records)
+        report.count(item.log_time, copy.written, records.proven)
+    elif isinstance(item, Attachment):
+        copy.writer.add_attachment(
+            item.create_time, item.log_time, item.name, item.media_type, item.data
+        )
+    elif item.name != ROSBAG2:
+        copy.writer.add_metadata(item.name, item.metadata)
 
 
-def _save(
-    one: RecoveredFile, piece: Piece, copy: McapCopy, salvage: Salvage, unended: list[Loss]
-) -> None:
-    if not piece.found.count:
-        return
-    if piece.packed is not None and piece.block.head is not None:
-        copy.copy(piece.block.head, piece.packed, piece.found, salvage.definitions)
-        one.chunks += 1
-    else:
-        copy.pack(piece.content, piece.found, salvage.definitions)
-    for loss in unended:
-        loss.before_ns = piece.found.span_ns[0]
-    unended.clear()
-    one.unproven += 0 if piece.proven else piece.found.count
+class _Copy:
+    """A new file of what was saved.
 
+    Attributes:
+        writer: of the library.
+        written: number and log times of its messages.
+    """
 
-def _note_loss(one: RecoveredFile, loss: Loss, unended: list[Loss]) -> None:
-    one.lost_bytes += loss.end - loss.begin
-    if len(one.losses) == MOST_LOSSES:
-        one.more_losses += 1
-        return
-    one.losses.append(loss)
-    unended.append(loss)
+    def __init__(self, path: Path, topics: dict[str, WrittenTopic]) -> None:
+        """Make the file; its messages are counted in `topics` too."""
+        self.written = WrittenFile(path.name)
+        self._topics = topics
+        self._ids: dict[int, tuple[int, WrittenTopic]] = {}  # new id and topic by the old id
+        self._schemas = {0: 0}  # new ids by the old ones
+        with as_input_error(path):
+            self._file = path.open("xb")
+        self.writer = Writer(self._file)
+        # Readers that know ROS 2 refuse any other profile; the types are in the schemas.
+        self.writer.start(profile="ros2", library=LIBRARY)
 
+    def __enter__(self) -> _Copy:
+        return self
 
-def _count_topic(
-    topics: dict[str, WrittenTopic], salvage: Salvage, channel_id: int, count: int
-) -> None:
-    known = salvage.definitions
-    channel = known.channels[channel_id]
-    if channel.topic not in topics:
-        type_name = known.schemas[channel.schema_id].name if channel.schema_id else ""
-        type_hash = channel.metadata.get("topic_type_hash", "")
-        topics[channel.topic] = WrittenTopic(channel.topic, type_name, type_hash, _qos(channel))
-    topics[channel.topic].count += count
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def add(self, message: Message, records: McapRecords) -> None:
+        """Add a message, and the definition of its topic before its first one."""
+        if message.channel_id not in self._ids:
+            self._ids[message.channel_id] = self._define(message.channel_id, records)
+        channel_id, topic = self._ids[message.channel_id]
+        self.writer.add_message(
+            channel_id, message.log_time, message.data, message.publish_time, message.sequence
+        )
+        topic.count += 1
+        self.written.add(message.log_time, message.log_time, 1)
+
+    def finish(self) -> None:
+        """Write the end of the file."""
+        information = bag_information([self.written], self._topics.values())
+        self.writer.add_metadata(ROSBAG2, {"serialized_metadata": as_yaml(information)})
+        self.writer.finish()
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def _define(self, old_id: int, records: McapRecords) -> tuple[int, WrittenTopic]:
+        channel = records.channels[old_id]
+        schema = records.schemas.get(channel.schema_id)
+        if schema is not None and schema.id not in self._schemas:
+            self._schemas[schema.id] = self.writer.register_schema(
+                schema.name, schema.encoding, schema.data
+            )
+        new_id = self.writer.register_channel(
+            channel.topic,
+            channel.message_encoding,
+            self._schemas[channel.schema_id],
+            channel.metadata,
+        )
+        if channel.topic not in self._topics:
+            type_hash = channel.metadata.get("topic_type_hash", "")
+            type_name = schema.name if schema is not None else ""
+            topic = WrittenTopic(channel.topic, type_name, type_hash, _qos(channel))
+            self._topics[channel.topic] = topic
+        return new_id, self._topics[channel.topic]
 
 
 def _qos(channel: Channel) -> list[dict[str, Any]]:

@@ -1,22 +1,29 @@
-"""Reading by the rosbags library: sqlite3 bags."""
+"""Reading by the rosbags library: sqlite3 bags, and MCAP files that have their index."""
 
 from __future__ import annotations
 
 from collections.abc import Container, Iterator
 from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate, islice
 from pathlib import Path
 import re
 import sqlite3
 from tempfile import TemporaryDirectory
+from typing import TypeAlias
 from urllib.parse import quote
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
-from evpinn_ros.bags.mcap_file import Channel, RawMessage
+from evpinn_ros.bags.unpack import unpacked
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import check_file
+
+# rosbags unpacks whatever a chunk holds, without a limit.
+DECOMPRESSORS.update({name: partial(unpacked, name) for name in ("zstd", "lz4")})
 
 # What a damaged file makes rosbags raise is listed nowhere: errors of its own, of apsw, of zstd.
 READ_ERRORS = (Exception,)
@@ -30,8 +37,20 @@ MESSAGE_BYTES = """SELECT total(
 COMPUTING = re.compile(r"\b(VIRTUAL|GENERATED|AS)\b", re.I)  # in the definition of a table
 
 
+RawMessage: TypeAlias = tuple[int, int, bytes]  # log time, ns; channel id; data
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A topic of a file, the type of its messages, and how they are encoded."""
+
+    topic: str
+    type_name: str
+    encoding: str
+
+
 class RosbagsFile:
-    """An open `.db3` file; the counterpart of `McapFile`.
+    """An open `.db3` file, or an MCAP file whose index is sound.
 
     Attributes:
         channels: by channel id.
@@ -45,12 +64,14 @@ class RosbagsFile:
         Raises:
             InputError: it is not there, rosbags can not read it, or it is more than tables.
         """
-        _check_database(path, check_file(path))
+        size = check_file(path)
+        if path.suffix == ".db3":
+            _check_database(path, size)
         self.path = path
         self.problem: str | None = None
         self._folder = TemporaryDirectory(prefix="evpinn-")
         # rosbags takes the path as an address, in which #, ? and % are no letters.
-        link = Path(self._folder.name, "bag.db3")
+        link = Path(self._folder.name, "bag.db3" if path.suffix == ".db3" else "bag.mcap")
         link.symlink_to(path.resolve())
         self._reader = Reader(link)
         try:

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 import typer
 
+from evpinn_ros.bags.mcap_records import Loss
 from evpinn_ros.bags.recover import RecoveredFile, broken_files
 from evpinn_ros.bags.recover import recover as recover_bag
-from evpinn_ros.bags.salvage import Loss
 from evpinn_ros.cli.console import bytes_bar, moment, note, say, show_json, writing
 from evpinn_ros.cli.options import JsonTextOption
 from evpinn_ros.core.signals.readings import NANOSECONDS
@@ -28,9 +28,10 @@ def recover(
 ) -> None:
     """Save what is left in a broken bag, and report what was lost.
 
-    A bag may be cut off, have no end, or have bytes that are changed or missing: only the damaged
-    chunks are lost. The broken bag is not changed. If one of its files cannot be read, the others
-    are saved, and the command exits with 1.
+    A bag may be cut off, have no end, or have bytes that are changed. A damaged chunk is skipped;
+    behind other damage the file's index tells where to go on, and without it reading ends there.
+    The broken bag is not changed. If one of its files cannot be read, the others are saved, and
+    the command exits with 1.
 
     Example: evpinn recover out/today/today_0.mcap out/saved
     """
@@ -63,8 +64,6 @@ def _lines(one: RecoveredFile) -> Iterator[str]:
         yield f"  lost: {more} more stretches; {one.lost_bytes} bytes in all"
     if one.unknown_topic:
         yield f"  lost: {one.unknown_topic} messages, for the definition of their topic is lost"
-    if one.doubtful_topics:
-        yield f"  defined in a damaged chunk alone: {', '.join(one.doubtful_topics)}"
     if one.whole:
         yield "  nothing is lost" + ("" if one.ended else "; its end and index were missing")
     elif one.lost_messages is not None:

@@ -17,7 +17,6 @@ from typing import IO, BinaryIO, cast
 
 from evpinn_ros.common.errors import InputError, as_input_error
 
-WINDOW = 4 << 20  # bytes that `FileBytes` reads at once
 LONGEST_LINE = 1_000_000
 """Characters of a line of text, one without an end would fill the memory: a frame of CAN FD takes
 200, a row of a wide table 10 000."""
@@ -111,29 +110,3 @@ class _BoundedGzip(io.RawIOBase):
             self._file.close()
             self._packed.close()
         super().close()
-
-
-class FileBytes:
-    """A file read at any place, a window at a time; a map of it would crash on a bad sector."""
-
-    def __init__(self, path: Path) -> None:
-        """Open it; InputError when that fails."""
-        self.path = path
-        with as_input_error(path):
-            self._file = open_file(path, WINDOW)
-            self.size = os.fstat(self._file.fileno()).st_size
-
-    def close(self) -> None:
-        """Close the file; a second call does nothing."""
-        self._file.close()
-
-    def read(self, begin: int, length: int) -> bytes:
-        """The bytes from here on, fewer at the end of the file."""
-        try:
-            self._file.seek(begin)
-            return self._file.read(max(0, min(length, self.size - begin)))
-        except OSError as error:
-            raise InputError(
-                f"{self.path}: {error.strerror} in {length} bytes from byte {begin}; "
-                "copy the disk with ddrescue first"
-            ) from error

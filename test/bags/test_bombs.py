@@ -15,11 +15,12 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 import numpy as np
 import pytest
+from rosbags.rosbag2 import storage_mcap
 import zstandard
 
-from evpinn_ros.bags import mcap_file, salvage
-from evpinn_ros.bags.limits import most_messages
-from evpinn_ros.bags.mcap_content import HEAD, MAGIC
+from evpinn_ros.bags import mcap_file, mcap_records, unpack
+from evpinn_ros.bags.limits import LONGEST_CHUNK
+from evpinn_ros.bags.mcap_records import HEAD, MAGIC
 from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
@@ -62,6 +63,14 @@ def test_a_chunk_that_unpacks_to_too_much_is_damaged(tmp_path, compression, pack
         assert "1 of 1 chunks are damaged" in reader.problem
 
 
+@pytest.mark.parametrize(("compression", "pack"), [("zstd", zstd), ("lz4", lz4)])
+@pytest.mark.parametrize("size", [100, LONGEST_CHUNK + 1])
+def test_rosbags_unpacks_no_more_than_a_chunk_may_hold(compression, pack, size):
+    """It has no limit of its own; an index that says 100 bytes is sound until it is unpacked."""
+    with pytest.raises(ValueError, match="damaged" if size == 100 else "above the limit"):
+        storage_mcap.decompress(pack(ZEROS), compression, size, 0)
+
+
 def test_a_chunk_in_the_summary_is_not_unpacked(tmp_path):
     body = MAGIC + record(Opcode.DATA_END, bytes(4))
     summary = chunk(zstd(ZEROS), len(ZEROS), "zstd")
@@ -73,11 +82,19 @@ def test_a_chunk_in_the_summary_is_not_unpacked(tmp_path):
 
 
 def test_order_is_given_up_rather_than_memory(tmp_path, monkeypatch):
-    """Chunks that all claim to begin at once, so that none may be let go before the last."""
+    """Chunks of which each begins before the last one, so that none may be let go."""
     monkeypatch.setattr(mcap_file, "MOST_HELD", 3000)
-    with BagReader(few_types(tmp_path / "a.mcap", chunks_of_one_time(30))) as reader:
-        assert [each.message.data for each in reader.records()] == list(range(30))
+    chunks = b"".join(chunk_of(number, 100 - number) for number in range(30))
+    with BagReader(few_types(tmp_path / "a.mcap", chunks)) as reader:
+        assert sorted(each.message.data for each in reader.records()) == list(range(30))
         assert reader.problem.count("overlap too far") == 1
+
+
+def chunk_of(number, stamp):
+    """A chunk of one message."""
+    message = MESSAGE.pack(1, 0, stamp, stamp) + b"\0\1\0\0" + struct.pack("<d", number)
+    body = record(Opcode.MESSAGE, message)
+    return chunk(body, len(body), "", start=stamp)
 
 
 def few_types(path, chunks, end=b""):
@@ -125,7 +142,6 @@ def test_messages_packed_into_nothing_are_bounded(tmp_path, monkeypatch):
     assert path.stat().st_size < 30_000
     with BagReader(path) as reader:
         read = sum(1 for _ in reader.raw_records())
-        assert read <= most_messages(path.stat().st_size)
         assert read * len(message) <= most_unpacked(path.stat().st_size)
         assert "chunks are damaged" in reader.problem
     (report,) = recover(path, tmp_path / "new")
@@ -155,7 +171,6 @@ def summed(path):
 @pytest.mark.parametrize(
     ("name", "limit", "most", "reason"),
     [
-        ("most_messages", lambda size: 35, 35, "too many messages"),
         ("most_unpacked", lambda size: 35 * 51, 35, "over 200 times its size"),
         ("LONGEST_CHUNK", 9 * 51, 9, "above the limit"),
     ],
@@ -164,8 +179,8 @@ def test_each_limit_holds_with_and_without_a_summary(
     tmp_path, monkeypatch, write, name, limit, most, reason
 ):
     """Chunks of some ten messages and one of one; a sound summary is no leave to go beyond."""
-    for module in (salvage, mcap_file):
-        monkeypatch.setattr(module, name, limit)
+    for module in (unpack, mcap_records):
+        monkeypatch.setattr(module, name, limit, raising=False)
     path = write(tmp_path / "a.mcap")
     with BagReader(path) as reader:
         read = sum(1 for _ in reader.raw_records())
@@ -205,16 +220,6 @@ def test_an_index_that_tells_less_than_there_is_is_not_followed(tmp_path):
     (tmp_path / "a.mcap").write_bytes(data[:first] + extra + data[first:])
     with BagReader(tmp_path / "a.mcap") as reader:
         assert len(list(reader.raw_records())) in (1, 21)
-
-
-def chunks_of_one_time(count):
-    """Chunks of one message each, all of one time."""
-    made = b""
-    for number in range(count):
-        message = MESSAGE.pack(1, 0, 5, 5) + b"\0\1\0\0" + struct.pack("<d", number)
-        body = record(Opcode.MESSAGE, message)
-        made += chunk(body, len(body), "", start=5)
-    return made
 
 
 def test_a_packed_file_that_fills_the_disk_is_refused(tmp_path):

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
@@ -205,13 +206,20 @@ def test_a_damaged_byte_costs_a_chunk_and_is_reported(drive, tmp_path, data):
 
 def test_damage_says_how_much_was_lost(drive, tmp_path):
     damaged = bytearray(mcap_of(drive).read_bytes())
-    damaged[len(damaged) // 4] ^= 255
+    with mcap_of(drive).open("rb") as file:
+        (*_, hit) = [
+            chunk.chunk_start_offset
+            for chunk in make_reader(file).get_summary().chunk_indexes
+            if chunk.chunk_start_offset < len(damaged) // 4
+        ]
+    damaged[hit + 100] ^= 255
     path = tmp_path / "damaged.mcap"
     path.write_bytes(damaged)
     with BagReader(path) as reader:
         assert len(list(reader.records())) == 580
         assert reader.problem == (
-            f"{path}: 1 of 30 chunks are damaged, 20 messages lost; 580 messages are readable"
+            f"{path}: cut or damaged at byte {hit} of {len(damaged)}: damaged; "
+            "1 of 30 chunks are damaged; 20 messages lost; 580 messages are readable"
         )
 
 

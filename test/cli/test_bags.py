@@ -43,7 +43,7 @@ def folder(tmp_path_factory) -> Path:
     (folder / "my.csv").write_text("\n".join(lines) + "\n")
     (file,) = URBAN.glob("*.mcap")
     data = bytearray(file.read_bytes()[:150_000])
-    data[60_000:60_900] = bytes(900)
+    data[60_500:60_900] = bytes(400)  # in a chunk
     (folder / "broken.mcap").write_bytes(data)
     return folder
 
