@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.api.plan import KnownCar, basis_of, columns_of, known_car
-from evpinn_ros.common.arguments import finite, finite_or_none
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy import edges as energy_edges
@@ -106,13 +105,8 @@ def edge_energies(
     from evpinn_ros.logs.plans.table import edges_of_columns
 
     _, model, _ = known_car(car)
-    given = PlanConditions(
-        finite_or_none("temperature_c", temperature_c),
-        finite_or_none("heating_w", heating_w),
-        finite("head_wind", head_wind),
-        finite_or_none("payload_kg", payload_kg),
-    )
-    legs = edges_of_columns(columns_of("edges", edges))
+    given = PlanConditions(temperature_c, heating_w, head_wind, payload_kg)
+    legs = edges_of_columns(columns_of(edges))
     found = energy_edges.edge_energies(legs, *basis_of(model, given, air_density))
     index = edges.index if isinstance(edges, pd.DataFrame) else pd.RangeIndex(len(legs.length))
     return EdgeEnergies(index, found)

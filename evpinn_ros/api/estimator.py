@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from evpinn_ros.api.frames import breakdown_frame, parameter_frame
-from evpinn_ros.common.arguments import finite, number, path_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.account import EnergyAccount
@@ -89,7 +88,7 @@ class Estimator:
             InputError: the vehicle, mode or file does not exist, or the state belongs to another
                 vehicle or mode.
         """
-        path = None if state is None else path_of("state", state)
+        path = None if state is None else Path(state)
         if path is not None and not path.exists():
             raise InputError(f"{path}: no such file")
         car = CarReplay(vehicle, ReplayOptions(), mode=mode_of(mode), state=path)
@@ -128,14 +127,15 @@ class Estimator:
             The prediction for this sample; None if it has no speed, or if its time goes back.
 
         Raises:
-            InputError: the time is not finite, or a value is not a number.
+            InputError: the time is not finite.
         """
-        stamp_ns = round(finite("t_s", t_s) * NANOSECONDS)
-        speed_mps = number("speed_mps", speed_mps)
-        voltage_v, current_a = number("voltage_v", voltage_v), number("current_a", current_a)
-        soc_pct, elevation_m = number("soc_pct", soc_pct), number("elevation_m", elevation_m)
-        ambient_c = number("ambient_c", ambient_c)
-        heating_w, aircon_w = number("heating_w", heating_w), number("aircon_w", aircon_w)
+        if not math.isfinite(t_s):
+            raise InputError(f"t_s is {t_s}, not a finite number")
+        stamp_ns = round(float(t_s) * NANOSECONDS)
+        measured = (speed_mps, voltage_v, current_a, soc_pct)
+        speed_mps, voltage_v, current_a, soc_pct = map(float, measured)
+        elevation_m, ambient_c = float(elevation_m), float(ambient_c)
+        heating_w, aircon_w = float(heating_w), float(aircon_w)
         battery = BatteryReading(stamp_ns, voltage_v, -current_a, soc_pct / 100)
         loads = AuxiliaryReading(stamp_ns, *(0.0 if x != x else x for x in (heating_w, aircon_w)))
         given: list[tuple[Reading, tuple[float, ...]]] = [
@@ -189,4 +189,4 @@ class Estimator:
 
         Give this file as `state` to `Estimator` or `evpinn_ros.replay` to continue from it.
         """
-        self._car.write_state(path_of("path", path))
+        self._car.write_state(Path(path))

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from evpinn_ros.common.arguments import finite_or_none, path_of, shown, truth_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.account import EnergyAccount
@@ -100,16 +99,14 @@ def forecast(
         InputError: a column is missing, the vehicle does not exist, or the plan is invalid
             (`PlanError`).
     """
-    charge_pct = finite_or_none("charge_pct", charge_pct)
-    stood_h = finite_or_none("stood_h", stood_h)
     given = PlanConditions(
-        finite_or_none("temperature_c", temperature_c),
-        finite_or_none("heating_w", heating_w),
-        finite_or_none("head_wind", head_wind),
-        finite_or_none("payload_kg", payload_kg),
+        temperature_c,
+        heating_w,
+        head_wind,
+        payload_kg,
         None if charge_pct is None else charge_pct / 100,
         None if stood_h is None else 3600.0 * stood_h,
-        float(truth_of("prewarmed", prewarmed)),
+        float(prewarmed),
     )
     _, trip, _, found, charge, _ = planned_energy(plan, car, given, air_density)
     columns = {
@@ -174,14 +171,14 @@ def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:
     """The car of an argument `car` as it is known, with its account where there is one.
 
     Raises:
-        InputError: it is none.
+        TypeError: it is none.
     """
     if isinstance(car, str | Path | Vehicle):
         vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
         return vehicle, vehicle_model(vehicle), None
     if hasattr(car, "account"):
         return car.vehicle, car.model, car.account
-    raise InputError(f"a car is a vehicle, a Result or an Estimator, not {shown(car)}")
+    raise TypeError(f"a car is a vehicle, a Result or an Estimator, not {type(car).__name__}")
 
 
 def basis_of(
@@ -192,8 +189,7 @@ def basis_of(
     Raises:
         InputError: no air is as dense.
     """
-    density = finite_or_none("air_density", air_density)
-    basis = PlanBasis.of(model, conditions, density=density)
+    basis = PlanBasis.of(model, conditions, density=air_density)
     density = basis.weather.air_density
     if not AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1]:
         raise InputError(f"air_density is {density:g}, not {AIR_DENSITIES} kg/m^3")
@@ -213,18 +209,18 @@ def as_plan(plan: Any, vehicle: Vehicle) -> Plan | Legs:
     from evpinn_ros.logs.plans.table import plan_of_columns
 
     if isinstance(plan, str | os.PathLike):
-        return read_plan(path_of("plan", plan), vehicle)
+        return read_plan(Path(plan), vehicle)
     if isinstance(plan, pd.DataFrame) and plan.index.name == "t_s":
         plan = plan.reset_index()
-    return plan_of_columns(columns_of("plan", plan))
+    return plan_of_columns(columns_of(plan))
 
 
-def columns_of(name: str, table: Any) -> dict[str, Any]:
-    """The columns of a DataFrame or mapping, which is the argument `name`.
+def columns_of(table: Any) -> dict[str, Any]:
+    """The columns of a DataFrame or mapping.
 
     Raises:
-        InputError: it is something else.
+        TypeError: it is something else.
     """
     if not isinstance(table, pd.DataFrame | Mapping):
-        raise InputError(f"a {name} is a DataFrame, a dict or a file, not {shown(table)}")
+        raise TypeError(f"a DataFrame, a dict or a file is needed, not {type(table).__name__}")
     return {str(column): table[column] for column in table}

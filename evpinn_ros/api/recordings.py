@@ -11,14 +11,6 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from evpinn_ros.api.result import Result
-from evpinn_ros.common.arguments import (
-    finite,
-    finite_or_none,
-    path_of,
-    sequence_of,
-    text_of,
-    truth_of,
-)
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.source import Source
@@ -84,13 +76,7 @@ def replay(
     with _opened(
         drive,
         vehicle,
-        ReplayOptions(
-            finite_or_none("withhold_battery_after", withhold_battery_after),
-            finite("warm_up", warm_up),
-            None,
-            finite("start", start),
-            finite_or_none("duration", duration),
-        ),
+        ReplayOptions(withhold_battery_after, warm_up, start=start, duration=duration),
         mode=mode,
         params=params,
         state=state,
@@ -131,10 +117,7 @@ def replay_trips(
     Raises:
         InputError: the drive, the vehicle or a file cannot be used; the text says why.
     """
-    scored = ReplayOptions(
-        finite_or_none("withhold_battery_after", withhold_battery_after),
-        finite("warm_up", warm_up),
-    )
+    scored = ReplayOptions(withhold_battery_after, warm_up)
     with _opened(drive, vehicle, scored, **options) as (car_replay, source):
         return [_result(car_replay, trip) for trip in split(source)[0]]
 
@@ -155,20 +138,20 @@ def _opened(
     elevation: str | os.PathLike[str] | None = None,
 ) -> Iterator[tuple[CarReplay, Source]]:
     """The car and its drive; what was learned is written when nothing went wrong."""
-    written = None if state is None else path_of("state", state)
+    written = None if state is None else Path(state)
     car_replay = CarReplay(
         vehicle,
         options,
         mode=None if mode is None else mode_of(mode),
-        params=None if params is None else path_of("params", params),
+        params=None if params is None else Path(params),
         state=written,
     )
     read_options = ReadOptions(
-        None if can_profile is None else text_of("can_profile", can_profile),
-        truth_of("trust_profile", trust_profile),
-        [text_of("columns", each) for each in sequence_of("columns", columns)],
-        None if car is None else text_of("car", car),
-        None if elevation is None else Terrain(path_of("elevation", elevation)),
+        can_profile,
+        trust_profile,
+        columns,
+        car,
+        None if elevation is None else Terrain(Path(elevation)),
     )
     with TemporaryDirectory() as folder:
         yield car_replay, car_replay.open(_path_of(drive, Path(folder)), read_options)
@@ -194,5 +177,5 @@ def _path_of(drive: Any, folder: Path) -> Path:
         named = drive.index.name is not None or drive.index.dtype.kind not in "iu"
         drive.to_csv(path, index=named, index_label=drive.index.name or "time")
     else:
-        return path_of("drive", drive)
+        return Path(drive)
     return path

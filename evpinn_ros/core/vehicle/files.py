@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from evpinn_ros.common.arguments import path_of, text_of
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.common.writer import replaced
@@ -179,12 +178,8 @@ def vehicle_names() -> list[str]:
 
 
 def find_vehicles(text: str = "") -> dict[str, str]:
-    """Names by keys of the known cars whose name or key has all these words.
-
-    Raises:
-        InputError: what is given is no text.
-    """
-    words = set(words_of(text_of("text", text)))
+    """Names by keys of the known cars whose name or key has all these words."""
+    words = set(words_of(text))
     return {key: name for key, name in _names() if words <= {*words_of(key), *words_of(name)}}
 
 
@@ -197,7 +192,7 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     Raises:
         InputError: no such car, several, or the file is wrong; the text has file, line and reason.
     """
-    path = path_of("vehicle", name_or_path)
+    path = Path(name_or_path)
     text = str(name_or_path)
     if path.suffix in (".yaml", ".yml"):
         return _parse(path)
