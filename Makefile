@@ -140,7 +140,7 @@ clean:
 $(COMPILED): $(INSTALLED)
 	@$(BIN)/python -m pytest --collect-only -qq >/dev/null 2>&1; touch $@
 
-# With them those that tests send as other stacks do: CAN frames, Autoware, Nav2's bond.
+# With them those that tests send as other stacks do: CAN frames and Autoware.
 $(MSGS)/installed: $(INSTALLED) $(shell find evpinn_msgs test/messages -type f)
 	@echo "Building evpinn_msgs and messages of others into $(MSGS); it takes a minute."
 	@scripts/install.sh $(BIN)/python -c $(CONSTRAINTS) -r evpinn_msgs/requirements-build.txt

@@ -2,10 +2,6 @@
 
 Without the parameter `managed` that is at once. With it `configure` reads parameters and files and
 makes the endpoints, `activate` begins to work, and `cleanup` forgets all of it again.
-
-Nav2's lifecycle manager also listens for a heartbeat of each node that it has activated, on the
-topic `bond` beside it; where that stops without a word, it takes the other nodes down. A node has
-that bond where the package `bond` is installed.
 """
 
 from __future__ import annotations
@@ -13,7 +9,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from typing import Any
-from uuid import uuid4
 
 from rclpy.lifecycle import LifecycleNodeMixin, TransitionCallbackReturn
 
@@ -21,16 +16,12 @@ from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.base import NOT_ACTIVE, GuardedNode
 from evpinn_ros.nodes.diagnosis import Status
-from evpinn_ros.nodes.factory import is_installed, message_class
 from evpinn_ros.nodes.parameters import unknown_parameters
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.node_parameters import TABLES, refuse_wrong
 
 UNCONFIGURED = "it waits to be configured"
-BOND_PACKAGE, BOND_TYPE, BOND_TOPIC = "bond", "bond/msg/Status", "bond"
-BOND_PERIOD, BOND_TIMEOUT = 0.1, 4.0  # s, as Nav2's own nodes have them
-BOND_DEPTH = 100  # statuses of all nodes of a manager
 
 
 class ManagedNode(LifecycleNodeMixin, GuardedNode):
@@ -46,8 +37,6 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
         for problem in unknown_parameters(self, name):
             self.log(Level.WARN, problem)
         self._table, self._waits_for = TABLES[name], UNCONFIGURED
-        bound = self.values["managed"] and is_installed(BOND_PACKAGE)
-        self._bond = Bond(self) if bound else None
         self._made.clear()  # what was made so far is there as long as the node
         if not self.values["managed"]:
             self.configure()
@@ -86,8 +75,6 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
     def close(self) -> str | None:
         """End all, as the process does; gives what could not be kept and why."""
         problem = self.end() if self.active else None
-        if self._bond is not None:
-            self._bond.end()
         if self.configured:
             self.let_go()
         self.active = self.configured = False
@@ -143,14 +130,10 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
     def _activate(self) -> None:
         self.begin()
         self.active = True
-        if self._bond is not None:
-            self._bond.begin()
 
     def _deactivate(self) -> None:
         if self.active:
             self.active = False
-            if self._bond is not None:
-                self._bond.end()
             if problem := self.end():
                 self.log(Level.WARN, problem)
 
@@ -171,44 +154,3 @@ class ManagedNode(LifecycleNodeMixin, GuardedNode):
     def _log_changes(self) -> None:
         if self.configured:
             super()._log_changes()
-
-
-class Bond:
-    """One end of the bond that has the name of its node; the manager holds the other."""
-
-    def __init__(self, node: GuardedNode) -> None:
-        """Make publisher, subscription and timer of a node, which stay silent until `begin`."""
-        self._node, self._kind = node, message_class(BOND_TYPE)
-        # Every identity that this end had: what it said last may come back after it began anew.
-        self._own: list[str] = []
-        self._alive = False
-        self._publisher = node.create_publisher(self._kind, BOND_TOPIC, BOND_DEPTH)
-        node.create_subscription(self._kind, BOND_TOPIC, self._take, BOND_DEPTH)
-        node.every(BOND_PERIOD, self._beat)
-
-    def begin(self) -> None:
-        """Be alive, as a new one: the manager forms a bond anew at each activation."""
-        self._own.append(str(uuid4()))
-        self._alive = True
-
-    def end(self) -> None:
-        """Say that this end goes, so that the manager misses no heartbeat."""
-        if self._alive:
-            self._alive = False
-            self._say(active=False)
-
-    def _beat(self) -> None:
-        if self._alive:
-            self._say(active=True)
-
-    def _take(self, message: Any) -> None:
-        """Go with the other end, when it goes first."""
-        ours = message.id == self._node.get_name() and message.instance_id not in self._own
-        if ours and not message.active:
-            self.end()
-
-    def _say(self, *, active: bool) -> None:
-        message = self._kind(id=self._node.get_name(), instance_id=self._own[-1], active=active)
-        message.heartbeat_period, message.heartbeat_timeout = BOND_PERIOD, BOND_TIMEOUT
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(message)

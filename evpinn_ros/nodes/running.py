@@ -3,18 +3,12 @@
 systemd gets messages that the process is up, that it still works and that it ends, by the
 protocol of sd_notify(3): datagrams to the socket in NOTIFY_SOCKET. Without one, as outside a unit
 of `Type=notify`, nothing is sent.
-
-A last step that hangs is ended by timers of the C library. A call into the middleware that never
-returns keeps the interpreter, so neither a thread of Python nor a handler of signals would get a
-turn; these timers need neither. What hangs, and why no timer of Python's own will do:
-docs/project/upstream.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-import ctypes
 import faulthandler
 from functools import partial
 import os
@@ -23,7 +17,7 @@ import socket
 import sys
 import time
 from types import FrameType
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -56,8 +50,6 @@ ONE_WISH = 1.0
 
 MakeNode = Callable[[], GuardedNode]
 SYSTEMD_PATIENCE = 0.1  # s for a systemd that does not read: it must not hold up the callbacks
-IN_A_THREAD = 2  # SIGEV_THREAD: at its time the timer calls a function, in a thread of its own
-AFTER_THE_DUMP = 0.1  # s, so that no two threads write at once
 
 
 def run(
@@ -114,7 +106,7 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
     nodes: list[GuardedNode] = []
     code = 0
     try:
-        with deadline(START, f"ROS did not start within {START:g} s", 1):
+        with deadline(START):
             for make in makers:
                 nodes.append(make())
         # Only now: a node that is shut down while it is made does not end quietly.
@@ -165,8 +157,7 @@ def _end(nodes: Sequence[GuardedNode]) -> int:
     ]
     steps += [node.destroy_node for node in nodes]
     steps.append(try_shutdown)  # not that of `rclpy`, which in Kilted ends the thread once more
-    text = f"ROS did not shut down within {FAREWELL:g} s: the process ends without that"
-    with deadline(FAREWELL, text + ("" if code else "; all is saved"), code):
+    with deadline(FAREWELL):
         for step in steps:
             try:
                 step()
@@ -219,53 +210,17 @@ def watchdog_period() -> float | None:
     return int(waits) / 2e6 if waits.isdecimal() and int(waits) > 0 else None
 
 
-class _Event(ctypes.Structure):
-    """`sigevent` of sigevent(7)."""
-
-    _fields_ = (
-        ("argument", ctypes.c_void_p),
-        ("signal", ctypes.c_int),
-        ("kind", ctypes.c_int),
-        ("function", ctypes.c_void_p),
-        ("rest", ctypes.c_void_p * 8),
-    )
-
-
-class _Due(ctypes.Structure):
-    """`itimerspec` of timer_settime(2)."""
-
-    _fields_ = (("period", ctypes.c_long * 2), ("seconds", ctypes.c_long), ("ns", ctypes.c_long))
-
-
 @contextmanager
-def deadline(seconds: float, reason: str, code: int) -> Iterator[None]:
-    """End the process with `code` when the block takes longer.
+def deadline(seconds: float) -> Iterator[None]:
+    """End the process with 1 when the block takes longer; stderr says where it hangs.
 
-    It writes first where it hangs and the reason, to stderr. Without POSIX timers there is no
-    limit.
+    A call into the middleware that never returns keeps the interpreter, so neither a thread of
+    Python nor a handler of signals would get a turn; `faulthandler` needs neither.
     """
-    lib, line, timers = ctypes.CDLL(None), ctypes.c_char_p(reason.encode()), []
-    with suppress(AttributeError, OSError):
-        if sys.stderr is not None:  # whoever started us may have closed it
-            faulthandler.dump_traceback_later(seconds, file=2)
-            timers += [_timer(lib, seconds + AFTER_THE_DUMP, lib.warnx, line)]
-        timers += [_timer(lib, seconds + 2 * AFTER_THE_DUMP, lib._exit, ctypes.c_void_p(code))]
+    # Whoever started us may have closed stderr.
+    said = os.open(os.devnull, os.O_WRONLY) if sys.stderr is None else 2
+    faulthandler.dump_traceback_later(seconds, exit=True, file=said)
     try:
         yield
     finally:
         faulthandler.cancel_dump_traceback_later()
-        for timer in timers:
-            lib.timer_delete(timer)
-
-
-def _timer(
-    lib: ctypes.CDLL, seconds: float, function: Any, argument: ctypes.c_char_p | ctypes.c_void_p
-) -> ctypes.c_void_p:
-    """A timer that calls a function of C with one argument, once."""
-    given, address = (ctypes.cast(each, ctypes.c_void_p) for each in (argument, function))
-    event, timer = _Event(given, 0, IN_A_THREAD, address), ctypes.c_void_p()
-    due = _Due((0, 0), int(seconds), int(seconds % 1 * 1e9))
-    if lib.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)) != 0:
-        raise OSError("no timer")
-    lib.timer_settime(timer, 0, ctypes.byref(due), None)
-    return timer

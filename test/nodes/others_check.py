@@ -1,8 +1,7 @@
-"""Runs where messages of other stacks are built: CAN frames, Autoware, and Nav2's bond."""
+"""Runs where messages of other stacks are built: CAN frames and Autoware."""
 
 import time
 
-from bond.msg import Status
 import numpy as np
 
 from evpinn_ros import topics
@@ -119,32 +118,3 @@ def plans(bench):
 def test_velocity_and_plans(bench):
     velocity(bench)
     plans(bench)
-
-
-def test_bonds(bench):
-    """The heartbeat of an active node; its end is told, and follows that of the manager."""
-    node, heard = bench.start(EnergyNode, managed=True), []
-    bench.node.create_subscription(Status, "/ev/bond", heard.append, 100)
-    manager = bench.node.create_publisher(Status, "/ev/bond", 100)
-    bench.pump(lambda: manager.get_subscription_count() > 1)
-    node.trigger_configure()
-    assert not heard
-    node.trigger_activate()
-    bench.pump(lambda: len(heard) > 5)
-    assert {(m.id, m.active) for m in heard} == {("energy", True)}
-    assert len({m.instance_id for m in heard}) == 1
-    assert 0.0 < heard[0].heartbeat_period < heard[0].heartbeat_timeout
-    node.trigger_deactivate()
-    bench.pump(lambda: not heard[-1].active)
-    first = heard[0].instance_id
-    node.trigger_activate()
-    bench.pump(lambda: heard[-1].active)
-    assert heard[-1].instance_id != first
-    manager.publish(Status(id="other", instance_id="manager", active=False))
-    manager.publish(Status(id="energy", instance_id="manager", active=True))
-    count = len(heard)
-    bench.pump(lambda: len(heard) > count + 4)
-    assert node.active and heard[-1].active
-    manager.publish(Status(id="energy", instance_id="manager", active=False))
-    own = heard[-1].instance_id
-    bench.pump(lambda: [m for m in heard if m.instance_id == own and not m.active])

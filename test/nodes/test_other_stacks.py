@@ -1,4 +1,4 @@
-"""Messages that other stacks send, over real DDS: CAN frames, Autoware, and Nav2's bond."""
+"""Messages that other stacks send, over real DDS: CAN frames and Autoware."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.factory import is_installed
 
 
-def test_frames_speed_plans_and_bond_of_others(run_with_messages):
+def test_frames_speed_and_plans_of_others(run_with_messages):
     run_with_messages("others_check.py")
 
 
