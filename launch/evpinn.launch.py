@@ -10,8 +10,5 @@ def generate_launch_description():
 def _actions(given):
     car = {"vehicle": given["vehicle"]}
     bus = {"interface": given["can_interface"], "channel": given["can_channel"]}
-    return [
-        node(given, "can_bridge", car | bus),
-        node(given, "estimator", car),
-        node(given, "energy", car),
-    ]
+    bridge = [node(given, "can_bridge", car | bus)] if given.is_true("bus") else []
+    return [*bridge, node(given, "estimator", car), node(given, "energy", car)]

@@ -16,8 +16,5 @@ def generate_launch_description():
 def _actions(given):
     own = {"vehicle": given["vehicle"], "autostart": given.is_true("autostart")}
     bus = {"interface": given["can_interface"], "channel": given["can_channel"]}
-    return [
-        managed_node(given, "estimator", own),
-        managed_node(given, "energy", own),
-        managed_node(given, "can_bridge", own | bus),
-    ]
+    bridge = [managed_node(given, "can_bridge", own | bus)] if given.is_true("bus") else []
+    return [managed_node(given, "estimator", own), managed_node(given, "energy", own), *bridge]

@@ -20,7 +20,7 @@ from evpinn_ros.common.errors import InputError, near_names
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.typed import TYPED, TYPED_FORECAST
-from evpinn_ros.topics import NAMESPACE, TOPICS
+from evpinn_ros.topics import NAMESPACE, TOPICS, Topic
 from launch import LaunchDescription
 
 if TYPE_CHECKING:  # `ros2` may run in a Python that has none of what the table needs
@@ -59,6 +59,7 @@ COMMON = (
     argument("record", "", "Folder of a bag (MCAP) to record every topic to; empty: none."),
 )
 BUS = (
+    argument("bus", "true", "Decode a CAN bus; false: others publish speed and battery.", TRUTH),
     argument("can_interface", "", "Driver of the CAN adapter; empty: as in params_file."),
     argument("can_channel", "", "Channel of the adapter; empty: as in params_file."),
 )
@@ -71,6 +72,7 @@ class Given:
     Attributes:
         values: by name.
         namespace: absolute, with what including files have pushed.
+        remaps: pairs of names that including files have set by `SetRemap`, in their order.
     """
 
     def __init__(self, context: Any, arguments: Iterable[DeclareLaunchArgument]) -> None:
@@ -86,6 +88,9 @@ class Given:
         pushed = context.launch_configurations.get("ros_namespace")
         below = prefix_namespace(pushed, self.values["namespace"])
         self.namespace: str = make_namespace_absolute(below)
+        self.remaps: Sequence[tuple[str, str]] = context.launch_configurations.get(
+            "ros_remaps", ()
+        )
         if not Path(self.values["params_file"]).is_file():
             raise InputError(f"params_file:={self.values['params_file']}: no such file")
         if self.values["vehicle"]:
@@ -100,6 +105,16 @@ class Given:
     def is_true(self, name: str) -> bool:
         """True if one that is `true` or `false` is true."""
         return self.values[name] == "true"
+
+    def resolved(self, topic: Topic) -> str:
+        """The full name of a topic, as a node resolves it: the first rule that fits counts."""
+        name = topic.under(self.namespace)
+        for rule, target in self.remaps:
+            # A rule may be of one node: `energy:odom`.
+            source = rule.removeprefix("rostopic://").rpartition(":")[2]
+            if prefix_namespace(self.namespace, source) == name:
+                return str(prefix_namespace(self.namespace, target))
+        return name
 
     def number(self, name: str) -> float:
         """One that is a number, also one without a decimal point.
@@ -188,6 +203,6 @@ def recorder(given: Given) -> ExecuteProcess:
     """`ros2 bag` recording every topic of this car."""
     command = ["ros2", "bag", "record", "--storage", "mcap", "--output", given["record"]]
     command += ["--use-sim-time"] if given.is_true("use_sim_time") else []
-    recorded = [*TOPICS, *TYPED.values(), TYPED_FORECAST]
-    command += ["--topics", *(topic.under(given.namespace) for topic in recorded)]
+    recorded = (*TOPICS, *TYPED.values(), TYPED_FORECAST)
+    command += ["--topics", *dict.fromkeys(map(given.resolved, recorded))]
     return ExecuteProcess(cmd=command, output="screen")

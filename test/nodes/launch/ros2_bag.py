@@ -14,6 +14,7 @@ import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from evpinn_ros.bags.reader import BagReader
@@ -75,19 +76,27 @@ def play(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
 def record(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
     print("recording", *asked.topics)
     writer = BagWriter(asked.output, live=True, split=None)
+
+    def listen(name: str, kind: str, qos: QoSProfile) -> None:
+        def write(data: bytes) -> None:
+            writer.write_raw(name, kind, data, node.get_clock().now().nanoseconds)
+
+        node.create_subscription(factory.message_class(kind), name, write, qos, raw=True)
+
+    waiting = {*asked.topics}
     for name in asked.topics:
         topic = topic_of(name)
-        if topic is None or not factory.is_installed(topic.package):
-            continue  # as `ros2 bag`, which waits for who publishes it
-        node.create_subscription(
-            factory.message_class(topic.type_name),
-            name,
-            lambda data, name=name, kind=topic.type_name: writer.write_raw(
-                name, kind, data, node.get_clock().now().nanoseconds
-            ),
-            factory.qos_profile(topic.publisher_qos),
-            raw=True,
-        )
+        if topic is not None and factory.is_installed(topic.package):
+            listen(name, topic.type_name, factory.qos_profile(topic.publisher_qos))
+            waiting.remove(name)
+
+    def look_around() -> None:  # for who publishes the others
+        for name, (kind, *_) in node.get_topic_names_and_types():
+            if name in waiting and factory.is_installed(kind.partition("/")[0]):
+                listen(name, kind, qos_profile_sensor_data)
+                waiting.remove(name)
+
+    node.create_timer(0.1, look_around)
     try:
         rclpy.spin(node)
     except (ExternalShutdownException, RuntimeError):

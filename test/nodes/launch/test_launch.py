@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.nodes.factory import message_class
 from test.conftest import ROOT
 from test.waiting import wait_until
 
@@ -223,6 +224,52 @@ def test_arguments_are_the_same_everywhere_and_described(ros2):
         else:
             assert names >= common | {"use_sim_time"}, file
         assert "no description given" not in shown
+
+
+REMAPPED = """
+from launch import LaunchDescription
+from launch.actions import IncludeLaunchDescription
+from launch_ros.actions import SetRemap
+
+def generate_launch_description():
+    arguments = {{"bus": "false", "vehicle": "tesla_model_3_lr", "record": "{record}"}}
+    return LaunchDescription([
+        SetRemap("vehicle/speed", "/car/speed"),
+        SetRemap("/ev/battery/state", "/battery_state"),
+        SetRemap("estimator:odom", "wheels"),
+        IncludeLaunchDescription("{file}", launch_arguments=arguments.items()),
+    ])
+"""
+
+
+def test_a_recording_has_inputs_that_are_remapped_and_no_bridge_is_started(
+    ros2, bench, bundled, tmp_path
+):
+    """As `inputs.md` has it for a robot that publishes speed and battery by itself."""
+    record, file = tmp_path / "drive", tmp_path / "robot.launch.py"
+    include = ROOT / "launch" / "evpinn.launch.py"
+    file.write_text(REMAPPED.format(file=include, record=record))
+    powers = bench.hear(topics.POWER_PREDICTED)
+    names = {topics.SPEED: "/car/speed", topics.BATTERY: "/battery_state"}
+    publishers = {
+        topic: bench.node.create_publisher(message_class(topic.type_name), name, 10)
+        for topic, name in names.items()
+    }
+    drive = bundled("urban", 60.0)
+    with ros2.running("launch", file) as launch:
+        # The estimator, the energy node and the recorder.
+        bench.pump(lambda: all(p.get_subscription_count() == 3 for p in publishers.values()))
+
+        def send_more() -> bool:
+            topic, _, message = next(drive)
+            publishers[topic].publish(message)
+            return len(powers) > 5
+
+        bench.pump(send_more)
+        assert "/ev/wheels" in launch.output and "can_bridge" not in launch.output
+    with BagReader(record) as bag:
+        counts = {name: bag.topics[name].count for name in (*names.values(), "/ev/power/measured")}
+    assert all(counts.values()), counts
 
 
 def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
