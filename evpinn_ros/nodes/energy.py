@@ -21,6 +21,7 @@ from evpinn_ros.core.energy.remaining import usual_cost
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.state_file import Half
+from evpinn_ros.core.signals.admission import CarLimits
 from evpinn_ros.core.signals.readings import BatteryReading, why_impossible
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
 from evpinn_ros.core.vehicle.files import load_vehicle
@@ -70,7 +71,8 @@ class EnergyNode(StatefulNode):
         vehicle = load_vehicle(self.values["vehicle"])
         integrator, max_gap = Integrator(self.values["integrator"]), self.values["max_gap"]
         meter = EnergyMeter(load_rknn(), integrator=integrator, max_gap=max_gap)
-        self.account = EnergyAccount(meter, vehicle.key, vehicle.battery_capacity)
+        limits = CarLimits.of(vehicle)
+        self.account = EnergyAccount(meter, vehicle.key, vehicle.battery_capacity, limits)
         self._vehicle = vehicle
         # The one tells what forecasts rest on, the other answers in its thread.
         self.forecaster, self._desk = Forecaster(vehicle), PlanDesk(Forecaster(vehicle))
@@ -162,7 +164,7 @@ class EnergyNode(StatefulNode):
         for each in self._reading_guard.admit(topic, reading.stamp_ns, reading, rule):
             if isinstance(each, Jump):  # what the policy says is done when power jumps
                 self.account.begin_readings_anew()
-            else:
+            elif self.account.admission.admits(each):
                 self.account.add_reading(each)
 
     def _on_model(self, message: Any) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
 from functools import partial
 import time
 from typing import Any
@@ -14,6 +16,7 @@ from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
 from evpinn_ros.core.estimation.state_file import Half
 from evpinn_ros.core.estimation.worker import ThreadWorker
+from evpinn_ros.core.signals.admission import Admission, CarLimits
 from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.arrivals import StampWatch
@@ -48,6 +51,7 @@ class EstimatorNode(StatefulNode):
         self.estimator = OnlineEstimator(
             self._vehicle, estimator_settings(self.values), self._worker
         )
+        self._admission = Admission(CarLimits.of(self._vehicle))
         self._mounting = imu_mounting(self.values)
         self._stamps = StampWatch()
         start = self.go_on(self.estimator, topics.SPEED)
@@ -63,6 +67,7 @@ class EstimatorNode(StatefulNode):
     def statuses(self) -> list[Status]:
         """The health of the estimate."""
         status = self.estimator.status()
+        status = replace(status, dropped=Counter(status.dropped) + self._admission.refused)
         health = self.health(self.guard.dropped, status.dropped, _usual(status))
         return [estimator_status(status, self._condition(health))]
 
@@ -104,8 +109,9 @@ class EstimatorNode(StatefulNode):
             wrong = self._stamps.check(reading.stamp_ns, self.now_ns(), self.steady_s())
             if wrong is not None:
                 self.notice("stamps", f"{topic.name}: {wrong}")
-        for admitted in self.in_order(topic, reading.stamp_ns, reading):
-            self._learn(admitted)
+        for item in self.in_order(topic, reading.stamp_ns, reading):
+            if self._admission.admits(item):
+                self._learn(item)
 
     def _learn(self, reading: Reading) -> None:
         for output in self.estimator.add_reading(reading):

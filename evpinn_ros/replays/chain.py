@@ -14,6 +14,7 @@ from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator, Output
 from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.admission import CarLimits
 from evpinn_ros.core.signals.readings import Reading, SpeedReading
 from evpinn_ros.core.signals.time_jump import (
     DEFAULT_RULE,
@@ -49,7 +50,10 @@ class Chain:
         self._rule, self._guard = rule, StampGuard(SpeedReading)
         self._start: Mapping[str, Any] | None = None  # what was known when the drive began
         self.account = EnergyAccount(
-            EnergyMeter(load_rknn()), vehicle.key, vehicle.battery_capacity
+            EnergyMeter(load_rknn()),
+            vehicle.key,
+            vehicle.battery_capacity,
+            CarLimits.of(vehicle),
         )
 
     @property
@@ -59,8 +63,9 @@ class Chain:
 
     @property
     def dropped(self) -> Counter[str]:
-        """Readings of this drive that did not pass the guard of time, by reason."""
-        return self._guard.dropped + Counter(stamp_leaps=self._guard.held)
+        """Readings of this drive that were refused or did not pass the guard of time."""
+        guard = self._guard.dropped + Counter(stamp_leaps=self._guard.held)
+        return guard + self.account.refused
 
     def add_reading(self, reading: Reading) -> Iterator[ChainOutput]:
         """Take one reading; give all that the estimator and then the account say of it."""
@@ -68,8 +73,10 @@ class Chain:
             yield from self.take(item)
 
     def follow(self, reading: Reading) -> Iterator[Reading | Jump]:
-        """Take one reading; give what `take` shall have now: none while its stamp is in doubt."""
-        return self._guard.follow(reading, self._rule)
+        """Take one reading; give what `take` shall have now: none that is refused or in doubt."""
+        for item in self._guard.follow(reading, self._rule):
+            if isinstance(item, Jump) or self.account.admission.admits(item):
+                yield item
 
     def take(self, reading: Reading | Jump) -> Iterator[ChainOutput]:
         """Take a reading that may be used, or a jump of time."""
@@ -115,3 +122,4 @@ class Chain:
         self._guard, self._start = StampGuard(SpeedReading), self.estimator.export()
         self.account.begin_after_jump()
         self.account.reset_trip()
+        self.account.refused.clear()

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from evpinn_ros.common.arrays import chosen_rows
+from evpinn_ros.core.energy.quadrature import MAX_GAP, joined
 from evpinn_ros.core.estimation.learner import CHARGING_POWER
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.scoring import Span, known_at, longest_step
+from evpinn_ros.replays.scoring import Span, known_at
 
 
 class DrivenSteps(NamedTuple):
@@ -29,6 +31,41 @@ class DrivenSteps(NamedTuple):
     speed: np.ndarray
     distance: np.ndarray
     energy: np.ndarray
+
+
+class Counted(NamedTuple):
+    """What a drive amounts to, of admitted readings alone.
+
+    Attributes:
+        distance: m.
+        seconds: of the drive in which speed was recorded.
+        energy: net from the battery, J, where speed is known too; NaN without a battery.
+        known: distance over which that was measured, m.
+        measured: seconds in which it was measured, or the standing car charged.
+        charged: energy that a charger gave the standing car, J, in no other figure.
+    """
+
+    distance: float
+    seconds: float
+    energy: float
+    known: float
+    measured: float
+    charged: float
+
+
+def counted(drive: Drive) -> Counted:
+    """Distance and energy of a drive: the figures of every text and page."""
+    moved = travelled(drive)
+    steps, charging = _battery_steps(drive)
+    drawn = chosen_rows(steps, ~charging)
+    return Counted(
+        distance=float(moved.distance.sum()),
+        seconds=float(moved.seconds.sum()),
+        energy=float(drawn.energy.sum()) if len(drive.measured) else math.nan,
+        known=float(drawn.distance.sum()),
+        measured=float(steps.seconds.sum()),
+        charged=-float(steps.energy[charging].sum()),
+    )
 
 
 def travelled(drive: Drive) -> DrivenSteps:
@@ -64,11 +101,9 @@ def _steps(rows: np.ndarray, power: np.ndarray, known: np.ndarray) -> DrivenStep
     time, speed = rows[:, 0], np.abs(rows[:, 1])
     steps = np.diff(time)
     middle = (speed[1:] + speed[:-1]) / 2
-    with np.errstate(over="ignore"):  # a bag may hold powers that no battery has
-        energy = (power[1:] / 2 + power[:-1] / 2) * steps
+    energy = (power[1:] + power[:-1]) / 2 * steps
     found = DrivenSteps(time[1:], steps, middle, middle * steps, energy)
-    whole = known[1:] & known[:-1] & (steps <= longest_step(time))
-    return chosen_rows(found, whole & np.isfinite(found.energy))
+    return chosen_rows(found, known[1:] & known[:-1] & joined(steps, MAX_GAP))
 
 
 def rising(rows: np.ndarray) -> np.ndarray:

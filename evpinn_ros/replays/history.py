@@ -170,7 +170,7 @@ class History:
         self._jumped = jump
 
     def add_reading(self, reading: Reading) -> None:
-        """Take a reading as the car sent it."""
+        """Take an admitted reading."""
         if self._start_ns is None:
             self._start_ns = self._last_ns = reading.stamp_ns
         if self._jumped is not None:
@@ -179,22 +179,22 @@ class History:
             self._jumped = None
         self._last_ns = max(self._last_ns, self.moment(reading.stamp_ns))
         time = self.seconds(reading.stamp_ns)
-        if isinstance(reading, SpeedReading) and math.isfinite(reading.speed):
+        if isinstance(reading, SpeedReading):
             self._series["speed"].add(time, reading.speed)
         elif isinstance(reading, BatteryReading):
             if math.isfinite(reading.voltage):
                 self._voltage.add(time, reading.voltage)
             if math.isfinite(reading.current):
                 self._current.add(time, reading.current)
-            if math.isfinite(reading.state_of_charge):
+            if 0.0 <= reading.state_of_charge <= 1.0:
                 self._series["charge"].add(time, reading.state_of_charge)
-        elif isinstance(reading, AltitudeReading) and math.isfinite(reading.altitude):
+        elif isinstance(reading, AltitudeReading):
             self._series["altitude"].add(time, reading.altitude)
             if reading.has_position:
                 self._series["position"].add(time, reading.latitude, reading.longitude)
-        elif isinstance(reading, TemperatureReading) and math.isfinite(reading.celsius):
+        elif isinstance(reading, TemperatureReading):
             self._series["temperature"].add(time, reading.celsius)
-        elif isinstance(reading, AuxiliaryReading) and math.isfinite(reading.heating):
+        elif isinstance(reading, AuxiliaryReading):
             self._series["heating"].add(time, reading.heating)
 
     def add_output(self, output: ChainOutput) -> None:

@@ -17,7 +17,7 @@ from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.replays.drive_names import short_names
-from evpinn_ros.replays.driven import DrivenSteps, charged, measured_steps, travelled
+from evpinn_ros.replays.driven import DrivenSteps, counted, measured_steps, travelled
 from evpinn_ros.replays.events import drive_events
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import Drive
@@ -36,6 +36,7 @@ from evpinn_ros.report.owner_text import (
     drives_columns,
     drives_rows,
     owner_notes,
+    part_text,
 )
 from evpinn_ros.report.tables import (
     SCORE_COLUMNS,
@@ -161,7 +162,7 @@ def _drive(
         "doubts": owner_notes(reported.vehicle, drive, found),
         "record": _record(found),
         "breakdown": breakdown_values(found["breakdown"], units),
-        "tiles": list(drive_tiles(drive, *steps, units)),
+        "tiles": list(drive_tiles(drive, units)),
         "warm_up": f"{reported.warm_up:.0f}",
         "score_tiles": list(_score_tiles(reported)),
         "scores": score_rows(drive, found, reported.warm_up),
@@ -264,29 +265,27 @@ def _date(drive: Drive) -> str:
     return f"{begin:%Y-%m-%d %H:%M:%S}{zone}"
 
 
-def drive_tiles(
-    drive: Drive, travelled: DrivenSteps, measured: DrivenSteps, units: Units
-) -> Iterator[tuple[str, str]]:
+def drive_tiles(drive: Drive, units: Units) -> Iterator[tuple[str, str]]:
     """Energy over distance, then the rest that is known of the drive."""
-    far, energy = float(travelled.distance.sum()), float(measured.energy.sum())
-    known = float(measured.distance.sum())
-    if known >= CONSUMPTION_METRES:
-        part = "" if known > NEARLY_WHOLE * far else f", over {_distance(known, units)} measured"
-        yield units.consumption(energy, known), f"{units.economy}{part}"
-    if len(measured.energy):
-        yield f"{energy / JOULES_PER_KWH:.3g} kWh", "from the battery"
-    taken = charged(drive)
-    if taken >= LEAST_CHARGED:
+    total = counted(drive)
+    if total.known >= CONSUMPTION_METRES:
+        whole = total.known > NEARLY_WHOLE * total.distance
+        part = "" if whole else f", over {_distance(total.known, units)} measured"
+        yield units.consumption(total.energy, total.known), f"{units.economy}{part}"
+    if total.measured:
+        whole = total.measured >= NEARLY_WHOLE * drive.duration
+        part = "" if whole else f", {part_text(total.measured, drive.duration)} read"
+        yield f"{total.energy / JOULES_PER_KWH:.3g} kWh", f"from the battery{part}"
+    if total.charged >= LEAST_CHARGED:
         yield (
-            f"{taken / JOULES_PER_KWH:.3g} kWh",
+            f"{total.charged / JOULES_PER_KWH:.3g} kWh",
             "charged while parked, not included elsewhere",
         )
-    seconds = float(travelled.seconds.sum())
-    mean = far / seconds * units.speeds if seconds else 0.0
+    mean = total.distance / total.seconds * units.speeds if total.seconds else 0.0
     time = clock(drive.duration)
-    if seconds < NEARLY_WHOLE * drive.duration:
-        time = f"{clock(seconds)} recorded of {time}"
-    yield _distance(far, units), f"in {time}, {mean:.0f} {units.speed} on average"
+    if total.seconds < NEARLY_WHOLE * drive.duration:
+        time = f"{clock(total.seconds)} recorded of {time}"
+    yield _distance(total.distance, units), f"in {time}, {mean:.0f} {units.speed} on average"
     if len(drive.charge):
         begin, end = 100 * drive.charge[0, 1], 100 * drive.charge[-1, 1]
         yield f"{begin:.0f} to {end:.0f} %", "state of charge"

@@ -8,12 +8,15 @@ from collections.abc import Mapping
 NO_LOSS = ("battery_unmeasured",)
 WORDS = {
     "acceleration_impossible": "speeds that change faster than tyres allow",
+    "battery_beyond_car": "battery readings beyond what this car can give",
     "battery_doubled": "battery readings with the same time as another",
     "battery_late": "battery readings that came too late",
+    "battery_out_of_range": "impossible voltages or currents",
     "no_time": "rows without a time",
     "second_publisher": "readings from a second source of the same signal",
     "soc_pct_out_of_range": "states of charge outside of 0 to 100 %",
     "speed_doubled": "speeds with the same time as another",
+    "speed_leaps": "speeds that leap as no car does",
     "speed_late": "speeds that came too late",
     "speed_out_of_range": "impossible speeds",
     "speed_stands_still": "speeds of 0 while the odometer counts up",
@@ -34,4 +37,7 @@ def dropped_text(dropped: Mapping[str, int]) -> str:
 
 def _words(reason: str) -> str:
     """A reason as people say it; one that is a sentence already stays."""
+    signal, _, value = reason.partition("_sentinel_")
+    if value:
+        return f"readings of {value} in place of a {signal}"
     return WORDS.get(reason, reason if " " in reason else reason.replace("_", " "))

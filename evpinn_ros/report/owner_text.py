@@ -11,20 +11,21 @@ from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, kwh_digits
 from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES
 from evpinn_ros.core.signals.road import HEATED_BELOW
 from evpinn_ros.core.vehicle.files import Vehicle
-from evpinn_ros.replays.driven import charged, measured_steps, travelled
+from evpinn_ros.replays.driven import Counted, counted
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.report.breakdown_text import (
     CONTRADICTED,
     LEFT_OUT,
     SHORT,
+    SHORTEST_MINUTES,
     TOGETHER,
     duration_text,
     known_parts,
 )
 from evpinn_ros.report.tables import signed_percent, watts
 
-NEARLY_WHOLE = 0.99  # of the distance, from here on the battery was measured all along
+NEARLY_WHOLE = 0.99  # of distance or time, from here on nothing is missing
 # s between speeds, from here on worth saying: over 40 trips of a Leaf with one every 2 to 6 s,
 # energy was predicted 11 % too low.
 SPARSE = 2.0
@@ -40,19 +41,28 @@ def drives_columns(units: Units = METRIC) -> tuple[str, ...]:
 
 def owner_line(drive: Drive, found: Mapping[str, Any], units: Units = METRIC) -> str:
     """Length, time and energy of a drive, measured or, where it was not, predicted."""
-    far, _, kwh, consumption = _figures(drive, found, units)
+    total = counted(drive)
+    far, _, kwh, consumption = _figures(drive, total, found, units)
     how = "predicted" if found["energy"]["measured_j"] is None else "from the battery"
     if kwh.startswith("-") and how != "predicted":  # more came back downhill than was drawn
         kwh, how = kwh[1:], "back into the battery"
+    read = total.seconds if how == "predicted" else total.measured
+    if read < NEARLY_WHOLE * drive.duration:
+        how += f" in the {part_text(read, drive.duration)} that could be read"
     per_distance = f", {consumption} {units.economy}" if consumption != "-" else ""
-    known, whole = measured_steps(drive).distance.sum(), travelled(drive).distance.sum()
-    if per_distance and 0.0 < known < NEARLY_WHOLE * whole:
-        per_distance += f" over the {known / units.metres:.1f} {units.distance} measured"
-    taken = charged(drive)
-    plugged = f" Charged while it stood: {taken / JOULES_PER_KWH:.2f} kWh, not included above."
-    time = duration_text(drive.duration)
+    if per_distance and 0.0 < total.known < NEARLY_WHOLE * total.distance:
+        per_distance += f" over the {total.known / units.metres:.1f} {units.distance} measured"
+    time, charged = duration_text(drive.duration), total.charged / JOULES_PER_KWH
     line = f"{far} {units.distance} in {time}: {kwh} kWh {how}{per_distance}."
-    return line + (plugged if taken >= LEAST_CHARGED else "")
+    plugged = f" Charged while it stood: {charged:.2f} kWh, not included above."
+    return line + (plugged if total.charged >= LEAST_CHARGED else "")
+
+
+def part_text(seconds: float, whole: float) -> str:
+    """A part of a time, as `11 of 15 min`, with as many digits as tell the two apart."""
+    unit, name = (60.0, "min") if whole >= SHORTEST_MINUTES else (1.0, "s")
+    digits = 0 if round(seconds / unit) != round(whole / unit) else 1
+    return f"{seconds / unit:.{digits}f} of {whole / unit:.{digits}f} {name}"
 
 
 def owner_notes(vehicle: Vehicle, drive: Drive, found: Mapping[str, Any]) -> list[str]:
@@ -100,7 +110,7 @@ def drives_rows(
     return [
         (
             name,
-            *_figures(drive, found, units),
+            *_figures(drive, counted(drive), found, units),
             _most(found["breakdown"]),
             watts(found["power"]["rmse_w"]),
             signed_percent(found["energy"]["error_percent"]),
@@ -109,16 +119,16 @@ def drives_rows(
     ]
 
 
-def _figures(drive: Drive, found: Mapping[str, Any], units: Units) -> tuple[str, str, str, str]:
+def _figures(
+    drive: Drive, total: Counted, found: Mapping[str, Any], units: Units
+) -> tuple[str, str, str, str]:
     """Distance, minutes, kWh, and energy over distance: of what was measured, where it was."""
-    metres, steps = float(travelled(drive).distance.sum()), measured_steps(drive)
-    known, joules = float(steps.distance.sum()), float(steps.energy.sum())
-    predicted = found["energy"]["predicted_j"]
+    known, joules = total.known, total.energy
     if found["energy"]["measured_j"] is None:
-        known, joules = metres, predicted
+        known, joules = total.distance, found["energy"]["predicted_j"]
     kwh = None if joules is None else joules / JOULES_PER_KWH
     return (
-        f"{metres / units.metres:.1f}",
+        f"{total.distance / units.metres:.1f}",
         f"{drive.duration / 60:.0f}",
         "-" if kwh is None else f"{kwh:.{kwh_digits(kwh, 2)}f}",
         "-" if joules is None or known < CONSUMPTION_METRES else units.consumption(joules, known),

@@ -18,15 +18,7 @@ from evpinn_ros.core.energy.dropout import Dropout, Reconciled, Verdict, reconci
 from evpinn_ros.core.energy.forecast import Forecast
 from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState, SavedMeter
 from evpinn_ros.core.energy.plan import Plan
-from evpinn_ros.core.energy.plausible import (
-    MAX_POWER,
-    MOST_ENERGY,
-    Joules,
-    Metres,
-    Seconds,
-    power_is_possible,
-    speed_is_possible,
-)
+from evpinn_ros.core.energy.plausible import MOST_ENERGY, Joules, Metres, Seconds
 from evpinn_ros.core.energy.remaining import (
     SHORTEST,
     Cost,
@@ -36,6 +28,7 @@ from evpinn_ros.core.energy.remaining import (
     remaining,
 )
 from evpinn_ros.core.energy.trip import WINDOWS, SavedTrip, Stretch, TripLog
+from evpinn_ros.core.signals.admission import ANY_CAR, MAX_POWER, Admission, CarLimits
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 STATE_VERSION = 1
@@ -145,23 +138,35 @@ class EnergyAccount(Saveable[SavedAccount]):
         reconciled: of the last battery dropout that ended, None before.
         usual: `remaining.usual_cost`, J/m, NaN if unknown; who learns the car sets it.
         route: of the last plan (`follow`), None before any.
-        refused: readings of what no car can do, by reason, since the process began.
+        admission: admits readings, and counts those that it refuses.
     """
 
-    def __init__(self, meter: EnergyMeter, vehicle: str, capacity: float) -> None:
+    def __init__(
+        self,
+        meter: EnergyMeter,
+        vehicle: str,
+        capacity: float,
+        limits: CarLimits = ANY_CAR,
+    ) -> None:
         """Start at zero.
 
         Args:
             meter: to be used here alone.
             vehicle: whose account this is; that of another car is refused.
             capacity: energy of the full battery in the vehicle file, J, NaN if unknown.
+            limits: of the car.
         """
         self.meter, self.trip, self.gauge = meter, TripLog(), ChargeGauge(capacity)
         self.battery = BatteryModel(capacity)
         self.usual = math.nan
         self._vehicle = vehicle
-        self.refused: Counter[str] = Counter()
+        self.admission = Admission(limits)
         self.reset()
+
+    @property
+    def refused(self) -> Counter[str]:
+        """Readings and powers of what the car cannot do, by reason, since the process began."""
+        return self.admission.refused
 
     def reset(self) -> None:
         """Forget all, as if nothing had ever been counted."""
@@ -191,10 +196,12 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def begin_after_jump(self) -> None:
         """Keep all that was counted, and join nothing to what comes: time jumped."""
+        self.admission.begin_anew()
         self.take(self.saved())
 
     def begin_readings_anew(self) -> None:
         """Join no speed and no battery reading to those before: their time jumped."""
+        self.admission.begin_anew()
         self.trip.begin_anew()
         self.battery.begin_anew()
         self.gauge.begin_anew()
@@ -207,7 +214,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def add_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
         """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
-        if not power_is_possible(power, sigma):
+        if not _is_possible(power, sigma, self.admission.limits.power):
             self.refused["power_out_of_range"] += 1
             return
         self._see(stamp_ns)
@@ -227,7 +234,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         energy: float = math.nan,
     ) -> bool:
         """Take one prediction of power (see `EnergyMeter`); gives whether it can be one."""
-        if not power_is_possible(power, sigma):
+        if not _is_possible(power, sigma, MAX_POWER):
             self.refused["power_out_of_range"] += 1
             return False
         self._see(stamp_ns)
@@ -235,14 +242,11 @@ class EnergyAccount(Saveable[SavedAccount]):
         return True
 
     def add_speed(self, stamp_ns: int, speed: float) -> None:
-        """Take a speed, m/s."""
-        if not speed_is_possible(speed):
-            self.refused["speed_out_of_range"] += 1
-            return
+        """Take a speed, m/s, of an admitted reading."""
         self.trip.update(stamp_ns, speed, self.meter.consumed)
 
     def add_reading(self, reading: Reading) -> None:
-        """Take a speed, or what the battery tells of itself; other readings count nothing here."""
+        """Take an admitted speed, or what the battery tells of itself; others count nothing."""
         if isinstance(reading, SpeedReading):
             self.add_speed(reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading):
@@ -407,3 +411,8 @@ class EnergyAccount(Saveable[SavedAccount]):
         else:
             self.battery.take(saved.battery)
         self._begin(saved.before_reset, saved.correction)
+
+
+def _is_possible(power: float, sigma: float, most: float) -> bool:
+    """True if a power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
+    return abs(power) <= most and (math.isnan(sigma) or 0.0 <= sigma <= MAX_POWER)

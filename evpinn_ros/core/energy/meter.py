@@ -17,7 +17,7 @@ from typing import NamedTuple
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.saved_fields import Saveable
 from evpinn_ros.core.energy.dropout import Bridge, Dropout, Dropouts
-from evpinn_ros.core.energy.plausible import MAX_POWER, ROUNDING, Seconds, UnknownJoules
+from evpinn_ros.core.energy.plausible import ROUNDING, Seconds, UnknownJoules
 from evpinn_ros.core.energy.power_interpolation import (
     LONGEST,
     MeasuredStep,
@@ -26,6 +26,7 @@ from evpinn_ros.core.energy.power_interpolation import (
 from evpinn_ros.core.energy.quadrature import MAX_GAP, EnergyIntegral, SavedIntegral, Step
 from evpinn_ros.core.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.core.energy.uncertainty import LASTING_SHARE, CorrelatedError
+from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 

@@ -6,7 +6,6 @@ done in the time that it stands for, and no sum leaves the range of numbers.
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, TypeAlias
 
 import numpy as np
@@ -17,11 +16,9 @@ from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.journey import FORCE_NOISE
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Unevenness
-from evpinn_ros.core.signals.readings import MAX_SPEED, TEMPERATURES
+from evpinn_ros.core.signals.admission import MAX_POWER
+from evpinn_ros.core.signals.readings import TEMPERATURES
 
-# More than any road vehicle is charged with, and so than any draws: CharIN's Megawatt Charging
-# System ends at 1250 V and 3000 A; the strongest cars drive with 1.6 MW.
-MAX_POWER = 4e6  # W
 # Lifetimes. The farthest-driven car known, a Volvo P1800, has 5.2e9 m; a lorry takes 7 kJ/m.
 MOST_DISTANCE = 1e10  # m
 MOST_ENERGY = 1e14  # J
@@ -35,16 +32,6 @@ ROUNDING = 1.0 + 1e-6  # of sums
 MOST_MASS = 1e6  # kg over eta, of a train
 MOST_TRUST = 1e4  # factor of a variance
 MOST_NUMBER = 1e20  # of a state or covariance, in its unit: products of these stay numbers
-
-
-def speed_is_possible(speed: float) -> bool:
-    """True if a speed, m/s, may be counted as distance: the gate of the estimator's stream."""
-    return abs(speed) <= MAX_SPEED
-
-
-def power_is_possible(power: float, sigma: float) -> bool:
-    """True if a power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
-    return abs(power) <= MAX_POWER and (math.isnan(sigma) or 0.0 <= sigma <= MAX_POWER)
 
 
 def car_is_possible(car: CarModel) -> bool:

@@ -7,6 +7,7 @@ is linear in between. What cannot be integrated is counted, never guessed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 import math
 from typing import Annotated, NamedTuple, TypeAlias
@@ -16,7 +17,7 @@ import numpy as np
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.energy.plausible import ROUNDING
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.track import Cadence
+from evpinn_ros.core.signals.track import GAP_STEPS, RATE_READINGS, Cadence
 
 MAX_GAP = 2.0  # s
 MOST_COUNTED = 1e15  # of any saved value: sums of two stay numbers
@@ -27,6 +28,22 @@ Count: TypeAlias = Annotated[int, Range(0, MOST_COUNTED)]
 def trapezoid(values: np.ndarray, at: np.ndarray) -> float:
     """The integral of samples, both of shape (n,); numpy calls it by another name before 2.0."""
     return float((np.diff(at) * (values[1:] + values[:-1]) / 2.0).sum())
+
+
+def joined(steps: np.ndarray, max_gap: float, before: Sequence[float] = ()) -> np.ndarray:
+    """Mask of the steps, s, shape (n,), that are integrated, by the rule of `Cadence`.
+
+    Args:
+        steps: positive, in order.
+        max_gap: longest step that is integrated, s; of slow samples some of their own steps.
+        before: steps that went before.
+    """
+    mask: np.ndarray = steps <= max_gap
+    for index in np.flatnonzero(~mask).tolist():
+        recent = [*before, *steps[max(0, index - RATE_READINGS) : index].tolist()]
+        recent = sorted(recent[-RATE_READINGS:])
+        mask[index] = bool(recent) and steps[index] <= GAP_STEPS * recent[len(recent) // 2]
+    return mask
 
 
 class Step(NamedTuple):

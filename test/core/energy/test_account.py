@@ -10,9 +10,9 @@ from evpinn_ros.core.energy.dropout import Verdict
 from evpinn_ros.core.energy.forecast import Forecast
 from evpinn_ros.core.energy.meter import EnergyMeter
 from evpinn_ros.core.energy.plan import Plan
-from evpinn_ros.core.energy.plausible import MAX_POWER
 from evpinn_ros.core.energy.rknn import Rknn
-from evpinn_ros.core.signals.readings import MAX_SPEED
+from evpinn_ros.core.signals.admission import MAX_POWER
+from evpinn_ros.core.signals.readings import MAX_SPEED, SpeedReading
 
 START = 1_700_000_000_000_000_000
 CAPACITY = 70e6  # J
@@ -295,7 +295,7 @@ def test_what_no_car_can_do_is_refused_and_all_goes_on(wrong):
     counted, sound = account(), drive(account(), range(120))
     drive(counted, range(60))
     late = START + 60_250_000_000
-    counted.add_speed(late, wrong)
+    assert not counted.admission.admits(SpeedReading(late, wrong))
     counted.add_measured(late, wrong, 30.0)
     assert not counted.add_predicted(late, wrong, 1e3)
     counted.add_measured(late, 1e4, 1e308)

@@ -1,0 +1,122 @@
+"""What is refused counts nowhere: totals of a drive with faults are those of the sound drive."""
+
+from dataclasses import replace
+import math
+from pathlib import Path
+import time
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.admission import Admission, CarLimits
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.driven import counted
+from evpinn_ros.replays.history import History
+from evpinn_ros.replays.run import ReplayOptions, replay
+from evpinn_ros.report.owner_text import owner_line, part_text
+from test.replays.test_replay import Recorded
+
+SECONDS = 900
+PREDICTED = {"energy": {"measured_j": 1.0, "predicted_j": None}}
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Speed, m/s, voltage, V, and current, A, once a second: 15 minutes of traffic."""
+    t = np.arange(SECONDS, dtype=float)
+    speed = 16.0 + 8.0 * np.sin(t / 19.0) + 4.0 * np.sin(t / 5.0)
+    power = 700.0 * speed + 2.4e3 * speed * np.gradient(speed) + 500.0
+    voltage = 352.0 - power / 9e3
+    return np.column_stack((speed, np.round(voltage, 1), np.round(-power / voltage, 1)))
+
+
+def drive_of(rows, vehicle):
+    """The drive that a replay collects of these rows."""
+    admission, history = Admission(CarLimits.of(vehicle)), History()
+    for second, (speed, voltage, current) in enumerate(rows.tolist()):
+        stamp_ns = (1_700_000_000 + second) * NANOSECONDS
+        for reading in (
+            SpeedReading(stamp_ns, speed),
+            BatteryReading(stamp_ns, voltage, current),
+        ):
+            if admission.admits(reading):
+                history.add_reading(reading)
+    return history.drive()
+
+
+WRONG = (
+    [255 / 3.6, 163.83 / 3.6, 6553.5 / 3.6, 655.35 / 3.6, 9e11, math.nan, 0.0, 1.7e308],
+    [6553.5, 655.35, 3276.7, 1638.3, 255.0, 0.0, math.nan, 3500.0],
+    [6553.5, 3276.7, -3276.8, 1638.3, 655.35, -327.68, math.nan, 1e9],
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data())
+def test_faults_in_some_rows_change_no_total(rows, vehicle, data):
+    """Up to 5 % of the rows: energy and distance within 1 %, or the first line says so.
+
+    Not the first rows: while the rate of a signal is unknown no step of 3 s is joined.
+    """
+    sound = counted(drive_of(rows, vehicle))
+    faulty = rows.copy()
+    columns = data.draw(st.sets(st.integers(0, 2), min_size=1))
+    where = data.draw(st.sets(st.integers(5, SECONDS - 2), min_size=1, max_size=SECONDS // 20))
+    for row in where:
+        for column in columns:
+            faulty[row, column] = data.draw(st.sampled_from(WRONG[column]))
+    drive = drive_of(faulty, vehicle)
+    found = counted(drive)
+    missing = "that could be read" in owner_line(drive, PREDICTED)
+    assert missing or found.energy == pytest.approx(sound.energy, rel=0.01)
+    assert missing or found.distance == pytest.approx(sound.distance, rel=0.01)
+
+
+def test_volts_ten_times_too_large_are_no_energy(rows, vehicle):
+    found = counted(drive_of(rows * (1.0, 10.0, 1.0), vehicle))
+    assert math.isnan(found.energy) and found.measured == 0.0
+    assert found.distance == pytest.approx(counted(drive_of(rows, vehicle)).distance)
+
+
+def test_time_that_could_not_be_read_is_in_the_first_line(rows, vehicle):
+    """Zeros of a battery that is not connected yet are no power of 0 W."""
+    late = rows.copy()
+    late[:200, 1:] = 0.0
+    drive = drive_of(late, vehicle)
+    kwh = counted(drive_of(rows[200:], vehicle)).energy / 3.6e6
+    assert f": {kwh:.2f} kWh from the battery in the 12 of 15 min that could be read" in (
+        owner_line(drive, PREDICTED)
+    )
+    assert "could be read" not in owner_line(drive_of(rows, vehicle), PREDICTED)
+    assert part_text(885.0, 900.0) == "14.8 of 15.0 min" and part_text(20, 60) == "20 of 60 s"
+
+
+def test_the_account_counts_what_the_page_says(vehicle, readings):
+    """With gaps and faults, in a replay: distance and energy are those of the account."""
+    spoilt = [
+        each
+        for each in readings
+        if not 40.0 < (each.stamp_ns - readings[0].stamp_ns) / NANOSECONDS < 50.0
+    ]
+    batteries = [i for i, each in enumerate(spoilt) if isinstance(each, BatteryReading)]
+    for index in batteries[100::150]:
+        spoilt[index] = replace(spoilt[index], voltage=6553.5)
+    speeds = [i for i, each in enumerate(spoilt) if isinstance(each, SpeedReading)]
+    for index in speeds[50::170]:
+        spoilt[index] = replace(spoilt[index], speed=6553.5 / 3.6)
+    chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
+    source, options = Recorded(spoilt, Path("town")), ReplayOptions(warm_up=30.0)
+    result = replay(source, chain, options, vehicle=vehicle.key, mode="hybrid")
+    total, state = counted(result.drive), chain.account.state
+    assert total.distance == pytest.approx(chain.account.since_reset().distance, rel=1e-6)
+    assert total.energy == pytest.approx(state.measured.energy, rel=2e-3)
+    dropped = result.metrics["input"]["dropped"]
+    assert dropped == {
+        "battery_out_of_range": len(batteries[100::150]),
+        "speed_out_of_range": len(speeds[50::170]),
+    }
