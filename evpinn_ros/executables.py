@@ -46,6 +46,7 @@ def evpinn() -> None:
 
 def _node(name: str) -> int:
     at_stop(lambda *_: os._exit(0))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)  # where `node_process` has held them back
     from evpinn_ros.nodes.running import run
 
     return run(getattr(import_module(f"evpinn_ros.nodes.{name}"), NODES[name]))

@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.stopping import STOPS
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.discovery import announce_often
 from evpinn_ros.nodes.recorder import RecorderNode
@@ -142,7 +143,12 @@ def node_command(name: str, parameters: Mapping[str, Value]) -> list[str]:
 def node_process(name: str, parameters: Mapping[str, Value]) -> Iterator[subprocess.Popen[bytes]]:
     """One node's executable, stopped as a launch file would stop it."""
     command = node_command(name, of_node(name, parameters))
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    # Signals wait until the process can end well: before that, Python would print a traceback.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+    try:
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     try:
         yield process
     finally:

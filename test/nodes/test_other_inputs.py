@@ -55,10 +55,10 @@ def test_the_estimator_learns_from_odometry_alone(bench):
     node = bench.start(EstimatorNode)
     bench.listen(topics.POWER_PREDICTED, topics.DIAGNOSTICS)
     drive(bench, node, range(60))
-    bench.settle()
-    assert len(bench.heard[topics.POWER_PREDICTED]) > 50
     level, text, _ = bench.diagnosis(node)["estimate"]
     assert level is Level.OK and "learning" in text
+    bench.settle()
+    assert len(bench.heard[topics.POWER_PREDICTED]) > 50
 
 
 def test_odometry_is_not_used_beside_vehicle_speed(bench):

@@ -18,6 +18,7 @@ from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.nodes.processes import node_process
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.topics.messages import Level, stamp_ns
 from evpinn_ros.topics.readings import to_reading
@@ -37,6 +38,12 @@ def terminated(bench, *command):
         await_report(bench)
         process.terminate()
         return *process.communicate(timeout=HANG_S), process.returncode
+
+
+def test_a_node_that_is_stopped_at_once_ends_well():
+    with node_process("energy", {}) as process:
+        pass
+    assert process.returncode == 0
 
 
 WITHOUT_OUTPUT = ("sh", "-c", 'exec "$@" >&-', "sh")  # as who starts it may have closed it

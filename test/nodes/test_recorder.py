@@ -14,6 +14,7 @@ from evpinn_ros.bags.writer import Split
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
@@ -50,7 +51,10 @@ def test_a_kill_costs_only_what_came_since_the_last_flush(bench, can_bus, tmp_pa
 
 def recorded(file):
     """Numbers of the frames, and stamps of the speeds, in a file that may still grow."""
-    frames = open_can_log(file).frames()
+    try:
+        frames = open_can_log(file).frames()
+    except InputError:  # none yet
+        return [], []
     numbers = [int.from_bytes(each.data, "big") for each in frames if each.can_id == OTHER_ID]
     with BagReader(file) as bag:
         stamps = [stamp_ns(record.message) for record in bag.records([topics.SPEED.under()])]
