@@ -10,7 +10,7 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.diagnosis import LATELY
 
 MOST_PUBLISHERS = 16  # of one topic, followed at a time
-FUTURE = 2.0  # s
+FUTURE = 0.5  # s
 LEAP = (
     10.0  # s by which stamps run ahead from one to the next; bags are replayed ten times as fast
 )

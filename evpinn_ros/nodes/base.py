@@ -62,6 +62,7 @@ class GuardedNode(ABC, Node):
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
+        self._refused: dict[str, set[str]] = {}  # reasons by input, since one was used
         self._usual: set[str] = set()  # of them, those that need no attention
         self._lasting: dict[str, float] = {}  # of them, those shown when they begin; newest, s
         self._faults: Counter[str] = Counter()
@@ -70,7 +71,6 @@ class GuardedNode(ABC, Node):
         self._arrivals: dict[Topic, float] = {}
         self._inputs: dict[Topic, str] = {}
         self._numbers = MessageNumbers()
-        self._by_turns: dict[Topic, float] = {}
         self._lately = Lately()
         self._mismatched: dict[Topic, str] = {}
         self._notices: dict[str, tuple[str, float]] = {}
@@ -136,11 +136,13 @@ class GuardedNode(ABC, Node):
             lost, by_turns = self._numbers.record(topic, info, self.steady_s())
             if lost:
                 self.bad[f"{topic.name}: lost"] += lost
-            if by_turns:
-                self._by_turns[topic] = self.steady_s()
+            publishers = self.count_publishers(subscription.topic_name) if by_turns else 0
+            if publishers > 1:
+                self.notice(f"publishers {topic.name}", f"{publishers} publishers of {topic.name}")
             self._mismatched.pop(topic, None)
             callback(message)
             self._arrivals[topic] = self._now_s()
+            self._refused.pop(topic.name, None)
 
         safe = self.guarded(take, topic.name)
         subscription = factory.subscribe(
@@ -217,7 +219,7 @@ class GuardedNode(ABC, Node):
         """Destroy what was made since the list of it was cleared."""
         while self._made:
             self._made.pop()()
-        for kept in (self._arrivals, self._inputs, self._mismatched, self._by_turns):
+        for kept in (self._arrivals, self._inputs, self._mismatched):
             kept.clear()
         self._outlets = {k: v for k, v in self._outlets.items() if k is topics.DIAGNOSTICS}
         self._numbers = MessageNumbers()
@@ -227,8 +229,14 @@ class GuardedNode(ABC, Node):
         return int(self.get_clock().now().nanoseconds)
 
     def notice(self, kind: str, text: str) -> None:
-        """Tell this in the diagnostics for `LATELY` seconds; the newest of each kind counts."""
+        """Tell this in the diagnostics for `LATELY` seconds; the newest of each kind counts.
+
+        It is logged when it begins.
+        """
+        _, noticed = self._notices.get(kind, ("", -math.inf))
         self._notices[kind] = text, self.steady_s()
+        if self.steady_s() - noticed > LATELY:
+            self.log(Level.WARN, text)
 
     def steady_s(self) -> float:
         """Monotonic clock, s."""
@@ -260,10 +268,6 @@ class GuardedNode(ABC, Node):
         yield from (text for text, at in self._notices.values() if at > since)
         for topic, policy in self._mismatched.items():
             yield f"incompatible QoS of {topic.name}: {policy}"
-        for topic, name in self._inputs.items():
-            by_turns = self._by_turns.get(topic, -math.inf) > since
-            if by_turns and (publishers := self.count_publishers(name)) > 1:
-                yield f"{publishers} publishers of {topic.name}"
         if self.get_clock().ros_time_is_active and self.now_ns() == 0:
             yield NO_CLOCK
         if not self.active:
@@ -272,9 +276,7 @@ class GuardedNode(ABC, Node):
             yield unused
 
     def _refused_by(self, topic: Topic, policy: str) -> None:
-        text = f"a subscriber of {topic.name} wants another QoS: {policy}"
-        self.notice(topic.name, text)
-        self.log(Level.WARN, text)
+        self.notice(topic.name, f"a subscriber of {topic.name} wants another QoS: {policy}")
 
     def _on_mismatch(self, topic: Topic, policy: str) -> None:
         self._mismatched[topic] = policy
@@ -284,6 +286,18 @@ class GuardedNode(ABC, Node):
         """Seconds since the last usable message of one of these inputs, NaN before the first."""
         arrived = [self._arrivals[topic] for topic in either if topic in self._arrivals]
         return self._now_s() - max(arrived) if arrived else math.nan
+
+    def why_silent(self, *either: Topic) -> str:
+        """Who publishes these inputs, and why nothing of it is used, in a few words; no counts."""
+        reasons = []
+        for topic, name in self._inputs.items():
+            if topic not in either or not (publishers := self.count_publishers(name)):
+                continue
+            reasons.append(f"{publishers} publisher{'s' * (publishers > 1)} of {topic.name}")
+            if policy := self._mismatched.get(topic):
+                reasons.append(f"incompatible QoS ({policy})")
+            reasons += sorted(self._refused.get(topic.name, ()))
+        return ", ".join(reasons) or "nobody publishes it"
 
     def stream(self, topic: Topic) -> Topic:
         """The stream that an input belongs to: others of `SPEEDS` stand in for `vehicle/speed`.
@@ -352,6 +366,7 @@ class GuardedNode(ABC, Node):
                 callback(*arguments)
             except BadMessage as error:
                 self.bad[why := f"{name}: {error.reason}"] += 1
+                self._refused.setdefault(name, set()).add(error.reason)
                 if error.usual or error.lasting:
                     self._usual.add(why)
                 if error.lasting:

@@ -57,12 +57,14 @@ class Condition(NamedTuple):
         age: s since the last message of its leading input, NaN before the first.
         jumps: times that time went back.
         file_problem: why the file was not used or not written, None if all is well.
+        silent: who publishes its leading input, and why nothing of it is used.
     """
 
     health: Health
     age: float
     jumps: int
     file_problem: str | None
+    silent: str = ""
 
 
 class Lately:

@@ -20,7 +20,8 @@ from evpinn_ros.nodes.diagnosis import (
 )
 from evpinn_ros.topics.messages import Level
 
-NO_SPEED, LEARNING = "no vehicle/speed", "learning"
+WAITING, NO_SPEED = "waiting for vehicle/speed", "no vehicle/speed"
+LEARNING = "learning"
 OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have
 STUCK = {
     SPEED_STUCK: "vehicle/speed is stuck at one value: nothing is learned",
@@ -50,8 +51,8 @@ def estimator_status(status: EstimatorStatus, condition: Condition) -> Status:
         **_detections(status.report),
     }
     level, text = _estimator_verdict(status, condition)
-    if text == NO_SPEED:
-        text += f" for {condition.age:.0f} s"
+    if text.startswith(NO_SPEED):
+        text = text.replace(NO_SPEED, f"{NO_SPEED} for {condition.age:.0f} s", 1)
     elif text == LEARNING:
         text += f": {status.accepted} of {status.updates} updates accepted"
     return with_health(Status("estimate", level, text, values), condition.health)
@@ -73,9 +74,9 @@ def estimator_phases(status: EstimatorStatus, condition: Condition) -> list[Stat
 
 def _estimator_verdict(status: EstimatorStatus, condition: Condition) -> tuple[Level, str]:
     if status.activity is Activity.WAITING:
-        return Level.WARN, "waiting for vehicle/speed"
+        return Level.WARN, f"{WAITING}: {condition.silent}"
     if condition.age > MISSING_AFTER:
-        return Level.WARN, NO_SPEED
+        return Level.WARN, f"{NO_SPEED}: {condition.silent}"
     if condition.file_problem is not None:
         return Level.WARN, condition.file_problem
     if status.stuck is not None:

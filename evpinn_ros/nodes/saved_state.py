@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, Protocol
 
 from evpinn_ros.common.errors import InputError
@@ -44,6 +45,18 @@ class StateFile:
         self._loaded: Mapping[str, Any] | None = None
         self._refused: tuple[int, int] | None = None  # which file that was
         self._readable = True
+
+    def why_unwritable(self) -> str | None:
+        """The reason why the file can never be written, None where it can or none is set."""
+        if self._path is None:
+            return None
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with TemporaryFile(dir=self._path.parent):
+                pass
+        except OSError as error:
+            return f"{self._path}: cannot be written: {error.strerror}"
+        return f"{self._path}: cannot be written: a folder" if self._path.is_dir() else None
 
     def load(self) -> None:
         """Restore the owner from the file, if there is a usable one."""

@@ -8,12 +8,14 @@ from typing import Any, ClassVar
 
 from std_srvs.srv import Trigger
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.state_file import Half
 from evpinn_ros.core.signals.time_jump import Jump, JumpPolicy, StampGuard
 from evpinn_ros.nodes.diagnosis import Condition, Health
 from evpinn_ros.nodes.managed import ManagedNode
 from evpinn_ros.nodes.saved_state import StateFile, Stateful, state_path
 from evpinn_ros.topics import Topic
+from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.settings import jump_rule
 
 SAVE_PERIOD = 60.0  # s
@@ -53,9 +55,16 @@ class StatefulNode(ManagedNode):
 
         Returns:
             State that it begins with, in a few words.
+
+        Raises:
+            InputError: a manager asks for it, and the file can never be written.
         """
         path = state_path(self.values[self.FILE])
         self.state_file, self.guard = StateFile(path, core, self.HALF), StampGuard(leader)
+        if unwritable := self.state_file.why_unwritable():
+            if self.values["managed"]:
+                raise InputError(unwritable)
+            self.log(Level.WARN, unwritable)
         self.state_file.load()
         if (problem := self.state_file.problem) is not None:
             self.get_logger().warning(f"{self.get_name()} {self.ANEW}: {problem}")
@@ -84,7 +93,8 @@ class StatefulNode(ManagedNode):
 
     def condition(self, health: Health, *leading: Topic) -> Condition:
         """Condition of the node, `leading` being the inputs of which it needs either."""
-        return Condition(health, self.age(*leading), self.guard.jumps, self.state_file.problem)
+        problem, silent = self.state_file.problem, self.why_silent(*leading)
+        return Condition(health, self.age(*leading), self.guard.jumps, problem, silent)
 
     def in_order(self, topic: Topic, stamp_ns: int, item: Any) -> Iterator[Any]:
         """Items to be used now, in order, one of a topic having come; jumps of time are met.
@@ -118,10 +128,7 @@ class StatefulNode(ManagedNode):
         if policy is JumpPolicy.AUTO:
             policy = JumpPolicy.RESET if self._clock_went_back else JumpPolicy.HOLD
         self._clock_went_back = False
-        self.get_logger().warning(
-            text := f"time went back by {jump.seconds:.1f} s: {policy.value}"
-        )
-        self.notice("jump", text)
+        self.notice("jump", f"time went back by {jump.seconds:.1f} s: {policy.value}")
         if policy is JumpPolicy.RESET:
             self.begin_anew()
         else:

@@ -44,7 +44,7 @@ BRIDGE = BridgeStatus(True, "receiving", 9, 2, 1, {}, {"speed": SignalStatus(9, 
 
 
 def estimator(status=STATUS, health=WELL, age=0.1, problem=None):
-    return estimator_status(status, Condition(health, age, 0, problem))
+    return estimator_status(status, Condition(health, age, 0, problem, "1 publisher"))
 
 
 def metered() -> EnergyAccount:
@@ -66,7 +66,7 @@ def test_learning_is_well_and_shows_its_counters():
     ("change", "age", "level", "text"),
     [
         ({"activity": Activity.WAITING}, math.nan, Level.WARN, "waiting for vehicle/speed"),
-        ({}, 12.0, Level.WARN, "no vehicle/speed for 12 s"),
+        ({}, 12.0, Level.WARN, "no vehicle/speed for 12 s: 1 publisher"),
         ({"activity": Activity.PREDICTING}, 0.1, Level.WARN, "battery/state is silent"),
         ({"activity": Activity.PAUSED}, 0.1, Level.OK, "paused"),
         ({"rejected": {"overrun": 9}}, 0.1, Level.WARN, "too slow or busy"),

@@ -2,6 +2,8 @@
 
 import math
 
+import pytest
+
 from evpinn_ros import topics
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
@@ -140,6 +142,9 @@ def test_a_quality_of_service_that_does_not_match_is_named_until_messages_come(b
     publisher = bench.node.create_publisher(kind, topics.SPEED.name, weak)
     wanted = "incompatible QoS of vehicle/speed: reliability"
     bench.pump(lambda: wanted in bench.diagnosis(node)["estimate"][1])
+    assert node.why_silent(topics.SPEED) == (
+        "1 publisher of vehicle/speed, incompatible QoS (reliability)"
+    )
     bench.node.destroy_publisher(publisher)
     bench.deliver(node, topics.SPEED, speed(0.0))
     assert wanted not in bench.diagnosis(node)["estimate"][1]
@@ -159,7 +164,28 @@ def test_simulated_time_without_a_clock_is_named(bench):
     assert "no /clock comes" in bench.diagnosis(node)["estimate"][1]
 
 
-def test_stamps_of_the_future_are_named(bench):
+@pytest.mark.parametrize("seconds", [1, 3600])
+def test_stamps_of_the_future_are_named_and_logged(bench, seconds, capfd):
     node = bench.start(EstimatorNode)
-    bench.read(node, SpeedReading(node.now_ns() + 3600 * NANOSECONDS, 10.0))
+    bench.read(node, SpeedReading(node.now_ns() + seconds * NANOSECONDS, 10.0))
     assert "ahead of this computer's clock" in bench.diagnosis(node)["estimate"][1]
+    assert "ahead of this computer's clock" in capfd.readouterr().err
+
+
+def test_who_publishes_a_speed_that_is_not_used_and_why_is_named_and_logged(bench, capfd):
+    node, logged = bench.start(EstimatorNode), []
+    waits = "waiting for vehicle/speed: "
+    assert bench.diagnosis(node)["estimate"][1] == waits + "nobody publishes it"
+    unset = speed(0.0)
+    unset.header.stamp.sec = unset.header.stamp.nanosec = 0
+    bench.post(node, topics.SPEED, unset)
+    why = "1 publisher of vehicle/speed, no_stamp"
+    assert bench.diagnosis(node)["estimate"][1].startswith(waits + why)
+
+    def in_the_log():
+        logged.append(capfd.readouterr().err)
+        return waits + why in "".join(logged)
+
+    bench.pump(in_the_log)
+    bench.deliver(node, topics.SPEED, speed(0.0))
+    assert "no_stamp" not in node.why_silent(topics.SPEED)

@@ -90,6 +90,15 @@ def test_a_wrong_parameter_fails_the_transition_and_a_right_one_mends_it(ros2, b
         assert json.loads(state.read_text())["energy"]["vehicle"] == "bmw_i3"
 
 
+def test_a_file_that_can_never_be_written_fails_the_transition(ros2, bench, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    for path in (tmp_path / "file" / "car.json", tmp_path):
+        with ros2.running(*RUN, "energy", *UNDER_EV, "-p", f"energy_file:={path}") as process:
+            answer = ros2.ask("lifecycle", "set", "/ev/energy", "configure")
+            assert "Transitioning successful" not in answer
+            assert f"configure: {path}: cannot be written" in process.output
+
+
 def test_endpoints_come_with_configure_and_go_with_cleanup(bench):
     """Twice over, in one process; nothing of the first life is left in the second."""
     node = bench.start(EnergyNode, managed=True)
