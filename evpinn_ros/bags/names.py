@@ -3,8 +3,9 @@
 from pathlib import Path
 
 BAG_SUFFIXES = (".mcap", ".db3")
+PACKED = ".zstd"
 
 
 def is_bag(path: Path) -> bool:
     """True if a path is a bag's by its looks."""
-    return path.is_dir() or path.suffix in BAG_SUFFIXES
+    return path.is_dir() or path.name.removesuffix(PACKED).endswith(BAG_SUFFIXES)

@@ -19,13 +19,13 @@ import zstandard
 from evpinn_ros.bags.limits import LONGEST_MESSAGE
 from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
+from evpinn_ros.bags.names import PACKED
 from evpinn_ros.bags.rosbags_file import Channel, RawMessage, RosbagsFile
 from evpinn_ros.bags.types import decode, typestore
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import RATIO, check_file, most_unpacked, open_file
 from evpinn_ros.common.yaml_section import load_plain
 
-PACKED = ".zstd"
 _PIECE = 1 << 20
 
 PlainFile: TypeAlias = McapFile | RosbagsFile
@@ -154,14 +154,17 @@ def _no_bag(folder: Path) -> str:
 
 
 def _open(path: Path, problems: list[str]) -> list[BagFile]:
-    """The files of a bag, opened; what is missing goes to `problems`."""
+    """The files of a bag, opened; what is missing or beside them goes to `problems`."""
     if not path.is_dir():
-        return [_open_file(path)]
+        return [_open_alone(path, problems)]
     metadata = _metadata(path / METADATA, problems)
-    mode = str(metadata.get("compression_mode")).lower()
-    paths = _files(path, "mcap") or _files(path, "db3")
-    # Only their names are compared: what is opened lies in the folder, whatever the list says.
-    listed = {Path(str(name)).name for name in metadata.get("relative_file_paths") or ()}
+    mode = _mode(metadata)
+    paths, others = _files(path, "mcap"), _files(path, "db3")
+    if paths and others:
+        names = ", ".join(other.name for other in others)
+        problems.append(f"{path}: {names} beside MCAP files, not read; give them by their names")
+    paths = paths or others
+    listed = _listed(metadata)
     there = {each.name.removesuffix(PACKED) for each in paths}
     if missing := sorted(name for name in listed if name.removesuffix(PACKED) not in there):
         problems.append(f"{path}: {METADATA} lists {', '.join(missing)}, not there")
@@ -176,6 +179,26 @@ def _open(path: Path, problems: list[str]) -> list[BagFile]:
         raise errors[0] if errors else InputError(_no_bag(path))
     problems.extend(str(error) for error in errors)
     return files
+
+
+def _open_alone(path: Path, problems: list[str]) -> BagFile:
+    """One file of a bag, unpacked as the metadata.yaml beside it says."""
+    metadata = _metadata(path.with_name(METADATA), [])
+    listed = _listed(metadata)
+    if path.name not in listed:
+        return _open_compressed(path, "")
+    if len(listed) > 1:
+        problems.append(f"{path}: one of {len(listed)} files of its bag; give the folder for all")
+    return _open_compressed(path, _mode(metadata))
+
+
+def _mode(metadata: dict[str, Any]) -> str:
+    return str(metadata.get("compression_mode")).lower()
+
+
+def _listed(metadata: dict[str, Any]) -> set[str]:
+    """Names of the files; what is opened lies in the folder, whatever path the list says."""
+    return {Path(str(name)).name for name in metadata.get("relative_file_paths") or ()}
 
 
 def _files(folder: Path, storage: str) -> list[Path]:

@@ -18,6 +18,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
+from evpinn_ros.bags.sqlite_journal import journals, merged
 from evpinn_ros.bags.unpack import unpacked
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import check_file
@@ -64,25 +65,33 @@ class RosbagsFile:
         Raises:
             InputError: it is not there, rosbags can not read it, or it is more than tables.
         """
-        size = check_file(path)
-        if path.suffix == ".db3":
-            _check_database(path, size)
         self.path = path
         self.problem: str | None = None
         self._folder = TemporaryDirectory(prefix="evpinn-")
+        try:
+            self._open()
+        except BaseException:
+            self._folder.cleanup()
+            raise
+
+    def _open(self) -> None:
+        path = source = self.path
+        size = check_file(path)
+        if path.suffix == ".db3":
+            source, size = self._with_journals(size)
+            _check_database(path, source, size)
         # rosbags takes the path as an address, in which #, ? and % are no letters.
         link = Path(self._folder.name, "bag.db3" if path.suffix == ".db3" else "bag.mcap")
-        link.symlink_to(path.resolve())
+        link.symlink_to(source.resolve())
         self._reader = Reader(link)
         try:
             self._reader.open()
         except READ_ERRORS as error:
-            self._folder.cleanup()
             raise InputError(f"{path}: {self._reason(error)}") from error
         # A damaged row has nothing or a number where a name stands.
         named = [each for each in self._reader.connections if _is_named(each)]
         if len(named) < len(self._reader.connections):
-            self.problem = f"{path}: a topic without a name is not read"
+            self._note("a topic without a name is not read")
         self._connections = {connection.id: connection for connection in named}
         self.channels = {
             id_: Channel(connection.topic, connection.msgtype, connection.ext.serialization_format)
@@ -101,12 +110,33 @@ class RosbagsFile:
                 yield log_time_ns, connection.id, bytes(data)
                 read += 1
         except READ_ERRORS as error:
-            self.problem = f"{self.path}: {self._reason(error)}; {read} messages were read"
+            self._note(f"{self._reason(error)}; {read} messages were read")
 
     def close(self) -> None:
         """Close the file."""
         self._reader.close()
         self._folder.cleanup()
+
+    def _with_journals(self, size: int) -> tuple[Path, int]:
+        """The database, or a copy of it with what its journals hold, and its bytes."""
+        database = self.path.resolve()  # beside which SQLite writes its journals
+        beside = journals(database)
+        if not beside:
+            return self.path, size
+        folder = Path(self._folder.name, "merged")
+        folder.mkdir()
+        try:
+            copy = merged(database, folder)
+        except InputError as error:
+            names = ", ".join(journal.name for journal in beside)
+            reason = str(error).removeprefix(f"{database}: ")
+            self._note(f"{names} beside it could not be read ({reason}): messages are missing")
+            return self.path, size
+        return copy, copy.stat().st_size
+
+    def _note(self, text: str) -> None:
+        note = f"{self.path}: {text}"
+        self.problem = note if self.problem is None else f"{self.problem} | {note}"
 
     def _reason(self, error: Exception) -> str:
         """In one line, without the path that rosbags puts in some."""
@@ -118,13 +148,18 @@ def _is_named(connection: Connection) -> bool:
     return all(isinstance(text, str) for text in texts)
 
 
-def _check_database(path: Path, size: int) -> None:
+def _check_database(path: Path, source: Path, size: int) -> None:
     """Refuse a database that computes, or whose tables hold more than its file.
 
     A view in place of a table can run for ever. So can pages that lead to one another, and many
     rows may share the pages of one: SQLite follows both. Damage is reported when it is read.
+
+    Args:
+        path: of the bag.
+        source: of the database, perhaps a copy of it.
+        size: of `source`, bytes.
     """
-    address = f"file:{quote(str(path))}?immutable=1"
+    address = f"file:{quote(str(source))}?immutable=1"
     periods = iter(range((FREE_STEPS + STEPS_A_BYTE * size) // PERIOD))
     with (
         as_input_error(f"{path}: Cannot open database", *READ_ERRORS),

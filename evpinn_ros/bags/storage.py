@@ -7,12 +7,14 @@ from enum import Enum
 from itertools import takewhile
 from operator import itemgetter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from evpinn_ros.bags.metadata import VERSION
 from evpinn_ros.bags.rosbags_file import READ_ERRORS
+from evpinn_ros.bags.sqlite_journal import journals, merged
 from evpinn_ros.bags.types import typestore
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.progress import reported
@@ -47,13 +49,30 @@ def change_storage(
         raise InputError(f"{out}: there already; give the name of a new folder")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with Reader(source) as reader:
+        with (
+            TemporaryDirectory(prefix="evpinn-") as folder,
+            Reader(_with_journals(source, Path(folder))) as reader,
+        ):
             return _copy(reader, out, storage, progress, stopped)
+    except InputError:
+        raise
     except READ_ERRORS as error:
         reason = " ".join(str(error).replace(str(source), "").split())
         raise InputError(
             f"{source} to {out}: {reason}; evpinn recover saves a broken MCAP"
         ) from error
+
+
+def _with_journals(source: Path, folder: Path) -> Path:
+    """The bag, or a copy of its database with what its journals hold."""
+    if source.is_dir():
+        for database in source.glob("*.db3"):
+            if beside := journals(database.resolve()):
+                names = ", ".join(journal.name for journal in beside)
+                raise InputError(f"{source}: {names} holds messages too; give {database}")
+        return source
+    is_open = source.suffix == ".db3" and source.is_file() and journals(source.resolve())
+    return merged(source.resolve(), folder) if is_open else source
 
 
 def _copy(
