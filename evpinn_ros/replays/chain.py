@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 import math
 from typing import Any, TypeAlias
 
@@ -69,8 +70,7 @@ class Chain:
 
     def add_reading(self, reading: Reading) -> Iterator[ChainOutput]:
         """Take one reading; give all that the estimator and then the account say of it."""
-        for item in self.follow(reading):
-            yield from self.take(item)
+        return chain.from_iterable(self.take(list(self.follow(reading))))
 
     def follow(self, reading: Reading) -> Iterator[Reading | Jump]:
         """Take one reading; give what `take` shall have now: none that is refused or in doubt."""
@@ -78,42 +78,56 @@ class Chain:
             if isinstance(item, Jump) or self.account.admission.admits(item):
                 yield item
 
-    def take(self, reading: Reading | Jump) -> Iterator[ChainOutput]:
-        """Take a reading that may be used, or a jump of time."""
-        if isinstance(reading, Jump):
-            self._jump()
-            return
-        self.account.add_reading(reading)
-        for output in self.estimator.add_reading(reading):
-            yield output
-            if not isinstance(output, PowerEstimate):
+    def take(self, block: Sequence[Reading | Jump]) -> Iterator[list[ChainOutput]]:
+        """Take readings that may be used, and jumps of time; give the outputs of each item."""
+        readings: list[Reading] = []
+        for item in block:
+            if not isinstance(item, Jump):
+                readings.append(item)
                 continue
-            if output.kind is PowerKind.SMOOTHED:
-                self.account.add_predicted(
-                    output.stamp_ns,
-                    output.power,
-                    output.sigma,
-                    output.energy_sigma,
-                    output.energy,
-                )
-                car = self.estimator.model()
-                self.account.usual = math.nan if car is None else usual_cost(car)
-                yield self.account.state
-                summary = self.account.tick()
-                if summary is not None:
-                    yield summary
-            elif output.kind is PowerKind.MEASURED:
-                self.account.add_measured(output.stamp_ns, output.power, output.sigma)
+            yield from self._read(readings)
+            readings = []
+            yield self._after_jump()
+        yield from self._read(readings)
 
-    def _jump(self) -> None:
+    def _read(self, readings: Sequence[Reading]) -> Iterator[list[ChainOutput]]:
+        predicted = self.estimator.add_block(readings)
+        for reading in readings:
+            self.account.add_reading(reading)
+            yield [found for output in next(predicted) for found in self._counted(output)]
+
+    def _counted(self, output: Output) -> Iterator[ChainOutput]:
+        """An output of the estimator, and those of the account after it."""
+        yield output
+        if not isinstance(output, PowerEstimate):
+            return
+        if output.kind is PowerKind.SMOOTHED:
+            self.account.add_predicted(
+                output.stamp_ns,
+                output.power,
+                output.sigma,
+                output.energy_sigma,
+                output.energy,
+            )
+            car = self.estimator.model()
+            self.account.usual = math.nan if car is None else usual_cost(car)
+            yield self.account.state
+            summary = self.account.tick()
+            if summary is not None:
+                yield summary
+        elif output.kind is PowerKind.MEASURED:
+            self.account.add_measured(output.stamp_ns, output.power, output.sigma)
+
+    def _after_jump(self) -> list[ChainOutput]:
         if self._rule.policy is not JumpPolicy.RESET:
             self.estimator.handle_time_jump()
             self.account.begin_after_jump()
-            return
+            return []
         self.estimator.reset()
         if self._start is not None:
             self.estimator.restore(self._start)
         self.account.begin_next_trip()
+        return []
 
     def begin_next_drive(self) -> None:
         """Keep what was learned of the car; time and energy start anew."""

@@ -144,7 +144,7 @@ class History:
 
     def __init__(self) -> None:
         self._start_ns: int | None = None
-        self._last_ns = self._offset_ns = 0
+        self._newest_ns = self._last_ns = self._offset_ns = 0
         self._jumped: Jump | None = None
         self._series = {name: Columns(width) for name, width in SERIES.items()}
         self._voltage, self._current = Columns(2), Columns(2)
@@ -165,19 +165,25 @@ class History:
         """A stamp of after the last jump of time on the one axis of time of all series."""
         return stamp_ns + self._offset_ns
 
-    def add_jump(self, jump: Jump) -> None:
-        """Time went back before the next reading."""
+    def add_jump(self, jump: Jump) -> int:
+        """Time went back before the next reading; give the newest moment so far."""
         self._jumped = jump
+        return self._newest_ns
 
-    def add_reading(self, reading: Reading) -> None:
-        """Take an admitted reading."""
+    def move_to(self, moment_ns: int) -> None:
+        """Take outputs as those of this moment, which a reading reached."""
+        self._last_ns = moment_ns
+
+    def add_reading(self, reading: Reading) -> int:
+        """Take an admitted reading; give the newest moment so far."""
         if self._start_ns is None:
-            self._start_ns = self._last_ns = reading.stamp_ns
+            self._start_ns = self._newest_ns = reading.stamp_ns
         if self._jumped is not None:
-            self._offset_ns = self._last_ns + JUMP_GAP - reading.stamp_ns
+            self._offset_ns = self._newest_ns + JUMP_GAP - reading.stamp_ns
             self._series["jumps"].add(self.seconds(reading.stamp_ns), self._jumped.seconds)
             self._jumped = None
-        self._last_ns = max(self._last_ns, self.moment(reading.stamp_ns))
+        self._newest_ns = max(self._newest_ns, self.moment(reading.stamp_ns))
+        self._last_ns = self._newest_ns
         time = self.seconds(reading.stamp_ns)
         if isinstance(reading, SpeedReading):
             self._series["speed"].add(time, reading.speed)
@@ -196,6 +202,7 @@ class History:
             self._series["temperature"].add(time, reading.celsius)
         elif isinstance(reading, AuxiliaryReading):
             self._series["heating"].add(time, reading.heating)
+        return self._newest_ns
 
     def add_output(self, output: ChainOutput) -> None:
         """Take the outputs of the chain for the last reading."""
@@ -224,7 +231,7 @@ class History:
     def add_detections(self, report: LearnerReport) -> None:
         """Take what the learner says of the car by now, if it says something new."""
         if not self._detections or self._detections[-1].report[:4] != report[:4]:
-            self._detections.append(Detection(self._now, report))
+            self._detections.append(Detection(self.now, report))
 
     def add_breakdown(self, found: Mapping[str, tuple[float, float]]) -> None:
         """Take the breakdown as it is now, kWh and 1-sigma by part."""
@@ -233,15 +240,16 @@ class History:
     @property
     def wants_model(self) -> bool:
         """True if `MODEL_STEP` has passed since the last model."""
-        return not self._models or self._now - self._models[-1].time >= MODEL_STEP
+        return not self._models or self.now - self._models[-1].time >= MODEL_STEP
 
     def add_model(self, model: CarModel | None) -> None:
         """Take the car as it is known now; a learner without such a model gives None."""
         if model is not None:
-            self._models.append(KnownModel(self._now, model))
+            self._models.append(KnownModel(self.now, model))
 
     @property
-    def _now(self) -> float:
+    def now(self) -> float:
+        """Time of the newest reading that was taken, s since the first one."""
         return 0.0 if self._start_ns is None else (self._last_ns - self._start_ns) / NANOSECONDS
 
     def _measured(self) -> np.ndarray:
@@ -258,7 +266,7 @@ class History:
         plain: dict[str, Any] = {name: rows.values() for name, rows in self._series.items()}
         return Drive(
             **plain,
-            duration=self._now,
+            duration=self.now,
             measured=self._measured(),
             smoothed=PowerSeries(*self._power[PowerKind.SMOOTHED].values().T),
             newest=PowerSeries(*self._power[PowerKind.PREDICTED].values().T),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 import math
 from pathlib import Path
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.readings import reading_messages
 
 WARM_UP = 120.0  # s at the start that are not scored
+BLOCK = 1000  # readings that the chain takes at once
 PROGRESS_STEP = 1.0  # s of the drive between two reports of progress
 
 Progress = Callable[[float], None]  # takes s of the drive done
@@ -99,12 +100,12 @@ def replay(
     whole = takewhile(lambda _: not stopped(), source.readings())
     readings = span(whole, options.start, options.duration)
     items = (item for reading in readings for item in chain.follow(reading))
-    for item in _paced(items, history, options.rate, progress):
-        outputs = _outputs(item, history, chain, options)
-        if writer is not None and not isinstance(item, Jump):
-            not_recorded.update(
-                _record(writer, item, outputs, history.moment(item.stamp_ns), chain)
-            )
+    size = BLOCK if options.rate is None else 1
+    for block in _noted(_blocks(items, size), history, options, progress):
+        for noted, outputs in zip(block, _outputs(block, history, chain), strict=True):
+            if writer is not None and not isinstance(noted.item, Jump):
+                moment_ns = history.moment(noted.item.stamp_ns)
+                not_recorded.update(_record(writer, noted.item, outputs, moment_ns, chain))
     wall = time.perf_counter() - started
     drive = replace(history.drive(chain.estimator.model()), zoned=source.zoned)
     where = "" if options.start == 0 and options.duration is None else " in that span"
@@ -158,47 +159,73 @@ def span(readings: Iterator[Reading], start: float, duration: float | None) -> I
             return
 
 
-def _outputs(
-    reading: Reading | Jump, history: History, chain: Chain, options: ReplayOptions
-) -> list[ChainOutput]:
-    """Outputs of the chain for a reading, unless it is withheld from it; nothing of a jump."""
-    if isinstance(reading, Jump):
-        return list(chain.take(reading))
-    after = options.withhold_battery_after
-    withholding = after is not None and history.seconds(reading.stamp_ns) > after
-    if withholding and isinstance(reading, BatteryReading):
-        return []
-    if history.wants_model:
-        history.add_model(chain.estimator.model())
-    outputs = list(chain.take(reading))
-    for output in outputs:
-        history.add_output(output)
-        if isinstance(output, ParameterSet):
-            history.add_detections(chain.estimator.detections())
-    return outputs
+class _Noted(NamedTuple):
+    """A reading or jump of time in the series, the newest moment then, and if the chain has it."""
+
+    item: Reading | Jump
+    moment_ns: int
+    given: bool
 
 
-def _paced(
-    items: Iterator[Reading | Jump],
-    history: History,
-    rate: float | None,
-    progress: Progress | None,
-) -> Iterator[Reading | Jump]:
-    """Readings and jumps, each noted, held back to the rate, with reports of progress."""
-    started, reported = time.perf_counter(), 0.0
+def _blocks(items: Iterable[Reading | Jump], size: int) -> Iterator[list[Reading | Jump]]:
+    """Blocks of at most this size; a jump of time begins one."""
+    block: list[Reading | Jump] = []
     for item in items:
-        if isinstance(item, Jump):
-            history.add_jump(item)
-            yield item
-            continue
-        history.add_reading(item)
-        done = history.seconds(item.stamp_ns)
-        if rate is not None:
-            time.sleep(max(0.0, started + done / rate - time.perf_counter()))
-        if progress is not None and done - reported >= PROGRESS_STEP:
-            progress(done)
-            reported = done
-        yield item
+        if block and (len(block) == size or isinstance(item, Jump)):
+            yield block
+            block = []
+        block.append(item)
+    if block:
+        yield block
+
+
+def _noted(
+    blocks: Iterable[list[Reading | Jump]],
+    history: History,
+    options: ReplayOptions,
+    progress: Progress | None,
+) -> Iterator[list[_Noted]]:
+    """Blocks in the series, held back to the rate, with reports of progress."""
+    started, reported = time.perf_counter(), 0.0
+    for block in blocks:
+        noted = [_note(item, history, options.withhold_battery_after) for item in block]
+        now = history.now
+        if options.rate is not None:
+            time.sleep(max(0.0, started + now / options.rate - time.perf_counter()))
+        if progress is not None and now - reported >= PROGRESS_STEP:
+            progress(now)
+            reported = now
+        yield noted
+
+
+def _note(item: Reading | Jump, history: History, withhold_after: float | None) -> _Noted:
+    """Take an item into the series; a battery reading may be withheld from the chain."""
+    if isinstance(item, Jump):
+        return _Noted(item, history.add_jump(item), given=True)
+    moment_ns = history.add_reading(item)
+    given = (
+        withhold_after is None
+        or not isinstance(item, BatteryReading)
+        or history.seconds(item.stamp_ns) <= withhold_after
+    )
+    return _Noted(item, moment_ns, given)
+
+
+def _outputs(
+    block: Sequence[_Noted], history: History, chain: Chain
+) -> Iterator[list[ChainOutput]]:
+    """Outputs of the chain for each reading that it is given, noted too."""
+    outputs = chain.take([noted.item for noted in block if noted.given])
+    for item, moment_ns, given in block:
+        history.move_to(moment_ns)
+        if given and not isinstance(item, Jump) and history.wants_model:
+            history.add_model(chain.estimator.model())
+        found = next(outputs) if given else []
+        for output in found:
+            history.add_output(output)
+            if isinstance(output, ParameterSet):
+                history.add_detections(chain.estimator.detections())
+        yield found
 
 
 def _record(

@@ -9,12 +9,12 @@ after its data, whether it took 5 ms or 900 ms to compute, and live equals repla
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
 import math
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 from evpinn_ros.common.saved_fields import SAME, Saveable
 from evpinn_ros.core.estimation.breakdown import Breakdown, Breakdowns
@@ -156,6 +156,32 @@ class SavedEstimator:
     bands: Mapping[str, SavedBand]
 
 
+class _Clock(NamedTuple):
+    """Stamps of the newest speed and battery reading, and the gap that is a dropout, ns."""
+
+    newest_ns: int | None
+    battery_ns: int | None
+    battery_gap_ns: int
+
+    def silent_for(self, duration_ns: int) -> bool:
+        """True if the battery has dropped out for this long, by stamps."""
+        if self.newest_ns is None or self.battery_ns is None:
+            return True
+        return self.newest_ns - self.battery_ns > duration_ns
+
+
+class _Arrival(NamedTuple):
+    """A reading that came: the events it completed, and what was known then.
+
+    `tick` is the clock where a second of stamps is over, else None.
+    """
+
+    events: list[StreamEvent]
+    stuck: StuckDetector
+    measured: PowerEstimate | None
+    tick: _Clock | None
+
+
 class OnlineEstimator(Saveable[SavedEstimator]):
     """One car, learned from its readings: predictions at once, parameters once a second."""
 
@@ -212,39 +238,74 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         }
 
     def add_reading(self, reading: Reading) -> Iterator[Output]:
-        """Take one reading; give the predictions and parameters it leads to, in order."""
-        for found in self._outputs(self._similarity.reading(reading)):
-            yield self._similarity.estimate(found)
+        """Take one reading: a block of one."""
+        return (output for outputs in self.add_block([reading]) for output in outputs)
 
-    def _outputs(self, reading: Reading) -> Iterator[Output]:
-        """Outputs of the similar car after one of its readings."""
+    def add_block(self, readings: Iterable[Reading]) -> Iterator[Iterator[Output]]:
+        """Take readings in the order they came; give the outputs of each, in order.
+
+        How readings are cut into blocks changes no output. What was learned, at any moment, is
+        what the output given last rests on.
+        """
+        arrivals: list[_Arrival] = []
+        for reading in readings:
+            arrivals.append(self._arrive(self._similarity.reading(reading)))
+            if arrivals[-1].tick is not None and self._may_change(arrivals):
+                yield from self._act(arrivals)
+                arrivals = []
+        yield from self._act(arrivals)
+
+    def _arrive(self, reading: Reading) -> _Arrival:
+        """Take a reading of the similar car into the stream."""
         before = self._stream.dropped.total()
         events = list(self._stream.add_reading(reading))
         taken = self._stream.dropped.total() == before
         if taken:
             self._stuck = self._stuck.after(reading)
-        usable = taken and self._stuck.detected != BATTERY_STUCK
-        if isinstance(reading, BatteryReading) and usable:
+        measured = None
+        if isinstance(reading, BatteryReading) and taken and self._stuck.detected != BATTERY_STUCK:
             power = self._stream.measured_power(reading)
-            if not math.isnan(power):
-                coarse = 0.0 if math.isnan(reading.power_std) else reading.power_std
-                sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power, coarse)
-                self._learner.battery_measured(reading.stamp_ns)
-                yield PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, power, sigma)
-        for event in events:
-            yield from self._handle(event)
-        newest_ns = self._stream.newest_ns
-        if isinstance(reading, SpeedReading) and newest_ns is not None:
-            yield from self._tick(newest_ns)
+            coarse = 0.0 if math.isnan(reading.power_std) else reading.power_std
+            sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power, coarse)
+            measured = PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, power, sigma)
+        tick = self._clock if isinstance(reading, SpeedReading) and self._ticks() else None
+        return _Arrival(events, self._stuck, measured, tick)
+
+    def _may_change(self, arrivals: list[_Arrival]) -> bool:
+        """True if an update may begin or end by these, so that later predictions need it."""
+        events = (event for arrival in arrivals for event in arrival.events)
+        return (
+            self._waiting or self._news or any(isinstance(e, self._learner.learns) for e in events)
+        )
+
+    def _act(self, arrivals: list[_Arrival]) -> Iterator[Iterator[Output]]:
+        """Predict and learn; give the outputs of each arrival."""
+        samples = [e for arrival in arrivals for e in arrival.events if isinstance(e, Sample)]
+        if samples:
+            self._learner.expect(samples)
+        for arrival in arrivals:
+            outputs = (self._similarity.estimate(output) for output in self._outputs(arrival))
+            yield outputs
+            deque(outputs, maxlen=0)  # which the caller left
+
+    def _outputs(self, arrival: _Arrival) -> Iterator[Output]:
+        """Outputs of the similar car after one of its readings."""
+        if (measured := arrival.measured) is not None and not math.isnan(measured.power):
+            self._learner.battery_measured(measured.stamp_ns)
+            yield measured
+        for event in arrival.events:
+            yield from self._handle(event, arrival.stuck)
+        if arrival.tick is not None:
+            yield from self._tick(arrival.tick)
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
-        return self._similarity.estimate(self._parameters())
+        return self._similarity.estimate(self._parameters(self._clock))
 
-    def _parameters(self) -> ParameterSet:
+    def _parameters(self, clock: _Clock) -> ParameterSet:
         """Parameters of the similar car."""
         found = self._learner.parameters()
-        return found.stale() if self._silent_for(STALE_AFTER_NS) else found
+        return found.stale() if clock.silent_for(STALE_AFTER_NS) else found
 
     def model(self) -> CarModel | None:
         """The car as forecasts of plans take it; None in the paper's mode."""
@@ -273,7 +334,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Counters and activity."""
         parameters = self.parameters().parameters
         return EstimatorStatus(
-            activity=self._activity(),
+            activity=self._activity(self._clock),
             dropped=dict(self._stream.dropped),
             gated=dict(self._learner.gated),
             updates=self._updates,
@@ -306,17 +367,17 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         for kind, band in self._bands.items():
             band.take(saved.bands[kind.value])
 
-    def _handle(self, event: StreamEvent) -> Iterator[Output]:
+    def _handle(self, event: StreamEvent, stuck: StuckDetector) -> Iterator[Output]:
         match event:
             case Sample(newest=True):
-                yield from self._predict(PowerKind.PREDICTED, event)
+                yield self._predict(PowerKind.PREDICTED, event)
             case Sample():
                 self._learner.advance(event)
-                yield from self._predict(PowerKind.SMOOTHED, event)
+                yield self._predict(PowerKind.SMOOTHED, event)
             case MeasuredSample():
                 stamp_ns = event.sample.stamp_ns
-                if (stuck := self._stuck.why_not(stamp_ns, stamp_ns)) is not None:
-                    self._learner.gated[stuck] += 1
+                if (reason := stuck.why_not(stamp_ns, stamp_ns)) is not None:
+                    self._learner.gated[reason] += 1
                     return
                 if gate(event.sample, event.power) is None:
                     self._learn_bands(event)
@@ -324,20 +385,20 @@ class OnlineEstimator(Saveable[SavedEstimator]):
                         self._seen.add(event.sample)
                 if self.enabled:
                     self._learner.observe(event.sample, event.power)
-                    self._news = True
+                    self._news |= self._learner.learns is MeasuredSample
             case Interval():
                 # Nothing is learned in a dropout, and its energy must have no holes.
                 dropout = math.isnan(event.energy)
-                sound = self._stuck.why_not(event.start_ns, event.end_ns) is None
+                sound = stuck.why_not(event.start_ns, event.end_ns) is None
                 if dropout or (self.enabled and sound):
                     self._news |= self._learner.add_interval(event)
 
-    def _predict(self, kind: PowerKind, sample: Sample) -> Iterator[PowerEstimate]:
+    def _predict(self, kind: PowerKind, sample: Sample) -> PowerEstimate:
         prediction = self._learner.predict(sample)
         self._predictions[kind].append((sample, prediction))
         sigma = self._bands[kind].sigma(sample, prediction.sigma)
         dropout = prediction.energy, prediction.energy_sigma
-        yield PowerEstimate(kind, sample.stamp_ns, prediction.power, sigma, *dropout)
+        return PowerEstimate(kind, sample.stamp_ns, prediction.power, sigma, *dropout)
 
     def _learn_bands(self, event: MeasuredSample) -> None:
         """Hold the predictions made for this moment against what was measured."""
@@ -348,22 +409,28 @@ class OnlineEstimator(Saveable[SavedEstimator]):
                 sample, prediction = waiting.popleft()
                 self._bands[kind].learn(sample, event.power - prediction.power, prediction.sigma)
 
-    def _tick(self, stamp_ns: int) -> Iterator[ParameterSet]:
-        """Once a second: accept the last update, begin the next, publish the parameters."""
+    def _ticks(self) -> bool:
+        """True once a second of stamps."""
+        stamp_ns = self._stream.newest_ns
+        if stamp_ns is None:
+            return False
         if self._tick_ns is None:
             self._tick_ns = stamp_ns
-        if stamp_ns - self._tick_ns < UPDATE_PERIOD_NS:
-            return
-        self._tick_ns += (stamp_ns - self._tick_ns) // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
+        passed_ns = stamp_ns - self._tick_ns
+        self._tick_ns += passed_ns // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
+        return passed_ns >= UPDATE_PERIOD_NS
+
+    def _tick(self, clock: _Clock) -> Iterator[ParameterSet]:
+        """Accept the last update, begin the next, publish the parameters."""
         if self._waiting:
             self._collect()
-        if self._news and not self._waiting and self._activity() is not Activity.PAUSED:
+        if self._news and not self._waiting and self._activity(clock) is not Activity.PAUSED:
             self._news = False
             if (work := self._learner.prepare_update()) is not None:
                 self._updates += 1
                 self._waiting = True
                 self._worker.submit(work)
-        yield replace(self._parameters(), stamp_ns=stamp_ns)
+        yield replace(self._parameters(clock), stamp_ns=clock.newest_ns or 0)
 
     def _collect(self) -> None:
         try:
@@ -383,17 +450,15 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         else:
             self._rejected[reason] += 1
 
-    def _silent_for(self, duration_ns: int) -> bool:
-        """True if the battery has dropped out for this long, by stamps."""
-        newest_ns, battery_ns = self._stream.newest_ns, self._stream.battery_ns
-        if newest_ns is None or battery_ns is None:
-            return True
-        return newest_ns - battery_ns > duration_ns
+    @property
+    def _clock(self) -> _Clock:
+        stream = self._stream
+        return _Clock(stream.newest_ns, stream.battery_ns, stream.battery_gap_ns)
 
-    def _activity(self) -> Activity:
-        if self._stream.newest_ns is None:
+    def _activity(self, clock: _Clock) -> Activity:
+        if clock.newest_ns is None:
             return Activity.WAITING
-        if self._silent_for(max(BATTERY_TIMEOUT_NS, self._stream.battery_gap_ns)):
+        if clock.silent_for(max(BATTERY_TIMEOUT_NS, clock.battery_gap_ns)):
             return Activity.PREDICTING
         return Activity.LEARNING if self.enabled else Activity.PAUSED
 

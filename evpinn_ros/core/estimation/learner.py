@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import math
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from evpinn_ros.core.estimation.breakdown import Breakdowns
 from evpinn_ros.core.estimation.car_model import CarModel
@@ -13,13 +13,16 @@ from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.core.estimation.payload import PayloadChange
 from evpinn_ros.core.signals.interval import Interval
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import MeasuredSample, Sample
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
 REVERSE_STEP = -0.1  # m, the same for a step of an interval
 CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
 STATE_VERSION = 10
+
+
+LearningEvent: TypeAlias = MeasuredSample | Interval
 
 
 class PowerPrediction(NamedTuple):
@@ -58,6 +61,12 @@ class Learner(Protocol):
     """
 
     gated: Counter[str]
+    learns: type[LearningEvent]
+    """Events that its updates learn from."""
+
+    def expect(self, samples: Sequence[Sample]) -> None:
+        """Prepare to predict these samples, before an update or a jump of time comes."""
+        return
 
     def advance(self, sample: Sample) -> None:
         """Let time pass up to a smoothed sample."""

@@ -13,11 +13,14 @@ that of the posterior, with its exact variance, and what the trim gave until it 
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 import math
-from typing import Annotated
+from typing import Annotated, NamedTuple
+
+import numpy as np
 
 from evpinn_ros.common.saved_fields import ADDED, Range, Saveable
 from evpinn_ros.core.estimation.bands import Hills
@@ -35,7 +38,12 @@ from evpinn_ros.core.estimation.journey import (
     Tail,
     wandered,
 )
-from evpinn_ros.core.estimation.learner import LearnerReport, PowerPrediction, gate
+from evpinn_ros.core.estimation.learner import (
+    LearnerReport,
+    LearningEvent,
+    PowerPrediction,
+    gate,
+)
 from evpinn_ros.core.estimation.parameter_set import TrustHysteresis, deviations, parameter_set
 from evpinn_ros.core.estimation.payload import PayloadDetector, SavedPayload, Stamp
 from evpinn_ros.core.estimation.published import Driven, evidence_of, published
@@ -58,9 +66,16 @@ from evpinn_ros.core.signals.sign_detectors import GradeDetector, SignDetector
 from evpinn_ros.core.vehicle.files import Vehicle
 
 SAMPLE_STEP = 0.1  # s that the first sample stands for
-POWERS_KEPT = 20  # latest predictions of the car, of samples whose battery is yet to come
+POWERS_KEPT = 20  # latest powers of the car, of samples whose battery is yet to come
 PARKED = 600.0  # s without speed, then it is another drive
 SILENT_NS = NANOSECONDS  # without a measured sample, then energy is predicted
+
+
+class _CarPower(NamedTuple):
+    """Power of the car without the trim, and its 1-sigma, W."""
+
+    power: float
+    sigma: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +97,8 @@ class SavedPinn:
 class PinnLearner(Saveable[SavedPinn]):
     """Learner of `mode: hybrid`."""
 
+    learns: type[LearningEvent] = Interval
+
     def __init__(self, vehicle: Vehicle, *, seed: int = 0, keep_drives: bool = False) -> None:
         """Start at the vehicle's priors, with a network whose output is zero."""
         self._keep_drives = keep_drives
@@ -93,7 +110,8 @@ class PinnLearner(Saveable[SavedPinn]):
         self._last_ns: int | None = None  # of what was learned from
         self._seen_ns: int | None = None  # of what was predicted
         self._passed = 0.0  # s that the newest predicted sample stands for
-        self._powers: deque[tuple[Sample, float]] = deque(maxlen=POWERS_KEPT)
+        # Of the present car, by stamp and whether that was the newest moment.
+        self._powers: dict[tuple[int, bool], _CarPower] = {}
         self.gated: Counter[str] = Counter()
         self._tail = Tail(self._equation)
         self._measured_ns: int | None = None  # newest measured sample
@@ -120,26 +138,25 @@ class PinnLearner(Saveable[SavedPinn]):
         self._passed = min(max(passed, 0.0), PARKED)
         self._trim.advance(self._passed)
 
+    def expect(self, samples: Sequence[Sample]) -> None:
+        """Compute the power of the car at samples, W, and its variance, W^2, at once."""
+        latest = islice(self._powers.items(), max(0, len(self._powers) - POWERS_KEPT), None)
+        self._powers = dict(latest)
+        self._compute(samples)
+
     def predict(self, sample: Sample) -> PowerPrediction:
         """Power of car and trim, W, and the energy since the battery was last measured, J."""
-        row = self._equation.row_of(sample, self._warmth)
-        left, _, _ = wandered(self._car.dropout.seconds)
-        row[State.LOAD] = left
-        model = self._model
-        power = float(row @ model.mean)
-        correction = self._trim.correct(sample)
-        variance = float(row @ model.covariance @ row) + (1.0 - left**2) * model.load_variance
-        noise = FORCE_NOISE * math.sqrt(model.noise[1]) * sample.speed
-        sigma = math.hypot(math.sqrt(max(variance, 0.0)), noise, POWER_NOISE, correction.sigma)
+        car, correction = self._power(sample), self._trim.correct(sample)
+        noise = FORCE_NOISE * math.sqrt(self._model.noise[1]) * sample.speed
+        sigma = math.hypot(car.sigma, noise, POWER_NOISE, correction.sigma)
         if sample.newest:
-            return PowerPrediction(power + correction.power, sigma)
-        self._powers.append((sample, power))
+            return PowerPrediction(car.power + correction.power, sigma)
         self._tail.add(sample)
         if self._measured_ns is not None and sample.stamp_ns > self._measured_ns:
             since = (sample.stamp_ns - self._measured_ns) / NANOSECONDS
             self._trimmed += correction.power * min(self._passed, since, MAX_STEP)
         energy = self._energy_since_battery(sample.stamp_ns)
-        return PowerPrediction(power + correction.power, sigma, *energy)
+        return PowerPrediction(car.power + correction.power, sigma, *energy)
 
     def battery_measured(self, stamp_ns: int) -> None:
         """Count the energy of a dropout from here on."""
@@ -156,7 +173,7 @@ class PinnLearner(Saveable[SavedPinn]):
         if (fault := self._sign.detected) is not None:
             self.gated[fault] += 1
             return
-        self._trim.learn(sample, power - self._power(sample), step)
+        self._trim.learn(sample, power - self._power(sample).power, step)
 
     def add_interval(self, interval: Interval) -> bool:
         """Keep an interval for the next update."""
@@ -298,12 +315,23 @@ class PinnLearner(Saveable[SavedPinn]):
         """Journey of the newest samples between two stamps."""
         return self._tail.between(start_ns, end_ns, self._warmth)
 
-    def _power(self, sample: Sample) -> float:
-        """Power of the car alone, W, that of the prediction where the car is the same."""
-        for predicted, power in self._powers:
-            if predicted is sample:
-                return power
-        return float(self._equation.row_of(sample, self._warmth) @ self._model.mean)
+    def _power(self, sample: Sample) -> _CarPower:
+        """Power of the car alone at a sample."""
+        key = sample.stamp_ns, sample.newest
+        if key not in self._powers:  # of an earlier car
+            self._compute([sample])
+        return self._powers[key]
+
+    def _compute(self, samples: Sequence[Sample]) -> None:
+        """Power of the car alone at samples, by one product for all."""
+        rows, model = self._equation.rows_of(samples, self._warmth), self._model
+        left, _, _ = wandered(self._car.dropout.seconds)
+        rows[:, State.LOAD] = left
+        variance = np.einsum("ij,ij->i", rows @ model.covariance, rows)
+        variance += (1.0 - left**2) * model.load_variance
+        powers, sigmas = rows @ model.mean, np.sqrt(np.maximum(variance, 0.0))
+        for sample, power, sigma in zip(samples, powers.tolist(), sigmas.tolist(), strict=True):
+            self._powers[sample.stamp_ns, sample.newest] = _CarPower(power, sigma)
 
     def _step(self, sample: Sample) -> float:
         """Seconds this sample stands for."""

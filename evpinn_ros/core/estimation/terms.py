@@ -25,6 +25,7 @@ physics.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
 from functools import lru_cache
 import math
@@ -32,7 +33,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.arrays import like, namespace, numbers, within, zeros
+from evpinn_ros.common.arrays import chosen_rows, like, namespace, numbers, within, zeros
 from evpinn_ros.core.estimation.network import (
     orthogonal_network,
     reference_driving,
@@ -329,9 +330,16 @@ class Equation:
         apart[:, State.CLIMB] = np.abs(steps.distance) / max(np.abs(steps.distance).sum(), 1e-9)
         return np.stack((wheels.driving @ apart, (1.0 - wheels.driving) @ apart))
 
-    def row_of(self, sample: Sample, warmth: Warmth) -> np.ndarray:
-        """Power at a sample by each state, W per unit, shape (SIZE,): the energy of 1 s."""
-        return self.rows(*unit_step(sample), warmth)
+    def rows_of(self, samples: Sequence[Sample], warmth: Warmth) -> np.ndarray:
+        """Power at n samples by each state, W per unit, shape (n, SIZE): the energy of 1 s."""
+        rows = np.empty((len(samples), SIZE))
+        steps, conditions, motor = unit_steps(samples)
+        for kind in np.unique(motor).tolist():
+            chosen = motor == kind
+            columns = (column[chosen] for column in steps)
+            of_kind = Steps._make((*columns, kind != Motor.UNSCALED))
+            rows[chosen] = self.rows(of_kind, chosen_rows(conditions, chosen), warmth)
+        return rows
 
     def of_steps(self, steps: Steps, conditions: Conditions) -> Wheels:
         """Prior car in the steps of an interval."""
@@ -347,36 +355,68 @@ class Equation:
         return columns
 
 
-def standing_powers(conditions: Conditions, warmth: Warmth) -> dict[State, float]:
+def standing_powers(conditions: Conditions, warmth: Warmth) -> dict[State, Any]:
     """Standing power by state, W per unit; what is not among them is zero."""
     found = dict.fromkeys(STANDING_LOADS, 1.0)
-    if conditions.load_known:
-        found |= {State.REPORTED: conditions.load, State.DOUBTED: conditions.doubted_load}
+    known = conditions.load_known
+    climate = climate_powers(conditions.celsius, warmth)
+    if known is False:
+        return found | climate
+    found |= {State.REPORTED: conditions.load, State.DOUBTED: conditions.doubted_load}
+    if known is True:
         return found
-    return found | climate_powers(conditions.celsius, warmth)
+    return found | {state: power * ~known for state, power in climate.items()}
 
 
-def climate_powers(celsius: float | None, warmth: Warmth) -> dict[State, Any]:
-    """Heating and cooling by state, W per unit; an unknown temperature is that of a mild day."""
-    if celsius is None or celsius == MILD_CELSIUS:
+def climate_powers(celsius: Any, warmth: Warmth) -> dict[State, Any]:
+    """Heating and cooling by state, W per unit; an unknown temperature is that of a mild day.
+
+    The temperature is a number, or an array of them.
+    """
+    if celsius is None:
         return {}
     away = abs(celsius - MILD_CELSIUS)
-    steady, start = State.HOT, State.HOT_START
-    if celsius < MILD_CELSIUS:
-        steady, start = State.COLD, State.COLD_START
-    return {steady: away, start: away * warmth.cabin}
+    cold, hot = away * (celsius < MILD_CELSIUS), away * (celsius > MILD_CELSIUS)
+    return {
+        State.COLD: cold,
+        State.COLD_START: cold * warmth.cabin,
+        State.HOT: hot,
+        State.HOT_START: hot * warmth.cabin,
+    }
 
 
-def unit_step(sample: Sample) -> tuple[Steps, Conditions]:
-    """A sample as one step of 1 s, so that energy is power."""
-    v = abs(sample.speed)
-    flow, motor = v + sample.head_wind, sample.motor_power
-    kinetic, climb = sample.speed * sample.acceleration, sample.speed * math.sin(sample.grade)
-    drive, brake = np.maximum(motor, 0.0), np.maximum(-motor, 0.0)
-    columns = 1.0, v, flow * abs(flow) * v, kinetic, climb, drive, brake
-    # Arithmetic with scalars of numpy takes an eighth of that with arrays of one number.
-    steps = Steps._make((*np.array(columns), sample.motor_scaled))
-    return steps, conditions_of(sample)
+class Motor(IntEnum):
+    """Knowledge of the motor's power at a sample."""
+
+    UNKNOWN = 0
+    UNSCALED = 1  # up to a factor: the gear is not known
+    KNOWN = 2
+
+
+def unit_steps(
+    samples: Sequence[Sample],
+) -> tuple[tuple[np.ndarray, ...], Conditions, np.ndarray]:
+    """Samples as steps of 1 s, so that energy is power.
+
+    Returns:
+        The columns of `Steps`, the conditions as arrays, and the `Motor` of each, shape (n,) each.
+    """
+    columns = np.array([
+        (
+            s.speed, s.acceleration, s.grade, s.motor_power, s.motor_scaled, s.air_density,
+            s.head_wind, MILD_CELSIUS if s.celsius is None else s.celsius,
+            s.known_auxiliary, s.doubted_load,
+        ) for s in samples
+    ]).T  # fmt: skip
+    speed, acceleration, grade, power, scaled, density, wind, celsius, load, doubted = columns
+    v = np.abs(speed)
+    flow = v + wind
+    motor = np.where(np.isnan(power), Motor.UNKNOWN, np.where(scaled, Motor.KNOWN, Motor.UNSCALED))
+    kinetic, climb = speed * acceleration, speed * np.sin(grade)
+    drive, brake = np.maximum(power, 0.0), np.maximum(-power, 0.0)
+    known = (load > 0.0) | (doubted > 0.0)
+    steps = np.ones_like(v), v, flow * np.abs(flow) * v, kinetic, climb, drive, brake
+    return steps, Conditions(density, wind, celsius, load, known, doubted), motor
 
 
 @lru_cache(maxsize=16)
@@ -385,9 +425,10 @@ def equation_of(vehicle: Vehicle, seed: int = 0) -> Equation:
     return Equation(vehicle, seed)
 
 
-def coldness(celsius: float | None) -> float:
-    """Tens of K below a mild day."""
-    return 0.0 if celsius is None else max(0.0, MILD_CELSIUS - celsius) / 10.0
+def coldness(celsius: Any) -> Any:
+    """Tens of K below a mild day, of a temperature or an array of them."""
+    below = 0.0 if celsius is None else MILD_CELSIUS - celsius
+    return below * (below > 0.0) / 10.0
 
 
 def conditions_of(sample: Sample) -> Conditions:

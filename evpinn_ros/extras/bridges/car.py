@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import chain
 from pathlib import Path
 import time
 from typing import Any
@@ -74,7 +75,7 @@ class BridgedCar:
                     began |= self._begins(item)
                 if not isinstance(item, Jump):
                     self.newest_ns = item.stamp_ns
-                for output in self.chain.take(item):
+                for output in chain.from_iterable(self.chain.take([item])):
                     if isinstance(output, PowerEstimate):
                         self._power[output.kind] = output
         return began

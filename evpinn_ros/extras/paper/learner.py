@@ -35,10 +35,10 @@ import torch
 from evpinn_ros.common.saved_fields import SAME, Range, Saveable
 from evpinn_ros.core.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, PaperOptimizer
-from evpinn_ros.core.estimation.learner import Learner, PowerPrediction, gate
+from evpinn_ros.core.estimation.learner import Learner, LearningEvent, PowerPrediction, gate
 from evpinn_ros.core.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import MeasuredSample, Sample
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable, identifiable
 from evpinn_ros.core.vehicle.parameters import LIMITS, Parameters
@@ -117,6 +117,8 @@ class SavedPaper:
 
 class PaperLearner(Learner, Saveable[SavedPaper]):
     """Learner of `mode: paper`."""
+
+    learns: type[LearningEvent] = MeasuredSample
 
     def __init__(
         self,

@@ -38,7 +38,7 @@ def tail_of(samples) -> Tail:
 def test_its_energy_is_the_integral_of_power():
     samples = town(600)
     whole = tail_of(samples).between(0, samples[-1].stamp_ns, WARM)
-    powers = [float(EQUATION.row_of(each, WARM) @ EQUATION.mean) for each in samples]
+    powers = EQUATION.rows_of(samples, WARM) @ EQUATION.mean
     assert whole.seconds == pytest.approx(59.9)
     assert float(whole.row @ EQUATION.mean) == pytest.approx(
         np.trapezoid(powers, dx=0.1), rel=2e-3

@@ -1,0 +1,107 @@
+"""How a drive is cut into blocks changes no output of the chain."""
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evpinn_ros.core.estimation.estimate import ParameterSet
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.time_jump import Jump
+from evpinn_ros.replays.chain import Chain, ChainOutput
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
+
+pytestmark = pytest.mark.slow
+SECONDS = 100.0
+
+
+def damaged(readings: list[Reading]) -> list[Reading]:
+    """The drive with late and lost readings, a dropout, a gap and a slip, a third of it twice."""
+    rng, start_ns = np.random.default_rng(0), readings[0].stamp_ns
+    arrivals = []
+    for reading in readings:
+        second = (reading.stamp_ns - start_ns) / NANOSECONDS
+        battery = isinstance(reading, BatteryReading)
+        if rng.uniform() < 0.02 or (battery and 30.0 < second < 38.0) or 50.0 < second < 54.0:
+            continue
+        if isinstance(reading, SpeedReading) and 60.0 < second < 60.3:
+            reading = replace(reading, speed=30.0)
+        late = rng.uniform(0.0, 0.4) if rng.uniform() < 0.05 else 0.0
+        arrivals.append((second + late, reading))
+    arrivals.sort(key=lambda arrival: arrival[0])
+    drive = [reading for _, reading in arrivals]
+    third = len(drive) // 3
+    return [*drive[: 2 * third], *drive[third:]]
+
+
+def polled(readings: list[Reading]) -> list[Reading]:
+    """The drive as a phone asks for it: speed and battery in turns, each every 1.2 s."""
+    kinds = SpeedReading, BatteryReading
+    apart = [[r for r in readings if isinstance(r, kind)] for kind in kinds]
+    step = round(1.2 / ((apart[0][1].stamp_ns - apart[0][0].stamp_ns) / NANOSECONDS))
+    chosen = [r for i, part in enumerate(apart) for r in part[i * step // 2 :: step]]
+    return sorted(chosen, key=lambda reading: reading.stamp_ns)
+
+
+DRIVES = {"damaged": damaged, "polled": polled}
+
+
+@pytest.fixture(scope="module", params=DRIVES)
+def drive(request: pytest.FixtureRequest, vehicle: Any) -> list[Reading]:
+    seconds = SECONDS if request.param == "damaged" else 3 * SECONDS
+    recorded = simulate(
+        DriveKind.URBAN, vehicle, seconds, seed=3, altitude=True, motor_torque=True
+    ).readings
+    return DRIVES[request.param](list(recorded))
+
+
+def numbers(value: Any) -> Iterator[float]:
+    """Every number of an output, in order."""
+    if is_dataclass(value):
+        value = [getattr(value, field.name) for field in fields(value)]
+    if isinstance(value, dict):
+        value = value.values()
+    if isinstance(value, (int, float, np.number)):
+        yield float(value)
+    elif not isinstance(value, str):
+        for part in () if value is None else value:
+            yield from numbers(part)
+
+
+def outputs(drive: list[Reading], sizes: Iterator[int], vehicle: Any) -> list[ChainOutput]:
+    """Outputs of the chain for a drive cut into blocks of these sizes."""
+    chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
+    items: list[Reading | Jump] = [item for reading in drive for item in chain.follow(reading)]
+    found: list[ChainOutput] = []
+    begin = 0
+    while begin < len(items):
+        end = begin + next(sizes)
+        found += [output for group in chain.take(items[begin:end]) for output in group]
+        begin = end
+    assert chain.estimator.status().accepted > 1
+    return found
+
+
+def sizes(cut: int | None) -> Iterator[int]:
+    """Sizes of blocks: all the same, or random ones."""
+    rng = np.random.default_rng(1)
+    while True:
+        yield int(rng.integers(1, 200)) if cut is None else cut
+
+
+def test_cuts_change_no_output(drive, vehicle):
+    alone = outputs(drive, sizes(1), vehicle)
+    assert any(isinstance(output, ParameterSet) for output in alone)
+    for cut in (7, 64, None, len(drive) + 1):
+        cut_otherwise = outputs(drive, sizes(cut), vehicle)
+        assert list(map(type, cut_otherwise)) == list(map(type, alone))
+        for once, again in zip(alone, cut_otherwise, strict=True):
+            np.testing.assert_allclose(
+                [*numbers(again)], [*numbers(once)], rtol=1e-9, atol=1e-9, err_msg=str(cut)
+            )
