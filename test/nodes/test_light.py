@@ -1,11 +1,33 @@
-"""What a node on a car's computer does not load."""
+"""What a node on a car's computer does not load, and does not need."""
+
+import os
 
 import pytest
 
-HEAVY = ("torch", "polars", "pandas", "matplotlib", "scipy")
+from evpinn_ros import topics
+from evpinn_ros.common.optional import EXTRA_OF
+from test.nodes.processes import EVPINN, started, stopped
+
+HEAVY = sorted({*EXTRA_OF, "scipy", "torch"} - {"rclpy"})
 
 
 @pytest.mark.parametrize("nodes", ["estimator, energy", "can_bridge"])
 def test_no_default_node_loads_what_it_does_not_need(loads_without, nodes):
     bus = () if nodes == "can_bridge" else ("can", "cantools")
     loads_without(f"from evpinn_ros.nodes import {nodes}", *HEAVY, *bus)
+
+
+def test_a_car_drives_and_is_recorded_without_any_of_it(bench, can_log, tmp_path):
+    """All of Python in that process, and of what it starts, finds none of these packages."""
+    absent = f"import sys; sys.modules.update(dict.fromkeys({HEAVY}))"
+    (tmp_path / "sitecustomize.py").write_text(absent)
+    places = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))
+    log = f"{{log_file: {can_log('urban', 20.0)}, log_rate: 2.5}}"
+    params = tmp_path / "car.param.yaml"
+    params.write_text(f"/**/can_bridge:\n  ros__parameters: {log}\n")
+    options = ("--vehicle", "tesla_model_3_lr", "--params", params, "--record", tmp_path / "bag")
+    with started(*EVPINN, "run", *options, env=os.environ | {"PYTHONPATH": places}) as process:
+        bench.listen(topics.POWER_SMOOTHED, topics.ENERGY_STATE)
+        bench.pump(lambda: bench.heard[topics.POWER_SMOOTHED] and bench.heard[topics.ENERGY_STATE])
+        _, said = stopped(process)
+    assert "saved the drive" in said, said
