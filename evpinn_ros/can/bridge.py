@@ -114,11 +114,11 @@ class CanBridge:
     @property
     def refusal(self) -> str | None:
         """Reason why nothing is let out, and what would fit; None while nothing is refused."""
-        found = self._guard.contradiction if self._guard is not None else None
-        if found is None:
+        contradiction = self._guard.contradiction if self._guard is not None else None
+        if contradiction is None:
             return None
-        better = f"; '{found.better}' fits better" if found.better else ""
-        return f"profile '{self._key}' contradicts the traffic: {found.why}{better}"
+        better = f"; '{contradiction.better}' fits better" if contradiction.better else ""
+        return f"profile '{self._key}' contradicts the traffic: {contradiction.why}{better}"
 
     def _watched(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
         for reading in readings:

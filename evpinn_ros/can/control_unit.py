@@ -168,7 +168,7 @@ class ControlUnit:
             self._take_negative(payload, now_s)
             return None
         requests = self._requests.values()
-        request = next((each for each in requests if payload.startswith(each.echo)), None)
+        request = next((waiting for waiting in requests if payload.startswith(waiting.echo)), None)
         if request is None:
             self.counters["unexpected_answer"] += 1
             return None

@@ -142,9 +142,9 @@ def _fault_of_pages(message: Any) -> str | None:
         if _hangs_over(signal, message):
             return _overhang(signal, message)
     places = {signal.name: place_of(signal) for signal in message.signals}
-    for one, other in combinations(places, 2):
-        if places[one].overlaps(places[other]):
-            return f"'{one}' and '{other}' overlap in message '{message.name}'"
+    for first, other in combinations(places, 2):
+        if places[first].overlaps(places[other]):
+            return f"'{first}' and '{other}' overlap in message '{message.name}'"
     return None
 
 
@@ -200,7 +200,10 @@ def _excess(text: str) -> str | None:
     if sum(1 for _ in _SIGNAL.finditer(text)) > MOST_SIGNALS:
         return f"it has more than {MOST_SIGNALS} signals"
     statements = (match[1] for match in _PAGES.finditer(text))
-    if sum(_whole(n[0]) for each in statements for n in _NUMBER.finditer(each)) > MOST_PAGES:
+    if (
+        sum(_whole(n[0]) for statement in statements for n in _NUMBER.finditer(statement))
+        > MOST_PAGES
+    ):
         return "its multiplexed signals have too many pages"
     return None
 

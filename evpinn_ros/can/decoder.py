@@ -71,7 +71,7 @@ class Decoder:
         self._charge, self._second_torque = _HeldValue(CHARGE_HOLD_NS), _HeldValue(TORQUE_HOLD_NS)
         self._has_second_motor = "second_motor" in profile.messages
         self._first_torque_ns: int | None = None
-        fits = {each.quantity: each for each in fit.messages} if fit is not None else {}
+        fits = {message.quantity: message for message in fit.messages} if fit is not None else {}
         for quantity in READ_ORDER:
             if quantity in profile.messages:
                 rule = profile.messages[quantity]
@@ -235,9 +235,11 @@ def unpacker(message: Any, names: Collection[str]) -> Unpack:
         return lambda data: dict(
             message.decode(data, decode_choices=False, scaling=False, allow_truncated=True)
         )
-    little = [(each.name, each.end, each.start, each.mask, each.sign) for each in fields
-              if each.is_little]  # fmt: skip
-    big = [(each.name, each.end, each.mask, each.sign) for each in fields if not each.is_little]
+    little = [(field.name, field.end, field.start, field.mask, field.sign) for field in fields
+              if field.is_little]  # fmt: skip
+    big = [
+        (field.name, field.end, field.mask, field.sign) for field in fields if not field.is_little
+    ]
 
     def unpack(data: bytes) -> dict[str, int]:
         size, raw = 8 * len(data), {}
@@ -311,8 +313,8 @@ class AnswerDecoder:
                 readings += self._late(stamp_ns, part)
                 self._waiting[part] = stamp_ns, values[part][0]
         if len(self._waiting) == len(PARTS):
-            found, self._waiting = self._waiting, {}
-            readings.append(self._reading(found))
+            waited, self._waiting = self._waiting, {}
+            readings.append(self._reading(waited))
         return tuple(readings)
 
     def _values(self, answer: Answer) -> dict[str, tuple[float, float]]:

@@ -217,11 +217,11 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
 
     def _to_monitor(self) -> Iterator[tuple[str, str]]:
         """Filter to monitor by: the bits that all ids have in common."""
-        ids = [each for each in self._broadcast or () if each <= LAST_11_BIT_ID]
+        ids = [can_id for can_id in self._broadcast or () if can_id <= LAST_11_BIT_ID]
         yield "ATSP", self._short
         yield "ATCRA", ""
         if ids:
-            differ = reduce(int.__or__, (each ^ ids[0] for each in ids))
+            differ = reduce(int.__or__, (can_id ^ ids[0] for can_id in ids))
             yield "ATCF", f"{ids[0] & ~differ:03X}"
             yield "ATCM", f"{LAST_11_BIT_ID & ~differ:03X}"
 

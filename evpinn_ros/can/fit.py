@@ -198,15 +198,15 @@ def contradiction(own: ProfileFit, others: Sequence[ProfileFit]) -> Contradictio
     profile). And it is contradicted when it has checksums to show and none came, while another
     profile shows its own: ids of one car mean something else in the next.
     """
-    holding = sorted((each for each in others if each.holds), key=lambda fit: fit.order)
-    better = [each for each in holding if each.score >= own.score + MARGIN]
+    holding = sorted((other for other in others if other.holds), key=lambda fit: fit.order)
+    better = [other for other in holding if other.score >= own.score + MARGIN]
     wrong = [message for message in own.messages if message.fails]
     if wrong and (better or not own.proven):
         return _contradiction(wrong, better)
-    proven = [each for each in holding if each.proven]
+    proven = [other for other in holding if other.proven]
     provable = any(message.has_checksum for message in own.messages)
     if proven and own.frames and provable and not own.proven:
-        return _contradiction([each for each in own.messages if not each.proven], proven)
+        return _contradiction([other for other in own.messages if not other.proven], proven)
     return None
 
 

@@ -134,20 +134,23 @@ class FitGuard:
         """True if all that can be asked of the first frames is there."""
         if self._patient:
             return False
-        messages = [each for each in self.fit.messages if each.quantity in LEADING]
+        messages = [message for message in self.fit.messages if message.quantity in LEADING]
         plain = all(message.good and not message.bad for message in messages)
         return plain and any(message.has_checksum for message in messages)
 
     def _is_torn(self) -> bool:
         """True if some message neither holds nor fails."""
-        return any(each.bad and not (each.came_right or each.fails) for each in self.fit.messages)
+        return any(
+            message.bad and not (message.came_right or message.fails)
+            for message in self.fit.messages
+        )
 
     def _decide(self) -> tuple[Reading, ...]:
-        found = self._judge()
+        contradiction = self._judge()
         held, self._held = tuple(self._held), []
-        if found is not None:
+        if contradiction is not None:
             self.dropped["undecided"] += len(held)
-            self._refuse(found)
+            self._refuse(contradiction)
             return ()
         # A motor proves nothing: in another car its id may pass a checksum by chance.
         if all(isinstance(reading, MotorReading) for reading in held):
@@ -157,12 +160,12 @@ class FitGuard:
         return held
 
     def _review(self, frame: CanFrame) -> None:
-        own, found = self.fit, self._judge()
-        if found is not None:
-            self._refuse(found)
+        own, contradiction = self.fit, self._judge()
+        if contradiction is not None:
+            self._refuse(contradiction)
         elif self.contradiction is not None:
             wrong = self.contradiction.wrong
-            if all(each.came_right for each in own.messages if each.quantity in wrong):
+            if all(message.came_right for message in own.messages if message.quantity in wrong):
                 self._trust()
         # Others are decoded only where they could tell: that costs as much as our own profile.
         spotless = own.proven and not any(message.bad for message in own.messages)
@@ -172,10 +175,10 @@ class FitGuard:
     def _judge(self) -> Contradiction | None:
         return contradiction(self.fit, self._others if self._comparing else [])
 
-    def _refuse(self, found: Contradiction) -> None:
-        better = found.better or self.advice()
+    def _refuse(self, contradiction: Contradiction) -> None:
+        better = contradiction.better or self.advice()
         self.verdict = ProfileVerdict.REFUSED
-        self.contradiction = replace(found, better=better)
+        self.contradiction = replace(contradiction, better=better)
 
     def _trust(self) -> None:
         self.verdict, self.contradiction = ProfileVerdict.TRUSTED, None

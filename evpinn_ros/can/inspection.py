@@ -169,7 +169,7 @@ class BusReport:
     @property
     def best(self) -> ProfileReport | None:
         """The profile that fits; None when none does."""
-        first = next((each for each in self.profiles if not each.experimental), None)
+        first = next((profile for profile in self.profiles if not profile.experimental), None)
         fits = first is not None and first.fit.holds and first.contradicted is None
         return first if fits else None
 
@@ -216,8 +216,8 @@ class Inspection:
             profile.count_answers()
         by_fit = {profile.fit: profile for profile in self._profiles}
         for fit, profile in by_fit.items():
-            found = contradiction(fit, [other for other in by_fit if other is not fit])
-            profile.contradicted = found.why if found is not None else None
+            refused = contradiction(fit, [other for other in by_fit if other is not fit])
+            profile.contradicted = refused.why if refused is not None else None
         return BusReport(
             duration=duration,
             frames=self._frames,

@@ -104,13 +104,13 @@ class LogFile:
             with open_file(self.path) as file:
                 if self._suffix == ".blf":
                     reader = BlfReader(file)
-                    found = reader.stop_timestamp - reader.start_timestamp
+                    seconds = reader.stop_timestamp - reader.start_timestamp
                 else:
                     frames = list(ends._read(_Lines(_ends(file))))
-                    found = (frames[-1].stamp_ns - frames[0].stamp_ns) / NANOSECONDS
+                    seconds = (frames[-1].stamp_ns - frames[0].stamp_ns) / NANOSECONDS
         except Exception:  # foreign code over a damaged file; why, reading it will tell
             return None
-        return found if found > 0.0 else None
+        return seconds if seconds > 0.0 else None
 
     def frames(self) -> Iterator[CanFrame]:
         """Every data frame up to the end, or up to the first damage, named in `problem`.

@@ -94,13 +94,13 @@ def request_rules(section: Section) -> dict[str, RequestRule]:
             too often.
     """
     rules = {name: _request_rule(section.section(name), name) for name in section.names()}
-    for one, other in combinations(rules.values(), 2):
-        if one.address.answers_from == other.address.answers_from:
-            if one.address != other.address:
-                reason = f"'{one.name}' and '{other.name}' share the answer id alone"
+    for earlier, other in combinations(rules.values(), 2):
+        if earlier.address.answers_from == other.address.answers_from:
+            if earlier.address != other.address:
+                reason = f"'{earlier.name}' and '{other.name}' share the answer id alone"
                 raise section.error_at(other.name, reason)
-            if one.payload == other.payload:
-                raise section.error_at(other.name, f"asks the same as '{one.name}'")
+            if earlier.payload == other.payload:
+                raise section.error_at(other.name, f"asks the same as '{earlier.name}'")
     pace = sum(1 / rule.period_s for rule in rules.values())
     if pace > QUESTIONS_PER_S:
         raise section.error(f"{pace:.3g} questions a second are more than {QUESTIONS_PER_S}")
@@ -141,10 +141,10 @@ def answer_field(
 def refuse_overlaps(root: Section, fields: Iterable[AnswerField]) -> None:
     """Raise InputError when two values claim the same byte of one answer."""
     ordered = sorted(fields, key=lambda field: (field.request.name, field.first))
-    for one, other in pairwise(ordered):
-        if one.request is other.request and one.first + one.length > other.first:
-            names = f"{one.signal.name} and {other.signal.name}"
-            raise root.error(f"{names} overlap in the answer to '{one.request.name}'")
+    for before, other in pairwise(ordered):
+        if before.request is other.request and before.first + before.length > other.first:
+            names = f"{before.signal.name} and {other.signal.name}"
+            raise root.error(f"{names} overlap in the answer to '{before.request.name}'")
 
 
 def _request_rule(section: Section, name: str) -> RequestRule:

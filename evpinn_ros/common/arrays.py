@@ -33,8 +33,8 @@ def within(values: Any, low: float, high: float) -> Any:
     """
     if namespace(values) is not np:
         return values.clip(low, high)
-    found = values if low == -math.inf else np.maximum(values, low)
-    return found if high == math.inf else np.minimum(found, high)
+    limited = values if low == -math.inf else np.maximum(values, low)
+    return limited if high == math.inf else np.minimum(limited, high)
 
 
 def numbers(mask: Any, example: Any) -> Any:

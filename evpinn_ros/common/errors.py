@@ -63,8 +63,8 @@ SAY_CAR = "say --car NAME for one of them, or use what evpinn convert --car NAME
 
 def near_names(name: str, known: Iterable[str]) -> str:
     """Words to append to an error: known names near to what was typed, empty if none is."""
-    by_lower = {each.lower(): each for each in known}
-    near = [by_lower[each] for each in get_close_matches(name.lower(), by_lower, cutoff=0.6)]
+    by_lower = {name_known.lower(): name_known for name_known in known}
+    near = [by_lower[lower] for lower in get_close_matches(name.lower(), by_lower, cutoff=0.6)]
     return f"; did you mean {', '.join(near)}" if near else ""
 
 

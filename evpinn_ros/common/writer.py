@@ -113,7 +113,7 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] 
     Raises:
         InputError: with both names.
     """
-    read = [(each, _target(each)) for each in inputs if each is not None and _is_there(each)]
+    read = [(path, _target(path)) for path in inputs if path is not None and _is_there(path)]
     written: set[Path] = set()
     for path in outputs:
         if path is None or str(path) == "-":
@@ -141,10 +141,10 @@ def _target(path: Path) -> Path:
         return resolved(path)
 
 
-def _is_same(one: Path, other: Path) -> bool:
+def _is_same(path: Path, other: Path) -> bool:
     """True if two paths lead to one file, by a hard link perhaps."""
     with suppress(OSError):
-        return one == other or one.samefile(other)
+        return path == other or path.samefile(other)
     return False
 
 

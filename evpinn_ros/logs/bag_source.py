@@ -44,8 +44,8 @@ class BagSource(Source):
     def readings(self) -> Iterator[Reading]:
         """The readings in order of log time."""
         with self._reader:
-            found = iter(self._readings)
-            yield from found if self._terrain is None else self._terrain.on(found)
+            readings = iter(self._readings)
+            yield from readings if self._terrain is None else self._terrain.on(readings)
 
 
 def bag_of_topics(path: Path, options: ReadOptions) -> BagSource | None:

@@ -142,17 +142,17 @@ class CanLogSource(Source):
         newest, decoded = 0, 0
         for frame in self._log.frames():
             newest = max(newest, frame.stamp_ns)
-            found = self._bridge.decode(frame)
-            decoded += len(found)
-            yield from found
+            readings = self._bridge.decode(frame)
+            decoded += len(readings)
+            yield from readings
             if self._bridge.refusal:
                 break
-        found = self._bridge.finish()
-        yield from found
+        readings = self._bridge.finish()
+        yield from readings
         status = self._bridge.status(newest)
         self.dropped.update(status.dropped)
         self.dropped.update(self._log.skipped)
-        if not decoded and not found:
+        if not decoded and not readings:
             raise InputError(self.problem or f"{self.path}: {status.text}")
 
 

@@ -57,22 +57,22 @@ def table_of_car(table: Table, head: Head, car: str | None) -> Table:
         InputError: it holds several and none is asked for, or one that it does not hold.
     """
     rows = _rows_by_car(table, head)
-    cars = {place: found for place in rows if (found := _cars(rows[place]))}
+    cars = {place: names for place in rows if (names := _cars(rows[place]))}
     if not cars:
         if car is not None:
             raise InputError(f"no column tells cars apart, so there is no car {car!r}")
         return table
-    place = max(cars, key=lambda each: len(cars[each]))  # a model may have a column as well
-    found = cars[place]
-    there = f"column {head.names[place]!r} has {', '.join(found[:MOST_NAMED])}"
-    if len(found) > MOST_NAMED:
-        there += f" and {len(found) - MOST_NAMED} more"
+    place = max(cars, key=lambda column: len(cars[column]))  # a model may have a column as well
+    names = cars[place]
+    there = f"column {head.names[place]!r} has {', '.join(names[:MOST_NAMED])}"
+    if len(names) > MOST_NAMED:
+        there += f" and {len(names) - MOST_NAMED} more"
     if car is not None:
         if car not in rows[place]:
-            raise InputError(f"no row of the car {car!r}{near_names(car, found)}; {there}")
+            raise InputError(f"no row of the car {car!r}{near_names(car, names)}; {there}")
         return CarTable(table, head, place, car)
-    if len(found) > 1:
-        raise InputError(f"rows of {len(found)} cars; {there}; {SAY_CAR}")
+    if len(names) > 1:
+        raise InputError(f"rows of {len(names)} cars; {there}; {SAY_CAR}")
     return table
 
 

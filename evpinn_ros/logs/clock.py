@@ -140,9 +140,9 @@ class RunningClock:
         steps = np.diff(known, prepend=before[1])
         added = self._added + np.cumsum(self._turns(known, before, steps))
         self._added, self._before = int(added[-1]), np.append(before, known)[-2:]
-        found = stamps.copy()
-        found[there] = known + added
-        return found
+        running = stamps.copy()
+        running[there] = known + added
+        return running
 
     def _turns(
         self, known: NDArray[np.int64], before: NDArray[np.int64], steps: NDArray[np.int64]

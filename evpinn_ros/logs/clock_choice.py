@@ -57,7 +57,7 @@ _ZONES = ("", "%z")
 _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s"))
 
 
-def clocks_of(found: Sequence[Column], survey: Survey, days: Collection[int] = ()) -> list[Clock]:
+def clocks_of(used: Sequence[Column], survey: Survey, days: Collection[int] = ()) -> list[Clock]:
     """The clocks of a table, the best first; none when no column of time can be read.
 
     `days` since 1970 decide where a date can be read in two ways.
@@ -65,7 +65,7 @@ def clocks_of(found: Sequence[Column], survey: Survey, days: Collection[int] = (
     The best reads most rows, never runs backwards, tells rows apart, and knows the date: LeafSpy's
     `epoch time` goes on where its `Date/Time` jumps with the phone's time zone.
     """
-    columns = [column for column in found if column.quantity == "time"]
+    columns = [column for column in used if column.quantity == "time"]
     names = {column.place: column.name for column in columns}
     clocks = [clock for column in columns if (clock := _clock(column, survey, days))]
     by_place = {clock.columns[0]: clock for clock in clocks}
@@ -184,7 +184,7 @@ def clock_of_text(
     first = text.head(200)
     with_date = bool(text.str.contains(r"^\w+-\w+-\w+|^\d{8}").any())
     twelve = bool(text.str.contains(r" [AaPp]M").any())
-    found: list[tuple[tuple[float, ...], Clock]] = []
+    candidates: list[tuple[tuple[float, ...], Clock]] = []
     for rank, (order, pattern) in enumerate(_formats(with_date, twelve)):
         if (parsed_times(first, pattern) == NONE).mean() > 0.5:
             continue
@@ -203,16 +203,18 @@ def clock_of_text(
         )
         kind = "date" if with_date else "time of day"
         clock = Clock(columns, kind, pattern, "", "%z" in pattern, order)
-        found.append((merit, clock))
-    return _best(found)
+        candidates.append((merit, clock))
+    return _best(candidates)
 
 
-def _best(found: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
-    if not found:
+def _best(candidates: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
+    if not candidates:
         return None
-    found.sort(key=lambda each: each[0])
-    merit, clock = found[0]
-    rivals = [other for m, other in found[1:] if m[:5] == merit[:5] and other.why != clock.why]
+    candidates.sort(key=lambda candidate: candidate[0])
+    merit, clock = candidates[0]
+    rivals = [
+        other for m, other in candidates[1:] if m[:5] == merit[:5] and other.why != clock.why
+    ]
     if rivals and clock.why:
         doubt = f"{clock.why}; could be {rivals[0].why} as well"
         clock = replace(clock, why=doubt)
@@ -255,11 +257,11 @@ def _in_its_order(
             for place, cells in survey.cells.items()
             if place not in times
         )
-        columns = [stamps[there & each] for each in filled]
+        columns = [stamps[there & of_column] for of_column in filled]
         if columns and not any(map(_goes_back, columns)):
             return replace(clock, order=Order.SHUFFLED, daily=False, drives_from_ns=None)
         if (first := clock.drives_from_ns) is not None:
-            begins = [_begins(each, first) for each in (stamps[there], *columns)]
+            begins = [_begins(times, first) for times in (stamps[there], *columns)]
             if begins[0] > 2 * max(begins[1:], default=0):
                 clock = replace(clock, drives_from_ns=None)
     if clock.drives_from_ns is not None:

@@ -52,15 +52,15 @@ class NamedDate(NamedTuple):
 
 def dates_of_name(name: str) -> list[NamedDate]:
     """Dates that a file's name may hold: 20181101, 181101, 2018-11-01_12-40-45 and the like."""
-    found = []
+    dates = []
     for match in _NAMED_DATE.finditer(name):
         year, month, day = (int(part) for part in match.groups()[:3])
         with suppress(ValueError):
             moment = datetime(2000 + year, month, day, tzinfo=timezone.utc)
             minutes = int(match[4]) * 60 + int(match[5]) if match[4] else None
             clock = None if minutes is None else minutes * 60 * NANOSECONDS
-            found.append(NamedDate(int(moment.timestamp()) * NANOSECONDS, clock))
-    return [date for date in found if FIRST_TIME_NS < date.day_ns < LAST_TIME_NS]
+            dates.append(NamedDate(int(moment.timestamp()) * NANOSECONDS, clock))
+    return [date for date in dates if FIRST_TIME_NS < date.day_ns < LAST_TIME_NS]
 
 
 def days_of_name(name: str) -> frozenset[int]:

@@ -81,20 +81,20 @@ def columns_by_name(
     ]
     given = [_chosen(text, header) for text in chosen]
     known = {column.quantity for column in given}
-    found = [column for column in own if column.quantity not in known] + given
+    columns = [column for column in own if column.quantity not in known] + given
     if len({column.quantity for column in own}) < len(own):
         raise InputError("a column is there twice")
-    if is_complete({column.quantity for column in found}):
-        return found
-    known = {column.quantity for column in found}
-    taken = {column.place for column in found}
+    if is_complete({column.quantity for column in columns}):
+        return columns
+    known = {column.quantity for column in columns}
+    taken = {column.place for column in columns}
     app = app_of(header)
     for quantity in QUANTITIES:
         if quantity in known:
             continue
         if quantity == "time":
             names = [i for i in range(len(header)) if score(quantity, header[i]) > 0]
-            found += [column_of(quantity, header, i) for i in names if i not in taken]
+            columns += [column_of(quantity, header, i) for i in names if i not in taken]
             continue
         # Power is voltage times current: of a stranger's file it is not needed then.
         if quantity == "power" and {"voltage", "current"} <= known:
@@ -105,13 +105,17 @@ def columns_by_name(
             i: math.inf if header[i] == best_name else score(quantity, header[i]) for i in free
         }
         if quantity not in NEEDED:
-            scores = {i: each for i, each in scores.items() if not _foreign(quantity, header[i])}
+            scores = {
+                i: name_score
+                for i, name_score in scores.items()
+                if not _foreign(quantity, header[i])
+            }
         best = max(scores, key=lambda i: scores[i], default=None)
         if best is not None and scores[best] > 0:
-            found.append(column_of(quantity, header, best))
+            columns.append(column_of(quantity, header, best))
             known.add(quantity)
             taken.add(best)
-    return found
+    return columns
 
 
 def _foreign(quantity: str, name: str) -> str:
@@ -126,20 +130,22 @@ def is_complete(quantities: set[str]) -> bool:
     return battery and {"time", "speed"} <= quantities
 
 
-def check_columns(found: Sequence[Column], header: Sequence[str], *, battery: bool = True) -> None:
+def check_columns(
+    columns: Sequence[Column], header: Sequence[str], *, battery: bool = True
+) -> None:
     """Refuse a table without what is needed: time, speed and, if asked for, the battery.
 
     Raises:
         InputError: with the option that would mend it.
     """
-    quantities = {column.quantity for column in found}
+    quantities = {column.quantity for column in columns}
     there = f"there are {', '.join(header)[:LONGEST_LIST]}"
     if missing := [name for name in ("time", "speed") if name not in quantities]:
         say = " ".join(f"--column {name}=NAME" for name in missing)
         raise InputError(f"no column of {' and '.join(missing)}; {there}; say {say}")
     if battery and not is_complete(quantities):
-        one = [name for name in ("voltage", "current") if name in quantities]
-        lacks = f"a column of {one[0]} alone" if one else "no columns of voltage and current"
+        single = [name for name in ("voltage", "current") if name in quantities]
+        lacks = f"a column of {single[0]} alone" if single else "no columns of voltage and current"
         raise InputError(f"{lacks}, and none of power; {there}; say --column power=NAME")
 
 
@@ -239,7 +245,7 @@ def _reason(name: str, taken: Mapping[str, Column]) -> str:
 
 def by_reason(unused: Mapping[str, str]) -> dict[str, list[str]]:
     """Names by the reason why they are not used."""
-    found: dict[str, list[str]] = {}
+    names_by_reason: dict[str, list[str]] = {}
     for name, why in unused.items():
-        found.setdefault(why, []).append(name)
-    return found
+        names_by_reason.setdefault(why, []).append(name)
+    return names_by_reason

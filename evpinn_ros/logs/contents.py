@@ -83,11 +83,11 @@ def contents(
     # What reads bags and buses takes a while to import: no other drive waits for it.
     from evpinn_ros.logs.bag_source import holds_frames
 
-    found = Contents(path, "CAN log")
+    recording = Contents(path, "CAN log")
     if is_bag(path):
-        found = Contents(path, "bag", topics=_topics(path))
+        recording = Contents(path, "bag", topics=_topics(path))
         if not holds_frames(path, options.car):
-            return _with_drive(found, options, bar)
+            return _with_drive(recording, options, bar)
     elif suffix_of(path) not in LOG_SUFFIXES:
         raise unknown_kind(path)
     from evpinn_ros.logs import bus_sources
@@ -96,10 +96,12 @@ def contents(
     profile = report.best.fit.profile if report.best is not None else None
     cars = map(load_vehicle, vehicle_names())
     names = tuple(car.key for car in cars if profile and car.can_profile == profile)
-    found = replace(found, frames=report.frames, profile=profile, vehicles=names)
-    if profile is None and found.kind != "bag":
-        return replace(found, notes=("no known CAN profile fits: evpinn can inspect says why",))
-    return _with_drive(found, options, bar)
+    recording = replace(recording, frames=report.frames, profile=profile, vehicles=names)
+    if profile is None and recording.kind != "bag":
+        return replace(
+            recording, notes=("no known CAN profile fits: evpinn can inspect says why",)
+        )
+    return _with_drive(recording, options, bar)
 
 
 def _topics(path: Path) -> tuple[TopicContents, ...]:
@@ -115,18 +117,18 @@ def _topics(path: Path) -> tuple[TopicContents, ...]:
         )
 
 
-def _with_drive(found: Contents, options: ReadOptions, bar: Bar) -> Contents:
+def _with_drive(recording: Contents, options: ReadOptions, bar: Bar) -> Contents:
     """Add what the estimator can use."""
     try:
-        source = _source(found, options)
+        source = _source(recording, options)
         with bar(source.seconds) as progress:
             drive = data_coverage(reported(source.readings(), progress))
     except InputError as error:
-        if found.kind != "bag":
+        if recording.kind != "bag":
             raise
-        return replace(found, notes=(str(error),))
+        return replace(recording, notes=(str(error),))
     return replace(
-        found,
+        recording,
         columns=source.rules,
         unused=source.ignored,
         dated=source.dated,
@@ -137,12 +139,12 @@ def _with_drive(found: Contents, options: ReadOptions, bar: Bar) -> Contents:
     )
 
 
-def _source(found: Contents, options: ReadOptions) -> Source:
+def _source(recording: Contents, options: ReadOptions) -> Source:
     """The drive in a recording; topics of ours are preferred to the frames of a bag."""
     vehicle = load_vehicle(GENERIC)
-    if found.kind == "bag":
+    if recording.kind == "bag":
         from evpinn_ros.logs.bag_source import bag_of_topics
 
-        if (bag := bag_of_topics(found.path, options)) is not None:
+        if (bag := bag_of_topics(recording.path, options)) is not None:
             return bag
-    return open_source(found.path, vehicle, replace(options, can_profile=found.profile))
+    return open_source(recording.path, vehicle, replace(options, can_profile=recording.profile))

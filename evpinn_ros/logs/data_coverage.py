@@ -50,7 +50,7 @@ class ReadingFlow:
     @property
     def gaps(self) -> int:
         """Count of those that are longer than the estimator bridges."""
-        return sum(self._parts(each) for each in self._breaks)
+        return sum(self._parts(place) for place in self._breaks)
 
     def add(self, stamp_ns: int) -> None:
         """Take the next one; a straggler makes no gap."""
@@ -70,7 +70,7 @@ class ReadingFlow:
         """Stretches without a gap that is not bridged."""
         if not self.count:
             return []
-        parts = [each for each in self._breaks if self._parts(each)]
+        parts = [place for place in self._breaks if self._parts(place)]
         begins = [self._begin_ns, *(after for _, after in parts)]
         ends = [*(before for before, _ in parts), self._newest_ns]
         return list(zip(begins, ends, strict=True))
@@ -173,18 +173,18 @@ def _kinds(reading: Reading) -> Iterator[str]:
 
 def _common(first: Sequence[Span], second: Sequence[Span]) -> list[Span]:
     """The stretches that lie in both; each list without overlaps of its own."""
-    found = []
+    spans = []
     ours, theirs = sorted(first), sorted(second)
     i = j = 0
     while i < len(ours) and j < len(theirs):
         begin, end = max(ours[i][0], theirs[j][0]), min(ours[i][1], theirs[j][1])
         if begin < end:
-            found.append((begin, end))
+            spans.append((begin, end))
         if ours[i][1] < theirs[j][1]:
             i += 1
         else:
             j += 1
-    return found
+    return spans
 
 
 def _seconds(spans: Iterable[Span]) -> float:

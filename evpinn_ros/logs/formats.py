@@ -74,9 +74,9 @@ def _holds_signals(path: Path) -> bool:
 
 def files_of(path: Path) -> list[Path]:
     """The path itself, or the drives in a folder that is no bag, in order of their names."""
-    if not path.is_dir() or any(each.suffix in _BAG_FILES for each in path.iterdir()):
+    if not path.is_dir() or any(file.suffix in _BAG_FILES for file in path.iterdir()):
         return [path]
-    return sorted(each for each in path.iterdir() if suffix_of(each) in _DRIVES) or [path]
+    return sorted(file for file in path.iterdir() if suffix_of(file) in _DRIVES) or [path]
 
 
 def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
@@ -95,15 +95,15 @@ def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
     seen = set() if seen is None else seen
     waiting = deque([path])
     while waiting:
-        each = waiting.popleft()
-        real = os.path.realpath(each)
+        entry = waiting.popleft()
+        real = os.path.realpath(entry)
         if real in seen:
             continue
         seen.add(real)
-        if not each.is_dir() or _is_bag_folder(each):
-            yield each
+        if not entry.is_dir() or _is_bag_folder(entry):
+            yield entry
             continue
-        for inner in each.iterdir():
+        for inner in entry.iterdir():
             if not (inner.is_dir() or _is_recording(inner)):
                 continue
             if inner.is_symlink():
@@ -124,5 +124,5 @@ def _is_bag_folder(path: Path) -> bool:
     """
     if (path / "metadata.yaml").is_file():
         return True
-    names = (each.name for each in path.iterdir() if each.suffix in BAG_SUFFIXES)
+    names = (file.name for file in path.iterdir() if file.suffix in BAG_SUFFIXES)
     return any(name.startswith(f"{path.name}_") for name in names)

@@ -27,7 +27,7 @@ def write_signals(path: Path, out: Path) -> None:
     with optional_imports():
         from asammdf import MDF
     stamps, names, values = [], [], []
-    found: list[tuple[str, str]] = []
+    signals: list[tuple[str, str]] = []
     with open_file(path) as file, MDF(file) as measured:
         start = measured.header.start_time.timestamp()
         channels = measured.channels_db.items()
@@ -38,15 +38,15 @@ def write_signals(path: Path, out: Path) -> None:
                 continue
             stamps.append(signal.timestamps + start)
             values.append(signal.samples.astype(np.float64))
-            names.append(np.full(len(signal), len(found)))
-            found.append((signal.name, signal.unit or ""))
-    if not found:
+            names.append(np.full(len(signal), len(signals)))
+            signals.append((signal.name, signal.unit or ""))
+    if not signals:
         return
     order = np.argsort(np.concatenate(stamps), kind="stable")
-    columns = (np.concatenate(each)[order] for each in (stamps, names, values))
+    columns = (np.concatenate(parts)[order] for parts in (stamps, names, values))
     with out.open("w", newline="", encoding="utf-8") as table:
         writer = csv.writer(table)
         writer.writerow(HEADER)
         for stamp, number, value in zip(*columns, strict=True):
-            name, unit = found[number]
+            name, unit = signals[number]
             writer.writerow((f"{stamp:.9f}", name, repr(float(value)), unit))

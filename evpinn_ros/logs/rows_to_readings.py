@@ -66,11 +66,11 @@ class RowOrder:
 
 def _alone(times: NDArray[np.int64]) -> NDArray[np.bool_]:
     """True if a row is in the future of its neighbours: one broken digit of a date."""
-    found = np.zeros(times.size, dtype=bool)
+    alone = np.zeros(times.size, dtype=bool)
     if times.size > 2:
         ahead = times[1:-1] - times[2:] > STRAGGLING_NS
-        found[1:-1] = ahead & (times[2:] >= times[:-2])
-    return found
+        alone[1:-1] = ahead & (times[2:] >= times[:-2])
+    return alone
 
 
 class HeldSignals:
@@ -130,38 +130,38 @@ class RowReadings:
         empty = np.full(rows.size, NAN)
 
         def column(name: str) -> list[float]:
-            found: list[float] = (values[name][rows] if name in values else empty).tolist()
-            return found
+            readings: list[float] = (values[name][rows] if name in values else empty).tolist()
+            return readings
 
         self._limit(values)
         self._is_sorted = self._sorted(stamps[rows])
         table = zip(stamps[rows].tolist(), *map(column, COLUMNS), strict=True)
         for stamp, speed, volt, amp, power, charge, *rest in table:
             *place, warm, heat, cool, aux, torque, turning = rest
-            found: list[Reading] = []
+            readings: list[Reading] = []
             if speed == speed and self._is_new("speed", stamp):
-                found.append(SpeedReading(stamp, speed))
+                readings.append(SpeedReading(stamp, speed))
             if self._battery and (battery := self._of_battery(stamp, volt, amp, power, charge)):
-                found.append(battery)
+                readings.append(battery)
             if place[0] == place[0] and self._is_new("elevation", stamp):
-                found.append(AltitudeReading(stamp, *place))
+                readings.append(AltitudeReading(stamp, *place))
             if warm == warm and self._is_new("ambient", stamp):
-                found.append(TemperatureReading(stamp, warm))
+                readings.append(TemperatureReading(stamp, warm))
             if (heat == heat or cool == cool or aux == aux) and self._is_new("loads", stamp):
                 others = (cool if cool == cool else 0.0) + (aux if aux == aux else 0.0)
-                found.append(AuxiliaryReading(stamp, heat if heat == heat else 0.0, others))
+                readings.append(AuxiliaryReading(stamp, heat if heat == heat else 0.0, others))
             if torque == torque and self._is_new("motor", stamp):
-                found.append(MotorReading(stamp, torque, turning))
-            self.used += bool(found)
-            yield from found
+                readings.append(MotorReading(stamp, torque, turning))
+            self.used += bool(readings)
+            yield from readings
 
     def _sorted(self, stamps: NDArray[np.int64]) -> bool:
         """True if each row is later than all before it, so that none needs to be asked."""
         newest = max(self._last.values(), default=-1)
-        found = stamps.size > 0 and stamps[0] > newest and bool((np.diff(stamps) > 0).all())
-        if found:
+        in_order = stamps.size > 0 and stamps[0] > newest and bool((np.diff(stamps) > 0).all())
+        if in_order:
             self._last = dict.fromkeys((*self._last, "newest"), int(stamps[-1]))
-        return found
+        return in_order
 
     def _limit(self, values: Mapping[str, FloatArray]) -> None:
         """Take out what no sensor measures."""

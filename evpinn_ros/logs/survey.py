@@ -97,7 +97,7 @@ def long_form(head: Head) -> tuple[int, int, int | None] | None:
     names = [name.strip().lower() for name in head.names]
 
     def place(known: Sequence[str]) -> int | None:
-        return next((names.index(each) for each in known if each in names), None)
+        return next((names.index(word) for word in known if word in names), None)
 
     name, value = place(NAMES), place(VALUES)
     if name is None or value is None or name == value:
@@ -111,13 +111,13 @@ def _names_some(row: Sequence[str]) -> bool:
         return False
     names = [cell.strip() for cell in row if 0 < len(cell) < 100]
     names = [name for name in names if not name[:1].isdigit()][:1000]
-    found = {
+    quantities = {
         quantity
         for quantity, known in QUANTITIES.items()
         for name in names
         if name == known.column or score(quantity, name) > 0
     }
-    return len(found) >= 2 or ("time" in found and long_form(Head(names, 0)) is not None)
+    return len(quantities) >= 2 or ("time" in quantities and long_form(Head(names, 0)) is not None)
 
 
 def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:
@@ -148,12 +148,12 @@ class Survey:
     @cached_property
     def styles(self) -> dict[int, Style]:
         """Number style of each wanted column; an undecided one takes that of the others."""
-        found = {place: style_of(cells) for place, cells in self.cells.items()}
-        given = Counter(style for style in found.values() if style is not None)
+        styles = {place: style_of(cells) for place, cells in self.cells.items()}
+        given = Counter(style for style in styles.values() if style is not None)
         common = given.most_common(1)[0][0] if given else POINT
         return {
             place: style or style_of(self.cells[place], common) or common
-            for place, style in found.items()
+            for place, style in styles.items()
         }
 
     def put_in_order(self, rows: Sequence[int]) -> None:
@@ -222,7 +222,7 @@ def data_rows(table: Table, head: Head) -> Iterator[Row]:
         cell = row[0]
         if number <= begin or cell[:1] == "#":
             continue
-        if cell.strip() == first and [each.strip() for each in row[:5]] == again:
+        if cell.strip() == first and [cell.strip() for cell in row[:5]] == again:
             continue
         yield number, row
 

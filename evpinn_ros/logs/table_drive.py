@@ -104,23 +104,23 @@ class TableDrive(Source):
                 self._table = self._long = LongTable(self._table, self._head, places)
                 self._head = find_head(self._table)
             header = self._head.names
-            found = columns_by_name(header, options.columns)
-            check_columns(found, header, battery=options.battery)
-            self._beside = power_beside(header, found)
+            columns = columns_by_name(header, options.columns)
+            check_columns(columns, header, battery=options.battery)
+            self._beside = power_beside(header, columns)
         except InputError as error:
             text = str(error)
             raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
-        own = all(not column.why and column.is_ours for column in found)
+        own = all(not column.why and column.is_ours for column in columns)
         limit = FEW_ROWS if own else MOST_ROWS
         if self._long is not None:  # one signal may come after the other
             limit = sys.maxsize
-        survey = self._look_through(found, limit)
-        filled = _filled(found, survey, header, options.columns)
-        if filled != found:
-            found, survey = filled, self._look_through(filled, limit)
+        survey = self._look_through(columns, limit)
+        filled = _filled(columns, survey, header, options.columns)
+        if filled != columns:
+            columns, survey = filled, self._look_through(filled, limit)
         self._looked_at_all = survey.widths.total() < limit
         self._survey = survey
-        self.clock, *clocks = self._clocks(found, survey)
+        self.clock, *clocks = self._clocks(columns, survey)
         self.zoned = self.clock.zoned
         self.in_order = self.clock.order is not Order.SHUFFLED
         stamps = self.clock.stamps(survey.cells)
@@ -129,7 +129,7 @@ class TableDrive(Source):
             stamps = stamps[rows]
             survey.put_in_order(rows.tolist())
         self._contradictions: tuple[str, ...] = ()
-        self.rules = self._ruled(found, own, stamps)
+        self.rules = self._ruled(columns, own, stamps)
         self.ignored = unused_columns(header, self.rules, self.clock.columns, survey.empty)
         if self._long is not None:
             self.ignored |= dict.fromkeys(self._long.others, NO_USE)
@@ -191,22 +191,22 @@ class TableDrive(Source):
             nothing = f"{self.path}: no reading in it; dropped: {reasons or 'nothing'}"
             raise InputError(self.first_bad or nothing)
 
-    def _look_through(self, found: Sequence[Column], limit: int) -> Survey:
+    def _look_through(self, columns: Sequence[Column], limit: int) -> Survey:
         """Cells of these columns."""
         return look_through(
             self._table,
             self._head,
-            sorted({column.place for column in (*found, *filter(None, [self._beside]))}),
-            early=partial(self._clocks, found),
+            sorted({column.place for column in (*columns, *filter(None, [self._beside]))}),
+            early=partial(self._clocks, columns),
             limit=limit,
         )
 
-    def _clocks(self, found: Sequence[Column], survey: Survey) -> list[Clock]:
+    def _clocks(self, columns: Sequence[Column], survey: Survey) -> list[Clock]:
         """The clocks of the table, the best first; InputError when no time can be read."""
         days = days_of_name(self.path.name)
-        clocks = clocks_of(found, survey, days)
+        clocks = clocks_of(columns, survey, days)
         if not clocks:
-            raise InputError(f"{self.path}: {_no_time(found, survey)}")
+            raise InputError(f"{self.path}: {_no_time(columns, survey)}")
         return clocks
 
     def _readings(self) -> Iterator[Reading]:
@@ -259,7 +259,7 @@ class TableDrive(Source):
             if rule.quantity not in ("time", "odometer")
         }
         if self._terrain is not None and values.keys() >= set(PLACES):
-            heights = _heights(self._terrain, *(values[each] for each in PLACES))
+            heights = _heights(self._terrain, *(values[name] for name in PLACES))
             recorded = values.get("elevation", heights)  # which stay where no tile knows better
             values["elevation"] = np.where(np.isnan(heights), recorded, heights)
         return values
@@ -309,19 +309,23 @@ class TableDrive(Source):
                     f"--column {rule.quantity}=NAME takes another column"
                 )
 
-    def _ruled(self, found: Sequence[Column], own: bool, stamps: Stamps) -> tuple[Column, ...]:
+    def _ruled(self, columns: Sequence[Column], own: bool, stamps: Stamps) -> tuple[Column, ...]:
         """The columns with units and signs, in the order of the file."""
         clock, header = self.clock, self._head.names
         time = Column("time", header[clock.columns[0]], place=clock.columns[0])
         if not time.is_ours:
-            given = any(each.quantity == "time" and each.why == "as given" for each in found)
+            given = any(
+                column.quantity == "time" and column.why == "as given" for column in columns
+            )
             meant = QUANTITIES["time"].units.get(clock.unit, Unit(1.0))
             why = "as given" if given else clock.why or "by its values"
             time = time.measured_in(clock.unit or clock.kind, meant, why)
-        used = {column.quantity: column for column in found if column.quantity != "time"}
+        used = {column.quantity: column for column in columns if column.quantity != "time"}
         times = _seconds(clock.running().add(stamps))
         beside = {"power": self._beside} if self._beside else {}
-        signals = {name: self._signal(each, times) for name, each in {**used, **beside}.items()}
+        signals = {
+            name: self._signal(column, times) for name, column in {**used, **beside}.items()
+        }
         if not own:
             used = with_units(used, signals)
             self._no_speed = stands_still(used, signals)
@@ -354,7 +358,7 @@ class TableDrive(Source):
 
 
 def _filled(
-    found: list[Column], survey: Survey, header: Sequence[str], chosen: Sequence[str]
+    columns: list[Column], survey: Survey, header: Sequence[str], chosen: Sequence[str]
 ) -> list[Column]:
     """The columns without guessed ones that have no cell; others of their quantity come instead.
 
@@ -362,12 +366,12 @@ def _filled(
     """
     empty = {
         column.place
-        for column in found
+        for column in columns
         if column.why != "as given" and not column.is_ours and column.place in survey.empty
     }
-    others = columns_by_name(header, chosen, empty) if empty else found
-    lost = {column.quantity for column in found} - {column.quantity for column in others}
-    return found if lost & NEEDED else others
+    others = columns_by_name(header, chosen, empty) if empty else columns
+    lost = {column.quantity for column in columns} - {column.quantity for column in others}
+    return columns if lost & NEEDED else others
 
 
 def _heights(
@@ -375,7 +379,7 @@ def _heights(
 ) -> NDArray[np.float64]:
     """Heights of the ground where the place is new, m; of a place in two rows at the second."""
     new = np.isfinite(latitude) | np.isfinite(longitude)
-    place = [_held(each)[new] for each in (latitude, longitude)]
+    place = [_held(degrees)[new] for degrees in (latitude, longitude)]
     heights = np.full(latitude.shape, np.nan)
     heights[new] = terrain.heights(*place)
     return heights
@@ -408,17 +412,17 @@ def _oldest_first(blocks: Iterator[Block], order: Order) -> Iterator[Block]:
         return
     if order is Order.NEWEST_FIRST:  # times of a day may begin anew, so they are not sorted
         for stamps, values in reversed(list(blocks)):
-            yield stamps[::-1], {name: each[::-1] for name, each in values.items()}
+            yield stamps[::-1], {name: numbers[::-1] for name, numbers in values.items()}
         return
     held = list(blocks)
-    stamps = np.concatenate([each for each, _ in held] or [np.empty(0, np.int64)])
+    stamps = np.concatenate([part for part, _ in held] or [np.empty(0, np.int64)])
     names = held[0][1] if held else {}
-    values = {name: np.concatenate([each[name] for _, each in held]) for name in names}
+    values = {name: np.concatenate([part[name] for _, part in held]) for name in names}
     del held
     rows = order.rows(stamps)
     for begin in range(0, rows.size, BATCH):
         block = rows[begin : begin + BATCH]
-        yield stamps[block], {name: each[block] for name, each in values.items()}
+        yield stamps[block], {name: part[block] for name, part in values.items()}
 
 
 def _cells(batch: Batch, place: int) -> list[str]:
@@ -432,8 +436,8 @@ def _seconds(stamps: Stamps) -> NDArray[np.float64]:
     return np.where(there, (stamps - first) / NANOSECONDS, math.nan)
 
 
-def _no_time(found: Sequence[Column], survey: Survey) -> str:
-    column = next(column for column in found if column.quantity == "time")
+def _no_time(columns: Sequence[Column], survey: Survey) -> str:
+    column = next(column for column in columns if column.quantity == "time")
     cell = next((cell for cell in survey.cells[column.place] if not is_missing(cell)), "")
     if not survey.widths.total():
         return "no row below the header"

@@ -71,7 +71,7 @@ class Terrain:
         Raises:
             InputError: a tile cannot be read.
         """
-        found = np.full(latitude.shape, np.nan)
+        heights = np.full(latitude.shape, np.nan)
         known = np.isfinite(latitude) & np.isfinite(longitude)
         corners = np.floor(np.column_stack((latitude, longitude))[known]).astype(int)
         for south, west in np.unique(corners, axis=0).tolist():
@@ -79,11 +79,11 @@ class Terrain:
             if path is None:
                 continue
             here = known & (np.floor(latitude) == south) & (np.floor(longitude) == west)
-            found[here] = self._hgt(path, south, west).at(latitude[here], longitude[here])
+            heights[here] = self._hgt(path, south, west).at(latitude[here], longitude[here])
         for grid in self._grids:
-            left = known & np.isnan(found)
-            found[left] = grid.at(latitude[left], longitude[left])
-        return found
+            left = known & np.isnan(heights)
+            heights[left] = grid.at(latitude[left], longitude[left])
+        return heights
 
     def on(self, readings: Iterator[Reading]) -> Iterator[Reading]:
         """Readings whose altitudes are those of the ground at their place, where that is known."""
@@ -116,7 +116,7 @@ class HeightGrid(NamedTuple):
 
         Cells reach half a step beyond the outermost samples.
         """
-        found = np.full(latitude.shape, np.nan)
+        heights = np.full(latitude.shape, np.nan)
         rows, columns = self.heights.shape
         row, column = (
             (self.north - latitude) / self.steps[0],
@@ -131,8 +131,8 @@ class HeightGrid(NamedTuple):
         values = np.array(corners)
         values[values == _VOID] = np.nan
         weights = np.array([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right)])
-        found[inside] = (np.vstack((weights, down * right)) * values).sum(0)
-        return found
+        heights[inside] = (np.vstack((weights, down * right)) * values).sum(0)
+        return heights
 
 
 def read_hgt(path: Path, south: int, west: int) -> HeightGrid:

@@ -108,7 +108,7 @@ class TextTable:
         }
 
         def merit(sign: str) -> tuple[int, int]:
-            most, times = max(counts[sign].items(), key=lambda each: (each[0] > 0) * each[1])
+            most, times = max(counts[sign].items(), key=lambda count: (count[0] > 0) * count[1])
             return (times if most else 0, most)
 
         return max(SEPARATORS, key=merit) if lines else ","

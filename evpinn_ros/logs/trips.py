@@ -60,26 +60,26 @@ class JoinedLog(Source):
     @property
     def seconds(self) -> float | None:
         """Length of all files together, without the pauses between them, s."""
-        lengths = [each.seconds for each in self._files]
+        lengths = [file.seconds for file in self._files]
         return sum(filter(None, lengths)) if all(lengths) else None
 
     @property
     def problem(self) -> str | None:
         """Unreadable parts of the files."""
-        return "; ".join(each.problem for each in self._files if each.problem) or None
+        return "; ".join(file.problem for file in self._files if file.problem) or None
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes of all files, each once."""
-        return tuple(dict.fromkeys(note for each in self._files for note in each.notes))
+        return tuple(dict.fromkeys(note for file in self._files for note in file.notes))
 
     def readings(self) -> Iterator[Reading]:
         """The readings of all files in order."""
-        for each in self._files:
-            yield from each.readings()
+        for file in self._files:
+            yield from file.readings()
         self.dropped.clear()
-        for each in self._files:
-            self.dropped.update(each.dropped)
+        for file in self._files:
+            self.dropped.update(file.dropped)
 
 
 def joined(logs: Sequence[Source]) -> list[Source]:
@@ -141,7 +141,7 @@ class TripSource(Source):
         """Readings of the trip in recorded order; what the log lost counts with its last trip."""
         begin, end = self._trip.begin_ns, self._trip.end_ns
         until = math.inf if self._last else end + STRAGGLING_NS
-        for reading in takewhile(lambda one: one.stamp_ns <= until, self._log.readings()):
+        for reading in takewhile(lambda reading: reading.stamp_ns <= until, self._log.readings()):
             if begin <= reading.stamp_ns <= end:
                 yield reading
         if self._last:
@@ -188,13 +188,13 @@ def trips_of(readings: Iterable[Reading]) -> Trips:
         breaks.append((begin + edge, end - edge))
     breaks.append((math.inf, math.inf))
     way = np.concatenate(([0.0], np.cumsum((fast[1:] + fast[:-1]) / 2 * _steps(time))))
-    found = []
+    trips = []
     for (_, begin), (end, _) in pairwise(breaks):
         far = float(np.interp(end, time, way) - np.interp(begin, time, way))
         if far >= LEAST_DISTANCE:
-            begin_ns, end_ns = (start_ns + each * NANOSECONDS for each in (begin, end))
-            found.append(Trip(begin_ns, end_ns, far))
-    return Trips(tuple(found), charged)
+            begin_ns, end_ns = (start_ns + seconds * NANOSECONDS for seconds in (begin, end))
+            trips.append(Trip(begin_ns, end_ns, far))
+    return Trips(tuple(trips), charged)
 
 
 def _series(rows: Sequence[tuple[int, float]], start_ns: int) -> tuple[np.ndarray, np.ndarray]:

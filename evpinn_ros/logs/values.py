@@ -65,9 +65,9 @@ class Signal:
         return self.value[np.isfinite(self.value)]
 
 
-def with_units(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> dict[str, Column]:
+def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> dict[str, Column]:
     """The columns, each with a unit and a sign."""
-    done = dict(found)
+    done = dict(columns)
     if "odometer" in done and not done["odometer"].unit:
         done["odometer"] = done["odometer"].in_unit("km", "assumed")
     for name, decide in _BY_VALUES.items():  # the speed's needs the unit of power
@@ -87,13 +87,13 @@ def _is_known(column: Column) -> bool:
     return bool(column.unit) or column.is_ours
 
 
-def _road(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> float:
+def _road(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> float:
     """Metres by the odometer over the integral of speed in the file's unit; NaN if not known.
 
     A low quantile over the ways from one step of the odometer to the next: where a phone has lost
     its GPS the speed is zero for a while, so a way is too short or right.
     """
-    if "odometer" not in found:
+    if "odometer" not in columns:
         return np.nan
     counted, speed = cells["odometer"], cells["speed"]
     known = np.isfinite(counted.time) & (counted.value > 0)
@@ -110,7 +110,7 @@ def _road(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> float:
     whole = (np.diff(np.interp(time[steps], times, gaps)) == 0) & (ways > 0)
     if whole.sum() < LEAST_SEGMENTS:
         return np.nan
-    ratios = np.diff(value[steps])[whole] * found["odometer"].factor / ways[whole]
+    ratios = np.diff(value[steps])[whole] * columns["odometer"].factor / ways[whole]
     return float(np.quantile(ratios, 0.25))
 
 
@@ -133,37 +133,37 @@ def pull(speed: Signal, power: Signal) -> float:
     return float(spread[0, 1] / spread[0, 0])
 
 
-def _power_of(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> Signal | None:
+def _power_of(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> Signal | None:
     """Power of the battery, W, its sign unknown."""
     if {"voltage", "current"} <= cells.keys():
         current = cells["current"]
-        scale = found["voltage"].factor * found["current"].factor
+        scale = columns["voltage"].factor * columns["current"].factor
         volts = at_times(cells["voltage"], current.time)
         return Signal(current.time, scale * current.value * volts)
     if "power" in cells:
-        return Signal(cells["power"].time, cells["power"].value * found["power"].factor)
+        return Signal(cells["power"].time, cells["power"].value * columns["power"].factor)
     return None
 
 
 def _speed_unit(
-    column: Column, found: Mapping[str, Column], cells: Mapping[str, Signal]
+    column: Column, columns: Mapping[str, Column], cells: Mapping[str, Signal]
 ) -> Column:
-    signal, odometer = cells["speed"], found.get("odometer")
+    signal, odometer = cells["speed"], columns.get("odometer")
     units = QUANTITIES["speed"].units
-    road = _road(found, cells)
+    road = _road(columns, cells)
     if road > 0:
         ratios = {text: abs(np.log(units[text].factor / road)) for text in ("km/h", "mph", "m/s")}
-        text = min(ratios, key=lambda each: ratios[each])
+        text = min(ratios, key=lambda unit: ratios[unit])
         if ratios[text] < SAME_ROAD:
             return column.in_unit(text, "by the odometer")
     if odometer is not None and odometer.why == "by its name":
         text = "mph" if odometer.unit.startswith("mi") else "km/h"
         return column.in_unit(text, "as the odometer")
-    power = _power_of(found, cells)
+    power = _power_of(columns, cells)
     mass = abs(pull(signal, power)) if power is not None else np.nan
     if mass > 0:
         masses = {text: mass / units[text].factor ** 2 for text in ("km/h", "m/s")}
-        text = min(masses, key=lambda each: abs(np.log(masses[each] / USUAL_MASS)))
+        text = min(masses, key=lambda unit: abs(np.log(masses[unit] / USUAL_MASS)))
         if abs(np.log(masses[text] / USUAL_MASS)) < np.log(3.0):
             return column.in_unit(text, "by the power that accelerating takes")
     value = signal.known
@@ -178,13 +178,13 @@ def _speed_unit(
     return column.in_unit("m/s", f"by its values, up to {fastest:.3g}")
 
 
-def stands_still(found: Mapping[str, Column], cells: Mapping[str, Signal]) -> bool:
+def stands_still(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> bool:
     """True if speed is zero throughout while the odometer goes on: a phone without GPS."""
-    if "odometer" not in found or "speed" not in cells:
+    if "odometer" not in columns or "speed" not in cells:
         return False
     speed, odometer = cells["speed"].value, cells["odometer"].value
     odometer = odometer[odometer > 0]
-    way = float(np.ptp(odometer)) * found["odometer"].factor if odometer.size else 0.0
+    way = float(np.ptp(odometer)) * columns["odometer"].factor if odometer.size else 0.0
     return way >= STANDING and not np.nan_to_num(speed).any()
 
 
@@ -213,13 +213,13 @@ def at_times(signal: Signal, times: FloatArray) -> FloatArray:
         return np.full(times.shape, np.nan)
     order = np.argsort(time, kind="stable")
     time, value = time[order], value[order]
-    found = np.interp(times, time, value)
+    interpolated = np.interp(times, time, value)
     after = np.clip(np.searchsorted(time, times), 1, time.size - 1)
     inside = (times > time[after - 1]) & (times < time[after])
     far = inside & (time[after] - time[after - 1] > LONGEST_STEP)
     far |= (times < time[0]) | (times > time[-1])
-    found[far] = np.nan
-    return found
+    interpolated[far] = np.nan
+    return interpolated
 
 
 def _sign(drawn: Signal, speed: Column, cells: Mapping[str, Signal]) -> tuple[bool, str]:
@@ -248,8 +248,8 @@ def _sag(current: Signal, voltage: Signal) -> float:
     amps, volts = amps[near], volts[near]
     if amps.size < LEAST_SAGS or not amps.any() or not volts.any():
         return 0.0
-    found = float(np.corrcoef(amps, volts)[0, 1])
-    return found if abs(found) > SAG else 0.0
+    correlation = float(np.corrcoef(amps, volts)[0, 1])
+    return correlation if abs(correlation) > SAG else 0.0
 
 
 def _say_sign(column: Column, positive: bool, shows: str) -> Column:
@@ -323,7 +323,7 @@ def power_beside(header: Sequence[str], used: Sequence[Column]) -> Column | None
         return None
     scores = {place: score("power", name) for place, name in enumerate(header)}
     for place, name in enumerate(header):
-        if place in taken.values() or any(score(each, name) > 0.0 for each in LOADS):
+        if place in taken.values() or any(score(load, name) > 0.0 for load in LOADS):
             scores[place] = 0.0
     place = max(scores, key=lambda i: scores[i])
     if scores[place] <= 0.0:
@@ -366,14 +366,14 @@ def _compared(name: str, power: Signal, drawn: Signal) -> Iterator[str]:
     """Sentences on a column of power beside voltage times current, W."""
     at = at_times(power, drawn.time)
     known = np.isfinite(at) & np.isfinite(drawn.value)
-    one, other = at[known], drawn.value[known]
-    if one.size < LEAST_EVENTS or not np.ptp(one) or not np.ptp(other):
+    beside, other = at[known], drawn.value[known]
+    if beside.size < LEAST_EVENTS or not np.ptp(beside) or not np.ptp(other):
         return
-    alike = float(np.corrcoef(one, other)[0, 1])
+    alike = float(np.corrcoef(beside, other)[0, 1])
     if abs(alike) < ALIKE:
         yield f"{name!r} has little in common with voltage times current, which are used"
         return
-    ratio = float(np.std(one) / np.std(other))
+    ratio = float(np.std(beside) / np.std(other))
     if alike < 0.0:
         yield f"{name!r} has the other sign than voltage times current, which are used"
     if not SAME_SIZE[0] < ratio < SAME_SIZE[1]:

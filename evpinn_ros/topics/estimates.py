@@ -59,10 +59,10 @@ def output_messages(
         ValueError: a number is not finite; nothing of this output may then be published.
     """
     if isinstance(output, PowerEstimate):
-        found = {POWER: Uncertain(output.power, output.sigma)}
+        values_by_name = {POWER: Uncertain(output.power, output.sigma)}
         if math.isfinite(output.energy_sigma):
-            found[UNMEASURED_ENERGY] = Uncertain(output.energy, output.energy_sigma)
-        yield POWER_TOPICS[output.kind], _vector(new, output.stamp_ns, found)
+            values_by_name[UNMEASURED_ENERGY] = Uncertain(output.energy, output.energy_sigma)
+        yield POWER_TOPICS[output.kind], _vector(new, output.stamp_ns, values_by_name)
     elif isinstance(output, EnergyState):
         yield from _energy_messages(new, output)
     elif isinstance(output, AccountSummary):
@@ -71,36 +71,41 @@ def output_messages(
         yield from _parameter_messages(new, output)
 
 
-def _parameter_messages(new: NewMessage, found: ParameterSet) -> Iterator[tuple[Topic, Any]]:
-    parameters = {name: Uncertain(p.value, p.std) for name, p in found.parameters.items()}
-    live = _vector(new, found.stamp_ns, parameters)
+def _parameter_messages(
+    new: NewMessage, parameter_set: ParameterSet
+) -> Iterator[tuple[Topic, Any]]:
+    parameters = {name: Uncertain(p.value, p.std) for name, p in parameter_set.parameters.items()}
+    live = _vector(new, parameter_set.stamp_ns, parameters)
     yield topics.PARAMETERS, live
-    sums = map(Uncertain, found.identifiable, found.identifiable_std)
+    sums = map(Uncertain, parameter_set.identifiable, parameter_set.identifiable_std)
     combined = dict(zip(IDENTIFIABLE_NAMES, sums, strict=True))
-    yield topics.IDENTIFIABLE, _vector(new, found.stamp_ns, combined)
+    yield topics.IDENTIFIABLE, _vector(new, parameter_set.stamp_ns, combined)
     bounds = {
         f"{name}_{bound}": getattr(estimate, bound)
-        for name, estimate in found.parameters.items()
+        for name, estimate in parameter_set.parameters.items()
         for bound in BOUNDS
     }
-    yield topics.BOUNDS, named_vector(new, found.stamp_ns, list(bounds), list(bounds.values()))
-    if found.reliable:
+    yield (
+        topics.BOUNDS,
+        named_vector(new, parameter_set.stamp_ns, list(bounds), list(bounds.values())),
+    )
+    if parameter_set.reliable:
         yield topics.RELIABLE, live
     for topic in topics.PARAMETER_SCALARS:
         name = topic.name.rpartition("/")[2]
-        yield topic, scalar(new, found.parameters[name].value)
+        yield topic, scalar(new, parameter_set.parameters[name].value)
 
 
 def breakdown_messages(
-    new: NewMessage, stamp_ns: int, found: Breakdown | None
+    new: NewMessage, stamp_ns: int, breakdown: Breakdown | None
 ) -> Iterator[tuple[Topic, Any]]:
     """The message of a breakdown; none while there is none."""
-    if found is None:
+    if breakdown is None:
         return
-    amounts = {**found.amounts(), "measured": found.total()}
+    amounts = {**breakdown.amounts(), "measured": breakdown.total()}
     energies = {
-        name: Uncertain(each.kwh * JOULES_PER_KWH, each.sigma_kwh * JOULES_PER_KWH)
-        for name, each in amounts.items()
+        name: Uncertain(amount.kwh * JOULES_PER_KWH, amount.sigma_kwh * JOULES_PER_KWH)
+        for name, amount in amounts.items()
     }
     yield topics.ENERGY_BREAKDOWN, _vector(new, stamp_ns, energies)
 
@@ -135,19 +140,19 @@ def _summary_messages(new: NewMessage, summary: AccountSummary) -> Iterator[tupl
     }
     consumption = named_vector(new, summary.stamp_ns, list(driven), list(driven.values()))
     yield topics.ENERGY_CONSUMPTION, consumption
-    found = {
+    values_by_name = {
         "usable_energy": summary.usable,
         "state_of_charge": summary.charge,
         "capacity": summary.capacity,
     }
     if summary.remaining is not None:
         distance, sigma, lower, upper = summary.remaining
-        found |= {
+        values_by_name |= {
             "distance_to_empty": Uncertain(distance, sigma),
             "distance_lower": Uncertain(lower, 0.0),
             "distance_upper": Uncertain(upper, 0.0),
         }
-    known = {name: value for name, value in found.items() if value.known}
+    known = {name: value for name, value in values_by_name.items() if value.known}
     if known:
         yield topics.ENERGY_RANGE, _vector(new, summary.stamp_ns, known)
 
@@ -162,9 +167,9 @@ def _totals(prefix: str, totals: EnergyTotals) -> dict[str, Uncertain]:
     }
 
 
-def _vector(new: NewMessage, stamp_ns: int, found: Mapping[str, Uncertain]) -> Any:
-    values, sigmas = zip(*found.values(), strict=True)
-    return named_vector(new, stamp_ns, list(found), values, sigmas)
+def _vector(new: NewMessage, stamp_ns: int, values_by_name: Mapping[str, Uncertain]) -> Any:
+    values, sigmas = zip(*values_by_name.values(), strict=True)
+    return named_vector(new, stamp_ns, list(values_by_name), values, sigmas)
 
 
 # --- readers -----------------------------------------------------------------------------------
@@ -176,9 +181,9 @@ def read_power(topic: Topic, message: Any) -> PowerEstimate:
     if POWER not in vector.values:
         raise BadMessage("no_power")
     numbers = [
-        each.get(name, math.nan)
+        column.get(name, math.nan)
         for name in (POWER, UNMEASURED_ENERGY)
-        for each in (vector.values, vector.sigmas)
+        for column in (vector.values, vector.sigmas)
     ]
     return PowerEstimate(POWER_KINDS[topic], vector.stamp_ns, *numbers)
 

@@ -129,7 +129,7 @@ def diagnostics(
 
     `hardware` is the `hardware_id` of all of them.
     """
-    found = []
+    rows = []
     for name, level, message, values in statuses:
         pairs = [
             new("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
@@ -139,8 +139,8 @@ def diagnostics(
         status = new(kind, hardware_id=hardware, name=name, message=message, values=pairs)
         # rclpy holds a byte as bytes, rosbags as int: the constant of the class is right in both.
         status.level = getattr(type(status), Level(level).name)
-        found.append(status)
-    return new(topics.DIAGNOSTICS_TYPE, header=header(new, stamp_ns), status=found)
+        rows.append(status)
+    return new(topics.DIAGNOSTICS_TYPE, header=header(new, stamp_ns), status=rows)
 
 
 def finite(value: float) -> float:

@@ -320,7 +320,9 @@ def refuse_wrong(table: tuple[Parameter, ...], values: Mapping[str, object]) -> 
 
     What is not given has its default; names that are not in the table are not looked at.
     """
-    all_values = {each.name: values.get(each.name, each.default) for each in table}
+    all_values = {
+        parameter.name: values.get(parameter.name, parameter.default) for parameter in table
+    }
     for parameter in table:
         if problem := parameter.problem(all_values[parameter.name]):
             raise InputError(problem)

@@ -42,16 +42,18 @@ def _read(path: Path) -> dict[str, dict[str, Value]]:
     sections = list(_sections(root, root.node, ""))
     if not sections:
         raise root.error(f"no '{PARAMETERS_KEY}' in this file: not a parameter file")
-    found: dict[str, dict[str, Value]] = {node: {} for node in TABLES}
+    values_of_node: dict[str, dict[str, Value]] = {node: {} for node in TABLES}
     for name, key, parameters in sections:
         if name not in (*TABLES, *WILDCARDS):
             raise root.error(f"unknown node '{name}'{known_names(name, TABLES)}", key)
         nodes = list(TABLES) if name in WILDCARDS else [name]
         values = _checked(root, nodes, parameters)
         for node in nodes:
-            found[node] |= {p.name: values[p.name] for p in TABLES[node] if p.name in values}
-            _refuse(root, node, found[node], parameters)
-    return found
+            values_of_node[node] |= {
+                p.name: values[p.name] for p in TABLES[node] if p.name in values
+            }
+            _refuse(root, node, values_of_node[node], parameters)
+    return values_of_node
 
 
 def _sections(

@@ -286,8 +286,8 @@ def altitude_reading(message: Any) -> AltitudeReading:
     if message.status.status < STATUS_FIX:
         raise BadMessage("no_fix", usual=True)
     stamp, altitude = stamp_ns(message), usable(message.altitude)
-    found = AltitudeReading(stamp, altitude, message.latitude, message.longitude)
-    return found if found.has_position else AltitudeReading(stamp, altitude)
+    reading = AltitudeReading(stamp, altitude, message.latitude, message.longitude)
+    return reading if reading.has_position else AltitudeReading(stamp, altitude)
 
 
 def temperature_reading(message: Any) -> TemperatureReading:

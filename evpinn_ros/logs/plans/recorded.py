@@ -89,8 +89,8 @@ def plan_of_readings(readings: Iterable[Reading]) -> Plan:
 
 def _series(rows: list[tuple[int, float]], start: int) -> np.ndarray:
     """Time, s, and value, each moment once and in order, shape (n, 2)."""
-    found = dict(sorted(row for row in rows if np.isfinite(row[1])))
-    seconds = [((stamp - start) / NANOSECONDS, value) for stamp, value in found.items()]
+    value_at = dict(sorted(row for row in rows if np.isfinite(row[1])))
+    seconds = [((stamp - start) / NANOSECONDS, value) for stamp, value in value_at.items()]
     return np.array(seconds, float).reshape(-1, 2)
 
 
@@ -120,16 +120,16 @@ def planned_in_bag(path: Path, vehicle: Vehicle) -> Plan | None:
     """
     own = vehicle.nominal_speed
     usual = NOMINAL_SPEED if math.isnan(own) else own
-    found: Plan | PlanError | None = None
+    plan: Plan | PlanError | None = None
     with BagReader(path) as bag:
-        if DRIVEN & {each.type_name for each in bag.topics.values()}:
+        if DRIVEN & {topic.type_name for topic in bag.topics.values()}:
             return None
-        names = {name for name, each in bag.topics.items() if each.type_name in PLAN_TYPES}
+        names = {name for name, topic in bag.topics.items() if topic.type_name in PLAN_TYPES}
         for record in bag.raw_records(names):
             try:
-                found = plan_of_message(record.type_name, record.message, decode, usual)
+                plan = plan_of_message(record.type_name, record.message, decode, usual)
             except PlanError as error:
-                found = found or PlanError(f"{record.topic}: {error}")
-    if isinstance(found, PlanError):
-        raise found
-    return found
+                plan = plan or PlanError(f"{record.topic}: {error}")
+    if isinstance(plan, PlanError):
+        raise plan
+    return plan

@@ -104,8 +104,8 @@ def _valhalla_route(trip: Json) -> Legs:
     end = 0.0
     for leg in trip["legs"]:
         made = leg.get("maneuvers") or [leg["summary"]]
-        parts += [RoutePart(each["length"] * metres, each["time"]) for each in made]
-        begin, end = end, end + sum(each["length"] for each in made) * metres
+        parts += [RoutePart(maneuver["length"] * metres, maneuver["time"]) for maneuver in made]
+        begin, end = end, end + sum(maneuver["length"] for maneuver in made) * metres
         if leg.get("elevation"):
             up = np.array(leg["elevation"], float) * metres_up
             along = begin + np.arange(len(up)) * float(leg["elevation_interval"]) * metres_up
@@ -161,7 +161,7 @@ def _graphhopper(path: Json) -> Legs:
                 for begin, end, value in details[timed]]  # fmt: skip
     else:
         made = path.get("instructions") or [path]
-        rows = [(each["distance"], each["time"]) for each in made]
+        rows = [(instruction["distance"], instruction["time"]) for instruction in made]
     lengths, values = np.array(rows, float).T
     by_speed = line and timed == "average_speed"
     seconds = _scaled(lengths / values if by_speed else values, path["time"] / 1000)
@@ -175,8 +175,8 @@ def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
     parts: list[RoutePart] = []
     for segment in route["segments"]:
         made = segment.get("steps") or [segment]
-        lengths = _scaled([each["distance"] for each in made], segment["distance"] * metres)
-        parts += map(RoutePart, lengths, [each["duration"] for each in made])
+        lengths = _scaled([step["distance"] for step in made], segment["distance"] * metres)
+        parts += map(RoutePart, lengths, [step["duration"] for step in made])
     return _legs(parts, _line(geometry, sum(part.length for part in parts), 1e5))
 
 
@@ -188,10 +188,10 @@ def _line(line: Any, total: float, scale: float) -> Heights | None:
     if not line:
         return None
     if isinstance(line, str):
-        found = [*_decoded(line, scale)]
-        if not found:
+        lines = [*_decoded(line, scale)]
+        if not lines:
             raise PlanError("its polyline is damaged")
-        places = min(found, key=lambda each: abs(each[0][-1] - total))
+        places = min(lines, key=lambda line: abs(line[0][-1] - total))
     else:
         rows = np.array([[*point[:3], math.nan][:3] for point in line["coordinates"]], float)
         places = way_length(rows[:, 0], rows[:, 1]), rows[:, 2]
@@ -235,5 +235,5 @@ def decode_polyline(text: str, scale: float, dimensions: int) -> np.ndarray:
     numbers = np.add.reduceat((codes & 31) << shifts, starts)
     steps = np.where(numbers & 1, ~(numbers >> 1), numbers >> 1)
     places = steps.reshape(-1, dimensions).cumsum(axis=0)
-    found: np.ndarray = places / np.array([scale, scale, 100.0])[:dimensions]
-    return found
+    scaled: np.ndarray = places / np.array([scale, scale, 100.0])[:dimensions]
+    return scaled

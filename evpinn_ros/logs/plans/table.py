@@ -48,12 +48,12 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
         InputError: columns are missing, or hold what is no number; `PlanError`: no trip.
     """
     if {*NEEDED} <= {*given}:
-        found = {
+        numbers = {
             name: _numbers(name, given[name]) for name in (*NEEDED, *OPTIONAL) if name in given
         }
-        time, speed = found["t_s"], found["speed_mps"]
-        height = found.get("elevation_m")
-        return plan_from_speed_profile(time, found.get("distance_m"), speed, height)
+        time, speed = numbers["t_s"], numbers["speed_mps"]
+        height = numbers.get("elevation_m")
+        return plan_from_speed_profile(time, numbers.get("distance_m"), speed, height)
     if columns := leg_columns([*given]):
         legs = _in_si(columns, given)
         if "end" in legs and "start" not in legs:
@@ -97,7 +97,7 @@ def table_plan(path: Path) -> Plan | Legs | None:
         for name, place in places.items():
             cells[name].append(row[place] if place < len(row) else "")
     style = style_of(chain(*cells.values())) or POINT
-    return plan_of_columns({name: Cells(each, style) for name, each in cells.items()})
+    return plan_of_columns({name: Cells(texts, style) for name, texts in cells.items()})
 
 
 class Cells(NamedTuple):
@@ -113,25 +113,25 @@ def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
     Raises:
         PlanError: a column of legs does not say its unit.
     """
-    found: dict[str, tuple[str, float]] = {}
+    columns: dict[str, tuple[str, float]] = {}
     bare = ""
     for name in map(str, names):
         for what, (phrases, quantity) in LEG_COLUMNS.items():
             text, unit = unit_of(quantity, name)
             words = words_of(name)[0].strip()
             if unit is None and words in phrases:
-                bare, found[what] = name, (name, math.nan)
+                bare, columns[what] = name, (name, math.nan)
             elif unit and words.removesuffix(text.replace("/", " ")).strip() in phrases:
-                found[what] = name, unit.factor
-    ours = {name for name, _ in found.values()}
+                columns[what] = name, unit.factor
+    ours = {name for name, _ in columns.values()}
     timed = any(score("time", str(name)) > 0 for name in names if name not in ours)
-    if timed or len(found.keys() & {"length", "duration", "speed"}) < 2:
+    if timed or len(columns.keys() & {"length", "duration", "speed"}) < 2:
         return {}
     if bare:
         raise PlanError(
             f"the column {bare!r} does not say its unit, as length_km and speed_kmh do"
         )
-    return found
+    return columns
 
 
 def _in_si(
@@ -141,7 +141,7 @@ def _in_si(
     numbers = {
         what: _numbers(name, given[name]) * factor for what, (name, factor) in columns.items()
     }
-    if len({len(each) for each in numbers.values()}) > 1:
+    if len({len(column) for column in numbers.values()}) > 1:
         lengths = ", ".join(f"{name} {len(numbers[what])}" for what, (name, _) in columns.items())
         raise InputError(f"the columns have different numbers of rows: {lengths}")
     return numbers
@@ -177,10 +177,10 @@ def _numbers(name: str, values: Any) -> np.ndarray:
                 raise InputError(f"{name} holds what is no number, {cell!r} in row {place + 1}")
         return numbers
     with as_input_error(f"{name} holds what is no number", TypeError, ValueError, OverflowError):
-        found = np.atleast_1d(np.asarray(values))
-        if found.dtype.kind in "mM":
+        array = np.atleast_1d(np.asarray(values))
+        if array.dtype.kind in "mM":
             raise InputError(f"{name} holds dates; a plan's are seconds, as of dt.total_seconds()")
-        numbers = np.array(found.tolist(), float)
+        numbers = np.array(array.tolist(), float)
     if numbers.ndim > 1:
         raise InputError(f"{name} has the shape {numbers.shape}; a plan is one trip")
     return numbers

@@ -84,13 +84,13 @@ def gpx_track(content: bytes) -> GeoTrack:
         for begin in range(0, len(content), PIECE):  # what is refused ends with its piece
             parser.feed(content[begin : begin + PIECE])
         parser.close()
-        found = [_gpx_points(reader.points[kind]) for kind in POINTS]
+        tracks = [_gpx_points(reader.points[kind]) for kind in POINTS]
     except (ParseError, LookupError, ValueError) as error:  # of an encoding as well
         raise PlanError(f"its XML is damaged: {error}") from error
     if not reader.is_gpx:
         raise PlanError("XML that is no GPX")
-    timed = [track for track in found if np.isfinite(track.time).any()]
-    return next(iter(timed), found[0] if len(found[0].place) else found[1])
+    timed = [track for track in tracks if np.isfinite(track.time).any()]
+    return next(iter(timed), tracks[0] if len(tracks[0].place) else tracks[1])
 
 
 class _Gpx:
@@ -157,11 +157,11 @@ def geojson_track(data: Mapping[str, Any]) -> GeoTrack:
     speeds: list[Any] = []
     for line, given in _lines(data):
         places += [[*point[:3], np.nan][:3] for point in line]
-        for names, found in ((TIMES, times), (SPEEDS, speeds)):
+        for names, collected in ((TIMES, times), (SPEEDS, speeds)):
             values = next((given[name] for name in names if given.get(name)), [None] * len(line))
             if len(values) != len(line):
                 raise PlanError(f"{len(values)} {names[-1]} for {len(line)} points of a line")
-            found += values
+            collected += values
     place = np.array(places, float).reshape(-1, 3)
     return GeoTrack(place, _seconds(times), np.array(speeds, float))
 

@@ -47,8 +47,8 @@ def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:
     for place, altitude in zip(along.tolist(), height.tolist(), strict=True):
         detector = detector.after(place, altitude)
         rises.append(0.0 if detector.rise is None else detector.rise.height)
-    found: np.ndarray = height[0] + np.cumsum(rises)
-    return found
+    heights: np.ndarray = height[0] + np.cumsum(rises)
+    return heights
 
 
 def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None = None) -> Legs:
