@@ -248,8 +248,10 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         what the output given last rests on.
         """
         arrivals: list[_Arrival] = []
-        for reading in readings:
-            arrivals.append(self._arrive(self._similarity.reading(reading)))
+        similar = [self._similarity.reading(reading) for reading in readings]
+        self._stream.look_ahead(similar)
+        for reading in similar:
+            arrivals.append(self._arrive(reading))
             if arrivals[-1].tick is not None and self._may_change(arrivals):
                 yield from self._act(arrivals)
                 arrivals = []

@@ -1,6 +1,6 @@
 """Speed readings to speed and acceleration, by two methods that know their lag.
 
-- `SpeedTrack.smoothed`: a local quadratic (Savitzky-Golay for uneven steps) around a past moment,
+- `Speeds.smoothed`: a local quadratic (Savitzky-Golay for uneven steps) around a past moment,
   using speed up to `smoothing_lag` after it.
 - `CausalDifferentiator`: acceleration at the newest moment, which has no future to smooth over. It
   learns, from speed alone, the linear combination of past speed differences that best predicts
@@ -11,7 +11,10 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import deque
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
+import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,12 +29,13 @@ LAG_TOLERANCE_NS = 10_000_000  # ns a reading may come early and still count as 
 
 # Spans around a moment whose slope of speed is in the acceleration profile, s after it.
 PROFILE_EDGES = np.array([(0.1, 0.3), (-0.3, -0.1), (-0.6, -0.4)])
-PROFILE, PROFILE_SPAN = len(PROFILE_EDGES), -float(PROFILE_EDGES.min())
+PROFILE = len(PROFILE_EDGES)
 
 TAPS = 10  # speed differences in the causal differentiator
 TAP_PERIOD = 0.1  # s between them
 INITIAL_TAPS = 4  # the first guess is the mean slope over this many
 TAP_STD = 0.2  # 1-sigma of a weight before learning
+LOOK_BACK_NS = int((TAPS + 2) * TAP_PERIOD * NANOSECONDS)  # of speed that a moment rests on
 TARGET_STD = 0.2  # m/s^2, how far smoothed and causal acceleration lie apart
 
 
@@ -95,70 +99,102 @@ class SpeedTrack(SignalTrack):
         return float(middle @ step), float(air @ step)
 
     def smoothed(self, stamp_ns: int, until_ns: int) -> tuple[float, float]:
-        """Speed, m/s, and acceleration, m/s^2, at a moment from a local quadratic.
+        """`Speeds.smoothed` at one moment, from speeds up to another."""
+        last = bisect_right(self.stamps, until_ns)
+        speeds = self.since(stamp_ns - round(SMOOTHING_BACK * NANOSECONDS) - 1, stamp_ns, last)
+        speed, acceleration = speeds.smoothed(np.zeros(1, int), np.array([len(speeds.stamps)]))
+        return float(speed[0]), float(acceleration[0])
+
+    def since(self, oldest_ns: int, zero_ns: int, last: int | None = None) -> Speeds:
+        """The speeds from before a moment on, up to an index, with stamps since `zero_ns`."""
+        last = len(self.stamps) if last is None else last
+        first = max(0, min(bisect_left(self.stamps, oldest_ns), last - MIN_POINTS))
+        stamps = [stamp_ns - zero_ns for stamp_ns in self.stamps[first:last]]
+        return Speeds(np.array(stamps, np.int64), np.array(self.values[first:last]))
+
+
+class Speeds(NamedTuple):
+    """Speeds as arrays: ns since some moment, increasing, and m/s; shape (n,) each."""
+
+    stamps: np.ndarray
+    values: np.ndarray
+
+    @property
+    def time(self) -> np.ndarray:
+        """Stamps in s."""
+        return self.stamps / NANOSECONDS
+
+    def smoothed(self, moments: np.ndarray, until: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Speed, m/s, and acceleration, m/s^2, at m moments from a local quadratic around each.
 
         Of a slow signal it goes through a reading and its two neighbours: the acceleration is
         then the central difference, whose integral along v is that of the kinetic energy.
 
         Args:
-            stamp_ns: the moment.
-            until_ns: speed after this is not used.
+            moments: ns, shape (m,).
+            until: how many speeds, from the first on, each may use, shape (m,).
 
         Returns:
-            Both, or NaN for the acceleration while there are fewer than `MIN_POINTS` speeds, or
-            these lie too close together to determine it.
+            Both, shape (m,), or NaN for the acceleration where there are fewer than `MIN_POINTS`
+            speeds, or these lie too close together to determine it.
         """
-        last = bisect_right(self.stamps, until_ns)
-        first = bisect_left(self.stamps, stamp_ns - int(SMOOTHING_BACK * NANOSECONDS) - 1)
-        first = max(0, min(first, last - MIN_POINTS))
-        time = np.array([s - stamp_ns for s in self.stamps[first:last]]) / NANOSECONDS
-        speed = np.array(self.values[first:last])
-        if len(time) < MIN_POINTS:
-            return float(speed[-1]) if len(speed) else np.nan, np.nan
-        basis = np.stack((np.ones_like(time), time, time**2), axis=1)
-        normal = basis.T @ basis
+        back_ns = int(SMOOTHING_BACK * NANOSECONDS) + 1
+        first = np.minimum(np.searchsorted(self.stamps, moments - back_ns), until - MIN_POINTS)
+        index = np.maximum(first, 0)[:, None] + np.arange((until - np.maximum(first, 0)).max())
+        used = index < until[:, None]
+        index = np.minimum(index, len(self.stamps) - 1)
+        time = (self.stamps[index] - moments[:, None]) / NANOSECONDS
+        basis = np.stack((np.ones_like(time), time, time**2), axis=1) * used[:, None]
+        normal = basis @ basis.transpose(0, 2, 1)
+        few = until < MIN_POINTS
+        normal[few] = np.eye(3)
         try:
-            coefficients = np.linalg.solve(normal, basis.T @ speed)
+            found = np.linalg.solve(normal, basis @ self.values[index][..., None])[..., 0]
         except np.linalg.LinAlgError:
-            return float(speed[-1]), np.nan
-        return float(coefficients[0]), float(coefficients[1])
+            if len(moments) > 1:
+                alone = [self.smoothed(*pair) for pair in zip(*_ones(moments, until), strict=True)]
+                speeds, accelerations = zip(*alone, strict=True)
+                return np.concatenate(speeds), np.concatenate(accelerations)
+            few = np.array([True])
+            found = np.empty((1, 3))
+        found[few, 0], found[few, 1] = self.values[until[few] - 1], np.nan
+        return found[:, 0], found[:, 1]
 
-    def profile(self, stamp_ns: int, until_ns: int, acceleration: float) -> tuple[float, ...]:
-        """Acceleration profile around a past moment: what one number for it leaves out.
+    def slopes(self, moments: np.ndarray, until: np.ndarray) -> np.ndarray:
+        """Mean slope of speed over each span of `PROFILE_EDGES` around moments, m/s^2.
 
-        Args:
-            stamp_ns: the moment.
-            until_ns: speed after this is not used.
-            acceleration: at the moment, m/s^2.
-
-        Returns:
-            Mean slope of speed over each span of `PROFILE_EDGES` less the acceleration, m/s^2,
-            shape (PROFILE,); 0 where speed is not known.
+        The arguments are those of `smoothed`; shape (m, PROFILE), NaN where speed is not known.
         """
-        time, speed = self._around(stamp_ns, PROFILE_SPAN, until_ns)
-        ends = np.interp(PROFILE_EDGES, time, speed)
-        slopes = (ends[:, 1] - ends[:, 0]) / (PROFILE_EDGES[:, 1] - PROFILE_EDGES[:, 0])
-        tolerance = LAG_TOLERANCE_NS / NANOSECONDS
-        known = (PROFILE_EDGES[:, 1] <= time[-1] + tolerance) & (PROFILE_EDGES[:, 0] >= time[0])
-        return tuple(np.where(known, slopes - acceleration, 0.0).tolist())
+        time, begin, end = self.time, *PROFILE_EDGES.T
+        seconds = (moments / NANOSECONDS)[:, None]
+        last = time[until - 1][:, None]
+        ends = (np.interp(np.minimum(seconds + e, last), time, self.values) for e in (begin, end))
+        before, after = ends
+        known = seconds + end <= last + LAG_TOLERANCE_NS / NANOSECONDS
+        known &= seconds + begin >= time[0]
+        return np.where(known, (after - before) / (end - begin), np.nan)
 
-    def differences(self) -> np.ndarray:
-        """Mean slopes of speed over the last `TAPS` periods, newest first, shape (TAPS,), m/s^2.
+    def differences(self, moments: np.ndarray) -> np.ndarray:
+        """Mean slopes of speed over the last `TAPS` periods before moments, newest first, m/s^2.
 
-        Between readings speed is taken as linear; before the first as constant.
+        Between readings speed is taken as linear; before the first as constant. Shape (m, TAPS).
         """
-        newest = self.stamps[-1]
-        grid = -TAP_PERIOD * np.arange(TAPS + 1)
-        speed = np.interp(grid, *self._around(newest, (TAPS + 1) * TAP_PERIOD, newest))
-        slopes: np.ndarray = (speed[:-1] - speed[1:]) / TAP_PERIOD
-        return slopes
+        grid = (moments / NANOSECONDS)[:, None] - TAP_PERIOD * np.arange(TAPS + 1)
+        speed = np.interp(grid, self.time, self.values)
+        return np.asarray((speed[:, :-1] - speed[:, 1:]) / TAP_PERIOD)
 
-    def _around(self, stamp_ns: int, back: float, until_ns: int) -> tuple[np.ndarray, np.ndarray]:
-        """Times after a moment, s, and speeds, from the last reading before `back` s before it."""
-        last = bisect_right(self.stamps, until_ns)
-        first = max(0, bisect_left(self.stamps, stamp_ns - int(back * NANOSECONDS)) - 1)
-        time = np.array([s - stamp_ns for s in self.stamps[first:last]]) / NANOSECONDS
-        return time, np.array(self.values[first:last])
+
+def profile(slopes: Iterable[float], acceleration: float) -> tuple[float, ...]:
+    """Acceleration profile around a moment: what one number for it leaves out.
+
+    Slopes less the acceleration, m/s^2, shape (PROFILE,); 0 where they are not known.
+    """
+    return tuple(0.0 if math.isnan(slope) else slope - acceleration for slope in slopes)
+
+
+def _ones(*arrays: np.ndarray) -> Iterator[list[np.ndarray]]:
+    """Arrays as lists of arrays of one element."""
+    return (np.split(array, len(array)) for array in arrays)
 
 
 class CausalDifferentiator:

@@ -15,16 +15,22 @@ dropped and counted by reason. Time that jumps is not this module's: whoever fee
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from evpinn_ros.core.signals.interval import IntervalBuilder
 from evpinn_ros.core.signals.kinematics import (
     LAG_TOLERANCE_NS,
+    LOOK_BACK_NS,
     MAX_ACCELERATION,
     CausalDifferentiator,
+    Speeds,
     SpeedTrack,
+    profile,
 )
 from evpinn_ros.core.signals.power import BatteryTrack, MotorTrack
 from evpinn_ros.core.signals.readings import (
@@ -60,6 +66,28 @@ class StreamSettings:
     allowed_lateness: float = 0.3
     max_gap: float = 2.5
     grade_source: GradeSource = GradeSource.AUTO
+
+
+class _Smoothed(NamedTuple):
+    """Speed, m/s, and acceleration, m/s^2, at a moment, and `Speeds.slopes` around it."""
+
+    speed: float
+    acceleration: float
+    slopes: list[float]
+
+
+class _Row(NamedTuple):
+    """What rests on speed alone once a speed has come.
+
+    Attributes:
+        differences: of the speeds before it, shape (TAPS,).
+        slopes: around it, as far as they are known.
+        smoothed: the moments that lie `smoothing_lag` back from then on, by stamp.
+    """
+
+    differences: np.ndarray
+    slopes: list[float]
+    smoothed: dict[int, _Smoothed]
 
 
 class SampleStream:
@@ -98,6 +126,8 @@ class SampleStream:
         self._speed, self._battery = SpeedTrack(gap), BatteryTrack(gap)
         self._motor = MotorTrack(gap, self._motor_ratio)
         self._moments: deque[int] = deque()
+        self._coming: deque[SpeedReading] = deque()
+        self._rows: deque[_Row] = deque()
         self._unmeasured: deque[Sample] = deque()
         self._last_moment_ns: int | None = None
         self._begin_stretch()
@@ -137,8 +167,15 @@ class SampleStream:
             voltage = self._battery.latest_voltage(reading.stamp_ns)
         return drawn_power(voltage, reading.current)
 
+    def look_ahead(self, readings: Iterable[Reading]) -> None:
+        """Say which readings come next, so that what rests on speed is computed together."""
+        self._coming = deque(r for r in readings if isinstance(r, SpeedReading))
+        self._rows.clear()
+
     def add_reading(self, reading: Reading) -> Iterator[StreamEvent]:
         """Take one reading and give what it completes, in order."""
+        if self._coming and self._coming[0] is reading:
+            self._coming.popleft()
         if (reason := why_impossible(reading)) is not None:
             self.dropped[reason] += 1
         elif isinstance(reading, SpeedReading):
@@ -151,7 +188,7 @@ class SampleStream:
             self._road.add_reading(reading)
         if self._last_moment_ns is not None:
             yield from self._match_power(self._last_moment_ns)
-        if len(self._speed):
+        if len(self._speed) and isinstance(reading, SpeedReading):
             self._drop_hopeless()
             yield from self._intervals.intervals()
 
@@ -161,6 +198,7 @@ class SampleStream:
             self.dropped["speed_late"] += 1
             return
         if newest is not None and reading.stamp_ns <= newest:
+            self._rows.clear()
             if not self._speed.add(reading.stamp_ns, reading.speed):
                 self.dropped["speed_doubled"] += 1
             return
@@ -171,37 +209,74 @@ class SampleStream:
             self._begin_stretch()
         elif newest is not None:
             self._road.travel(abs(reading.speed) * (reading.stamp_ns - newest) / NANOSECONDS)
+        if not (self._intervals_alone or self._rows):
+            self._compute_rows(reading)
         self._speed.add(reading.stamp_ns, reading.speed)
         if self._intervals_alone:
             return
         self._moments.append(reading.stamp_ns)
-        yield from self._newest_sample(reading)
-        yield from self._smoothed_samples()
+        row = self._rows.popleft()
+        yield from self._newest_sample(reading, row)
+        yield from self._smoothed_samples(row)
 
-    def _newest_sample(self, reading: SpeedReading) -> Iterator[Sample]:
-        differences = self._speed.differences()
-        acceleration = self._differentiator.acceleration(reading.stamp_ns, differences)
+    def _compute_rows(self, reading: SpeedReading) -> None:
+        """Compute what rests on speed alone for this one and those that follow it in order."""
+        zero_ns = reading.stamp_ns
+        run = [reading, *self._following(reading)]
+        stamps = np.array([each.stamp_ns - zero_ns for each in run], np.int64)
+        pending = np.array([moment_ns - zero_ns for moment_ns in self._moments], np.int64)
+        oldest_ns = min([zero_ns, *self._moments]) - LOOK_BACK_NS
+        before = self._speed.since(oldest_ns, zero_ns)
+        values = np.concatenate((before.values, [each.speed for each in run]))
+        speeds = Speeds(np.concatenate((before.stamps, stamps)), values)
+        own = len(before.stamps) + 1 + np.arange(len(run))  # speeds up to each
+        differences, slopes = speeds.differences(stamps), speeds.slopes(stamps, own)
+        self._rows = deque(map(_Row, differences, slopes.tolist(), ({} for _ in run)))
+        moments = np.concatenate((pending, stamps))
+        passed = np.searchsorted(stamps, moments + self._lag_ns)
+        passed[len(pending) :] = np.maximum(passed[len(pending) :], np.arange(len(run)))
+        moments, passed = moments[passed < len(run)], passed[passed < len(run)]
+        if not len(moments):
+            return
+        columns = (*speeds.smoothed(moments, own[passed]), speeds.slopes(moments, own[passed]))
+        rows = zip(moments.tolist(), passed.tolist(), *(c.tolist() for c in columns), strict=True)
+        for moment, row, *smoothed in rows:
+            self._rows[row].smoothed[moment + zero_ns] = _Smoothed(*smoothed)
+
+    def _following(self, reading: SpeedReading) -> Iterator[SpeedReading]:
+        """Speeds that come next and are surely joined to those before them."""
+        newest_ns, gap_ns = reading.stamp_ns, int(self._settings.max_gap * NANOSECONDS)
+        for coming in self._coming:
+            step_ns = coming.stamp_ns - newest_ns
+            if not 0 < step_ns <= gap_ns or why_impossible(coming) is not None:
+                return
+            yield coming
+            newest_ns = coming.stamp_ns
+
+    def _newest_sample(self, reading: SpeedReading, row: _Row) -> Iterator[Sample]:
+        acceleration = self._differentiator.acceleration(reading.stamp_ns, row.differences)
         if abs(acceleration) > MAX_ACCELERATION:
             self.dropped["acceleration_impossible"] += 1
             return
-        yield self._sample(reading.stamp_ns, reading.speed, acceleration, newest=True)
+        moved = reading.speed, acceleration, row.slopes
+        yield self._sample(reading.stamp_ns, _Smoothed(*moved), newest=True)
 
-    def _smoothed_samples(self) -> Iterator[Sample | MeasuredSample]:
+    def _smoothed_samples(self, row: _Row) -> Iterator[Sample | MeasuredSample]:
         newest = self._speed.newest_ns
         while self._moments and newest - self._moments[0] >= self._lag_ns:
             stamp_ns = self._moments.popleft()
             if not self._due(stamp_ns):
                 continue
-            speed, acceleration = self._speed.smoothed(stamp_ns, newest)
-            if math.isnan(acceleration):
+            moved = row.smoothed[stamp_ns]
+            if math.isnan(moved.acceleration):
                 continue
-            if abs(acceleration) > MAX_ACCELERATION or abs(speed) > MAX_SPEED:
+            if abs(moved.acceleration) > MAX_ACCELERATION or abs(moved.speed) > MAX_SPEED:
                 self.dropped["acceleration_impossible"] += 1
                 continue
             yield from self._match_power(stamp_ns - 1)
             self._last_moment_ns = stamp_ns
-            self._differentiator.learn(stamp_ns, acceleration)
-            sample = self._sample(stamp_ns, speed, acceleration)
+            self._differentiator.learn(stamp_ns, moved.acceleration)
+            sample = self._sample(stamp_ns, moved)
             self._unmeasured.append(sample)
             yield sample
 
@@ -212,18 +287,16 @@ class SampleStream:
         step = stamp_ns - self._last_moment_ns
         return step >= int(SAMPLE_PERIOD * NANOSECONDS) - LAG_TOLERANCE_NS
 
-    def _sample(
-        self, stamp_ns: int, speed: float, acceleration: float, *, newest: bool = False
-    ) -> Sample:
+    def _sample(self, stamp_ns: int, moved: _Smoothed, *, newest: bool = False) -> Sample:
         around = self._road.conditions(stamp_ns)
         return Sample(
             stamp_ns=stamp_ns,
-            speed=speed,
-            acceleration=acceleration,
+            speed=moved.speed,
+            acceleration=moved.acceleration,
             grade=self._road.grade(stamp_ns),
             air_density=around.air_density,
             known_auxiliary=around.load,
-            profile=self._speed.profile(stamp_ns, self._speed.newest_ns, acceleration),
+            profile=profile(moved.slopes, moved.acceleration),
             head_wind=around.head_wind,
             celsius=around.celsius,
             doubted_load=around.doubted_load,
