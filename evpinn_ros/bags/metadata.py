@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.writer import replaced
+from evpinn_ros.common.writer import write_file
 from evpinn_ros.common.yaml_section import load_plain
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.topics import SPEED, topic_of
@@ -122,8 +122,7 @@ def as_yaml(content: Any) -> str:
 
 def write_metadata(folder: Path, information: dict[str, Any]) -> None:
     """Replace metadata.yaml at one stroke: a kill leaves the old or the new one."""
-    with replaced(folder / METADATA) as draft:
-        draft.write_text(as_yaml({INFORMATION: information}), encoding="utf-8")
+    write_file(folder / METADATA, as_yaml({INFORMATION: information}))
 
 
 class _Dumper(yaml.SafeDumper):

@@ -24,6 +24,7 @@ from evpinn_ros.bags.rosbags_file import Channel, RawMessage, RosbagsFile
 from evpinn_ros.bags.types import decode, typestore
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import RATIO, check_file, most_unpacked, open_file
+from evpinn_ros.common.writer import new_file
 from evpinn_ros.common.yaml_section import load_plain
 
 _PIECE = 1 << 20
@@ -259,7 +260,7 @@ def _open_packed(packed: Path) -> PlainFile:
 
 def _unpack(packed: Path, path: Path) -> None:
     left = most_unpacked(check_file(packed))
-    with open_file(packed) as source, path.open("wb") as target:
+    with open_file(packed) as source, new_file(path) as target:
         reader = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
         while piece := reader.read(_PIECE):
             left -= len(piece)

@@ -24,6 +24,7 @@ from evpinn_ros.bags.metadata import (
 from evpinn_ros.bags.writer import LIBRARY
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.writer import new_file
 from evpinn_ros.common.yaml_section import plain_text
 
 MOST_LOSSES = 1000  # kept one by one; beyond, only their sum
@@ -237,7 +238,7 @@ class _Copy:
         self._ids: dict[int, tuple[int, WrittenTopic]] = {}  # new id and topic by the old id
         self._schemas = {0: 0}  # new ids by the old ones
         with as_input_error(path):
-            self._file = path.open("xb")
+            self._file = new_file(path)
         self.writer = Writer(self._file)
         # Readers that know ROS 2 refuse any other profile; the types are in the schemas.
         self.writer.start(profile="ros2", library=LIBRARY)

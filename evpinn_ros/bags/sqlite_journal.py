@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
-import shutil
 import sqlite3
 
 from evpinn_ros.common.errors import InputError, as_input_error
-from evpinn_ros.common.opener import check_file, open_file
+from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.writer import copy_file
 
 ENDINGS = ("-wal", "-journal")
 SUPER_JOURNAL = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
@@ -56,8 +56,7 @@ def _copy_all(path: Path, copy: Path) -> None:
     for _ in range(ATTEMPTS):
         before = _states(path)
         for source in (path, *journals(path)):
-            check_file(source)
-            shutil.copyfile(source, copy.with_name(copy.name + source.name[len(path.name) :]))
+            copy_file(source, copy.with_name(copy.name + source.name[len(path.name) :]))
         if _states(path) == before:
             return
         for stale in copy.parent.iterdir():

@@ -28,7 +28,7 @@ from evpinn_ros.bags.metadata import (
 )
 from evpinn_ros.bags.types import encode, typestore
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.writer import sync
+from evpinn_ros.common.writer import new_file, sync
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 LIBRARY = "evpinn_ros"  # without a version, which would change the bytes
@@ -189,7 +189,7 @@ class McapPart:
         """
         self.written = WrittenFile(path.name)
         self._folder = path.parent
-        self._file = path.open("xb")
+        self._file = new_file(path)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._chunk_ns = 0

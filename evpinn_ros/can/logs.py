@@ -257,13 +257,9 @@ def write_log(path: str | Path, frames: Iterable[CanFrame]) -> int:
         InputError: the file cannot be written.
     """
     count = 0
-    with (
-        as_input_error(path),
-        replaced(Path(path)) as draft,
-        draft.open("w", encoding="ascii") as file,
-    ):
+    with as_input_error(path), replaced(Path(path)) as draft:
         for frame in frames:
-            file.write(_candump_line(frame))
+            draft.write(_candump_line(frame).encode("ascii"))
             count += 1
     return count
 

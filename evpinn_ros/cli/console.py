@@ -28,7 +28,7 @@ from rich.text import Text
 from evpinn_ros.common.errors import InputError, as_input_error, printable
 from evpinn_ros.common.json_text import json_text
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.common.writer import replaced
+from evpinn_ros.common.writer import write_file
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 Report = Callable[..., None]
@@ -93,9 +93,7 @@ def write_json(path: Path, found: Any) -> None:
         print(text, flush=True)
         return
     with as_input_error(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replaced(path) as draft:
-            draft.write_text(text + "\n", encoding="utf-8")
+        write_file(path, text + "\n")
 
 
 class RateColumn(ProgressColumn):

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 import math
 from pathlib import Path
-import shutil
 import signal
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from evpinn_ros.cli.console import note
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import check_file
 from evpinn_ros.common.stopping import STOPS, at_stop, leave_terminal
+from evpinn_ros.common.writer import copy_file
 from evpinn_ros.core.estimation.state_file import account_path
 
 POLL_S = 0.2
@@ -55,9 +55,10 @@ def reported(
         report.parent.mkdir(parents=True, exist_ok=True)
         beside = TemporaryDirectory(prefix=f".{report.stem}_", dir=report.parent)
         if state is not None and state.exists() and check_file(state):
-            before = Path(shutil.copy(state, Path(beside.name, "state.json")))
+            before = Path(beside.name, "state.json")
+            copy_file(state, before)
             if account_path(state).exists():
-                shutil.copy(account_path(state), account_path(before))
+                copy_file(account_path(state), account_path(before))
             options = (*options, "--state", str(before))
     with beside as folder:
         bag = record or Path(folder, "bag")

@@ -1,4 +1,6 @@
-"""The one way out: files that are whole or not there, that follow no link and destroy no input.
+"""The one way out: every file of the package is created here.
+
+Files are whole or not there, follow no link that somebody laid, and destroy no input.
 
 That holds after a loss of power, a kill, on a full disk, beside another process that writes the
 same file, and in a folder that others may write to as well.
@@ -11,14 +13,23 @@ from contextlib import contextmanager, suppress
 import fcntl
 import os
 from pathlib import Path
+import re
+import shutil
 from tempfile import mkstemp
 import time
+from typing import BinaryIO, TextIO
+import zlib
 
 from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.units import MEBIBYTE
 
 DRAFT = ".evpinn-draft-"
 """Begin of a draft's name: as short as that, for the file's own name may be as long as can be."""
 PATIENCE = 10.0  # s that a writer waits for another one; a state takes milliseconds
+ABANDONED = 86_400.0  # s, age of a draft of another machine that nobody writes any more
+_DRAFT = re.compile(re.escape(DRAFT) + r"(?P<machine>\w+)-(?P<pid>\d+)-(?P<start>\d+)-.*")
+_START, _STATE = 19, 0  # fields of /proc/PID/stat behind the name
 BAG_FILES = (".mcap", ".db3", ".zstd", ".yaml")
 _POLL = 0.005  # s
 
@@ -34,7 +45,7 @@ def sync(path: Path) -> None:
 
 
 @contextmanager
-def replaced(path: Path) -> Iterator[Path]:
+def replaced(path: Path) -> Iterator[BinaryIO]:
     """A draft that takes the place of a file when it is whole; of one that is not nothing stays.
 
     The draft is new and this process's own (`mkstemp`: O_EXCL, O_NOFOLLOW), on the disk before it
@@ -44,28 +55,95 @@ def replaced(path: Path) -> Iterator[Path]:
         path: of the file.
 
     Yields:
-        Path of the draft.
+        The draft, open; it stays open.
 
     Raises:
         OSError: the file cannot be written, or its links lead in a circle.
     """
     target = resolved(path)
     if target.exists() and not target.is_file():
-        yield target
+        with target.open("wb") as other:
+            yield other
         return
     _sweep(target.parent)
-    handle, name = mkstemp(prefix=DRAFT, dir=target.parent)
+    handle, name = mkstemp(prefix=_prefix(), dir=target.parent)
     draft = Path(name)
     try:
-        _locked(handle)  # for as long as this process lives
-        yield draft
-        draft.chmod(_mode(target))
-        os.fsync(handle)
+        with os.fdopen(handle, "w+b") as file:
+            yield file
+            file.flush()
+            os.fchmod(handle, _mode(target))
+            os.fsync(handle)
         draft.replace(target)
     except BaseException:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
         raise
+
+
+def write_file(path: Path, content: str | bytes) -> None:
+    """Write a whole file as `replaced` does, in UTF-8, and its folder if need be.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replaced(path) as draft:
+        draft.write(content.encode() if isinstance(content, str) else content)
+
+
+def new_file(path: Path) -> BinaryIO:
+    """A file to write that is not there yet.
+
+    Raises:
+        OSError: it is there, be it as a link, or cannot be made.
+    """
+    return path.open("xb")
+
+
+def new_table(path: Path) -> TextIO:
+    """A file of text to write that is not there yet, for the csv module.
+
+    Raises:
+        OSError: it is there, be it as a link, or cannot be made.
+    """
+    return path.open("x", newline="", encoding="utf-8")
+
+
+def mark(path: Path) -> None:
+    """Make an empty file; what is there stays as it is.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    with suppress(FileExistsError), path.open("xb"):
+        pass
+
+
+def copy_file(source: Path, target: Path) -> None:
+    """Copy a file to a place where there is none yet.
+
+    Raises:
+        OSError: it cannot be read, or the copy not made.
+    """
+    with open_file(source) as content, new_file(target) as copy:
+        shutil.copyfileobj(content, copy, MEBIBYTE)
+
+
+@contextmanager
+def held(path: Path, busy: str) -> Iterator[None]:
+    """Hold a lock file, which is made if need be and never written to.
+
+    Raises:
+        InputError: another process holds it, which `busy` says; it cannot be opened, or is a link.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    with as_input_error(path):
+        handle = os.open(path, flags, 0o644)
+    try:
+        if not _locked(handle):
+            raise InputError(busy)
+        yield
     finally:
         os.close(handle)
 
@@ -148,14 +226,41 @@ def _is_same(path: Path, other: Path) -> bool:
     return False
 
 
+def _prefix() -> str:
+    """Begin of a draft's name, which tells who writes it."""
+    return f"{DRAFT}{_machine()}-{os.getpid()}-{_start_of(os.getpid())}-"
+
+
+def _machine() -> str:
+    """Where numbers of processes mean the same: a machine, or a container on it."""
+    place = os.uname().nodename + str(Path("/proc/self/ns/pid").readlink())
+    return f"{zlib.crc32(place.encode()):08x}"
+
+
+def _start_of(pid: int) -> int:
+    """Time at which a living process began, in ticks of the kernel; 0 where there is none."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return 0
+    fields = text.rpartition(")")[2].split()
+    return 0 if fields[_STATE] in "ZX" else int(fields[_START])
+
+
 def _sweep(folder: Path) -> None:
-    """Remove drafts that killed processes left: no process holds them."""
-    with suppress(OSError):
-        for path in folder.glob(f"{DRAFT}*"):
-            draft = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-            if _locked(draft):
-                path.unlink()
-            os.close(draft)
+    """Remove drafts that killed processes left."""
+    for path in folder.glob(f"{DRAFT}*"):
+        with suppress(OSError):
+            if _is_abandoned(path):
+                path.unlink(missing_ok=True)
+
+
+def _is_abandoned(draft: Path) -> bool:
+    """True if the writer of a draft has ended; one of another machine counts as ended in a day."""
+    name = _DRAFT.fullmatch(draft.name)
+    if name is not None and name["machine"] == _machine():
+        return _start_of(int(name["pid"])) != int(name["start"])
+    return time.time() - draft.lstat().st_mtime > ABANDONED
 
 
 def _locked(handle: int) -> bool:

@@ -14,6 +14,7 @@ from typing import Any
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.writer import new_table
 from evpinn_ros.logs.text_table import MOST_COLUMNS, plain_cell
 
 _decoded = json.JSONDecoder(parse_constant=lambda _: None).decode
@@ -32,7 +33,7 @@ def write_objects(path: Path, out: Path) -> None:
             if len(names) > MOST_COLUMNS:
                 raise InputError(f"more than {MOST_COLUMNS} columns")
     bad: list[int] = []
-    with open_file(path) as file, out.open("w", newline="", encoding="utf-8") as text:
+    with open_file(path) as file, new_table(out) as text:
         table = csv.writer(text)
         table.writerow(map(plain_cell, names))
         for number, row in enumerate(map(_object, file), 1):

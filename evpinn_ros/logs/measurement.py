@@ -14,6 +14,7 @@ import numpy as np
 
 from evpinn_ros.common.opener import open_file
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.writer import new_table
 from evpinn_ros.logs.quantities import may_be_of_use
 
 with suppress(ImportError):  # at once, for the process is limited from what it took until then
@@ -44,7 +45,7 @@ def write_signals(path: Path, out: Path) -> None:
         return
     order = np.argsort(np.concatenate(stamps), kind="stable")
     columns = (np.concatenate(parts)[order] for parts in (stamps, names, values))
-    with out.open("w", newline="", encoding="utf-8") as table:
+    with new_table(out) as table:
         writer = csv.writer(table)
         writer.writerow(HEADER)
         for stamp, number, value in zip(*columns, strict=True):

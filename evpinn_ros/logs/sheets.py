@@ -13,6 +13,7 @@ from typing import Any
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import open_file
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.writer import new_table
 from evpinn_ros.logs.text_table import MOST_COLUMNS, plain_cell
 
 with suppress(ImportError):  # at once, for the process is limited from what it took until then
@@ -26,7 +27,7 @@ def write_sheet(path: Path, out: Path) -> None:
     """Write the first sheet of an .xlsx that holds a table, a row a line."""
     with optional_imports():
         from openpyxl import load_workbook
-    with open_file(path) as file, out.open("w", newline="", encoding="utf-8") as table:
+    with open_file(path) as file, new_table(out) as table:
         book = load_workbook(file, read_only=True, data_only=True)
         writer = csv.writer(table)
         for sheet in book.worksheets:

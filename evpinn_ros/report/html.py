@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evpinn_ros.common.optional import optional_imports
-from evpinn_ros.common.writer import replaced
+from evpinn_ros.common.writer import write_file
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -54,9 +54,7 @@ def write_page(
             policy=_policy(scripts),
         )
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced(path) as draft:
-        draft.write_bytes(page.encode("utf-8", "replace"))  # a path may hold what is no text
+    write_file(path, page.encode("utf-8", "replace"))  # a path may hold what is no text
 
 
 @cache

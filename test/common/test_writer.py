@@ -1,8 +1,10 @@
 """A file is whole or not there, whatever ends its writing."""
 
+import ast
 import errno
 import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -23,7 +25,7 @@ def test_a_draft_takes_the_place_of_the_file(tmp_path):
     path = tmp_path / "car.json"
     for text in ("one", "two"):
         with replaced(path) as draft:
-            draft.write_text(text)
+            draft.write(text.encode())
         assert path.read_text() == text and names(tmp_path) == ["car.json"]
 
 
@@ -36,7 +38,7 @@ def test_what_is_not_whole_leaves_nothing(tmp_path, end, before):
 
     def write():
         with replaced(path) as draft:
-            draft.write_text("half")
+            draft.write(b"half")
             raise end
 
     with pytest.raises(type(end)):
@@ -49,7 +51,7 @@ def test_a_link_goes_on_to_lead_to_the_file(tmp_path):
     (tmp_path / "real").mkdir()
     (tmp_path / "link.json").symlink_to(tmp_path / "real" / "car.json")
     with replaced(tmp_path / "link.json") as draft:
-        draft.write_text("new")
+        draft.write(b"new")
     assert (tmp_path / "link.json").is_symlink()
     assert (tmp_path / "real" / "car.json").read_text() == "new"
     assert names(tmp_path / "real") == ["car.json"]
@@ -59,7 +61,7 @@ def test_a_device_is_written_to_and_stays_one(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     reading = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
     with replaced(tmp_path / "pipe") as draft:
-        draft.write_text("through")
+        draft.write(b"through")
     assert os.read(reading, 100) == b"through" and names(tmp_path) == ["pipe"]
     os.close(reading)
 
@@ -70,24 +72,146 @@ def test_a_link_at_a_draft_is_not_followed_and_a_file_like_one_is_kept(tmp_path)
     (tmp_path / "car.json.new").symlink_to(victim)
     (tmp_path / f"{DRAFT}link").symlink_to(victim)
     with replaced(path) as draft:
-        draft.write_text("state")
+        draft.write(b"state")
     assert victim.read_text() == "precious" and path.read_text() == "state"
     assert (tmp_path / "car.json.new").is_symlink()
     (tmp_path / "car.json.new").unlink()
     (tmp_path / "car.json.new").write_text("mine")
     with replaced(path) as draft:
-        draft.write_text("state")
+        draft.write(b"state")
     assert (tmp_path / "car.json.new").read_text() == "mine"
 
 
+KILLED = """
+import os, sys
+from pathlib import Path
+from evpinn_ros.common.writer import replaced
+with replaced(Path(sys.argv[1])) as draft:
+    draft.write(b"half")
+    draft.flush()
+    os._exit(9)
+"""
+
+
 def test_a_draft_of_a_killed_process_goes_and_that_of_a_living_one_stays(tmp_path):
-    (tmp_path / f"{DRAFT}dead").write_text("half")
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "zero")]
+    assert subprocess.run(command, timeout=60).returncode == 9
+    (dead,) = names(tmp_path)
+    assert dead.startswith(DRAFT)
     with replaced(tmp_path / "one") as living:
-        living.write_text("one")
+        assert dead not in names(tmp_path) and len(names(tmp_path)) == 1
         with replaced(tmp_path / "two") as draft:
-            draft.write_text("two")
-        assert names(tmp_path) == [living.name, "two"]
+            draft.write(b"two")
+        assert len(names(tmp_path)) == 2
+        living.write(b"one")
     assert names(tmp_path) == ["one", "two"]
+
+
+def test_a_draft_whose_writer_cannot_be_asked_for_stays_a_day(tmp_path):
+    """Of another machine, or of an earlier version; its number may be that of a process here."""
+    number = f"{os.getpid()}-{writer._start_of(os.getpid())}"
+    ours, reused = f"{DRAFT}{writer._machine()}-{number}-a", f"{DRAFT}{writer._machine()}-1-2-a"
+    others = [f"{DRAFT}0123abcd-{number}-a", f"{DRAFT}abcdefgh"]
+    for name in (ours, reused, *others):
+        (tmp_path / name).write_text("half")
+    writer._sweep(tmp_path)
+    assert names(tmp_path) == sorted([ours, *others])
+    for name in (ours, *others):
+        os.utime(tmp_path / name, (0, 0))
+    writer._sweep(tmp_path)
+    assert names(tmp_path) == [ours]
+
+
+SAVER = """
+import errno, fcntl, os, sys
+from pathlib import Path
+from evpinn_ros.common.writer import write_file
+def no_lock(*_):
+    raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+if sys.argv[2] == "no locks":
+    fcntl.flock = no_lock
+for number in range(400):
+    write_file(Path(sys.argv[1]), f"{number}" * 100)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("locks", ["locks", "no locks"])
+def test_writers_of_one_folder_lose_no_draft_to_each_other(tmp_path, locks):
+    processes = [
+        subprocess.Popen([sys.executable, "-c", SAVER, str(tmp_path / name), locks])
+        for name in ("a", "b", "c")
+    ]
+    assert [process.wait(timeout=300) for process in processes] == [0, 0, 0]
+    assert names(tmp_path) == ["a", "b", "c"]
+
+
+def test_a_lock_file_is_never_written_to(tmp_path):
+    victim, lock = tmp_path / "victim", tmp_path / "lock"
+    victim.write_text("precious")
+    lock.symlink_to(victim)
+    with pytest.raises(InputError, match=r"lock: Too many levels"), writer.held(lock, "busy"):
+        pass
+    lock.unlink()
+    lock.hardlink_to(victim)
+    with writer.held(lock, "busy"):
+        with pytest.raises(InputError, match=r"^busy$"), writer.held(lock, "busy"):
+            pass
+        assert victim.read_text() == "precious"
+
+
+def test_a_mark_and_a_new_file_follow_no_link(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "victim")
+    writer.mark(tmp_path / "link")
+    for make in (writer.new_file, writer.new_table):
+        with pytest.raises(FileExistsError):
+            make(tmp_path / "link")
+    assert names(tmp_path) == ["link"]
+
+
+ROOT = Path(__file__).parents[2]
+CREATES = {"touch", "write_text", "write_bytes", "mkstemp", "NamedTemporaryFile"}
+CREATES |= {"copy2", "copyfile", "hardlink_to", "mkfifo"}
+
+
+def creating(tree):
+    """Calls that can create or empty a file by its name."""
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+        text = ast.unparse(call)
+        words = [*call.args, *(word.value for word in call.keywords)]
+        modes = [word.value for word in words if isinstance(word, ast.Constant)]
+        writes = any(re.fullmatch(r"[wax][+bt]*|r[bt]?\+[bt]?", str(mode)) for mode in modes)
+        opens = name in ("open", "fdopen")
+        copies = ast.unparse(call.func) in ("shutil.copy", "shutil.move")
+        if (
+            (opens and (writes or "O_CREAT" in text or "O_WRONLY" in text))
+            or copies
+            or name in CREATES
+        ):
+            yield call.lineno, text
+
+
+def test_every_file_of_the_package_is_created_by_the_one_writer():
+    beside = [
+        f"{path.relative_to(ROOT)}:{line}: {text}"
+        for path in sorted((ROOT / "evpinn_ros").rglob("*.py"))
+        if path.relative_to(ROOT) != Path("evpinn_ros/common/writer.py")
+        for line, text in creating(ast.parse(path.read_text()))
+        if "os.devnull" not in text
+    ]
+    assert not beside
+    planted = (
+        *(
+            "open(a, 'w')",
+            "a.open('xb')",
+            "a.open(mode='a')",
+            "os.open(a, os.O_CREAT)",
+            "a.touch()",
+        ),
+        *("a.write_text(b)", "shutil.copy(a, b)", "open(a, 'r+b')"),
+    )
+    assert all(any(creating(ast.parse(line))) for line in planted)
 
 
 def test_a_file_keeps_its_permissions_and_a_new_one_has_those_of_the_umask(tmp_path):
@@ -96,7 +220,7 @@ def test_a_file_keeps_its_permissions_and_a_new_one_has_those_of_the_umask(tmp_p
         if mode is not None:
             path.chmod(mode)
         with replaced(path) as draft:
-            draft.write_text("state")
+            draft.write(b"state")
         mask = os.umask(0)
         os.umask(mask)
         assert path.stat().st_mode & 0o777 == (mode or 0o666 & ~mask)
@@ -105,7 +229,7 @@ def test_a_file_keeps_its_permissions_and_a_new_one_has_those_of_the_umask(tmp_p
 def test_a_name_as_long_as_can_be_is_written(tmp_path):
     path = tmp_path / ("x" * 255)
     with replaced(path) as draft:
-        draft.write_text("state")
+        draft.write(b"state")
     assert path.read_text() == "state"
 
 

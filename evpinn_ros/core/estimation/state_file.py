@@ -17,8 +17,8 @@ import shutil
 from typing import Any, NoReturn
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.opener import read_whole
-from evpinn_ros.common.writer import claimed, replaced, sync
+from evpinn_ros.common.opener import open_file, read_whole
+from evpinn_ros.common.writer import claimed, replaced, sync, write_file
 
 MAX_FILE_BYTES = 4_000_000  # mode paper saves 1 MB, hybrid less; empty lists take 30 times as much
 REFUSED_KEPT = 5  # files
@@ -49,10 +49,7 @@ def write_state(path: Path, state: State) -> None:
         OSError: the file cannot be written.
         ValueError: the state holds a number that is not finite.
     """
-    text = json.dumps(state, allow_nan=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced(path) as draft:
-        draft.write_text(text, encoding="utf-8")
+    write_file(path, json.dumps(state, allow_nan=False))
     sync(path.resolve().parent)
 
 
@@ -127,8 +124,8 @@ def set_aside(path: Path, *, copied: bool = False) -> None:
     if not copied:
         path.replace(first)
         return
-    with replaced(first) as draft:
-        shutil.copyfile(path, draft)
+    with open_file(path) as file, replaced(first) as draft:
+        shutil.copyfileobj(file, draft)
 
 
 def refused_names(path: Path) -> list[Path]:

@@ -19,7 +19,7 @@ import yaml
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.common.writer import replaced
+from evpinn_ros.common.writer import write_file
 from evpinn_ros.common.yaml_section import Section, compose
 from evpinn_ros.core.vehicle.certified import FRONTAL_AREA, certified_cars, words_of
 from evpinn_ros.core.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits, Parameters, Prior
@@ -396,9 +396,7 @@ def write_vehicle(path: Path, vehicle: Vehicle) -> None:
             document["correlations"].setdefault(one, {})[other] = value
     if vehicle.paper_start:
         document["paper_start"] = _plain_priors(vehicle.paper_start)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced(path) as draft:
-        draft.write_text(yaml.safe_dump(document, sort_keys=False, width=99), encoding="utf-8")
+    write_file(path, yaml.safe_dump(document, sort_keys=False, width=99))
     load_vehicle(path)
 
 

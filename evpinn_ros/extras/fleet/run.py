@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
-import fcntl
 from pathlib import Path
 
-from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.errors import as_input_error
+from evpinn_ros.common.writer import held, mark
 from evpinn_ros.extras.fleet.car import CarDone, CarTask, learn_car
 from evpinn_ros.extras.fleet.executor import Executor, TaskOutcome
 from evpinn_ros.extras.fleet.manifest import CarDrives
@@ -24,13 +24,9 @@ def claimed(out: Path) -> Iterator[None]:
     """
     with as_input_error(out):
         out.mkdir(parents=True, exist_ok=True)
-        lock = (out / LOCK).open("w")
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise InputError(f"{out}: another evpinn fleet writes there") from error
-        (out / STOP).unlink(missing_ok=True)
+    with held(out / LOCK, f"{out}: another evpinn fleet writes there"):
+        with as_input_error(out):
+            (out / STOP).unlink(missing_ok=True)
         yield
 
 
@@ -47,7 +43,7 @@ def learn_fleet(
     try:
         yield from executor.outcomes(learn_car, tasks)
     except BaseException:
-        (out / STOP).touch()
+        mark(out / STOP)
         raise
     finally:
         executor.close()

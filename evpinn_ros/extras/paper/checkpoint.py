@@ -30,8 +30,8 @@ def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]
     arrays = {name: tensor.detach().cpu().numpy() for name, tensor in state.items()}
     with as_input_error(f"{path}: cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replaced(path) as draft, draft.open("wb") as file:
-            np.savez(file, settings=np.array(settings), **arrays)  # type: ignore[arg-type]
+        with replaced(path) as draft:
+            np.savez(draft, settings=np.array(settings), **arrays)  # type: ignore[arg-type]
 
 
 def adam_state(adam: torch.optim.Adam, weights: Iterable[torch.Tensor]) -> dict[str, torch.Tensor]:

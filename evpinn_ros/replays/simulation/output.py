@@ -14,6 +14,7 @@ from evpinn_ros.bags.convert import write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.writer import write_file
 from evpinn_ros.core.signals.progress import reported
 from evpinn_ros.core.signals.readings import MotorReading
 from evpinn_ros.replays.simulation.simulate import SimulatedDrive
@@ -40,7 +41,7 @@ def write(
         with bag:
             write_readings(reported(drive.readings, progress), bag)
         text = yaml.safe_dump(truth_document(drive), sort_keys=False, width=99)
-        (folder / TRUTH_FILE).write_text(text, encoding="utf-8")
+        write_file(folder / TRUTH_FILE, text)
     except OSError as error:
         rmtree(folder, ignore_errors=True)
         raise InputError(f"{folder}: {error.strerror or error}; nothing is left of it") from error

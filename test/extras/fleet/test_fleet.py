@@ -108,6 +108,21 @@ def test_two_runs_do_not_write_to_one_folder(recorded, tmp_path):
     assert "another evpinn fleet" in str(done.exception)
 
 
+def test_what_links_lead_to_is_not_written(recorded, tmp_path):
+    """A state of 312 kB was empty afterwards."""
+    out, victim = tmp_path / "out", tmp_path / "car.json"
+    victim.write_text("precious")
+    out.mkdir()
+    (out / ".lock").symlink_to(victim)
+    done = learn(recorded, out)
+    assert ".lock: Too many levels of symbolic links" in str(done.exception)
+    (out / ".lock").unlink()
+    (out / ".lock").hardlink_to(victim)
+    (out / ".stop").symlink_to(tmp_path / "elsewhere")
+    assert learn(recorded, out).exit_code == 0
+    assert victim.read_text() == "precious" and not (tmp_path / "elsewhere").exists()
+
+
 @pytest.mark.nightly
 def test_the_same_on_a_cluster(recorded, tmp_path):
     distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
