@@ -69,6 +69,7 @@ setup(
         "lz4",
         "mcap",
         "numpy",
+        "pydantic>=2",
         "pyserial",
         "python-can[multicast]",
         "pyyaml",

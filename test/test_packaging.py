@@ -51,6 +51,8 @@ NAMES = {
     "pandas": ("pandas", None),
     "polars": ("polars", None),
     "pyarrow": ("pyarrow", None),
+    "pydantic": ("pydantic", None),
+    "pydantic_core": ("pydantic", None),
     "rasterio": ("rasterio", None),
     "rclpy": ("ros-rclpy", "rclpy"),
     "rich": ("rich", "python3-rich"),

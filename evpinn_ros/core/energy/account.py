@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import math
 from typing import Annotated, NamedTuple
 
-from evpinn_ros.common.saved_fields import ADDED, SAME, Range, Saveable
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.energy.battery_model import BatteryModel, SavedBattery
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
 from evpinn_ros.core.energy.dropout import Dropout, Reconciled, Verdict, reconcile
@@ -87,16 +87,18 @@ class TripCorrection(NamedTuple):
 class SavedAccount:
     """State that outlives a restart: this trip, and what was counted `before_reset`."""
 
-    version: Annotated[int, SAME]
-    vehicle: Annotated[str, SAME]
+    SAME = ("version", "vehicle")
+
+    version: int
+    vehicle: str
     meter: SavedMeter
     trip: SavedTrip
     charge: SavedGauge
-    battery: Annotated[SavedBattery | None, ADDED]
     correction: TripCorrection
     before_reset: EnergyTotals
-    shown: Annotated[EnergyTotals | None, ADDED]
-    route: Annotated[Route | None, ADDED]
+    battery: SavedBattery | None = None
+    shown: EnergyTotals | None = None
+    route: Route | None = None
 
 
 @dataclass(frozen=True, slots=True)

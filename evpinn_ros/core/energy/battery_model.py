@@ -64,8 +64,8 @@ class SavedBattery:
     """Samples, U at half charge, its slope and R, their covariance row by row, and the gauge."""
 
     samples: Annotated[int, Range(0, MOST_SAMPLES)]
-    state: Annotated[np.ndarray, Range(-MOST_SAVED, MOST_SAVED)]
-    covariance: Annotated[np.ndarray, Range(-MOST_SAVED, MOST_SAVED)]
+    state: Annotated[np.ndarray, Range(-MOST_SAVED, MOST_SAVED, shape=(3,))]
+    covariance: Annotated[np.ndarray, Range(-MOST_SAVED, MOST_SAVED, shape=(9,))]
     full_charge: SavedGauge
 
     def __post_init__(self) -> None:

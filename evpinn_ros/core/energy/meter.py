@@ -96,8 +96,6 @@ class SavedMeter:
     lasting_sigma: UnknownJoules = 0.0
     unmeasured_s: Seconds = 0.0
 
-    GONE = frozenset({"lasting"})  # what older files hold besides
-
     def __post_init__(self) -> None:
         """Refuse what no car can have drawn in that time."""
         self.measured.refuse_above(MAX_POWER)

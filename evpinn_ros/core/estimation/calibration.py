@@ -8,6 +8,7 @@ on a logarithmic scale), and sigma is scaled so that +-1.645 sigma covers 90 %.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 import math
 from typing import Annotated, NamedTuple
 
@@ -28,6 +29,14 @@ class SavedBand(NamedTuple):
 
     moving: Annotated[float, Range(*RATIO_RANGE)]
     standing: Annotated[float, Range(*RATIO_RANGE)]
+
+
+@dataclass(frozen=True, slots=True)
+class SavedBands:
+    """Those of predicted and of smoothed power."""
+
+    predicted: SavedBand
+    smoothed: SavedBand
 
 
 class BandCalibration(Saveable[SavedBand]):

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
 import math
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
-from evpinn_ros.common.saved_fields import SAME, Saveable
+from evpinn_ros.common.saved_fields import Saveable
 from evpinn_ros.core.estimation.breakdown import Breakdown, Breakdowns
-from evpinn_ros.core.estimation.calibration import BandCalibration, SavedBand
+from evpinn_ros.core.estimation.calibration import BandCalibration, SavedBands
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
 from evpinn_ros.core.estimation.evidence import Evidence
@@ -149,11 +149,13 @@ class EstimatorStatus:
 class SavedEstimator:
     """State of a car: that of the learner of its mode, and the bands."""
 
-    version: Annotated[int, SAME]
-    vehicle: Annotated[str, SAME]
-    mode: Annotated[str, SAME]
+    SAME = ("version", "vehicle", "mode")
+
+    version: int
+    vehicle: str
+    mode: str
     learner: Any
-    bands: Mapping[str, SavedBand]
+    bands: SavedBands
 
 
 class _Clock(NamedTuple):
@@ -355,7 +357,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def saved(self) -> SavedEstimator:
         """State to save."""
-        bands = {kind.value: band.saved() for kind, band in self._bands.items()}
+        bands = SavedBands(*(band.saved() for band in self._bands.values()))
         key, mode = self._vehicle.key, self._settings.mode.value
         return SavedEstimator(STATE_VERSION, key, mode, self._learner.saved(), bands)
 
@@ -363,11 +365,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Go on from a saved state; when that raises nothing is changed."""
         learner = self._settings.new_learner(self._similarity.car)
         learner.gated = self._learner.gated
-        learner.take(saved.learner)
+        learner.restore(saved.learner)
         self.handle_time_jump()
         self._learner = learner
-        for kind, band in self._bands.items():
-            band.take(saved.bands[kind.value])
+        self._bands[PowerKind.PREDICTED].take(saved.bands.predicted)
+        self._bands[PowerKind.SMOOTHED].take(saved.bands.smoothed)
 
     def _handle(self, event: StreamEvent, stuck: StuckDetector) -> Iterator[Output]:
         match event:

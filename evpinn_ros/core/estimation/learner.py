@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import math
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
@@ -124,7 +124,7 @@ class Learner(Protocol):
     def saved(self) -> Any:
         """State to save (see `common.saved_fields`)."""
 
-    def take(self, saved: Any) -> None:
+    def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a saved state; ValueError when it is not possible."""
 
 

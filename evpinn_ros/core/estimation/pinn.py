@@ -15,14 +15,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import ADDED, Range, Saveable
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.estimation.bands import Hills
 from evpinn_ros.core.estimation.breakdown import Breakdowns
 from evpinn_ros.core.estimation.car import LearnedCar
@@ -91,7 +91,7 @@ class SavedPinn:
     trim: Annotated[float, Range(-MOST_TRIM_EVIDENCE, MOST_TRIM_EVIDENCE)]
     seen_ns: Stamp | None
     persistence: Persistence
-    hills: Annotated[Hills | None, ADDED] = None
+    hills: Hills = field(default_factory=Hills)
 
 
 class PinnLearner(Saveable[SavedPinn]):
@@ -270,7 +270,7 @@ class PinnLearner(Saveable[SavedPinn]):
             LearnedCar.new(self._equation),
             state=state,
             unevenness=unevenness_of(saved.unevenness, self._equation),
-            hills=saved.hills or Hills(),
+            hills=saved.hills,
             driven=saved.driven,
             rehearsals=Rehearsals(Rehearsal(state)),
             payload=PayloadDetector.of(saved.payload),

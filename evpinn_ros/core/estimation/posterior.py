@@ -18,14 +18,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation import gaussian
 from evpinn_ros.core.estimation.bands import Bands
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.gaussian import Gaussian, Innovation, replace_states
+from evpinn_ros.core.estimation.gaussian import MOST, Gaussian, Innovation, replace_states
 from evpinn_ros.core.estimation.journey import (
     Journey,
     journey_of,
@@ -37,6 +38,7 @@ from evpinn_ros.core.estimation.journey import (
 from evpinn_ros.core.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import Equation, Warmth, Wheels, climate_powers
 from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.readings import TEMPERATURES
 from evpinn_ros.core.vehicle.physics import GRAVITY
 
 # The hypotheses: 1-sigma of a weight of the network, N, and of the wandering load, W.
@@ -53,6 +55,10 @@ DRIFT = 0.02  # of its prior sigma, by which a state of the car changes from dri
 DRIVE_KEPT = 0.9  # of an offset of a drive that the next still has: the season, a roof box
 PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # that the prior of an offset counts as, and at most
 CLIMATE_NOISE, CLIMATE_TIME = 500.0, 600.0  # W and s: reported heating about its mean
+MOST_EVIDENCE = 1e15
+States: TypeAlias = Annotated[np.ndarray, Range(-(MOST**2), MOST**2)]  # saved in a row
+Seconds: TypeAlias = Annotated[float, Range(0.0, 1e9)]
+Celsius: TypeAlias = Annotated[float, Range(*TEMPERATURES)]
 BRAKING_SHARE = 0.2  # of braking energy that friction may take unseen by the motor, 1-sigma
 
 
@@ -76,19 +82,19 @@ class CarState:
         last_drive: s of the drive before.
     """
 
-    mean: np.ndarray
-    covariance: np.ndarray
-    evidence: np.ndarray
-    scale: np.ndarray
-    offset_variance: np.ndarray
+    mean: States
+    covariance: States
+    evidence: Annotated[np.ndarray, Range(-MOST_EVIDENCE, 0.0, shape=(len(BANK),))]
+    scale: Annotated[np.ndarray, Range(LEAST_SCALE, MOST_SCALE, shape=(len(BANK), 3))]
+    offset_variance: States
     bands: Bands = field(default_factory=Bands)
-    drives: float = PRIOR_DRIVES
-    intervals: int = 0
-    seconds: float = 0.0
+    drives: Annotated[float, Range(PRIOR_DRIVES, DRIVES_KEPT)] = PRIOR_DRIVES
+    intervals: Annotated[int, Range(0, 10**12)] = 0
+    seconds: Seconds = 0.0
     reports: bool = False
-    celsius: float | None = None
+    celsius: Celsius | None = None
     known: bool = False
-    last_drive: float = 0.0
+    last_drive: Seconds = 0.0
 
     @property
     def gaussian(self) -> Gaussian:

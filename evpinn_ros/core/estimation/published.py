@@ -22,7 +22,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import ADDED, Range
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.breakdown import MOSTLY_UNSEEN, climb_as_rolling
 from evpinn_ros.core.estimation.evidence import Evidence, evidence, file_prior
 from evpinn_ros.core.estimation.gaussian import Gaussian
@@ -63,13 +63,13 @@ class Driven:
             that of the drive before.
     """
 
-    gram: Annotated[np.ndarray, Range(-1e30, 1e30)]
-    cross: Annotated[np.ndarray, Range(-1e30, 1e30)]
-    braked: Annotated[np.ndarray, Range(-1e15, 1e15)]
+    gram: Annotated[np.ndarray, Range(-1e30, 1e30, shape=(4, 4))]
+    cross: Annotated[np.ndarray, Range(-1e30, 1e30, shape=(4, len(BESIDE)))]
+    braked: Annotated[np.ndarray, Range(-1e15, 1e15, shape=(3,))]
     distance: Annotated[float, Range(0.0, 1e12)] = 0.0
     cold_tyres: Annotated[float, Range(0.0, 1e12)] = 0.0
     load_known: bool = False
-    unseen: Annotated[float | None, Range(0.0, 1.0), ADDED] = None
+    unseen: Annotated[float, Range(0.0, 1.0)] | None = None
 
     @classmethod
     def nowhere(cls) -> Driven:

@@ -3,80 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import ADDED, Range
-from evpinn_ros.core.estimation.bands import Bands
-from evpinn_ros.core.estimation.gaussian import MOST, Gaussian, is_possible
-from evpinn_ros.core.estimation.posterior import (
-    DRIVES_KEPT,
-    LEAST_SCALE,
-    MOST_SCALE,
-    PRIOR_DRIVES,
-    CarState,
-    initial_state,
-)
+from evpinn_ros.core.estimation.gaussian import Gaussian, is_possible
+from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.states import LASTING, NAMES, OFFSETS, SIZE, known_names
 from evpinn_ros.core.estimation.terms import Equation
-from evpinn_ros.core.estimation.unevenness import (
-    MOST_DRIVES,
-    MOST_SHARE,
-    MOST_SQUARES,
-    SHAPE,
-    Unevenness,
-    prior_rows,
-)
-from evpinn_ros.core.signals.readings import TEMPERATURES
+from evpinn_ros.core.estimation.unevenness import MOST_SHARE, SHAPE, Unevenness, prior_rows
 
 MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
-MOST_EVIDENCE = 1e15
-Numbers: TypeAlias = tuple[Annotated[float, Range(-(MOST**2), MOST**2)], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class SavedState:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SavedState(CarState):
     """A `CarState` of K hypotheses and n named states.
 
-    Attributes:
-        names: of the states.
-        mean: K n numbers.
-        covariance: K n n numbers.
-        offset_variance: n numbers, zero but for the offsets of a drive.
-        evidence: shape (K,).
-        scale: shape (K, 3).
-
-    The rest is as in `CarState`.
+    In place of arrays, mean has K n numbers, covariance K n n, and offset_variance n, zero but for
+    the offsets of a drive.
     """
 
     names: tuple[str, ...]
-    mean: Numbers
-    covariance: Numbers
-    offset_variance: Numbers
-    evidence: Annotated[np.ndarray, Range(-MOST_EVIDENCE, 0.0)]
-    scale: Annotated[np.ndarray, Range(LEAST_SCALE, MOST_SCALE)]
-    bands: Bands
-    drives: Annotated[float, Range(PRIOR_DRIVES, DRIVES_KEPT)]
-    intervals: Annotated[int, Range(0, 10**12)]
-    seconds: Annotated[float, Range(0.0, 1e9)]
-    reports: bool
-    celsius: Annotated[float, Range(*TEMPERATURES)] | None
-    known: bool
-    last_drive: Annotated[Annotated[float, Range(0.0, 1e9)] | None, ADDED] = None
-
-
-# Fields that are saved as they are.
-PLAIN = [field.name for field in fields(SavedState)][4:]
 
 
 def saved_state(state: CarState) -> SavedState:
     """A state to save."""
-    offsets = np.zeros(len(NAMES))
+    offsets = np.zeros(SIZE)
     offsets[OFFSETS] = state.offset_variance
-    named = {"mean": state.mean, "covariance": state.covariance, "offset_variance": offsets}
-    found: dict[str, Any] = {name: tuple(each.ravel().tolist()) for name, each in named.items()}
-    return SavedState(NAMES, **found, **{name: getattr(state, name) for name in PLAIN})
+    rows = {"mean": state.mean.ravel(), "covariance": state.covariance.ravel()}
+    return SavedState(**_fields(state, offset_variance=offsets, **rows), names=NAMES)
 
 
 def state_of(saved: SavedState, equation: Equation) -> CarState:
@@ -88,7 +44,7 @@ def state_of(saved: SavedState, equation: Equation) -> CarState:
     """
     fresh = initial_state(equation)
     count, size = len(fresh.mean), len(saved.names)
-    sizes = len(saved.mean), len(saved.covariance), len(saved.offset_variance)
+    sizes = saved.mean.size, saved.covariance.size, saved.offset_variance.size
     if sizes != (count * size, count * size * size, size) or len({*saved.names}) != size:
         raise ValueError("numbers of the states are missing")
     theirs, ours = known_names(saved.names)
@@ -106,29 +62,23 @@ def state_of(saved: SavedState, equation: Equation) -> CarState:
         raise ValueError("the state of the car is out of range")
     variance = np.zeros(len(NAMES))
     variance[OFFSETS] = fresh.offset_variance
-    variance[ours] = np.array(saved.offset_variance)[theirs]
+    variance[ours] = saved.offset_variance[theirs]
     if variance[OFFSETS].min() < 0.0:
         raise ValueError("a variance of the state is negative")
-    plain = {name: getattr(saved, name) for name in PLAIN}
-    plain["last_drive"] = saved.last_drive or 0.0
-    return fresh.with_gaussian(found, offset_variance=variance[OFFSETS], **plain)
+    arrays = {"mean": mean, "covariance": covariance, "offset_variance": variance[OFFSETS]}
+    return CarState(**_fields(saved, **arrays))
 
 
-@dataclass(frozen=True, slots=True)
-class SavedUnevenness:
-    """An `Unevenness` with the names of its states."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SavedUnevenness(Unevenness):
+    """An `Unevenness` with the names of its states, its rows as numbers."""
 
     names: tuple[str, ...]
-    metres: Annotated[np.ndarray, Range(0.0, 1e12)]
-    rows: tuple[Annotated[float, Range(-1e18, 1e18)], ...]
-    squares: Annotated[float, Range(0.0, MOST_SQUARES)]
-    drives: Annotated[float, Range(1.0, MOST_DRIVES)]
 
 
 def saved_unevenness(found: Unevenness) -> SavedUnevenness:
     """Form that is saved."""
-    rows = tuple(found.rows.ravel().tolist())
-    return SavedUnevenness(NAMES, found.metres, rows, found.squares, found.drives)
+    return SavedUnevenness(**_fields(found, rows=found.rows.ravel()), names=NAMES)
 
 
 def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
@@ -137,13 +87,19 @@ def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
     Raises:
         ValueError: numbers are missing or no car drives so.
     """
-    if len(saved.rows) != SHAPE[0] * SHAPE[1] * len(saved.names):
+    if saved.rows.size != SHAPE[0] * SHAPE[1] * len(saved.names):
         raise ValueError("numbers of the unevenness are missing")
     rows, (theirs, ours) = np.zeros((*SHAPE, SIZE)), known_names(saved.names)
     if len(ours) < SIZE:
         rows += saved.metres[..., None] * prior_rows(equation)
     rows[..., ours] = np.reshape(saved.rows, (*SHAPE, len(saved.names)))[..., theirs]
-    found = Unevenness(saved.metres, rows, saved.squares, saved.drives)
+    found = Unevenness(**_fields(saved, rows=rows))
     if found.share > MOST_SHARE:
         raise ValueError("the scatter of the unevenness is out of range")
     return found
+
+
+def _fields(value: CarState | Unevenness, **others: np.ndarray) -> dict[str, Any]:
+    """All but the names of a value, some fields replaced by others."""
+    names = (field.name for field in fields(value) if field.name != "names")
+    return {name: getattr(value, name) for name in names} | others

@@ -17,11 +17,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from evpinn_ros.common.package_data import bundled_lines
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.states import SIZE, State
 from evpinn_ros.core.estimation.terms import Equation
 from evpinn_ros.core.signals.interval import Steps
@@ -90,10 +91,10 @@ class Unevenness:
         drives: how many these are.
     """
 
-    metres: np.ndarray
-    rows: np.ndarray
-    squares: float = PRIOR_SHARE**2 * PRIOR_DRIVES
-    drives: float = PRIOR_DRIVES
+    metres: Annotated[np.ndarray, Range(0.0, 1e12, shape=SHAPE)]
+    rows: Annotated[np.ndarray, Range(-1e18, 1e18)]  # saved in a row
+    squares: Annotated[float, Range(0.0, MOST_SQUARES)] = PRIOR_SHARE**2 * PRIOR_DRIVES
+    drives: Annotated[float, Range(1.0, MOST_DRIVES)] = PRIOR_DRIVES
 
     @classmethod
     def none(cls) -> Unevenness:

@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import ADDED, Range
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.signals.detector import (
     AGAINST_CHARGE,
     AGAINST_HILLS,
@@ -34,7 +34,6 @@ FAST = 5.0  # m/s: slower, auxiliaries outweigh hills
 
 MOST_SUM = 1e15
 Sum: TypeAlias = Annotated[float, Range(-MOST_SUM, MOST_SUM)]
-Verdict: TypeAlias = Annotated[bool | None, ADDED]
 
 
 class SignSums(NamedTuple):
@@ -57,10 +56,8 @@ class SignDetector:
     flipped.
     """
 
-    GONE = frozenset({"suspected", "told"})  # what files until 0.2.0 hold besides
-
     sums: SignSums = NO_SUMS
-    verdict: Verdict = None
+    verdict: bool | None = None
 
     @property
     def detected(self) -> str | None:
@@ -142,10 +139,8 @@ class GradeDetector:
         sums: of 1, x, y, x^2, x y and y^2 along the road, m.
     """
 
-    GONE = frozenset({"detected"})  # what files until 0.2.0 hold besides
-
     sums: tuple[Sum, ...] = (0.0,) * 6
-    verdict: Verdict = None
+    verdict: bool | None = None
 
     def __post_init__(self) -> None:
         """Refuse sums that are not these six."""

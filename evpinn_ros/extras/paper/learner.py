@@ -27,12 +27,13 @@ from collections import Counter, deque
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from itertools import pairwise
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
 
-from evpinn_ros.common.saved_fields import SAME, Range, Saveable
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, PaperOptimizer
 from evpinn_ros.core.estimation.learner import Learner, LearningEvent, PowerPrediction, gate
@@ -94,20 +95,22 @@ class Trained(NamedTuple):
     covariance: np.ndarray
 
 
-Weights: TypeAlias = Annotated[np.ndarray, Range(-1e12, 1e12)]
+WEIGHTS = sum((inputs + 1) * outputs for inputs, outputs in pairwise(PAPER_WIDTHS))
 
 
 @dataclass(frozen=True, slots=True)
 class SavedPaper:
     """Weights in a row, logarithms of the learned over their initial values, and noise, W^2."""
 
-    network: Weights
-    log_scale: Annotated[np.ndarray, Range(-FAR, FAR)]
+    SAME = ("regen_form",)
+
+    network: Annotated[np.ndarray, Range(-1e12, 1e12, shape=(WEIGHTS,))]
+    log_scale: Annotated[np.ndarray, Range(-FAR, FAR, shape=(len(LEARNED),))]
     p_aux: Annotated[float, Range(-1e6, 1e6)]
-    covariance: Weights
+    covariance: Annotated[np.ndarray, Range(-1e12, 1e12, shape=(len(LEARNED), len(LEARNED)))]
     variance: Annotated[float, Range(0.0, 1e15)]
     fresh: bool
-    regen_form: Annotated[str, SAME]
+    regen_form: str
 
     def __post_init__(self) -> None:
         """Refuse noise and a covariance that are none."""
@@ -115,7 +118,7 @@ class SavedPaper:
             raise ValueError("the noise or the covariance is none")
 
 
-class PaperLearner(Learner, Saveable[SavedPaper]):
+class PaperLearner(Saveable[SavedPaper], Learner):
     """Learner of `mode: paper`."""
 
     learns: type[LearningEvent] = MeasuredSample

@@ -58,9 +58,9 @@ def with_states(saved: SavedState, order: list[int | None]) -> SavedState:
     return replace(
         saved,
         names=tuple(names),
-        mean=tuple(mean[:, like].ravel().tolist()),
-        covariance=tuple(own.ravel().tolist()),
-        offset_variance=tuple(np.take(saved.offset_variance, like).tolist()),
+        mean=mean[:, like].ravel(),
+        covariance=own.ravel(),
+        offset_variance=saved.offset_variance[like],
     )
 
 

@@ -1,11 +1,10 @@
 """Charging and acceleration show the sign of the current; of grade: `test_grade_detector.py`."""
 
 import math
-from typing import Any
 
 import pytest
 
-from evpinn_ros.common.saved_fields import Saveable, StateError, plain
+from evpinn_ros.common.saved_fields import StateError, plain, read
 from evpinn_ros.core.signals.detector import CURRENT_SIGN
 from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.signals.sign_detectors import ChargeDetector, GradeDetector, SignDetector
@@ -95,21 +94,11 @@ def test_too_short_a_drive_shows_no_sign():
     assert pulling(1.0, 9).verdict is None and pulling(1.0, 11).verdict is True
 
 
-@pytest.mark.parametrize("saved", [SignDetector, GradeDetector])
-def test_what_was_saved_before_the_verdict_had_three_values_is_read(saved):
+@pytest.mark.parametrize("kind", [SignDetector, GradeDetector])
+def test_what_was_saved_before_the_verdict_had_three_values_is_read(kind):
     """Files of 0.2.0; the verdict comes back with the next seconds, from the sums."""
-    older = {"sums": plain(saved())["sums"], **dict.fromkeys(saved.GONE, True)}
-
-    class Part(Saveable[Any]):
-        def saved(self):
-            return saved()
-
-        def take(self, state):
-            self.state = state
-
-    part = Part()
-    part.restore(older)
-    assert part.state == saved()
-    for sums in ([math.nan] * 3, [1.0] * 2, None):
+    older = {"sums": plain(kind())["sums"], "suspected": True, "told": True, "detected": True}
+    assert read(kind, older) == kind()
+    for sums in ([math.nan] * 3, [1.0] * 4, None):
         with pytest.raises(StateError):
-            part.restore({**older, "sums": sums})
+            read(kind, {**older, "sums": sums})
