@@ -28,10 +28,10 @@ class EdgeEnergies:
             negative where the edge returns energy, and its 1-sigma `sigma_j`, J.
     """
 
-    def __init__(self, index: pd.Index, found: energy_edges.Edges) -> None:
+    def __init__(self, index: pd.Index, edges: energy_edges.Edges) -> None:
         """Edges named by an index; `edge_energies` makes them."""
-        self.table = pd.DataFrame({"energy_j": found.energy, "sigma_j": found.sigma}, index)
-        self._found = found
+        self.table = pd.DataFrame({"energy_j": edges.energy, "sigma_j": edges.sigma}, index)
+        self._found = edges
 
     def route(self, edges: Iterable[Hashable]) -> Uncertain:
         """Energy of a route, J, with its 1-sigma; errors of the car's model add up over the edges.
@@ -44,13 +44,13 @@ class EdgeEnergies:
         """
         return self._found.route(self._places(edges))
 
-    def difference(self, one: Iterable[Hashable], other: Iterable[Hashable]) -> Uncertain:
+    def difference(self, route: Iterable[Hashable], other: Iterable[Hashable]) -> Uncertain:
         """Energy of one route minus that of another, J; errors that both share cancel.
 
         Raises:
             InputError: there is no such edge.
         """
-        return self._found.difference(self._places(one), self._places(other))
+        return self._found.difference(self._places(route), self._places(other))
 
     def _places(self, edges: Iterable[Hashable]) -> np.ndarray:
         labels = [*edges]

@@ -146,11 +146,13 @@ class Estimator:
             (loads, (heating_w, aircon_w)),
         ]
         readings = [reading for reading, values in given if not all(map(math.isnan, values))]
-        found = [each for reading in readings for each in self._predictions(reading)]
-        if not found:
+        predictions = [
+            prediction for reading in readings for prediction in self._predictions(reading)
+        ]
+        if not predictions:
             return None
         energy = self._chain.account.state
-        power = found[-1]
+        power = predictions[-1]
         return Estimate(t_s, power.power, power.sigma, energy.consumed, energy.consumed_sigma)
 
     def _predictions(self, reading: Reading) -> Iterator[PowerEstimate]:
@@ -170,8 +172,8 @@ class Estimator:
     @property
     def breakdown(self) -> pd.DataFrame:
         """Parts into which the energy of this drive went, one row each, as in `Result`."""
-        found = breakdown_metrics(self._chain.estimator.breakdown(), self._mode.value)
-        return breakdown_frame(found)
+        parts = breakdown_metrics(self._chain.estimator.breakdown(), self._mode.value)
+        return breakdown_frame(parts)
 
     @property
     def model(self) -> PowerModel:

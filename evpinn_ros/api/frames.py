@@ -15,20 +15,20 @@ PARAMETER_COLUMNS = ("value", "std", "prior_share", "lower", "upper", "state")
 AMOUNT_COLUMNS = ("kwh", "sigma_kwh", "kwh_per_100km", "share")
 
 
-def parameter_frame(found: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+def parameter_frame(parameters: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
     """The metrics under `parameters`, one row each."""
-    return _rows(found, "parameter", PARAMETER_COLUMNS)
+    return _rows(parameters, "parameter", PARAMETER_COLUMNS)
 
 
-def breakdown_frame(found: Mapping[str, Any]) -> pd.DataFrame:
+def breakdown_frame(breakdown: Mapping[str, Any]) -> pd.DataFrame:
     """The metrics under `breakdown`, one row for each part."""
-    parts = {name: part for name, part in found.items() if isinstance(part, dict)}
+    parts = {name: part for name, part in breakdown.items() if isinstance(part, dict)}
     return _rows(parts, "part", AMOUNT_COLUMNS)
 
 
 def _rows(
-    found: Mapping[str, Mapping[str, Any]], name: str, columns: tuple[str, ...]
+    values: Mapping[str, Mapping[str, Any]], name: str, columns: tuple[str, ...]
 ) -> pd.DataFrame:
-    table = pd.DataFrame.from_dict(found, orient="index", columns=list(columns))
+    table = pd.DataFrame.from_dict(values, orient="index", columns=list(columns))
     numbers = [column for column in columns if column != "state"]
     return table.astype(dict.fromkeys(numbers, float)).rename_axis(name)

@@ -108,18 +108,18 @@ def forecast(
         None if stood_h is None else 3600.0 * stood_h,
         float(prewarmed),
     )
-    _, trip, _, found, charge, _ = planned_energy(plan, car, given, air_density)
+    _, trip, _, energies, charge, _ = planned_energy(plan, car, given, air_density)
     columns = {
         "distance_m": trip.distance,
         "speed_mps": trip.speed,
         "elevation_m": trip.elevation,
-        "power_w": found.power,
-        "energy_j": found.energy,
-        "sigma_j": found.sigma,
+        "power_w": energies.power,
+        "energy_j": energies.energy,
+        "sigma_j": energies.sigma,
         "charge_pct": 100 * charge[0],
         "charge_sigma_pct": 100 * charge[1],
     }
-    return pd.DataFrame(columns, index=pd.Index(found.time, name="t_s"))
+    return pd.DataFrame(columns, index=pd.Index(energies.time, name="t_s"))
 
 
 def planned_energy(
@@ -136,9 +136,9 @@ def planned_energy(
         battery, gauge, charge = account.battery, account.gauge, account.charge()
     given = as_plan(plan, vehicle)
     basis = basis_of(model, conditions, air_density)
-    found = forecast_plan(given, *basis)
-    along = battery.along(found, conditions.charge_from(charge), gauge.capacity)
-    return PlannedEnergy(given, points_of(given), basis, found, along, gauge)
+    energies = forecast_plan(given, *basis)
+    along = battery.along(energies, conditions.charge_from(charge), gauge.capacity)
+    return PlannedEnergy(given, points_of(given), basis, energies, along, gauge)
 
 
 def what_if(plan: Any, car: Any, conditions: PlanConditions = UNSAID) -> list[Change]:
@@ -158,13 +158,13 @@ def what_if(plan: Any, car: Any, conditions: PlanConditions = UNSAID) -> list[Ch
     for words, more in (("10 degrees colder", -10.0), ("10 degrees warmer", 10.0)):
         with suppress(PlanError):  # no weather is such
             cases.append((words, given, replace(conditions, temperature=celsius + more)))
-    found = []
+    changes = []
     for words, other, expected in cases:
-        one = planned_energy(other, car, expected)
-        energy = one.basis.model.difference(one.found.end, base.found.end)
-        seconds = np.ptp(one.trip.time) - np.ptp(base.trip.time)
-        found.append(Change(words, energy, float(seconds)))
-    return found
+        changed = planned_energy(other, car, expected)
+        energy = changed.basis.model.difference(changed.energies.end, base.energies.end)
+        seconds = np.ptp(changed.trip.time) - np.ptp(base.trip.time)
+        changes.append(Change(words, energy, float(seconds)))
+    return changes
 
 
 def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:

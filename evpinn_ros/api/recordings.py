@@ -161,9 +161,9 @@ def _opened(
 
 def _result(car: CarReplay, source: Source) -> Result:
     """The next drive of a car, with what is known of the car after it."""
-    found = car.replay(source)
+    replayed = car.replay(source)
     learned, account = car.chain.estimator.model(), deepcopy(car.chain.account)
-    return Result(found, car.vehicle, car.options, learned, account)
+    return Result(replayed, car.vehicle, car.options, learned, account)
 
 
 def _path_of(drive: Any, folder: Path) -> Path:

@@ -77,14 +77,14 @@ class Result:
         own or a later time.
         """
         drive = self.replayed.drive
-        found = _predictions(drive.newest, "predicted").join(
+        frame = _predictions(drive.newest, "predicted").join(
             _predictions(drive.smoothed, "smoothed"), how="outer"
         )
-        time = found.index.to_numpy()
+        time = frame.index.to_numpy()
         measured, known = measured_at(drive, time)
-        found.insert(0, "speed_mps", np.interp(time, *rising(drive.speed).T))
-        found.insert(1, "measured_w", np.where(known, measured, np.nan))
-        return found
+        frame.insert(0, "speed_mps", np.interp(time, *rising(drive.speed).T))
+        frame.insert(1, "measured_w", np.where(known, measured, np.nan))
+        return frame
 
     @cached_property
     def energy(self) -> pd.DataFrame:
@@ -135,8 +135,8 @@ class Result:
         paper, and if no part is complete.
         """
         rows = [
-            (*each.span, each.measured, each.forecast, each.sigma, each.covered)
-            for each in forecast_outcomes(self.replayed.drive, self.vehicle.air_density)
+            (*outcome.span, outcome.measured, outcome.forecast, outcome.sigma, outcome.covered)
+            for outcome in forecast_outcomes(self.replayed.drive, self.vehicle.air_density)
         ]
         return pd.DataFrame(rows, columns=list(FORECAST_COLUMNS))
 
@@ -156,5 +156,5 @@ class Result:
 
 def _predictions(series: PowerSeries, name: str) -> pd.DataFrame:
     columns = {f"{name}_w": series.power, f"{name}_sigma_w": series.sigma}
-    found = pd.DataFrame(columns, index=pd.Index(series.time, name=TIME))
-    return found[~found.index.duplicated()]
+    frame = pd.DataFrame(columns, index=pd.Index(series.time, name=TIME))
+    return frame[~frame.index.duplicated()]

@@ -89,11 +89,11 @@ def _profile_table(profiles: tuple[ProfileReport, ...]) -> PlainTable:
 def _value_table(best: ProfileReport) -> PlainTable:
     columns = ("signal", "readings", "newest", "lowest", "highest", "")
     table = PlainTable(f"Values as {best.fit.profile} reads them", columns, words=("",))
-    for name, found in best.values.items():
+    for name, signal in best.values.items():
         unit, factor, decimals = PEOPLE[name]
-        numbers = (found.newest, found.lowest, found.highest)
+        numbers = (signal.newest, signal.lowest, signal.highest)
         texts = [_text(factor * number, decimals) for number in numbers]
-        table.add_row(name.replace("_", " "), str(found.count), *texts, unit)
+        table.add_row(name.replace("_", " "), str(signal.count), *texts, unit)
     return table
 
 
@@ -152,12 +152,12 @@ def _profile_json(profile: ProfileReport) -> dict[str, Any]:
         "messages": [_message_json(message) for message in profile.fit.messages],
         "values": {
             name: {
-                "count": found.count,
-                "newest": _plain(found.newest),
-                "lowest": _plain(found.lowest),
-                "highest": _plain(found.highest),
+                "count": signal.count,
+                "newest": _plain(signal.newest),
+                "lowest": _plain(signal.lowest),
+                "highest": _plain(signal.highest),
             }
-            for name, found in profile.values.items()
+            for name, signal in profile.values.items()
         },
         "dropped": dict(profile.dropped),
         "current_sign": {"told": profile.sign_decided, "suspicion": profile.sign},

@@ -73,28 +73,28 @@ def compare(
     sources = [car.open(path, read_options) for path in drives]
     for source in sources:
         explain_columns(source)
-    found = compare_drives(
+    comparison = compare_drives(
         car,
         sources,
-        progress=lambda one: progress_bar(one.path.name, options.seconds_of(one.seconds)),
+        progress=lambda source: progress_bar(source.path.name, options.seconds_of(source.seconds)),
     )
-    _show(found, units.units)
+    _show(comparison, units.units)
     if json_file is not None:
-        write_json(json_file, found.metrics())
+        write_json(json_file, comparison.metrics())
     if report is not None:
-        write_comparison(report, found, command_line(), units.units)
-    if found.problems:
+        write_comparison(report, comparison, command_line(), units.units)
+    if comparison.problems:
         raise typer.Exit(1)
 
 
-def _show(found: Comparison, units: Units) -> None:
+def _show(comparison: Comparison, units: Units) -> None:
     """Tables and sentences for people."""
-    for problem in found.problems:
+    for problem in comparison.problems:
         note(f"evpinn: {problem}")
-    rows = trip_rows(found, units) + part_rows(found.parts(), units=units)
-    show(PlainTable(f"Where the energy went, {units.rate}", ("", *found.names), rows))
-    less = tuple(f"{name} minus {found.names[0]}" for name in found.names[1:])
-    rows = part_rows(found.differences(), signed=True, units=units)
+    rows = trip_rows(comparison, units) + part_rows(comparison.parts(), units=units)
+    show(PlainTable(f"Where the energy went, {units.rate}", ("", *comparison.names), rows))
+    less = tuple(f"{name} minus {comparison.names[0]}" for name in comparison.names[1:])
+    rows = part_rows(comparison.differences(), signed=True, units=units)
     show(PlainTable("What explains the difference", ("", *less), rows))
-    for line in sentences(found, units):
+    for line in sentences(comparison, units):
         say(line)

@@ -66,15 +66,15 @@ def command_line() -> str:
 def moment(stamp_ns: int, timespec: str = "seconds") -> str:
     """UTC of a stamp, as exact as `isoformat` is asked; the bare number where it is no date."""
     try:
-        found = datetime.fromtimestamp(stamp_ns / NANOSECONDS, timezone.utc)
+        instant = datetime.fromtimestamp(stamp_ns / NANOSECONDS, timezone.utc)
     except (OverflowError, ValueError, OSError):
         return f"{stamp_ns} ns"
-    return found.isoformat(sep=" ", timespec=timespec).removesuffix("+00:00")
+    return instant.isoformat(sep=" ", timespec=timespec).removesuffix("+00:00")
 
 
-def show_json(found: Any) -> None:
+def show_json(document: Any) -> None:
     """Results for scripts, on stdout; null where a number is not finite."""
-    print(json_text(found, indent=2), flush=True)
+    print(json_text(document, indent=2), flush=True)
 
 
 def tables_beside(json_file: Path | None) -> None:
@@ -82,13 +82,13 @@ def tables_beside(json_file: Path | None) -> None:
     results.stderr = json_file is not None and str(json_file) == STDOUT
 
 
-def write_json(path: Path, found: Any) -> None:
+def write_json(path: Path, document: Any) -> None:
     """Write results for scripts, to stdout or a file, the folder too if need be.
 
     Raises:
         InputError: it cannot be written.
     """
-    text = json_text(found, indent=1)
+    text = json_text(document, indent=1)
     if str(path) == STDOUT:
         print(text, flush=True)
         return

@@ -76,15 +76,15 @@ def demo(
     save_figure(
         drive_figure(drive, "A simulated drive in town, through the nodes", known), picture
     )
-    found = drive_scores(drive, WARM_UP)
-    show(score_table(drive, found))
-    for line in energy_lines(found):
+    scores = drive_scores(drive, WARM_UP)
+    show(score_table(drive, scores))
+    for line in energy_lines(scores):
         say(line)
     show(live_table(drive, truth))
     say(f"Picture  {picture}")
     say(f"Bag      {bag}")
     if json_file is not None:
-        write_json(json_file, found)
+        write_json(json_file, scores)
 
 
 def _frames(source: Path) -> list[CanFrame]:
@@ -94,7 +94,11 @@ def _frames(source: Path) -> list[CanFrame]:
     encoder = Encoder(load_profile(profile))
     encode: dict[type, Any] = {SpeedReading: encoder.speed, BatteryReading: encoder.battery}
     with BagReader(source) as reader:
-        return [encode[type(one)](one) for one in BagReadings(reader) if type(one) in encode]
+        return [
+            encode[type(reading)](reading)
+            for reading in BagReadings(reader)
+            if type(reading) in encode
+        ]
 
 
 def _clear(bag: Path, log: Path) -> None:

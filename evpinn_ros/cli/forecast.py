@@ -102,18 +102,21 @@ def forecast(
         temperature, heating, head_wind, payload, share, seconds, float(prewarmed)
     )
     own = load_vehicle(vehicle)
-    found = [planned_energy(read_plan(path, own, read_options), car, given) for path in plans]
-    rows = [_figures(path, each, found[0]) for path, each in zip(plans, found, strict=True)]
+    forecasts = [planned_energy(read_plan(path, own, read_options), car, given) for path in plans]
+    rows = [
+        _figures(path, planned, forecasts[0])
+        for path, planned in zip(plans, forecasts, strict=True)
+    ]
     rows[0] |= dict.fromkeys(ENERGIES[2:], math.nan)
     columns = (*COLUMNS, MORE) if len(rows) > 1 else COLUMNS
     table = PlainTable("Forecast", columns, [_texts(row)[: len(columns)] for row in rows])
     show(table, at_least=WIDE if len(rows) > 1 else 0)
     known = "by its vehicle file alone; --state FILE uses what earlier drives taught"
     say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
-    expected = _expected(given, found[0].basis.model.car.celsius)
+    expected = _expected(given, forecasts[0].basis.model.car.celsius)
     say(expected)
     if charge is not None:
-        say(_battery(found[0].gauge))
+        say(_battery(forecasts[0].gauge))
     if charge is None:
         note("evpinn: add --charge PERCENT (at the start) to see the charge at the end")
     if report is not None:
@@ -122,8 +125,8 @@ def forecast(
 
         names = short_names(plans)
         trips = [
-            PlannedTrip(name, one, what_if(one.given, car, given))
-            for name, one in zip(names, found, strict=True)
+            PlannedTrip(name, planned, what_if(planned.given, car, given))
+            for name, planned in zip(names, forecasts, strict=True)
         ]
         write_forecasts(report, trips, expected, command_line())
     if json_file is not None:
@@ -156,23 +159,23 @@ def _battery(gauge: Any) -> str:
             "write battery_capacity into the vehicle file, or replay a drive that uses 10 % of "
             "the charge."
         )
-    kwh, sigma = (each / JOULES_PER_KWH for each in gauge.capacity)
+    kwh, sigma = (joules / JOULES_PER_KWH for joules in gauge.capacity)
     how = "as its drives showed" if gauge.learned else "by its vehicle file"
     return f"Battery: {kwh:.1f} +- {sigma:.1f} kWh when full, {how}."
 
 
 def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:
     """Figures of one plan, in SI units and percent; NaN where unknown."""
-    trip, found = planned.trip, planned.found
-    more = planned.basis.model.difference(found.end, first.found.end)
+    trip, energies = planned.trip, planned.energies
+    more = planned.basis.model.difference(energies.end, first.energies.end)
     charge, charge_sigma = (100 * planned.charge[:, -1]).tolist()
     empty = planned.charge[0] <= 0.0
     return {
         "plan": str(path),
         "distance_m": float(trip.distance[-1]),
         "duration_s": float(trip.time[-1]),
-        "energy_j": float(found.energy[-1]),
-        "sigma_j": float(found.sigma[-1]),
+        "energy_j": float(energies.energy[-1]),
+        "sigma_j": float(energies.sigma[-1]),
         "charge_pct": max(charge, 0.0),
         "charge_sigma_pct": charge_sigma,
         "empty_at_m": float(trip.distance[empty.argmax()]) if empty.any() else None,

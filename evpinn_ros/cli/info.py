@@ -41,60 +41,62 @@ def info(
 
     Example: evpinn info bags/urban drive.log drive.csv
     """
-    found: list[Contents] = []
+    recordings: list[Contents] = []
     options = ReadOptions(columns=column or (), car=car)
     problems = 0
     for path in chain.from_iterable(map(files_of, inputs)):
         try:
-            found.append(contents(path, options, partial(progress_bar, path.name)))
+            recordings.append(contents(path, options, partial(progress_bar, path.name)))
         except InputError as error:
             problems += 1
             note(f"evpinn: {error}")
             continue
         if not as_json_text:
-            _show(found[-1])
+            _show(recordings[-1])
     if as_json_text:
-        show_json([_as_json(each) for each in found])
+        show_json([_as_json(recording) for recording in recordings])
     if problems:
         raise typer.Exit(1)
 
 
-def _show(found: Contents) -> None:
-    if found.topics:
+def _show(recording: Contents) -> None:
+    if recording.topics:
         columns = ("topic", "type", "messages", "Hz", "longest gap")
-        rows = [(topic.name, topic.type_name, *_flow(topic.flow)) for topic in found.topics]
-        show(PlainTable(f"{found.path}", columns, rows, words=("type",)))
-    for line in _lines(found):
+        rows = [(topic.name, topic.type_name, *_flow(topic.flow)) for topic in recording.topics]
+        show(PlainTable(f"{recording.path}", columns, rows, words=("type",)))
+    for line in _lines(recording):
         say(line)
 
 
-def _lines(found: Contents) -> Iterator[str]:
-    begin, end = found.span_ns or (0, 0)
-    when = f"{(end - begin) / NANOSECONDS:.1f} s{_start(found, begin)}" if end else "empty"
-    yield f"{found.path}: {found.kind}, {when}"
-    for column in found.columns:
+def _lines(recording: Contents) -> Iterator[str]:
+    begin, end = recording.span_ns or (0, 0)
+    when = f"{(end - begin) / NANOSECONDS:.1f} s{_start(recording, begin)}" if end else "empty"
+    yield f"{recording.path}: {recording.kind}, {when}"
+    for column in recording.columns:
         yield f"  {column.quantity}: column {choice(column)}"
-    for why, names in by_reason(found.unused).items():
+    for why, names in by_reason(recording.unused).items():
         yield f"  not used, {why}: {shorter(names)}"
-    if found.frames:
-        fits = f"profile {found.profile} fits" if found.profile else "no known profile fits"
+    if recording.frames:
+        fits = (
+            f"profile {recording.profile} fits" if recording.profile else "no known profile fits"
+        )
         yield f"  CAN frames: {fits}"
-    if found.vehicles:
-        yield f"  use: --vehicle {' or '.join(found.vehicles)}"
-    if found.drive is not None:
-        yield from _drive_lines(found.drive, begin)
-    if lost := dropped_text(found.dropped or {}):
+    if recording.vehicles:
+        yield f"  use: --vehicle {' or '.join(recording.vehicles)}"
+    if recording.drive is not None:
+        yield from _drive_lines(recording.drive, begin)
+    if lost := dropped_text(recording.dropped or {}):
         yield f"  lost: {lost}"
-    for text in found.notes:
+    for text in recording.notes:
         yield f"  {text}"
 
 
-def _start(found: Contents, begin_ns: int) -> str:
+def _start(recording: Contents, begin_ns: int) -> str:
     """Start of a recording, as far as it is known."""
-    if found.dated == "" or begin_ns < FIRST_STAMP_NS:
+    if recording.dated == "" or begin_ns < FIRST_STAMP_NS:
         return ", without a date"
-    day = ", the day taken from the file's name" if found.dated == "name" else ""
-    zone = " UTC" if found.zoned else ", local time"
+    day = ", the day taken from the file's name" if recording.dated == "name" else ""
+    zone = " UTC" if recording.zoned else ", local time"
     return f" from {moment(begin_ns)}{zone}{day}"
 
 
@@ -125,23 +127,23 @@ def _flow(flow: ReadingFlow) -> tuple[str, str, str]:
     return str(flow.count), rate, f"{flow.longest_gap:.2f} s"
 
 
-def _as_json(found: Contents) -> dict[str, Any]:
-    begin, end = found.span_ns or (0, 0)
-    drive = found.drive
+def _as_json(recording: Contents) -> dict[str, Any]:
+    begin, end = recording.span_ns or (0, 0)
+    drive = recording.drive
     return {
-        "path": str(found.path),
-        "kind": found.kind,
-        "start_ns": begin if found.dated != "" else None,
+        "path": str(recording.path),
+        "kind": recording.kind,
+        "start_ns": begin if recording.dated != "" else None,
         "duration_s": (end - begin) / NANOSECONDS,
         "topics": [
             {"name": topic.name, "type": topic.type_name, **_flow_json(topic.flow)}
-            for topic in found.topics
+            for topic in recording.topics
         ],
-        "columns": [asdict(column) for column in found.columns],
-        "columns_not_used": list(found.unused),
-        "columns_not_used_why": by_reason(found.unused),
-        "can_profile": found.profile,
-        "vehicles": list(found.vehicles),
+        "columns": [asdict(column) for column in recording.columns],
+        "columns_not_used": list(recording.unused),
+        "columns_not_used_why": by_reason(recording.unused),
+        "can_profile": recording.profile,
+        "vehicles": list(recording.vehicles),
         "readings": {k: _flow_json(flow) for k, flow in (drive.flows if drive else {}).items()},
         "distance_m": drive.distance if drive else None,
         "voltage_v": drive.voltage if drive else None,
@@ -153,8 +155,8 @@ def _as_json(found: Contents) -> dict[str, Any]:
             "moving_s": drive.moving,
             "spans_s": list(_relative(drive.spans, begin)),
         },
-        "dropped": dict(found.dropped or {}),
-        "notes": list(found.notes),
+        "dropped": dict(recording.dropped or {}),
+        "notes": list(recording.notes),
     }
 
 

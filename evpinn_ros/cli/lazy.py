@@ -33,10 +33,10 @@ class Readable:
 
     def get_params(self, ctx: Any) -> Any:
         """Options, those that every command has in few words."""
-        found = super().get_params(ctx)  # type: ignore[misc]
-        for each in found:
-            each.help = BRIEF.get(each.name, getattr(each, "help", None))
-        return found
+        parameters = super().get_params(ctx)  # type: ignore[misc]
+        for parameter in parameters:
+            parameter.help = BRIEF.get(parameter.name, getattr(parameter, "help", None))
+        return parameters
 
 
 class ReadableCommand(Readable, TyperCommand):
@@ -69,13 +69,13 @@ class LazyCommands(ReadableGroup):
             return None
         if self._listing:
             return TyperCommand(cmd_name, help=_described(self.modules[name], name))
-        found = getattr(import_module(self.modules[name]), name)
-        if isinstance(found, typer.Typer):
-            group = typer.main.get_group(found)
+        command = getattr(import_module(self.modules[name]), name)
+        if isinstance(command, typer.Typer):
+            group = typer.main.get_group(command)
             group.name = cmd_name  # help lists it by that
             return group
         alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-        alone.command(cmd_name, cls=ReadableCommand)(found)
+        alone.command(cmd_name, cls=ReadableCommand)(command)
         return typer.main.get_command(alone)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -110,7 +110,7 @@ def _described(module: str, name: str) -> str:
     for node in ast.parse(spec.loader.get_source(module) or "").body:
         if not isinstance(node, ast.FunctionDef):
             continue
-        decorators = {ast.unparse(each) for each in node.decorator_list}
+        decorators = {ast.unparse(decorator) for decorator in node.decorator_list}
         if node.name == name or f"{name}.callback()" in decorators:
             return " ".join((ast.get_docstring(node) or "").split("\n\n")[0].split())
     return ""

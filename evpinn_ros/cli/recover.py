@@ -37,37 +37,37 @@ def recover(
     """
     total = sum(path.stat().st_size for path in broken_files(broken))
     with writing(out), bytes_bar(broken.name, total) as progress:
-        found = recover_bag(broken, out, progress)
+        files = recover_bag(broken, out, progress)
     if as_json_text:
-        document = {"bag": str(out), "files": [_as_json(one) for one in found]}
+        document = {"bag": str(out), "files": [_as_json(file) for file in files]}
         show_json(document)
     else:
-        for one in found:
-            for line in _lines(one):
+        for file in files:
+            for line in _lines(file):
                 say(line)
         say(str(out))
-    if unread := [one.problem for one in found if one.problem is not None]:
+    if unread := [file.problem for file in files if file.problem is not None]:
         for problem in unread:
             note(f"evpinn: {problem}")
-        note(f"evpinn: {len(unread)} of {len(found)} files could not be read, or not to the end")
+        note(f"evpinn: {len(unread)} of {len(files)} files could not be read, or not to the end")
         raise typer.Exit(1)
 
 
-def _lines(one: RecoveredFile) -> Iterator[str]:
-    span = f", {_time(one.start_ns)} to {_time(one.end_ns)}" if one.messages else ""
-    yield f"{one.path}: {one.messages} messages saved{span}"
-    if one.unproven:
-        yield f"  {one.unproven} of them have no checksum: what is in them was not checked"
-    for loss in one.losses[:MOST_LINES]:
+def _lines(file: RecoveredFile) -> Iterator[str]:
+    span = f", {_time(file.start_ns)} to {_time(file.end_ns)}" if file.messages else ""
+    yield f"{file.path}: {file.messages} messages saved{span}"
+    if file.unproven:
+        yield f"  {file.unproven} of them have no checksum: what is in them was not checked"
+    for loss in file.losses[:MOST_LINES]:
         yield f"  lost: {_loss(loss)}"
-    if more := one.more_losses + len(one.losses[MOST_LINES:]):
-        yield f"  lost: {more} more stretches; {one.lost_bytes} bytes in all"
-    if one.unknown_topic:
-        yield f"  lost: {one.unknown_topic} messages, for the definition of their topic is lost"
-    if one.whole:
-        yield "  nothing is lost" + ("" if one.ended else "; its end and index were missing")
-    elif one.lost_messages is not None:
-        yield f"  {one.lost_messages} messages lost in all"
+    if more := file.more_losses + len(file.losses[MOST_LINES:]):
+        yield f"  lost: {more} more stretches; {file.lost_bytes} bytes in all"
+    if file.unknown_topic:
+        yield f"  lost: {file.unknown_topic} messages, for the definition of their topic is lost"
+    if file.whole:
+        yield "  nothing is lost" + ("" if file.ended else "; its end and index were missing")
+    elif file.lost_messages is not None:
+        yield f"  {file.lost_messages} messages lost in all"
     else:
         yield "  how many messages are lost is unknown: the file's own count is gone"
 
@@ -84,6 +84,6 @@ def _loss(loss: Loss) -> str:
     return text
 
 
-def _as_json(one: RecoveredFile) -> dict[str, Any]:
-    sums = {"lost_messages": one.lost_messages, "lost_chunks": one.lost_chunks}
-    return asdict(one) | {"path": str(one.path)} | sums
+def _as_json(file: RecoveredFile) -> dict[str, Any]:
+    sums = {"lost_messages": file.lost_messages, "lost_chunks": file.lost_chunks}
+    return asdict(file) | {"path": str(file.path)} | sums

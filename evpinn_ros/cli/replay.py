@@ -147,7 +147,7 @@ def replay(
             # Whatever ends a later drive, the results of those before it are kept.
             written = _write(car, (metrics, report, state), units.units, len(inputs) > 1)
     if len(car.done) > 1:
-        rows = [(each.drive, each.metrics) for each in car.done]
+        rows = [(result.drive, result.metrics) for result in car.done]
         show(drives_table(rows, units.units), at_least=WIDE)
         show(parameter_table(car.done[-1].metrics))
         say("To see these drives side by side, use evpinn compare.")
@@ -166,7 +166,7 @@ def _opened(
         InputError: none can be read.
     """
     logs: list[Source] = []
-    found: list[Source] = []
+    sources: list[Source] = []
     unreadable: list[str] = []
     for path in chain.from_iterable(map(files_of, inputs)):
         try:
@@ -179,20 +179,20 @@ def _opened(
         note(f"{len(logs)} files make {len(drives)} logs: some continue the file before them")
     for log in drives:
         if whole or not log.rules:  # which a table has
-            found.append(log)
+            sources.append(log)
             continue
         try:
             trips, charged = split(log)
         except InputError as error:
             unreadable.append(str(error))
             continue
-        found += trips
+        sources += trips
         if len(trips) > 1:
             kwh = f"; charged while parked: {charged / JOULES_PER_KWH:.1f} kWh" if charged else ""
             note(f"{log.path}: {len(trips)} trips{kwh}")
-    if not found:
+    if not sources:
         raise InputError("; ".join(unreadable) or "no recording in this folder")
-    return found, unreadable
+    return sources, unreadable
 
 
 def _one(
@@ -218,36 +218,36 @@ def _show(
     units: Units,
 ) -> None:
     """Tables for people, of one of many drives a line, and one for each thing that was missing."""
-    found = result.metrics
+    metrics = result.metrics
     if result.problem:
         note(f"evpinn: {result.problem}")
     explain_notes(source)
     if not has_battery(result.drive):
         note(f"evpinn: {source.path}: no battery voltage and current; nothing could be learned")
     say(
-        f"{found['input']['path']}: {result.drive.duration:.0f} s, {found['vehicle']}, "
-        f"{found['mode']}, {found['replay']['realtime_factor'] or 0:.0f} x real time"
+        f"{metrics['input']['path']}: {result.drive.duration:.0f} s, {metrics['vehicle']}, "
+        f"{metrics['mode']}, {metrics['replay']['realtime_factor'] or 0:.0f} x real time"
     )
-    if dropped := dropped_text(found["input"]["dropped"]):
+    if dropped := dropped_text(metrics["input"]["dropped"]):
         say(f"Not used: {dropped}")
-    say(owner_line(result.drive, found, units))
-    for line in owner_notes(vehicle, result.drive, found):
+    say(owner_line(result.drive, metrics, units))
+    for line in owner_notes(vehicle, result.drive, metrics):
         say(line)
     if briefly:
         return
-    if found["breakdown"]["unknown"] is None:
-        show(breakdown_table(found["breakdown"], units))
-    for line in breakdown_lines(found["breakdown"], units):
+    if metrics["breakdown"]["unknown"] is None:
+        show(breakdown_table(metrics["breakdown"], units))
+    for line in breakdown_lines(metrics["breakdown"], units):
         say(line)
-    show(score_table(result.drive, found, warm_up))
+    show(score_table(result.drive, metrics, warm_up))
     if result.drive.duration <= warm_up:
         say(
             f"Nothing was scored, because the drive is not longer than the {warm_up:.0f} s of "
             "warm-up; --warm-up changes that."
         )
-    for line in energy_lines(found):
+    for line in energy_lines(metrics):
         say(line)
-    show(parameter_table(found, read_truth(source.path)))
+    show(parameter_table(metrics, read_truth(source.path)))
 
 
 def _write(
@@ -278,8 +278,8 @@ def _write(
 
 
 def _write_metrics(path: Path, done: list[Replayed], several: bool) -> None:
-    found: list[dict[str, Any]] = [result.metrics for result in done]
-    write_json(path, found if several or len(found) > 1 else found[0])
+    documents: list[dict[str, Any]] = [result.metrics for result in done]
+    write_json(path, documents if several or len(documents) > 1 else documents[0])
 
 
 def _write_report(path: Path, car: CarReplay, units: Units) -> None:

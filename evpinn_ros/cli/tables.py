@@ -23,10 +23,10 @@ from evpinn_ros.report.tables import (
 )
 
 
-def parameter_table(found: Mapping[str, Any], truth: Parameters | None = None) -> PlainTable:
+def parameter_table(metrics: Mapping[str, Any], truth: Parameters | None = None) -> PlainTable:
     """Live value, 1-sigma, prior share and state of each parameter, and the truth if known."""
     columns = parameter_columns(truth)
-    rows = parameter_rows(found, truth)
+    rows = parameter_rows(metrics, truth)
     return PlainTable("Parameters of the car", columns, rows, words=("state",))
 
 
@@ -48,22 +48,28 @@ def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
     return table
 
 
-def breakdown_table(found: Mapping[str, Any], units: Units = METRIC) -> PlainTable:
+def breakdown_table(breakdown: Mapping[str, Any], units: Units = METRIC) -> PlainTable:
     """Breakdown of the energy: kWh, 1-sigma, energy over distance and share of each part."""
-    rows = breakdown_rows(found, units)
+    rows = breakdown_rows(breakdown, units)
     return PlainTable("Where the energy went", breakdown_columns(units), rows)
 
 
-def score_table(drive: Drive, found: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
+def score_table(drive: Drive, metrics: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
     """Scores of power and energy, with the baselines that say what they are worth."""
     title = f"Power, predicted before it was learned from; the first {warm_up:.0f} s not scored"
-    return PlainTable(title, SCORE_COLUMNS, score_rows(drive, found, warm_up))
+    return PlainTable(title, SCORE_COLUMNS, score_rows(drive, metrics, warm_up))
 
 
 def drives_table(
     drives: Sequence[tuple[Drive, Mapping[str, Any]]], units: Units = METRIC
 ) -> PlainTable:
     """Drives of one car with their metrics, a row each."""
-    names = short_names([Path(found["input"]["path"]) for _, found in drives])
-    rows = drives_rows([(name, *each) for name, each in zip(names, drives, strict=True)], units)
+    names = short_names([Path(metrics["input"]["path"]) for _, metrics in drives])
+    rows = drives_rows(
+        [
+            (name, *drive_and_metrics)
+            for name, drive_and_metrics in zip(names, drives, strict=True)
+        ],
+        units,
+    )
     return PlainTable("Drives", drives_columns(units), rows, words=("took most",))

@@ -73,8 +73,8 @@ def rmf(
 
     car = Estimator(vehicle, state=state)
     gauge = car.account.gauge
-    found = rmf_energy(car.model, car.vehicle, gauge.capacity, speed)
-    holds, known = found.capacity, "as its drives showed" if gauge.learned else "its vehicle file"
+    robot = rmf_energy(car.model, car.vehicle, gauge.capacity, speed)
+    holds, known = robot.capacity, "as its drives showed" if gauge.learned else "its vehicle file"
     if capacity is not None:
         holds, known = Uncertain(capacity, math.nan), "given"
     if not math.isfinite(holds.value):
@@ -83,22 +83,22 @@ def rmf(
             "battery_capacity into its vehicle file, or replay a drive that takes ten percent"
         )
     current = holds.value / CHARGED_IN if charging_current is None else charging_current
-    inertia = found.mass * radius**2 / 2.0
-    trip = f"{found.trip_metres:.0f} m at {found.speed:g} m/s take {found.trip.value:.0f}"
+    inertia = robot.mass * radius**2 / 2.0
+    trip = f"{robot.trip_metres:.0f} m at {robot.speed:g} m/s take {robot.trip.value:.0f}"
     spread = f" +- {holds.sigma:.2g}" if math.isfinite(holds.sigma) else ""
     text = f"""\
-# {vehicle}, as learned in {state}: {trip} +- {found.trip.sigma:.0f} J.
+# {vehicle}, as learned in {state}: {trip} +- {robot.trip.sigma:.0f} J.
 rmf_fleet:
   battery_system:
-    voltage: {found.voltage:.1f}  # V, nominal, by the vehicle file
+    voltage: {robot.voltage:.1f}  # V, nominal, by the vehicle file
     capacity: {holds.value:.2f}  # A h{spread}, {known}
     charging_current: {current:.2f}  # A, {"given" if charging_current else "not learned"}
   mechanical_system:
-    mass: {found.mass:.3f}  # kg, for RMF's formula, not the weight
+    mass: {robot.mass:.3f}  # kg, for RMF's formula, not the weight
     moment_of_inertia: {inertia:.4f}  # kg m^2, not learned: a disc of radius {radius:g} m
-    friction_coefficient: {found.friction:.5f}  # at {found.speed:g} m/s
+    friction_coefficient: {robot.friction:.5f}  # at {robot.speed:g} m/s
   ambient_system:
-    power: {found.ambient:.2f}  # W, learned
+    power: {robot.ambient:.2f}  # W, learned
   tool_system:
     power: {tool:.2f}  # W, {"given" if tool else "not learned"}"""
     for line in text.splitlines():

@@ -73,8 +73,8 @@ def rmf_energy(
     weather = Weather(vehicle.air_density, heating=0.0)
     time = np.arange(0.0, STANDING + 1.0)
     rest = plan_from_speed_profile(time, None, 0.0 * time)
-    short, long = (_trip(each, speed) for each in CRUISES)
-    standing, less, more = (_energy(each, model, weather) for each in (rest, short, long))
+    short, long = (_trip(cruise, speed) for cruise in CRUISES)
+    standing, less, more = (_energy(plan, model, weather) for plan in (rest, short, long))
     ambient = max(standing.value / STANDING, 0.0)
     duration, length = long.time[-1] - short.time[-1], long.distance[-1] - short.distance[-1]
     force = (more.value - less.value - ambient * duration) / length
@@ -104,5 +104,5 @@ def _trip(cruise: float, speed: float) -> Plan:
 
 
 def _energy(plan: Plan, model: PowerModel, weather: Weather) -> Uncertain:
-    found = forecast_plan(plan, model, weather)
-    return Uncertain(float(found.energy[-1]), float(found.sigma[-1]))
+    energies = forecast_plan(plan, model, weather)
+    return Uncertain(float(energies.energy[-1]), float(energies.sigma[-1]))

@@ -45,7 +45,7 @@ class Trip(NamedTuple):
 class Trips(NamedTuple):
     """Trips of a log, in order, and the energy that it was charged with outside of them, J."""
 
-    found: tuple[Trip, ...]
+    trips: tuple[Trip, ...]
     charged: float
 
 
@@ -157,10 +157,10 @@ def split(log: Source) -> tuple[Sequence[Source], float]:
         InputError: it cannot be read.
     """
     trips = trips_of(log.readings())
-    if len(trips.found) < 2:
+    if len(trips.trips) < 2:
         return [log], 0.0
-    count = len(trips.found)
-    return [TripSource(log, 1 + i, trips.found) for i in range(count)], trips.charged
+    count = len(trips.trips)
+    return [TripSource(log, 1 + i, trips.trips) for i in range(count)], trips.charged
 
 
 def trips_of(readings: Iterable[Reading]) -> Trips:

@@ -44,7 +44,7 @@ class Comparison:
 
     def parts(self) -> list[Breakdown]:
         """The breakdown of each drive."""
-        return [found for i in range(len(self.drives)) if (found := self.breakdowns.of(i))]
+        return [breakdown for i in range(len(self.drives)) if (breakdown := self.breakdowns.of(i))]
 
     def differences(self) -> list[Breakdown]:
         """Every drive but the first, less the first, of 100 km each."""
@@ -57,12 +57,16 @@ class Comparison:
         return {
             "vehicle": self.vehicle.key,
             "drives": [
-                {"name": name, "path": str(path), "breakdown": breakdown_metrics(found, mode)}
-                for name, path, found in zip(self.names, self.paths, self.parts(), strict=True)
+                {"name": name, "path": str(path), "breakdown": breakdown_metrics(breakdown, mode)}
+                for name, path, breakdown in zip(self.names, self.paths, self.parts(), strict=True)
             ],
             "differences": [
-                {"drive": name, "less": self.names[0], "breakdown": breakdown_metrics(found, mode)}
-                for name, found in pairs
+                {
+                    "drive": name,
+                    "less": self.names[0],
+                    "breakdown": breakdown_metrics(breakdown, mode),
+                }
+                for name, breakdown in pairs
             ],
         }
 
@@ -78,30 +82,32 @@ def compare(car: CarReplay, sources: Iterable[Source], *, progress: Bar) -> Comp
     Raises:
         InputError: a drive is too short or its battery was not measured; or in mode paper.
     """
-    found = _breakdowns(car)
+    breakdowns = _breakdowns(car)
     paths: list[Path] = []
     owners: list[int] = []  # drive that each breakdown is of: a long stop begins another
     for number, source in enumerate(sources):
         with progress(source) as report:
             car.replay(source, progress=report)
-        found = _breakdowns(car)
-        new = found.drives[len(owners) :]
-        owners += [number for each in new if each.seconds]
-        if sum(each.distance for each in new) < CONSUMPTION_METRES:
+        breakdowns = _breakdowns(car)
+        new = breakdowns.drives[len(owners) :]
+        owners += [number for drive in new if drive.seconds]
+        if sum(drive.distance for drive in new) < CONSUMPTION_METRES:
             raise InputError(f"{source.path}: where its energy went is {NOTHING}")
         paths.append(source.path)
     return Comparison(
         vehicle=car.vehicle,
         paths=tuple(paths),
         names=short_names(paths),
-        drives=tuple(each.drive for each in car.done),
-        breakdowns=found.joined(owners + owners[-1:] * (len(found.drives) - len(owners))),
-        problems=tuple(each.problem for each in car.done if each.problem),
+        drives=tuple(replayed.drive for replayed in car.done),
+        breakdowns=breakdowns.joined(
+            owners + owners[-1:] * (len(breakdowns.drives) - len(owners))
+        ),
+        problems=tuple(replayed.problem for replayed in car.done if replayed.problem),
     )
 
 
 def _breakdowns(car: CarReplay) -> Breakdowns:
-    found = car.chain.estimator.breakdowns()
-    if found is None:
+    breakdowns = car.chain.estimator.breakdowns()
+    if breakdowns is None:
         raise InputError(f"nothing to compare: where the energy went is {PAPER}")
-    return found
+    return breakdowns

@@ -32,9 +32,9 @@ NOTHING = (
 )
 
 
-def breakdown_metrics(found: Breakdown | None, mode: str) -> dict[str, Any]:
+def breakdown_metrics(breakdown: Breakdown | None, mode: str) -> dict[str, Any]:
     """The values of `--metrics` under `breakdown`; null with the reason where nothing is known."""
-    if found is None:
+    if breakdown is None:
         nothing = dict.fromkeys(Amount.__dataclass_fields__)
         rows: dict[str, Any] = {name: dict(nothing) for name in MEANINGS}
         why = PAPER if mode == Mode.PAPER.value else NOTHING
@@ -46,26 +46,26 @@ def breakdown_metrics(found: Breakdown | None, mode: str) -> dict[str, Any]:
             "unknown": why,
             "without_height_m": None,
         }
-    amounts = {**found.amounts(), "measured": found.total()}
+    amounts = {**breakdown.amounts(), "measured": breakdown.total()}
     return {
         **{name: asdict(amounts[name]) for name in MEANINGS},
         "together": [
-            {"parts": [part.name.lower() for part in group], **asdict(found.of(*group))}
-            for group in found.together()
+            {"parts": [part.name.lower() for part in group], **asdict(breakdown.of(*group))}
+            for group in breakdown.together()
         ],
-        "distance_m": found.distance,
-        "duration_s": found.seconds,
+        "distance_m": breakdown.distance,
+        "duration_s": breakdown.seconds,
         "unknown": None,
-        "without_height_m": found.unseen,
+        "without_height_m": breakdown.unseen,
     }
 
 
-def account_metrics(found: AccountSummary) -> dict[str, dict[str, Any]]:
+def account_metrics(summary: AccountSummary) -> dict[str, dict[str, Any]]:
     """Values of an account under `energy`, `consumption` and `range`; NaN and None are unknown.
 
     Energies are kWh, consumptions kWh/100 km, distances km.
     """
-    trip, life, remaining = found.since_reset, found.lifetime, found.remaining
+    trip, life, remaining = summary.since_reset, summary.lifetime, summary.remaining
     return {
         "energy": {
             "trip_kwh": trip.net.value / JOULES_PER_KWH,
@@ -75,12 +75,14 @@ def account_metrics(found: AccountSummary) -> dict[str, dict[str, Any]]:
             "regenerated_kwh": life.regenerated / JOULES_PER_KWH,
             "unmeasured_s": trip.unmeasured_s,
         },
-        "consumption": {name: value / KWH_PER_100KM for name, value in found.consumption.items()},
+        "consumption": {
+            name: value / KWH_PER_100KM for name, value in summary.consumption.items()
+        },
         "range": {
-            "charge_percent": 100.0 * found.charge.value,
-            "charge_projected": found.projected,
-            "usable_kwh": found.usable.value / JOULES_PER_KWH,
-            "capacity_kwh": found.capacity.value / JOULES_PER_KWH,
+            "charge_percent": 100.0 * summary.charge.value,
+            "charge_projected": summary.projected,
+            "usable_kwh": summary.usable.value / JOULES_PER_KWH,
+            "capacity_kwh": summary.capacity.value / JOULES_PER_KWH,
             "range_km": remaining and remaining.distance / 1e3,
             "lower_km": remaining and remaining.lower / 1e3,
             "upper_km": remaining and remaining.upper / 1e3,

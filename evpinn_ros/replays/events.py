@@ -42,11 +42,11 @@ class Event(NamedTuple):
 
 def drive_events(drive: Drive, withheld_from: float | None = None) -> list[Event]:
     """The events of a drive in order; the battery withheld from a time on, s, is one."""
-    found = [*_gaps(drive), *_resets(drive), *_payloads(drive), *_signal_faults(drive.detections)]
+    events = [*_gaps(drive), *_resets(drive), *_payloads(drive), *_signal_faults(drive.detections)]
     if withheld_from is not None and withheld_from < drive.duration:
         text = "From here on the battery was hidden from the estimator."
-        found.append(Event(withheld_from, EventKind.WITHHELD, text))
-    return sorted(found, key=lambda event: event.time)
+        events.append(Event(withheld_from, EventKind.WITHHELD, text))
+    return sorted(events, key=lambda event: event.time)
 
 
 def _gaps(drive: Drive) -> Iterator[Event]:
@@ -85,9 +85,9 @@ def _payloads(drive: Drive) -> Iterator[Event]:
                 f"{change.delta_mass:+.0f} ± {change.std:.0f} kg at this stop; "
                 f"reported {max(now.time - stop, 0.0):.0f} s later."
             )
-            found = last.get(report.payload_changes)
-            if found is not None:
-                text = text.partition(";")[0] + ";" + found.text.partition(";")[2]
+            reported = last.get(report.payload_changes)
+            if reported is not None:
+                text = text.partition(";")[0] + ";" + reported.text.partition(";")[2]
             last[report.payload_changes] = Event(stop, EventKind.PAYLOAD, text)
     yield from last.values()
 

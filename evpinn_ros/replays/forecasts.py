@@ -38,11 +38,11 @@ class ForecastOutcome(NamedTuple):
 def forecast_outcomes(drive: Drive, air_density: float) -> list[ForecastOutcome]:
     """The drive from model to model, each part forecast by the model of its begin."""
     ends = [*(known.time for known in drive.models), drive.duration][1:]
-    found = (
+    outcomes = (
         forecast_outcome(drive, known, end, air_density)
         for known, end in zip(drive.models, ends, strict=False)
     )
-    return [one for one in found if one is not None]
+    return [outcome for outcome in outcomes if outcome is not None]
 
 
 def forecast_outcome(

@@ -73,12 +73,12 @@ class DrivePoint(NamedTuple):
     def quantities(self, units: Units) -> dict[str, float]:
         """Known quantities by the titles of their trends."""
         consumption = self.distance_energy_j / self.distance_m / units.rate_joules
-        found = {f"consumption, {units.rate}": consumption}
+        values = {f"consumption, {units.rate}": consumption}
         if self.rolling is not None:
-            found[ROLLING] = self.rolling
+            values[ROLLING] = self.rolling
         if self.capacity_j is not None:
-            found[CAPACITY] = self.capacity_j / JOULES_PER_KWH
-        return found
+            values[CAPACITY] = self.capacity_j / JOULES_PER_KWH
+        return values
 
 
 def trends(points: Sequence[DrivePoint], units: Units = METRIC) -> list[Trend]:
@@ -86,15 +86,15 @@ def trends(points: Sequence[DrivePoint], units: Units = METRIC) -> list[Trend]:
     if len(points) < LEAST_DRIVES:
         return []
     ways: list[tuple[str, Callable[[DrivePoint], Group | None]]] = [
-        ("by week", _week), ("by outside temperature", lambda one: _warmth(one, units)),
+        ("by week", _week), ("by outside temperature", lambda point: _warmth(point, units)),
     ]  # fmt: skip
     quantities = ((f"consumption, {units.rate}", 1), (ROLLING, 4), (CAPACITY, 1))
-    found = (
+    candidates = (
         Trend(f"{title} {way}", digits, tuple(_rows(points, title, group, units)))
         for title, digits in quantities
         for way, group in ways
     )
-    return [trend for trend in found if len(trend.rows) > 1]
+    return [trend for trend in candidates if len(trend.rows) > 1]
 
 
 def drive_point(drive: Drive) -> DrivePoint | None:
@@ -129,8 +129,8 @@ def _warmth(point: DrivePoint, units: Units) -> Group | None:
     if point.ambient_c is None:
         return None
     low = BIN * math.floor(point.ambient_c / BIN)
-    ends = (units.degrees * each + units.zero for each in (low, low + BIN))
-    return low, " to ".join(f"{each:.0f}" for each in ends) + f" {units.temperature}"
+    ends = (units.degrees * celsius + units.zero for celsius in (low, low + BIN))
+    return low, " to ".join(f"{degrees:.0f}" for degrees in ends) + f" {units.temperature}"
 
 
 def _rows(

@@ -47,7 +47,7 @@ def _mass_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
     if rows is None or not len(rows):
         return
     _, value, std = rows[-1].tolist()
-    expected, spread = (each.mass_over_eta for each in prior_identifiable(vehicle))
+    expected, spread = (sums.mass_over_eta for sums in prior_identifiable(vehicle))
     if abs(value - expected) > DOUBTFUL * math.hypot(std, spread):
         yield (
             f"mass divided by efficiency is {value:.0f} kg ({expected:.0f} +- {spread:.0f} "
@@ -87,7 +87,7 @@ def _rivals(drive: Drive) -> Iterator[str]:
     value = float(rows[-1, 1])
 
     def distance(key: str) -> float:
-        expected, spread = (each.mass_over_eta for each in prior_identifiable(load_vehicle(key)))
+        expected, spread = (sums.mass_over_eta for sums in prior_identifiable(load_vehicle(key)))
         return abs(value - float(expected)) / float(spread)
 
     near = sorted((distance(key), key) for key in (*certified_cars(), *rated_cars()))

@@ -47,22 +47,22 @@ class KnownPart(NamedTuple):
     share: float
 
 
-def shown(found: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+def shown(breakdown: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """The parts by the names people read; those that data do not separate as one.
 
     What no input tells of is left out: heating of a car that knows no temperature, say.
 
     Args:
-        found: the metrics under `breakdown`.
+        breakdown: the metrics of that name.
     """
-    groups = {group["parts"][0]: group for group in found["together"]}
-    hidden = {name for group in found["together"] for name in group["parts"]}
+    groups = {group["parts"][0]: group for group in breakdown["together"]}
+    hidden = {name for group in breakdown["together"] for name in group["parts"]}
     rows = []
     for name in (*NAMES, UNEXPLAINED):
         if name in groups:
             rows.append((_together(groups[name]["parts"]), groups[name]))
-        elif name not in hidden and (found[name]["kwh"] or found[name]["sigma_kwh"]):
-            rows.append((MEANINGS[name], found[name]))
+        elif name not in hidden and (breakdown[name]["kwh"] or breakdown[name]["sigma_kwh"]):
+            rows.append((MEANINGS[name], breakdown[name]))
     return rows
 
 
@@ -71,42 +71,46 @@ def breakdown_columns(units: Units = METRIC) -> tuple[str, ...]:
     return ("where it went", "kWh", "1-sigma", units.rate, "share")
 
 
-def breakdown_rows(found: Mapping[str, Any], units: Units = METRIC) -> list[tuple[str, ...]]:
+def breakdown_rows(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[tuple[str, ...]]:
     """Rows of text under `breakdown_columns`: what is `shown`, was measured, was brought back."""
-    if found["unknown"] is not None:
+    if breakdown["unknown"] is not None:
         return []
-    beside = [(MEANINGS[name], found[name]) for name in ("measured", REGAINED)]
-    digits = kwh_digits(found["measured"]["kwh"], 3)
-    return [_row(name, amount, units, digits) for name, amount in (*shown(found), *beside)]
+    beside = [(MEANINGS[name], breakdown[name]) for name in ("measured", REGAINED)]
+    digits = kwh_digits(breakdown["measured"]["kwh"], 3)
+    return [_row(name, amount, units, digits) for name, amount in (*shown(breakdown), *beside)]
 
 
-def breakdown_lines(found: Mapping[str, Any], units: Units = METRIC) -> list[str]:
+def breakdown_lines(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[str]:
     """Sentences for people: what is worth saying, if anything is, and what the figures are of."""
-    if found["unknown"] is not None:
-        return [f"Where the energy went: {found['unknown']}."]
-    return [line for line in (breakdown_sentence(found), *breakdown_notes(found, units)) if line]
+    if breakdown["unknown"] is not None:
+        return [f"Where the energy went: {breakdown['unknown']}."]
+    return [
+        line
+        for line in (breakdown_sentence(breakdown), *breakdown_notes(breakdown, units))
+        if line
+    ]
 
 
-def breakdown_notes(found: Mapping[str, Any], units: Units = METRIC) -> list[str]:
+def breakdown_notes(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[str]:
     """Sentences on a known breakdown: what to doubt in it, and how much driving it is based on."""
     lines = [
         f"This drive cannot separate {_together(group['parts'])}: only their sum is known."
-        for group in found["together"]
+        for group in breakdown["together"]
     ]
-    left = found[UNEXPLAINED]
+    left = breakdown[UNEXPLAINED]
     if abs(left["kwh"]) > CONTRADICTED * left["sigma_kwh"]:
         amount = _amount(left["kwh"], left["sigma_kwh"])
         lines.append(
             f"Unexplained: {amount}. The model of the car does not account for this drive, so "
             "doubt its parts: a signal may be wrong, or the vehicle may be another."
         )
-    if found["without_height_m"] > MOSTLY_UNSEEN * found["distance_m"]:
+    if breakdown["without_height_m"] > MOSTLY_UNSEEN * breakdown["distance_m"]:
         lines.append(
             "No heights in this log: a climb would appear as air and tyres, so the intervals of "
             "these are wide."
         )
-    far = found["distance_m"] / units.metres
-    driven = f"{far:.1f} {units.distance} and {duration_text(found['duration_s'])}"
+    far = breakdown["distance_m"] / units.metres
+    driven = f"{far:.1f} {units.distance} and {duration_text(breakdown['duration_s'])}"
     return [*lines, f"Based on {driven} with usable battery data."]
 
 
@@ -115,39 +119,39 @@ def duration_text(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds >= SHORTEST_MINUTES else f"{seconds:.0f} s"
 
 
-def known_parts(found: Mapping[str, Any]) -> list[KnownPart]:
+def known_parts(breakdown: Mapping[str, Any]) -> list[KnownPart]:
     """Parts that took energy and are known to two sigmas; shares are of `_whole`."""
-    whole, _ = _whole(found)
+    whole, _ = _whole(breakdown)
     return [
         KnownPart(name, part["kwh"], part["sigma_kwh"], part["kwh"] / whole)
-        for name, part in shown(found)
+        for name, part in shown(breakdown)
         if part["kwh"] > 2 * part["sigma_kwh"]
     ]
 
 
-def _whole(found: Mapping[str, Any]) -> tuple[float, str]:
+def _whole(breakdown: Mapping[str, Any]) -> tuple[float, str]:
     """Whole that shares are of, kWh, and its name: the drive, where little of it came back."""
-    spent = sum(max(part["kwh"], 0.0) for _, part in shown(found))
-    measured = found["measured"]["kwh"]
+    spent = sum(max(part["kwh"], 0.0) for _, part in shown(breakdown))
+    measured = breakdown["measured"]["kwh"]
     return (measured, "this drive") if spent < GAVE_BACK * measured else (spent, "what was spent")
 
 
-def breakdown_sentence(found: Mapping[str, Any]) -> str:
+def breakdown_sentence(breakdown: Mapping[str, Any]) -> str:
     """Sentence on what is worth saying: of the rows known to two sigmas the largest.
 
     Heating comes first where it took `WORTH_SAYING`; speed, which stops to be, and what is
     unexplained are left out. Empty where nothing is known so well. Another tells what descents
     gave back, where shares are of what was spent.
     """
-    known = [row for row in known_parts(found) if row.name not in LEFT_OUT]
+    known = [row for row in known_parts(breakdown) if row.name not in LEFT_OUT]
     if not known:
         return ""
     heating = [row for row in known if row.name == MEANINGS["climate"]]
     first = [row for row in heating if row.share > WORTH_SAYING]
-    most, (_, whole) = max(first or known, key=lambda row: row.kwh), _whole(found)
+    most, (_, whole) = max(first or known, key=lambda row: row.kwh), _whole(breakdown)
     amount, share = _amount(most.kwh, most.sigma_kwh), _share(most.share)
     sentence = f"{_took(most.name).capitalize()} {amount}, {share} of {whole}."
-    slope = dict(shown(found)).get(MEANINGS["slope"], {"kwh": 0.0, "sigma_kwh": 0.0})
+    slope = dict(shown(breakdown)).get(MEANINGS["slope"], {"kwh": 0.0, "sigma_kwh": 0.0})
     if whole != "this drive" and slope["kwh"] < -2 * slope["sigma_kwh"]:
         back = _amount(-slope["kwh"], slope["sigma_kwh"])
         sentence += f" The way down gave back {back}."
@@ -165,7 +169,7 @@ def _took(name: str) -> str:
 def _amount(kwh: float, sigma_kwh: float) -> str:
     half = GAUSSIAN_QUANTILE * sigma_kwh
     digits = next((i for i, least in enumerate((0.495, 0.0095, 0.00095), 1) if half >= least), 4)
-    low, high = (f"{round(each, digits) + 0.0:.{digits}f}" for each in (kwh - half, kwh + half))
+    low, high = (f"{round(limit, digits) + 0.0:.{digits}f}" for limit in (kwh - half, kwh + half))
     return f"{low} to {high} kWh (9 times in 10)"
 
 
@@ -173,7 +177,7 @@ def _share(share: float) -> str:
     """A share in words where a plain one is within 2 percent of the whole, else in percent."""
     plain = {1 / 10: "a tenth", 1 / 5: "a fifth", 1 / 4: "a quarter", 1 / 3: "a third"}
     plain |= {1 / 2: "half", 2 / 3: "two thirds", 3 / 4: "three quarters"}
-    near = min(plain, key=lambda each: abs(each - share))
+    near = min(plain, key=lambda share_of_whole: abs(share_of_whole - share))
     return plain[near] if abs(near - share) < 0.02 else f"{100 * share:.0f} %"
 
 

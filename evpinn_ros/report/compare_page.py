@@ -31,50 +31,54 @@ CURVES = {
 }
 
 
-def write_comparison(path: Path, found: Comparison, command: str, units: Units = METRIC) -> None:
+def write_comparison(
+    path: Path, comparison: Comparison, command: str, units: Units = METRIC
+) -> None:
     """Write the page.
 
     Args:
         path: of the new file.
-        found: what to show.
+        comparison: what to show.
         command: that made it, text.
         units: of distances.
 
     Raises:
         OSError: it cannot be written.
     """
-    parts = found.parts()
+    parts = comparison.parts()
     write_page(
         path,
         "compare.html.j2",
-        title=f"{' and '.join(found.names)} compared",
+        title=f"{' and '.join(comparison.names)} compared",
         command=command,
         unit=units.rate,
-        names=found.names,
-        vehicle=found.vehicle.name,
-        sentences=list(sentences(found, units)),
-        rows=trip_rows(found, units) + part_rows(parts, units=units),
-        bars=_bars(found.names, parts, units),
+        names=comparison.names,
+        vehicle=comparison.vehicle.name,
+        sentences=list(sentences(comparison, units)),
+        rows=trip_rows(comparison, units) + part_rows(parts, units=units),
+        bars=_bars(comparison.names, parts, units),
         differences=[
             (
                 name,
                 _whiskers(difference, units),
                 part_rows([difference], signed=True, units=units),
             )
-            for name, difference in zip(found.names[1:], found.differences(), strict=True)
+            for name, difference in zip(
+                comparison.names[1:], comparison.differences(), strict=True
+            )
         ],
         distance=units.distance,
-        curves=_curves(found, units),
+        curves=_curves(comparison, units),
     )
 
 
 def _bars(names: Sequence[str], parts: Sequence[Breakdown], units: Units) -> list[dict[str, Any]]:
     """Parts that took energy of each drive, side by side: widths in percent of the longest bar."""
     groups = common_groups(parts)
-    sizes = [[one.of(*group) for group in groups] for one in parts]
+    sizes = [[breakdown.of(*group) for group in groups] for breakdown in parts]
     longest = max(
-        sum(max(each.kwh, 0.0) for each in amounts) / one.distance
-        for one, amounts in zip(parts, sizes, strict=True)
+        sum(max(amount.kwh, 0.0) for amount in amounts) / breakdown.distance
+        for breakdown, amounts in zip(parts, sizes, strict=True)
     )
     return [
         {
@@ -82,14 +86,15 @@ def _bars(names: Sequence[str], parts: Sequence[Breakdown], units: Units) -> lis
             "boxes": [
                 {
                     "colour": int(group[0]),
-                    "width": round(100.0 * each.kwh / one.distance / longest, 2),
-                    "words": f"{name_of(group)} {rate_text(each, one.distance, units=units)}",
+                    "width": round(100.0 * amount.kwh / breakdown.distance / longest, 2),
+                    "words": f"{name_of(group)} "
+                    f"{rate_text(amount, breakdown.distance, units=units)}",
                 }
-                for group, each in zip(groups, amounts, strict=True)
-                if each.kwh > 0.0
+                for group, amount in zip(groups, amounts, strict=True)
+                if amount.kwh > 0.0
             ],
         }
-        for name, one, amounts in zip(names, parts, sizes, strict=True)
+        for name, breakdown, amounts in zip(names, parts, sizes, strict=True)
     ]
 
 
@@ -102,18 +107,18 @@ def _whiskers(difference: Breakdown, units: Units) -> list[dict[str, Any]]:
         [
             IntervalRow(
                 name,
-                rate_text(each, difference.distance, True, units),
-                each.kwh,
-                GAUSSIAN_QUANTILE * each.sigma_kwh,
+                rate_text(amount, difference.distance, True, units),
+                amount.kwh,
+                GAUSSIAN_QUANTILE * amount.sigma_kwh,
             )
-            for name, each in rows
+            for name, amount in rows
         ]
     )
 
 
-def _curves(found: Comparison, units: Units) -> list[dict[str, Any]]:
+def _curves(comparison: Comparison, units: Units) -> list[dict[str, Any]]:
     """Energy, speed and height of all drives over distance."""
-    courses = [over_distance(drive, POINTS, units) for drive in found.drives]
+    courses = [over_distance(drive, POINTS, units) for drive in comparison.drives]
     curves = [
         curve(
             title.format(units=units),
@@ -122,4 +127,4 @@ def _curves(found: Comparison, units: Units) -> list[dict[str, Any]]:
         )
         for key, title in CURVES.items()
     ]
-    return [each for each in curves if each is not None]
+    return [drawn for drawn in curves if drawn is not None]

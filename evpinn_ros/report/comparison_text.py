@@ -22,44 +22,47 @@ SURE = 2.0  # sigmas of a difference that is statistically significant
 Rows = list[tuple[str, ...]]
 
 
-def part_rows(found: Sequence[Breakdown], *, signed: bool = False, units: Units = METRIC) -> Rows:
+def part_rows(
+    breakdowns: Sequence[Breakdown], *, signed: bool = False, units: Units = METRIC
+) -> Rows:
     """Parts and what they add up to, a column for each breakdown: `units.rate` +- 1-sigma.
 
     Parts that one of the breakdowns does not separate stand in one row.
     """
     rows = [
-        (name_of(parts), [each.of(*parts) for each in found]) for parts in common_groups(found)
+        (name_of(parts), [breakdown.of(*parts) for breakdown in breakdowns])
+        for parts in common_groups(breakdowns)
     ]
-    amounts = [each.amounts() for each in found]
-    rows.append((MEANINGS[UNEXPLAINED], [each[UNEXPLAINED] for each in amounts]))
-    known = [row for row in rows if any(each.kwh or each.sigma_kwh for each in row[1])]
-    known.append((MEANINGS["measured"], [each.total() for each in found]))
-    known.append((MEANINGS[REGAINED], [each[REGAINED] for each in amounts]))
+    amounts = [breakdown.amounts() for breakdown in breakdowns]
+    rows.append((MEANINGS[UNEXPLAINED], [amount[UNEXPLAINED] for amount in amounts]))
+    known = [row for row in rows if any(amount.kwh or amount.sigma_kwh for amount in row[1])]
+    known.append((MEANINGS["measured"], [breakdown.total() for breakdown in breakdowns]))
+    known.append((MEANINGS[REGAINED], [amount[REGAINED] for amount in amounts]))
     return [
         (
             name,
             *(
-                rate_text(each, one.distance, signed, units)
-                for each, one in zip(cells, found, strict=True)
+                rate_text(amount, breakdown.distance, signed, units)
+                for amount, breakdown in zip(cells, breakdowns, strict=True)
             ),
         )
         for name, cells in known
     ]
 
 
-def common_groups(found: Sequence[Breakdown]) -> list[tuple[Part, ...]]:
+def common_groups(breakdowns: Sequence[Breakdown]) -> list[tuple[Part, ...]]:
     """The parts; in one group those that any of these breakdowns does not separate."""
     rows = [{part} for part in list(Part)[WHOLE]]
-    for group in [set(group) for each in found for group in each.together()]:
+    for group in [set(group) for breakdown in breakdowns for group in breakdown.together()]:
         joined = group.union(*(row for row in rows if row & group))
         rows = [row for row in rows if not row & group] + [joined]
     return sorted(tuple(sorted(row)) for row in rows)
 
 
-def trip_rows(found: Comparison, units: Units = METRIC) -> Rows:
+def trip_rows(comparison: Comparison, units: Units = METRIC) -> Rows:
     """Length, time and mean speed of each drive, and how much of it is compared."""
     columns = []
-    for drive, parts in zip(found.drives, found.parts(), strict=True):
+    for drive, parts in zip(comparison.drives, comparison.parts(), strict=True):
         steps = travelled(drive)
         far, hours = float(steps.distance.sum()) / units.metres, float(steps.seconds.sum()) / 3600
         columns.append(
@@ -74,26 +77,28 @@ def trip_rows(found: Comparison, units: Units = METRIC) -> Rows:
     return [(name, *cells) for name, *cells in zip(names, *columns, strict=True)]
 
 
-def sentences(found: Comparison, units: Units = METRIC) -> Iterator[str]:
+def sentences(comparison: Comparison, units: Units = METRIC) -> Iterator[str]:
     """Sentences on what explains the difference of each drive to the first."""
-    base = found.parts()[0].total().kwh_per_100km or 0.0
-    for name, difference in zip(found.names[1:], found.differences(), strict=True):
+    base = comparison.parts()[0].total().kwh_per_100km or 0.0
+    for name, difference in zip(comparison.names[1:], comparison.differences(), strict=True):
         total = difference.total().kwh
         share = f" ({100 * total / base:+.0f} %)" if base > 0.0 else ""
         if round(total, 2) == 0.0:
-            yield f"{name} took as much over distance as {found.names[0]}."
+            yield f"{name} took as much over distance as {comparison.names[0]}."
             continue
         more = "more" if total > 0.0 else "less"
         much = abs(total) * METRIC.rate_joules / units.rate_joules
         text = f"{much:.{_digits(units)}f} {units.rate}"
-        yield f"{name} took {text} {more} than {found.names[0]}{share}."
+        yield f"{name} took {text} {more} than {comparison.names[0]}{share}."
         yield _explained(difference, units)
 
 
 def _explained(difference: Breakdown, units: Units) -> str:
     """The parts whose difference is statistically significant, the largest first."""
     parts = {group: difference.of(*group) for group in common_groups([difference])}
-    sure = {g: each for g, each in parts.items() if abs(each.kwh) > SURE * each.sigma_kwh > 0.0}
+    sure = {
+        g: amount for g, amount in parts.items() if abs(amount.kwh) > SURE * amount.sigma_kwh > 0.0
+    }
     if not sure:
         return "No single part differs by more than 2 sigma: these drives do not show the cause."
     largest = sorted(sure, key=lambda group: -abs(sure[group].kwh))

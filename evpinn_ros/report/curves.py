@@ -27,20 +27,20 @@ def curve(title: str, lines: Sequence[Curve], *, from_zero: bool) -> dict[str, A
         lines: to draw, NaN where unknown.
         from_zero: whether the axis holds zero.
     """
-    spans = [each.up + sign * (0.0 if each.half is None else each.half)
-             for each in lines for sign in (-1.0, 1.0)]  # fmt: skip
+    spans = [line.up + sign * (0.0 if line.half is None else line.half)
+             for line in lines for sign in (-1.0, 1.0)]  # fmt: skip
     known = np.concatenate([span[np.isfinite(span)] for span in spans])
     if not len(known):
         return None
     low, high = float(known.min()), float(known.max())
-    across = ticks(0.0, max(float(each.across[-1]) for each in lines))
+    across = ticks(0.0, max(float(line.across[-1]) for line in lines))
     up = ticks(min(0.0, low) if from_zero else low, high)
     return {
         "title": title,
-        "lines": [_points(each.across, each.up, across, up) for each in lines],
-        "bands": [_band(each, across, up) for each in lines],
-        "across": [(f"{each:g}", round(100 * _share(each, across), 2)) for each in across],
-        "up": [(f"{each:g}", round(100 * _share(each, up), 2)) for each in up],
+        "lines": [_points(line.across, line.up, across, up) for line in lines],
+        "bands": [_band(line, across, up) for line in lines],
+        "across": [(f"{tick:g}", round(100 * _share(tick, across), 2)) for tick in across],
+        "up": [(f"{tick:g}", round(100 * _share(tick, up), 2)) for tick in up],
     }
 
 
@@ -50,7 +50,7 @@ def ticks(low: float, high: float) -> list[float]:
     size = 10.0 ** math.floor(math.log10(span))
     step = next(
         step
-        for step in (size * each for each in (0.2, 0.5, 1.0, 2.0, 5.0))
+        for step in (size * factor for factor in (0.2, 0.5, 1.0, 2.0, 5.0))
         if math.ceil(high / step) - math.floor(low / step) < MOST_TICKS
     )
     first, last = math.floor(low / step), math.ceil(high / step)

@@ -113,12 +113,12 @@ def outcome_chart(parts: Iterable[ForecastOutcome]) -> Chart:
     """Each part of the drive: begin and end, s; energy measured, forecast, and half its band."""
     rows = [
         [
-            *one.span,
-            one.measured / JOULES_PER_WH,
-            one.forecast / JOULES_PER_WH,
-            GAUSSIAN_QUANTILE * one.sigma / JOULES_PER_WH,
+            *part.span,
+            part.measured / JOULES_PER_WH,
+            part.forecast / JOULES_PER_WH,
+            GAUSSIAN_QUANTILE * part.sigma / JOULES_PER_WH,
         ]
-        for one in parts
+        for part in parts
     ]
     return {"kind": "outcome", "axis": "energy of the part, Wh", "parts": rows}
 

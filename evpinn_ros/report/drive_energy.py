@@ -50,7 +50,7 @@ def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units
     grid = np.arange(width, last + 1.0)
     car = known_model(drive.model, drive.final, vehicle)
     middle, sigma = _steady_power(car, grid / units.speeds, vehicle.air_density)
-    middle, half = (each / JOULES_PER_WH / (grid / 3600.0) for each in (middle, sigma))
+    middle, half = (joules / JOULES_PER_WH / (grid / 3600.0) for joules in (middle, sigma))
     half *= GAUSSIAN_QUANTILE
     return {
         "kind": "bySpeed",
@@ -99,17 +99,17 @@ def _steady_power(
     return rows @ car.car.mean, np.sqrt(variance)
 
 
-def breakdown_values(found: Mapping[str, Any], units: Units) -> dict[str, Any]:
+def breakdown_values(breakdown: Mapping[str, Any], units: Units) -> dict[str, Any]:
     """Values for `breakdown.html.j2`, from the metrics under `breakdown`, biggest part first."""
-    if found["unknown"] is not None:
-        return {"sentence": "", "notes": breakdown_lines(found), "rows": [], "parts": []}
-    parts = sorted(shown(found), key=lambda one: -one[1]["kwh"])
+    if breakdown["unknown"] is not None:
+        return {"sentence": "", "notes": breakdown_lines(breakdown), "rows": [], "parts": []}
+    parts = sorted(shown(breakdown), key=lambda part: -part[1]["kwh"])
     digits = 2 if max(abs(part["kwh"]) for _, part in parts) >= 0.5 else 3
     return {
-        "sentence": breakdown_sentence(found),
-        "notes": breakdown_notes(found, units),
+        "sentence": breakdown_sentence(breakdown),
+        "notes": breakdown_notes(breakdown, units),
         "columns": breakdown_columns(units),
-        "rows": breakdown_rows(found, units),
+        "rows": breakdown_rows(breakdown, units),
         "parts": interval_rows([_row(name, part, digits, units) for name, part in parts]),
     }
 
@@ -118,7 +118,7 @@ def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> Int
     """A part: kWh, its interval of 90 % in words, energy over distance."""
     kwh, half = part["kwh"], GAUSSIAN_QUANTILE * part["sigma_kwh"]
     value, low, high = (
-        f"{round(each, digits) + 0.0:.{digits}f}" for each in (kwh, kwh - half, kwh + half)
+        f"{round(limit, digits) + 0.0:.{digits}f}" for limit in (kwh, kwh - half, kwh + half)
     )
     rate = part["kwh_per_100km"]
     per_distance = ""

@@ -64,23 +64,23 @@ def moments(drive: Drive) -> Moments:
     return chosen_rows(every, known & np.isfinite(every.error))
 
 
-def scored_moments(drive: Drive, found: Moments, warm_up: float) -> Moments:
+def scored_moments(drive: Drive, driven: Moments, warm_up: float) -> Moments:
     """Those that count for scores."""
     counted = drive.smoothed.time[scored(drive, drive.smoothed, Span(warm_up, drive.duration))]
-    return chosen_rows(found, np.isin(found.time, counted))
+    return chosen_rows(driven, np.isin(driven.time, counted))
 
 
-def driven_minutes(found: Moments) -> dict[str, float]:
+def driven_minutes(driven: Moments) -> dict[str, float]:
     """Minutes of the kind of driving that tells each identifiable combination."""
-    hard = np.abs(found.acceleration) > HARD
+    hard = np.abs(driven.acceleration) > HARD
     kinds = {
         "mass_over_eta": hard,
-        "drag_area_over_eta": found.speed > FAST_SPEED,
-        "c_rr": (found.speed > SLOW_SPEED) & (found.speed <= FAST_SPEED) & ~hard,
-        "regeneration": found.acceleration < -HARD,
-        "p_aux": np.abs(found.speed) <= SLOW_SPEED,
+        "drag_area_over_eta": driven.speed > FAST_SPEED,
+        "c_rr": (driven.speed > SLOW_SPEED) & (driven.speed <= FAST_SPEED) & ~hard,
+        "regeneration": driven.acceleration < -HARD,
+        "p_aux": np.abs(driven.speed) <= SLOW_SPEED,
     }
-    return {name: float(found.seconds[kind].sum()) / 60 for name, kind in kinds.items()}
+    return {name: float(driven.seconds[kind].sum()) / 60 for name, kind in kinds.items()}
 
 
 def route_map(drive: Drive, steps: DrivenSteps, units: Units) -> Chart:
@@ -96,10 +96,10 @@ def route_map(drive: Drive, steps: DrivenSteps, units: Units) -> Chart:
     chosen = np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], ROUTE_POINTS)))
     time, (east, north) = rows[chosen, 0], road[chosen].T
     spent, measured = (
-        np.diff(np.interp(time, steps.end, np.cumsum(each)), prepend=np.nan)
+        np.diff(np.interp(time, steps.end, np.cumsum(amounts)), prepend=np.nan)
         if len(steps.end)
         else np.full(len(time), np.nan)
-        for each in (steps.energy, steps.seconds)
+        for amounts in (steps.energy, steps.seconds)
     )
     power = np.divide(spent / KILO, measured, out=np.full(len(time), np.nan), where=measured > 0)
     return {
@@ -113,52 +113,52 @@ def route_map(drive: Drive, steps: DrivenSteps, units: Units) -> Chart:
     }
 
 
-def coverage_map(found: Moments, units: Units) -> Chart:
+def coverage_map(driven: Moments, units: Units) -> Chart:
     """Seconds in each cell of speed and acceleration."""
-    cells, shape = _cells(found, units)
-    seconds = np.bincount(cells, found.seconds, minlength=shape[0] * shape[1])
+    cells, shape = _cells(driven, units)
+    seconds = np.bincount(cells, driven.seconds, minlength=shape[0] * shape[1])
     return _map_chart("seconds", np.where(seconds > 0, seconds, np.nan), shape, 1.0, units)
 
 
-def error_map(found: Moments, units: Units) -> Chart:
+def error_map(driven: Moments, units: Units) -> Chart:
     """Mean error of predicted power in each cell, kW."""
-    cells, shape = _cells(found, units)
+    cells, shape = _cells(driven, units)
     count = shape[0] * shape[1]
-    seconds = np.bincount(cells, found.seconds, minlength=count)
-    error = np.bincount(cells, found.seconds * found.error, minlength=count)
+    seconds = np.bincount(cells, driven.seconds, minlength=count)
+    error = np.bincount(cells, driven.seconds * driven.error, minlength=count)
     enough = seconds >= LEAST
     mean = np.divide(error, seconds, out=np.full(count, np.nan), where=enough)
     return _map_chart("error", mean, shape, 0.95, units)
 
 
-def spread_chart(found: Moments, against: str, units: Units) -> Chart:
+def spread_chart(driven: Moments, against: str, units: Units) -> Chart:
     """Errors over `speed` or `acceleration`: median and 90 % of each bin, and single moments."""
     if against == "speed":
-        at, cell, axis = found.speed * units.speeds, units.speed_step / 2, f"speed, {units.speed}"
+        at, cell, axis = driven.speed * units.speeds, units.speed_step / 2, f"speed, {units.speed}"
     else:
-        at, cell, axis = found.acceleration, ACCELERATION_CELL, ACCELERATION_AXIS
+        at, cell, axis = driven.acceleration, ACCELERATION_CELL, ACCELERATION_AXIS
     bins = np.round(at / cell).astype(np.int64)
     rows = []
     for index in np.unique(bins):
         inside = bins == index
-        if found.seconds[inside].sum() >= LEAST:
-            rows.append([index * cell, *np.quantile(found.error[inside], (0.05, 0.5, 0.95))])
+        if driven.seconds[inside].sum() >= LEAST:
+            rows.append([index * cell, *np.quantile(driven.error[inside], (0.05, 0.5, 0.95))])
     chosen = np.unique(np.linspace(0, len(at) - 1, min(POINTS, len(at))).astype(int))
     return {
         "kind": "spread",
         "axes": [axis, "error, kW"],
         "bins": np.array(rows).reshape(-1, 4).round(4).tolist(),
         "x": packed(at[chosen]),
-        "y": packed(found.error[chosen]),
+        "y": packed(driven.error[chosen]),
     }
 
 
-def _cells(found: Moments, units: Units) -> tuple[np.ndarray, tuple[int, int]]:
+def _cells(driven: Moments, units: Units) -> tuple[np.ndarray, tuple[int, int]]:
     """The cell of each moment, and how many cells there are over speed and acceleration."""
     half = round(LARGEST_ACCELERATION / ACCELERATION_CELL)
-    speed = found.speed * units.speeds / (units.speed_step / 2)
+    speed = driven.speed * units.speeds / (units.speed_step / 2)
     i = np.maximum(np.floor(speed), 0).astype(np.int64)
-    j = np.floor(found.acceleration / ACCELERATION_CELL + 0.5).astype(np.int64) + half
+    j = np.floor(driven.acceleration / ACCELERATION_CELL + 0.5).astype(np.int64) + half
     shape = (int(i.max(initial=0)) + 1, 2 * half + 1)
     return i * shape[1] + j, shape
 

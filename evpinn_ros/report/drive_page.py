@@ -73,7 +73,7 @@ class ReportedDrive:
 
     Attributes:
         drive: its series.
-        found: its metrics (`scoring.metrics`).
+        metrics: its scores (`scoring.metrics`).
         vehicle: whose drive it is.
         warm_up: s at the start that were not scored.
         withheld_from: s from which on the battery was withheld, None if it was not.
@@ -81,7 +81,7 @@ class ReportedDrive:
     """
 
     drive: Drive
-    found: Mapping[str, Any]
+    metrics: Mapping[str, Any]
     vehicle: Vehicle
     warm_up: float
     withheld_from: float | None = None
@@ -99,14 +99,14 @@ def write_replayed(
     """Write the report of replayed drives, with the truth that lies beside simulated ones."""
     drives = [
         ReportedDrive(
-            drive=each.drive,
-            found=each.metrics,
+            drive=replayed.drive,
+            metrics=replayed.metrics,
             vehicle=vehicle,
             warm_up=options.warm_up,
             withheld_from=options.withhold_battery_after,
-            truth=read_truth(Path(each.metrics["input"]["path"])),
+            truth=read_truth(Path(replayed.metrics["input"]["path"])),
         )
-        for each in done
+        for replayed in done
     ]
     write_drives(path, drives, command, units)
 
@@ -116,25 +116,26 @@ def write_drives(
 ) -> None:
     """Write the report; of several drives each can be opened, the first is open."""
     points = max(POINTS // len(drives), LEAST_POINTS)
-    names = short_names([Path(each.found["input"]["path"]) for each in drives])
-    found = [
+    names = short_names([Path(drive.metrics["input"]["path"]) for drive in drives])
+    pages = [
         _drive(name, reported, points, units) for name, reported in zip(names, drives, strict=True)
     ]
     rows = drives_rows(
-        [(name, each.drive, each.found) for name, each in zip(names, drives, strict=True)], units
+        [(name, drive.drive, drive.metrics) for name, drive in zip(names, drives, strict=True)],
+        units,
     )
     write_page(
         path,
         "drive.html.j2",
         title=f"Drive {names[0]}" if len(drives) == 1 else f"{len(drives)} drives",
         command=command,
-        plots=[plots for _, plots in found],
-        drives=[values for values, _ in found],
+        plots=[plots for _, plots in pages],
+        drives=[values for values, _ in pages],
         index_columns=("drive", "began", *drives_columns(units)[1:]),
         index=[
-            (row[0], _date(each.drive), *row[1:]) for row, each in zip(rows, drives, strict=True)
+            (row[0], _date(drive.drive), *row[1:]) for row, drive in zip(rows, drives, strict=True)
         ],
-        trends=trend_intervals([drive_point(each.drive) for each in drives], units),
+        trends=trend_intervals([drive_point(drive.drive) for drive in drives], units),
         score_columns=SCORE_COLUMNS,
         parameter_titles=drive_charts.TITLES,
         most_events=MOST_EVENTS,
@@ -145,7 +146,7 @@ def _drive(
     name: str, reported: ReportedDrive, points: int, units: Units
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """One drive for the template, and what the page's script draws into it."""
-    drive, found = reported.drive, reported.found
+    drive, metrics = reported.drive, reported.metrics
     events = drive_events(drive, reported.withheld_from)
     steps = travelled(drive), measured_steps(drive)
     parts = forecast_outcomes(drive, reported.vehicle.air_density)
@@ -159,16 +160,16 @@ def _drive(
     values = {
         "name": name,
         "about": f"{reported.vehicle.name}, {_date(drive)}",
-        "doubts": owner_notes(reported.vehicle, drive, found),
-        "record": _record(found),
-        "breakdown": breakdown_values(found["breakdown"], units),
+        "doubts": owner_notes(reported.vehicle, drive, metrics),
+        "record": _record(metrics),
+        "breakdown": breakdown_values(metrics["breakdown"], units),
         "tiles": list(drive_tiles(drive, units)),
         "warm_up": f"{reported.warm_up:.0f}",
         "score_tiles": list(_score_tiles(reported)),
-        "scores": score_rows(drive, found, reported.warm_up),
-        "energy_lines": energy_lines(found),
+        "scores": score_rows(drive, metrics, reported.warm_up),
+        "energy_lines": energy_lines(metrics),
         "parameter_columns": parameter_columns(reported.truth),
-        "parameters": parameter_rows(found, reported.truth),
+        "parameters": parameter_rows(metrics, reported.truth),
         "charts": charts,
         "knowledge": knowledge(reported.vehicle, drive, minutes, units),
         "forecasts": parts,
@@ -234,19 +235,19 @@ def _maps(reported: ReportedDrive, moments: drive_maps.Moments, units: Units) ->
         yield "over_acceleration", drive_maps.spread_chart(counted, "acceleration", units)
 
 
-def _record(found: Mapping[str, Any]) -> str:
+def _record(metrics: Mapping[str, Any]) -> str:
     """The recording, and the mode that learned from it."""
-    dropped = dropped_text(found["input"]["dropped"])
+    dropped = dropped_text(metrics["input"]["dropped"])
     return (
-        f"{found['input']['path']}, mode {found['mode']}; {found['input']['samples']} samples; "
-        f"not used: {dropped or 'nothing'}."
+        f"{metrics['input']['path']}, mode {metrics['mode']}; "
+        f"{metrics['input']['samples']} samples; not used: {dropped or 'nothing'}."
     )
 
 
 def _score_tiles(reported: ReportedDrive) -> Iterator[tuple[str, str]]:
     """Scores with what they are."""
-    drive, power = reported.drive, reported.found["power"]
-    error = reported.found["energy"]["error_percent"]
+    drive, power = reported.drive, reported.metrics["power"]
+    error = reported.metrics["energy"]["error_percent"]
     yield signed_percent(error), "error of the energy predicted"
     held = watts(baseline_scores(drive, Span(reported.warm_up, drive.duration))["last_value"])
     yield watts(power["rmse_w"]), f"RMSE of power; last value held: {held}"
@@ -295,7 +296,9 @@ def drive_tiles(drive: Drive, units: Units) -> Iterator[tuple[str, str]]:
         yield rise, f"end over begin; {heights.min():.0f} to {heights.max():.0f} {units.height}"
     if len(drive.temperature):
         celsius = drive.temperature[:, 1]
-        low, high = (each * units.degrees + units.zero for each in (celsius.min(), celsius.max()))
+        low, high = (
+            limit * units.degrees + units.zero for limit in (celsius.min(), celsius.max())
+        )
         degrees = f"{low:.0f}" if round(low) == round(high) else f"{low:.0f} to {high:.0f}"
         yield f"{degrees} {units.temperature}", "outside"
 

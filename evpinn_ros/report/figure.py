@@ -92,12 +92,12 @@ def _thirds() -> tuple[slice, ...]:
 
 
 def _draw_breakdown(
-    axes: Axes, found: Mapping[str, tuple[float, float]], truth: Mapping[str, float]
+    axes: Axes, amounts: Mapping[str, tuple[float, float]], truth: Mapping[str, float]
 ) -> None:
     """A bar for each part with its 95 % interval, and the truth where it is known."""
-    names = [name for name in MEANINGS if any(found.get(name, ()))]
+    names = [name for name in MEANINGS if any(amounts.get(name, ()))]
     for row, name in enumerate(names):
-        kwh, sigma = found[name]
+        kwh, sigma = amounts[name]
         axes.barh(row, kwh, color=PREDICTED, alpha=0.45, height=0.7)
         axes.errorbar(kwh, row, xerr=INTERVAL * sigma, color=PREDICTED, elinewidth=2)
         if name in truth:
@@ -110,7 +110,7 @@ def _draw_breakdown(
     axes.axvline(0.0, color="k", lw=0.8)
     # A climb that no height shows is unsure by more than the whole drive took: its line goes on
     # beyond the edge, so that the parts can be seen.
-    drawn = [0.0, *(found[name][0] for name in names), *truth.values()]
+    drawn = [0.0, *(amounts[name][0] for name in names), *truth.values()]
     if beside := BESIDE_BARS * np.ptp(drawn):
         axes.set_xlim(min(drawn) - beside, max(drawn) + beside)
     axes.invert_yaxis()

@@ -58,15 +58,15 @@ def _trip(trip: PlannedTrip) -> dict[str, Any]:
         "curves": list(_curves(trip.planned)),
         "parts": _parts(trip.planned),
         "changes": [
-            (each.words, f"{each.seconds / 60:+.1f} min", _kwh(each.energy, "+"))
-            for each in trip.changes
+            (change.words, f"{change.seconds / 60:+.1f} min", _kwh(change.energy, "+"))
+            for change in trip.changes
         ],
     }
 
 
 def _sentence(planned: PlannedEnergy) -> str:
-    trip, found = planned.trip, planned.found
-    kwh, sigma = found.energy[-1] / JOULES_PER_KWH, found.sigma[-1] / JOULES_PER_KWH
+    trip, energies = planned.trip, planned.energies
+    kwh, sigma = energies.energy[-1] / JOULES_PER_KWH, energies.sigma[-1] / JOULES_PER_KWH
     low, high = kwh - GAUSSIAN_QUANTILE * sigma, kwh + GAUSSIAN_QUANTILE * sigma
     minutes = np.ptp(trip.time) / 60
     text = (
@@ -84,11 +84,11 @@ def _sentence(planned: PlannedEnergy) -> str:
 
 
 def _curves(planned: PlannedEnergy) -> Any:
-    trip, found = planned.trip, planned.found
+    trip, energies = planned.trip, planned.energies
     every = np.unique(np.linspace(0, len(trip.time) - 1, POINTS).round().astype(int))
     along = (trip.distance - trip.distance[0])[every] / 1e3
     charge, charge_sigma = 100 * planned.charge[:, every]
-    energy, sigma = found.energy[every] / JOULES_PER_KWH, found.sigma[every] / JOULES_PER_KWH
+    energy, sigma = energies.energy[every] / JOULES_PER_KWH, energies.sigma[every] / JOULES_PER_KWH
     known = np.isfinite(charge).any()
     lines = [
         ("Charge of the battery, %", along, charge, charge_sigma, False)
@@ -124,18 +124,18 @@ def speed_along(planned: PlannedEnergy, every: np.ndarray) -> tuple[np.ndarray, 
 
 def _parts(planned: PlannedEnergy) -> list[dict[str, Any]]:
     """A row a part, the biggest first, with its 90 % interval in percent of the width."""
-    found = plan_parts(planned.given, planned.found, *planned.basis)
+    parts = plan_parts(planned.given, planned.energies, *planned.basis)
     names = [MEANINGS[part.name.lower()] for part in Part] + [UNEVEN]
     rows = [
         (name, Uncertain(energy, sigma))
-        for part, (name, energy, sigma) in enumerate(zip(names, *found, strict=True))
+        for part, (name, energy, sigma) in enumerate(zip(names, *parts, strict=True))
         if part != Part.REGAINED and max(abs(energy), sigma) > LEAST_SHOWN * JOULES_PER_KWH
     ]
     rows.sort(key=lambda row: -row[1].value)
     return interval_rows(
         [
-            IntervalRow(name, _kwh(each), each.value, GAUSSIAN_QUANTILE * each.sigma)
-            for name, each in rows
+            IntervalRow(name, _kwh(amount), amount.value, GAUSSIAN_QUANTILE * amount.sigma)
+            for name, amount in rows
         ]
     )
 

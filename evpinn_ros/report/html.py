@@ -61,7 +61,7 @@ def write_page(
 def _templates() -> Environment:
     with optional_imports():
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    found = Environment(
+    environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
         autoescape=True,
         undefined=StrictUndefined,
@@ -69,8 +69,8 @@ def _templates() -> Environment:
         lstrip_blocks=True,
         finalize=_in_print,
     )
-    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    return found
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    return environment
 
 
 def _in_print(value: Any) -> Any:
@@ -81,7 +81,7 @@ def _in_print(value: Any) -> Any:
 def _policy(scripts: Iterable[str]) -> str:
     """Policy for the browser: run these scripts, use styles and pictures of the page itself."""
     hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
-    allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
     return (
         f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
         "base-uri 'none'; form-action 'none'"

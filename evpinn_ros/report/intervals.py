@@ -20,8 +20,8 @@ def interval_rows(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
 
     The width holds every interval and zero, so that nothing is cut off.
     """
-    low = min([0.0, *(min(one.value, one.value - one.half) for one in rows)])
-    high = max([0.0, *(one.value + one.half for one in rows)])
+    low = min([0.0, *(min(row.value, row.value - row.half) for row in rows)])
+    high = max([0.0, *(row.value + row.half for row in rows)])
     width = max(high - low, 1e-12)
 
     def at(value: float) -> float:
@@ -29,13 +29,13 @@ def interval_rows(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
 
     return [
         {
-            "name": one.name,
-            "text": one.text,
+            "name": row.name,
+            "text": row.text,
             "zero": at(0.0),
-            "left": at(min(one.value, 0.0)),
-            "width": round(abs(at(one.value) - at(0.0)), 2),
-            "from_": at(one.value - one.half),
-            "to": at(one.value + one.half),
+            "left": at(min(row.value, 0.0)),
+            "width": round(abs(at(row.value) - at(0.0)), 2),
+            "from_": at(row.value - row.half),
+            "to": at(row.value + row.half),
         }
-        for one in rows
+        for row in rows
     ]

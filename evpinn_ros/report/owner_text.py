@@ -39,11 +39,11 @@ def drives_columns(units: Units = METRIC) -> tuple[str, ...]:
     return (*trip, "took most", "RMSE", "energy predicted")
 
 
-def owner_line(drive: Drive, found: Mapping[str, Any], units: Units = METRIC) -> str:
+def owner_line(drive: Drive, metrics: Mapping[str, Any], units: Units = METRIC) -> str:
     """Length, time and energy of a drive, measured or, where it was not, predicted."""
     total = counted(drive)
-    far, _, kwh, consumption = _figures(drive, total, found, units)
-    how = "predicted" if found["energy"]["measured_j"] is None else "from the battery"
+    far, _, kwh, consumption = _figures(drive, total, metrics, units)
+    how = "predicted" if metrics["energy"]["measured_j"] is None else "from the battery"
     if kwh.startswith("-") and how != "predicted":  # more came back downhill than was drawn
         kwh, how = kwh[1:], "back into the battery"
     read = total.seconds if how == "predicted" else total.measured
@@ -65,12 +65,12 @@ def part_text(seconds: float, whole: float) -> str:
     return f"{seconds / unit:.{digits}f} of {whole / unit:.{digits}f} {name}"
 
 
-def owner_notes(vehicle: Vehicle, drive: Drive, found: Mapping[str, Any]) -> list[str]:
+def owner_notes(vehicle: Vehicle, drive: Drive, metrics: Mapping[str, Any]) -> list[str]:
     """Sentences on what to doubt in a drive and its metrics."""
     notes = (
         vehicle_doubt(vehicle, drive),
         sparse_note(drive),
-        heating_note(drive, found["breakdown"]),
+        heating_note(drive, metrics["breakdown"]),
     )
     return [note for note in notes if note]
 
@@ -79,7 +79,9 @@ def heating_note(drive: Drive, breakdown: Mapping[str, Any]) -> str | None:
     """Sentence on heating that is reported on a warm day and that the battery does not show."""
     if breakdown["unknown"] is not None or not (len(drive.heating) and len(drive.temperature)):
         return None
-    power, celsius = (float(np.mean(each[:, 1])) for each in (drive.heating, drive.temperature))
+    power, celsius = (
+        float(np.mean(series[:, 1])) for series in (drive.heating, drive.temperature)
+    )
     reported = power * breakdown["duration_s"] / JOULES_PER_KWH
     climate = breakdown["climate"]
     if celsius < HEATED_BELOW or power < LEAST_HEATING:
@@ -110,22 +112,22 @@ def drives_rows(
     return [
         (
             name,
-            *_figures(drive, counted(drive), found, units),
-            _most(found["breakdown"]),
-            watts(found["power"]["rmse_w"]),
-            signed_percent(found["energy"]["error_percent"]),
+            *_figures(drive, counted(drive), metrics, units),
+            _most(metrics["breakdown"]),
+            watts(metrics["power"]["rmse_w"]),
+            signed_percent(metrics["energy"]["error_percent"]),
         )
-        for name, drive, found in drives
+        for name, drive, metrics in drives
     ]
 
 
 def _figures(
-    drive: Drive, total: Counted, found: Mapping[str, Any], units: Units
+    drive: Drive, total: Counted, metrics: Mapping[str, Any], units: Units
 ) -> tuple[str, str, str, str]:
     """Distance, minutes, kWh, and energy over distance: of what was measured, where it was."""
     known, joules = total.known, total.energy
-    if found["energy"]["measured_j"] is None:
-        known, joules = total.distance, found["energy"]["predicted_j"]
+    if metrics["energy"]["measured_j"] is None:
+        known, joules = total.distance, metrics["energy"]["predicted_j"]
     kwh = None if joules is None else joules / JOULES_PER_KWH
     return (
         f"{total.distance / units.metres:.1f}",

@@ -19,11 +19,11 @@ def parameter_columns(truth: Parameters | None) -> tuple[str, ...]:
     return ("parameter", "live value", "1-sigma", *true, "prior", "state")
 
 
-def parameter_rows(found: Mapping[str, Any], truth: Parameters | None) -> list[tuple[str, ...]]:
+def parameter_rows(metrics: Mapping[str, Any], truth: Parameters | None) -> list[tuple[str, ...]]:
     """Live value, 1-sigma, the truth if known, prior share and state of each parameter."""
     rows = []
     for name in PARAMETER_NAMES:
-        estimate = found["parameters"].get(name)
+        estimate = metrics["parameters"].get(name)
         if estimate is None:
             continue
         row = [number(name, estimate["value"]), number(name, estimate["std"])]
@@ -34,21 +34,21 @@ def parameter_rows(found: Mapping[str, Any], truth: Parameters | None) -> list[t
     return rows
 
 
-def score_rows(drive: Drive, found: Mapping[str, Any], warm_up: float) -> list[tuple[str, ...]]:
+def score_rows(drive: Drive, metrics: Mapping[str, Any], warm_up: float) -> list[tuple[str, ...]]:
     """Scores of power under `SCORE_COLUMNS`, with the baselines that say what they are worth."""
-    lag = found["power"]["lag_s"]
+    lag = metrics["power"]["lag_s"]
     title = "power/smoothed" if lag is None else f"power/smoothed ({lag:.1f} s later)"
     rows = [
-        (title, *_scores(found["power"])),
-        ("power/predicted (at once)", *_scores(found["power_now"])),
+        (title, *_scores(metrics["power"])),
+        ("power/predicted (at once)", *_scores(metrics["power_now"])),
     ]
-    withheld = found.get("withheld")
+    withheld = metrics.get("withheld")
     if withheld is not None:
         title = f"  battery withheld after {withheld['from_s']:.0f} s"
         rows.append((f"{title}, smoothed", *_scores(withheld["power"])))
         rows.append((f"{title}, at once", *_scores(withheld["power_now"])))
-    if found["power"].get("floor_w") is not None:
-        floor = watts(found["power"]["floor_w"])
+    if metrics["power"].get("floor_w") is not None:
+        floor = watts(metrics["power"]["floor_w"])
         rows.append(("floor: best function of speed, in hindsight", floor, "", "", ""))
     baselines = baseline_scores(drive, Span(warm_up, drive.duration))
     rows.append(("baseline: last value held", watts(baselines["last_value"]), "", "", ""))
@@ -58,11 +58,11 @@ def score_rows(drive: Drive, found: Mapping[str, Any], warm_up: float) -> list[t
     return rows
 
 
-def energy_lines(found: Mapping[str, Any]) -> list[str]:
+def energy_lines(metrics: Mapping[str, Any]) -> list[str]:
     """Energy measured and predicted, a line for the drive and one for its withheld part."""
-    lines = [_energy_line("Energy", found["energy"])]
-    if "withheld" in found:
-        lines.append(_energy_line("Energy while withheld", found["withheld"]["energy"]))
+    lines = [_energy_line("Energy", metrics["energy"])]
+    if "withheld" in metrics:
+        lines.append(_energy_line("Energy while withheld", metrics["withheld"]["energy"]))
     return lines
 
 

@@ -66,26 +66,26 @@ def thinned(time: np.ndarray, values: np.ndarray, grid: Grid) -> np.ndarray:
     kept = np.isfinite(values) & (bucket >= 0) & (bucket < grid.buckets)
     order = np.flatnonzero(kept)[np.argsort(time[kept], kind="stable")]
     time, values, bucket = time[order], values[order], bucket[order]
-    found = np.full((grid.buckets, PER_BUCKET), np.nan)
+    extremes_of_bucket = np.full((grid.buckets, PER_BUCKET), np.nan)
     if len(time):
         by_value = np.lexsort((values, bucket))
         filled, first = np.unique(bucket[by_value], return_index=True)
         last = np.append(first[1:], len(by_value)) - 1
         extremes = np.sort(np.stack((by_value[first], by_value[last])), axis=0)
-        found[filled] = values[extremes].T
-        _join(found, time, values, grid)
-    return found.reshape(-1)
+        extremes_of_bucket[filled] = values[extremes].T
+        _join(extremes_of_bucket, time, values, grid)
+    return extremes_of_bucket.reshape(-1)
 
 
-def _join(found: np.ndarray, time: np.ndarray, values: np.ndarray, grid: Grid) -> None:
+def _join(extremes: np.ndarray, time: np.ndarray, values: np.ndarray, grid: Grid) -> None:
     """Fill empty buckets between two values no further apart than power is held to be known."""
-    empty = np.flatnonzero(np.isnan(found[:, 0]))
+    empty = np.flatnonzero(np.isnan(extremes[:, 0]))
     middle = (empty + 0.5) * grid.width
     after = np.searchsorted(time, middle)
     inside = (after > 0) & (after < len(time))
     empty, middle, after = empty[inside], middle[inside], after[inside]
     near = time[after] - time[after - 1] <= longest_step(time)
-    found[empty[near]] = np.interp(middle[near], time, values)[:, None]
+    extremes[empty[near]] = np.interp(middle[near], time, values)[:, None]
 
 
 def packed(values: np.ndarray) -> dict[str, Any]:

@@ -20,11 +20,11 @@ def trend_intervals(
 
 def _rows(trend: Trend, units: Units) -> list[dict[str, Any]]:
     rows = []
-    for one in trend.rows:
-        text = f"{one.mean:.{trend.digits}f}"
-        if one.drives > 1:
-            text += f" (single drives ± {one.spread:.{trend.digits}f})"
-        distance = f"{one.distance / units.metres:.0f} {units.distance}"
-        text += f"; {counted(one.drives, 'drive')}, {distance}"
-        rows.append(IntervalRow(one.name, text, one.mean, one.spread))
+    for row in trend.rows:
+        text = f"{row.mean:.{trend.digits}f}"
+        if row.drives > 1:
+            text += f" (single drives ± {row.spread:.{trend.digits}f})"
+        distance = f"{row.distance / units.metres:.0f} {units.distance}"
+        text += f"; {counted(row.drives, 'drive')}, {distance}"
+        rows.append(IntervalRow(row.name, text, row.mean, row.spread))
     return interval_rows(rows)

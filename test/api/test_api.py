@@ -128,7 +128,7 @@ def test_samples_one_by_one_give_what_a_replay_gives(table, learned, tmp_path):
         found = [car.add(**{k: float(v) for k, v in row.items()}) for row in csv.DictReader(file)]
     predicted = result.power["predicted_w"].dropna()
     live = pd.Series({each.t_s: each.power_w for each in found if each is not None})
-    assert live.to_numpy().tolist() == predicted.to_numpy().tolist()
+    np.testing.assert_allclose(live, predicted, rtol=1e-9)
     pd.testing.assert_frame_equal(car.parameters, result.parameters)
     pd.testing.assert_frame_equal(car.breakdown, result.breakdown)
     plan = pd.read_csv(table)
@@ -236,7 +236,7 @@ def test_the_charge_along_a_plan_is_that_of_the_node(result):
     time = np.arange(0.0, 421.0)
     trip = {"t_s": time, "speed_mps": np.interp(time, [0, 15, 400, 420], [0, 20, 20, 0])}
     found = ev.forecast(trip, result)
-    account, end = result.account, plan.planned_energy(trip, result).found
+    account, end = result.account, plan.planned_energy(trip, result).energies
     after = account.battery.after(end, account.charge(), account.gauge.capacity).charge
     assert found["charge_pct"].iloc[-1] == pytest.approx(100 * after.value, abs=1e-9)
     assert found["charge_sigma_pct"].iloc[-1] == pytest.approx(100 * after.sigma, rel=1e-9)

@@ -79,11 +79,11 @@ def test_every_plot_is_drawn_without_a_word(browser, page, width, dark):
 
 
 def test_long_names_of_parts_fit_a_narrow_page(browser, reported, tmp_path):
-    breakdown = dict(reported.found["breakdown"])
+    breakdown = dict(reported.metrics["breakdown"])
     group = {"parts": ["brakes", "drivetrain", "standing"], **breakdown["drivetrain"]}
-    found = dict(reported.found) | {"breakdown": breakdown | {"together": [group]}}
+    found = dict(reported.metrics) | {"breakdown": breakdown | {"together": [group]}}
     path = tmp_path / "long.html"
-    write_drives(path, [replace(reported, found=found)], "evpinn replay x")
+    write_drives(path, [replace(reported, metrics=found)], "evpinn replay x")
     browser.open(path, width=390)
     whole, seen = browser.run(WIDTHS)
     assert whole <= seen == 390

@@ -84,8 +84,8 @@ def page(tmp_path, *drives: ReportedDrive, command="evpinn replay x", units=METR
 
 
 def with_path(reported: ReportedDrive, path: str) -> ReportedDrive:
-    found = dict(reported.found) | {"input": dict(reported.found["input"]) | {"path": path}}
-    return replace(reported, found=found)
+    found = dict(reported.metrics) | {"input": dict(reported.metrics["input"]) | {"path": path}}
+    return replace(reported, metrics=found)
 
 
 def test_the_whole_story_is_told(reported, tmp_path):
@@ -205,8 +205,8 @@ def test_what_a_bag_holds_is_text(reported, tmp_path):
     harmless = page(tmp_path / "a", with_path(reported, "out/town"))
     dropped = {"dropped": {HOSTILE: 3}}
     hostile = with_path(reported, f"out/{HOSTILE}")
-    found = dict(hostile.found) | {"input": dict(hostile.found["input"]) | dropped}
-    attacked = page(tmp_path / "b", replace(hostile, found=found), command=HOSTILE)
+    found = dict(hostile.metrics) | {"input": dict(hostile.metrics["input"]) | dropped}
+    attacked = page(tmp_path / "b", replace(hostile, metrics=found), command=HOSTILE)
     assert [tag for tag, _ in attacked.tags] == [tag for tag, _ in harmless.tags]
     assert attacked.data == harmless.data
 
@@ -228,10 +228,10 @@ def rows(count: int) -> np.ndarray:
 
 def without_battery(reported: ReportedDrive) -> ReportedDrive:
     power = {"rmse_w": None, "mae_w": None, "r2": None, "coverage_90": None}
-    energy = dict(reported.found["energy"]) | {"measured_j": None, "error_percent": None}
+    energy = dict(reported.metrics["energy"]) | {"measured_j": None, "error_percent": None}
     scores = {"power": {"lag_s": None, **power}, "power_now": power, "energy": energy}
     drive = replace(reported.drive, measured=rows(2), models=())
-    return replace(reported, drive=drive, found=dict(reported.found) | scores)
+    return replace(reported, drive=drive, metrics=dict(reported.metrics) | scores)
 
 
 def single_reading(reported: ReportedDrive) -> ReportedDrive:
@@ -250,8 +250,8 @@ def single_reading(reported: ReportedDrive) -> ReportedDrive:
         final=None,
         start_ns=-(2**62),
     )
-    found = dict(silent.found) | {"parameters": {}}
-    return replace(silent, drive=drive, found=found, truth=None)
+    found = dict(silent.metrics) | {"parameters": {}}
+    return replace(silent, drive=drive, metrics=found, truth=None)
 
 
 @pytest.mark.parametrize("less", [without_battery, single_reading])
@@ -290,7 +290,7 @@ def test_uplot_is_the_release_that_it_says():
 
 def test_each_part_has_a_row_with_its_interval_the_biggest_first(reported, tmp_path):
     """No bar and no interval leaves the width, whatever gave energy back."""
-    breakdown = deepcopy(reported.found["breakdown"])
+    breakdown = deepcopy(reported.metrics["breakdown"])
     breakdown["slope"] |= {"kwh": -0.5, "sigma_kwh": 0.054}
     breakdown["together"] = []
     breakdown["measured"]["kwh"] = 0.05
@@ -300,8 +300,8 @@ def test_each_part_has_a_row_with_its_interval_the_biggest_first(reported, tmp_p
     for row in rows:
         assert 0.0 <= row["from_"] <= row["to"] <= 100.0
         assert 0.0 <= row["left"] <= row["left"] + row["width"] <= 100.01
-    found = dict(reported.found) | {"breakdown": breakdown}
-    words = page(tmp_path / "down", replace(reported, found=found)).words
+    found = dict(reported.metrics) | {"breakdown": breakdown}
+    words = page(tmp_path / "down", replace(reported, metrics=found)).words
     assert "The way down gave back 0.41 to 0.59 kWh (9 times in 10)." in words
     assert "For engineers" in words
 
@@ -339,6 +339,8 @@ def test_a_log_with_hours_between_its_trips_says_what_was_recorded(reported, tmp
 
 def test_a_drive_without_a_breakdown_says_why(reported, tmp_path):
     nothing = breakdown_metrics(None, "paper")
-    found = page(tmp_path, replace(reported, found=dict(reported.found) | {"breakdown": nothing}))
+    found = page(
+        tmp_path, replace(reported, metrics=dict(reported.metrics) | {"breakdown": nothing})
+    )
     assert PAPER in found.text
     assert "rect" not in [tag for tag, _ in found.tags]

@@ -31,9 +31,9 @@ COLD = PlanConditions(temperature=-10.0, head_wind=5.0)
 @pytest.mark.parametrize("plan", [FINE, COARSE])
 def test_parts_add_up_to_the_forecast(plan):
     found = planned_energy(plan, "bmw_i3", COLD)
-    energy, sigma = plan_parts(plan, found.found, *found.basis)
+    energy, sigma = plan_parts(plan, found.energies, *found.basis)
     whole = energy[WHOLE].sum() + energy[-1]
-    assert whole == pytest.approx(found.found.energy[-1], rel=1e-9)
+    assert whole == pytest.approx(found.energies.energy[-1], rel=1e-9)
     uneven = energy[-1]
     assert uneven > 1e4 if plan is COARSE else abs(uneven) < 1.0
     assert energy[Part.SLOPE] > 0.0 and energy[Part.CLIMATE] > 0.0
@@ -46,7 +46,7 @@ def test_faster_takes_more_and_less_time_and_colder_takes_more():
     assert slower.energy.value < 0.0 < faster.energy.value
     assert faster.seconds < 0.0 < slower.seconds
     assert found["10 degrees warmer"].energy.value < 0.0 < found["10 degrees colder"].energy.value
-    sigma = planned_energy(FINE, "bmw_i3", COLD).found.sigma[-1]
+    sigma = planned_energy(FINE, "bmw_i3", COLD).energies.sigma[-1]
     assert all(each.energy.sigma < 0.7 * sigma for each in found.values())
 
 

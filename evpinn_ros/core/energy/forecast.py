@@ -137,8 +137,8 @@ class PlannedEnergy(NamedTuple):
     Attributes:
         given: the plan as it was given.
         trip: its points.
-        basis: the car and the conditions that it was found with.
-        found: its energy.
+        basis: the car and the conditions of the forecast.
+        energies: along it.
         charge: state of charge at each point, 0..1, and its 1-sigma, shape (2, n); NaN where
             unknown, below 0 where the battery is empty before.
         gauge: what is known of the battery.
@@ -147,7 +147,7 @@ class PlannedEnergy(NamedTuple):
     given: Plan | Legs
     trip: Plan
     basis: PlanBasis
-    found: Forecast
+    energies: Forecast
     charge: np.ndarray
     gauge: ChargeGauge
 

@@ -186,9 +186,9 @@ class MqttBridge:
         car = BridgedCar(name, vehicle, self.settings.estimator, state)
         self._note(f"car '{name}': {vehicle.name}" + (f"; {car.problem}" if car.problem else ""))
         snapshots = Snapshots(vehicle.nominal_voltage, on_change=self.settings.layout.on_change)
-        found = self._seen[name] = _Seen(car, snapshots)
-        self._announce(found)
-        return found
+        seen = self._seen[name] = _Seen(car, snapshots)
+        self._announce(seen)
+        return seen
 
     def _feed(self, seen: _Seen, readings: list[Reading]) -> None:
         if readings and seen.car.add_readings(readings):
@@ -215,7 +215,11 @@ class MqttBridge:
         """Publish documents and their numbers, of what is retained only what changed."""
         base = f"{self.settings.base}/{seen.car.name}"
         for name, document in documents.items():
-            texts = {each.topic: each.text(document) for each in SENSORS if each.document == name}
+            texts = {
+                sensor.topic: sensor.text(document)
+                for sensor in SENSORS
+                if sensor.document == name
+            }
             for below, text in {name: json_text(document), **texts}.items():
                 if not retain or seen.published.get(below) != text:
                     seen.published[below] = text

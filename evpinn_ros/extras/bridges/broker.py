@@ -194,7 +194,7 @@ class Connection:
             self.lost += 1
             return
         try:
-            found = Message(message.topic, message.payload, message.retain, self.clock())
-            self._arrived.put_nowait(found)
+            arrived = Message(message.topic, message.payload, message.retain, self.clock())
+            self._arrived.put_nowait(arrived)
         except (Full, UnicodeDecodeError):  # of a topic; it would end the thread of the client
             self.lost += 1

@@ -62,7 +62,7 @@ class BridgedCar:
     @property
     def problem(self) -> str | None:
         """Reason why its state was not used or not written, None if all is well."""
-        return next((each.problem for each in self._files if each.problem is not None), None)
+        return next((file.problem for file in self._files if file.problem is not None), None)
 
     def add_readings(self, readings: Iterable[Reading]) -> bool:
         """Take readings in order; give whether another drive began with them."""

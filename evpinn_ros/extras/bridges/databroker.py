@@ -70,9 +70,9 @@ def signals(car: BridgedCar) -> Iterator[tuple[str, float]]:
     """Signals of a car that are known now, by their names in VSS."""
     documents = {**car.documents(), "power": car.power()}
     for name, path in OUTPUTS.items():
-        found = number_at(documents, path)
-        if found is not None:
-            yield name, round(1e3 * found) if name in METRES else float(found)
+        number = number_at(documents, path)
+        if number is not None:
+            yield name, round(1e3 * number) if name in METRES else float(number)
 
 
 class DatabrokerFeed:

@@ -71,10 +71,10 @@ class Rule:
         if self.words is not None:
             return Value(self.words.get(str(text), self.otherwise))
         try:
-            found = float(str(text)) * self.scale + self.offset
+            number = float(str(text)) * self.scale + self.offset
         except ValueError:
             return Value()
-        return Value(found, self.step) if math.isfinite(found) else Value()
+        return Value(number, self.step) if math.isfinite(number) else Value()
 
 
 class Value(NamedTuple):
@@ -119,17 +119,17 @@ class Layout:
         Raises:
             InputError: no broker takes such a topic.
         """
-        rules = {**topics, **{each: {} for each in around if each not in topics}}
+        rules = {**topics, **{topic: {} for topic in around if topic not in topics}}
         self._rules = {_expression(base + topic): rules[topic] for topic in rules}
         self._stamp, self.on_change = stamp, bool(around)
-        self.subscriptions = tuple((base + each).replace(CAR, "+") for each in around or topics)
+        self.subscriptions = tuple((base + topic).replace(CAR, "+") for topic in around or topics)
 
     def parse(self, topic: str, payload: bytes) -> Parsed | None:
         """Content of a message, without values where it has no rule; None if it is of no car."""
         for expression, rules in self._rules.items():
-            found = expression.fullmatch(topic)
-            if found is not None:
-                car = found.groupdict().get("car", "car")
+            match = expression.fullmatch(topic)
+            if match is not None:
+                car = match.groupdict().get("car", "car")
                 return self._parsed(car, payload, rules) if CAR_NAME.fullmatch(car) else None
         return None
 
@@ -140,8 +140,8 @@ class Layout:
             with suppress(ValueError, RecursionError):
                 fields = json.loads(text)
         fields = fields if isinstance(fields, dict) else {}
-        found = [(rule.quantity, rule.value(fields.get(name))) for name, rule in rules.items()]
-        known = {quantity: each for quantity, each in found if not math.isnan(each.value)}
+        values = [(rule.quantity, rule.value(fields.get(name))) for name, rule in rules.items()]
+        known = {quantity: value for quantity, value in values if not math.isnan(value.value)}
         return Parsed(car, known, _stamp_ns(fields.get(self._stamp)))
 
 
@@ -202,7 +202,7 @@ def read_layout(source: str, namespace: str = "") -> Layout:
 
 def _rule(section: Section) -> Rule:
     section.refuse_unknown(("otherwise", "quantity", "scale", "step", "unit", "words"))
-    quantity = Measurand(section.choice("quantity", [each.value for each in Measurand]))
+    quantity = Measurand(section.choice("quantity", [measurand.value for measurand in Measurand]))
     unit = _unit(section, quantity) if section.has("unit") else Unit(1.0)
 
     def number(key: str, otherwise: float) -> float:

@@ -20,10 +20,10 @@ MEASUREMENT, INCREASING = "measurement", "total_increasing"
 
 def number_at(document: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
     """Number at the end of a path of keys in a document; None where there is none."""
-    found: Any = document
+    value: Any = document
     for key in path:
-        found = found.get(key) if isinstance(found, Mapping) else None
-    return found if isinstance(found, int | float) and math.isfinite(found) else None
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,8 @@ class Sensor:
 
     def text(self, document: Mapping[str, Any]) -> str:
         """The number as a payload; "None", which Home Assistant shows as unknown, without one."""
-        found = number_at(document, self.path)
-        return "None" if found is None else f"{found:.{self.digits}f}"
+        number = number_at(document, self.path)
+        return "None" if number is None else f"{number:.{self.digits}f}"
 
 
 SENSORS = (

@@ -54,7 +54,9 @@ class Snapshots:
 
     def forget(self) -> None:
         """Hold nothing that could have changed unseen: the connection was lost."""
-        self._held = {each: held for each, held in self._held.items() if each in LASTING}
+        self._held = {
+            quantity: held for quantity, held in self._held.items() if quantity in LASTING
+        }
         self._burst_ns = None
 
     def add(self, parsed: Parsed, arrived_ns: int, *, retained: bool) -> list[Reading]:
@@ -89,7 +91,9 @@ class Snapshots:
         return self._readings(stamp_ns)
 
     def _hold(self, parsed: Parsed, wanted: Collection[Measurand] = tuple(Measurand)) -> None:
-        self._held |= {each: value for each, value in parsed.values.items() if each in wanted}
+        self._held |= {
+            quantity: value for quantity, value in parsed.values.items() if quantity in wanted
+        }
 
     def _value(self, quantity: Measurand) -> float:
         return self._held.get(quantity, Value()).value
@@ -97,19 +101,19 @@ class Snapshots:
     def _readings(self, stamp_ns: int) -> list[Reading]:
         if self._value(Measurand.ASLEEP) == 1.0:
             return self._asleep(stamp_ns)
-        found: list[Reading] = []
+        readings: list[Reading] = []
         if not math.isnan(celsius := self._value(Measurand.TEMPERATURE)):
-            found.append(TemperatureReading(stamp_ns, celsius))
+            readings.append(TemperatureReading(stamp_ns, celsius))
         if not math.isnan(altitude := self._value(Measurand.ALTITUDE)):
             place = self._value(Measurand.LATITUDE), self._value(Measurand.LONGITUDE)
-            found.append(AltitudeReading(stamp_ns, altitude, *place))
+            readings.append(AltitudeReading(stamp_ns, altitude, *place))
         if not math.isnan(heating := self._value(Measurand.HEATING)):
-            found.append(AuxiliaryReading(stamp_ns, heating))
+            readings.append(AuxiliaryReading(stamp_ns, heating))
         battery = self._battery(stamp_ns)
         if battery is not None:
-            found.append(battery)
+            readings.append(battery)
         speed = self._speed(stamp_ns)
-        return found if speed is None else [*found, speed]
+        return readings if speed is None else [*readings, speed]
 
     def _asleep(self, stamp_ns: int) -> list[Reading]:
         """Charge alone: speed and power of a car that is not driven are old, or the charger's."""

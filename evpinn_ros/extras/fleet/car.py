@@ -99,12 +99,12 @@ class _Input:
     problem: str | None
 
     @classmethod
-    def of(cls, path: Path, found: _Found) -> _Input:
+    def of(cls, path: Path, learned: _Found) -> _Input:
         """Look at a drive; what is known of it already is not read again."""
         try:
             fingerprint = _fingerprint(path)
-            known = found.starts.get(fingerprint)
-            start_ns = known if known is not None else _first_stamp(path, found.vehicle)
+            known = learned.starts.get(fingerprint)
+            start_ns = known if known is not None else _first_stamp(path, learned.vehicle)
             return cls(path, fingerprint, start_ns, None)
         except Exception as error:  # whatever is wrong with one drive, the others go on
             return cls(path, "", 0, with_kind(error))
@@ -143,9 +143,9 @@ class _Found:
             self.rows, self._written = [], {}
         return len(self.rows)
 
-    def add(self, one: _Input, row: dict[str, Any], state: dict[str, Any] | None) -> None:
+    def add(self, drive: _Input, row: dict[str, Any], state: dict[str, Any] | None) -> None:
         """Write the files after one more drive; without a state nothing was learned of it."""
-        self.rows.append({**one.row(), **row})
+        self.rows.append({**drive.row(), **row})
         self.state = state or self.state
         evidence = evidence_of_state(self.vehicle, self.state) if self.state else NO_EVIDENCE
         self._write(
@@ -162,7 +162,7 @@ class _Found:
 
     def note_unreadable(self, inputs: list[_Input]) -> None:
         """Write which drives could not even be opened; they are tried again by every run."""
-        rows = [{**one.row(), **failed_row(one.problem or "")} for one in inputs]
+        rows = [{**drive.row(), **failed_row(drive.problem or "")} for drive in inputs]
         if self._written.get("unreadable", []) != rows or not self._written:
             nothing = {"basis": self._basis, "state": _digest_of({}), "drives": []}
             self._write(None, {**nothing, **self._written, "unreadable": rows})
@@ -176,7 +176,10 @@ class _Found:
 
 
 def _learn(
-    one: _Input, vehicle: Vehicle, state: dict[str, Any] | None, progress: Callable[[float], None]
+    drive: _Input,
+    vehicle: Vehicle,
+    state: dict[str, Any] | None,
+    progress: Callable[[float], None],
 ) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """The row of a drive and the state after it, None if nothing came of it."""
     progress(0.0)
@@ -187,7 +190,7 @@ def _learn(
             chain.estimator.restore(state)
             chain.begin_next_drive()
         done = replay(
-            open_source(one.path, vehicle),
+            open_source(drive.path, vehicle),
             chain,
             ReplayOptions(),
             vehicle=vehicle.key,
@@ -204,8 +207,8 @@ def _learn(
 
 def read_result(folder: Path, vehicle: Vehicle) -> dict[str, Any]:
     """Saved result of the present program for a car of this very vehicle file; empty if none."""
-    found = _read(folder / RESULT_FILE)
-    return found if found.get("basis") == _basis(vehicle) else {}
+    result = _read(folder / RESULT_FILE)
+    return result if result.get("basis") == _basis(vehicle) else {}
 
 
 def _basis(vehicle: Vehicle) -> str:

@@ -140,8 +140,8 @@ def _write(summary: FleetSummary, report: Path, vehicles: Path | None) -> None:
         write_fleet_page(report, summary, command_line())
         for key, population in summary.populations.items():
             if vehicles is not None:
-                one = vehicles.suffix in (".yaml", ".yml")
-                path = vehicles if one else vehicles / f"{key}.yaml"
+                single = vehicles.suffix in (".yaml", ".yml")
+                path = vehicles if single else vehicles / f"{key}.yaml"
                 write_vehicle(path, population.priors("evpinn fleet"))
 
 

@@ -77,7 +77,7 @@ def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
                 f"{named[folder.name]} and {folder} would both be car '{folder.name}'; "
                 "say in a --manifest which drive is whose"
             )
-    return _fleet((folder.name, vehicle, found) for folder, found in drives.items())
+    return _fleet((folder.name, vehicle, paths) for folder, paths in drives.items())
 
 
 def cars_by_manifest(path: Path) -> list[CarDrives]:
@@ -106,7 +106,7 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
                     drives.setdefault(line.car, set()).add(drive)
                 if owner.setdefault(real, line.car) != line.car:
                     raise InputError(f"{line.where}: {drive} is of car '{owner[real]}' already")
-    return _fleet((car, vehicles[models[car]], found) for car, found in drives.items())
+    return _fleet((car, vehicles[models[car]], path) for car, path in drives.items())
 
 
 def load_model(name: str, base: Path) -> Vehicle:
@@ -120,16 +120,18 @@ def load_model(name: str, base: Path) -> Vehicle:
 
 def _fleet(cars: Iterable[tuple[str, Vehicle, set[Path]]]) -> list[CarDrives]:
     """The cars in order of their names."""
-    fleet = [CarDrives(car, vehicle, tuple(sorted(found))) for car, vehicle, found in cars]
+    fleet = [CarDrives(car, vehicle, tuple(sorted(drives))) for car, vehicle, drives in cars]
     if not fleet:
         raise InputError("no bag, CAN log or CSV to learn from")
     models: dict[str, Vehicle] = {}
-    for one in fleet:
-        if one.folder_name in ("", ".", ".."):
-            raise InputError(f"a car cannot be named '{one.car}'; name it in a --manifest")
-        if repr(models.setdefault(one.vehicle.key, one.vehicle)) != repr(one.vehicle):
-            raise InputError(f"two vehicle files are both named {one.vehicle.key}")
-    return sorted(fleet, key=lambda one: one.car)
+    for car_drives in fleet:
+        if car_drives.folder_name in ("", ".", ".."):
+            raise InputError(f"a car cannot be named '{car_drives.car}'; name it in a --manifest")
+        if repr(models.setdefault(car_drives.vehicle.key, car_drives.vehicle)) != repr(
+            car_drives.vehicle
+        ):
+            raise InputError(f"two vehicle files are both named {car_drives.vehicle.key}")
+    return sorted(fleet, key=lambda car_drives: car_drives.car)
 
 
 def _top_folder(given: Path, drive: Path) -> Path:
@@ -148,17 +150,17 @@ def _recordings(path: Path, seen: set[str] | None = None) -> list[Path]:
 def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:
     """Absolute paths that a path or pattern names."""
     path = base / pattern
-    found = [path]
+    paths = [path]
     if not path.exists():
         if pattern.count("**") > 1:  # each more is a walk of all folders below each folder
             raise InputError(f"{where or pattern}: more than one ** in a pattern")
         # A folder in which the manifest lies is none, whatever it is named.
         base = Path(path.anchor) if Path(pattern).is_absolute() else base
         with as_input_error(where or pattern, ValueError):
-            found = list(base.glob(pattern.removeprefix(path.anchor)))
-    if not found:
+            paths = list(base.glob(pattern.removeprefix(path.anchor)))
+    if not paths:
         raise InputError(f"{where or path}: {pattern}: nothing there")
-    return [each.resolve() for each in found]
+    return [path.resolve() for path in paths]
 
 
 def _vehicle(line: _Line, base: Path) -> Vehicle:

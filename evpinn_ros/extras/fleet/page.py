@@ -52,11 +52,11 @@ def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
             (
                 key,
                 len(known),
-                fleet_charts(one, known),
-                population_cells(one),
+                fleet_charts(population, known),
+                population_cells(population),
                 trend_intervals(points),
             )
-            for key, one in summary.populations.items()
+            for key, population in summary.populations.items()
             for known, points in [(summary.known[key], summary.points[key])]
         ],
         car_head=CAR_HEAD,
@@ -80,21 +80,21 @@ def population_cells(population: Population) -> list[tuple[str, ...]]:
     named += [(name, population.value(name)) for name in COMBINATIONS]
     files += [""] * len(COMBINATIONS)
     return [
-        (name, file, *_value_cells(name, found))
-        for (name, found), file in zip(named, files, strict=True)
+        (name, file, *_value_cells(name, shared))
+        for (name, shared), file in zip(named, files, strict=True)
     ]
 
 
-def _value_cells(name: str, found: PopulationValue) -> tuple[str, ...]:
+def _value_cells(name: str, shared: PopulationValue) -> tuple[str, ...]:
     """Value with 1-sigma, spread with 1-sigma, the next car's 1-sigma, and how many cars."""
     linear = name == LINEAR  # all others are logarithms
-    value = found.mean if linear else math.exp(found.mean)
+    value = shared.mean if linear else math.exp(shared.mean)
     scale, unit = (1.0, " W") if linear else (100.0, " %")
     return (
-        with_sigma(value, found.mean_std * (1.0 if linear else value)),
-        with_sigma(scale * found.spread, scale * found.spread_std) + unit,
-        f"± {two_digits(scale * found.new_car_std)}{unit}",
-        f"{found.cars:.1f}",
+        with_sigma(value, shared.mean_std * (1.0 if linear else value)),
+        with_sigma(scale * shared.spread, scale * shared.spread_std) + unit,
+        f"± {two_digits(scale * shared.new_car_std)}{unit}",
+        f"{shared.cars:.1f}",
     )
 
 
@@ -133,14 +133,14 @@ def fleet_charts(population: Population, cars: Mapping[str, Evidence]) -> list[d
 
 def _rows(name: str, population: Population, cars: Mapping[str, Evidence]) -> list[Whisker]:
     model = population.value(name)
-    found = [("vehicle file", population.of_file(name), "file")]
-    found += [(car, population.of_car(name, one), "car") for car, one in cars.items()]
-    found.append(("next car", (model.mean, model.new_car_std), "model"))
+    rows = [("vehicle file", population.of_file(name), "file")]
+    rows += [(car, population.of_car(name, evidence), "car") for car, evidence in cars.items()]
+    rows.append(("next car", (model.mean, model.new_car_std), "model"))
     points = [
         (_value(name, mean - std), _value(name, mean), _value(name, mean + std))
-        for _, (mean, std), _ in found
+        for _, (mean, std), _ in rows
     ]
-    low, high = min(each[0] for each in points), max(each[2] for each in points)
+    low, high = min(point[0] for point in points), max(point[2] for point in points)
     edge = MARGIN * (high - low)
 
     def place(value: float) -> float:
@@ -155,7 +155,7 @@ def _rows(name: str, population: Population, cars: Mapping[str, Evidence]) -> li
             high=place(above),
             kind=kind,
         )
-        for (row, _, kind), (below, at, above) in zip(found, points, strict=True)
+        for (row, _, kind), (below, at, above) in zip(rows, points, strict=True)
     ]
 
 

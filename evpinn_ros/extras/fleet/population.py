@@ -64,12 +64,12 @@ class PopulationValue:
 class Population:
     """Mean and spread of the cars of one model, from the evidence of each."""
 
-    def __init__(self, vehicle: Vehicle, found: Sequence[Evidence]) -> None:
+    def __init__(self, vehicle: Vehicle, evidence: Sequence[Evidence]) -> None:
         """Learn from the cars; their evidence is relative to this vehicle's priors."""
         self.vehicle = vehicle
-        found = [one for one in found if one.precision.any()]
-        precision = np.array([one.precision for one in found]).reshape(-1, SIZE, SIZE)
-        information = np.array([one.information for one in found]).reshape(-1, SIZE)
+        evidence = [car for car in evidence if car.precision.any()]
+        precision = np.array([car.precision for car in evidence]).reshape(-1, SIZE, SIZE)
+        information = np.array([car.information for car in evidence]).reshape(-1, SIZE)
         self._prior, self._scale = file_prior(vehicle)
         self._spread = _spread(precision, information)
         weight = _weight(precision, self._spread)
@@ -85,12 +85,12 @@ class Population:
         """Mean and 1-sigma of the same in the vehicle file."""
         return self.of_car(name, NO_EVIDENCE)
 
-    def of_car(self, name: str, one: Evidence) -> tuple[float, float]:
+    def of_car(self, name: str, car: Evidence) -> tuple[float, float]:
         """Mean and 1-sigma of the same of one car: the vehicle file and its own evidence."""
         direction = _direction(name)
         scaled = direction * self._scale
-        doubt = np.linalg.inv(np.eye(SIZE) + one.precision)
-        mean = direction @ self._prior + scaled @ doubt @ one.information
+        doubt = np.linalg.inv(np.eye(SIZE) + car.precision)
+        mean = direction @ self._prior + scaled @ doubt @ car.information
         return float(mean), math.sqrt(scaled @ doubt @ scaled)
 
     def covariance(self) -> np.ndarray:
@@ -103,12 +103,12 @@ class Population:
         return replace(self.vehicle, priors=priors, correlations={}, paper_start={})
 
     def _new_prior(self, name: str, source: str) -> Prior:
-        found = self.value(name)
+        shared = self.value(name)
         limits = limits_of(name, self.vehicle.relative_size)
-        value = found.mean if name == LINEAR else math.exp(found.mean)
+        value = shared.mean if name == LINEAR else math.exp(shared.mean)
         value = min(max(value, limits.lower), limits.upper)
-        std = found.new_car_std * (1.0 if name == LINEAR else value)
-        return Prior(value, std, f"{source}: worth {found.cars:.1f} cars")
+        std = shared.new_car_std * (1.0 if name == LINEAR else value)
+        return Prior(value, std, f"{source}: worth {shared.cars:.1f} cars")
 
     def _along(self, direction: np.ndarray) -> PopulationValue:
         """Estimate of a sum of parameters, `direction` in their own units."""
@@ -130,7 +130,7 @@ class Population:
 def _direction(name: str) -> np.ndarray:
     """Direction of a parameter or a combination, shape (6,)."""
     parts = COMBINATIONS.get(name, {name: 1.0})
-    return np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES])
+    return np.array([parts.get(parameter, 0.0) for parameter in PARAMETER_NAMES])
 
 
 def _weight(precision: np.ndarray, spread: np.ndarray) -> np.ndarray:

@@ -24,19 +24,19 @@ PARAMETER_STATES = tuple(f"{name}_state" for name in PARAMETER_NAMES)
 
 def drive_row(done: Replayed) -> dict[str, Any]:
     """The scores of a drive and the parameters of the car after it."""
-    found = done.metrics
-    power, energy = found["power"], found["energy"]
+    metrics = done.metrics
+    power, energy = metrics["power"], metrics["energy"]
     return {
         "problem": done.problem,
-        "samples": found["input"]["samples"],
-        "duration_s": found["input"]["duration_s"],
+        "samples": metrics["input"]["samples"],
+        "duration_s": metrics["input"]["duration_s"],
         "power_rmse_w": power["rmse_w"],
         "power_coverage_90": power["coverage_90"],
         "energy_measured_j": energy["measured_j"],
         "energy_predicted_j": energy["predicted_j"],
         "energy_error_percent": energy["error_percent"],
         **_point(drive_point(done.drive)),
-        **_parameters(found["parameters"]),
+        **_parameters(metrics["parameters"]),
     }
 
 
@@ -51,18 +51,18 @@ def point_of(row: Mapping[str, Any]) -> DrivePoint | None:
     return None if row["distance_m"] is None else DrivePoint(*(row[name] for name in POINT))
 
 
-def _point(found: DrivePoint | None) -> dict[str, Any]:
-    return dict.fromkeys(POINT) if found is None else found._asdict()
+def _point(point: DrivePoint | None) -> dict[str, Any]:
+    return dict.fromkeys(POINT) if point is None else point._asdict()
 
 
-def _parameters(found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _parameters(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     row: dict[str, Any] = {}
     for name in PARAMETER_NAMES:
-        one = found.get(name, {})
-        row[name] = one.get("value")
-        row[f"{name}_std"] = one.get("std")
-        row[f"{name}_prior_share"] = one.get("prior_share")
-        row[f"{name}_state"] = one.get("state")
+        estimate = parameters.get(name, {})
+        row[name] = estimate.get("value")
+        row[f"{name}_std"] = estimate.get("std")
+        row[f"{name}_prior_share"] = estimate.get("prior_share")
+        row[f"{name}_state"] = estimate.get("state")
     return row
 
 

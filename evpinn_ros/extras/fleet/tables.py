@@ -108,7 +108,7 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
         InputError: a table cannot be written.
     """
     summary = FleetSummary()
-    found: dict[str, list[Evidence]] = defaultdict(list)
+    evidence_of_model: dict[str, list[Evidence]] = defaultdict(list)
     vehicles: dict[str, Vehicle] = {}
     with (
         _table(out / DRIVES, DRIVE_COLUMNS) as add_drive,
@@ -127,11 +127,13 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
             vehicles[car.vehicle.key] = car.vehicle
             summary.points[car.vehicle.key] += filter(None, map(point_of, rows))
             if row["in_population"]:
-                found[car.vehicle.key].append(_evidence(result))
+                evidence_of_model[car.vehicle.key].append(_evidence(result))
                 if len(summary.known[car.vehicle.key]) < CHARTED:
-                    summary.known[car.vehicle.key][car.car] = found[car.vehicle.key][-1]
+                    summary.known[car.vehicle.key][car.car] = evidence_of_model[car.vehicle.key][
+                        -1
+                    ]
     for key, vehicle in sorted(vehicles.items()):
-        summary.populations[key] = Population(vehicle, found[key])
+        summary.populations[key] = Population(vehicle, evidence_of_model[key])
     with _table(out / POPULATION, POPULATION_COLUMNS) as add:
         for key, population in summary.populations.items():
             for row in population_rows(key, population):
@@ -148,13 +150,13 @@ def population_rows(key: str, population: Population) -> Iterator[dict[str, Any]
         yield _value_row(key, name, population.value(name)) | {"covariance": None}
 
 
-def _value_row(key: str, name: str, found: PopulationValue) -> dict[str, Any]:
+def _value_row(key: str, name: str, shared: PopulationValue) -> dict[str, Any]:
     return {
         "vehicle": key,
         "name": name,
-        "value": found.mean if name == LINEAR else math.exp(found.mean),
-        **asdict(found),
-        "new_car_std": found.new_car_std,
+        "value": shared.mean if name == LINEAR else math.exp(shared.mean),
+        **asdict(shared),
+        "new_car_std": shared.new_car_std,
     }
 
 

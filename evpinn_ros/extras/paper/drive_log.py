@@ -91,9 +91,11 @@ def _unexplained(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
     kinetic = speed * acceleration
     terms = (np.ones_like(speed), speed, speed**3, kinetic * braking, kinetic * ~braking)
     columns = np.stack(terms, axis=1)
-    found, *_ = np.linalg.lstsq(columns, power, rcond=None)
+    coefficients, *_ = np.linalg.lstsq(columns, power, rcond=None)
     variance = float(np.var(power))
-    return float(np.mean((power - columns @ found) ** 2)) / variance if variance > 0.0 else 1.0
+    return (
+        float(np.mean((power - columns @ coefficients) ** 2)) / variance if variance > 0.0 else 1.0
+    )
 
 
 def _read(

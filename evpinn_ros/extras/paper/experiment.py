@@ -236,20 +236,20 @@ class Experiment:
             published = PREDICTED[vehicle.key]._replace(p_aux=p_aux)
             candidates = {**candidates, "Table V": published}
         scale = Scale.of(log.power)
-        found = []
+        scored = []
         for title, parameters in candidates.items():
             for form in (RegenForm.PRINTED, RegenForm.RECOVERY):
                 power = vehicle.power(log.speed, log.acceleration, parameters, form)
                 score = power_score(power, log.power, scale)
-                found.append(Scored(f"{title}, {form.value}", WHOLE, score))
-        return found
+                scored.append(Scored(f"{title}, {form.value}", WHOLE, score))
+        return scored
 
 
 def _scores(training: PowerTraining, split: str) -> list[Scored]:
     """Network and regression on the validation data of a training, and its baseline."""
     problem = training.problem
     log, rows = problem.log, problem.split
-    trained, held = (chosen_rows(log, each) for each in rows)
+    trained, held = (chosen_rows(log, part) for part in rows)
     powers = {
         NETWORK: problem.predicted_power(training.optimizer.network, held),
         REGRESSION: least_squares_power(problem)[0],

@@ -71,8 +71,8 @@ class LogParameters:
     def values(self, log_scale: torch.Tensor, p_aux: float) -> Parameters:
         """The parameters at z as numbers; at z = 0 the initial values of eq. 24 and 25."""
         scale = torch.exp(log_scale.detach().double()).tolist()
-        found = [first * factor for first, factor in zip(self._initial, scale, strict=True)]
-        return Parameters._make([*found, p_aux])
+        scaled = [first * factor for first, factor in zip(self._initial, scale, strict=True)]
+        return Parameters._make([*scaled, p_aux])
 
     def fit(
         self, physics: Physics, power: torch.Tensor, start: torch.Tensor, unit: float = 1.0
@@ -131,5 +131,5 @@ def standing_load(speed: np.ndarray, power: np.ndarray, otherwise: float) -> flo
 
     Speed, m/s, and power, W, have shape (n,); `otherwise` where the car never stood.
     """
-    found = auxiliary_power(speed, power)
-    return otherwise if np.isnan(found) else max(found, LIMITS["p_aux"].lower)
+    load = auxiliary_power(speed, power)
+    return otherwise if np.isnan(load) else max(load, LIMITS["p_aux"].lower)

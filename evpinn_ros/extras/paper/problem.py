@@ -110,7 +110,9 @@ class Samples:
         columns = (torch.as_tensor(column, dtype=dtype, device=device) for column in log)
         time, speed, acceleration, power = columns
         self.motion = PhysicsInputs(speed, acceleration)
-        scaled = (one.normalised(raw) for one, raw in zip(inputs, (speed, time), strict=True))
+        scaled = (
+            standard.normalised(raw) for standard, raw in zip(inputs, (speed, time), strict=True)
+        )
         self.inputs = torch.stack(list(scaled), dim=1)
         self.power = scale.normalised(power)
 

@@ -183,12 +183,12 @@ def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str)
     state, vehicle = folder / "state.json", folder / "vehicle.yaml"
     with as_input_error(f"{folder}: cannot be written"):
         write_reproduction(report, outcome, command, label)
-        found = {
+        document = {
             "command": command,
             "log": {"path": str(log), "delay_s": read.delay, "dropped": dict(read.dropped)},
             **results_of(outcome),
         }
-        write_json(numbers, found)
+        write_json(numbers, document)
         write_estimator_state(state, outcome)
         write_vehicle_file(vehicle, outcome, log.name)
     for path, use in (

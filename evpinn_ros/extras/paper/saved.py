@@ -33,8 +33,8 @@ def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
     the end of the log), and power leaves over `POWER_SCALE`. All three are affine, so the first
     and the last layer take them up.
     """
-    found = deepcopy(network).cpu().double()
-    first, last = found.layers[0], found.layers[-1]
+    copied = deepcopy(network).cpu().double()
+    first, last = copied.layers[0], copied.layers[-1]
     end = float(problem.log.time[-1])
     middle, half_range = torch.tensor(problem.inputs, dtype=torch.float64).T
     at_now = torch.tensor([0.0, end], dtype=torch.float64)
@@ -42,7 +42,7 @@ def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
     first.weight.mul_(torch.tensor([SPEED_SCALE, WINDOW], dtype=torch.float64) / half_range)
     last.weight.mul_(problem.scale.half_range / POWER_SCALE)
     last.bias.copy_((problem.scale.middle + problem.scale.half_range * last.bias) / POWER_SCALE)
-    return found.float()
+    return copied.float()
 
 
 def write_estimator_state(path: Path, outcome: Outcome) -> None:
@@ -86,8 +86,8 @@ def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
         outcome.log, vehicle, outcome.training.problem.split, form=RegenForm.WHEEL_POWER
     )
     fit = problem.fit(problem.training, problem.training.power)
-    found = outcome.values._replace(mu=problem.values(fit.log_scale).mu)
-    values = possible(found, outcome.settings.form)
+    fitted = outcome.values._replace(mu=problem.values(fit.log_scale).mu)
+    values = possible(fitted, outcome.settings.form)
     variance = np.diag(outcome.covariance).copy()
     variance[LEARNED.index("mu")] = np.diag(fit.covariance)[LEARNED.index("mu")]
     relative = dict(zip(LEARNED, np.sqrt(variance).tolist(), strict=True))

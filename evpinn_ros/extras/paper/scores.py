@@ -133,17 +133,19 @@ def combination_rows(
 def combinations(parameters: Parameters, area: float, form: RegenForm) -> dict[str, float]:
     """Values of the combinations that enter eq. 21 in a form; area in m^2."""
     values = parameters._asdict()
-    found = {
+    sums = {
         name: math.prod(float(values[p]) ** power for p, power in exponents.items())
         for name, exponents in _exponents(form).items()
     }
-    found["drag_area_over_eta"] *= area
-    return found
+    sums["drag_area_over_eta"] *= area
+    return sums
 
 
 def _exponents(form: RegenForm) -> Mapping[str, Mapping[str, float]]:
     """The combinations of a form; in `wheel_power` alone braking comes back by eta mu."""
     if form is RegenForm.WHEEL_POWER:
         return COMBINATIONS
-    others = {name: each for name, each in COMBINATIONS.items() if name != "regeneration"}
+    others = {
+        name: exponents for name, exponents in COMBINATIONS.items() if name != "regeneration"
+    }
     return {**others, "mu": {"mu": 1.0}}

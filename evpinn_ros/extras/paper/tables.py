@@ -142,7 +142,7 @@ def combination_table(outcome: Outcome) -> ResultTable:
 
 
 def _finding_rows(
-    found: Sequence[TableFiveRow], published: Mapping[str, float], fitted: Mapping[str, float]
+    rows: Sequence[TableFiveRow], published: Mapping[str, float], fitted: Mapping[str, float]
 ) -> list[list[str]]:
     """Findings under `FINDING_COLUMNS`, beside the paper's values and those of a fit."""
     return [
@@ -156,7 +156,7 @@ def _finding_rows(
             _number(row.name, published[row.name]) if row.name in published else UNKNOWN,
             _number(row.name, fitted[row.name]),
         ]
-        for row in found
+        for row in rows
     ]
 
 
@@ -231,8 +231,8 @@ def energy_table(outcome: Outcome) -> ResultTable:
 def _beyond(outcome: Outcome) -> str:
     """A sentence on the network's power where every time is later than those trained on."""
     rows = outcome.chronological.problem.split.validation
-    powers = (each[rows] / 1000.0 for each in (outcome.unseen_power, outcome.log.power))
-    network, measured = (f"{each.min():.0f} to {each.max():.0f} kW" for each in powers)
+    powers = (power[rows] / 1000.0 for power in (outcome.unseen_power, outcome.log.power))
+    network, measured = (f"{power.min():.0f} to {power.max():.0f} kW" for power in powers)
     return (
         "Time is an input of the network, and there each time is later than all it was trained "
         f"on: it gives {network}, measured are {measured}. `time held` asks it for the last time "

@@ -70,7 +70,7 @@ def verdict(outcome: Outcome) -> list[Finding]:
 def _fits(outcome: Outcome) -> Finding:
     settings, rows = outcome.settings, POWER_LOSSES.get(outcome.vehicle.key)
     published = [rows] if rows else POWER_LOSSES.values()
-    asked = max(each[-1].validation.total for each in published)
+    asked = max(losses[-1].validation.total for losses in published)
     reached = outcome.power_rows[-1].validation.total
     if reached <= asked:
         answer = ClaimAnswer.HOLDS
@@ -127,7 +127,7 @@ def _parameters(outcome: Outcome) -> Finding:
     answer = (ClaimAnswer.PARTLY if known else ClaimAnswer.FAILS) if guessed else ClaimAnswer.HOLDS
     measured = f"the data determine {_named(known)}; not determined: {_named(guessed)}"
     table_five = f"Table V, {outcome.settings.form.value}"
-    if any(each.method == table_five for each in outcome.scores):
+    if any(score.method == table_five for score in outcome.scores):
         off = _off(_score(outcome, table_five, WHOLE))
         measured += f". With Table V's values the energy of this drive is off by {off}"
     return Finding("Speed and power give the parameters of the car", answer, measured)
