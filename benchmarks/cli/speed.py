@@ -1,10 +1,12 @@
-"""`evpinn bench speed`: how quick forecasts are, in the library and over DDS."""
+"""`evpinn bench speed`: how quick replays and forecasts are, in the library and over DDS."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from importlib.util import find_spec
 import os
+from pathlib import Path
+from tempfile import TemporaryDirectory
 import time
 from typing import Annotated, Any, NamedTuple
 
@@ -12,12 +14,16 @@ import numpy as np
 import typer
 
 from benchmarks.cli.output import figures_table, json_at_the_end
+from evpinn_ros.api.recordings import replay
 from evpinn_ros.cli.console import note, progress_bar, show
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.core.energy.forecast import Profiles, forecast
 from evpinn_ros.core.energy.power_model import vehicle_model
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.output import write
+from evpinn_ros.replays.simulation.simulate import simulate
 
 BATCH, POINTS = 1000, 600
 REPEATS = 3
@@ -68,6 +74,46 @@ def hilly_profiles(batch: int, points: int) -> Profiles:
     return Profiles(time_s, speed, 20.0 * np.sin(np.cumsum(speed, axis=1) / 700.0))
 
 
+class ReplayThroughput(NamedTuple):
+    """A replay with learning, by the processor time of its quickest run.
+
+    Attributes:
+        realtime_factor: seconds of the drive for each of the processor.
+        sample_us: microseconds for a speed, with all that comes between two of them.
+        kalman_us: the same for a step of an extended Kalman filter of six states, in numpy.
+    """
+
+    realtime_factor: float
+    sample_us: float
+    kalman_us: float
+
+
+def measure_replay(vehicle: Vehicle, seconds: float) -> ReplayThroughput:
+    """Time the replay of a simulated drive from its bag, and a peer beside it."""
+    with TemporaryDirectory() as folder:
+        bag = Path(folder) / "drive"
+        write(simulate(DriveKind.MIXED, vehicle, seconds, seed=1), bag)
+        speeds = len(replay(bag, vehicle).replayed.drive.speed)
+        took_ms = _quickest_ms(lambda: replay(bag, vehicle))
+    kalman_ms = _quickest_ms(lambda: _kalman_steps(speeds))
+    return ReplayThroughput(
+        1e3 * seconds / took_ms, *(1e3 * ms / speeds for ms in (took_ms, kalman_ms))
+    )
+
+
+def _kalman_steps(count: int) -> None:
+    """Run an extended Kalman filter of the six parameters on powers of eq. 21."""
+    state, covariance, noise = np.ones(6), np.eye(6), 1e-6 * np.eye(6)
+    for step in range(count):
+        speed = 10.0 + step % 10
+        gradient = np.array([speed**3, speed, speed * (step % 3 - 1.0), speed, 1.0, -1.0])
+        covariance = covariance + noise
+        along = covariance @ gradient
+        gain = along / (gradient @ along + 1e4)
+        state = state + gain * (1e3 - gradient @ state)
+        covariance = covariance - np.outer(gain, along)
+
+
 def _quickest_ms(work: Callable[[], Any]) -> float:
     times = []
     for _ in range(REPEATS):
@@ -83,24 +129,40 @@ CAR = "tesla_model_3_lr"
 
 def speed(
     plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
+    seconds: Annotated[float, typer.Option(min=60, help="Length of the replayed drive.")] = 1800.0,
     json_file: JsonOption = None,
 ) -> None:
-    """Time forecasts: many profiles at once, and plans asked of the node `energy`.
+    """Time replays and forecasts: a drive, many profiles at once, plans asked of `energy`.
 
-    For the library it measures processor time, in numpy and torch. For the node it measures the
-    delay from a plan to its answer, for single plans and for twelve together with all their
-    differences. How accurate forecasts are is measured by `evpinn bench plans`.
+    The replay is that of a simulated drive at 10 Hz, from its bag, with learning; beside it runs
+    an extended Kalman filter of six states. For the library it measures processor time, in numpy
+    and torch. For the node it measures the delay from a plan to its answer, for single plans and
+    for twelve together with all their differences. How accurate forecasts are is measured by
+    `evpinn bench plans`.
 
     Example: evpinn bench speed --plans 300
     """
     limit_blas_threads()
     found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
     with json_at_the_end(json_file, lambda: found):
+        found["replay"] = _replay(seconds)
         found["library"] = _library()
         if find_spec("rclpy") is None:
             note("rclpy is not installed: plans over DDS are left out")
         else:
             found["plans"] = _plans(plans)
+
+
+def _replay(seconds: float) -> dict[str, float]:
+    found = measure_replay(load_vehicle(CAR), seconds)
+    rows = [
+        ("times real time", f"{found.realtime_factor:.0f}", "1000"),
+        ("a sample", f"{found.sample_us:.0f} us", "90 us"),
+        ("a step of a Kalman filter", f"{found.kalman_us:.0f} us", ""),
+        ("  replay over that", f"{found.sample_us / found.kalman_us:.0f}", "10"),
+    ]
+    show(figures_table(f"Replay of {seconds:.0f} s at 10 Hz with learning, one core", rows))
+    return found._asdict()
 
 
 def _library() -> dict[str, float]:

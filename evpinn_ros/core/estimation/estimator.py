@@ -252,17 +252,21 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         arrivals: list[_Arrival] = []
         similar = [self._similarity.reading(reading) for reading in readings]
         self._stream.look_ahead(similar)
+        learns, news = self._learner.learns, False
         for reading in similar:
-            arrivals.append(self._arrive(reading))
-            if arrivals[-1].tick is not None and self._may_change(arrivals):
+            arrival = self._arrive(reading)
+            arrivals.append(arrival)
+            news = news or any(isinstance(event, learns) for event in arrival.events)
+            # An update may begin or end now, and what follows is predicted with its result.
+            if arrival.tick is not None and (news or self._news or self._waiting):
                 yield from self._act(arrivals)
-                arrivals = []
+                arrivals, news = [], False
         yield from self._act(arrivals)
 
     def _arrive(self, reading: Reading) -> _Arrival:
         """Take a reading of the similar car into the stream."""
         before = self._stream.dropped.total()
-        events = list(self._stream.add_reading(reading))
+        events = self._stream.add_reading(reading)
         taken = self._stream.dropped.total() == before
         if taken:
             self._stuck = self._stuck.after(reading)
@@ -274,13 +278,6 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             measured = PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, power, sigma)
         tick = self._clock if isinstance(reading, SpeedReading) and self._ticks() else None
         return _Arrival(events, self._stuck, measured, tick)
-
-    def _may_change(self, arrivals: list[_Arrival]) -> bool:
-        """True if an update may begin or end by these, so that later predictions need it."""
-        events = (event for arrival in arrivals for event in arrival.events)
-        return (
-            self._waiting or self._news or any(isinstance(e, self._learner.learns) for e in events)
-        )
 
     def _act(self, arrivals: list[_Arrival]) -> Iterator[Iterator[Output]]:
         """Predict and learn; give the outputs of each arrival."""

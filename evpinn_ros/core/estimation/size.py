@@ -32,6 +32,11 @@ from evpinn_ros.core.vehicle.files import EXTENSIVE, Vehicle
 
 PURE = ("1", "1/(10 K)")  # units of states that are the same of all sizes
 Value = TypeVar("Value")
+EXTENSIVE_FIELDS = {
+    BatteryReading: ("current", "power_std"),
+    AuxiliaryReading: ("heating", "others"),
+    MotorReading: ("torque",),
+}
 EXTENSIVE_SUMS = ("mass_over_eta", "drag_area_over_eta", "p_aux")
 
 
@@ -51,12 +56,7 @@ class Similarity:
 
     def reading(self, reading: Reading) -> Reading:
         """A reading of the vehicle as the car would have given it."""
-        fields = {
-            BatteryReading: ("current", "power_std"),
-            AuxiliaryReading: ("heating", "others"),
-            MotorReading: ("torque",),
-        }.get(type(reading), ())
-        return _scaled(reading, 1.0 / self.size, *fields)
+        return _scaled(reading, 1.0 / self.size, *EXTENSIVE_FIELDS.get(type(reading), ()))
 
     @overload
     def estimate(self, found: PowerEstimate) -> PowerEstimate: ...

@@ -169,30 +169,37 @@ class SampleStream:
 
     def look_ahead(self, readings: Iterable[Reading]) -> None:
         """Say which readings come next, so that what rests on speed is computed together."""
-        self._coming = deque(r for r in readings if isinstance(r, SpeedReading))
+        speeds = (reading for reading in readings if isinstance(reading, SpeedReading))
+        self._coming = deque(speed for speed in speeds if why_impossible(speed) is None)
         self._rows.clear()
 
-    def add_reading(self, reading: Reading) -> Iterator[StreamEvent]:
+    def add_reading(self, reading: Reading) -> list[StreamEvent]:
         """Take one reading and give what it completes, in order."""
-        if self._coming and self._coming[0] is reading:
-            self._coming.popleft()
+        events: list[StreamEvent] = []
         if (reason := why_impossible(reading)) is not None:
             self.dropped[reason] += 1
         elif isinstance(reading, SpeedReading):
-            yield from self._add_speed(reading)
+            self._add_speed(reading, events)
         elif isinstance(reading, BatteryReading):
             self._add_battery(reading)
+            self._match_power(self._last_moment_ns, events)
         elif isinstance(reading, MotorReading) and len(self._speed):
             self._motor.add(reading, self._speed.newest)
         else:
             self._road.add_reading(reading)
-        if self._last_moment_ns is not None:
-            yield from self._match_power(self._last_moment_ns)
-        if len(self._speed) and isinstance(reading, SpeedReading):
-            self._drop_hopeless()
-            yield from self._intervals.intervals()
+        return events
 
-    def _add_speed(self, reading: SpeedReading) -> Iterator[StreamEvent]:
+    def _add_speed(self, reading: SpeedReading, events: list[StreamEvent]) -> None:
+        """Take a speed, with which samples and intervals may be complete."""
+        if self._coming and self._coming[0] is reading:
+            self._coming.popleft()
+        self._move_on(reading, events)
+        self._match_power(self._last_moment_ns, events)
+        if len(self._speed):
+            self._drop_hopeless()
+            events.extend(self._intervals.intervals())
+
+    def _move_on(self, reading: SpeedReading, events: list[StreamEvent]) -> None:
         newest = self.newest_ns
         if newest is not None and newest - reading.stamp_ns > self._late_ns:
             self.dropped["speed_late"] += 1
@@ -203,7 +210,7 @@ class SampleStream:
                 self.dropped["speed_doubled"] += 1
             return
         if newest is not None and reading.stamp_ns - newest > self._speed.cadence.gap_ns:
-            yield from self._intervals.finish()
+            events.extend(self._intervals.finish())
             self._speed.restart((reading.stamp_ns - newest) / NANOSECONDS)
             self._moments.clear()
             self._begin_stretch()
@@ -216,8 +223,8 @@ class SampleStream:
             return
         self._moments.append(reading.stamp_ns)
         row = self._rows.popleft()
-        yield from self._newest_sample(reading, row)
-        yield from self._smoothed_samples(row)
+        self._newest_sample(reading, row, events)
+        self._smoothed_samples(row, events)
 
     def _compute_rows(self, reading: SpeedReading) -> None:
         """Compute what rests on speed alone for this one and those that follow it in order."""
@@ -248,20 +255,20 @@ class SampleStream:
         newest_ns, gap_ns = reading.stamp_ns, int(self._settings.max_gap * NANOSECONDS)
         for coming in self._coming:
             step_ns = coming.stamp_ns - newest_ns
-            if not 0 < step_ns <= gap_ns or why_impossible(coming) is not None:
+            if not 0 < step_ns <= gap_ns:
                 return
             yield coming
             newest_ns = coming.stamp_ns
 
-    def _newest_sample(self, reading: SpeedReading, row: _Row) -> Iterator[Sample]:
+    def _newest_sample(self, reading: SpeedReading, row: _Row, events: list[StreamEvent]) -> None:
         acceleration = self._differentiator.acceleration(reading.stamp_ns, row.differences)
         if abs(acceleration) > MAX_ACCELERATION:
             self.dropped["acceleration_impossible"] += 1
             return
         moved = reading.speed, acceleration, row.slopes
-        yield self._sample(reading.stamp_ns, _Smoothed(*moved), newest=True)
+        events.append(self._sample(reading.stamp_ns, _Smoothed(*moved), newest=True))
 
-    def _smoothed_samples(self, row: _Row) -> Iterator[Sample | MeasuredSample]:
+    def _smoothed_samples(self, row: _Row, events: list[StreamEvent]) -> None:
         newest = self._speed.newest_ns
         while self._moments and newest - self._moments[0] >= self._lag_ns:
             stamp_ns = self._moments.popleft()
@@ -273,12 +280,12 @@ class SampleStream:
             if abs(moved.acceleration) > MAX_ACCELERATION or abs(moved.speed) > MAX_SPEED:
                 self.dropped["acceleration_impossible"] += 1
                 continue
-            yield from self._match_power(stamp_ns - 1)
+            self._match_power(stamp_ns - 1, events)
             self._last_moment_ns = stamp_ns
             self._differentiator.learn(stamp_ns, moved.acceleration)
             sample = self._sample(stamp_ns, moved)
             self._unmeasured.append(sample)
-            yield sample
+            events.append(sample)
 
     def _due(self, stamp_ns: int) -> bool:
         """True if a moment is far enough from the last one sampled."""
@@ -318,17 +325,16 @@ class SampleStream:
         ):
             self.dropped["battery_doubled"] += 1
 
-    def _match_power(self, until_ns: int) -> Iterator[MeasuredSample]:
+    def _match_power(self, until_ns: int | None, events: list[StreamEvent]) -> None:
         """Samples whose power battery readings up to a moment, and none to come, determine."""
-        until_ns = min(until_ns, self._speed.newest_ns - self._late_ns)
-        while self._unmeasured:
+        while self._unmeasured and until_ns is not None:
             after = self._battery.next_ns(self._unmeasured[0].stamp_ns)
-            if after is None or after > until_ns:
+            if after is None or after > min(until_ns, self._speed.newest_ns - self._late_ns):
                 return
             sample = self._unmeasured.popleft()
             power = self._battery.at(sample.stamp_ns)
             if not math.isnan(power):
-                yield MeasuredSample(sample, power)
+                events.append(MeasuredSample(sample, power))
 
     def _drop_hopeless(self) -> None:
         """Stop waiting for the battery at moments that no two readings to be joined settled."""
