@@ -41,7 +41,7 @@ def result() -> ev.Result:
 def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A minute of a made-up car at 10 Hz, with a hill."""
     time = np.arange(600) / 10
-    speed = np.maximum(0.0, 10 + 8 * np.sin(0.4 * time) + 5 * np.sin(1.3 * time))
+    speed = np.maximum(0.0, 8 + 9 * np.sin(0.15 * time) + np.sin(0.9 * time))
     power = 900 + speed * (180 + 2400 * np.gradient(speed, 0.1) + 0.4 * speed**2)
     columns = {
         "t_s": time,

@@ -123,7 +123,7 @@ def test_air_is_denser_when_it_is_cold():
     [
         ({"temperature_c": 300.0}, "temperature is 300, not -60 to 60"),
         ({"heating_w": -1.0}, "heating is -1, not 0 to 20000"),
-        ({"payload_kg": float("nan")}, "payload_kg is nan"),
+        ({"payload_kg": float("nan")}, "payload is nan, not 0 to 5000"),
         ({"head_wind": 61.0}, "head_wind is 61"),
         ({"charge_pct": 101.0}, "charge is 1.01, not 0 to 1"),
     ],
