@@ -10,12 +10,23 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import is_dataclass
+from dataclasses import MISSING, is_dataclass
 from functools import cache
 import json
 import math
 import reprlib
-from typing import Any, Generic, NamedTuple, TypeVar, cast, get_type_hints
+from types import NoneType
+from typing import (
+    Annotated,
+    Any,
+    Generic,
+    NamedTuple,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 
@@ -31,13 +42,13 @@ class Range(NamedTuple):
         least: the smallest number.
         most: the largest number.
         unknown: whether a number may be NaN, which is saved as null.
-        shape: of an array; None: of any length.
+        shape: of an array; empty: a row of any length.
     """
 
     least: float
     most: float
     unknown: bool = False
-    shape: tuple[int | None, ...] = (None,)
+    shape: tuple[int, ...] = ()
 
     def __get_pydantic_core_schema__(self, source: Any, _: Any) -> Any:
         """Schema of pydantic: neither text nor truth values are numbers."""
@@ -48,7 +59,7 @@ class Range(NamedTuple):
             return schemas.int_schema(**limits)
         schema: Any = schemas.float_schema(allow_inf_nan=False, **limits)
         if source is np.ndarray:
-            for size in reversed(self.shape):
+            for size in reversed(self.shape or (None,)):
                 schema = schemas.list_schema(schema, min_length=size, max_length=size)
             return schemas.no_info_after_validator_function(np.array, schema)
         if self.unknown:
@@ -104,8 +115,10 @@ def plain(value: Any) -> Any:
         return value.tolist()
     if is_dataclass(value) or hasattr(value, "_fields"):
         kind: Any = type(value)
-        values = {name: plain(getattr(value, name)) for name in _fields(kind)}
-        values |= {name: None for name in _unknown(kind) if math.isnan(values[name])}
+        values = {name: plain(getattr(value, name)) for name in declared(kind)}
+        for name, field in declared(kind).items():
+            if field.range is not None and field.range.unknown and math.isnan(values[name]):
+                values[name] = None
         return values if is_dataclass(value) else [*values.values()]
     if isinstance(value, tuple):
         return [plain(item) for item in value]
@@ -139,16 +152,50 @@ def _adapter(kind: Any) -> Any:
     return TypeAdapter(kind)
 
 
-@cache
-def _fields(kind: Any) -> dict[str, Any]:
-    return get_type_hints(kind, include_extras=True)
+class Declared(NamedTuple):
+    """A declared field.
+
+    Attributes:
+        kind: its type, without None.
+        range: of its numbers, None where none is declared.
+        optional: whether it may be None.
+        lackable: whether it has a default, so that a file may lack it.
+    """
+
+    kind: Any
+    range: Range | None
+    optional: bool
+    lackable: bool
 
 
 @cache
-def _unknown(kind: Any) -> list[str]:
-    """Fields whose number may be NaN."""
-    notes = {name: getattr(hint, "__metadata__", ()) for name, hint in _fields(kind).items()}
-    return [name for name, beside in notes.items() if any(r.unknown for r in beside)]
+def declared(kind: Any) -> dict[str, Declared]:
+    """Fields of a dataclass or NamedTuple as they are declared."""
+    found = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        optional = NoneType in get_args(hint)
+        inner = get_args(hint)[0] if optional else hint
+        notes = [note for note in getattr(inner, "__metadata__", ()) if isinstance(note, Range)]
+        bare = get_args(inner)[0] if get_origin(inner) is Annotated else inner
+        defaults = getattr(kind, "__dataclass_fields__", {}).get(name)
+        has = defaults is not None and (
+            defaults.default is not MISSING or defaults.default_factory is not MISSING
+        )
+        found[name] = Declared(bare, notes[0] if notes else None, optional, has)
+    return found
+
+
+def is_within(value: Any) -> bool:
+    """True if all numbers of a dataclass are within the ranges that it declares."""
+    for name, field in declared(cast("Any", type(value))).items():
+        content = getattr(value, name)
+        if field.range is not None and content is not None:
+            least, most = field.range[:2]
+            if not np.all((np.asarray(content) >= least) & (np.asarray(content) <= most)):
+                return False
+        elif is_dataclass(field.kind) and not is_within(content):
+            return False
+    return True
 
 
 def _refuse_another(saved: Any, before: Any) -> None:

@@ -1,48 +1,41 @@
-"""The car that predicts power, as a message: `estimate/model`."""
+"""The car that predicts power, as a message: `estimate/model`.
+
+It holds the fields of `CarModel` as they are declared; a new one needs no line here. In place of
+the equation stands the seed of its network: the rest is in the vehicle file.
+"""
 
 from __future__ import annotations
 
+from dataclasses import is_dataclass
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from evpinn_ros import topics
+from evpinn_ros.common.saved_fields import declared
 from evpinn_ros.core.energy.plausible import car_is_possible
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.states import SIZE
 from evpinn_ros.core.estimation.terms import equation_of
-from evpinn_ros.core.estimation.unevenness import SHAPE, Unevenness
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.topics.messages import BadMessage, NewMessage, finite
 
 MODEL_VERSION = 4  # of what `estimate/model` holds
 MOST_NUMBERS = 100_000  # of a model: twenty times what an estimator sends
-UNKNOWN_CELSIUS = -1000.0  # for a message holds numbers only
 MOST_SEED = 2**53  # a seed is a number of the message
+SEED = "seed"
 
 
 def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
     """std_msgs/Float64MultiArray: all numbers of a car in a row.
 
-    Its first dimension is labelled `vehicle/version` and spans all; one more for each part names
-    it and tells its size.
+    Its first dimension is labelled `vehicle/version` and spans all; one more for each field names
+    it and tells its size, which is 0 where it is None.
     """
-    celsius = UNKNOWN_CELSIUS if car.celsius is None else car.celsius
-    uneven = car.unevenness
-    numbers = car.equation.seed, car.load_variance, car.growth, car.trust, car.seconds
-    parts = {
-        "numbers": np.array([*numbers, celsius, float(car.reports), car.last_drive]),
-        "noise": car.noise,
-        "mean": car.mean,
-        "covariance": car.covariance.ravel(),
-        "uneven_metres": uneven.metres.ravel(),
-        "uneven_rows": uneven.rows.ravel(),
-        "uneven_scatter": np.array([uneven.squares, uneven.drives]),
-    }
+    parts = {SEED: np.array([float(car.equation.seed)])} | _parts(car)
     data = [finite(number) for number in np.concatenate(list(parts.values())).tolist()]
     sizes = {f"{vehicle}/{MODEL_VERSION}": len(data)}
-    sizes |= {name: int(part.size) for name, part in parts.items()}
+    sizes |= {name: part.size for name, part in parts.items()}
     dimensions = [
         new("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=size)
         for label, size in sizes.items()
@@ -59,39 +52,61 @@ def read_model(message: Any, vehicle: Vehicle) -> CarModel:
     """
     if max(len(message.data), len(message.layout.dim)) > MOST_NUMBERS:
         raise BadMessage("too_large")
-    labels = {dimension.label: dimension.size for dimension in message.layout.dim}
-    if next(iter(labels), None) != f"{vehicle.key}/{MODEL_VERSION}":
+    sizes = {dimension.label: dimension.size for dimension in message.layout.dim}
+    first = next(iter(sizes), None)
+    if first != f"{vehicle.key}/{MODEL_VERSION}":
         raise BadMessage("other_vehicle_or_version")
-    wanted = {"numbers": 8, "noise": 3, "mean": SIZE, "covariance": SIZE**2}
-    classes = math.prod(SHAPE)
-    wanted |= {"uneven_metres": classes, "uneven_rows": classes * SIZE, "uneven_scatter": 2}
     data = np.array(message.data, dtype=float)
-    if {name: labels.get(name) for name in wanted} != wanted or sum(wanted.values()) != data.size:
-        raise BadMessage("lengths_differ")
     if not np.isfinite(data).all():
         raise BadMessage("not_finite")
-    numbers, noise, mean, covariance, metres, rows, scatter = np.split(
-        data, np.cumsum([*wanted.values()])[:-1]
-    )
-    seed, load_variance, growth, trust, seconds, celsius, reports, last_drive = numbers.tolist()
+    ends = np.cumsum([*sizes.values()][1:])
+    if not ends.size or min(sizes.values()) < 0 or ends[-1] != data.size:
+        raise BadMessage("lengths_differ")
+    parts = dict(zip([*sizes][1:], np.split(data, ends[:-1]), strict=True))
+    seed = float(_number(parts.get(SEED, data)))
     if not 0.0 <= seed <= MOST_SEED or not math.isclose(seed, int(seed)):
         raise BadMessage("out_of_range")
-    car = CarModel(
-        equation=equation_of(vehicle, int(seed)),
-        mean=mean,
-        covariance=covariance.reshape(SIZE, SIZE),
-        noise=noise,
-        load_variance=load_variance,
-        growth=growth,
-        trust=trust,
-        seconds=seconds,
-        celsius=None if celsius == UNKNOWN_CELSIUS else celsius,
-        reports=bool(reports),
-        unevenness=Unevenness(
-            metres.reshape(SHAPE), rows.reshape(*SHAPE, SIZE), *scatter.tolist()
-        ),
-        last_drive=last_drive,
-    )
+    car: CarModel = _value(CarModel, parts, "", equation=equation_of(vehicle, int(seed)))
     if not car_is_possible(car):
         raise BadMessage("out_of_range")
     return car
+
+
+def _parts(value: Any, prefix: str = "") -> dict[str, np.ndarray]:
+    """Numbers of each field of a value, by its name."""
+    parts = {}
+    for name, field in declared(cast("Any", type(value))).items():
+        content = getattr(value, name)
+        if field.range is not None or field.kind is bool:
+            numbers = () if content is None else np.ravel(content)
+            parts[prefix + name] = np.array(numbers, dtype=float)
+        elif is_dataclass(content) and name != "equation":
+            parts |= _parts(content, f"{prefix}{name}.")
+    return parts
+
+
+def _value(kind: Any, parts: dict[str, np.ndarray], prefix: str, **given: Any) -> Any:
+    """A value of numbers; those of no declared field are not used."""
+    values = dict(given)
+    for name, field in declared(kind).items():
+        numbers = parts.get(prefix + name)
+        if name in given or (numbers is None and field.lackable and field.range):
+            continue
+        if is_dataclass(field.kind):
+            values[name] = _value(field.kind, parts, f"{prefix}{name}.")
+        elif numbers is None:
+            raise BadMessage("lengths_differ")
+        elif field.kind is np.ndarray and field.range is not None:
+            if numbers.size != math.prod(shape := field.range.shape):
+                raise BadMessage("lengths_differ")
+            values[name] = numbers.reshape(shape)
+        else:
+            none = field.optional and not numbers.size
+            values[name] = None if none else field.kind(_number(numbers))
+    return kind(**values)
+
+
+def _number(numbers: np.ndarray) -> float:
+    if numbers.size != 1:
+        raise BadMessage("lengths_differ")
+    return float(numbers[0])

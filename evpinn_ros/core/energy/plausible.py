@@ -10,14 +10,13 @@ from typing import Annotated, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.common.saved_fields import Range, is_within
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.journey import FORCE_NOISE
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Unevenness
 from evpinn_ros.core.signals.admission import MAX_POWER
-from evpinn_ros.core.signals.readings import TEMPERATURES
 
 # Lifetimes. The farthest-driven car known, a Volvo P1800, has 5.2e9 m; a lorry takes 7 kJ/m.
 MOST_DISTANCE = 1e10  # m
@@ -30,8 +29,6 @@ Metres: TypeAlias = Annotated[float, Range(0.0, MOST_DISTANCE)]
 Seconds: TypeAlias = Annotated[float, Range(-MOST_SECONDS, MOST_SECONDS)]
 ROUNDING = 1.0 + 1e-6  # of sums
 MOST_MASS = 1e6  # kg over eta, of a train
-MOST_TRUST = 1e4  # factor of a variance
-MOST_NUMBER = 1e20  # of a state or covariance, in its unit: products of these stay numbers
 
 
 def car_is_possible(car: CarModel) -> bool:
@@ -40,15 +37,9 @@ def car_is_possible(car: CarModel) -> bool:
     Judged by a fast ride and by a stand in the cold: neither mean nor 1-sigma is beyond
     `MAX_POWER`, and no mass is.
     """
-    times = car.seconds, car.last_drive
-    numbers = np.concatenate((car.mean, car.covariance.ravel(), car.noise))
-    numbers = np.append(numbers, (car.load_variance, car.growth, car.trust, *times))
-    if not (np.abs(numbers) <= MOST_NUMBER).all() or not 0.0 < car.mean[State.MASS] <= MOST_MASS:
+    if not is_within(car) or not 0.0 < car.mean[State.MASS] <= MOST_MASS:
         return False
-    if car.celsius is not None and not TEMPERATURES[0] <= car.celsius <= TEMPERATURES[1]:
-        return False
-    least = min(float(np.diag(car.covariance).min()), float(car.noise.min()), car.load_variance)
-    if min(least, car.growth, car.trust, *times) < 0.0 or car.trust > MOST_TRUST:
+    if np.diag(car.covariance).min() < 0.0 or car.unevenness.share > MOST_SHARE:
         return False
     speed, one = np.array([30.0, 10.0, 0.0]), np.ones(3)
     ride = even_steps(one, speed, 0.0 * speed)._replace(kinetic=0.5 * speed)
@@ -62,12 +53,6 @@ def car_is_possible(car: CarModel) -> bool:
 
 def _is_possible(uneven: Unevenness, car: CarModel) -> bool:
     """True if no leg's uneven speed takes more power than a car has."""
-    scatter = uneven.squares, uneven.drives
-    numbers = np.concatenate((uneven.metres.ravel(), uneven.rows.ravel(), scatter))
-    if not (np.abs(numbers) <= MOST_NUMBER).all() or min(uneven.metres.min(), *scatter) < 0.0:
-        return False
-    if uneven.drives <= 0.0 or uneven.share > MOST_SHARE:
-        return False
     speed, duration = map(np.ravel, np.meshgrid(MIDDLES, DURATIONS))
     legs = even_steps(duration, speed * duration, 0.0 * speed)
     power = uneven.of_legs(car.equation, legs) @ car.mean / duration

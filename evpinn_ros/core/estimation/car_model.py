@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 import math
+from typing import Annotated
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.bands import PredictedEnergy
 from evpinn_ros.core.estimation.journey import Journey, wandered
-from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.estimation.states import SIZE, State
 from evpinn_ros.core.estimation.terms import Equation
 from evpinn_ros.core.estimation.unevenness import Unevenness
+from evpinn_ros.core.signals.readings import TEMPERATURES
 from evpinn_ros.core.vehicle.physics import GRAVITY
+
+MOST_NUMBER = 1e20  # of a state or covariance, in its unit: products of these stay numbers
+MOST_TRUST = 1e4  # factor of a variance
+MOST_SECONDS = 1e9  # of a drive
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,17 +43,17 @@ class CarModel:
     """
 
     equation: Equation
-    mean: np.ndarray
-    covariance: np.ndarray
-    noise: np.ndarray
-    load_variance: float
-    growth: float
-    trust: float
-    seconds: float
-    celsius: float | None
+    mean: Annotated[np.ndarray, Range(-MOST_NUMBER, MOST_NUMBER, shape=(SIZE,))]
+    covariance: Annotated[np.ndarray, Range(-MOST_NUMBER, MOST_NUMBER, shape=(SIZE, SIZE))]
+    noise: Annotated[np.ndarray, Range(0.0, MOST_NUMBER, shape=(3,))]
+    load_variance: Annotated[float, Range(0.0, MOST_NUMBER)]
+    growth: Annotated[float, Range(0.0, MOST_NUMBER)]
+    trust: Annotated[float, Range(0.0, MOST_TRUST)]
+    seconds: Annotated[float, Range(0.0, MOST_SECONDS)]
+    celsius: Annotated[float, Range(*TEMPERATURES)] | None
     reports: bool
     unevenness: Unevenness = field(default_factory=Unevenness.none)
-    last_drive: float = 0.0
+    last_drive: Annotated[float, Range(0.0, MOST_SECONDS)] = 0.0
 
     @property
     def weight_over_eta(self) -> float:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.gaussian import Gaussian, is_possible
 from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.states import LASTING, NAMES, OFFSETS, SIZE, known_names
@@ -73,6 +74,7 @@ def state_of(saved: SavedState, equation: Equation) -> CarState:
 class SavedUnevenness(Unevenness):
     """An `Unevenness` with the names of its states, its rows as numbers."""
 
+    rows: Annotated[np.ndarray, Range(-1e18, 1e18)]
     names: tuple[str, ...]
 
 

@@ -92,7 +92,7 @@ class Unevenness:
     """
 
     metres: Annotated[np.ndarray, Range(0.0, 1e12, shape=SHAPE)]
-    rows: Annotated[np.ndarray, Range(-1e18, 1e18)]  # saved in a row
+    rows: Annotated[np.ndarray, Range(-1e18, 1e18, shape=(*SHAPE, SIZE))]
     squares: Annotated[float, Range(0.0, MOST_SQUARES)] = PRIOR_SHARE**2 * PRIOR_DRIVES
     drives: Annotated[float, Range(1.0, MOST_DRIVES)] = PRIOR_DRIVES
 

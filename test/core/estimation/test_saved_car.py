@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from evpinn_ros.common.saved_fields import plain, read
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.pinn import PinnLearner
 from evpinn_ros.core.estimation.posterior import CarState, initial_state, passed
@@ -19,6 +20,7 @@ from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.estimation.unevenness import Path
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
+from test.declared import plain_fields
 
 CAR = load_vehicle("bmw_i3")
 EQUATION = equation_of(CAR)
@@ -72,6 +74,14 @@ def assert_same(found: CarState, other: CarState) -> None:
 
 def test_a_file_gives_back_every_number(learned):
     assert_same(state_of(saved_state(learned), EQUATION), learned)
+
+
+@settings(max_examples=20, deadline=None)
+@given(plain_fields(CarState))
+def test_every_field_survives_the_file(learned, values):
+    state = replace(learned, **values)
+    saved = read(SavedState, json.loads(json.dumps(plain(saved_state(state)))))
+    assert_same(state_of(saved, EQUATION), state)
 
 
 @settings(max_examples=10, deadline=None)
