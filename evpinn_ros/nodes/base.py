@@ -1,4 +1,9 @@
-"""Base of every node here: checked parameters, guarded callbacks, counters, diagnostics."""
+"""Base of every node here: parameters, guarded callbacks, counters, diagnostics, lifecycle.
+
+Without the parameter `managed` a node is configured and works at once. With it `configure` reads
+parameters and files and makes the endpoints, `activate` begins to work, and `cleanup` forgets all
+of it again.
+"""
 
 from __future__ import annotations
 
@@ -13,28 +18,30 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNodeMixin, TransitionCallbackReturn
 from rclpy.node import Node
 
 from evpinn_ros import topics
-from evpinn_ros.common.errors import printable
+from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.arrivals import MessageNumbers
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.nodes.parameters import declare
+from evpinn_ros.nodes.parameters import declare, unknown_parameters
 from evpinn_ros.nodes.typed import PACKAGE, TYPED, typed_message
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import BadMessage, Level, diagnostics
-from evpinn_ros.topics.node_parameters import TABLES
+from evpinn_ros.topics.node_parameters import TABLES, refuse_wrong
 
 REPORT_PERIOD = 1.0  # s, REP-107
 NOT_ACTIVE = "a managed node that is not active"
+UNCONFIGURED = "it waits to be configured"
 NO_CLOCK = "use_sim_time is set, but no /clock comes"
 NOT_FINITE = "output_not_finite"
 
 
-class GuardedNode(ABC, Node):
+class GuardedNode(LifecycleNodeMixin, ABC, Node):
     """A node whose callbacks never raise and which reports its health once a second.
 
     Attributes:
@@ -50,7 +57,9 @@ class GuardedNode(ABC, Node):
     active, configured = True, False
 
     def __init__(self, name: str, **kwargs: Any) -> None:
-        """Declare the parameters of the table `name`; `kwargs` go to rclpy's Node.
+        """Declare the parameters of the table `name`, and work at once if no manager is wanted.
+
+        `kwargs` go to rclpy's Node.
 
         Raises:
             InputError: a parameter is wrong.
@@ -58,13 +67,14 @@ class GuardedNode(ABC, Node):
         self.calls: Counter[str] = Counter()
         self._made: list[Callable[[], object]] = []  # what undoes each endpoint and timer
         Node.__init__(self, name, **kwargs)
-        self.values = declare(self, TABLES.get(name, ()))
+        self._table = TABLES.get(name, ())
+        self.values = declare(self, self._table)
         self.received: Counter[Topic] = Counter()
         self.published: Counter[Topic] = Counter()
         self.bad: Counter[str] = Counter()
-        self._refused: dict[str, set[str]] = {}  # reasons by input, since one was used
         self._usual: set[str] = set()  # of them, those that need no attention
         self._lasting: dict[str, float] = {}  # of them, those shown when they begin; newest, s
+        self._refused: dict[str, set[str]] = {}  # reasons by input, since one was used
         self._faults: Counter[str] = Counter()
         self._newest_fault = "", -math.inf  # and when, s
         self._outlets: dict[Topic, Any] = {}
@@ -81,6 +91,50 @@ class GuardedNode(ABC, Node):
         self.advertise(topics.DIAGNOSTICS)
         self.every(REPORT_PERIOD, self.report)
         self.every(REPORT_PERIOD, self._log_changes)
+        for problem in unknown_parameters(self, self._table):
+            self.log(Level.WARN, problem)
+        self._waits_for = UNCONFIGURED
+        self._made.clear()  # what was made so far is there as long as the node
+        if not self.values.get("managed"):
+            self.configure()
+            self.configured = True
+            self.begin()
+            return
+        self.active = False
+        LifecycleNodeMixin.__init__(self)
+        # A manager's request can be lost during discovery; this one cannot.
+        succeeded = TransitionCallbackReturn.SUCCESS
+        if self.values["autostart"] and self.trigger_configure() is succeeded:
+            self.trigger_activate()
+
+    def configure(self) -> None:
+        """Make all that the node works with, from its parameters and files.
+
+        Raises:
+            InputError: one of them is wrong.
+        """
+
+    def let_go(self) -> None:
+        """Undo `configure`, but for endpoints and timers, which are undone anyway."""
+
+    def begin(self) -> None:
+        """Open what the node holds while it works.
+
+        Raises:
+            InputError: it cannot be opened.
+        """
+
+    def end(self) -> str | None:
+        """Let go of what the node holds while it works; gives what could not be kept and why."""
+        return None
+
+    def close(self) -> str | None:
+        """End all, once the node has stopped spinning; gives what could not be kept and why."""
+        problem = self.end() if self.active else None
+        if self.configured:
+            self.let_go()
+        self.active = self.configured = False
+        return problem
 
     @abstractmethod
     def statuses(self) -> Iterable[Status]:
@@ -105,14 +159,6 @@ class GuardedNode(ABC, Node):
         response.success, response.message = problem is None, problem or text
         self.log(Level.OK if problem is None else Level.WARN, response.message)
         return response
-
-    def close(self) -> str | None:
-        """Let go of threads and files; called once, when the node has stopped spinning.
-
-        Returns:
-            What could not be kept and why; None when all is well.
-        """
-        return None
 
     def advertise(self, *outputs: Topic) -> None:
         """Make publishers for `publish`."""
@@ -322,7 +368,9 @@ class GuardedNode(ABC, Node):
         self.publish(self._diagnostics())
 
     def _diagnostics(self) -> Iterator[tuple[Topic, Any]]:
-        yield topics.DIAGNOSTICS, self.status_message(self.statuses())
+        waits = Status("lifecycle", Level.WARN, f"{NOT_ACTIVE}: {self._waits_for}", {})
+        statuses = self.statuses() if self.configured else [waits]
+        yield topics.DIAGNOSTICS, self.status_message(statuses)
 
     def status_message(self, statuses: Iterable[Status]) -> Any:
         """diagnostic_msgs/DiagnosticArray that says of which node and car its statuses are."""
@@ -341,7 +389,7 @@ class GuardedNode(ABC, Node):
 
         Who starts the nodes without ROS around them sees nothing else.
         """
-        for phase in self.phases():
+        for phase in self.phases() if self.configured else ():
             lasts = self._phases.get(phase.name) == phase.text
             self._phases[phase.name] = phase.text
             if lasts and phase.text != self._logged.get(phase.name):
@@ -388,3 +436,67 @@ class GuardedNode(ABC, Node):
             self.get_logger().error(printable(f"{text} {detail}".strip()))
         self._faults[text] += 1
         self._newest_fault = text, self.steady_s()
+
+    def on_configure(self, state: Any) -> Any:
+        """Read parameters and files anew; what is wrong fails the transition."""
+        return self._transit(self._configure, super().on_configure, state)
+
+    def on_activate(self, state: Any) -> Any:
+        """Work."""
+        return self._transit(self._activate, super().on_activate, state)
+
+    def on_deactivate(self, state: Any) -> Any:
+        """Stop working; what was learned is kept, in the file too."""
+        return self._transit(self._deactivate, super().on_deactivate, state)
+
+    def on_cleanup(self, state: Any) -> Any:
+        """Forget all that `configure` made."""
+        return self._transit(self._clean_up, super().on_cleanup, state)
+
+    def on_shutdown(self, state: Any) -> Any:
+        """Stop working for good, and forget all."""
+        return self._transit(self._clean_up, super().on_shutdown, state)
+
+    def on_error(self, state: Any) -> Any:
+        """After a fault of our own: forget all, so that the node can be configured anew."""
+        return self._transit(self._clean_up, super().on_error, state)
+
+    def _transit(
+        self, step: Callable[[], None], entities: Callable[[Any], Any], state: Any
+    ) -> Any:
+        try:
+            step()
+        except InputError as error:
+            self._waits_for = str(error)
+            self.log(Level.ERROR, f"{step.__name__.strip('_').replace('_', ' ')}: {error}")
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            self.count_fault(f"{step.__name__.strip('_')}: {type(error).__name__}", str(error))
+            return TransitionCallbackReturn.ERROR
+        return entities(state)
+
+    def _configure(self) -> None:
+        try:
+            refuse_wrong(self._table, self.values)
+            self.configure()
+        except InputError:
+            self._clean_up()
+            raise
+        self.configured = True
+
+    def _activate(self) -> None:
+        self.begin()
+        self.active = True
+
+    def _deactivate(self) -> None:
+        if self.active:
+            self.active = False
+            if problem := self.end():
+                self.log(Level.WARN, problem)
+
+    def _clean_up(self) -> None:
+        self._deactivate()
+        if self.configured:
+            self.let_go()
+        self.configured, self._waits_for = False, UNCONFIGURED
+        self.forget_endpoints()

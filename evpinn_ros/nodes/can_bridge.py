@@ -21,11 +21,11 @@ from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
 from evpinn_ros.nodes.factory import is_installed, new_message
 from evpinn_ros.nodes.frame_sources import FrameTopic, LogPlayer, frame_topic
-from evpinn_ros.nodes.managed import ManagedNode
 from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.node_parameters import FRAMES, bus_options
@@ -42,7 +42,7 @@ BEGINNINGS = (BusCondition.CLOSED.value, WAITING)  # how every bus begins is no 
 LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the process ends anyway
 
 
-class CanBridgeNode(ManagedNode):
+class CanBridgeNode(GuardedNode):
     """Decodes one bus, in one thread that owns it, and survives its unplugging.
 
     A second thread asks the car for what it does not broadcast, if `poll` allows that.

@@ -25,7 +25,7 @@ from evpinn_ros.core.signals.admission import CarLimits
 from evpinn_ros.core.signals.readings import BatteryReading, why_impossible
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.nodes.base import NOT_ACTIVE
+from evpinn_ros.nodes.base import NOT_ACTIVE, GuardedNode
 from evpinn_ros.nodes.diagnosis import WELL, Status
 from evpinn_ros.nodes.energy_diagnosis import (
     answered_status,
@@ -35,8 +35,8 @@ from evpinn_ros.nodes.energy_diagnosis import (
     plan_status,
 )
 from evpinn_ros.nodes.factory import decode, installed, is_installed, message_class, new_message
+from evpinn_ros.nodes.keeper import Actions, Keeper
 from evpinn_ros.nodes.plan_answers import BATCH, SERVICE, Job, Moment, PlanCall, PlanDesk
-from evpinn_ros.nodes.stateful import StatefulNode
 from evpinn_ros.nodes.typed import (
     PACKAGE,
     PLAN_ACTION,
@@ -60,11 +60,16 @@ from evpinn_ros.topics.settings import jump_rule
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
 
 
-class EnergyNode(StatefulNode):
+class EnergyNode(GuardedNode):
     """Meters one car and answers plans; see `docs` for its topics, services and parameters."""
 
-    NAME, FILE, ANEW = "energy", "energy_file", "counts from zero"
-    HALF = Half.ENERGY
+    def __init__(self, **kwargs: Any) -> None:
+        """Start from the file, or at zero; `kwargs` go to rclpy's Node.
+
+        Raises:
+            InputError: a parameter is wrong.
+        """
+        super().__init__("energy", **kwargs)
 
     def configure(self) -> None:
         """Start from the energy file or at zero."""
@@ -76,9 +81,12 @@ class EnergyNode(StatefulNode):
         self._vehicle = vehicle
         # The one tells what forecasts rest on, the other answers in its thread.
         self.forecaster, self._desk = Forecaster(vehicle), PlanDesk(Forecaster(vehicle))
+        account = self.account
+        actions = Actions(self._reset, account.begin_next_trip, account.begin_after_jump)
+        self.kept = Keeper(self, account, Half.ENERGY, (topics.POWER_SMOOTHED,), actions)
         # Of its own: in a fast replay readings are seconds ahead of power.
         self._reading_guard = StampGuard(topics.SPEED)
-        start = self.go_on(self.account, topics.POWER_SMOOTHED)
+        self.kept.guards.append(self._reading_guard)
         self.plans = PlanLog()
         self.advertise(*PUBLISHES)
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
@@ -95,7 +103,7 @@ class EnergyNode(StatefulNode):
         if is_installed(PACKAGE):
             self.advertise(TYPED_FORECAST)
             self._serve_plans()
-        self.begun(f"{vehicle.key} {start}; waiting for power/smoothed", self.phases())
+        self.begun(f"{vehicle.key} {self.kept.start}; waiting for power/smoothed", self.phases())
 
     def let_go(self) -> None:
         """Stop answering plans."""
@@ -103,8 +111,8 @@ class EnergyNode(StatefulNode):
 
     def statuses(self) -> list[Status]:
         """The health of the meter and of the planning."""
-        dropped = sum((each.dropped for each in self.stamp_guards()), self.account.refused)
-        condition = self.condition(self.health(dropped), topics.POWER_SMOOTHED)
+        dropped = sum((guard.dropped for guard in self.kept.guards), self.account.refused)
+        condition = self.kept.condition(self.health(dropped))
         air = self.forecaster.air(self.now_ns())
         return [
             meter_status(self.account, condition),
@@ -114,29 +122,20 @@ class EnergyNode(StatefulNode):
 
     def phases(self) -> list[Status]:
         """Metered input, and the basis of forecasts."""
-        condition = self.condition(WELL, topics.POWER_SMOOTHED)
+        condition = self.kept.condition(WELL)
         return energy_phases(self.account, self.forecaster.basis, condition)
 
-    def stamp_guards(self) -> Iterator[StampGuard]:
-        """Those of power and of readings."""
-        yield from (self.guard, self._reading_guard)
+    def end(self) -> str | None:
+        """Save."""
+        return self.kept.save()
 
-    def reset(self) -> str:
-        """Count the trip from zero."""
+    def _reset(self) -> str:
         self.account.reset_trip()
         return "energy counts from zero; the lifetime's goes on"
 
-    def begin_anew(self) -> None:
-        """Count another trip."""
-        self.account.begin_next_trip()
-
-    def hold(self) -> None:
-        """Keep what was counted."""
-        self.account.begin_after_jump()
-
     def _take_power(self, topic: Topic, message: Any) -> None:
         found = read_power(topic, message)
-        for admitted in self.in_order(topic, found.stamp_ns, found):
+        for admitted in self.kept.in_order(topic, found.stamp_ns, found):
             self._count(admitted)
 
     def _count(self, found: PowerEstimate) -> None:

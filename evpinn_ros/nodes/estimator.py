@@ -20,10 +20,11 @@ from evpinn_ros.core.signals.admission import Admission, CarLimits
 from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.arrivals import StampWatch
-from evpinn_ros.nodes.diagnosis import WELL, Condition, Health, Status
+from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.diagnosis import WELL, Status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_phases, estimator_status
 from evpinn_ros.nodes.factory import installed, new_message
-from evpinn_ros.nodes.stateful import StatefulNode
+from evpinn_ros.nodes.keeper import Actions, Keeper
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.model import model_message
@@ -36,11 +37,16 @@ LISTENS_TO = tuple(topic for topic in topics.INPUTS if topic not in FOR_PLOTS)
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
 
 
-class EstimatorNode(StatefulNode):
+class EstimatorNode(GuardedNode):
     """Learns one car; see `docs` for its topics, services and parameters."""
 
-    NAME, FILE, ANEW = "estimator", "state_file", "begins with the vehicle file"
-    HALF = Half.LEARNED
+    def __init__(self, **kwargs: Any) -> None:
+        """Start from the file, or anew; `kwargs` go to rclpy's Node.
+
+        Raises:
+            InputError: a parameter is wrong.
+        """
+        super().__init__("estimator", **kwargs)
 
     def configure(self) -> None:
         """Start from the state file or the vehicle's priors."""
@@ -54,7 +60,8 @@ class EstimatorNode(StatefulNode):
         self._admission = Admission(CarLimits.of(self._vehicle))
         self._mounting = imu_mounting(self.values)
         self._stamps = StampWatch()
-        start = self.go_on(self.estimator, topics.SPEED)
+        actions = Actions(self._reset, self._begin_anew, self.estimator.handle_time_jump)
+        self.kept = Keeper(self, self.estimator, Half.LEARNED, topics.SPEEDS, actions)
         self.advertise(*PUBLISHES)
         for topic in installed(LISTENS_TO):
             self.listen(topic, partial(self._take, topic))
@@ -62,21 +69,18 @@ class EstimatorNode(StatefulNode):
         self.every(MODEL_PERIOD, self.publish_model)
         self.publish_model()
         car = f"{self._vehicle.key} ({self.values['mode']})"
-        self.begun(f"{car} {start}; waiting for vehicle/speed", self.phases())
+        self.begun(f"{car} {self.kept.start}; waiting for vehicle/speed", self.phases())
 
     def statuses(self) -> list[Status]:
         """The health of the estimate."""
         status = self.estimator.status()
         status = replace(status, dropped=Counter(status.dropped) + self._admission.refused)
-        health = self.health(self.guard.dropped, status.dropped, _usual(status))
-        return [estimator_status(status, self._condition(health))]
+        health = self.health(self.kept.guard.dropped, status.dropped, _usual(status))
+        return [estimator_status(status, self.kept.condition(health))]
 
     def phases(self) -> list[Status]:
         """Activity, validity, and changes of payload."""
-        return estimator_phases(self.estimator.status(), self._condition(WELL))
-
-    def _condition(self, health: Health) -> Condition:
-        return self.condition(health, *topics.SPEEDS)
+        return estimator_phases(self.estimator.status(), self.kept.condition(WELL))
 
     def publish_model(self) -> None:
         """Tell what forecasts need of the car; latched, so a late listener has it at once."""
@@ -88,19 +92,19 @@ class EstimatorNode(StatefulNode):
         """Stop the thread of the updates."""
         self._worker.close()
 
-    def reset(self) -> str:
+    def end(self) -> str | None:
+        """Save."""
+        return self.kept.save()
+
+    def _reset(self) -> str:
         """Forget all that was learned, also what the file held at the start."""
-        self.state_file.forget()
+        self.kept.file.forget()
         self.publish_model()
         return f"started again from the vehicle file {self._vehicle.key}"
 
-    def begin_anew(self) -> None:
+    def _begin_anew(self) -> None:
         """Be as at the start."""
-        self.state_file.start_over()
-
-    def hold(self) -> None:
-        """Keep what was learned."""
-        self.estimator.handle_time_jump()
+        self.kept.file.start_over()
 
     def _take(self, topic: Topic, message: Any) -> None:
         reading = to_reading(topic.type_name, message, self._mounting)
@@ -109,7 +113,7 @@ class EstimatorNode(StatefulNode):
             wrong = self._stamps.check(reading.stamp_ns, self.now_ns(), self.steady_s())
             if wrong is not None:
                 self.notice("stamps", f"{topic.name}: {wrong}")
-        for item in self.in_order(topic, reading.stamp_ns, reading):
+        for item in self.kept.in_order(topic, reading.stamp_ns, reading):
             if self._admission.admits(item):
                 self._learn(item)
 

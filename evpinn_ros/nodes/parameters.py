@@ -54,15 +54,15 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
     return values
 
 
-def unknown_parameters(node: Node, name: str) -> list[str]:
+def unknown_parameters(node: Node, table: tuple[Parameter, ...]) -> list[str]:
     """A line for each parameter that the node was given and no node here has; rclpy ignores it.
 
     Args:
         node: that was given them.
-        name: of its table.
+        table: of those it has.
     """
     known = {each.name for table in TABLES.values() for each in table}
-    own = [each.name for each in TABLES[name]]
+    own = [each.name for each in table]
     return [
         f"unknown parameter '{given}'{near_names(given, own)}"
         for given in node._parameter_overrides

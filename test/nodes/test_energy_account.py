@@ -214,7 +214,7 @@ def test_of_two_publishers_an_hour_apart_one_is_followed_and_one_reported(bench,
     for turn in range(12):
         for offset in (0, -3600):
             drive(bench, node, range(offset + 3 * turn, offset + 3 * turn + 3))
-    assert node.guard.jumps <= 1
+    assert node.kept.guard.jumps <= 1
     level, text, shown = bench.diagnosis(node)["meter"]
     assert level is Level.WARN and "stamps_of_a_second_publisher" in text
     assert int(shown["bad.stamps_of_a_second_publisher"]) > 80

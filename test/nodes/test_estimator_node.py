@@ -134,7 +134,7 @@ def test_a_state_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path, cont
     assert level is Level.WARN and reason in text and str(path) in text
     assert "kept as car.json.refused" in text
     assert prior["vehicle"] == "tesla_model_3_lr"
-    node.save()
+    node.kept.save()
     assert json.loads(path.read_text())["learned"]["version"] == prior["version"]
     assert path.with_name("car.json.refused").read_text() == content
 

@@ -54,7 +54,7 @@ def test_nothing_is_forgotten_when_one_topic_is_late(bench, drive, in_time, late
     estimator, energy = bench.start(EstimatorNode), bench.start(EnergyNode)
     bench.drive(arrivals(drive, late, lag))
     for node in (estimator, energy):
-        assert node.guard.jumps == 0 and not node.guard.dropped
+        assert node.kept.guard.jumps == 0 and not node.kept.guard.dropped
     trip, expected = energy.account.trip, in_time.account.trip
     assert trip.total.distance == pytest.approx(expected.total.distance, rel=1e-9)
     state, expected = energy.account.state, in_time.account.state
@@ -75,5 +75,5 @@ def test_energy_is_counted_where_its_stamps_are(bench, late, lag):
     ]
     for topic, message in arrivals(sent, late, lag):
         bench.deliver(node, topic, message)
-    assert node.guard.jumps == 0 and node.guard.dropped == Counter()
+    assert node.kept.guard.jumps == 0 and node.kept.guard.dropped == Counter()
     assert node.account.state.consumed == pytest.approx(59e4, rel=0.2 if lag > 2 else 0.05)

@@ -79,7 +79,7 @@ def test_a_clock_that_goes_back_needs_one_stamp_only(bench):
     assert node.age(topics.SPEED) == 0.0
     tick(100)
     drive(100.0)
-    assert node.guard.jumps == 1
+    assert node.kept.guard.jumps == 1
     assert node.estimator.status().newest_ns == 100 * S
 
 

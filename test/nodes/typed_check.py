@@ -276,8 +276,8 @@ def test_calls_are_answered_though_nothing_else_wakes_the_node(bench):
     bare = "; ".join((
         "import sys",
         "from evpinn_ros import executables",
-        "from evpinn_ros.nodes import base, stateful",
-        "base.REPORT_PERIOD = stateful.SAVE_PERIOD = 1e6",
+        "from evpinn_ros.nodes import base, keeper",
+        "base.REPORT_PERIOD = keeper.SAVE_PERIOD = 1e6",
         "sys.exit(executables.energy())",
     ))  # fmt: skip
     command = [sys.executable, "-c", bare, *processes.node("energy")[3:]]

@@ -1,0 +1,133 @@
+"""Keeps the core of a node over restarts and jumps of time: its file, services and stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from std_srvs.srv import Trigger
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.estimation.state_file import Half
+from evpinn_ros.core.signals.time_jump import Jump, JumpPolicy, StampGuard
+from evpinn_ros.nodes.base import GuardedNode
+from evpinn_ros.nodes.diagnosis import Condition, Health
+from evpinn_ros.nodes.saved_state import StateFile, Stateful, state_path
+from evpinn_ros.topics import Topic
+from evpinn_ros.topics.messages import Level
+from evpinn_ros.topics.settings import jump_rule
+
+SAVE_PERIOD = 60.0  # s
+FILES = {Half.LEARNED: "state_file", Half.ENERGY: "energy_file"}  # parameters
+ANEW = {Half.LEARNED: "begins with the vehicle file", Half.ENERGY: "counts from zero"}
+
+
+class Actions(NamedTuple):
+    """What a node does with its core.
+
+    Attributes:
+        reset: as a person asks for; gives the answer.
+        begin_anew: time jumped, and the policy is `reset`.
+        hold: time jumped; join nothing across, and keep what was learned or counted.
+    """
+
+    reset: Callable[[], str]
+    begin_anew: Callable[[], object]
+    hold: Callable[[], object]
+
+
+class Keeper:
+    """Loads and saves the core of a node, and decides on jumps of time.
+
+    Attributes:
+        start: state that the core begins with, in a few words.
+        file: of the core.
+        guard: of the stamps that the core is given.
+        guards: all guards of stamps of the node.
+    """
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        core: Stateful,
+        half: Half,
+        leaders: tuple[Topic, ...],
+        actions: Actions,
+    ) -> None:
+        """Load the core's state, and keep it from now on.
+
+        Args:
+            node: whose core it is; its parameters name the file.
+            core: what is kept.
+            half: what it keeps there.
+            leaders: inputs either of which it needs; stamps of the first decide on jumps of time.
+            actions: of the node.
+
+        Raises:
+            InputError: a manager asks for it, and the file can never be written.
+        """
+        self._node, self._leaders, self._actions = node, leaders, actions
+        self._name = node.values[FILES[half]]
+        self.file, self.guard = (
+            StateFile(state_path(self._name), core, half),
+            StampGuard(leaders[0]),
+        )
+        self.guards = [self.guard]
+        self._clock_went_back = False  # since the last jump
+        if unwritable := self.file.why_unwritable():
+            if node.values["managed"]:
+                raise InputError(unwritable)
+            node.log(Level.WARN, unwritable)
+        self.file.load()
+        if (problem := self.file.problem) is not None:
+            node.log(Level.WARN, f"{node.get_name()} {ANEW[half]}: {problem}")
+        node.create_service(Trigger, "~/reset", self._on_reset)
+        node.create_service(Trigger, "~/save", self._on_save)
+        node.every(SAVE_PERIOD, self.save)
+        node.on_clock_going_back(self._on_clock_going_back)
+        self.start = self.file.start or ANEW[half]
+
+    def condition(self, health: Health) -> Condition:
+        """Condition of the node, whose health is given."""
+        age, silent = self._node.age(*self._leaders), self._node.why_silent(*self._leaders)
+        return Condition(health, age, self.guard.jumps, self.file.problem, silent)
+
+    def in_order(self, topic: Topic, stamp_ns: int, item: Any) -> Iterator[Any]:
+        """Yields ready items in order; handles time jumps first.
+
+        Args:
+            topic: of the item.
+            stamp_ns: of the item.
+            item: given out once its stamp is not in doubt.
+        """
+        for ready in self.guard.admit(topic, stamp_ns, item, jump_rule(self._node.values)):
+            if isinstance(ready, Jump):
+                self._on_jump(ready)
+            else:
+                yield ready
+
+    def save(self) -> str | None:
+        """Write the state, if there is a file for it; gives the reason when that fails."""
+        return self.file.save() if self._name else None
+
+    def _on_clock_going_back(self) -> None:
+        self._clock_went_back = True
+        for guard in self.guards:
+            guard.clock_went_back()
+
+    def _on_jump(self, jump: Jump) -> None:
+        policy = JumpPolicy(self._node.values["time_jump_policy"])
+        if policy is JumpPolicy.AUTO:
+            policy = JumpPolicy.RESET if self._clock_went_back else JumpPolicy.HOLD
+        self._clock_went_back = False
+        self._node.notice("jump", f"time went back by {jump.seconds:.1f} s: {policy.value}")
+        if policy is JumpPolicy.RESET:
+            self._actions.begin_anew()
+        else:
+            self._actions.hold()
+
+    def _on_reset(self, _: Any, response: Any) -> Any:
+        return self._node.done(response, self._actions.reset())
+
+    def _on_save(self, _: Any, response: Any) -> Any:
+        return self._node.done(response, f"written to {self._name}", self.file.save())
