@@ -115,7 +115,10 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
             _supervise(nodes)
             for node in nodes:
                 executor.add_node(node)
-            executor.spin()
+            # A signal that comes while rclpy installs its handlers reaches ours alone: the report
+            # of a node wakes the executor a second later.
+            while rclpy.ok() and not signals:
+                executor.spin_once()
     except InputError as error:
         code = _fail(str(error))
     except ExternalShutdownException:
