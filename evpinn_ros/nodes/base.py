@@ -182,8 +182,8 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             lost, by_turns = self._numbers.record(topic, info, self.steady_s())
             if lost:
                 self.bad[f"{topic.name}: lost"] += lost
-            publishers = self.count_publishers(subscription.topic_name) if by_turns else 0
-            if publishers > 1:
+            alone = by_turns and not raw  # a recorder takes topics of several nodes
+            if alone and (publishers := self.count_publishers(subscription.topic_name)) > 1:
                 self.notice(f"publishers {topic.name}", f"{publishers} publishers of {topic.name}")
             self._mismatched.pop(topic, None)
             callback(message)
