@@ -265,9 +265,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def _arrive(self, reading: Reading) -> _Arrival:
         """Take a reading of the similar car into the stream."""
-        before = self._stream.dropped.total()
         events = self._stream.add_reading(reading)
-        taken = self._stream.dropped.total() == before
+        taken = self._stream.taken
         if taken:
             self._stuck = self._stuck.after(reading)
         measured = None

@@ -56,6 +56,8 @@ class Similarity:
 
     def reading(self, reading: Reading) -> Reading:
         """A reading of the vehicle as the car would have given it."""
+        if self.size == 1.0:
+            return reading
         return _scaled(reading, 1.0 / self.size, *EXTENSIVE_FIELDS.get(type(reading), ()))
 
     @overload

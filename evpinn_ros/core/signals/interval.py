@@ -108,12 +108,12 @@ class _Edge:
     """The border between two steps."""
 
     stamp_ns: int
-    speed: float
     odometer: float
     air: float
     motor: tuple[float, float]
     conditions: Conditions
     leapt: bool  # speed, by more than tyres can, since the edge before
+    speed: float = math.nan  # m/s, once an interval ends
 
 
 class IntervalBuilder:
@@ -151,7 +151,8 @@ class IntervalBuilder:
 
     def finish(self) -> Iterator[Interval]:
         """The intervals that are waiting, with what is known now: the drive ends, or a gap."""
-        self._complete.append(self._edges)
+        if len(self._edges) > 1:
+            self._end()
         self._edges = []
         while self._complete:
             yield from self._split(self._complete.popleft())
@@ -183,8 +184,7 @@ class IntervalBuilder:
             distance, air = self._speed.travelled(last, stamp_ns, conditions.head_wind)
             self._odometer, self._air = self._odometer + distance, self._air + air
             motor = self._motor.energy(last, stamp_ns)
-        speed, _ = self._speed.smoothed(stamp_ns, stamp_ns + EDGE_AHEAD_NS)
-        edge = _Edge(stamp_ns, speed, self._odometer, self._air, motor, conditions, leapt)
+        edge = _Edge(stamp_ns, self._odometer, self._air, motor, conditions, leapt)
         self._passed.append((stamp_ns, self._odometer))
         stamps, odometers = zip(*self._passed, strict=True)
         for place, height in self._road.heights(stamps, odometers):
@@ -192,8 +192,16 @@ class IntervalBuilder:
         self._edges.append(edge)
         whole_ns = int(self.duration * NANOSECONDS) - LAG_TOLERANCE_NS
         if stamp_ns - self._edges[0].stamp_ns >= whole_ns:
-            self._complete.append(self._edges)
+            self._end()
             self._edges = [edge]
+
+    def _end(self) -> None:
+        """Let the edges so far be an interval; smooth speed at those where it is not known."""
+        new = [edge for edge in self._edges if math.isnan(edge.speed)]
+        speeds, _ = self._speed.smoothed([edge.stamp_ns for edge in new], EDGE_AHEAD_NS)
+        for edge, speed in zip(new, speeds.tolist(), strict=True):
+            edge.speed = speed
+        self._complete.append(self._edges)
 
     def _ready(self, end: _Edge) -> bool:
         """True if all is known, by what may come no more: whatever the order of arrival."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 import math
 from typing import NamedTuple
@@ -98,19 +98,19 @@ class SpeedTrack(SignalTrack):
         air = (drag(speed[:-1]) + 4 * drag(middle) + drag(speed[1:])) / 6
         return float(middle @ step), float(air @ step)
 
-    def smoothed(self, stamp_ns: int, until_ns: int) -> tuple[float, float]:
-        """`Speeds.smoothed` at one moment, from speeds up to another."""
-        last = bisect_right(self.stamps, until_ns)
-        speeds = self.since(stamp_ns - round(SMOOTHING_BACK * NANOSECONDS) - 1, stamp_ns, last)
-        speed, acceleration = speeds.smoothed(np.zeros(1, int), np.array([len(speeds.stamps)]))
-        return float(speed[0]), float(acceleration[0])
+    def smoothed(self, stamps: Sequence[int], ahead_ns: int) -> tuple[np.ndarray, np.ndarray]:
+        """`Speeds.smoothed` at moments in order, each from speeds up to `ahead_ns` after it."""
+        zero_ns = stamps[0]
+        speeds = self.since(zero_ns - LOOK_BACK_NS, zero_ns)
+        moments = np.array([stamp_ns - zero_ns for stamp_ns in stamps], np.int64)
+        until = np.searchsorted(speeds.stamps, moments + ahead_ns, side="right")
+        return speeds.smoothed(moments, until)
 
-    def since(self, oldest_ns: int, zero_ns: int, last: int | None = None) -> Speeds:
-        """The speeds from before a moment on, up to an index, with stamps since `zero_ns`."""
-        last = len(self.stamps) if last is None else last
-        first = max(0, min(bisect_left(self.stamps, oldest_ns), last - MIN_POINTS))
-        stamps = [stamp_ns - zero_ns for stamp_ns in self.stamps[first:last]]
-        return Speeds(np.array(stamps, np.int64), np.array(self.values[first:last]))
+    def since(self, oldest_ns: int, zero_ns: int) -> Speeds:
+        """The speeds from a moment on, and some before, with stamps since `zero_ns`."""
+        first = max(0, bisect_left(self.stamps, oldest_ns) - MIN_POINTS)
+        stamps = [stamp_ns - zero_ns for stamp_ns in self.stamps[first:]]
+        return Speeds(np.array(stamps, np.int64), np.array(self.values[first:]))
 
 
 class Speeds(NamedTuple):
@@ -223,10 +223,10 @@ class CausalDifferentiator:
         if not self._pending or self._pending[0][0] != stamp_ns:
             return
         _, x = self._pending.popleft()
-        gain = self.covariance @ x
-        gain = gain / (x @ gain + TARGET_STD**2)
+        along = self.covariance @ x
+        gain = along / (x @ along + TARGET_STD**2)
         self.weights = self.weights + gain * (smoothed_acceleration - x @ self.weights)
-        self.covariance = self.covariance - np.outer(gain, x @ self.covariance)
+        self.covariance = self.covariance - gain[:, None] * along
 
     def forget_pending(self) -> None:
         """Drop what waits for the smoother, after a gap or a jump of time."""

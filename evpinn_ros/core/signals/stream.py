@@ -91,7 +91,12 @@ class _Row(NamedTuple):
 
 
 class SampleStream:
-    """Readings of one car in, samples and intervals in order of time out."""
+    """Readings of one car in, samples and intervals in order of time out.
+
+    Attributes:
+        dropped: readings not used, by reason.
+        taken: whether the last reading was used, and all that it completed.
+    """
 
     def __init__(
         self,
@@ -118,6 +123,7 @@ class SampleStream:
         self._differentiator = CausalDifferentiator()
         self._road = Road(settings.grade_source, air_density)
         self.dropped: Counter[str] = Counter()
+        self.taken = True
         self.reset()
 
     def reset(self) -> None:
@@ -176,8 +182,9 @@ class SampleStream:
     def add_reading(self, reading: Reading) -> list[StreamEvent]:
         """Take one reading and give what it completes, in order."""
         events: list[StreamEvent] = []
+        self.taken = True
         if (reason := why_impossible(reading)) is not None:
-            self.dropped[reason] += 1
+            self._drop(reason)
         elif isinstance(reading, SpeedReading):
             self._add_speed(reading, events)
         elif isinstance(reading, BatteryReading):
@@ -188,6 +195,11 @@ class SampleStream:
         else:
             self._road.add_reading(reading)
         return events
+
+    def _drop(self, reason: str) -> None:
+        """Count a reading that is not used, or not whole."""
+        self.dropped[reason] += 1
+        self.taken = False
 
     def _add_speed(self, reading: SpeedReading, events: list[StreamEvent]) -> None:
         """Take a speed, with which samples and intervals may be complete."""
@@ -202,12 +214,12 @@ class SampleStream:
     def _move_on(self, reading: SpeedReading, events: list[StreamEvent]) -> None:
         newest = self.newest_ns
         if newest is not None and newest - reading.stamp_ns > self._late_ns:
-            self.dropped["speed_late"] += 1
+            self._drop("speed_late")
             return
         if newest is not None and reading.stamp_ns <= newest:
             self._rows.clear()
             if not self._speed.add(reading.stamp_ns, reading.speed):
-                self.dropped["speed_doubled"] += 1
+                self._drop("speed_doubled")
             return
         if newest is not None and reading.stamp_ns - newest > self._speed.cadence.gap_ns:
             events.extend(self._intervals.finish())
@@ -263,7 +275,7 @@ class SampleStream:
     def _newest_sample(self, reading: SpeedReading, row: _Row, events: list[StreamEvent]) -> None:
         acceleration = self._differentiator.acceleration(reading.stamp_ns, row.differences)
         if abs(acceleration) > MAX_ACCELERATION:
-            self.dropped["acceleration_impossible"] += 1
+            self._drop("acceleration_impossible")
             return
         moved = reading.speed, acceleration, row.slopes
         events.append(self._sample(reading.stamp_ns, _Smoothed(*moved), newest=True))
@@ -278,7 +290,7 @@ class SampleStream:
             if math.isnan(moved.acceleration):
                 continue
             if abs(moved.acceleration) > MAX_ACCELERATION or abs(moved.speed) > MAX_SPEED:
-                self.dropped["acceleration_impossible"] += 1
+                self._drop("acceleration_impossible")
                 continue
             self._match_power(stamp_ns - 1, events)
             self._last_moment_ns = stamp_ns
@@ -314,16 +326,16 @@ class SampleStream:
 
     def _add_battery(self, reading: BatteryReading) -> None:
         if math.isnan(reading.voltage) and math.isnan(reading.current):
-            self.dropped["battery_unmeasured"] += 1
+            self._drop("battery_unmeasured")
             return
         newest = self._battery.newest_ns
         if newest is not None and newest - reading.stamp_ns > self._late_ns:
-            self.dropped["battery_late"] += 1
+            self._drop("battery_late")
             return
         if not self._battery.add(
             reading.stamp_ns, reading.voltage, reading.current, reading.power_std
         ):
-            self.dropped["battery_doubled"] += 1
+            self._drop("battery_doubled")
 
     def _match_power(self, until_ns: int | None, events: list[StreamEvent]) -> None:
         """Samples whose power battery readings up to a moment, and none to come, determine."""

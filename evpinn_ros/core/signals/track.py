@@ -22,7 +22,14 @@ class Cadence:
         """Join readings up to max_gap, s, apart, and slow ones up to `GAP_STEPS` usual steps."""
         self._max_gap = max_gap
         self._steps: deque[float] = deque(maxlen=RATE_READINGS)
-        self.period = 0.0  # s, 0 before the second reading
+        self._period: float | None = 0.0  # None until it is asked for after a step
+
+    @property
+    def period(self) -> float:
+        """Usual step, s; 0 before the second reading."""
+        if self._period is None:
+            self._period = sorted(self._steps)[len(self._steps) // 2]
+        return self._period
 
     @property
     def gap_ns(self) -> int:
@@ -32,7 +39,7 @@ class Cadence:
     def add_step(self, step: float) -> None:
         """Take the time, s, from one reading to the next."""
         self._steps.append(step)
-        self.period = sorted(self._steps)[len(self._steps) // 2]
+        self._period = None
 
 
 class SignalTrack:
