@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from evpinn_ros.core.estimation.estimate import FIGURES
 from evpinn_ros.replays.scoring import GAP_STEPS, MAX_MEASURED_STEP
 
 
@@ -43,14 +44,7 @@ _ENERGY = (
     ("error_percent", "%", "of `predicted_j`, of the size of `measured_j`; positive: too much"),
     ("rknn_error_percent", "%", "of `rknn_j`, of the size of `measured_j`; positive: too much"),
 )
-_PARAMETER = (
-    ("value", "", "live value at the end: 1, 1, kg, 1, 1, W"),
-    ("std", "", "its 1-sigma"),
-    ("prior_share", "", "share of the prior in it: 0 all data, 1 all prior"),
-    ("lower", "", "bound from the combinations and eta, mu <= 1; while unknown, its limit"),
-    ("upper", "", "bound as `lower`"),
-    ("state", "", "`unestimated`, `estimating`, `valid`, `stale` or `invalid`"),
-)
+_PARAMETER = tuple((name, "", meaning) for name, meaning in FIGURES.items())
 _AMOUNT = (
     ("kwh", "kWh", "energy of this part of the drive; see the guide to replays for the parts"),
     ("sigma_kwh", "kWh", "its 1-sigma"),

@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.core.estimation.estimate import FIGURES
 
 with optional_imports():
     import pandas as pd
 
 
-PARAMETER_COLUMNS = ("value", "std", "prior_share", "lower", "upper", "state")
 AMOUNT_COLUMNS = ("kwh", "sigma_kwh", "kwh_per_100km", "share")
 
 
 def parameter_frame(parameters: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
     """The metrics under `parameters`, one row each."""
-    return _rows(parameters, "parameter", PARAMETER_COLUMNS)
+    return _rows(parameters, "parameter", tuple(FIGURES))
 
 
 def breakdown_frame(breakdown: Mapping[str, Any]) -> pd.DataFrame:

@@ -15,6 +15,7 @@ from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.estimate import TRACKED
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.forecasts import forecast_outcomes, known_model
@@ -116,7 +117,7 @@ class Result:
     def learning(self) -> pd.DataFrame:
         """Parameters over time, by `t_s`: columns (parameter; value, std or prior_share)."""
         columns = {
-            name: pd.DataFrame(rows[:, 1:], rows[:, 0], ["value", "std", "prior_share"])
+            name: pd.DataFrame(rows[:, 1:], rows[:, 0], [*TRACKED])
             for name, rows in self.replayed.drive.parameters.items()
         }
         return pd.concat(columns, axis=1).rename_axis(TIME)

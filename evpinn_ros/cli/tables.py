@@ -8,13 +8,12 @@ from typing import Any
 
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import METRIC, Units
-from evpinn_ros.core.vehicle.parameters import Parameters
+from evpinn_ros.core.vehicle.parameters import QUANTITIES, Parameters
 from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import WARM_UP
 from evpinn_ros.report.breakdown_text import breakdown_columns, breakdown_rows
 from evpinn_ros.report.owner_text import drives_columns, drives_rows
-from evpinn_ros.report.parameter_text import MEANINGS, number
 from evpinn_ros.report.tables import (
     SCORE_COLUMNS,
     parameter_columns,
@@ -38,10 +37,10 @@ def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
     for name, estimate in final.items():
         true = float(getattr(truth, name)) if truth is not None else None
         table.add_row(
-            f"{name}  {MEANINGS[name]}",
-            number(name, estimate.value),
-            number(name, estimate.std),
-            "-" if true is None else number(name, true),
+            f"{name}  {QUANTITIES[name].word}",
+            QUANTITIES[name].text(estimate.value),
+            QUANTITIES[name].text(estimate.std),
+            "-" if true is None else QUANTITIES[name].text(true),
             "-" if true is None else f"{(estimate.value - true) / estimate.std:+.1f} sigma",
             f"{100 * estimate.prior_share:.0f} %",
         )

@@ -13,7 +13,7 @@ import numpy as np
 from evpinn_ros.core.energy.account import AccountSummary
 from evpinn_ros.core.energy.meter import EnergyState
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
+from evpinn_ros.core.estimation.estimate import TRACKED, ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.learner import LearnerReport
 from evpinn_ros.core.signals.readings import (
     DAY_NS,
@@ -152,7 +152,7 @@ class History:
         self._detections: list[Detection] = []
         self._models: list[KnownModel] = []
         self._power = {PowerKind.SMOOTHED: Columns(4), PowerKind.PREDICTED: Columns(4)}
-        self._parameters = {name: Columns(4) for name in PARAMETER_NAMES}
+        self._parameters = {name: Columns(1 + len(TRACKED)) for name in PARAMETER_NAMES}
         self._final: ParameterSet | None = None
         self._breakdown: Mapping[str, tuple[float, float]] = {}
 
@@ -220,7 +220,7 @@ class History:
         else:
             self._final = output
             for name, estimate in output.parameters.items():
-                row = (time, estimate.value, estimate.std, estimate.prior_share)
+                row = (time, *(getattr(estimate, figure) for figure in TRACKED))
                 self._parameters[name].add(*row)
             for name, rows in self._combinations.items():
                 value, std = (

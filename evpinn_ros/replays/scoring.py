@@ -281,17 +281,7 @@ def parameter_metrics(final: ParameterSet | None) -> dict[str, dict[str, Any]]:
     """The values of `--metrics` under `parameters`."""
     if final is None:
         return {}
-    return {
-        name: {
-            "value": p.value,
-            "std": p.std,
-            "prior_share": p.prior_share,
-            "lower": p.lower,
-            "upper": p.upper,
-            "state": p.trust.value,
-        }
-        for name, p in final.parameters.items()
-    }
+    return {name: estimate.figures() for name, estimate in final.parameters.items()}
 
 
 def combination_metrics(found: ParameterSet) -> dict[str, dict[str, float]]:

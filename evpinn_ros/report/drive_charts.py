@@ -10,12 +10,11 @@ import numpy as np
 from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.units import JOULES_PER_WH
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.core.vehicle.parameters import Parameters
+from evpinn_ros.core.vehicle.parameters import QUANTITIES, Parameters
 from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import ForecastOutcome
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import measured_at
-from evpinn_ros.report.parameter_text import DECIMALS
 from evpinn_ros.report.thinning import Grid, grid_for, packed, thinned
 
 KILO = 1000.0
@@ -95,7 +94,7 @@ def parameter_chart(drive: Drive, name: str, truth: Parameters | None, points: i
     if truth is not None and len(time):
         lines.append({"label": "truth", "role": "truth", "value": float(getattr(truth, name))})
     lines.append(_line("prior", "share", time, 100 * share, grid))
-    return _time_chart(grid, AXES[name], DECIMALS[name], lines)
+    return _time_chart(grid, AXES[name], QUANTITIES[name].decimals, lines)
 
 
 def share_chart(drive: Drive, points: int) -> Chart:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES, Parameters
+from evpinn_ros.core.vehicle.parameters import QUANTITIES, Parameters
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import Span, baseline_scores
-from evpinn_ros.report.parameter_text import MEANINGS, number
 
 SCORE_COLUMNS = ("what", "RMSE", "MAE", "R2", "in 90 % band")
 
@@ -22,15 +21,15 @@ def parameter_columns(truth: Parameters | None) -> tuple[str, ...]:
 def parameter_rows(metrics: Mapping[str, Any], truth: Parameters | None) -> list[tuple[str, ...]]:
     """Live value, 1-sigma, the truth if known, prior share and state of each parameter."""
     rows = []
-    for name in PARAMETER_NAMES:
+    for name, quantity in QUANTITIES.items():
         estimate = metrics["parameters"].get(name)
         if estimate is None:
             continue
-        row = [number(name, estimate["value"]), number(name, estimate["std"])]
+        row = [quantity.text(estimate["value"]), quantity.text(estimate["std"])]
         if truth is not None:
-            row.append(number(name, getattr(truth, name)))
+            row.append(quantity.text(getattr(truth, name)))
         share = f"{100 * estimate['prior_share']:.0f} %"
-        rows.append((f"{name}  {MEANINGS[name]}", *row, share, estimate["state"]))
+        rows.append((f"{name}  {quantity.word}", *row, share, estimate["state"]))
     return rows
 
 

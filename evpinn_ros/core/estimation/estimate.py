@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 import math
+from typing import Any
 
 from evpinn_ros.core.vehicle.identifiable import Identifiable
 
@@ -26,16 +27,23 @@ class Trust(str, Enum):
     INVALID = "invalid"
 
 
+FIGURES = {
+    "value": "live value at the end: 1, 1, kg, 1, 1, W",
+    "std": "its 1-sigma",
+    "prior_share": "share of the prior in it: 0 all data, 1 all prior",
+    "lower": "bound from the combinations and eta, mu <= 1; while unknown, its limit",
+    "upper": "bound as `lower`",
+    "state": f"{', '.join(f'`{trust.value}`' for trust in [*Trust][:-1])} or `invalid`",
+}
+"""What files, tables and frames have of a parameter, with the meaning of each."""
+TRACKED = ("value", "std", "prior_share")  # of these, over time
+
+
 @dataclass(frozen=True, slots=True)
 class ParameterEstimate:
-    """One parameter now.
+    """One parameter now: `FIGURES`, in the unit of `vehicle.parameters.Parameters`.
 
     Attributes:
-        value: in the unit of `vehicle.parameters.Parameters`.
-        std: 1-sigma.
-        prior_share: 0 when all from data, 1 when all from the prior.
-        lower: bound from the combinations and eta, mu <= 1, or the limit of the parameter.
-        upper: the same.
         trust: how far to trust it.
         progress: percent of the way to a combination that the data determine.
         possible: False where the value cannot be trusted however much was learned: no car has
@@ -50,6 +58,15 @@ class ParameterEstimate:
     trust: Trust
     progress: float = 0.0
     possible: bool = True
+
+    @property
+    def state(self) -> str:
+        """Its trust as text."""
+        return self.trust.value
+
+    def figures(self) -> dict[str, Any]:
+        """`FIGURES` of it."""
+        return {name: getattr(self, name) for name in FIGURES}
 
 
 @dataclass(frozen=True, slots=True)

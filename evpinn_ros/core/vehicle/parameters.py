@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-PARAMETER_NAMES = ("eta", "mu", "mass", "c_rr", "c_d", "p_aux")
-
 
 class Parameters(NamedTuple):
     """One value of each parameter; floats, arrays or tensors alike."""
@@ -28,14 +26,29 @@ class Limits(NamedTuple):
     upper: float
 
 
-LIMITS: Mapping[str, Limits] = {
-    "eta": Limits(0.05, 1.0),
-    "mu": Limits(0.0, 1.0),
-    "mass": Limits(100.0, 60_000.0),
-    "c_rr": Limits(0.001, 0.1),
-    "c_d": Limits(0.05, 2.0),
-    "p_aux": Limits(0.0, 50_000.0),
+class Quantity(NamedTuple):
+    """A parameter for people: a word for it, its unit, its decimals; and its limits."""
+
+    word: str
+    unit: str
+    decimals: int
+    limits: Limits
+
+    def text(self, value: float) -> str:
+        """A value with decimals and unit."""
+        return f"{value:.{self.decimals}f} {self.unit}".rstrip()
+
+
+QUANTITIES = {
+    "eta": Quantity("motor efficiency", "", 3, Limits(0.05, 1.0)),
+    "mu": Quantity("regeneration", "", 3, Limits(0.0, 1.0)),
+    "mass": Quantity("all aboard", "kg", 0, Limits(100.0, 60_000.0)),
+    "c_rr": Quantity("rolling", "", 5, Limits(0.001, 0.1)),
+    "c_d": Quantity("drag", "", 4, Limits(0.05, 2.0)),
+    "p_aux": Quantity("auxiliary", "W", 0, Limits(0.0, 50_000.0)),
 }
+PARAMETER_NAMES = tuple(QUANTITIES)
+LIMITS: Mapping[str, Limits] = {name: each.limits for name, each in QUANTITIES.items()}
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
-from evpinn_ros.core.estimation.estimate import Trust
+from evpinn_ros.core.estimation.estimate import TRACKED, Trust
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.replays.run import Replayed
 from evpinn_ros.replays.trends import DrivePoint, drive_point
@@ -16,10 +17,12 @@ NUMBERS = (
     *("energy_measured_j", "energy_predicted_j", "energy_error_percent"),
 )
 POINT = DrivePoint._fields
-PARAMETER_NUMBERS = tuple(
-    f"{name}{suffix}" for name in PARAMETER_NAMES for suffix in ("", "_std", "_prior_share")
-)
-PARAMETER_STATES = tuple(f"{name}_state" for name in PARAMETER_NAMES)
+PARAMETERS = {
+    name + ("" if figure == "value" else f"_{figure}"): (name, figure)
+    for figures in (TRACKED, ("state",))
+    for name, figure in product(PARAMETER_NAMES, figures)
+}
+"""Columns of parameters: which figure of which."""
 
 
 def drive_row(done: Replayed) -> dict[str, Any]:
@@ -56,14 +59,11 @@ def _point(point: DrivePoint | None) -> dict[str, Any]:
 
 
 def _parameters(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    row: dict[str, Any] = {}
-    for name in PARAMETER_NAMES:
-        estimate = parameters.get(name, {})
-        row[name] = estimate.get("value")
-        row[f"{name}_std"] = estimate.get("std")
-        row[f"{name}_prior_share"] = estimate.get("prior_share")
-        row[f"{name}_state"] = estimate.get("state")
-    return row
+    none: Mapping[str, Any] = {}
+    return {
+        column: parameters.get(name, none).get(figure)
+        for column, (name, figure) in PARAMETERS.items()
+    }
 
 
 def impossible(row: Mapping[str, Any]) -> list[str]:

@@ -23,8 +23,7 @@ from evpinn_ros.extras.fleet.manifest import CarDrives
 from evpinn_ros.extras.fleet.population import COMBINATIONS, Population, PopulationValue
 from evpinn_ros.extras.fleet.row import (
     NUMBERS,
-    PARAMETER_NUMBERS,
-    PARAMETER_STATES,
+    PARAMETERS,
     POINT,
     impossible,
     point_of,
@@ -37,23 +36,23 @@ ROWS = 2000  # written at a time
 SHOWN = 200  # cars and problems kept for people; the tables hold all
 CHARTED = 30  # cars of a model in the charts of the report
 
-PARAMETERS = {
-    **dict.fromkeys(PARAMETER_NUMBERS, "double"),
-    **dict.fromkeys(PARAMETER_STATES, "string"),
+PARAMETER_TYPES = {
+    column: "string" if figure == "state" else "double"
+    for column, (_, figure) in PARAMETERS.items()
 }
 DRIVE_COLUMNS = {
     **dict.fromkeys(("car", "vehicle", "path", "problem", "fingerprint"), "string"),
     **dict.fromkeys(("start_ns", "samples"), "int64"),
     **dict.fromkeys(NUMBERS, "double"),
     **{name: "string" if name == "week" else "double" for name in POINT},
-    **PARAMETERS,
+    **PARAMETER_TYPES,
 }
 CAR_COLUMNS = {
     **dict.fromkeys(("car", "vehicle", "problem"), "string"),
     **dict.fromkeys(("drives", "learned"), "int64"),
     "duration_s": "double",
     "in_population": "bool",
-    **PARAMETERS,
+    **PARAMETER_TYPES,
 }
 POPULATION_COLUMNS = {
     **dict.fromkeys(("vehicle", "name"), "string"),

@@ -50,12 +50,12 @@ class ParameterRow(NamedTuple):
 
     name: str
     value: float
-    sigma: float
+    std: float
     lower: float
     upper: float
     prior_share: float
     progress: float
-    status: str
+    state: str
 
 
 class PartStatus(NamedTuple):
@@ -202,7 +202,7 @@ class LiveData:
                 sigmas.get(name, math.nan),
                 **bounds_of(bounds, name),
                 progress=_number(status.get(f"progress.{name}")),
-                status=status.get(f"state.{name}", ""),
+                state=status.get(f"state.{name}", ""),
             )
             for name in PARAMETER_NAMES
         ]

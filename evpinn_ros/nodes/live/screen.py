@@ -11,10 +11,11 @@ from rich.text import Text
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import printable
+from evpinn_ros.core.estimation.estimate import FIGURES
 from evpinn_ros.core.estimation.operating_range import MANNERS
+from evpinn_ros.core.vehicle.parameters import QUANTITIES
 from evpinn_ros.nodes.live.data import NOTHING, POWERS, LiveData, ParameterRow
 from evpinn_ros.nodes.live.power_line import BIN_NS, DOT_COLUMNS, braille_line, power_axis
-from evpinn_ros.report.parameter_text import MEANINGS, UNITS, number
 from evpinn_ros.topics.messages import Level
 
 TITLE, HEADING, FAINT = "bold reverse", "bold", "dim"
@@ -108,8 +109,8 @@ def plain_line(data: LiveData, now: float) -> str:
         parts.append(f"{name} {_kilowatts(found.value)}{_sigma(found.sigma)} kW drawn")
     parts.append(f"Wh went to {', '.join(_amounts(data)) or UNKNOWN}")
     parts += [
-        f"{row.name} {_parameter(row, row.value)} +- {_parameter(row, row.sigma)}"
-        + (f" {row.status}" if row.status else "")
+        f"{row.name} {_parameter(row, row.value)} +- {_parameter(row, row.std)}"
+        + (f" {row.state}" if row.state else "")
         for row in data.parameters()
         if math.isfinite(row.value)
     ]
@@ -139,15 +140,15 @@ def _parameters(data: LiveData, width: int) -> Iterable[Text]:
         bounds = f"{_parameter(row, row.lower, '')} .. {_parameter(row, row.upper, '')}"
         texts = {
             "": row.name,
-            "meaning": MEANINGS[row.name].removesuffix(" efficiency"),
+            "meaning": QUANTITIES[row.name].word.removesuffix(" efficiency"),
             "value": _parameter(row, row.value),
-            "1-sigma": _parameter(row, row.sigma),
+            "1-sigma": _parameter(row, row.std),
             "bounds": bounds if math.isfinite(row.lower) else UNKNOWN,
             "prior": _percent(100 * row.prior_share),
             "data": _percent(row.progress),
         }
-        shown = row.status or UNKNOWN
-        yield Text(f"{_row(columns, texts)} ").append(shown, STATE_STYLES.get(row.status, FAINT))
+        shown = row.state or UNKNOWN
+        yield Text(f"{_row(columns, texts)} ").append(shown, STATE_STYLES.get(row.state, FAINT))
 
 
 def _row(columns: Iterable[ScreenColumn], texts: Mapping[str, str]) -> str:
@@ -267,8 +268,8 @@ def _count(count: float, most: float) -> str:
 def _parameter(row: ParameterRow, value: float, unit: str | None = None) -> str:
     if not abs(value) < GREATEST:
         return UNKNOWN if not math.isfinite(value) else f"{value:.1e}"
-    text = number(row.name, value)
-    return text if unit is None else text.removesuffix(UNITS.get(row.name, "")) + unit
+    text = QUANTITIES[row.name].text(value)
+    return text if unit is None else text.removesuffix(f" {QUANTITIES[row.name].unit}") + unit
 
 
 def _percent(value: float) -> str:
@@ -324,13 +325,7 @@ def as_json(data: LiveData, now: float) -> dict[str, Any]:
         "consumption": data.vector(topics.ENERGY_CONSUMPTION),
         "range_m": data.vector(topics.ENERGY_RANGE),
         "parameters": {
-            row.name: {
-                **_estimate(row.value, row.sigma),
-                "prior_share": row.prior_share,
-                "lower": row.lower,
-                "upper": row.upper,
-                "state": row.status or None,
-            }
+            row.name: {name: getattr(row, name) for name in FIGURES} | {"state": row.state or None}
             for row in data.parameters()
         },
         "per_second": {name: data.rate(topic, now) for name, topic in RATES.items()},

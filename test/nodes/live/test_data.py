@@ -22,7 +22,7 @@ def test_before_anything_was_heard_it_says_so_and_knows_nothing():
     data = LiveData()
     ((level, text),) = data.problems(5.0)
     assert level is Level.WARN and "ROS_DOMAIN_ID" in text
-    assert all(math.isnan(row.value) and row.status == "" for row in data.parameters())
+    assert all(math.isnan(row.value) and row.state == "" for row in data.parameters())
     assert math.isnan(data.power(topics.POWER_MEASURED, 5.0).value)
     assert data.rate(topics.SPEED, 5.0) == 0.0
 
@@ -31,7 +31,7 @@ def test_what_is_heard_is_known(well):
     data = well(110.0)
     eta, mu = data.parameters()[:2]
     assert eta == ("eta", 0.912, pytest.approx(0.0456), 0.456, 1.824, 0.25, 87.0, "valid")
-    assert math.isnan(mu.progress) and mu.status == ""
+    assert math.isnan(mu.progress) and mu.state == ""
     assert data.power(topics.POWER_PREDICTED, 110.0) == (13900.0, 1200.0)
     assert math.isnan(data.power(topics.POWER_MEASURED, 110.0).sigma)
     assert data.fresh_battery(110.0).current == pytest.approx(-41.5)
