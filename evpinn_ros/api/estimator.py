@@ -14,6 +14,7 @@ from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
+from evpinn_ros.core.estimation.state_file import StateClaim
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -191,4 +192,5 @@ class Estimator:
 
         Give this file as `state` to `Estimator` or `evpinn_ros.replay` to continue from it.
         """
-        self._car.write_state(Path(path))
+        with StateClaim(Path(path)):
+            self._car.write_state(Path(path))

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from evpinn_ros.api.result import Result
+from evpinn_ros.core.estimation.state_file import StateClaim
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.source import Source
@@ -139,24 +140,25 @@ def _opened(
 ) -> Iterator[tuple[CarReplay, Source]]:
     """The car and its drive; what was learned is written when nothing went wrong."""
     written = None if state is None else Path(state)
-    car_replay = CarReplay(
-        vehicle,
-        options,
-        mode=None if mode is None else mode_of(mode),
-        params=None if params is None else Path(params),
-        state=written,
-    )
-    read_options = ReadOptions(
-        can_profile,
-        trust_profile,
-        columns,
-        car,
-        None if elevation is None else Terrain(Path(elevation)),
-    )
-    with TemporaryDirectory() as folder:
-        yield car_replay, car_replay.open(_path_of(drive, Path(folder)), read_options)
-    if written is not None:
-        car_replay.write_state(written)
+    with StateClaim(written):
+        car_replay = CarReplay(
+            vehicle,
+            options,
+            mode=None if mode is None else mode_of(mode),
+            params=None if params is None else Path(params),
+            state=written,
+        )
+        read_options = ReadOptions(
+            can_profile,
+            trust_profile,
+            columns,
+            car,
+            None if elevation is None else Terrain(Path(elevation)),
+        )
+        with TemporaryDirectory() as folder:
+            yield car_replay, car_replay.open(_path_of(drive, Path(folder)), read_options)
+        if written is not None:
+            car_replay.write_state(written)
 
 
 def _result(car: CarReplay, source: Source) -> Result:

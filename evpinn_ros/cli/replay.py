@@ -28,6 +28,7 @@ from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.core.estimation.estimator import Mode, PaperOptimizer
+from evpinn_ros.core.estimation.state_file import StateClaim
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.logs.formats import files_of
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
@@ -118,43 +119,44 @@ def replay(
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
     check_outputs((metrics, report, state, out), (*inputs, params, Path(vehicle)))
-    car = CarReplay(
-        vehicle,
-        ReplayOptions(withhold_battery_after, warm_up, rate, start, duration),
-        mode=mode,
-        optimizer=optimizer,
-        params=params,
-        state=state,
-    )
-    if car.missing:
-        note(f"evpinn: {car.missing}")
-    elif state is not None and not state.exists():
-        note(f"evpinn: {state} does not exist yet: the car starts from its vehicle file")
-    open_input = partial(car.open, options=read_options)
-    first, unreadable = _opened(open_input, inputs, whole)
-    again = (one for _ in range(loop - 1) for one in _opened(open_input, inputs, whole)[0])
-    with Interruption() as interruption:
-        try:
-            paths = [source.path for source in first] * loop
-            several = len(inputs) > 1 or len(paths) > 1  # though all of them be one drive
-            folders = output_folders(out, paths, several=several)
-            for source, folder in zip(chain(first, again), folders, strict=True):
-                if interruption.asked:
-                    break
-                found = _one(car, source, folder, lambda: interruption.asked)
-                _show(found, source, car.vehicle, warm_up, len(folders) > 1, units.units)
-        finally:
-            # Whatever ends a later drive, the results of those before it are kept.
-            written = _write(car, (metrics, report, state), units.units, len(inputs) > 1)
-    if len(car.done) > 1:
-        rows = [(result.drive, result.metrics) for result in car.done]
-        show(drives_table(rows, units.units), at_least=WIDE)
-        show(parameter_table(car.done[-1].metrics))
-        say("To see these drives side by side, use evpinn compare.")
-    for line in unreadable:
-        note(f"evpinn: not replayed: {line}")
-    if unreadable or not written or any(result.problem for result in car.done):
-        raise typer.Exit(1)
+    with StateClaim(state):
+        car = CarReplay(
+            vehicle,
+            ReplayOptions(withhold_battery_after, warm_up, rate, start, duration),
+            mode=mode,
+            optimizer=optimizer,
+            params=params,
+            state=state,
+        )
+        if car.missing:
+            note(f"evpinn: {car.missing}")
+        elif state is not None and not state.exists():
+            note(f"evpinn: {state} does not exist yet: the car starts from its vehicle file")
+        open_input = partial(car.open, options=read_options)
+        first, unreadable = _opened(open_input, inputs, whole)
+        again = (one for _ in range(loop - 1) for one in _opened(open_input, inputs, whole)[0])
+        with Interruption() as interruption:
+            try:
+                paths = [source.path for source in first] * loop
+                several = len(inputs) > 1 or len(paths) > 1  # though all of them be one drive
+                folders = output_folders(out, paths, several=several)
+                for source, folder in zip(chain(first, again), folders, strict=True):
+                    if interruption.asked:
+                        break
+                    found = _one(car, source, folder, lambda: interruption.asked)
+                    _show(found, source, car.vehicle, warm_up, len(folders) > 1, units.units)
+            finally:
+                # Whatever ends a later drive, the results of those before it are kept.
+                written = _write(car, (state, metrics, report), units.units, len(inputs) > 1)
+        if len(car.done) > 1:
+            rows = [(result.drive, result.metrics) for result in car.done]
+            show(drives_table(rows, units.units), at_least=WIDE)
+            show(parameter_table(car.done[-1].metrics))
+            say("To see these drives side by side, use evpinn compare.")
+        for line in unreadable:
+            note(f"evpinn: not replayed: {line}")
+        if unreadable or not written or any(result.problem for result in car.done):
+            raise typer.Exit(1)
 
 
 def _opened(
@@ -259,11 +261,11 @@ def _write(
     """Write all that was asked for; one file that cannot be written does not cost the others."""
     if not car.done:
         return True
-    metrics, report, state = files
+    state, metrics, report = files
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
+        (state, car.write_state),  # first, for it cannot be made again
         (metrics, lambda path: _write_metrics(path, car.done, several)),
         (report, lambda path: _write_report(path, car, units)),
-        (state, car.write_state),
     ]
     problems = 0
     for path, write in jobs:

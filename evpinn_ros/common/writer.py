@@ -18,6 +18,7 @@ import shutil
 from tempfile import mkstemp
 import time
 from typing import BinaryIO, TextIO
+from weakref import finalize
 import zlib
 
 from evpinn_ros.common.errors import InputError, as_input_error
@@ -130,22 +131,40 @@ def copy_file(source: Path, target: Path) -> None:
         shutil.copyfileobj(content, copy, MEBIBYTE)
 
 
-@contextmanager
-def held(path: Path, busy: str) -> Iterator[None]:
-    """Hold a lock file, which is made if need be and never written to.
+class Held:
+    """A lock file that this process holds until it is released or the process ends.
 
-    Raises:
-        InputError: another process holds it, which `busy` says; it cannot be opened, or is a link.
+    The file is made, never written to, and removed with its release. A file system without locks
+    gives it to everybody.
     """
-    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    with as_input_error(path):
-        handle = os.open(path, flags, 0o644)
-    try:
-        if not _locked(handle):
-            raise InputError(busy)
-        yield
-    finally:
-        os.close(handle)
+
+    def __init__(self, path: Path, busy: str) -> None:
+        """Take the lock.
+
+        Raises:
+            InputError: another process holds it, which `busy` says.
+            OSError: the file cannot be made, or is a link.
+        """
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        while True:
+            handle = os.open(path, flags, 0o644)
+            if not _locked(handle):
+                os.close(handle)
+                raise InputError(busy)
+            if _is_at(handle, path):
+                break
+            os.close(handle)  # its holder removed the file once it was opened here
+        self._release = finalize(self, _let_go, path, handle, os.getpid())
+
+    def __enter__(self) -> Held:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+    def release(self) -> None:
+        """Give the lock to others; a second call does nothing."""
+        self._release()
 
 
 @contextmanager
@@ -245,6 +264,22 @@ def _start_of(pid: int) -> int:
         return 0
     fields = text.rpartition(")")[2].split()
     return 0 if fields[_STATE] in "ZX" else int(fields[_START])
+
+
+def _let_go(path: Path, handle: int, holder: int) -> None:
+    """Remove a lock file and close it; a fork of the holder leaves it there."""
+    if os.getpid() == holder and _is_at(handle, path):
+        with suppress(OSError):
+            path.unlink()
+    os.close(handle)
+
+
+def _is_at(handle: int, path: Path) -> bool:
+    """True if an open file is the one of this name."""
+    try:
+        return os.path.samestat(os.fstat(handle), path.lstat())
+    except OSError:
+        return False
 
 
 def _sweep(folder: Path) -> None:

@@ -106,8 +106,9 @@ class EnergyNode(GuardedNode):
         self.begun(f"{vehicle.key} {self.kept.start}; waiting for power/smoothed", self.phases())
 
     def let_go(self) -> None:
-        """Stop answering plans."""
+        """Stop answering plans, and leave the state file to others."""
         self._desk.close()
+        self.kept.release()
 
     def statuses(self) -> list[Status]:
         """The health of the meter and of the planning."""

@@ -89,8 +89,9 @@ class EstimatorNode(GuardedNode):
             self.publish([(topics.MODEL, model_message(new_message, self._vehicle.key, model))])
 
     def let_go(self) -> None:
-        """Stop the thread of the updates."""
+        """Stop the thread of the updates, and leave the state file to others."""
         self._worker.close()
+        self.kept.release()
 
     def end(self) -> str | None:
         """Save."""

@@ -64,8 +64,11 @@ class Keeper:
             actions: of the node.
 
         Raises:
-            InputError: a manager asks for it, and the file can never be written.
+            InputError: a manager asks for it, and the file can never be written, or another
+                process learns into it.
         """
+        if isinstance(before := getattr(node, "kept", None), Keeper):
+            before.release()  # of a configuration that failed
         self._node, self._leaders, self._actions = node, leaders, actions
         self._name = node.values[FILES[half]]
         self.file, self.guard = (
@@ -79,13 +82,19 @@ class Keeper:
                 raise InputError(unwritable)
             node.log(Level.WARN, unwritable)
         self.file.load()
+        if self.file.busy is not None and node.values["managed"]:
+            raise InputError(self.file.busy)
+        self.start = self.file.start or ANEW[half]
         if (problem := self.file.problem) is not None:
-            node.log(Level.WARN, f"{node.get_name()} {ANEW[half]}: {problem}")
+            node.log(Level.WARN, f"{node.get_name()} {self.start}: {problem}")
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_service(Trigger, "~/save", self._on_save)
         node.every(SAVE_PERIOD, self.save)
         node.on_clock_going_back(self._on_clock_going_back)
-        self.start = self.file.start or ANEW[half]
+
+    def release(self) -> None:
+        """Leave the file to others."""
+        self.file.release()
 
     def condition(self, health: Health) -> Condition:
         """Condition of the node, whose health is given."""

@@ -11,6 +11,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.writer import claimed
 from evpinn_ros.core.estimation.state_file import (
     Half,
+    StateClaim,
     read_half,
     refused_names,
     set_aside,
@@ -36,6 +37,7 @@ class StateFile:
 
     Attributes:
         problem: why the file was not used or not written, None if all is well.
+        busy: set once it was loaded, where another process has the half: nothing is written then.
     """
 
     def __init__(self, path: Path | None, owner: Stateful, half: Half) -> None:
@@ -45,6 +47,8 @@ class StateFile:
         self._loaded: Mapping[str, Any] | None = None
         self._refused: tuple[int, int] | None = None  # which file that was
         self._readable = True
+        self._claim: StateClaim | None = None
+        self.busy: str | None = None
 
     def why_unwritable(self) -> str | None:
         """The reason why the file can never be written, None where it can or none is set."""
@@ -59,7 +63,11 @@ class StateFile:
         return f"{self._path}: cannot be written: a folder" if self._path.is_dir() else None
 
     def load(self) -> None:
-        """Restore the owner from the file, if there is a usable one."""
+        """Claim the half, and restore the owner from the file, if there is a usable one."""
+        try:
+            self._claim = StateClaim(self._path, [self._half])
+        except InputError as error:
+            self.busy = str(error)
         try:
             if self._path is not None:
                 self._loaded, self.problem = read_half(self._path, self._half)
@@ -68,6 +76,12 @@ class StateFile:
             self._refuse(str(error))
             return
         self.start_over()
+        self.problem = self.busy or self.problem
+
+    def release(self) -> None:
+        """Leave the half to others."""
+        if self._claim is not None:
+            self._claim.release()
 
     @property
     def start(self) -> str | None:
@@ -96,6 +110,8 @@ class StateFile:
         """Write the state; gives the reason when that fails."""
         if self._path is None:
             return "no file for it is set"
+        if self.busy is not None:
+            return self.busy
         try:
             self._set_refused_aside(self._path)
             write_halves(self._path, {self._half: self._owner.export()})

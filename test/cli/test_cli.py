@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+from evpinn_ros.core.estimation.state_file import StateClaim
+
 ROOT = Path(__file__).parents[2]
 METRIC_KEYS = {
     "input": {"path", "duration_s", "samples", "dropped"},
@@ -196,6 +198,31 @@ def test_one_output_that_cannot_be_written_does_not_cost_the_others(evpinn, fold
     assert "Traceback" not in done.stderr
     assert "a_file/m.json" in done.stderr.strip().splitlines()[-1]
     assert (folder / "saved.json").is_file()
+
+
+def test_a_state_into_which_another_process_learns_is_refused(evpinn, folder):
+    path = folder / "busy.json"
+    path.write_text("of the other")
+    with StateClaim(path):
+        done = evpinn("replay", "speed.csv", "--state", "busy.json", cwd=folder)
+        assert_fails_in_one_line(done, "busy.json: another evpinn learns into this file")
+    assert path.read_text() == "of the other"
+
+
+def test_the_state_is_written_before_all_that_can_be_made_again(folder):
+    """On a disk that was full behind the report, what was learned was lost."""
+    pipe, state = folder / "metrics.pipe", folder / "first.json"
+    os.mkfifo(pipe)
+    command = [sys.executable, "-m", "evpinn_ros", "replay", "drive", "--metrics", pipe.name]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        [*command, "--state", state.name], cwd=folder, env=environment, stdout=subprocess.DEVNULL
+    ) as process:
+        with pipe.open() as metrics:  # opens once the command writes there
+            learned = state.is_file()
+            assert json.load(metrics)["mode"] == "hybrid"
+        assert process.wait(timeout=120) == 0
+    assert learned
 
 
 def test_output_is_never_overwritten(evpinn, folder):

@@ -63,7 +63,27 @@ def test_a_file_that_was_used_is_not_set_aside(tmp_path):
         state_file = StateFile(path, Counter(), Half.LEARNED)
         state_file.load()
         assert state_file.problem is None and state_file.save() is None
+    state_file.release()
     assert [file.name for file in tmp_path.iterdir()] == ["car.json"]
+
+
+def test_the_second_user_of_a_half_is_told_and_writes_nothing(tmp_path):
+    path = tmp_path / "car.json"
+    write_halves(path, {Half.LEARNED: {"count": 5}})
+    first, second = (StateFile(path, Counter(), Half.LEARNED) for _ in range(2))
+    for state_file in (first, second):
+        state_file.load()
+        state_file._owner.count += 1
+    assert first.problem is None
+    for problem in (second.problem, second.save(), second.problem):
+        assert f"{path}: another evpinn learns into this file" in problem
+    assert second.start, "it begins with what is known"
+    assert first.save() is None and read_state(path) == {"learned": {"count": 6}}
+    first.release()
+    assert second.save() is not None, "it began before the first wrote"
+    third = StateFile(path, Counter(), Half.LEARNED)
+    third.load()
+    assert third.problem is None and third._owner.count == 6
 
 
 def test_a_refused_half_is_kept_and_costs_the_other_nothing(tmp_path):
@@ -87,6 +107,7 @@ def test_a_file_that_both_nodes_refuse_is_kept_once(tmp_path):
         state_file.load()
     for state_file in files:
         assert state_file.save() is None
+        state_file.release()
     kept = sorted(each.name for each in tmp_path.iterdir())
     assert kept == ["car.json", "car.json.refused"]
     assert read_state(path) == {"learned": {"count": 0}, "energy": {"count": 0}}

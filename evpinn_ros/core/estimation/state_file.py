@@ -7,18 +7,21 @@ versions hold one half alone, the account in `car.energy.json` beside `car.json`
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from enum import Enum
 from itertools import pairwise
 import json
 import math
+import os
 from pathlib import Path
 import shutil
 from typing import Any, NoReturn
+import zlib
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import open_file, read_whole
-from evpinn_ros.common.writer import claimed, replaced, sync, write_file
+from evpinn_ros.common.writer import Held, claimed, replaced, resolved, sync, write_file
 
 MAX_FILE_BYTES = 4_000_000  # mode paper saves 1 MB, hybrid less; empty lists take 30 times as much
 REFUSED_KEPT = 5  # files
@@ -32,7 +35,52 @@ class Half(str, Enum):
     ENERGY = "energy"
 
 
+LOCK = ".evpinn-lock-"
+"""Begin of a lock's name: as short as that, for the file's own name may be as long as can be."""
 KEYS = {half.value for half in Half}
+
+
+class StateClaim:
+    """Keeps other processes from halves of a state file while this one learns into them.
+
+    It is taken before the file is read and kept until the last write, or what one of two learns
+    would be lost. A killed process holds none.
+    """
+
+    def __init__(self, path: Path | None, halves: Iterable[Half] = Half) -> None:
+        """Claim halves of the file, in a folder that is made if need be; None claims nothing.
+
+        Raises:
+            InputError: another process has them.
+        """
+        self._held: list[Held] = []
+        if path is None or (path.exists() and not path.is_file()):
+            return
+        busy = (
+            f"{path}: another evpinn learns into this file; wait until it has ended, "
+            "or give another file"
+        )
+        try:
+            for half in halves:
+                with suppress(OSError):  # where no lock can be made, no state can be written
+                    target = resolved(path)
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    name = f"{LOCK}{zlib.crc32(os.fsencode(target.name)):08x}-{half.value}"
+                    self._held.append(Held(target.with_name(name), busy))
+        except InputError:
+            self.release()
+            raise
+
+    def __enter__(self) -> StateClaim:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+    def release(self) -> None:
+        """Leave the halves to others; a second call does nothing."""
+        while self._held:
+            self._held.pop().release()
 
 
 def account_path(state: Path) -> Path:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from evpinn_ros.common.errors import as_input_error
-from evpinn_ros.common.writer import held, mark
+from evpinn_ros.common.writer import Held, mark
 from evpinn_ros.extras.fleet.car import CarDone, CarTask, learn_car
 from evpinn_ros.extras.fleet.executor import Executor, TaskOutcome
 from evpinn_ros.extras.fleet.manifest import CarDrives
@@ -24,7 +24,9 @@ def claimed(out: Path) -> Iterator[None]:
     """
     with as_input_error(out):
         out.mkdir(parents=True, exist_ok=True)
-    with held(out / LOCK, f"{out}: another evpinn fleet writes there"):
+    with as_input_error(out / LOCK):
+        lock = Held(out / LOCK, f"{out}: another evpinn fleet writes there")
+    with lock:
         with as_input_error(out):
             (out / STOP).unlink(missing_ok=True)
         yield

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.state_file import StateClaim
 from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.bridges.car import BridgedCar
@@ -48,6 +49,16 @@ def ovms() -> BridgedCar:
     found = car()
     send(found, read_layout("ovms"), as_ovms())
     return found
+
+
+def test_a_state_into_which_another_process_learns_is_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "1.json"
+    with StateClaim(path):
+        bridged = car(path)
+        send(bridged, read_layout("teslamate"), as_teslamate())
+        bridged.save()
+        assert "another evpinn learns into this file" in (bridged.problem or "")
+    assert not path.exists()
 
 
 def test_teslamate_gives_the_energy_of_its_rounded_power(tesla: BridgedCar) -> None:
@@ -139,7 +150,7 @@ def test_a_state_of_another_car_is_set_aside_and_said(tmp_path: Path) -> None:
 def test_nothing_new_is_not_written_again(tmp_path: Path) -> None:
     found = car(tmp_path / "1.json")
     found.save()
-    assert list(tmp_path.iterdir()) == []
+    assert not (tmp_path / "1.json").exists()
 
 
 def test_a_stamp_that_leapt_ahead_is_not_the_newest_for_ever() -> None:

@@ -8,6 +8,8 @@ import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from evpinn_ros import topics
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.estimation.state_file import Half, StateClaim
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.topics.messages import stamp_ns
 from test.conftest import ROOT
@@ -97,6 +99,21 @@ def test_a_file_that_can_never_be_written_fails_the_transition(ros2, bench, tmp_
             answer = ros2.ask("lifecycle", "set", "/ev/energy", "configure")
             assert "Transitioning successful" not in answer
             assert f"configure: {path}: cannot be written" in process.output
+
+
+def test_a_file_into_which_another_process_learns_fails_the_transition(bench, tmp_path):
+    path = tmp_path / "car.json"
+    node = bench.start(EnergyNode, managed=True, energy_file=str(path))
+    with StateClaim(path):
+        assert node.trigger_configure() is TransitionCallbackReturn.FAILURE
+        assert "another evpinn learns into this file" in bench.diagnosis(node)["lifecycle"][1]
+    for _ in range(2):
+        assert node.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        with StateClaim(path, [Half.LEARNED]), pytest.raises(InputError, match="another evpinn"):
+            StateClaim(path)
+        assert node.trigger_cleanup() is TransitionCallbackReturn.SUCCESS
+    with StateClaim(path):
+        pass
 
 
 def test_endpoints_come_with_configure_and_go_with_cleanup(bench):
