@@ -19,6 +19,7 @@ from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
 from evpinn_ros.core.energy.plan import PlanError
 from evpinn_ros.core.energy.remaining import usual_cost
 from evpinn_ros.core.energy.rknn import load_rknn
+from evpinn_ros.core.energy.standby import MeasuredPower, Standby
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.state_file import Half
 from evpinn_ros.core.signals.admission import CarLimits
@@ -87,6 +88,7 @@ class EnergyNode(GuardedNode):
         # Of its own: in a fast replay readings are seconds ahead of power.
         self._reading_guard = StampGuard(topics.SPEED)
         self.kept.guards.append(self._reading_guard)
+        self._standby = Standby(self.steady_s())
         self.plans = PlanLog()
         self.advertise(*PUBLISHES)
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
@@ -136,8 +138,16 @@ class EnergyNode(GuardedNode):
 
     def _take_power(self, topic: Topic, message: Any) -> None:
         found = read_power(topic, message)
+        self._count_missed(self._standby.hear(found.stamp_ns, self.steady_s()))
         for admitted in self.kept.in_order(topic, found.stamp_ns, found):
             self._count(admitted)
+
+    def _count_missed(self, powers: list[MeasuredPower]) -> None:
+        """Count what the battery told while the estimator was away."""
+        for measured in powers:
+            self.account.add_measured(*measured)
+        if powers:
+            self._publish_account()
 
     def _count(self, found: PowerEstimate) -> None:
         power = found.stamp_ns, found.power, found.sigma
@@ -146,6 +156,9 @@ class EnergyNode(GuardedNode):
             return
         if not self.account.add_predicted(*power, found.energy_sigma, found.energy):
             return
+        self._publish_account()
+
+    def _publish_account(self) -> None:
         self.publish(output_messages(new_message, self.account.state))
         summary = self.account.tick()
         if summary is not None:
@@ -166,6 +179,8 @@ class EnergyNode(GuardedNode):
                 self.account.begin_readings_anew()
             elif self.account.admission.admits(each):
                 self.account.add_reading(each)
+                if isinstance(each, BatteryReading) and why_impossible(each) is None:
+                    self._count_missed(self._standby.take(each, self.steady_s()))
 
     def _on_model(self, message: Any) -> None:
         model = read_model(message, self._vehicle)

@@ -208,6 +208,25 @@ def test_under_ignore_neither_energy_nor_distance_is_counted_twice(bench):
     assert totals.distance == pytest.approx(29 * SPEED)
 
 
+@pytest.mark.parametrize("away", [4, 25])
+def test_the_battery_is_counted_while_the_estimator_is_away(bench, monkeypatch, away):
+    """As when it is killed, or started again: what it heard of nothing is missing."""
+    node, now = bench.start(EnergyNode), [0.0]
+    bench.listen(topics.ENERGY_STATE)
+    now[0] = node.steady_s()
+    monkeypatch.setattr(node, "steady_s", lambda: now[0])
+    drive(bench, node, range(30))
+    states = node.published[topics.ENERGY_STATE]
+    for second in range(30, 30 + away):
+        now[0] += 1.0
+        bench.read(node, BatteryReading((START + second) * NANOSECONDS, 350.0, -POWER / 350.0))
+    assert node.published[topics.ENERGY_STATE] > states
+    drive(bench, node, range(30 + away, 60))
+    state = node.account.state
+    assert state.consumed == pytest.approx(59 * POWER) and state.unknown_s == 0.0
+    assert state.consumed_sigma < 0.02 * 59 * POWER
+
+
 @pytest.mark.parametrize("policy", ["reset", "hold"])
 def test_of_two_publishers_an_hour_apart_one_is_followed_and_one_reported(bench, policy):
     node = bench.start(EnergyNode, time_jump_policy=policy)

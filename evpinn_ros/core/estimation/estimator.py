@@ -34,7 +34,13 @@ from evpinn_ros.core.estimation.size import Similarity
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.detector import BATTERY_STUCK
 from evpinn_ros.core.signals.interval import Interval
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    sensor_sigma,
+)
 from evpinn_ros.core.signals.sample import MeasuredSample, Sample, StreamEvent
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.stuck import StuckDetector
@@ -43,8 +49,6 @@ from evpinn_ros.core.vehicle.physics import RegenForm
 
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
 BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # dropout after which power is only predicted
-SENSOR_STD = 30.0  # W, 1-sigma of measured power near zero: pack sensors of traction batteries
-SENSOR_SHARE = 0.01  # and of the reading; typical; no car reports it on its bus
 STALE_AFTER_NS = 300 * NANOSECONDS  # dropout after which parameters count as stale
 
 Output: TypeAlias = PowerEstimate | ParameterSet
@@ -272,8 +276,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         measured = None
         if isinstance(reading, BatteryReading) and taken and self._stuck.detected != BATTERY_STUCK:
             power = self._stream.measured_power(reading)
-            coarse = 0.0 if math.isnan(reading.power_std) else reading.power_std
-            sigma = math.hypot(SENSOR_STD, SENSOR_SHARE * power, coarse)
+            sigma = sensor_sigma(power, reading.power_std)
             measured = PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, power, sigma)
         tick = self._clock if isinstance(reading, SpeedReading) and self._ticks() else None
         return _Arrival(events, self._stuck, measured, tick)

@@ -28,6 +28,8 @@ MAX_CURRENT = 5000.0  # A
 MAX_WIND = 60.0  # m/s, a hurricane
 GRADE_LIMIT = 0.3  # rad; steeper than any public road, so a fault of the source
 TEMPERATURES = (-70.0, 70.0)  # degrees Celsius
+SENSOR_STD = 30.0  # W, 1-sigma of measured power near zero: pack sensors of traction batteries
+SENSOR_SHARE = 0.01  # and of the reading; typical; no car reports it on its bus
 
 Numbers = TypeVar("Numbers", float, np.ndarray)
 
@@ -39,6 +41,11 @@ def drawn_power(volts: Numbers, amperes: Numbers) -> Numbers:
     """
     drawn: Numbers = -volts * amperes
     return drawn
+
+
+def sensor_sigma(power: float, coarse: float) -> float:
+    """1-sigma of measured power, W; coarse: what its resolution adds, NaN where that is fine."""
+    return math.hypot(SENSOR_STD, SENSOR_SHARE * power, 0.0 if math.isnan(coarse) else coarse)
 
 
 @dataclass(frozen=True, slots=True)
