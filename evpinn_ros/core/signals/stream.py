@@ -7,9 +7,10 @@ moments up to the later one, so that no prediction rests on a battery reading of
 after, and not before `allowed_lateness` has passed since the later one, so that the samples are
 the same in whatever order battery readings come until then. Voltage and current may come apart.
 Beside the samples, which predict and follow power, stand the intervals that the car is learned
-from (`signals.interval`). What is late, doubled or impossible is
-dropped and counted by reason. Time that jumps is not this module's: whoever feeds a stream puts a
-`signals.time_jump.StampGuard` before it.
+from (`signals.interval`). What is late, doubled or impossible is dropped and counted by reason.
+Time that jumps is not this module's: whoever feeds a stream puts a `signals.time_jump.StampGuard`
+before it. Who knows which readings come next says so (`look_ahead`), and the arithmetic of all
+their samples is done together.
 """
 
 from __future__ import annotations

@@ -155,7 +155,7 @@ class StuckDetector:
             found = found.judged(stuck, swing)
             found = found._replace(doubted=doubt.judge(found.doubted, swing, found.seconds))
         battery = self.battery.beside(reading.stamp_ns, reading.speed)
-        return replace(self, speed=found, battery=battery)
+        return StuckDetector(found, battery, self.step, self.spoilt)
 
     def _after_battery(self, reading: BatteryReading) -> StuckDetector:
         values = reading.voltage, reading.current
@@ -163,7 +163,7 @@ class StuckDetector:
         idle = abs(reading.power) < IDLE_POWER
         found = found.judged(BATTERY_REPEATS, found.climb if idle else found.high - found.low)
         speed = self.speed.beside(reading.stamp_ns, reading.power)
-        return replace(self, speed=speed, battery=found)
+        return StuckDetector(speed, found, self.step, self.spoilt)
 
     def _spoil(self, reason: str, found: Repetition) -> StuckDetector:
         """Learn nothing of the time in which a value repeated so far."""
