@@ -198,9 +198,10 @@ def test_a_bag_through_three_processes_gives_the_numbers_of_the_cores(bench, urb
         stopped(first), stopped(second)
     # What came before the nodes had found each other is lost: compared is what they counted since.
     names = ("measured", "predicted", "rknn")
-    counted = [(stamp_ns(m), energies(m)) for m in heard[topics.ENERGY_STATE]]
-    complete = [(at, each) for at, each in counted if {*names} <= each.keys() and each["measured"]]
-    (begin_ns, begin), (end_ns, end) = complete[0], complete[-1]
+    counted = {stamp_ns(m): energies(m) for m in heard[topics.ENERGY_STATE]}
+    complete = [at for at, each in counted.items() if {*names} <= each.keys() and each["measured"]]
+    _, _, begin_ns, *_, end_ns = [at for at in complete if at in states]  # two begin the count
+    begin, end = counted[begin_ns], counted[end_ns]
     for name in names:
         expected = (getattr(states[at], name).energy for at in (end_ns, begin_ns))
         assert end[name] - begin[name] == pytest.approx(sub(*expected), rel=1e-9)
@@ -214,12 +215,17 @@ def energies(state):
 
 
 def play(bench, messages):
-    """Send each message once the estimator has answered the one before."""
+    """Send each message once the one before is answered by the estimator, and counted."""
     answers = {topics.SPEED: topics.POWER_PREDICTED, topics.BATTERY: topics.POWER_MEASURED}
 
     def answered(topic, message):
         heard = bench.heard[answers[topic]]
-        return heard and stamp_ns(heard[-1]) >= stamp_ns(message)
+        return heard and stamp_ns(heard[-1]) >= stamp_ns(message) and counted()
+
+    def counted():
+        """True if the meter, once it is there, has counted the newest power: queues end."""
+        states, powers = bench.heard[topics.ENERGY_STATE], bench.heard[topics.POWER_SMOOTHED]
+        return not states or stamp_ns(states[-1]) >= stamp_ns(powers[-1])
 
     def has_speed():
         return "waiting" not in said(bench, "estimator").get("estimate", ("", "waiting"))[1]
