@@ -27,11 +27,14 @@ CAPACITY_LIMITS = (1e6, 5e9)  # J
 OUTLIER = 3.0  # sigma
 
 
+MOST = 1e15  # of what is saved, in any unit
+
+
 class Uncertain(NamedTuple):
     """A value and its 1-sigma; NaN where unknown."""
 
-    value: float
-    sigma: float
+    value: Annotated[float, Range(-MOST, MOST, unknown=True)]
+    sigma: Annotated[float, Range(0.0, MOST, unknown=True)]
 
     @property
     def known(self) -> bool:

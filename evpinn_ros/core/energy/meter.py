@@ -17,7 +17,7 @@ from typing import NamedTuple
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.saved_fields import Saveable
 from evpinn_ros.core.energy.dropout import Bridge, Dropout, Dropouts
-from evpinn_ros.core.energy.plausible import ROUNDING, Seconds, UnknownJoules
+from evpinn_ros.core.energy.plausible import ROUNDING, Joules, Seconds, Sigma
 from evpinn_ros.core.energy.power_interpolation import (
     LONGEST,
     MeasuredStep,
@@ -88,12 +88,12 @@ class SavedMeter:
 
     measured: SavedIntegral = field(default_factory=SavedIntegral)
     predicted: SavedIntegral = field(default_factory=SavedIntegral)
-    rknn: float = 0.0
-    measured_sigma: UnknownJoules = 0.0
-    predicted_sigma: UnknownJoules = 0.0
+    rknn: Joules = 0.0
+    measured_sigma: Sigma = 0.0
+    predicted_sigma: Sigma = 0.0
     bridged: Bridge = field(default_factory=Bridge)
-    bridged_sigma: UnknownJoules = 0.0
-    lasting_sigma: UnknownJoules = 0.0
+    bridged_sigma: Sigma = 0.0
+    lasting_sigma: Sigma = 0.0
     unmeasured_s: Seconds = 0.0
 
     def __post_init__(self) -> None:

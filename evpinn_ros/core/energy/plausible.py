@@ -24,7 +24,7 @@ MOST_ENERGY = 1e14  # J
 MOST_SECONDS = 1e15  # s; a stamp that leaps may claim decades of dropout, so hardly a bound
 # Of a file, in these units.
 Joules: TypeAlias = Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY)]
-UnknownJoules: TypeAlias = Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY, unknown=True)]
+Sigma: TypeAlias = Annotated[float, Range(0.0, MOST_ENERGY, unknown=True)]
 Metres: TypeAlias = Annotated[float, Range(0.0, MOST_DISTANCE)]
 Seconds: TypeAlias = Annotated[float, Range(-MOST_SECONDS, MOST_SECONDS)]
 ROUNDING = 1.0 + 1e-6  # of sums

@@ -1,17 +1,19 @@
-"""Every number of a saved state has a declared range, and nothing else gets in."""
+"""Every number of a saved state has a declared range and outlives a file; nothing else gets in."""
 
 from copy import deepcopy
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import is_dataclass
 from functools import cache
 import math
-from types import NoneType
-from typing import Annotated, get_args, get_origin, get_type_hints
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from evpinn_ros.common.saved_fields import Range, declared
+from evpinn_ros.core.energy.account import EnergyAccount, SavedAccount
+from evpinn_ros.core.energy.meter import EnergyMeter
+from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
 from evpinn_ros.core.estimation.pinn import SavedPinn
 from evpinn_ros.core.estimation.worker import InlineWorker
@@ -20,10 +22,12 @@ from evpinn_ros.extras.paper.learner import SavedPaper
 
 pytestmark = pytest.mark.torch
 
+ACCOUNT = "account"
 WRONG = (1e300, -1e300, 10**400, math.nan, math.inf, "1", None, [], {}, [[1.0], [2.0, 3.0]], True)
-CHANGE = {"stamp_ns": 1_700_000_000 * NANOSECONDS, "delta_mass": 150.0, "std": 30.0}
+STAMP = 1_700_000_000 * NANOSECONDS
+CHANGE = {"stamp_ns": STAMP, "delta_mass": 150.0, "std": 30.0}
 FOUND = {
-    "stamp_ns": 1_700_000_000 * NANOSECONDS,
+    "stamp_ns": STAMP,
     "before": 7.7,
     "odds": 18.0,
     "mass": 2000.0,
@@ -32,72 +36,79 @@ FOUND = {
     "significance": 6.0,
     "rival": False,
 }
+ROUTE = {
+    "distance": [0.0, 1e4],
+    "energy": [0.0, 6e6],
+    "sigma": [0.0, 1e5],
+    "begin": 0.0,
+    "begin_ns": STAMP,
+    "longest_ns": 1200 * NANOSECONDS,
+}
 
 
-def leaves(declared, prefix=()):
-    """Every place that is declared: its path, what is declared there, if it may be None, missing.
-
-    A NamedTuple is one place: its numbers have one range.
-    """
-    hints = get_type_hints(declared, include_extras=True)
-    for field in fields(declared):
-        kinds = get_args(hints[field.name])
-        maybe = NoneType in kinds
-        kind = kinds[0] if maybe else hints[field.name]
-        optional = field.default is not MISSING or field.default_factory is not MISSING
-        path = (*prefix, field.name)
-        if is_dataclass(kind):
-            yield from leaves(kind, path)
-        elif hasattr(kind, "_fields"):
-            first = get_type_hints(kind, include_extras=True)[kind._fields[0]]
-            yield path, first, maybe, optional
+def leaves(kind, prefix=()):
+    """Every place that is declared, with its declaration; of a NamedTuple each item."""
+    for name, field in declared(kind).items():
+        path = (*prefix, name)
+        if is_dataclass(field.kind):
+            yield from leaves(field.kind, path)
+        elif hasattr(field.kind, "_fields"):
+            for index, item in enumerate(declared(field.kind).values()):
+                yield (*path, index), item._replace(lackable=True)
         else:
-            yield path, kind, maybe, optional
-
-
-def range_of(declared):
-    """Range of a number, and whether it is whole; None of what is none."""
-    if get_origin(declared) is not Annotated:
-        return None
-    kind, bounds = get_args(declared)
-    return bounds.least, bounds.most, kind is int
+            yield path, field
 
 
 PLACES = [
-    (mode, ("learner", *path), inner, *may)
-    for mode, declared in ((Mode.HYBRID, SavedPinn), (Mode.PAPER, SavedPaper))
-    for path, inner, *may in leaves(declared)
+    (mode, (*prefix, *path), field)
+    for mode, kind, prefix in (
+        (Mode.HYBRID, SavedPinn, ("learner",)),
+        (Mode.PAPER, SavedPaper, ("learner",)),
+        (ACCOUNT, SavedAccount, ()),
+    )
+    for path, field in leaves(kind)
     # Of the posterior and its sums `test_pinn` has the refusals: what fits is a matter of shapes.
     if path[0] not in ("car", "unevenness", "driven")
 ]
+every_place = pytest.mark.parametrize("place", PLACES, ids=lambda p: ".".join(map(str, p[1])))
 
 
 @pytest.fixture(scope="module")
 def new(vehicle):
-    return lambda mode: OnlineEstimator(
-        vehicle, EstimatorSettings(mode=mode), InlineWorker(lambda: 0.0)
-    )
+    def of(mode):
+        if mode == ACCOUNT:
+            return EnergyAccount(EnergyMeter(load_rknn()), vehicle.key, vehicle.battery_capacity)
+        return OnlineEstimator(vehicle, EstimatorSettings(mode=mode), InlineWorker(lambda: 0.0))
+
+    return of
 
 
 @pytest.fixture(scope="module")
 def states(new):
-    """A full state of each mode: also with what is there only at times."""
-    found = {mode: deepcopy(new(mode).export()) for mode in Mode}
-    found[Mode.HYBRID]["learner"]["payload"].update(change=CHANGE, found=FOUND)
-    found[Mode.HYBRID]["learner"]["seen_ns"] = 1_700_000_000 * NANOSECONDS
-    found[Mode.HYBRID]["learner"]["car"]["celsius"] = 21.0
-    return found
+    """A full state of each: also with what is there only at times."""
+    full = {mode: deepcopy(new(mode).export()) for mode in (*Mode, ACCOUNT)}
+    full[Mode.HYBRID]["learner"]["payload"].update(change=CHANGE, found=FOUND)
+    full[Mode.HYBRID]["learner"]["seen_ns"] = STAMP
+    account = full[ACCOUNT]
+    for gauge, capacity in ((account["charge"], 2e8), (account["battery"]["full_charge"], 5e5)):
+        gauge.update(capacity=[capacity, capacity / 100], learned=3, step=0.01)
+    account["battery"].update(samples=99, state=[350.0, 50.0, 0.1])
+    account["battery"].update(covariance=np.eye(3).ravel().tolist())
+    for integral in (account["meter"]["measured"], account["meter"]["predicted"]):
+        integral.update(drawn=1e6, covered_s=1e3)
+    account.update(route=ROUTE)
+    return full
 
 
 @pytest.fixture(scope="module")
 def restored(new, states):
-    """An estimator of a mode with the full state, of which nothing but refusals is asked."""
+    """An owner with the full state, of which nothing but refusals is asked."""
 
     @cache
-    def of(mode: Mode) -> OnlineEstimator:
-        estimator = new(mode)
-        estimator.restore(states[mode])
-        return estimator
+    def of(mode):
+        owner = new(mode)
+        owner.restore(states[mode])
+        return owner
 
     return of
 
@@ -106,7 +117,15 @@ def spoilt(state, path, value):
     if not path:
         return value(state) if callable(value) else value
     first, *rest = path
+    if isinstance(state, list):
+        return [spoilt(item, rest, value) if i == first else item for i, item in enumerate(state)]
     return {**state, first: spoilt(state[first], rest, value)}
+
+
+def content_of(state, path):
+    for name in path:
+        state = state[name]
+    return state
 
 
 def one_of(value):
@@ -122,67 +141,74 @@ def one_of(value):
     return change
 
 
-@pytest.mark.parametrize("place", PLACES, ids=lambda p: ".".join(p[1]))
+def wrongs_of(field):
+    """Values that are not what is declared."""
+    if field.range is None and field.kind not in (bool, int, str):  # a tuple
+        return [value for value in WRONG if not isinstance(value, list)]
+    nothing = field.optional or (field.range is not None and field.range.unknown)
+    allowed = {bool: True, str: "1"}.get(field.kind)
+    return [
+        value
+        for value in WRONG
+        if not (value is None and nothing) and (value is not allowed or allowed is None)
+    ]
+
+
+def test_every_number_has_a_range():
+    assert not [path for _, path, field in PLACES if field.kind is float and field.range is None]
+
+
+@every_place
 def test_no_place_takes_what_is_not_declared(restored, states, place):
-    mode, path, declared, maybe, optional = place
-    estimator = restored(mode)
-    before = repr(estimator.export())
-    wrongs = [value for value in WRONG if not (value is None and maybe)]
-    if bool in (declared, *get_args(declared)):
-        wrongs.remove(True)
-    if path[1:] == ("current_suspicion", "sums"):
-        wrongs = [wrong for wrong in wrongs if wrong not in ([], {})]  # all at its default
-    if path[-1] == "regen_form":
-        wrongs = [value for value in WRONG if not isinstance(value, str)]
-    for value in wrongs:
+    mode, path, field = place
+    owner, name = restored(mode), [key for key in path if isinstance(key, str)][-1]
+    before = repr(owner.export())
+    for value in wrongs_of(field):
         for change in (value, one_of(value)):
-            if value is True and range_of(declared) and change is not True:
+            if value is True and field.range and change is not True:
                 continue  # numpy makes it one among numbers
-            with pytest.raises(ValueError, match=path[-1]):
-                estimator.restore(spoilt(states[mode], path, change))
-    if not optional:
-        other = spoilt(states[mode], path[:-1], lambda old: without(old, path[-1]))
-        with pytest.raises(ValueError, match=path[-1]):
-            estimator.restore(other)
-    assert repr(estimator.export()) == before
+            if isinstance(content_of(states[mode], path), list) and field.range is None:
+                change = value
+            with pytest.raises(ValueError, match=name):
+                owner.restore(spoilt(states[mode], path, change))
+    if not field.lackable:
+        lacking = dict(content_of(states[mode], path[:-1]))
+        del lacking[name]
+        with pytest.raises(ValueError, match=name):
+            owner.restore(spoilt(states[mode], path[:-1], lacking))
+    assert repr(owner.export()) == before
 
 
-def without(section, name):
-    return {key: value for key, value in section.items() if key != name}
-
-
-@pytest.mark.parametrize("place", PLACES, ids=lambda p: ".".join(p[1]))
+@every_place
 @settings(max_examples=10, deadline=None, suppress_health_check=[*HealthCheck])
 @given(data=st.data())
 def test_whatever_is_saved_in_a_place_is_saved_again(new, states, place, data):
     """A field that an owner does not take, or does not save, fails it."""
-    mode, path, declared, *_ = place
-    if not range_of(declared) or path[-1] in ("way", "climb"):  # of a drive, which a restart ends
+    mode, path, field = place
+    if field.range is None or path[-1] in ("way", "climb"):  # of a drive, which a restart ends
         return
-    least, most, whole = range_of(declared)
-    number = data.draw(st.integers(least, most) if whole else st.floats(least, most))
-    state, estimator = spoilt(states[mode], path, one_of(number)), new(mode)
+    least, most = field.range[:2]
+    most = data.draw(st.sampled_from((most, min(most, least + 1e3))))
+    numbers = st.integers(least, most) if field.kind is int else st.floats(least, most)
+    state, owner = spoilt(states[mode], path, one_of(data.draw(numbers))), new(mode)
     try:
-        estimator.restore(state)
+        owner.restore(state)
     except ValueError:
         return
-    saved, sent = estimator.export(), state
-    for name in path:
-        saved, sent = saved[name], sent[name]
-    assert np.ravel(saved) == pytest.approx(np.ravel(sent), rel=1e-6)  # mode paper has float32
+    saved, sent = (np.ravel(content_of(each, path)) for each in (owner.export(), state))
+    assert saved == pytest.approx(sent, rel=1e-6)  # mode paper has float32
 
 
 @pytest.mark.parametrize(
     "place",
-    [each for each in PLACES if range_of(each[2]) and each[0] is Mode.HYBRID],
-    ids=lambda p: ".".join(p[1]),
+    [each for each in PLACES if each[2].range and each[0] is Mode.HYBRID],
+    ids=lambda p: ".".join(map(str, p[1])),
 )
 def test_the_ends_of_a_range_are_refused_or_good_for_finite_predictions(new, states, place, drive):
-    mode, path, declared, *_ = place
-    least, most, whole = range_of(declared)
+    mode, path, field = place
+    bounds: Range = field.range
     readings = drive(1, 240.0).readings[1200:1240]
-    for end in (least, most):
-        number = int(end) if whole else end
+    for number in map(field.kind if field.kind is int else float, bounds[:2]):
         for change in (lambda old, n=number: filled(old, n), one_of(number)):
             estimator = new(mode)
             try:
