@@ -125,7 +125,7 @@ def test_a_state_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path, cont
     path = tmp_path / "car.json"
     if content is None:  # the right car, and nonsense in it
         state = bench.start(EstimatorNode).estimator.export()
-        content = json.dumps({**state, "learner": {**state["learner"], "network": "x"}})
+        content = json.dumps({**state, "learner": {**state["learner"], "trim": "x"}})
     path.write_text(content)
     node = bench.start(EstimatorNode, state_file=str(path))
     prior = node.estimator.export()
