@@ -112,10 +112,16 @@ def conditions(bench, node):
     assert [*mixed.assumed.temperature, *mixed.assumed.payload] == [15.0, 200.0]
     assert [*plain.assumed.payload, *plain.assumed.head_wind] == [0.0, 0.0]
     assert not plain.assumed.temperature and not plain.assumed.heating  # nobody knows them
-    before = len(bench.heard[TYPED_FORECAST])
-    bench.send(topics.SPEED_PROFILE, speed_profile(0, 60))
+    before, message = len(bench.heard[TYPED_FORECAST]), speed_profile(0, 60)
+    bench.send(topics.SPEED_PROFILE, message)
     bench.pump(lambda: len(bench.heard[TYPED_FORECAST]) > before)
     over_topic = bench.heard[TYPED_FORECAST][-1]
+    columns = zip(*((*p.positions, p.velocities[0]) for p in message.points), strict=True)
+    same = dict(zip(("distance", "elevation", "speed"), map(list, columns), strict=True))
+    asked = Plan(name="the same", time=[float(second) for second in range(60)], **same)
+    (by_service,) = bench.call(EstimatePlan, name, plans=[asked]).results
+    assert math.isclose(by_service.energy, over_topic.energy[-1], rel_tol=1e-9)
+    assert math.isclose(by_service.energy_sigma, over_topic.sigma[-1], rel_tol=1e-9)
     assert over_topic.assumed == vector.assumed and over_topic.conditions == vector.conditions
     refusal = ask(temperature=300.0).results[0].refusal
     assert "temperature is 300" in refusal and len(ask(heating=-1.0).results[0].refusal) > 0
