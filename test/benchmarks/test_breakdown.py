@@ -70,15 +70,6 @@ def test_what_a_motor_shows_of_braking_is_not_what_the_brakes_took():
     assert max(away["brakes"], away["climate+standing"]) < 3.0
 
 
-def test_a_summary_counts_what_is_covered():
-    one = PartCheck("car", "urban", 1, "air", 1.0, 0.1, 1.1, 2.0)
-    far = PartCheck("car", "urban", 2, "air", 1.0, 0.1, 1.3, 2.0)
-    (row,) = part_summaries([one, far])
-    assert row.coverage_percent == pytest.approx(50.0)
-    assert row.bias_percent == pytest.approx(-10.0)
-    assert row.deviation == pytest.approx(np.sqrt((1.0 + 9.0) / 2))
-
-
 def test_differences_of_two_drives_lie_within_their_sigmas():
     """Eight parts differ in each of two cars; braking and slopes stray most."""
     found = list(difference_checks(VEHICLES, range(8100, 8102), seconds=240.0, altitude=True))

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.breakdown import part_powers, true_parts
+from benchmarks.breakdown import part_powers
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.replays.simulation.car import STEP
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import SimulatedDrive, simulate
 
@@ -20,18 +19,3 @@ def test_the_parts_are_the_power_at_every_moment(drive):
     powers = part_powers(drive.car, drive.trace)
     whole = sum(power for name, power in powers.items() if name != "regained")
     assert np.abs(whole - drive.trace.power).max() < 1e-6 * np.abs(drive.trace.power).max()
-
-
-def test_a_span_is_counted_for_as_long_as_it_is(drive):
-    whole = true_parts(drive.car, drive.trace, [(0.0, drive.duration_s)])
-    halves = true_parts(drive.car, drive.trace, [(0.0, 20.005), (20.005, drive.duration_s)])
-    assert halves == pytest.approx(whole)
-    standing = float(np.sum(drive.trace.auxiliary)) * STEP
-    assert whole["standing"] == pytest.approx(standing)
-
-
-def test_braking_gives_back_what_it_does_not_lose(drive):
-    powers, wheel = part_powers(drive.car, drive.trace), drive.trace.wheel_power
-    braking = wheel <= 0.0
-    back = (powers["regained"] + powers["brakes"])[braking]
-    assert back == pytest.approx(-wheel[braking])

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.plans import METHODS, RESOLUTIONS, forecasts, intervals_of, plan_of, weather_of
+from benchmarks.plans import intervals_of, plan_of, weather_of
 from benchmarks.unseen.drives import load_car
 from evpinn_ros.core.energy.forecast import forecast_plan
-from evpinn_ros.core.energy.plan import Legs
 from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.car_model import CarModel
@@ -96,22 +95,3 @@ def test_so_it_is_on_given_cars(key):
     if not (DATA / path).exists():
         pytest.skip(f"{DATA / path} is not there")
     check_forecast_is_the_replay(*learned_half(DATA / path, vehicle))
-
-
-def test_plans_of_all_resolutions_are_of_one_way():
-    path, vehicle = SIMULATED
-    model, done = learned_half(ROOT / path, vehicle)
-    length = sum(abs(each.distance) for each in done)
-    seconds = sum(each.duration for each in done)
-    for resolution in RESOLUTIONS:
-        plan = plan_of(done, resolution)
-        if isinstance(plan, Legs):
-            assert plan.length.sum() == pytest.approx(length)
-            assert plan.duration.sum() == pytest.approx(seconds)
-        else:
-            assert np.ptp(plan.distance) == pytest.approx(length)
-            assert np.ptp(plan.time) == pytest.approx(seconds)
-    rows = list(forecasts(model, done, [(4e6, 8e3, 600.0)]))
-    assert {row.resolution for row in rows} == {*RESOLUTIONS}
-    assert {row.method for row in rows} <= {*METHODS}
-    assert {row.forecast for row in rows if row.method == "per km"} == {0.5e3 * length}

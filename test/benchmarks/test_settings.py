@@ -20,7 +20,7 @@ from benchmarks.cli.settings import (
     final_variants,
     others,
 )
-from benchmarks.variants import ConstantPlace, RecordedCar, Variant, VariantRow, read_car, score
+from benchmarks.variants import ConstantPlace, VariantRow
 from evpinn_ros.cli.main import app
 
 pytestmark = pytest.mark.nightly
@@ -31,25 +31,6 @@ SHORT = 17  # intervals of a drive
 ONE = (0,)  # seed
 NAMES = [variant.name for variant in alternatives()]
 likelihoods = st.fixed_dictionaries({name: st.floats(-9.0, 9.0) for name in NAMES})
-
-
-@pytest.fixture(scope="module")
-def car() -> RecordedCar:
-    """Three drives of some minutes in the cold, an outlier, and loads reported for a while."""
-    whole = read_car("", URBAN)
-    (drive,) = whole.drives
-    drive[SHORT // 2] = replace(drive[SHORT // 2], energy=1e6)
-    for index, interval in enumerate(drive):
-        known = index < SHORT // 4
-        here = interval.conditions._replace(celsius=0.0, load=300.0 * known, load_known=known)
-        drive[index] = replace(interval, conditions=here)
-    return whole._replace(drives=[drive[:SHORT], drive[SHORT:], drive[:SHORT]])
-
-
-@pytest.fixture(scope="module")
-def product(car) -> VariantRow:
-    """Scores of the constants as they are."""
-    return score(Variant(PRODUCT), car, ONE)
 
 
 def scores_of(cars: Mapping[str, Mapping[str, float]]) -> Scores:
@@ -74,29 +55,6 @@ def test_the_likelihood_of_a_car_never_enters_the_choice_for_it(own, own_too, on
 def test_a_car_under_another_name_does_not_choose_for_it():
     assert others("i3", ["i3", "i3_speed", "e208"]) == ["e208"]
     assert others("sumo_e208", ["e208", "sumo_id3", "simulated"]) == ["e208", "simulated"]
-
-
-def test_others_choose_what_is_likeliest_for_all_of_them():
-    worst = dict.fromkeys(NAMES, 0.0)
-    scores = scores_of(
-        {
-            "e208": worst | {"OUTLIER 4": 1.0, "TURNING.mean 300": 0.1},
-            "leaf2013": worst | {"OUTLIER 4": -2.0, "TURNING.mean 300": 0.1},
-            "i3": worst | {"OUTLIER 4": 2.0},
-            "i3_speed": worst | {"OUTLIER 4": -1.0},  # with the i3 it has one vote, +0.5
-        }
-    )
-    (place,) = choose(scores, list(scores))  # all else ties: the product's
-    assert place.name == "TURNING.mean"
-
-
-@pytest.mark.parametrize("variant", alternatives()[1:], ids=NAMES[1:])
-def test_each_alternative_works_and_is_undone(car, product, variant):
-    (place,) = variant.changes
-    before = place.present
-    row = score(variant, car, ONE)
-    assert place.present == before
-    assert row.likelihood != product.likelihood
 
 
 def test_the_command_scores_each_car_with_what_the_other_chose(tmp_path, monkeypatch):

@@ -1,11 +1,9 @@
 """Simulated cars against their truth: the sums and the intervals."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from benchmarks.truth import TruthCheck, compare, summaries
+from benchmarks.truth import TruthCheck, compare
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.replays.simulation.drive import DriveKind
@@ -13,18 +11,6 @@ from evpinn_ros.replays.simulation.drive import DriveKind
 pytestmark = pytest.mark.nightly
 
 ONE = TruthCheck("bmw_i3", 1, 60, "mass", 1100.0, 60.0, 0.5, 1000.0)
-
-
-def test_a_comparison_by_hand():
-    assert ONE.error_percent == pytest.approx(10.0)
-    assert ONE.covered and not dataclasses.replace(ONE, std=40.0).covered
-    assert not dataclasses.replace(ONE, name="mu", truth=-0.1).covered
-    zero = dataclasses.replace(ONE, name="p_aux", value=0.0, truth=100.0)
-    assert zero.covered
-    (summary,) = summaries([ONE, dataclasses.replace(ONE, value=980.0)])
-    assert summary.bias_percent == pytest.approx(4.0)
-    assert summary.median_percent == pytest.approx(6.0)
-    assert (summary.drives, summary.coverage_percent) == (2, 100.0)
 
 
 def test_intervals_of_cars_drawn_from_the_priors_are_true():

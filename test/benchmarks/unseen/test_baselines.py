@@ -22,20 +22,6 @@ def test_what_was_learned_predicts_the_next_drive(scores, name):
     assert scores[name]["carried"]["gross_mean_percent"] < min(4.0, prior / 2)
 
 
-def test_the_prior_learns_nothing(scores):
-    drives = scores["prior"]["drives"]
-    assert all(abs(each["error_j"]) > 0.01 * each["gross_j"] for each in drives)
-    assert scores["prior"]["combinations"] == {}
-
-
-def test_energy_per_kilometre_is_that_of_the_drives_before(car, scores):
-    first, second = car.drives
-    measured = first.power.over(first.spans[0])
-    expected = measured / first.distance * second.distance
-    drive = scores["per_km"]["drives"][1]
-    assert drive["error_j"] + drive["net_j"] == pytest.approx(expected, rel=0.01)
-
-
 @pytest.mark.parametrize(
     ("seconds", "period", "polled"),
     [(900.0, 0.1, False), (1800.0, 1.2, True), (1800.0, 4.0, False)],
@@ -50,14 +36,3 @@ def test_weak_form_finds_the_car_at_any_sampling(vehicle, make_drive, seconds, p
     assert 0 < sigma < 0.05 * mass
     assert found.combinations["regeneration"][0] == pytest.approx(0.72, rel=0.1)
     assert summary(found)["carried"]["gross_mean_percent"] < 2.0
-
-
-def test_the_interval_of_the_weak_form_grows_while_the_battery_is_out(vehicle, make_drive):
-    method, drive = WeakFormLeastSquares(vehicle), make_drive(400.0)
-    sigmas = []
-    for reading in drive.readings:
-        battery = hasattr(reading, "voltage")
-        if battery and drive.seconds(reading.stamp_ns) > 200.0:
-            continue
-        sigmas += [each.energy_sigma for each in method.add_reading(reading)]
-    assert max(sigmas[1000:1900]) < sigmas[2500] < sigmas[-1]

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.unseen.drives import UnseenCar, UnseenDrive
+from benchmarks.unseen.drives import UnseenDrive
 from benchmarks.unseen.lines import DrivePart
 from benchmarks.unseen.method import OnlineChain, Prediction
 from benchmarks.unseen.protocols import cuts, predicted, run_car
@@ -116,24 +116,6 @@ def test_coverage_counts_errors_within_the_90_percent_interval(car, true_power, 
     assert score_part(drive, predicted(oracle, drive, 0, span, []), span).inside_90 == inside
 
 
-def test_a_method_that_says_nothing_has_no_score(car, true_power):
-    class Silent(Oracle):
-        def add_reading(self, reading):
-            return ()
-
-    found = summary(run_car(car, lambda vehicle: Silent(true_power)))
-    assert found["carried"] is None
-    assert found["withheld"] is None
-
-
-def test_cuts_are_those_of_the_findings(make_drive):
-    """Model 3: 757 s are cut every 50 s from 250 s on, the last time at 557 s."""
-    found = [cut.begin for cut in cuts(make_drive(757.3), 50.0)]
-    assert found == [250, 300, 350, 400, 450, 500, 557]
-    assert [cut.length for cut in cuts(make_drive(300.0), 50.0)] == [pytest.approx(150.0, abs=0.1)]
-    assert {cut.length for cut in cuts(make_drive(1000.0), 50.0)} == {200.0, 600.0}
-
-
 def test_gaps_of_the_battery_are_not_scored(make_drive, true_power):
     whole = make_drive(300.0)
     lost = tuple(
@@ -146,11 +128,3 @@ def test_gaps_of_the_battery_are_not_scored(make_drive, true_power):
     found = score_part(drive, track, DrivePart(0.0, drive.duration))
     assert found.error == pytest.approx(50.0 * (drive.duration - 100.0), rel=1e-3)
     assert math.isclose(found.covered, 1.0)
-
-
-def test_drives_of_a_polled_car_have_their_energy(make_drive, vehicle):
-    """Voltage and current each every 1.2 s at other moments tell the energy of 10 Hz."""
-    often, seldom = make_drive(600.0), make_drive(600.0, period=1.2, polled=True)
-    span = DrivePart(5.0, 590.0)
-    assert seldom.power.over(span) == pytest.approx(often.power.over(span), rel=2e-3)
-    assert UnseenCar("polled", vehicle, (seldom,)).hours == pytest.approx(1 / 6, rel=0.01)

@@ -10,7 +10,6 @@ from benchmarks.unseen import run
 from benchmarks.unseen.drives import load_car
 from benchmarks.unseen.fastsim_cars import FastsimDrive, fastsim_readings, fastsim_truth
 from benchmarks.unseen.sumo_cars import simulate_sumo, sumo_is_there, sumo_truth
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import BatteryReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.physics import GRAVITY
@@ -60,36 +59,12 @@ def test_anybodys_method_is_scored(folder):
     assert found["withheld"]["rmse_w"] == pytest.approx(1e4, rel=1e-6)
 
 
-def test_a_method_may_give_plain_tuples_and_nothing_at_all(folder):
-    plain = MINE.replace(
-        "yield Prediction(reading.stamp_ns, 1e4)", "return [(reading.stamp_ns, 1e4)]"
-    )
-    (folder / "mine.py").write_text(plain)
-    task = run.Task(f"{folder / 'drive.csv'}=generic", f"{folder / 'drive.csv'}=generic", "")
-    found = run.run_task(task._replace(method=f"{folder / 'mine.py'}:Flat")).scores
-    assert found["carried"]["gross_mean_percent"] == pytest.approx(50.0, abs=0.1)
-
-
 def test_the_example_of_a_method_beats_the_prior():
     bags = f"{ROOT / 'bags'}=tesla_model_3_lr"
     names = "prior", f"{EXAMPLE}:LeastSquares"
     prior, mine = (run.run_task(run.Task(bags, bags, name)).scores for name in names)
     for part in ("carried", "withheld"):
         assert mine[part]["gross_mean_percent"] < prior[part]["gross_mean_percent"] / 2
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("nobody", "no method 'nobody', .+known are prior, "),
-        ("nobody.py:Flat", r"^nobody\.py: no such file$"),
-        ("priar", "did you mean prior"),
-        (f"{EXAMPLE}:LeastSquare", "holds no 'LeastSquare'; did you mean LeastSquares"),
-    ],
-)
-def test_a_method_that_is_not_there_is_refused(name, reason):
-    with pytest.raises(InputError, match=reason):
-        run.find_method(name)
 
 
 @pytest.mark.skipif(not sumo_is_there(), reason="eclipse-sumo and libsumo are optional")
