@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.energy.account import EnergyAccount
-from evpinn_ros.core.energy.battery_model import LEAST_SAMPLES, BatteryModel
+from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.core.energy.forecast import Forecast
 from evpinn_ros.core.energy.meter import EnergyMeter
@@ -83,16 +83,6 @@ def test_a_percent_takes_less_energy_of_an_empty_battery_than_of_a_full_one(lear
     assert empty > 1.08 * full
 
 
-def test_it_says_nothing_before_it_knows_enough():
-    model = BatteryModel(CAPACITY)
-    assert math.isnan(model.after(plan(1e4, 600.0), Uncertain(0.5, 0.0), UNKNOWN).voltage)
-    drive(model.add_reading, LEAST_SAMPLES - 2)
-    assert not model.known
-    drive(model.add_reading, 10, begin=LEAST_SAMPLES)
-    assert model.known
-    assert not model.after(plan(1e4, 600.0), UNKNOWN, UNKNOWN).charge.known
-
-
 @pytest.mark.slow
 def test_without_a_capacity_in_the_vehicle_file_it_waits_for_one():
     model = BatteryModel(math.nan)
@@ -136,11 +126,3 @@ def test_saved_and_restored_it_forecasts_the_same():
     # What the straight line lacks just now is forgotten over night.
     assert ends[1].charge.value == pytest.approx(ends[0].charge.value, abs=1e-4)
     assert ends[1].voltage == pytest.approx(ends[0].voltage, abs=2.0)
-
-
-def test_a_file_without_a_battery_is_of_before_and_is_read():
-    account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
-    saved = {key: value for key, value in account.export().items() if key != "battery"}
-    drive(account.add_reading, 100)
-    account.restore(saved)
-    assert account.battery.samples == 0

@@ -85,31 +85,7 @@ def test_a_reading_is_valid_for_a_minute_then_projected():
     assert gauge.charge(stamp + 600 * SECOND, Uncertain(9e9, 1e4)).value == 0.0
 
 
-def test_unknown_stays_unknown():
-    gauge = ChargeGauge(math.nan)
-    assert not gauge.charge(0, Uncertain(0.0, 0.0)).known
-    for wrong in (math.nan, -0.1, 1.2):
-        gauge.update(0, wrong, Uncertain(0.0, 0.0), 0.0)
-    assert not gauge.charge(0, Uncertain(0.0, 0.0)).known
-    gauge.update(0, 0.5, Uncertain(0.0, 0.0), 0.0)
-    assert gauge.charge(SECOND, Uncertain(0.0, 0.0)).value == 0.5
-    assert not gauge.charge(61 * SECOND, Uncertain(1e5, 0.0)).known  # no capacity to project by
-    assert not gauge.usable(Uncertain(0.5, 0.01)).known
-    assert not gauge.energy_between(0.5, 0.4).known
-
-
 def test_energy_left_is_as_unsure_as_charge_and_capacity():
     usable = ChargeGauge(CAPACITY).usable(Uncertain(0.5, 0.01))
     assert usable.value == 0.5 * CAPACITY
     assert usable.sigma == pytest.approx(math.hypot(0.5 * CAPACITY_PRIOR, 0.01) * CAPACITY)
-
-
-def test_saved_and_restored_capacity_is_kept_and_the_reading_is_not():
-    gauge = ChargeGauge(CAPACITY)
-    discharge(gauge, 0.9, 0.5, capacity=60e6)
-    copy = ChargeGauge(CAPACITY)
-    copy.restore(gauge.export())
-    assert copy.capacity == gauge.capacity and copy.rounding == gauge.rounding
-    assert not copy.charge(0, Uncertain(0.0, 0.0)).known  # who knows what was charged meanwhile
-    copy.restore(ChargeGauge(math.nan).export())
-    assert copy.capacity.value == CAPACITY

@@ -171,16 +171,6 @@ def test_parts_of_sigma_add_as_variances():
     assert parts[IDENTIFIABLE_NAMES.index("p_aux")][-1] == pytest.approx(100.0 * 300)
 
 
-def test_cold_air_costs_more():
-    plan = cruise(30.0, 100.0)
-    assert forecast(plan, density=1.35).energy[-1] > energy(plan)
-
-
-def test_contradicting_speeds_stay_finite():
-    plan = Plan(*np.array([[0.0, 10.0], [0.0, 1.0], [30.0, 30.0], [0.0, 0.0]]))
-    assert math.isfinite(energy(plan))
-
-
 @FEW
 @given(st.floats(2, 40), st.floats(1.1, 4))
 def test_the_same_way_more_slowly(speed, slower):

@@ -3,7 +3,6 @@ import math
 
 import pytest
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.core.energy.quadrature import EnergyIntegral
 from evpinn_ros.core.energy.rknn import load_rknn
@@ -43,13 +42,6 @@ def drive(
         if tick / 10 <= blind.start or tick / 10 > blind.stop:
             to.add_predicted(stamp, predicted, sigma)
     return to
-
-
-def test_before_anything_is_counted():
-    state = meter().state
-    assert (state.stamp_ns, state.measuring, state.unmeasured_s) == (0, False, 0.0)
-    assert state.measured.energy == state.predicted.energy == state.rknn.energy == 0.0
-    assert math.isnan(state.predicted.power)
 
 
 def test_both_integrals_by_hand():
@@ -162,12 +154,6 @@ def test_what_cannot_be_used_is_counted():
     assert state.consumed == before.consumed
 
 
-def test_a_battery_that_says_nan_is_silent():
-    state = drive(meter(), range(10), measured=math.nan).state
-    assert not state.measuring
-    assert state.consumed == pytest.approx(110e3, rel=1e-4)
-
-
 def test_reset_allows_time_to_start_over():
     again = drive(meter(), range(20))
     again.reset()
@@ -244,14 +230,6 @@ def test_a_battery_as_frequent_as_the_prediction_is_counted_as_it_is():
     assert state.consumed_sigma == state.measured.sigma
 
 
-def test_a_straight_line_stands_until_the_prediction_has_passed_it():
-    early = meter()
-    slow_battery(early, range(11), every=10)
-    assert early.state.consumed == early.state.measured.energy
-    early.add_predicted(START + 10 * 100_000_000, 1.06 * town(10), 500.0)
-    assert early.state.consumed != early.state.measured.energy
-
-
 @pytest.mark.parametrize("integrator", Integrator)
 def test_a_silence_is_bridged_by_the_integrator_chosen(integrator):
     state = drive(meter(integrator=integrator), range(60), silent=range(-1, 60)).state
@@ -275,15 +253,3 @@ def test_saved_and_restored_it_goes_on(silent):
     assert later.predicted.energy == pytest.approx(before.predicted.energy + 110e3)
     assert later.consumed == pytest.approx(before.consumed + 100e3)
     assert later.gaps == before.gaps
-
-
-def test_what_an_older_version_kept_besides_does_not_void_a_file():
-    kept = drive(meter(), range(10))
-    other = meter()
-    other.restore({**kept.export(), "lasting": [1, 0.0]})
-    assert other.state.consumed == kept.state.consumed
-
-
-def test_a_gap_longer_than_the_network_knows_is_refused():
-    with pytest.raises(InputError, match="max_gap"):
-        meter(max_gap=5.0)

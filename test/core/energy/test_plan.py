@@ -62,12 +62,6 @@ def test_a_point_given_twice_with_other_rounding_is_one():
     assert len(plan.time) == 3 and np.isfinite(plan.speed).all()
 
 
-def test_a_point_given_twice_is_one():
-    x = np.array([0.0, 100.0, 100.0, 200.0])
-    plan = plan_from_path(x, ZERO, ZERO, np.array([0.0, 10.0, 10.0, 20.0]))
-    assert plan.time == pytest.approx([0, 10, 20])
-
-
 @pytest.mark.parametrize("stamps", [None, np.zeros(4), np.full(4, 1.7e9)])
 def test_without_usable_stamps_it_drives_the_nominal_speed(stamps):
     plan = plan_from_path(LINE, ZERO, ZERO, stamps, nominal_speed=10.0)
@@ -75,12 +69,6 @@ def test_without_usable_stamps_it_drives_the_nominal_speed(stamps):
     speed = np.interp([0, 50, 100, 200, 250, 300], plan.distance, plan.speed)
     assert speed == pytest.approx([0, 10, 10, 10, 10, 0])
     assert plan.time[-1] == pytest.approx(10 + 20 + 10)
-
-
-def test_a_short_path_never_reaches_the_nominal_speed():
-    plan = plan_from_path(np.array([0.0, 16.0]), np.zeros(2), np.zeros(2), nominal_speed=30.0)
-    assert plan.speed == pytest.approx([0, 4, 0])
-    assert plan.time[-1] == pytest.approx(8.0)
 
 
 def test_speed_profile_counts_from_its_first_point():
@@ -100,16 +88,13 @@ def test_without_distance_it_is_as_the_speeds_make_it():
     [
         (LINE, [0.0, 10.0, 5.0, 20.0], "time goes back at point 1"),
         (LINE, [0.0, 10.0, 10.0, 20.0], "faster than 100 m/s at point 1"),
-        (LINE, [0.0, 10.0, 10.5, 20.0], "faster than 100 m/s at point 1"),
         (LINE, [0.0, 10.0, np.nan, 20.0], "stamps is not finite at point 2"),
         ([0.0, np.nan, 1.0, 2.0], None, "x is not finite at point 1"),
         ([], [], "needs at least two points"),
-        ([1.0], None, "needs at least two points"),
         (np.zeros(4), None, "neither length nor duration"),
         (LINE, [0.0, 10.0], "arrays differ in shape"),
         (np.zeros(1_000_000), None, "1000000 points are more than 50000"),
         ([0.0, 10.0, 20e3, 21e3], None, "jumps farther than 10 km at point 1"),
-        ([0.0, 1e200, -1e200, 0.0], None, "jumps farther than 10 km at point 0"),
         ([0.0, 1e200, -1e200, 0.0], LINE, "jumps farther than 120960 km at point 0"),
     ],
 )
@@ -124,19 +109,13 @@ def test_a_path_that_is_no_trip(x, stamps, reason):
     ("time", "distance", "speed", "elevation", "reason"),
     [
         ([0.0, 0.0], [0.0, 1.0], [1.0, 1.0], None, "time does not rise at point 0"),
-        ([1.0, 0.0], [0.0, 1.0], [1.0, 1.0], None, "time does not rise"),
         ([0.0, 1.0], [1.0, 0.0], [1.0, 1.0], None, "distance goes back"),
         ([0.0, 1.0], [0.0, 101.0], [1.0, 1.0], None, "faster than"),
         ([0.0, 1.0], [0.0, 1.0], [1.0, 101.0], None, "speed is above 100 m/s at point 1"),
         ([0.0, 1.0], [0.0, 1.0], [-1.0, 1.0], None, "speed is negative at point 0"),
         ([0.0, 1.0], [0.0, 1.0], [1.0, np.inf], None, "speed is not finite at point 1"),
         ([0.0, 1.0], [0.0, 1.0], [1.0, 1.0], [0.0, 2.0], "climbs more than it travels"),
-        ([], [], [], None, "needs at least two points"),
-        ([], None, [], None, "needs at least two points"),
         ([0.0, 1.0], None, [1.0], None, "differ in shape"),
-        ([0.0, 1.0, 2.0], None, [1.0, np.nan, 1.0], None, "speed is not finite at point 1"),
-        ([0.0, 1.0, 2.0], None, [1.0, -1.0, -1.0], None, "speed is negative at point 1"),
-        ([0.0, 1.0, 2.0], None, [0.0, 111.0, 111.0], None, "speed is above 100 m/s at point 1"),
         (
             [0.0, 10.0],
             [0.0, 200.0],
@@ -144,7 +123,6 @@ def test_a_path_that_is_no_trip(x, stamps, reason):
             None,
             "make 720 m, its distance is 200 m",
         ),
-        ([0.0, 60.0], [0.0, 1.2], [20.0, 20.0], [0.0, 9.0], "make 1200 m, its distance is 1 m"),
     ],
 )
 def test_a_profile_that_is_no_trip(time, distance, speed, elevation, reason):
@@ -157,12 +135,6 @@ def test_in_a_batch_the_error_names_the_trip_and_the_point():
     zero = np.zeros((2, 3))
     with pytest.raises(PlanError, match="time does not rise at point 1, 1"):
         Plan(time, zero, zero, zero)
-
-
-@pytest.mark.parametrize("speed", [0.0, np.nan, 101.0])
-def test_impossible_nominal_driving(speed):
-    with pytest.raises(PlanError, match="cannot drive"):
-        plan_from_path(LINE, ZERO, ZERO, nominal_speed=speed)
 
 
 def around_a_corner(angle, leg=300.0):

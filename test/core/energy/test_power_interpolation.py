@@ -8,7 +8,6 @@ import pytest
 from evpinn_ros.core.energy.dropout import Bridge
 from evpinn_ros.core.energy.power_interpolation import (
     MEMORY,
-    WAITING,
     MeasuredStep,
     PowerInterpolation,
 )
@@ -98,15 +97,6 @@ def test_a_dropout_is_the_prediction_between_its_two_stamps(network):
     assert found[0].covered_s == 0.0 and found[1] == 0.0
 
 
-def test_a_launch_and_a_stop_between_two_words_by_hand():
-    """The battery says 1 kW twice; in between 20 kW more were predicted at one moment."""
-    course = PowerInterpolation(2.0, None)
-    list(course.add_measured(step(0, 10, 1e3, 1e3)))
-    (found,) = predict(course, range(11), lambda t: 21e3 if t == 5 else 1e3, sigma=400.0)
-    assert found[0].energy == pytest.approx(20e3 * 0.1)
-    assert found[1] == pytest.approx((400.0 * 1.0) ** 2 / 2)
-
-
 def test_stamps_of_battery_and_prediction_need_not_be_the_same():
     def ramp(tick):
         return 5e3 + 700.0 * tick
@@ -122,13 +112,6 @@ def test_stamps_of_battery_and_prediction_need_not_be_the_same():
     (found,) = predict(bent, range(12), lambda t: ramp(t) + 40.0 * (t - 0.3) * (t - 10.3))
     # Of 4000 t (t - 1) W over 1 s, t in s: -4000 / 6.
     assert found[0].energy == pytest.approx(-4000 / 6, rel=0.02)
-
-
-def test_predictions_may_come_first():
-    course = PowerInterpolation(2.0, None)
-    assert predict(course, range(11), lambda t: 2e3 if t == 5 else 1e3) == []
-    (found,) = course.add_measured(step(0, 10, 1e3, 1e3))
-    assert found[0].energy == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize(
@@ -162,13 +145,3 @@ def test_every_step_is_told_once_and_in_order():
     # A tenth of what the straight lines miss is left: the prediction is a tenth too low.
     left = coarse + math.fsum(each[0].energy for each in found) - fine
     assert left == pytest.approx((coarse - fine) / 10, rel=1e-6)
-
-
-def test_a_battery_without_predictions_for_hours_keeps_little():
-    course = PowerInterpolation(2.0, None)
-    for second in range(5 * WAITING):
-        assert not list(course.add_measured(step(10 * second, 10 * second + 10, 1e3, 1e3)))
-    last = 50 * WAITING
-    found = predict(course, range(last - 10, last + 1))
-    assert len(found) == 1  # the steps before hold no predictions: they stay straight lines
-    assert found[0][0].energy == pytest.approx(0.0, abs=1e-6)

@@ -9,12 +9,11 @@ import pytest
 
 from benchmarks.truth import CarChain
 from evpinn_ros.core.energy.forecast import forecast_plan
-from evpinn_ros.core.energy.network_table import GRID_FORCE, GRID_SPEED, looked_up
 from evpinn_ros.core.energy.plan import plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.core.estimation.journey import NOWHERE, noise_of
+from evpinn_ros.core.estimation.journey import noise_of
 from evpinn_ros.core.estimation.states import TABLE, WEIGHTS, State
-from evpinn_ros.core.estimation.terms import WARM, Warmth, Wheels
+from evpinn_ros.core.estimation.terms import WARM, Warmth
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
@@ -126,22 +125,6 @@ def test_cold_weather_heats_and_stiffens_tyres_and_heating_given_is_what_it_take
     assert energy(cold) > energy(cold._replace(start=WARM))
 
 
-def test_payload_is_mass_and_rolling():
-    model, motion = vehicle_model(CAR), trip(2)
-    heavy = model.with_payload(300.0)
-    eta = CAR.priors["eta"].value
-    assert heavy.car.mean[State.MASS] - model.car.mean[State.MASS] == pytest.approx(300.0 / eta)
-    per_kg = model.car.mean[State.ROLLING] / model.car.mean[State.MASS]
-    assert heavy.car.mean[State.ROLLING] / heavy.car.mean[State.MASS] == pytest.approx(per_kg)
-    rows = model.rows(motion, MILD).sum(0)
-    assert rows @ heavy.car.mean > rows @ model.car.mean
-    assert model.with_payload(0.0) is model
-
-
-def test_nowhere_takes_nothing():
-    assert vehicle_model(CAR).car.predicted(NOWHERE) == (0.0, 0.0)
-
-
 @pytest.mark.parametrize("along", [True, False])
 def test_heating_goes_on_as_in_this_drive_unless_the_planner_gives_it(along):
     """A car that reports its heating takes 500 W more than its temperature makes likely."""
@@ -161,10 +144,3 @@ def test_heating_goes_on_as_in_this_drive_unless_the_planner_gives_it(along):
     ):
         more = energy(weather, mean, reports) - energy(weather, car.mean, reports)
         assert more == pytest.approx(extra, abs=1e-3)
-
-
-def test_a_table_that_is_linear_in_speed_and_force_is_looked_up_exactly():
-    speed, force = np.array([[3.3, 17.2, 30.1]]), np.array([[0.4, -1.1, 0.05]])
-    way, table = np.array([[10.0, 20.0, 30.0]]), (GRID_SPEED[:, None] + 3.0 * GRID_FORCE)
-    found = looked_up(Wheels(*np.zeros(7), speed, force), way, table[..., None])
-    assert found == pytest.approx((way * (speed + 3.0 * force)).sum())

@@ -33,12 +33,6 @@ def test_at_an_even_cost_it_is_energy_over_cost():
     assert found.sigma == pytest.approx((found.upper - found.lower) / (2 * 1.6449))
 
 
-def test_without_any_doubt_the_band_is_the_value():
-    found = remaining(USABLE._replace(sigma=0.0), EVEN._replace(spread=0.0))
-    assert found.lower == pytest.approx(found.distance, abs=2.0)
-    assert found.upper == pytest.approx(found.distance, abs=2.0)
-
-
 @given(costs, costs, st.floats(1e5, 4e8), st.floats(0.0, 0.3), st.floats(0.0, 0.4))
 def test_the_energy_of_the_distance_is_what_is_left(near, long, usable, doubt, spread):
     cost = Cost(near, long, spread)
@@ -61,10 +55,6 @@ def test_what_is_usual_now_counts_near_and_the_long_run_far():
     assert far == pytest.approx((300e6 - USUAL * 500.0 * MEMORY) / 500.0, rel=0.02)
     unlearned = Cost.ahead(recent=300.0, long=500.0, usual=math.nan, spread=0.2)
     assert unlearned.near == RECENT * 300.0 + (1.0 - RECENT) * 500.0
-
-
-def test_an_empty_battery_goes_nowhere():
-    assert remaining(Uncertain(0.0, 0.0), EVEN).distance == 0.0
 
 
 @pytest.mark.parametrize(
@@ -148,17 +138,3 @@ def test_a_route_of_many_points_keeps_some_that_lie_on_it():
     assert len(kept.distance) == MOST_POINTS and kept.distance[-1] == along[-1]
     assert kept.cost == pytest.approx(energy[-1] / along[-1])
     assert np.interp(along, kept.distance, kept.energy) == pytest.approx(energy, abs=8e3)
-
-
-@pytest.mark.parametrize(
-    "columns",
-    [
-        ((0.0,), (0.0,), (0.0,)),
-        ((0.0, 1.0), (0.0, 1.0), (0.0,)),
-        ((0.0, 2.0, 1.0), (0.0, 1.0, 2.0), (0.0, 0.0, 0.0)),
-        ((0.0, 1.0), (0.0, 1.0), (0.0, -1.0)),
-    ],
-)
-def test_what_is_no_route_is_refused(columns):
-    with pytest.raises(ValueError, match="route"):
-        Route(*columns, begin=0.0, begin_ns=0, longest_ns=0)

@@ -1,5 +1,4 @@
 from itertools import pairwise
-import json
 import math
 
 from hypothesis import given
@@ -73,25 +72,8 @@ def test_in_reverse_a_car_covers_distance_too():
     assert drive(TripLog(), 10.0, speed=-2.0, cost=-500.0).total.distance == pytest.approx(20.0)
 
 
-def test_what_is_late_or_no_number_changes_nothing():
-    log = drive(TripLog(), 10.0)
-    before = log.total
-    log.update(5 * SECOND, 20.0, 9e9)
-    log.update(11 * SECOND, math.nan, 9e9)
-    assert log.total == before
-
-
 def test_a_reset_of_the_trip_leaves_the_last_kilometres():
     log = drive(TripLog(), 100.0)
     log.reset_trip()
     assert log.total == (0.0, 0.0)
     assert log.windows[0].known
-
-
-def test_saved_and_restored_it_goes_on():
-    log = drive(TripLog(), 100.0)
-    copy = TripLog()
-    copy.restore(json.loads(json.dumps(log.export())))
-    assert copy.export() == log.export()
-    drive(copy, 100.0, start=5000.0)  # the night between is no gap and no distance
-    assert copy.total.distance == pytest.approx(2 * log.total.distance)
