@@ -72,11 +72,6 @@ def test_dropouts_say_nothing_of_drives_nor_these_of_dropouts():
     assert short == Bands()  # and where the height is known nothing is said of hills
 
 
-def test_hills_that_are_missing_are_refused():
-    with pytest.raises(ValueError, match="hills are missing"):
-        Bands(hills=(0.0,))
-
-
 def intervals_of(readings, vehicle: Vehicle) -> list[Interval]:
     stream = SampleStream(
         StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.breakdown import NET_CLIMB, climb_as_rolling, net_climb
+from evpinn_ros.core.estimation.breakdown import net_climb
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.posterior import passed
 from evpinn_ros.core.estimation.states import State
@@ -95,14 +95,6 @@ def test_a_difference_is_the_one_less_the_other_per_100_km(both):
         assert difference.of(part).kwh == pytest.approx(other - base, abs=1e-6)
 
 
-def test_a_difference_is_as_unseen_as_the_less_seen_of_its_drives(both):
-    first, second = both.drives  # neither has heights
-    half = replace(first, unseen=first.distance / 2.0)
-    found = [replace(both, drives=(half, each)) for each in (second, replace(second, unseen=0.0))]
-    unseen = [each.difference(1, 0).unseen for each in found]
-    assert unseen == pytest.approx([100e3, 50e3])
-
-
 def test_a_drive_that_goes_on_over_a_long_stop_is_one(learned, later):
     on = learned.begin_drive(goes_on=True).after(later).breakdowns()
     assert len(on.drives) == 1
@@ -118,17 +110,6 @@ def test_an_interval_without_battery_is_in_no_part(learned, town):
     assert after.energy == pytest.approx(before.energy)
 
 
-def test_parts_that_data_tell_apart_badly_are_given_together(learned):
-    found = learned.breakdowns().of(-1)
-    for group in found.together():
-        apart = sum(found.of(part).sigma_kwh ** 2 for part in group)
-        assert found.of(*group).sigma_kwh ** 2 < apart
-
-
-def test_before_any_drive_there_is_nothing():
-    assert LearnedCar.new(EQUATION).breakdowns().of(-1) is None
-
-
 def test_without_heights_the_net_climb_is_as_unknown_as_roads_make_it(seen, learned):
     """It is no part of what they add up to: what slopes took more, others took less."""
     seen, unseen = (car.breakdowns().of(-1) for car in (seen, learned))
@@ -140,24 +121,6 @@ def test_without_heights_the_net_climb_is_as_unknown_as_roads_make_it(seen, lear
         assert unseen.of(part).sigma_kwh > seen.of(part).sigma_kwh
     whole = list(Part)[WHOLE]
     assert unseen.of(*whole).sigma_kwh < 1.5 * seen.of(*whole).sigma_kwh
-
-
-def test_an_unseen_climb_is_no_steeper_than_roads_and_no_higher_than_their_net_climbs():
-    assert net_climb(200.0) == pytest.approx(10.0)
-    assert net_climb(1e5) == pytest.approx(NET_CLIMB)
-    lengths = [100.0, 1000.0, 3000.0, 1e4, 1e5]
-    assert sorted(map(net_climb, lengths)) == [net_climb(each) for each in lengths]
-    assert climb_as_rolling(0.0) == 0.0 and climb_as_rolling(1e4) > climb_as_rolling(1e5)
-
-
-def test_the_ends_of_a_drive_without_heights_widen_the_climb_by_little(town, seen):
-    """A profile of heights begins some metres late, and the net climb is known all the same."""
-    ends = (replace(one, height_known=one is not town[0]) for one in town)
-    late = LearnedCar.new(EQUATION).after(ends)
-    all_seen, but_ends = (car.breakdowns().of(-1) for car in (seen, late))
-    weight = 9.81 * EQUATION.mean[2] * EQUATION.eta / 3.6e6
-    wider = but_ends.of(Part.SLOPE).sigma_kwh - all_seen.of(Part.SLOPE).sigma_kwh
-    assert 0.0 <= wider < 0.06 * but_ends.unseen * weight
 
 
 def test_what_one_hard_braking_leaves_unexplained_is_no_reason_to_doubt_the_model(learned, town):

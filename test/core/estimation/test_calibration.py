@@ -51,17 +51,6 @@ def test_the_ratio_stays_in_its_range():
     assert band.export() == [RATIO_RANGE[1], RATIO_RANGE[0]]
 
 
-def test_round_trip():
-    band, other = BandCalibration(), BandCalibration()
-    band.learn(MOVING, 1e9, 1.0)
-    other.restore(band.export())
-    assert other.export() == band.export()
-    for wrong in ([1.0, np.nan], [1.0, 0.0], [1e9, 1.0]):
-        with pytest.raises(ValueError, match="saved"):
-            other.restore(wrong)
-    assert other.export() == band.export()
-
-
 def test_coverage_is_told_of_the_last_minute():
     band = BandCalibration()
     assert np.isnan(band.coverage)

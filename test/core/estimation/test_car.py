@@ -34,14 +34,6 @@ def test_a_car_is_frozen_and_forks_are_free(town):
         car.end_ns = 0
 
 
-def test_one_by_one_and_together_are_the_same(town, driven):
-    alone = LearnedCar.new(EQUATION)
-    for one in town:
-        alone = alone.after([one])
-    assert np.array_equal(driven.state.mean, alone.state.mean)
-    assert np.array_equal(driven.state.covariance, alone.state.covariance)
-
-
 def test_what_cannot_be_is_counted_and_teaches_nothing(town):
     car = LearnedCar.new(EQUATION).after(town[:10])
     steps = town[10].steps

@@ -72,10 +72,3 @@ def test_a_verdict_stays_between_its_limits(intervals, fall, before, after):
     sums = (road, 0.0, 0.0, 1e-4 * road, 1e-4 * correlation * road, 1e-4 * road)
     found = GradeDetector(sums, before).after(one, 0.0, 2e4)
     assert found.detected == (GRADE_SIGN if after else None)
-
-
-def test_a_verdict_keeps_its_six_sums(hills):
-    hills.drive(300, -1.0)
-    assert len(hills.car.grade.sums) == 6
-    with pytest.raises(ValueError, match="sums are missing"):
-        GradeDetector(sums=(0.0,) * 5)

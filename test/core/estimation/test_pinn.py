@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.estimate import Trust
 from evpinn_ros.core.estimation.learner import PowerPrediction
 from evpinn_ros.core.estimation.pinn import PARKED, PinnLearner
 from evpinn_ros.core.estimation.states import NAMES, State
@@ -44,16 +43,6 @@ def learned(vehicle, town) -> PinnLearner:
 @pytest.fixture
 def learner(learned) -> PinnLearner:
     return deepcopy(learned)
-
-
-def test_before_anything_no_parameter_is_estimated(vehicle):
-    learner = PinnLearner(vehicle)
-    trusts = {found.trust for found in learner.parameters().parameters.values()}
-    assert trusts == {Trust.UNESTIMATED} and not learner.parameters().reliable
-    assert learner.prepare_update() is None
-    assert learner.report() == (None, 0, 0, None)
-    prediction = learner.predict(sample(0))
-    assert prediction.sigma > 0.0 and prediction.energy == 0.0  # a drive without a battery
 
 
 def test_an_update_works_on_a_copy_and_a_snapshot(learner, town, vehicle):
@@ -121,21 +110,6 @@ def test_the_breakdown_goes_on_over_a_long_stop_and_begins_with_another_drive(le
     assert after == pytest.approx(before.energy, rel=0.05, abs=10.0)
     learner.end_drive()
     assert learner.breakdowns().of(-1) is None
-
-
-def test_reverse_and_charging_teach_nothing(learner, town):
-    before = json.dumps(learner.export()["car"])
-    steps = town[5].steps
-    back = replace(town[5], steps=steps._replace(distance=-np.abs(steps.distance) - 1.0))
-    still = replace(town[5], steps=steps._replace(distance=0 * steps.distance), energy=-6 * 7000.0)
-    for one in (back, still):
-        learner.add_interval(one)
-    assert learner.consider(learner.prepare_update()()) is None
-    assert learner.gated == {"reverse": 1, "charging": 1}
-    assert json.dumps(learner.export()["car"]) == before
-    learner.observe(sample(1, speed=-2.0), 5000.0)
-    learner.observe(sample(2, speed=0.0), -7000.0)
-    assert learner.gated == {"reverse": 2, "charging": 2}
 
 
 def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(learner, town):

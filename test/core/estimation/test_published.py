@@ -8,16 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.truth import PROFILE, VEHICLES, CarChain, compare, true_so_far
+from benchmarks.truth import PROFILE, VEHICLES, CarChain, compare
 from evpinn_ros.core.estimation.bands import Bands
 from evpinn_ros.core.estimation.breakdown import climb_as_rolling
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.estimate import Trust
-from evpinn_ros.core.estimation.network import Driving, reference_driving
 from evpinn_ros.core.estimation.parameter_set import parameter_set
 from evpinn_ros.core.estimation.posterior import NETWORK_STDS, initial_state
 from evpinn_ros.core.estimation.published import (
-    BESIDE,
     C_D,
     C_RR,
     MASS,
@@ -27,7 +25,7 @@ from evpinn_ros.core.estimation.published import (
     project,
     published,
 )
-from evpinn_ros.core.estimation.states import NETWORK, PHYSICS, State
+from evpinn_ros.core.estimation.states import NETWORK, State
 from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
@@ -75,13 +73,6 @@ def test_sigmas_grow_as_rehearsed_dropouts_err(vehicle, deviates, growth):
     assert shares[0] == pytest.approx(shares[1])
 
 
-def test_mass_over_eta_is_that_ratio(vehicle):
-    equation = equation_of(vehicle)
-    value, sigma = mass_over_eta(initial_state(equation), equation, Driven.nowhere())
-    assert math.exp(value) == pytest.approx(vehicle.initial.mass / vehicle.initial.eta, rel=1e-6)
-    assert 0.0 < sigma < 1.0
-
-
 def test_energies_of_eq_21_project_onto_their_coefficients(vehicle):
     """And what the driving does not determine stays as it was."""
     equation = equation_of(vehicle)
@@ -92,21 +83,6 @@ def test_energies_of_eq_21_project_onto_their_coefficients(vehicle):
     assert found == pytest.approx(change, rel=1e-3)
     nothing = np.zeros((4, 4))
     assert not project(nothing, nothing @ change, equation).any()
-
-
-def test_slow_driving_is_projected_beside_the_reference(vehicle):
-    """Alone it makes 0.16 of a car's drag and 0.27 of its rolling of a small network."""
-    equation, driving = equation_of(vehicle), reference_driving()
-    slow = Driving(*(column[driving.speed < 14.0] for column in driving))
-    speed, one = slow.speed, np.ones_like(slow.speed)
-    motion = one, speed, speed**3, speed * slow.acceleration, speed * slow.slope
-    wheels = equation.wheels(*motion, equation.vehicle.air_density)
-    rows = equation.moving_rows(wheels, one, 0.0, 0.0)
-    over = 600.0 * slow.seconds / slow.seconds.sum() * rows[:, PHYSICS].T
-    driven = replace(Driven.nowhere(), gram=over @ rows[:, PHYSICS], cross=over @ rows[:, BESIDE])
-    drag, rolling = (driven.share(equation)[:2, -NETWORK:] ** 2).sum(1) ** 0.5
-    assert 0.05 < min(NETWORK_STDS) * drag / equation.mean[State.DRAG] < 0.12
-    assert 0.10 < min(NETWORK_STDS) * rolling / equation.mean[State.ROLLING] < 0.20
 
 
 @pytest.fixture(scope="module")
@@ -143,11 +119,6 @@ def test_an_efficiency_map_is_published_by_energy():
     assert np.median(errors["mass_over_eta"]) < 2.0 and errors["mass_over_eta"].max() < 4.0
     assert np.median(errors["regeneration"]) < 3.0
     assert np.mean([one.covered for one in found]) >= 0.85
-
-
-def test_true_so_far_of_a_whole_drive_is_its_truth(drive):
-    whole = drive(1, 60.0)
-    assert true_so_far(whole, 60, equation_of(whole.vehicle)) == whole.truth
 
 
 def learned(vehicle, readings) -> LearnedCar:

@@ -130,9 +130,3 @@ def test_persistence_is_a_share_of_what_was_said_and_the_prior_before():
     for _ in range(300):
         seen.learn(200.0, -100.0, 1.0)
     assert 0.0 < seen.share_after(1.0) < 0.05
-
-
-def test_what_lasts_is_its_evidence():
-    network, other = taught(pattern), Trim(0)
-    other.evidence = network.evidence
-    assert other.share == network.share

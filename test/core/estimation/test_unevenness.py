@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.saved_car import saved_unevenness, unevenness_of
-from evpinn_ros.core.estimation.states import PHYSICS, SIZE, State
+from evpinn_ros.core.estimation.states import PHYSICS, State
 from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.estimation.unevenness import (
     DURATIONS,
@@ -137,20 +136,6 @@ def test_driving_of_150_km_ago_counts_a_third():
     later = slow.after(EQUATION, EQUATION.mean, path_of(np.full(5001, 30.0)))  # of other nodes
     assert later.metres[0] == pytest.approx(slow.metres[0] / np.e)
     assert slow.metres[0].any()
-
-
-def test_it_is_saved_by_the_names_of_states():
-    known = Unevenness.none().after(EQUATION, EQUATION.mean, town(1))
-    saved = saved_unevenness(known)
-    found = unevenness_of(saved, EQUATION)
-    np.testing.assert_array_equal(found.rows, known.rows)
-    assert found.share == known.share and len(saved.names) == SIZE
-    with pytest.raises(ValueError, match="numbers of the unevenness are missing"):
-        unevenness_of(
-            saved.__class__(saved.names, saved.metres, saved.rows[:-1], 1.0, 1.0), EQUATION
-        )
-    with pytest.raises(ValueError, match="out of range"):
-        unevenness_of(saved.__class__(saved.names, saved.metres, saved.rows, 1e9, 1.0), EQUATION)
 
 
 def test_chance_counts_less_over_many_legs_and_habit_as_much():

@@ -37,11 +37,6 @@ def test_near_the_ends_it_is_of_what_is_known_and_beyond_unknown():
     assert found.known_at(500.0 + KNOWN_WITHIN - 1) and not found.known_at(500.0 + KNOWN_WITHIN)
 
 
-def test_of_no_height_nothing_is_known():
-    found = HeightProfile()
-    assert found.mean_around(0.0) is None and not found.known_at(0.0)
-
-
 def test_a_standing_car_tells_nothing_new():
     found = driven(lambda x: 7.0, [0.0])
     for _ in range(100):

@@ -111,10 +111,6 @@ def test_a_speed_that_goes_on_as_it_was_did_not_hang(speed):
         assert detector.why_not(0, second * NANOSECONDS) is None
 
 
-def test_a_battery_that_is_not_measured_says_nothing():
-    assert judge(20, waves(15, 8), lambda _: math.nan) is None
-
-
 def test_what_lies_behind_is_spoilt_from_before_the_value_hung_until_it_moved():
     """Half a second on both sides; long before it is suspected, and once it is no longer."""
     detector = driven(10, waves(15, 8), waves(-50, 20))
