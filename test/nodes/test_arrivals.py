@@ -4,7 +4,7 @@ import pytest
 
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.arrivals import MOST_PUBLISHERS, MessageNumbers, StampWatch
-from evpinn_ros.nodes.diagnosis import LATELY, Lately, unused_notice
+from evpinn_ros.nodes.diagnosis import LATELY, Lately
 
 
 def info(number, publisher=b"a"):
@@ -71,18 +71,9 @@ def test_old_stamps_are_those_of_a_replay():
     assert watch((100, 1e9, 1), (101, 1e9, 1.1), (102, 1e9, 1.2)) == [None] * 3
 
 
-def test_a_clock_that_is_not_known_yet_judges_nothing():
-    assert watch((100, 0, 1)) == [None]
-
-
 def test_what_happened_lately_is_forgotten():
     lately = Lately()
     assert lately.update(0.0, {"late": 5}) == {"late": 5}
     assert lately.update(LATELY / 2, {"late": 7}) == {"late": 7}
     assert lately.update(LATELY + 1, {"late": 7}) == {"late": 2}
     assert lately.update(2 * LATELY, {"late": 7}) == {}
-
-
-def test_a_few_messages_lost_are_no_news():
-    assert unused_notice({"speed_late": 3}) is None
-    assert unused_notice({"b": 3, "a": 1}) == "not used lately: a 1, b 3"

@@ -80,10 +80,6 @@ def test_states_of_the_estimator(change, age, level, text):
     assert status.level is level and text in status.text
 
 
-def test_a_state_file_not_used_is_told():
-    assert estimator(problem="x.json: not used").text == "x.json: not used"
-
-
 def test_bad_messages_are_counted_and_faults_outweigh_all():
     bad = Health({"vehicle/speed: not_finite": 3}, {})
     assert estimator(health=bad).values["bad.vehicle/speed: not_finite"] == 3
@@ -156,11 +152,6 @@ def test_states_of_the_bus(state, ok, level, text):
     )
     assert status.level is level and text in status.text
     assert status.values["bus.lost"] == 1 and status.values["speed.rate_hz"] == 50.0
-
-
-def test_states_of_a_log():
-    assert log_status("playing", None, BRIDGE, WELL).level is Level.OK
-    assert log_status("playing", "x.log: cut off", BRIDGE, WELL).text == "x.log: cut off"
 
 
 def test_a_refused_profile_is_an_error_and_a_wrong_sign_a_warning():

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from evpinn_ros.nodes import discovery
 from evpinn_ros.nodes.discovery import FOUND_HERE, PROFILES, THEIRS, announce_often
 
 
@@ -35,11 +34,3 @@ def test_a_profile_in_the_working_folder_stays(nothing_set):
     Path(FOUND_HERE).touch()
     announce_often()
     assert PROFILES not in os.environ
-
-
-def test_a_second_call_changes_nothing(nothing_set):
-    announce_often()
-    first = os.environ[PROFILES]
-    nothing_set.setattr(discovery, "share_directory", lambda: pytest.fail("asked again"))
-    announce_often()
-    assert os.environ[PROFILES] == first

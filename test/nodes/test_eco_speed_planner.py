@@ -157,13 +157,6 @@ def test_the_battery_at_the_end_is_shown_and_an_empty_one_told(bench, start, cap
     bench.pump(lambda: "the battery will be empty" in capfd.readouterr().err)
 
 
-def test_a_battery_that_nobody_knows_does_not_stop_it(bench, start):
-    bench.start(EnergyNode)
-    planner, chosen = start()
-    chosen_name(bench, planner, chosen)
-    assert all(math.isnan(answer.battery) for answer in planner.answers)
-
-
 def test_without_an_energy_node_it_says_so_and_goes_on(bench, start, capfd):
     planner, chosen = start()
     bench.pump(lambda: chosen)
@@ -179,16 +172,6 @@ def test_without_an_energy_node_it_says_so_and_goes_on(bench, start, capfd):
     pick = EXAMPLE.cheapest_in_time(planner.candidates, planner.answers, 720.0)
     assert cost((planner.answers[pick], planner.candidates[pick])) < math.inf
     bench.pump(lambda: chosen and chosen[-1].header.frame_id == planner.candidates[pick].name)
-
-
-def test_refused_plans_are_told_at_once_with_the_reason(bench, start, tmp_path, capfd):
-    energy = bench.start(EnergyNode)
-    route = tmp_path / "wall.csv"
-    route.write_text("distance_m,elevation_m\n0,0\n100,5000\n")
-    start(route=str(route))
-    refusal = "the energy node refuses: climbs more than it travels"
-    bench.pump(lambda: refusal in capfd.readouterr().err)
-    assert "climbs more than it travels" in bench.diagnosis(energy)["plan"][2]["last_refusal"]
 
 
 def test_answers_to_others_are_not_taken_for_its_own(bench, start):
@@ -210,14 +193,6 @@ def test_answers_to_others_are_not_taken_for_its_own(bench, start):
     assert [answer.energy for answer in planner.answers] == pytest.approx(expected, rel=1e-6)
 
 
-def test_nothing_in_time_is_told_and_nothing_chosen(bench, start, capfd):
-    start_energy(bench)
-    planner, chosen = start(deadline=60.0)
-    bench.pump(lambda: answered(planner))
-    bench.pump(lambda: "nothing is in time: 60 s, at best" in capfd.readouterr().err)
-    assert chosen == []
-
-
 @settings(deadline=None)
 @given(
     climbs=st.lists(st.floats(-0.1, 0.1), min_size=2, max_size=40),
@@ -232,51 +207,6 @@ def test_every_candidate_can_be_driven_in_comfort(climbs, cruise, lent):
     assert plan.speed[0] == plan.speed[-1] == 0.0 and plan.speed.max() <= 40.0
     acceleration = np.diff(plan.speed) / np.diff(plan.time)
     assert np.abs(acceleration).max() <= EXAMPLE.ACCELERATION + 1e-9
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        (None, "No such file"),
-        ("distance_m,height\n0,1\n1,1\n", "has no column 'elevation_m'"),
-        ("distance_m,elevation_m\n0,1\n", "needs two or more"),
-        ("distance_m,elevation_m\n0,1\n9,nan\n", "finite"),
-        ("distance_m,elevation_m\n0,1\n0,2\n", "rising distance_m"),
-        ("distance_m,elevation_m\n0,high\n", "could not convert"),
-        ("distance_m,elevation_m\n0\n5,1\n", "finite"),
-    ],
-)
-def test_a_route_that_is_none_is_refused_in_one_line(tmp_path, text, reason):
-    path = tmp_path / "route.csv"
-    if text is not None:
-        path.write_text(text)
-    with pytest.raises(ValueError, match=reason) as caught:
-        EXAMPLE.read_route(path)
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_every_parameter_has_a_description(bench, start):
-    planner, _ = start()
-    for name, default, description, _ in EXAMPLE.PARAMETERS:
-        assert planner.describe_parameter(name).description == description != ""
-        assert name in ("period", "timeout") or planner.get_parameter(name).value == default
-
-
-@pytest.mark.parametrize(
-    ("option", "reason"),
-    [
-        ("route:=/nowhere.csv", "/nowhere.csv"),
-        ("candidates:=0", "candidates"),
-        ("deadline:=soon", "deadline"),
-        ("slowest:=30.0", "slowest must not be above fastest"),
-    ],
-)
-def test_wrong_input_is_one_line(monkeypatch, capsys, option, reason):
-    monkeypatch.setattr(sys, "argv", [FILE, "--ros-args", "-p", option])
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-    assert EXAMPLE.main() == 1
-    said = capsys.readouterr().err
-    assert reason in said and len(said.splitlines()) == 1, said
 
 
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])

@@ -144,38 +144,6 @@ def test_the_range_is_that_of_the_route_whose_plan_was_asked(bench):
     assert node.account.route is None
 
 
-def test_a_node_that_starts_again_on_the_way_follows_the_route_on(bench, tmp_path):
-    """A planner publishes its plan once, before the car sets off."""
-    path = str(tmp_path / "energy.json")
-    first = bench.start(EnergyNode, energy_file=path)
-    bench.listen(topics.ENERGY_RANGE, *ANSWERS)
-    ranges = bench.heard[topics.ENERGY_RANGE]
-    motorway = ((0, 0, SPEED), (600, 30_000, SPEED), (1200, 60_000, SPEED))
-    ask(bench, first, topics.SPEED_PROFILE, profile(*motorway, frame="route"))
-    drive(bench, first, range(211))
-    bench.pump(lambda: len(ranges) == first.published[topics.ENERGY_RANGE])
-    before = values(ranges[-1])
-    bench.stop(first)
-    node = bench.start(EnergyNode, energy_file=path)
-    ranges.clear()
-    drive(bench, node, range(211, 214))
-    bench.pump(lambda: len(ranges) == node.published[topics.ENERGY_RANGE] > 0)
-    along = values(ranges[-1])
-    left = node.account.route.left(node.account.odometer, 0)
-    assert left == pytest.approx(60e3 - node.account.odometer)
-    assert 60e3 - 213 * SPEED <= left < 60e3 - 208 * SPEED
-    assert along["distance_to_empty"] == pytest.approx(before["distance_to_empty"], rel=0.01)
-    assert along["distance_to_empty"] < 0.9 * along["usable_energy"] / (POWER / SPEED)
-
-
-def test_a_wrong_stamp_of_speed_costs_no_distance(bench):
-    node = bench.start(EnergyNode)
-    drive(bench, node, range(20))
-    bench.read(node, SpeedReading((START + 86_400) * NANOSECONDS, SPEED))
-    drive(bench, node, range(20, 41))
-    assert node.account.since_reset().distance == pytest.approx(40 * SPEED)
-
-
 @pytest.mark.parametrize("policy", ["reset", "hold"])
 def test_a_jump_of_time_never_takes_from_the_lifetime(bench, tmp_path, policy):
     """The default policy used to go back to what was loaded, and the next save wrote that."""
@@ -197,15 +165,6 @@ def test_a_jump_of_time_never_takes_from_the_lifetime(bench, tmp_path, policy):
     bench.stop(node)
     last = bench.start(EnergyNode, energy_file=path)
     assert last.account.lifetime() == pytest.approx(lifetime)
-
-
-def test_under_ignore_neither_energy_nor_distance_is_counted_twice(bench):
-    node = bench.start(EnergyNode, time_jump_policy="ignore")
-    for _ in range(2):
-        drive(bench, node, range(30))
-    totals = node.account.lifetime()
-    assert totals.net.value == pytest.approx(29 * POWER)
-    assert totals.distance == pytest.approx(29 * SPEED)
 
 
 @pytest.mark.parametrize("away", [4, 25])
@@ -264,23 +223,6 @@ def test_hostile_speeds_and_powers_stop_nothing(bench, tmp_path):
     assert (shown["bad.speed_out_of_range"], shown["bad.power_out_of_range"]) == ("60", "120")
     assert bench.call(Trigger, "/ev/energy/save").success
     assert json.loads(path.read_text())["energy"]["trip"]["speed"]["drawn"] <= 30 * SPEED
-
-
-def test_a_saved_file_with_totals_of_no_car_is_set_aside(bench, tmp_path):
-    path = tmp_path / "energy.json"
-    first = bench.start(EnergyNode, energy_file=str(path))
-    drive(bench, first, range(10))
-    bench.stop(first)
-    saved = json.loads(path.read_text())
-    saved["energy"]["trip"]["speed"]["drawn"] = 5e7  # one speed of 1e9 m/s, as it was counted once
-    path.write_text(json.dumps(saved))
-    node = bench.start(EnergyNode, energy_file=str(path))
-    assert node.account.lifetime().distance == 0.0
-    drive(bench, node, range(5))
-    level, text, _ = bench.diagnosis(node)["meter"]
-    assert level is Level.WARN and "energy.json.refused" in text
-    assert bench.call(Trigger, "/ev/energy/save").success
-    assert json.loads((tmp_path / "energy.json.refused").read_text()) == saved
 
 
 def test_a_silence_and_what_became_of_it_is_in_the_diagnostics(bench):

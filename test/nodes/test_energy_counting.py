@@ -7,7 +7,7 @@ from evpinn_ros import topics
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.topics.messages import Level, named_vector
+from evpinn_ros.topics.messages import named_vector
 from test.nodes import plans
 from test.nodes.plans import NOW
 
@@ -33,18 +33,6 @@ def test_energy_is_counted_and_reset(bench):
     bench.deliver(node, topics.POWER_SMOOTHED, power(11, 2100.0))
     bench.settle()
     assert bench.heard[topics.ENERGY_CONSUMED][-1].data == 0.0
-
-
-def test_energy_goes_on_while_the_battery_is_silent(bench):
-    node = bench.start(EnergyNode)
-    for second in range(21):
-        if second <= 10:
-            bench.deliver(node, topics.POWER_MEASURED, power(second, 2000.0))
-        bench.deliver(node, topics.POWER_SMOOTHED, power(second, 2100.0))
-    # Where the two join, one sample may count twice.
-    assert node.account.state.consumed == pytest.approx(20_000.0 + 21_000.0, abs=2100.0)
-    level, text, _ = bench.diagnosis(node)["meter"]
-    assert level is Level.WARN and "predicting" in text
 
 
 def test_bad_messages_are_counted(bench):

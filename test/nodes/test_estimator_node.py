@@ -87,22 +87,6 @@ def test_enable_pauses_learning_alone(bench):
     assert unsure(node) < 0.9
 
 
-def test_reset_forgets_what_was_learned(bench):
-    node = bench.start(EstimatorNode)
-    prior = node.estimator.export()["learner"]
-    drive(bench, node, 0, 3)
-    assert node.estimator.export()["learner"] != prior
-    answer = bench.call(Trigger, "/ev/estimator/reset")
-    assert answer.success and "tesla_model_3_lr" in answer.message
-    assert node.estimator.export()["learner"] == prior
-
-
-def test_save_gives_the_reason_when_it_cannot(bench, tmp_path):
-    bench.start(EstimatorNode)
-    answer = bench.call(Trigger, "/ev/estimator/save")
-    assert not answer.success and answer.message == "no file for it is set"
-
-
 def test_what_was_learned_is_saved_and_read_again(bench, tmp_path):
     path = tmp_path / "state" / "car.json"
     node = bench.start(EstimatorNode, state_file=str(path))
@@ -137,14 +121,6 @@ def test_a_state_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path, cont
     node.kept.save()
     assert json.loads(path.read_text())["learned"]["version"] == prior["version"]
     assert path.with_name("car.json.refused").read_text() == content
-
-
-def test_a_state_that_cannot_be_written_is_told(bench, tmp_path):
-    (tmp_path / "file").write_text("")
-    node = bench.start(EstimatorNode, state_file=str(tmp_path / "file" / "car.json"))
-    drive(bench, node, 0, 0.2)
-    assert not bench.call(Trigger, "/ev/estimator/save").success
-    assert "not written" in said(bench, node)[1]
 
 
 def test_bad_messages_are_counted_by_reason(bench):

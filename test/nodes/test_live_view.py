@@ -19,13 +19,12 @@ from unittest import mock
 import pytest
 
 from evpinn_ros import topics
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes.factory import installed
 from evpinn_ros.nodes.live.data import NOTHING, WATCHED
-from evpinn_ros.nodes.live.view import LiveListener, watch
+from evpinn_ros.nodes.live.view import LiveListener
 from evpinn_ros.topics import QUEUE_DEPTH
 from test.conftest import ROOT
-from test.nodes.processes import EVPINN, await_line, started, stopped
+from test.nodes.processes import EVPINN, started, stopped
 from test.waiting import HANG_S, wait_until
 
 ALTERNATE, BACK = b"\x1b[?1049h", b"\x1b[?1049l"  # xterm: to the alternate screen and back
@@ -163,18 +162,6 @@ def test_a_view_that_is_ended_while_it_begins_ends_quietly():
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-@pytest.mark.nightly
-def test_run_without_a_terminal_or_a_view_is_as_it_was(drive):
-    with started(*EVPINN, *drive) as running:
-        await_line(running, "decoding")
-        assert stopped(running)[0] == ""
-    with terminal(*EVPINN, *drive, "--no-view") as screen:
-        screen.read_until(lambda written: b"decoding" in written)
-        screen.type(CTRL_C)
-        assert screen.end() == 0
-    assert ALTERNATE not in screen.written
-
-
 def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
     with started(*EVPINN, "watch", env={**os.environ, "FORCE_COLOR": "1"}) as running:
         assert "nothing received yet" in running.stdout.readline()
@@ -240,25 +227,3 @@ def test_a_listener_takes_all_that_has_come_at_once(bench, urban):
     assert take.call_count == QUEUE_DEPTH
     assert listener.data.speed == message.twist.twist.linear.x
     listener.destroy_node()
-
-
-def test_a_namespace_that_is_none_is_refused(monkeypatch):
-    for module, name in ((os, "nice"), (signal, "signal")):  # of the process of a view alone
-        monkeypatch.setattr(module, name, lambda *_: None)
-    with pytest.raises(InputError, match="a b"):
-        watch("a b")
-
-
-@pytest.mark.nightly
-def test_a_terminal_that_knows_neither_cursor_nor_braille_gets_lines():
-    environment = {"TERM": "dumb", "PYTHONIOENCODING": "ascii"}
-    with terminal(*EVPINN, "watch", **environment) as screen:
-        screen.read_until(lambda written: written.count(b"nothing received") > 2)
-        screen.type(CTRL_C)
-        assert screen.end() == 0
-    assert b"\x1b" not in screen.written
-    with terminal(*EVPINN, "watch", PYTHONIOENCODING="ascii") as screen:
-        screen.read_until(lambda written: written.count(b"samples km/h") > 1)
-        screen.type(CTRL_C)
-        assert screen.end() == 0
-    assert b"Traceback" not in screen.written

@@ -150,20 +150,6 @@ def test_a_quality_of_service_that_does_not_match_is_named_until_messages_come(b
     assert wanted not in bench.diagnosis(node)["estimate"][1]
 
 
-def test_a_subscriber_that_gets_nothing_is_named(bench):
-    node = bench.start(EstimatorNode)
-    kind = factory.message_class(topics.POWER_PREDICTED.type_name)
-    latched = factory.qos_profile(topics.MODEL.subscriber_qos)
-    bench.node.create_subscription(kind, topics.POWER_PREDICTED.name, print, latched)
-    wanted = "a subscriber of power/predicted wants another QoS: durability"
-    bench.pump(lambda: wanted in bench.diagnosis(node)["estimate"][1])
-
-
-def test_simulated_time_without_a_clock_is_named(bench):
-    node = bench.start(EstimatorNode, use_sim_time=True)
-    assert "no /clock comes" in bench.diagnosis(node)["estimate"][1]
-
-
 @pytest.mark.parametrize("seconds", [1, 3600])
 def test_stamps_of_the_future_are_named_and_logged(bench, seconds, capfd):
     node = bench.start(EstimatorNode)

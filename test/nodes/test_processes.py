@@ -11,7 +11,6 @@ import can
 import pytest
 
 from evpinn_ros import topics
-from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
@@ -23,7 +22,7 @@ from evpinn_ros.replays.chain import Chain
 from evpinn_ros.topics.messages import Level, stamp_ns
 from evpinn_ros.topics.readings import to_reading
 from test.nodes.plans import profile
-from test.nodes.processes import all_in_one, node, started, stopped
+from test.nodes.processes import node, started, stopped
 from test.waiting import HANG_S
 
 
@@ -240,32 +239,6 @@ def play(bench, messages):
     for topic, message in messages:
         bench.send(topic, message)
         bench.pump(lambda t=topic, m=message: answered(t, m))
-
-
-def learning(level: Level, text: str) -> bool:
-    """True of an estimator that learns, be the computer busy or not."""
-    return level is Level.OK or "too slow or busy" in text
-
-
-@pytest.mark.nightly
-def test_all_in_one_plays_a_log_and_records_everything(bench, can_log, tmp_path):
-    log = {"log_file": str(can_log("urban", 20.0)), "log_rate": 2.5}
-    with started(*all_in_one(tmp_path / "bag", **log)) as process:
-        bench.listen(topics.DIAGNOSTICS)
-        bench.pump(lambda: "at its end" in said(bench, "can_bridge").get("log", ("", ""))[1])
-        bench.pump(
-            lambda: any(
-                part == "estimate" and learning(level, text)
-                for part, level, text in statuses(bench, "estimator")
-            )
-        )
-        stopped(process)
-    with BagReader(tmp_path / "bag") as bag:
-        assert bag.problem is None
-        counts = {name: info.count for name, info in bag.topics.items()}
-    for topic in (topics.SPEED, topics.BATTERY, topics.POWER_SMOOTHED, topics.ENERGY_STATE):
-        assert counts[topic.under()] > 0, topic.name
-    assert counts[topics.PARAMETERS.under()] > 0 and counts["/diagnostics"] > 0
 
 
 def test_the_bridge_survives_a_bus_that_is_not_there(bench):

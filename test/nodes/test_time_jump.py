@@ -21,23 +21,6 @@ OUTPUTS = (
 )
 
 
-@pytest.mark.nightly
-def test_a_bag_in_a_loop_gives_the_same_numbers_again(bench, urban):
-    estimator = bench.start(EstimatorNode, time_jump_policy="reset")
-    energy = bench.start(EnergyNode, time_jump_policy="reset")
-    bench.listen(*OUTPUTS)
-    drive = [(topic, message) for topic, _, message in urban(35.0)]
-    bench.drive(drive * 2)
-    bench.settle()
-    assert estimator.estimator.status().accepted > 2
-    for topic in OUTPUTS:
-        heard = bench.heard[topic]
-        half = len(heard) // 2
-        assert half and heard[:half] == heard[half:], topic.name
-    assert bench.diagnosis(estimator)["estimate"][2]["time_jumps"] == "1"
-    assert bench.diagnosis(energy)["meter"][2]["time_jumps"] == "1"
-
-
 def efficiency(node):
     return node.estimator.parameters().parameters["eta"].value
 

@@ -45,14 +45,6 @@ def test_a_message_file_has_the_quantities_of_its_vector(name, quantities):
     assert fields == [f"{each}{end}" for each in quantities for end in ends]
 
 
-def test_what_a_field_is_stands_in_the_lines_above_it():
-    """`ros2 interface show` leaves out what follows a field on its line."""
-    for file in FILES:
-        lines = file.read_text().splitlines()
-        assert lines[0].startswith("# "), file.name
-        assert not [line for line in lines if "#" in line and not line.startswith("#")], file.name
-
-
 def test_every_typed_topic_has_its_message_file():
     assert {each.type_name.rpartition("/")[2] for each in TYPED.values()} == {*QUANTITIES}
 

@@ -78,13 +78,6 @@ def car(can_log, tmp_path) -> Callable[..., Path]:
     return write
 
 
-@pytest.mark.nightly
-def test_the_eco_planner_says_that_nothing_is_in_time(ros2, bench):
-    """A whole number, too; the line of the README is run in `test_readme_lines`."""
-    with ros2.running(*LAUNCH, "eco_speed_planner.launch.py", "deadline:=1") as launch:
-        bench.pump(lambda: "nothing is in time: 1 s" in launch.output)
-
-
 def test_nodes_are_kept_after_the_bag_and_a_mistyped_argument_is_reported(
     ros2, bench, monkeypatch, tmp_path
 ):
@@ -176,19 +169,6 @@ def assert_each_is_in_one_group_of_its_car(names):
     for name in names:
         found = [group for group, starts in groups.items() if name.startswith(tuple(starts))]
         assert len(found) == 1 and found[0].startswith(name.split("/")[1] + ".analyzers."), name
-
-
-@pytest.mark.nightly
-def test_two_replays_in_one_graph_follow_their_namespaces(ros2, bench, tmp_path):
-    of_a_bag = f'"bag": "{ROOT}/bags/urban", "rate": "4", "params_file":'
-    changes = (("evpinn.launch.py", "replay.launch.py"), ('"params_file":', of_a_bag))
-    file = two_cars(tmp_path, *changes)
-    heard = [bench.hear(topics.POWER_SMOOTHED, name) for name in ("/robot1/ev", "/robot2/ev")]
-    default = ROOT / "config" / "evpinn.param.yaml"
-    with ros2.running("launch", file, f"first:={default}", f"second:={default}"):
-        bench.pump(lambda: all(heard))
-        found = ros2.ask("param", "list", "/robot2/ev/estimator")
-        assert "qos_overrides./robot2/ev/vehicle/speed.subscription.depth" in found
 
 
 WRONG = {

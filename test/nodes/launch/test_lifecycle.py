@@ -12,7 +12,6 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.state_file import Half, StateClaim
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.topics.messages import stamp_ns
-from test.conftest import ROOT
 
 RUN, UNDER_EV = ("run", "evpinn_ros"), ("--ros-args", "-r", "__ns:=/ev", "-p", "managed:=true")
 
@@ -47,24 +46,6 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
         first = stamp_ns(drive[0][1])
         send(40)
         assert all(stamp_ns(power) < first for power in powers)  # those were on the way
-
-
-@pytest.mark.nightly
-def test_a_managed_bridge_opens_its_bus_when_it_is_activated(ros2, bench):
-    said = bench.hear(topics.DIAGNOSTICS)
-
-    def text():
-        said.clear()
-        bench.pump(lambda: said)
-        return said[-1].status[0].message
-
-    options = ("-p", "interface:=slcan", "-p", "channel:=/dev/none")
-    options += ("-p", "can_profile:=tesla_model_3")
-    with ros2.running(*RUN, "can_bridge", *UNDER_EV, *options):
-        assert "it waits to be configured" in text()
-        for transition in ("configure", "activate"):
-            ros2.ask("lifecycle", "set", "/ev/can_bridge", transition)
-        bench.pump(lambda: "/dev/none" in text())
 
 
 @pytest.mark.nightly
@@ -163,14 +144,3 @@ def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2, bench):
                 return "active" in labels
 
             bench.pump(active)
-
-
-@pytest.mark.nightly
-def test_a_launch_of_two_cars_names_each(ros2, bench):
-    default = ROOT / "config" / "evpinn.param.yaml"
-    cars = ("first_vehicle:=bmw_i3", "second_vehicle:=tesla_model_3_lr")
-    given = (f"first:={default}", f"second:={default}", *cars)
-    names = [f"/{robot}/ev/energy/state" for robot in ("robot1", "robot2")]
-    with ros2.running("launch", "evpinn_ros", "two_cars.launch.py", *given):
-        bench.pump(lambda: all(bench.node.count_publishers(name) for name in names))
-        assert "bmw_i3" in ros2.ask("param", "get", "/robot1/ev/energy", "vehicle")

@@ -49,10 +49,3 @@ def test_a_line_of_a_page_works(ros2, bench, line, monkeypatch, tmp_path):
 
 def _type(full_name):
     return factory.message_class(topic_of(full_name).type_name)
-
-
-def test_the_pages_have_such_lines():
-    assert len(LINES["README.md"]) >= 2
-    guide = LINES["docs/guides/ros.md"]
-    assert len(guide) >= 5
-    assert any("eco_speed" in line and "deadline:=" in line for line in guide)

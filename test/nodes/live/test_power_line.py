@@ -17,23 +17,6 @@ from evpinn_ros.nodes.live.power_line import (
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 
 
-def test_a_bin_is_the_mean_of_its_half_second():
-    line = PowerHistory()
-    for stamp, power in ((0, 10.0), (BIN_NS - 1, 20.0), (2 * BIN_NS, 7.0)):
-        line.add("measured", stamp, power)
-    assert line.last("measured", 2) == pytest.approx([math.nan, 7.0], nan_ok=True)
-    assert line.last("measured", 3) == pytest.approx([15.0, math.nan, 7.0], nan_ok=True)
-
-
-def test_kinds_lie_beside_each_other():
-    line = PowerHistory()
-    line.add("measured", 0, 1.0)
-    line.add("predicted", BIN_NS, 2.0)
-    assert line.last("measured", 2) == pytest.approx([1.0, math.nan], nan_ok=True)
-    assert line.last("predicted", 2) == pytest.approx([math.nan, 2.0], nan_ok=True)
-    assert all(math.isnan(value) for value in line.last("smoothed", 2))
-
-
 def test_a_bag_that_starts_over_starts_the_line_over_and_a_straggler_does_not():
     line = PowerHistory()
     line.add("measured", 20 * BIN_NS, 1.0)
@@ -64,14 +47,6 @@ def test_an_axis_holds_zero_and_what_a_car_can_have(values):
 def test_a_line_has_the_size_asked_for(values, width, height):
     rows = braille_line(values, width, height, (-1.0, 1.0))
     assert [len(row) for row in rows] == height * [width]
-
-
-def test_a_line_is_high_where_the_value_is_high_and_joined():
-    # One character: low, then high. The second column is filled from bottom to top but for the
-    # row of the first.
-    assert braille_line([0.0, 1.0], 1, 1, (0.0, 1.0)) == ["⡸"]
-    top, bottom = braille_line([1.0, math.nan, math.nan, 0.0], 2, 2, (0.0, 1.0))
-    assert (top, bottom) == ("⠁⠀", "⠀⢀")
 
 
 @given(st.integers(0, DOT_ROWS - 1))
