@@ -255,12 +255,6 @@ def test_an_epoch_that_drifts_is_laid_on_the_clock(scripted):
     assert abs(stamps("kvaser", clock)[-1] - clock[-1]) < 2_000_000
 
 
-def test_frames_without_a_stamp_have_their_arrivals(scripted):
-    scripted([message(0.0)] * 3)
-    clock = [NOW, NOW + 10_000_000, NOW + 20_000_000]
-    assert stamps("virtual", clock) == clock
-
-
 def test_failing_callback_is_no_failing_bus(scripted):
     scripted([message(0.0), message(0.1)])
 
@@ -379,22 +373,3 @@ def test_open_says_what_to_do(interface, channel, options, remedy):
     with pytest.raises(InputError) as error:
         BusReader(interface, channel, print, lambda: NOW, **options).open()
     assert remedy in str(error.value) and "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("number", "remedy"),
-    [
-        (errno.ENODEV, "`ip link show type can` lists the channels"),
-        (errno.ENETDOWN, "try `sudo ip link set can0 up type can bitrate 500000`"),
-        (errno.EAFNOSUPPORT, "modprobe can_raw"),
-        (errno.EPERM, "no permission"),
-        (errno.EBUSY, "another program has it open"),
-    ],
-)
-def test_socketcan_says_what_to_do(monkeypatch, number, remedy):
-    def fail(**_):
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(can, "Bus", fail)
-    with pytest.raises(InputError, match=remedy):
-        BusReader("socketcan", "can0", print, lambda: NOW).open()

@@ -125,23 +125,3 @@ def test_round_trip_within_half_a_step(name, speed, voltage, current, charge):
     assert near(battery_back.current, current, step("battery", 1))
     if has_charge:
         assert near(battery_back.state_of_charge, charge, step("state_of_charge"))
-
-
-@pytest.mark.parametrize("name", WHOLE)
-def test_counters_run(name):
-    encoder, decoder = Encoder(PROFILES[name]), Decoder(PROFILES[name])
-    for _ in range(40):
-        assert decoder.decode(encoder.speed(SpeedReading(0, 10.0)))
-        assert decoder.decode(encoder.battery(BatteryReading(0, 380.0, -20.0)))
-    assert not decoder.dropped
-
-
-@pytest.mark.parametrize("speed", [math.nan, math.inf, -50.0, 200.0])
-def test_what_the_car_cannot_show_is_refused(speed):
-    with pytest.raises(ValueError, match="is outside"):
-        Encoder(PROFILES["tesla_model_3"]).speed(SpeedReading(0, speed))
-
-
-def test_missing_quantity_is_refused():
-    with pytest.raises(ValueError, match="profile tesla_model_s broadcasts no state_of_charge"):
-        Encoder(PROFILES["tesla_model_s"]).state_of_charge(BatteryReading(0, 380.0, 0.0, 0.5))

@@ -123,13 +123,6 @@ def test_battery_of_leaf_keeps_its_sign(leaf):
     assert (reading.voltage, reading.current) == (400.0, 30.0)
 
 
-def test_leaf_checksum_and_length(leaf):
-    good = leaf_battery(-141, 783)
-    assert leaf.decode(CanFrame(0, 0x1DB, good.data[:7] + bytes([good.data[7] ^ 0x80]))) == ()
-    assert leaf.decode(CanFrame(0, 0x1DB, good.data[:7])) == ()
-    assert leaf.dropped == Counter(bad_checksum=1, short_frame=1)
-
-
 def test_crc8_against_a_polynomial_division():
     # The remainder of a single one, shifted by 8: the polynomial itself.
     assert nissan_crc8(0, b"\x01") == 0x85

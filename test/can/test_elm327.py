@@ -17,10 +17,9 @@ import can
 import pytest
 
 from evpinn_ros.can import elm327 as elm327_module
-from evpinn_ros.can.bus import BusCondition, BusReader
+from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.elm327 import Elm327Bus
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import LiveBridge, running
 from test.waiting import HANG_S, wait_until
@@ -241,34 +240,3 @@ def test_an_adapter_that_begins_anew_is_prepared_anew(adapter):
         car.say(b"\r\rELM327 v1.5\r\r>")
         wait_until(lambda: car.heard.count("ATH1") == 2)
         assert "began anew" in reader.status().problem
-
-
-@pytest.mark.parametrize(
-    ("answers", "banner", "why"),
-    [
-        ({}, b"modem 56k", "no ELM327 or OBDLink is there: it replied b'modem 56k"),
-        ({"ATZ": None, "": None}, None, "it replied nothing; is the ignition on"),
-        ({"ATH1": b"?"}, b"ELM327 v2.1", "does not know ATH1: a clone?"),
-    ],
-)
-def test_refusals_name_the_fix(adapter, monkeypatch, answers, banner, why):
-    if banner is None:
-        monkeypatch.setattr(elm327_module, "WAKE_S", 0.1)
-        monkeypatch.setattr(elm327_module, "RESET_S", 0.1)
-    car = adapter(answers, banner=banner)
-    reader = BusReader("elm327", car.place, print, time.time_ns, tty_baudrate=38400)
-    with pytest.raises(InputError, match=why.replace("?", r"\?").replace("(", r"\(")):
-        reader.open()
-    assert reader.status().condition is BusCondition.CLOSED
-
-
-@pytest.mark.parametrize(
-    ("place", "why"),
-    [
-        ("tcp:127.0.0.1:1", "has this computer joined the adapter's Wi-Fi"),
-        ("/dev/no-such-adapter", "is the adapter plugged in"),
-    ],
-)
-def test_an_adapter_that_is_not_there(place, why):
-    with pytest.raises(InputError, match=why):
-        BusReader("elm327", place, print, time.time_ns).open()

@@ -1,5 +1,4 @@
 from functools import cache
-import itertools
 import math
 
 import pytest
@@ -63,12 +62,6 @@ def test_load_of_a_full_bus():
     assert low == pytest.approx(111 / 135, rel=0.01) and high == pytest.approx(1.0, rel=0.01)
 
 
-def test_nothing_came():
-    report = inspected([]).report()
-    assert report.frames == 0 and report.best is None and report.ids == ()
-    assert math.isnan(report.load[0])
-
-
 def test_ids_without_end_do_not_fill_the_memory():
     frames = (CanFrame(i, i, b"", True) for i in range(MOST_IDS + 100))
     report = inspected(frames).report()
@@ -111,21 +104,3 @@ def test_what_another_tester_asks_for_is_told():
     assert best.values["voltage"].newest == pytest.approx(404.7)
     speed, battery, charge = best.fit.messages
     assert (speed.frames, battery.frames, battery.good, charge.good) == (0, 27, 3, 3)
-
-
-def test_answers_of_another_car_fit_nothing():
-    inspection = Inspection(ALL, 500_000)
-    for stamp in range(50):
-        inspection.add_frame(CanFrame(stamp * 10 * MS, 0x7BB, bytes.fromhex("0361010000000000")))
-    report = inspection.report()
-    assert report.best is None
-    own = next(each for each in report.profiles if each.fit.profile == "hyundai_kia")
-    assert "no_answer" in own.contradicted
-
-
-def test_firmware_is_told_apart(reports):
-    for right, wrong in itertools.permutations(("tesla_model_3", "tesla_model_3_2019")):
-        report = reports(right)
-        assert report.best.fit.profile == right
-        other = next(each for each in report.profiles if each.fit.profile == wrong)
-        assert "battery (0x132)" in other.contradicted

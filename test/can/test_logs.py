@@ -1,6 +1,3 @@
-import gzip
-import sys
-
 import can
 from can.io import mf4
 import pytest
@@ -73,47 +70,12 @@ def test_the_ends_of_a_log_tell_how_long_it_is(tmp_path, suffix, end, monkeypatc
     assert LogFile(log.path).seconds is None
 
 
-def test_a_packed_log_does_not_tell_how_long_it_is(tmp_path):
-    assert LogFile(write(tmp_path / "drive.log.gz")).seconds is None
-
-
-@pytest.mark.parametrize("suffix", [".log", ".log.gz", ".asc", ".blf", ".trc", ".csv"])
-def test_truncated_log_gives_all_before_the_cut_and_says_so(tmp_path, suffix):
-    whole = write(tmp_path / f"drive{suffix}").read_bytes()
-    cut = tmp_path / f"cut{suffix}"
-    # Within a line: its last digits must not become a frame of other bytes.
-    at = int(len(whole) * 0.6)
-    while whole[at - 1 : at] == b"\n":
-        at += 1
-    cut.write_bytes(whole[:at])
-    log = LogFile(cut)
-    frames = list(log.frames())
-    assert COUNT * 0.3 < len(frames) < COUNT
-    check(frames, milliseconds=suffix == ".asc")
-    assert log.problem and str(cut) in log.problem and str(len(frames)) in log.problem
-    assert "\n" not in log.problem
-
-
 @needs_asammdf
 def test_truncated_mf4_says_so(tmp_path):
     whole = write(tmp_path / "drive.mf4").read_bytes()
     (tmp_path / "cut.mf4").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match=r"cut\.mf4: broken after 0 frames"):
         list(LogFile(tmp_path / "cut.mf4").frames())
-
-
-def test_mf4_without_its_extra_names_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "asammdf", None)
-    with pytest.raises(InputError, match=r"asammdf is not installed: .*evpinn_ros\[mf4\]"):
-        LogFile(tmp_path / "a.mf4")
-
-
-def test_half_a_payload_is_no_frame(tmp_path):
-    path = tmp_path / "a.log"
-    path.write_text("(1.0) can0 132#989467000000\n(1.1) can0 132#98946")
-    log = LogFile(path)
-    assert [frame.data.hex() for frame in log.frames()] == ["989467000000"]
-    assert log.problem == f"{path}: cut off after 1 frames"
 
 
 def test_broken_line_in_the_middle(tmp_path):
@@ -172,18 +134,6 @@ def test_written_log_reads_back(tmp_path):
     assert write_log(path, frames) == 3
     assert list(LogFile(path).frames()) == frames
     assert path.read_text().startswith("(1549819403.028902) can0 132#0001020304050607\n")
-
-
-def test_log_that_cannot_be_written(tmp_path):
-    with pytest.raises(InputError, match="No such file or directory"):
-        write_log(tmp_path / "nowhere" / "a.log", [])
-
-
-def test_gzip_of_an_absolute_asc_keeps_the_date(tmp_path):
-    plain = write(tmp_path / "drive.asc")
-    (tmp_path / "drive2.asc.gz").write_bytes(gzip.compress(plain.read_bytes()))
-    frames = LogFile(plain).frames()
-    assert next(LogFile(tmp_path / "drive2.asc.gz").frames()) == next(frames)
 
 
 def test_frames_that_no_bus_can_carry_are_skipped_and_counted(tmp_path):

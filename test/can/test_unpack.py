@@ -60,10 +60,3 @@ def test_overlapping_signals_read_the_bits_they_name():
     assert raw == {"Whole": 0x1A2B, "Middle": 0xA2 - 0x100, "Last": 0x3C4D}
     with pytest.raises(cantools.database.DecodeError):
         by_cantools(message, data)
-
-
-def test_a_signal_over_the_end_is_left_to_cantools():
-    text = 'VERSION ""\n\nBU_: X\n\nBO_ 100 M: 1 X\n SG_ S : 4|8@1+ (1,0) [0|0] "" X\n'
-    message = cantools.database.load_string(text, database_format="dbc", strict=False).messages[0]
-    with pytest.raises(Exception):  # noqa: B017  (whatever cantools makes of it)
-        unpacker(message, ["S"])(bytes(2))

@@ -339,42 +339,6 @@ def test_a_thousands_sign_is_no_decimal_one(tmp_path):
     assert powers == pytest.approx([950, 12_345, 27_521, -1004])
 
 
-REFUSED = [
-    (
-        "time,speed [furlong],power [W]\n1,2,3\n",
-        r"the unit \[furlong\] of speed is not known; say --column 'speed=speed \[furlong\]:UNIT'",
-    ),
-    ("time,speed,power\nx,1,1\n", "column 'time': 'x' is no time that is known"),
-    ("time,speed,power\n", "no row below the header"),
-    ("time,speed,power\n1,a,b\n2,c,d\n", r"drive.csv:2: column 'speed': 'a' is no number; --col"),
-    ("time,speed,voltage\n1,2,3\n", "a column of voltage alone, and none of power"),
-]
-
-
-@pytest.mark.parametrize(("text", "reason"), REFUSED)
-def test_what_cannot_be_read_is_refused_with_the_way_out(tmp_path, text, reason):
-    (tmp_path / "drive.csv").write_text(text)
-    with pytest.raises(InputError, match=reason):
-        list(open_drive(tmp_path / "drive.csv").readings())
-
-
-def test_a_bad_cell_is_quoted_once(tmp_path):
-    source = small(tmp_path, "t_s,speed_mps,power_w", "0,1,1", "1,fast,1", "2,slow,1")
-    list(source.readings())
-    assert source.notes[1:] == (
-        f"{tmp_path / 'drive.csv'}:3: column 'speed_mps': 'fast' is no number; "
-        "--column speed=NAME takes another column",
-    )
-
-
-def test_rows_longer_than_the_header_are_whole_where_many_are(tmp_path):
-    rows = [f"{i},1,1{',7' * (3 if i > 20 else 0)}" for i in range(60)]
-    rows.insert(40, "39.5,1")
-    rows.insert(50, "48.5,1,1,7,49,1,1,7,7,7")
-    source = small(tmp_path, "t_s,speed_mps,power_w", *rows)
-    assert len(times(source)) == 60 and source.dropped == {"wrong_number_of_cells": 2}
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
 def test_real_logs_are_read_with_no_flag():
@@ -429,9 +393,3 @@ def test_a_continuation_of_leafspy_is_read_as_the_whole_log(tmp_path, name):
         next(row for row in (line.split(",") for line in below.split("\n")) if row[30:])
     )
     assert len(ours) == header.count(",") + 1
-
-
-def test_a_row_of_another_kind_has_no_known_layout():
-    assert layout_of(["2024-05-01 08:00:00"] + ["3"] * 154) == []
-    assert layout_of(["07/04/2017 10:12:19"] + ["3"] * 154) == [], "no cell has 3 mV"
-    assert layout_of(["07/04/2017 10:12:19", "3"]) == []

@@ -1,7 +1,5 @@
 """Tables of several cars, and of several drives of one car, as published data sets are."""
 
-import gzip
-
 import numpy as np
 import pytest
 
@@ -12,9 +10,9 @@ from evpinn_ros.core.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.clock import PAUSE_NS
 from evpinn_ros.logs.read_options import ReadOptions
-from evpinn_ros.logs.sources import open_drive, open_source
+from evpinn_ros.logs.sources import open_source
 from evpinn_ros.logs.trips import split
-from test.logs.test_columns import NOMINAL, drive_of, rows, speed_at
+from test.logs.test_columns import drive_of, rows, speed_at
 
 # As the Vehicle Energy Dataset has it (gsoh/VED, "VED_171101_week.csv").
 HEADER = "VehId,Trip,Timestamp(ms),Vehicle Speed[km/h],HV Battery Current[A],HV Battery Voltage[V]"
@@ -92,18 +90,6 @@ def test_a_measured_value_is_no_car(tmp_path, name):
     assert len(speeds(drive)) == 1200
 
 
-def test_a_file_that_breaks_off_is_read_up_to_there(tmp_path):
-    table = "\n".join([HEADER, *lines_of("455", 1)])
-    (tmp_path / "drive.csv.gz").write_bytes(gzip.compress(table.encode())[:-4000])
-    drive = open_drive(tmp_path / "drive.csv.gz", NOMINAL)
-    assert len(speeds(drive)) > 500 and "ended before" in drive.problem
-
-
-def test_torn_rows_are_no_cars(tmp_path):
-    torn = [f"{number},1,{100 * number},30,5,360" for number in range(1201, 1215)]
-    assert speeds(drive_of(tmp_path, HEADER, lines_of("455", 1) + torn))
-
-
 def test_drives_whose_clock_begins_anew_follow_each_other(tmp_path):
     table = lines_of("455", 1605) + lines_of("455", 1610, 900) + lines_of("455", 1611)
     drive = drive_of(tmp_path, HEADER, table)
@@ -132,16 +118,6 @@ def test_columns_that_follow_each_other_are_no_drives(tmp_path, begins):
     seconds = (found[-1].stamp_ns - found[0].stamp_ns) / NANOSECONDS
     assert seconds == pytest.approx(begins[-1] - begins[0] + 119.9)
     assert "anew" not in drive.clock.why
-
-
-def test_drives_within_columns_that_follow_each_other_are_not_torn_apart(tmp_path):
-    """Where they meet is not known: what does not fit the first is counted, as ever."""
-    once = in_blocks(0)
-    table = once[:1200] * 2 + once[1200:] * 2
-    drive = drive_of(tmp_path, "time,speed [m/s],pack volts,pack amps", table)
-    found = speeds(drive)
-    assert found[-1].stamp_ns - found[0].stamp_ns < 120 * NANOSECONDS
-    assert drive.dropped["time_not_increasing"] > 2000
 
 
 def test_a_sign_is_told_by_signals_that_stand_far_down(tmp_path, monkeypatch):

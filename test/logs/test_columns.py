@@ -18,7 +18,6 @@ from evpinn_ros.logs.column import by_reason, columns_by_name
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_drive
 from evpinn_ros.logs.table_drive import TableDrive
-from evpinn_ros.logs.values import Signal, at_times
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 NOMINAL = 350.0
@@ -292,14 +291,6 @@ def test_the_cars_own_speed_before_that_of_a_phone_in_a_pocket(tmp_path):
     assert {rule.name for rule in chosen.rules if rule.quantity == "speed"} == {"Speed"}
 
 
-def test_a_signal_is_known_at_its_own_times_beside_a_gap():
-    signal = Signal(np.array([0.0, 1.0, 100.0, 101.0]), np.array([1.0, 2.0, 3.0, 4.0]))
-    times = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 99.0, 100.0, 101.0, 102.0])
-    nan = math.nan
-    expected = [nan, 1.0, 1.5, 2.0, nan, nan, 3.0, 4.0, nan]
-    assert at_times(signal, times).tolist() == pytest.approx(expected, nan_ok=True)
-
-
 WRONG = [
     ("speed", "say QUANTITY=NAME"),
     ("weight=a", "say QUANTITY=NAME"),
@@ -408,17 +399,3 @@ def test_a_unit_that_is_not_known_costs_no_drive_that_can_do_without(tmp_path):
         "SOC [bars]": "the unit [bars] of charge is not known",
         "Ambient [gas mark]": "the unit [gas mark] of ambient is not known",
     }
-
-
-def test_an_empty_column_loses_to_a_full_one_of_the_vehicle_energy_dataset(tmp_path):
-    header = (
-        "DayNum,Timestamp(s),Vehicle Speed[km/h],OAT[DegC],Air Conditioning Power[kW],"
-        "Air Conditioning Power[Watts],HV Battery Current[A],HV Battery Voltage[V]"
-    )
-    lines = (
-        f"197.5,{t:.1f},{3.6 * v:.3f},14.0,NaN,{400 + t:.0f},{-i:.3f},{u}" for t, v, u, i in rows()
-    )
-    drive = drive_of(tmp_path, header, lines)
-    used = {rule.quantity: rule.name for rule in drive.rules}
-    assert used["aircon"] == "Air Conditioning Power[Watts]" and used["ambient"] == "OAT[DegC]"
-    assert drive.ignored["Air Conditioning Power[kW]"] == "empty"

@@ -7,7 +7,6 @@ import pytest
 from evpinn_ros.bags.convert import write_readings
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import write_log
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_source
@@ -30,11 +29,6 @@ def test_can_log_gives_the_readings_of_the_simulated_bus(tmp_path, vehicle, shor
     source = open_source(tmp_path / "drive.log", vehicle)
     assert list(source.readings()) == list(short_drive.readings)
     assert source.problem is None
-
-
-def test_a_suffix_in_capitals_is_the_same_log(tmp_path, vehicle, short_drive):
-    write_log(tmp_path / "DRIVE.LOG", short_drive.frames)
-    assert list(open_source(tmp_path / "DRIVE.LOG", vehicle).readings())
 
 
 def test_a_can_log_that_later_contradicts_the_profile_ends_there(tmp_path, vehicle):
@@ -74,27 +68,6 @@ def test_csv_plain_and_compressed(tmp_path, vehicle):
     assert len(plain) == 3  # the empty cell makes no message
     assert plain[1].power == pytest.approx(3500.0)
     assert plain[1].voltage == vehicle.nominal_voltage
-
-
-def test_wrong_inputs_name_the_file_and_the_reason(tmp_path, vehicle):
-    (tmp_path / "picture.png").write_bytes(b"\x89PNG")
-    (tmp_path / "drive.log").write_text("(1.0) can0 257#00\n")
-    for path, reason in (
-        (tmp_path / "missing.csv", "no such file"),
-        (tmp_path / "picture.png", "neither a bag"),
-    ):
-        with pytest.raises(InputError, match=reason) as error:
-            open_source(path, vehicle)
-        assert str(path) in str(error.value)
-    with pytest.raises(InputError, match="names no CAN profile"):
-        open_source(tmp_path / "drive.log", load_vehicle("generic"))
-
-
-def test_log_of_another_car_fails_instead_of_giving_nothing(tmp_path, vehicle):
-    (tmp_path / "other.log").write_text("(1600000000.0) can0 7A1#0011223344556677\n")
-    source = open_source(tmp_path / "other.log", vehicle)
-    with pytest.raises(InputError, match=r"other\.log"):
-        list(source.readings())
 
 
 def test_a_bag_is_read_without_what_reads_buses(loads_without):

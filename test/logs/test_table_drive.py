@@ -121,14 +121,6 @@ def test_time_since_the_epoch_is_kept(tmp_path):
     assert next(drive.readings()).stamp_ns == 1_700_000_000_250_000_000
 
 
-def test_gz_and_byte_order_mark(tmp_path):
-    text = "\ufefft_s, speed_mps ,power_w\n0,1,2\n"
-    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(text.encode()))
-    drive = open_drive(tmp_path / "a.csv.gz", NOMINAL)
-    assert [rule.name for rule in drive.rules] == ["t_s", "speed_mps", "power_w"]
-    assert len(list(drive.readings())) == 2
-
-
 def test_a_file_that_ends_early_says_where(tmp_path):
     rows = "".join(f"{i},{i % 7},{i * 37 % 101}\n" for i in range(20_000))
     whole = gzip.compress(b"t_s,speed_mps,power_w\n" + rows.encode())

@@ -2,7 +2,6 @@
 
 import gzip
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -144,17 +143,3 @@ def test_a_geotiff_of_another_projection_is_projected(tmp_path):
     write_geotiff(tmp_path / "utm.tiff", "EPSG:32632", 679_985.0, 5_330_015.0, 30.0, heights)
     middle = np.array([latitude[125_250]]), np.array([longitude[125_250]])
     assert Terrain(tmp_path).heights(*middle) == pytest.approx(plane(*middle), abs=0.05)
-
-
-def test_what_is_no_geotiff_is_refused_in_one_line(tmp_path):
-    pytest.importorskip("rasterio")
-    (tmp_path / "a.tif").write_bytes(b"II*\0" + bytes(range(200)))
-    with pytest.raises(InputError, match=r"a\.tif: .*directory"):
-        Terrain(tmp_path)
-
-
-def test_a_geotiff_without_its_reader_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rasterio", None)
-    (tmp_path / "a.tif").write_bytes(b"II*\0")
-    with pytest.raises(InputError, match=r"rasterio is not installed: .*evpinn_ros\[elevation\]"):
-        Terrain(tmp_path)

@@ -121,15 +121,9 @@ def test_legs_of_several_waypoints_follow_each_other(read):
         ({"error": {"code": 2010, "message": "no routable point"}}, "no route: no routable point"),
         ({"message": "Cannot find point 2", "hints": []}, "no route: Cannot find point 2"),
         ({"routes": [], "code": "Ok"}, "there is no route in this answer"),
-        ({"durations": [[0.0, 9.0]], "code": "Ok"}, "there is no route in this answer"),
         ({"vehicle": "bmw_i3"}, "known are GeoJSON and the answers of Valhalla"),
         ({"routes": [{"legs": [{"steps": []}]}]}, "lacks 'distance'"),
-        ({"routes": [{"legs": [{"distance": "x", "duration": 3}]}]}, "JSON is damaged"),
-        ({"routes": [{"legs": [{"distance": 9.0, "duration": 0}]}]}, "takes no time"),
         ({"routes": [{"legs": [{"distance": 9e3, "duration": 2}]}]}, "lengths in m, durations"),
-        ({"routes": [{"legs": [{"distance": 9.0, "duration": 900}]}]}, "drives 0.01 m/s"),
-        ({"routes": [{"legs": [{"distance": 1e400, "duration": 900}]}]}, "above 120960 km"),
-        ({"routes": [{"legs": [{"distance": 9.0, "duration": 1e400}]}]}, "a time is not finite"),
         (
             {
                 "trip": {
@@ -144,9 +138,6 @@ def test_legs_of_several_waypoints_follow_each_other(read):
             },
             "above 120960 km",
         ),
-        ({"paths": [{"distance": 9.0, "time": 9, "points": "~"}]}, "polyline is damaged"),
-        ({"trip": {"units": "furlongs", "legs": []}}, "lacks 'furlongs'"),
-        ('{"routes": [', "JSON is damaged"),
         ('{"routes": ' + "[" * 100_000, "JSON is damaged"),
     ],
 )

@@ -96,11 +96,6 @@ def test_points_without_a_time_lie_on_the_way_to_the_next(read):
     assert legs.duration == pytest.approx([85.0])
 
 
-def test_a_track_without_heights_says_so(read):
-    legs = read(gpx(heights=None))
-    assert not legs.height_known.any() and not legs.climb.any()
-
-
 def test_a_height_that_leaps_adds_no_hill(read):
     leaping = [0.0, 0.0, 0.0, 505.0, 505.0]
     assert abs(read(gpx(heights=leaping)).climb).max() < 1.0
@@ -112,31 +107,16 @@ def test_the_track_with_times_is_taken_where_a_route_stands_beside_it(read):
     assert read(gpx().replace("</wpt>", f"</wpt>{route}")).duration.sum() == pytest.approx(105.0)
 
 
-def test_lines_of_an_interrupted_recording_are_one_track(read):
-    whole = geojson()["geometry"]["coordinates"]
-    geometry = {"type": "MultiLineString", "coordinates": [whole[:2], whole[2:]]}
-    properties = {"coordinateProperties": {"times": [CLOCK[:2], CLOCK[2:]]}}
-    data = {"type": "Feature", "properties": properties, "geometry": geometry}
-    assert read(data).duration == pytest.approx([20.0, 25.0, 60.0])
-
-
 @pytest.mark.parametrize(
     ("track", "reason"),
     [
         (gpx(times=None), "neither times nor speeds"),
-        (geojson("LineString"), "neither times nor speeds"),
         (gpx(CLOCK[::-1]), "time goes back at point 1"),
-        (gpx([CLOCK[0]] * 5), "takes no time"),
         (gpx(["soon"] * 5), "'soon' is no time of ISO 8601"),
-        (gpx().replace('lat="48', 'lat="148'), "not on Earth"),
-        (gpx(times=None, speeds=[200.0] * 5), "faster than 100 m/s"),
         (gpx()[:-200], "its XML is damaged"),
         ("<kml><Placemark/></kml>", "XML that is no GPX"),
-        ("<gpx/>", "no line of two points"),
         ('<!DOCTYPE gpx [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><gpx>&b;</gpx>', "DOCTYPE"),
         (geojson(times=SECONDS[1:]), "4 times for 5 points"),
-        ({"type": "FeatureCollection", "features": []}, "no line of two points"),
-        ({"type": "Feature", "geometry": None, "properties": None}, "no line of two points"),
     ],
 )
 def test_what_is_no_track_is_refused_with_the_reason(read, track, reason):
