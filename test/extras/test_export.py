@@ -55,8 +55,3 @@ def test_what_is_not_known_of_the_battery_is_asked_for(evpinn, begun):
     assert (done.returncode, done.stdout) == (1, "")
     asked = "the capacity of the battery of mobile_robot is not known: give --capacity"
     assert asked in done.stderr
-
-
-def test_a_state_of_another_vehicle_is_refused(evpinn, begun):
-    done = evpinn("export", "rmf", "robot.json", "--vehicle", "bmw_i3", cwd=begun)
-    assert done.returncode == 1 and "mobile_robot" in done.stderr and done.stdout == ""

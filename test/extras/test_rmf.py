@@ -5,12 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import Plan
-from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.energy.power_model import Weather, vehicle_model
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.rmf import rmf_energy
 
@@ -49,10 +47,3 @@ def test_a_capacity_is_in_ampere_hours():
     assert math.isnan(rmf_energy(model, ROBOT, UNKNOWN).capacity.value)
     assert rmf_energy(model, ROBOT, UNKNOWN).speed == 1.0 == ROBOT.nominal_speed
     assert rmf_energy(model, ROBOT, UNKNOWN, 0.5).speed == 0.5
-
-
-def test_a_vehicle_that_would_cost_nothing_is_refused():
-    car = vehicle_model(ROBOT).car
-    car.mean[[State.ROLLING, State.TURNING, State.MASS]] = -100.0, 0.0, 0.0
-    with pytest.raises(InputError, match="costs nothing to drive: let it learn on"):
-        rmf_energy(PowerModel(car), ROBOT, UNKNOWN)

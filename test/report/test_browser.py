@@ -78,25 +78,6 @@ def test_every_plot_is_drawn_without_a_word(browser, page, width, dark):
     assert browser.requests == [page.as_uri()]
 
 
-def test_long_names_of_parts_fit_a_narrow_page(browser, reported, tmp_path):
-    breakdown = dict(reported.metrics["breakdown"])
-    group = {"parts": ["brakes", "drivetrain", "standing"], **breakdown["drivetrain"]}
-    found = dict(reported.metrics) | {"breakdown": breakdown | {"together": [group]}}
-    path = tmp_path / "long.html"
-    write_drives(path, [replace(reported, metrics=found)], "evpinn replay x")
-    browser.open(path, width=390)
-    whole, seen = browser.run(WIDTHS)
-    assert whole <= seen == 390
-
-
-def test_dark_is_dark(browser, page):
-    shades = []
-    for dark in (False, True):
-        browser.open(page, width=1100, dark=dark)
-        shades.append(browser.run("getComputedStyle(document.body).backgroundColor"))
-    assert shades == ["rgb(251, 251, 249)", "rgb(22, 24, 27)"]
-
-
 def test_to_zoom_one_curve_zooms_all_over_time_and_back(browser, page):
     browser.open(page, width=1100)
     before = pictures(browser)
@@ -195,32 +176,6 @@ def test_a_map_shows_power_where_it_is_pointed_at(browser, reported, tmp_path):
     assert browser.troubles == []
 
 
-def test_a_finger_zooms_sideways(browser, page):
-    browser.open(page, width=390)
-    before = pictures(browser)
-    left, top, width, height = box(browser, "speed")
-    for kind, share in (("touchStart", 0.3), ("touchMove", 0.6), ("touchEnd", None)):
-        at = [] if share is None else [{"x": left + share * width, "y": top + height / 2}]
-        browser.call("Input.dispatchTouchEvent", type=kind, touchPoints=at)
-    browser.settle()
-    assert differ(before, pictures(browser)).count(True) == 13
-    assert browser.troubles == []
-
-
-def test_a_drive_that_is_opened_later_is_drawn(browser, reported, tmp_path):
-    path = tmp_path / "two.html"
-    write_drives(path, [reported, reported], "evpinn replay a b")
-    browser.open(path, width=390)
-    assert len(browser.run(INKED)) == 18
-    browser.run("document.querySelectorAll('[data-drive] > summary')[1].click()")
-    browser.wait_for("document.querySelectorAll('canvas').length === 36")
-    browser.settle()
-    assert min(browser.run(INKED)) > 5
-    whole, seen = browser.run(WIDTHS)
-    assert whole <= seen
-    assert browser.troubles == []
-
-
 def test_text_of_a_bag_does_not_run(browser, reported, tmp_path):
     """The policy holds even if a script came through."""
     path = tmp_path / "hostile.html"
@@ -232,19 +187,3 @@ def test_text_of_a_bag_does_not_run(browser, reported, tmp_path):
     browser.open(path, width=1100)
     assert browser.run("document.title") == "Drive town"
     assert "Content Security Policy" in " ".join(browser.troubles)
-
-
-def test_dark_pages_print_as_light_ones(browser, page):
-    """Paper is white: the plots are drawn anew for it."""
-    browser.open(page, width=1100)
-    light = pictures(browser)
-    browser.open(page, width=1100, dark=True)
-    dark = pictures(browser)
-    assert all(differ(light, dark))
-    browser.run("dispatchEvent(new Event('beforeprint'))")
-    browser.settle()
-    assert not any(differ(light, pictures(browser)))
-    assert browser.run("document.querySelector('details').open")  # paper unfolds nothing
-    browser.run("dispatchEvent(new Event('afterprint'))")
-    browser.settle()
-    assert not any(differ(dark, pictures(browser)))

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from evpinn_ros.api.plan import planned_energy, what_if
-from evpinn_ros.cli.main import app
 from evpinn_ros.core.energy.forecast import plan_parts
 from evpinn_ros.core.energy.plan import (
     PlanConditions,
@@ -14,8 +12,6 @@ from evpinn_ros.core.energy.plan import (
     plan_from_speed_profile,
 )
 from evpinn_ros.core.estimation.terms import WHOLE, Part
-from evpinn_ros.replays.energy_metrics import MEANINGS
-from evpinn_ros.report.forecast_page import speed_along
 
 TIME = np.arange(0.0, 601.0, 2.0)
 SPEED = np.minimum(20.0, np.minimum(TIME, 600.0 - TIME)) * (1.0 + 0.1 * np.sin(TIME / 20.0))
@@ -56,27 +52,3 @@ def test_a_stop_lasts_as_long_however_fast_one_drives():
     assert FINE.quicker(1.25).distance[-1] == FINE.distance[-1]
     with pytest.raises(PlanError):
         FINE.quicker(20.0)
-
-
-def test_the_speed_of_legs_is_their_mean_from_end_to_end_and_stops_are_seen():
-    """10 m/s, a stop, 20 m/s, in steps."""
-    planned = planned_energy(COARSE, "bmw_i3", COLD)
-    along, speed = speed_along(planned, np.arange(4))
-    assert along.tolist() == pytest.approx([0.0, 0.6, 0.6, 0.6, 0.6, 7.6])
-    assert speed.tolist() == pytest.approx([36.0, 36.0, 0.0, 0.0, 72.0, 72.0])
-
-
-def test_the_page_tells_the_whole_without_a_script(tmp_path):
-    page, plan = tmp_path / "page.html", tmp_path / "<b>up & down.csv"
-    rows = zip(TIME, SPEED, FINE.elevation, strict=True)
-    plan.write_text("t_s,speed_mps,elevation_m\n" + "\n".join(f"{a},{b},{c}" for a, b, c in rows))
-    given = ["--vehicle", "bmw_i3", "--charge", "80", "--temperature", "-10"]
-    done = CliRunner().invoke(app, ["forecast", str(plan), *given, "--report", str(page)])
-    assert done.exit_code == 0, done.output
-    text = page.read_text()
-    assert "<script" not in text and "<b>up" not in text
-    assert "&lt;b&gt;up &amp; down.csv" in text and "-10 degrees C" in text
-    for words in (MEANINGS["climate"], MEANINGS["tyres"], "10 km/h faster", "% left, between"):
-        assert words in text
-    assert text.count("<polyline") == 3 and text.count("<polygon") == 1
-    assert ">nan" not in text and "nan " not in text

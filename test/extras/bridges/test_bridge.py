@@ -12,12 +12,10 @@ import signal
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
-from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.bridges.bridge import BridgeSettings, MqttBridge
 from evpinn_ros.extras.bridges.broker import IN_FLIGHT, BrokerSettings, Connection
@@ -108,65 +106,6 @@ def test_a_drive_over_the_broker_has_its_energy(
     broker.settle(late, "evpinn/end")
     assert f"evpinn/{car}/power" not in late.newest(), "an old power is of no use"
     assert f"evpinn/{car}/parameters" in late.newest()
-
-
-def test_each_second_of_a_source_that_jitters_is_answered(broker: Broker, bridged: Make) -> None:
-    clock = Clock()
-    bridge, connection = bridged(settings(read_layout("teslamate")), clock)
-    reader, writer = broker.client(topics=("evpinn/1/power",)), broker.client()
-    begin_ns = clock.now_ns
-    sets = enumerate(messages for _, messages in as_teslamate(seconds=30))
-    early = ((begin_ns + i * 980_000_000, messages) for i, messages in sets)
-    play(early, writer, bridge, connection, clock)
-    last = (begin_ns + 28 * 980_000_000) / NANOSECONDS
-    step_until(bridge, lambda: _times(reader)[-1:] > [last])
-    assert np.diff(_times(reader)) == pytest.approx(0.98, abs=0.01)
-    assert len(reader.came) > 24  # power is predicted from the third speed on
-
-
-def _times(reader: Client) -> list[float]:
-    """Stamps of the answers that came, s."""
-    return [json.loads(payload)["time"] for _, payload, _ in reader.came]
-
-
-def test_two_cars_are_two(broker: Broker, bridged: Make) -> None:
-    clock = Clock()
-    bridge, connection = bridged(
-        settings(read_layout("teslamate"), vehicles={"2": load_vehicle("bmw_i3")}), clock
-    )
-    writer = broker.client()
-    both = zip(as_teslamate("1", seconds=60), as_teslamate("2", seconds=30), strict=False)
-    play(((s, {**a, **b}) for (s, a), (_, b) in both), writer, bridge, connection, clock)
-    one, two = bridge.cars["1"], bridge.cars["2"]
-    assert (one.vehicle.key, two.vehicle.key) == (VEHICLE, "bmw_i3")
-    trips = [car.documents()["energy"]["trip_km"] for car in (one, two)]
-    assert trips[0] == pytest.approx(trips[1], rel=0.01) and trips[0] > 0.05
-
-
-def test_cars_without_a_vehicle_are_ignored(broker: Broker, bridged: Make) -> None:
-    bridge, _ = bridged(
-        settings(read_layout("teslamate"), vehicles={"1": load_vehicle(VEHICLE)}, other=None)
-    )
-    writer = broker.client()
-    for car in ("1", "7"):
-        writer.publish(f"teslamate/cars/{car}/speed", "36")
-    step_until(bridge, lambda: bridge.ignored and bridge.cars)
-    assert (set(bridge.cars), bridge.ignored) == ({"1"}, {"7"})
-
-
-def test_retained_old_values_at_the_start_are_not_now(broker: Broker, bridged: Make) -> None:
-    writer = broker.client()
-    for name, value in (("speed", "90"), ("power", "25"), ("usable_battery_level", "55")):
-        writer.publish(f"teslamate/cars/1/{name}", value, retain=True)
-    bridge, _ = bridged(settings(read_layout("teslamate")))
-    step_until(bridge, lambda: "1" in bridge.cars)
-    writer.publish("teslamate/cars/2/latitude", "48.1")  # comes after all that was retained
-    step_until(bridge, lambda: "2" in bridge.cars)
-    assert bridge.cars["1"].readings == 0
-    writer.publish("teslamate/cars/1/latitude", "48.1")
-    step_until(bridge, lambda: bridge.cars["1"].readings)
-    assert bridge.cars["1"].readings == 1, "the charge alone"
-    assert bridge.cars["1"].documents()["range"]["charge_percent"] == pytest.approx(55.0)
 
 
 def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
@@ -280,43 +219,6 @@ def test_the_right_password_from_a_file_is_in_no_list_of_processes(
     process.terminate()
     _, said = process.communicate(timeout=60)
     assert process.returncode == 0 and PASSWORD not in said
-
-
-def test_an_owner_is_told_why_there_is_no_connection(broker: Broker) -> None:
-    broker.kill()
-    process = command(broker)
-    said = next(line for line in process.stderr if ": not connected: " in line)
-    process.terminate()
-    process.communicate(timeout=60)
-    assert said.endswith(": not connected: Connection refused\n")
-
-
-def test_a_sender_whose_clock_is_set_back_goes_on_to_be_answered(
-    broker: Broker, bridged: Make, tmp_path: Path
-) -> None:
-    path = tmp_path / "topics.yaml"
-    path.write_text(
-        "stamp: t\ntopics:\n  my/{car}:\n    fields:\n"
-        "      v: {quantity: speed, unit: km/h}\n      p: {quantity: power, unit: kW}\n"
-    )
-    bridge, connection = bridged(settings(read_layout(str(path))))
-    reader, writer = broker.client(topics=("evpinn/zoe/power",)), broker.client()
-    seconds = drive()[:60]
-    for i, s in enumerate(seconds):
-        ahead_s = 7200 if i < 30 else 0  # until the sender asks a time server
-        payload = {"t": s.stamp_ns / 1e6 + 1e3 * ahead_s, "v": s.speed, "p": s.power}
-        writer.publish("my/zoe", json.dumps(payload))
-        wait_until(lambda i=i: bridge.step(0.01) and bridge.cars["zoe"].readings == 2 * i + 2)
-        step_until(bridge, lambda: nothing_is_held_back(connection))
-    last_s = seconds[-1].stamp_ns / 1e9
-
-    def answered() -> bool:
-        return json.loads(reader.newest()["evpinn/zoe/power"])["time"] == pytest.approx(last_s)
-
-    step_until(bridge, answered)
-    assert len(reader.came) > 50, "once a second, before and after"
-    trip = bridge.cars["zoe"].documents()["energy"]["trip_kwh"]
-    assert trip == pytest.approx(energy(seconds), rel=0.1)
 
 
 def certificates(folder: Path) -> None:

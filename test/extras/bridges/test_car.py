@@ -136,23 +136,6 @@ def test_what_was_learned_outlives_the_process(tesla: BridgedCar, state: Path) -
     )
 
 
-def test_a_state_of_another_car_is_set_aside_and_said(tmp_path: Path) -> None:
-    path = tmp_path / "1.json"
-    path.write_text('{"version": 1}')
-    found = car(path)
-    assert "not used" in found.problem
-    assert found.health()["problem"] == found.problem
-    send(found, read_layout("teslamate"), as_teslamate(seconds=30))
-    found.save()
-    assert (tmp_path / "1.json.refused").read_text() == '{"version": 1}'
-
-
-def test_nothing_new_is_not_written_again(tmp_path: Path) -> None:
-    found = car(tmp_path / "1.json")
-    found.save()
-    assert not (tmp_path / "1.json").exists()
-
-
 def test_a_stamp_that_leapt_ahead_is_not_the_newest_for_ever() -> None:
     """A bridge that waits for it would publish no power until then."""
     found = car()

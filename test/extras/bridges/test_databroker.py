@@ -20,7 +20,6 @@ from typing import Any
 import pytest
 
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
-from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.bridges.car import BridgedCar
 from evpinn_ros.extras.bridges.databroker import INPUTS, METRES, OUTPUTS, DatabrokerFeed, signals
@@ -212,31 +211,6 @@ def test_a_databroker_without_the_overlay_is_served_what_it_knows(served) -> Non
     feed_drive(broker, seconds=20)
     _, feed = follow(broker, port, lambda: drive()[0].stamp_ns)
     assert feed.missing and all("EvPinn" in name for name in feed.missing)
-
-
-@pytest.mark.nightly
-def test_values_of_before_are_not_now_but_a_clock_behind_ours_is_no_reason(served) -> None:
-    """The first update is of last values; what comes later is live, whatever clock stamps it."""
-    broker, port = served
-    old = drive()[0].stamp_ns - 24 * 3600 * 10**9
-    broker.feed(old, **{"Vehicle.Speed": 90.0, f"{BATTERY}.CurrentVoltage": 380.0})
-    feed_drive(broker)
-    car, _ = follow(broker, port, lambda: drive()[-1].stamp_ns + 3600 * 10**9)
-    expected = energy(drive()[:SECONDS])
-    assert car.documents()["energy"]["trip_kwh"] == pytest.approx(expected, rel=1e-4)
-
-
-@pytest.mark.nightly
-def test_the_range_is_in_metres() -> None:
-    car = BridgedCar("vehicle", load_vehicle(VEHICLE), EstimatorSettings())
-    for i in range(2400):  # 16 km at 15 kWh/100 km
-        stamp_ns = (1_700_000_000 + i) * 10**9
-        speed = SpeedReading(stamp_ns, 6.0 + i % 7 / 7)
-        car.add_readings([BatteryReading(stamp_ns, 360.0, -9.7, 0.5), speed])
-    found = dict(signals(car))
-    assert found[f"{BATTERY}.Range"] == round(1e3 * car.documents()["range"]["range_km"])
-    assert 100_000 < found[f"{BATTERY}.Range"] < 400_000
-    assert found["Vehicle.EvPinn.RangeLower"] < found[f"{BATTERY}.Range"]
 
 
 def test_the_command_follows_a_databroker_and_saves(served, tmp_path: Path) -> None:

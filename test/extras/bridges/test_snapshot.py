@@ -11,7 +11,7 @@ from evpinn_ros.core.signals.readings import (
     TemperatureReading,
 )
 from evpinn_ros.extras.bridges.layouts import Measurand, Parsed, Value, read_layout
-from evpinn_ros.extras.bridges.snapshot import BURST_NS, Snapshots, is_due
+from evpinn_ros.extras.bridges.snapshot import BURST_NS, Snapshots
 
 SECOND = 1_000_000_000
 BASE = "teslamate/cars/1"
@@ -93,12 +93,6 @@ def test_power_while_charging_is_not_driving(tesla: Tesla) -> None:
     assert all(not isinstance(r, SpeedReading) for r in readings), "that of before is not held"
 
 
-def test_a_retained_state_keeps_a_charging_car_asleep(tesla: Tesla) -> None:
-    tesla.send(10, retained=True, state="charging")
-    tesla.send(11, power=-7)
-    assert tesla.snapshots.flush(12 * SECOND) == []
-
-
 def test_ovms_gives_voltage_and_current_as_they_are() -> None:
     snapshots, base = Snapshots(360.0, on_change=True), "ovms/me/CAR/metric/v"
     for name, value in (("p/speed", "36"), ("b/voltage", "400"), ("b/current", "25")):
@@ -106,11 +100,6 @@ def test_ovms_gives_voltage_and_current_as_they_are() -> None:
         snapshots.add(parsed, SECOND, retained=False)
     battery, _ = snapshots.flush(2 * SECOND)
     assert (battery.voltage, battery.current, battery.power) == (400.0, -25.0, 10_000.0)
-
-
-def test_a_clock_that_is_set_back_ends_a_burst(tesla: Tesla) -> None:
-    tesla.send(1000, speed=36)
-    assert len(tesla.snapshots.flush(500 * SECOND)) == 1
 
 
 @pytest.mark.parametrize(("ahead_s", "used"), [(3600, True), (1e8, False), (8e9, False)])
@@ -121,7 +110,3 @@ def test_a_stamp_of_a_day_that_has_not_come_is_that_of_arrival(ahead_s: float, u
     parsed = Parsed("zoe", {Measurand.SPEED: Value(10.0)}, stamp_ns)
     (speed,) = Snapshots(360.0, on_change=False).add(parsed, now_ns, retained=False)
     assert speed.stamp_ns == (stamp_ns if used else now_ns)
-
-
-def test_after_a_clock_was_set_back_something_is_due_again() -> None:
-    assert is_due(100, 50, 10) and is_due(100, 110, 10) and not is_due(100, 109, 10)

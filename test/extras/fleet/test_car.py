@@ -120,15 +120,6 @@ def test_a_bad_drive_costs_itself_alone(learned, tmp_path):
     assert done.learned == 0, "a bad drive does not keep the others from being done"
 
 
-@pytest.mark.usefixtures("instant")
-def test_a_new_drive_is_added_beside_a_bad_one(task, drives):
-    garbage = drives / "garbage.mcap"
-    garbage.write_bytes(b"no bag")
-    learn_car(task(drives / "c", garbage))
-    done = learn_car(task(drives / "c", garbage, drives / "a"))
-    assert (done.learned, done.kept, done.failed) == (1, 1, 1)
-
-
 def test_a_drive_without_battery_is_no_evidence(task, drives):
     path = drives / "speed.csv"
     rows = [f"{i / 10},{5 + np.sin(i / 20)}," for i in range(150)]
@@ -144,17 +135,3 @@ def test_it_stops_when_asked(task, drives):
     with pytest.raises(StoppedError):
         learn_car(one)
     assert not one.folder.exists()
-
-
-def test_it_stops_within_a_drive(task, drives, monkeypatch):
-    one = task(drives / "c", drives / "a")
-    asked = iter(range(10))
-
-    def stop_if(_):
-        if next(asked) == 5:
-            raise StoppedError
-
-    monkeypatch.setattr(car_module, "_stop_if", stop_if)
-    with pytest.raises(StoppedError):
-        learn_car(one)
-    assert not (one.folder / RESULT_FILE).exists(), "half a drive is none"

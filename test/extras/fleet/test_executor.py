@@ -52,10 +52,6 @@ def test_few_tasks_are_held_at_a_time(executor):
     assert len(taken) < 30
 
 
-def test_no_tasks_no_outcomes(executor):
-    assert list(executor.outcomes(math.sqrt, [])) == []
-
-
 def test_a_worker_that_dies_costs_its_own_task_alone():
     end, roots = partial(os._exit, 1), [partial(math.sqrt, x) for x in (4.0, 9.0, 16.0)]
     executor = LocalExecutor(2)
@@ -64,16 +60,6 @@ def test_a_worker_that_dies_costs_its_own_task_alone():
     executor.close()
     assert [one.task for one in found if one.problem].count(end) == 2
     assert sorted(one.result for one in found if one.problem is None) == [2.0, 3.0, 4.0]
-
-
-def test_no_worker_at_the_address(monkeypatch):
-    distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
-    monkeypatch.setattr("evpinn_ros.extras.fleet.executor.WORKER_PATIENCE", 1)
-    with (
-        distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as cluster,
-        pytest.raises(InputError, match="has no worker"),
-    ):
-        DaskExecutor(cluster.scheduler_address)
 
 
 def test_what_does_not_answer_leaves_nothing_that_a_later_cluster_could_wait_for(monkeypatch):

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.vehicle.files import load_vehicle, write_vehicle
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.fleet.manifest import cars_by_folder, cars_by_manifest
 
 LEAF = load_vehicle("nissan_leaf")
@@ -44,11 +44,6 @@ def test_a_top_folder_is_a_car(data):
 def test_folders_of_cars_may_be_given_themselves(data):
     found = cars_by_folder([str(data / "data" / "bob"), str(data / "data" / "loose.csv")], LEAF)
     assert names_of(found, data) == {"bob": ALL["bob"], "data": ALL["data"]}
-
-
-def test_a_folder_of_one_level_more_is_not_that_car(data):
-    """Given ann herself, her drives lie in 2025: that is the folder below the given one."""
-    assert list(names_of(cars_by_folder([str(data / "data" / "ann")], LEAF), data)) == ["2025"]
 
 
 def test_patterns_and_the_same_drive_twice(data):
@@ -116,13 +111,6 @@ def test_names_of_all_kinds_are_found(data, name, given):
     assert [(car.car, car.drives) for car in found] == [("carl", (path,))]
 
 
-@pytest.mark.parametrize("given", ["nowhere", "data/*.db3", "empty"])
-def test_nothing_there_is_said(data, given):
-    (data / "empty").mkdir()
-    with pytest.raises(InputError, match=r"nothing there|no bag"):
-        cars_by_folder([str(data / given)], LEAF)
-
-
 def test_yaml(data):
     manifest = data / "fleet.yaml"
     manifest.write_text(
@@ -155,42 +143,15 @@ def test_csv(data):
     [
         ("drive,car\n", ":1: the columns must be drive, car, vehicle"),
         ("drive,car,vehicle\ndata/bob,b\n", ":2: expected drive, car, vehicle"),
-        ("drive,car,vehicle\ndata/bob,b,bmw_i3,more\n", ":2: expected"),
-        ("drive,car,vehicle\ngone,b,bmw_i3\n", ":2: gone: nothing there"),
-        ("drive,car,vehicle\ndata/bob,b,no_car\n", ":2: no vehicle named"),
         ("drive,car,vehicle\ndata/bob,b,bmw_i3\ndata/bob,c,bmw_i3\n", ":3: .* of car 'b' already"),
         ("drive,car,vehicle\ndata/bob,b,bmw_i3\ndata/ann,b,bmw_i4\n", ":3: car 'b' is a bmw_i4"),
         ("drive,car,vehicle\ndata/bob,..,bmw_i3\n", "cannot be named '..'"),
-        ("drive,car,vehicle\n", "no bag"),
-        ("", ":1: the columns"),
-        ("drive,car,vehicle\n\xff", "utf-8"),
     ],
 )
 def test_a_wrong_csv_is_refused(data, text, reason):
     manifest = data / "fleet.csv"
     manifest.write_bytes(text.encode("latin-1"))
     with pytest.raises(InputError, match=reason):
-        cars_by_manifest(manifest)
-
-
-def test_a_wrong_yaml_is_refused(data):
-    manifest = data / "fleet.yaml"
-    for text, reason in (
-        ("cars: {a: {drives: data}}", "'vehicle' is missing"),
-        ("cars: {a: {vehicle: bmw_i3, drives: [x]}}", "'drives' must be text"),
-        ("fleet: {}", "unknown key 'fleet'"),
-    ):
-        manifest.write_text(text)
-        with pytest.raises(InputError, match=reason):
-            cars_by_manifest(manifest)
-
-
-def test_vehicle_files_of_one_name_are_not_mixed(data):
-    write_vehicle(data / "car.yaml", load_vehicle("bmw_i3"))
-    write_vehicle(data / "copy" / "car.yaml", LEAF)
-    manifest = data / "fleet.csv"
-    manifest.write_text("drive,car,vehicle\ndata/bob,b,car.yaml\ndata/ann,a,copy/car.yaml\n")
-    with pytest.raises(InputError, match="both named car"):
         cars_by_manifest(manifest)
 
 

@@ -54,52 +54,9 @@ def test_delay_of_speed_is_found(
     assert speed_delay(late, vehicle) == pytest.approx(delay, abs=0.03)
 
 
-def test_twenty_samples_are_refused(
-    tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
-    path = write_csv(tmp_path / "short.csv", make_log(), slice(20))
-    with pytest.raises(InputError, match=r"short\.csv: \d+ samples .* needs 100"):
-        read_drive_log(path, vehicle)
-
-
-def test_cells_that_are_no_numbers_are_left_out(
-    tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
-    path = write_csv(tmp_path / "nan.csv", make_log())
-    lines = path.read_text().splitlines()
-    lines[50] = "4.900,nan,inf"
-    lines[120] = "11.900,,"
-    path.write_text("\n".join(lines))
-    read = read_drive_log(path, vehicle)
-    assert len(read.drive.time) > 370
-    assert all(np.isfinite(column).all() for column in read.drive)
-    assert sum(read.dropped.values()) >= 2
-
-
 def test_time_that_goes_back_is_refused(tmp_path: Path, vehicle: Vehicle) -> None:
     """Two drives in one CAN log, the second with the stamps of the first."""
     frames = simulate(DriveKind.URBAN, vehicle, 30.0, 1).frames
     write_log(tmp_path / "twice.log", [*frames, *frames])
     with pytest.raises(InputError, match=r"twice\.log: time goes back"):
         read_drive_log(tmp_path / "twice.log", vehicle)
-
-
-def test_only_bad_cells_are_named(
-    tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
-    path = write_csv(tmp_path / "nan.csv", make_log())
-    lines = [line.rsplit(",", 1)[0] + ",bad" for line in path.read_text().splitlines()[1:]]
-    path.write_text("\n".join(["t_s,speed_mps,power_w", *lines]))
-    with pytest.raises(InputError, match="power_w_not_a_number"):
-        read_drive_log(path, vehicle)
-
-
-def test_constant_speed_is_read_without_a_delay(
-    tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
-    made = make_log(np.full(400, 20.0))
-    log = read_drive_log(write_csv(tmp_path / "flat.csv", made), vehicle).drive
-    assert log.speed == pytest.approx(20.0)
-    assert np.abs(log.acceleration).max() < 1e-6
-    assert speed_delay(made, vehicle) == 0.0
-    assert speed_delay(make_log(np.zeros(400)), vehicle) == 0.0

@@ -7,14 +7,12 @@ import pytest
 from scipy.integrate import simpson, trapezoid
 import torch
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.quadrature import Step
 from evpinn_ros.core.energy.rknn import energy_step, slopes
 from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.extras.paper.energy_network import (
     CURVE_EPOCHS,
     MAX_GAP,
-    MIN_STEPS,
     EnergyTraining,
     step_data,
 )
@@ -61,26 +59,6 @@ def test_with_a_linear_middle_it_is_the_quadrature_of_the_meter(start, end, dt):
     assert step == pytest.approx(Step(dt, start, end).energy, rel=1e-12, abs=1e-6)
 
 
-def test_each_subnetwork_starts_from_the_energy_so_far():
-    seen = []
-
-    def network(*arguments):
-        seen.append(arguments)
-        return arguments[0] * 10
-
-    slopes([network] * 4, 1.0, 2.0, 3.0, 0.5, 100.0)
-    assert seen == [(1.0,), (2.0, 102.5), (2.0, 105.0), (3.0, 110.0)]
-
-
-def test_order_of_convergence():
-    errors = []
-    for steps in (60, 120):
-        time = np.linspace(0.0, 3.0, steps + 1)
-        data = step_data(time, np.sin(time))
-        errors.append(abs(data.step_energy.sum() - (1 - np.cos(3.0))))
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.02)
-
-
 # Steps
 
 
@@ -101,26 +79,6 @@ def test_steps_across_gaps_and_beside_unknown_power_are_left_out():
     assert len(data.dt) == 200 - 2 - 1
     assert data.dt.max() < 0.2
     assert data.energy == pytest.approx(np.cumsum(data.step_energy) - data.step_energy)
-
-
-def test_too_few_steps_are_said():
-    time, power = drive(MIN_STEPS + 1)
-    step_data(time, power)
-    with pytest.raises(InputError, match=f"{MIN_STEPS - 1} usable steps"):
-        step_data(time[:-1], power[:-1])
-
-
-def test_a_drive_without_power_is_said():
-    with pytest.raises(InputError, match="zero"):
-        step_data(drive()[0], np.zeros(201))
-
-
-def test_a_single_step_with_energy_is_enough_to_train_on():
-    time, power = drive()
-    power[:-1] = 0.0
-    run = EnergyTraining(step_data(time, power), seed=1)
-    run.run_to(3)
-    assert np.isfinite(run.losses).all()
 
 
 # Training
@@ -174,45 +132,6 @@ def test_interrupted_training_gives_the_same_numbers(trained, tmp_path):
     again.load_state(saved)  # training did not write into what was saved
     again.run_to(EPOCHS)
     assert again.losses == trained.losses
-
-
-def test_a_saved_state_does_not_move_with_further_training():
-    run = training()
-    run.run_to(3)
-    state = run.state()
-    run.run_to(6)
-    resumed = training()
-    resumed.load_state(state)
-    resumed.run_to(6)
-    assert all(map(torch.equal, run._networks.parameters(), resumed._networks.parameters()))
-
-
-def test_every_epoch_is_told(trained):
-    told = []
-    run = training()
-    run.run_to(4, lambda *heard: told.append(heard))
-    run.run_to(2, lambda *heard: told.append(heard))
-    assert told == [(row.epoch, row.rknn_training) for row in trained.losses[:4]]
-
-
-def test_the_seed_leaves_the_random_numbers_of_the_caller_alone():
-    torch.manual_seed(7)
-    expected = torch.rand(3)
-    torch.manual_seed(7)
-    training()
-    assert torch.equal(torch.rand(3), expected)
-
-
-def test_divergence_is_said():
-    run = training()
-    with torch.no_grad():
-        next(run._networks.parameters()).fill_(torch.nan)
-    with pytest.raises(InputError, match="diverged at epoch 1"):
-        run.run_to(5)
-    assert run.epoch == 0
-    assert not run.losses
-    with pytest.raises(InputError, match="diverged"):
-        run.integrate(*drive())
 
 
 # Roll-out

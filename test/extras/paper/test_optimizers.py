@@ -14,7 +14,7 @@ from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.optimizer_name import OptimizerName
 from evpinn_ros.extras.paper.optimizers import INPUTS
-from evpinn_ros.extras.paper.power_training import PowerTraining, curve_epochs
+from evpinn_ros.extras.paper.power_training import PowerTraining
 from evpinn_ros.extras.paper.problem import Problem, random_split
 from evpinn_ros.extras.paper.scores import combinations
 from test.extras.paper.conftest import TRUE
@@ -79,25 +79,6 @@ def test_ours_is_below_adam_after_as_many_epochs_and_finds_the_true_combinations
         assert found[name] == pytest.approx(truth[name], rel=0.05)
 
 
-def test_losses_are_logged_at_the_epochs_of_the_tables(
-    begin: Callable[..., PowerTraining],
-) -> None:
-    told = []
-    training = begin(OptimizerName.ADAM, 12)
-    training.run_to(100, lambda epoch, loss: told.append((epoch, loss)))
-    assert [row.epoch for row in training.rows] == curve_epochs(12)
-    assert {1, 10, 12} <= {row.epoch for row in training.rows}
-    assert told[-1] == (12, training.rows[-1].validation.total)
-
-
-def test_divergence_is_said(begin: Callable[..., PowerTraining]) -> None:
-    training = begin(OptimizerName.ADAM, 5)
-    with torch.no_grad():
-        training.optimizer.log_scale.fill_(torch.nan)
-    with pytest.raises(InputError, match="diverged before epoch 1"):
-        training.run_to(5)
-
-
 def test_a_checkpoint_of_other_settings_is_none_and_a_broken_one_refused(tmp_path) -> None:
     path = tmp_path / "a.npz"
     assert load_checkpoint(path, "x") is None
@@ -117,9 +98,3 @@ def test_a_checkpoint_of_other_settings_is_none_and_a_broken_one_refused(tmp_pat
     is_refused()
     path.write_bytes(path.read_bytes()[:10])
     is_refused()
-
-
-def test_a_folder_that_is_a_file_is_said(tmp_path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
-        save_checkpoint(tmp_path / "file" / "a.npz", "x", {"weights": torch.zeros(1)})

@@ -68,15 +68,6 @@ def test_without_braking_mu_is_not_determined(
     assert found["mu"].value == pytest.approx(vehicle.priors["mu"].value, rel=1e-6)
 
 
-def test_at_constant_speed_rolling_and_drag_are_one(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
-    found = rows_of(make_log(np.full(400, 15.0)), vehicle)
-    assert not found["mu"].determined
-    assert found["mass_over_eta"].std / found["mass_over_eta"].value > 0.1
-    assert all(np.isfinite((row.value, row.std)).all() for row in found.values())
-
-
 def test_a_network_s_power_can_be_fitted_as_well(
     make_log: Callable[..., DriveLog], vehicle: Vehicle
 ) -> None:
@@ -108,13 +99,6 @@ def test_drift_along_the_unknown_direction_spares_the_combinations(
     assert alone["mass"].std / alone["mass"].value > 0.4
     assert together["mass_over_eta"].std < 1.5 * narrow["mass_over_eta"].std
     assert together["mass_over_eta"].determined and not alone["mass"].determined
-
-
-def test_constant_speed_determines_nothing(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
-    found = rows_of(make_log(np.full(400, 20.0)), vehicle)
-    assert not any(row.determined for row in found.values())
 
 
 def test_in_the_form_wheel_power_braking_is_told_with_eta(

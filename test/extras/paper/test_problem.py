@@ -14,7 +14,6 @@ from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.network import PHYSICS_LOSS, PowerNetwork
 from evpinn_ros.extras.paper.problem import (
-    InputForm,
     Problem,
     chronological_split,
     random_split,
@@ -47,10 +46,6 @@ def test_chronological_split_validates_on_the_future_alone() -> None:
     split = chronological_split(1000)
     assert split.training.max() < split.validation.min()
     assert len(split.validation) == 200
-
-
-def test_random_split_differs_by_seed() -> None:
-    assert not np.array_equal(random_split(500, 0).validation, random_split(500, 1).validation)
 
 
 def test_loss_is_eq_22_in_normalised_units(problem: Problem, network: PowerNetwork) -> None:
@@ -115,22 +110,3 @@ def test_gradients_of_parameters_equal_autograd(
     for index in (0, 57, 200):
         (expected,) = torch.autograd.grad(problem.physics(motion, z)[index], z)
         assert torch.allclose(rows[index], expected, rtol=1e-9, atol=1e-14)
-
-
-def test_unit_inputs_span_the_drive(make_log: Callable[..., DriveLog], vehicle: Vehicle) -> None:
-    log = make_log()
-    split = random_split(len(log.time), 0)
-    problem = Problem(log, vehicle, split, inputs=InputForm.UNIT, dtype=torch.float64)
-    inputs = torch.cat((problem.training.inputs, problem.validation.inputs))
-    assert inputs.min(0).values.tolist() == pytest.approx([-1.0, -1.0])
-    assert inputs.max(0).values.tolist() == pytest.approx([1.0, 1.0])
-
-
-def test_constant_speed_and_power_stay_finite(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle, network: PowerNetwork
-) -> None:
-    log = make_log(np.full(200, 20.0), noise=0.0)
-    problem = Problem(
-        log, vehicle, random_split(200, 0), inputs=InputForm.UNIT, dtype=torch.float64
-    )
-    assert np.isfinite(problem.losses(problem.training, network, Z)).all()

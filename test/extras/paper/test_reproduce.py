@@ -88,21 +88,3 @@ def test_state_is_a_start_for_replay(quick, drive: Path, tmp_path: Path) -> None
     )
     assert json.loads(scores.read_text())["power"]["rmse_w"] > 0
     run("check-params", out / "vehicle.yaml")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (("missing.csv", "--vehicle", VEHICLE), "missing.csv: no such file"),
-        (("drive.csv", "--vehicle", VEHICLE, "--device", "cuda"), "no CUDA device"),
-        (("drive.csv", "--vehicle", "unicycle"), "no vehicle named"),
-        (("drive.csv", "--vehicle", VEHICLE, "--out", "drive.csv"), "drive.csv"),
-    ],
-)
-def test_wrong_input_is_one_line(
-    evpinn, arguments: tuple[str, ...], reason: str, drive: Path
-) -> None:
-    done = evpinn("reproduce", *arguments, "--epochs", 1, cwd=drive.parent)
-    assert done.returncode == 1
-    assert reason in done.stderr and done.stderr.count("\n") == 1
-    assert not done.stdout

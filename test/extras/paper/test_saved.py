@@ -14,7 +14,7 @@ from evpinn_ros.core.estimation.state_file import read_state
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.core.vehicle.parameters import LIMITS, Parameters
+from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.experiment import Experiment, Outcome, Settings
@@ -102,12 +102,6 @@ def test_state_of_another_reading_of_eq_21_is_refused(outcome: Outcome, tmp_path
     estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
     with pytest.raises(ValueError, match="regen_form 'recovery', not for regen_form 'printed'"):
         estimator.restore(read_state(path))
-
-
-def test_what_lies_outside_the_limits_is_brought_in() -> None:
-    wild = Parameters(eta=0.5, mu=1.7, mass=1e6, c_rr=1e-9, c_d=0.2, p_aux=500.0)
-    for name, value in possible(wild, RegenForm.RECOVERY)._asdict().items():
-        assert LIMITS[name].lower <= value <= LIMITS[name].upper
 
 
 def test_tables_say_what_the_results_say(outcome: Outcome) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.arrays import chosen_rows
-from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.paper.experiment import (
     CHRONOLOGICAL,
     NETWORK,
@@ -17,7 +16,6 @@ from evpinn_ros.extras.paper.experiment import (
 )
 from evpinn_ros.extras.paper.optimizer_name import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.extras.paper.published import POWER_LOSSES, EnergyRow, Losses, LossRow
-from evpinn_ros.extras.paper.tables import all_tables
 from evpinn_ros.extras.paper.verdict import ClaimAnswer, verdict
 
 HOLDS, PARTLY, FAILS, OPEN = ClaimAnswer
@@ -125,22 +123,3 @@ def test_energy_networks_are_compared_by_the_median(
     rows[:10] = [row._replace(rknn_validation=9.0 if rknn < 0.5 else 0.0) for row in rows[:10]]
     rows[-1] = rows[-1]._replace(rknn_validation=1e-9, dnn_validation=1e9)
     assert verdict(replace(outcome, energy_rows=rows))[INTEGRATES].answer is answer
-
-
-@pytest.mark.parametrize("key", ["tesla_model_s", "bmw_i3"])
-def test_tables_two_and_three_are_there_for_every_car(outcome: Outcome, key: str) -> None:
-    """The paper's two cars stand beside any drive; of which it is not, the note says."""
-    tables = [table.title for table in all_tables(outcome)]
-    assert [title.split(":")[0] for title in tables][:3] == ["Table II", "Table III", "Table IV"]
-    car = load_vehicle(key).as_published
-    other = list(all_tables(replace(outcome, vehicle=car)))[:2]
-    assert all(table.rows[-1][-1] != "-" for table in other)  # the paper's at epoch 10000
-    assert car.name in other[0].note and (car.name in other[1].note) is (key == "bmw_i3")
-    assert len(verdict(replace(outcome, vehicle=car))) == 5
-
-
-def test_the_table_shows_how_far_the_network_strays(outcome: Outcome) -> None:
-    rows = outcome.chronological.problem.split.validation
-    note = next(t.note for t in all_tables(outcome) if t.title == "Power on data not trained on")
-    for powers in (outcome.unseen_power[rows], outcome.log.power[rows]):
-        assert f"{powers.min() / 1000:.0f} to {powers.max() / 1000:.0f} kW" in note
