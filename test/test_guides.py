@@ -156,23 +156,3 @@ def test_every_fence_is_one_that_is_understood(page):
     found = FENCED.findall(text)
     assert {language for language, _ in found} <= {"bash", "csv", "python", "yaml", ""}
     assert text.count("```") == 2 * len(found), "indented, or not closed: it would not be run"
-
-
-def test_a_wrong_option_is_found_wherever_it_stands():
-    command = "cd x && evpinn run --vehicle a \\\n  --no-such 1"
-    page = f"<!-- not run: no car -->\n```bash\n{command}\n```\n"
-    (block,) = blocks(page)
-    assert block.reason == "no car"
-    (words,) = commands(block.text)
-    assert words == ["evpinn", "run", "--vehicle", "a", "--no-such", "1"]
-    with pytest.raises(Exception, match=r"[Nn]o such option"):
-        parse(words)
-    with pytest.raises(AssertionError, match="no command"):
-        parse(["evpinn", "bench", "weather"])
-
-
-def test_a_reason_is_needed_right_before_the_block():
-    for before in ("<!-- not run: -->\n", "<!-- not run: far -->\n\n", "<!-- skip -->\n", ""):
-        (block,) = blocks(f"{before}```bash\ntrue\n```\n\n```\nit ran\n```\n")
-        assert block.reason is None
-        assert block.shown == "it ran\n"

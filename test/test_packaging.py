@@ -158,12 +158,6 @@ def test_version_is_one(wheel: ZipFile) -> None:
     assert metadata["Version"] == MANIFEST.findtext("version") == evpinn_ros.__version__
 
 
-def test_manifest_is_an_ament_python_package() -> None:
-    assert MANIFEST.get("format") == "3"
-    assert MANIFEST.findtext("name") == "evpinn_ros"
-    assert MANIFEST.findtext("export/build_type") == "ament_python"
-
-
 def test_manifest_declares_what_every_installation_has(wheel: ZipFile) -> None:
     """By its rosdep key; what has none is named in a comment."""
     keys, required = dict(NAMES.values()), requirements(wheel)[""]
@@ -331,12 +325,6 @@ def test_a_workspace_of_links_runs_what_is_in_its_source(linked: Path) -> None:
     assert (linked / "evpinn_ros/share/evpinn_ros/launch/evpinn.launch.py").is_symlink()
 
 
-def test_the_guides_build_is_the_one_that_is_tested() -> None:
-    guide = (ROOT / "docs" / "guides" / "ros.md").read_text()
-    assert "ln -s evpinn_ros/evpinn_msgs src/evpinn_msgs" in guide
-    assert "python -m colcon build --symlink-install\n" in guide
-
-
 def test_colcon_test_runs_the_tests(installed: Path, source: Path) -> None:
     """As far as one file of them; all would start this one again."""
     space = installed.parent
@@ -347,13 +335,6 @@ def test_colcon_test_runs_the_tests(installed: Path, source: Path) -> None:
     run(*colcon, "test", "--paths", source, *bases, *which, cwd=space, env=home)
     found = run(*colcon, "test-result", "--all", "--test-result-base", space / "build", env=home)
     assert re.search(r"Summary: [1-9]\d* tests, 0 errors, 0 failures", found)
-
-
-def test_citation_names_no_version_of_its_own() -> None:
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
-    assert citation["license"] == "Apache-2.0" and "version" not in citation
-    (paper,) = citation["references"]
-    assert paper["title"].startswith("EV-PINN: ")
 
 
 def container_steps() -> list[tuple[str, str]]:

@@ -6,7 +6,6 @@ import doctest
 import inspect
 import json
 from pathlib import Path
-import re
 
 import numpy as np
 import pandas as pd
@@ -138,15 +137,6 @@ def test_samples_one_by_one_give_what_a_replay_gives(table, learned, tmp_path):
     assert again.parameters.loc["mass", "value"] == car.parameters.loc["mass", "value"]
 
 
-def test_a_result_shows_itself_in_a_line(result):
-    """Typed at a prompt it is no wall of numbers."""
-    shown = repr(result)
-    assert re.fullmatch(
-        r"<Result of \S+, \w+: \d+\.\d km in \d+ (min|s): .+ kWh from the .+>", shown
-    )
-    assert len(shown) < 300
-
-
 def test_a_state_that_is_not_there_is_an_error_and_no_new_car():
     """A name with a slip of the pen would begin at the vehicle's priors, and say nothing."""
     with pytest.raises(ev.InputError, match=r"typo\.json: no such file"):
@@ -183,12 +173,6 @@ def test_an_account_of_another_car_is_refused_by_its_name(learned, tmp_path):
         ev.Estimator(state=tmp_path / "car.json")
 
 
-def test_a_sample_without_speed_predicts_nothing():
-    learned = ev.Estimator()
-    assert learned.add(0.0, voltage_v=350.0, current_a=1.0) is None
-    assert learned.add(0.1) is None
-
-
 def test_a_state_is_carried_from_drive_to_drive(table, learned, tmp_path):
     first, before = learned
     state = tmp_path / "car.json"
@@ -214,23 +198,6 @@ def test_a_plan_costs_what_the_batch_forecast_says(result):
     assert windy["energy_j"].iloc[-1] > found["energy_j"].iloc[-1]
 
 
-@pytest.mark.parametrize(
-    ("trip", "reason"),
-    [
-        ({"t_s": [0.0, 1.0]}, "columns t_s and speed_mps, or those of legs.*; there are: t_s$"),
-        ({}, "there are: none"),
-        ({"t_s": pd.date_range("2026", periods=2), "speed_mps": [1.0, 1.0]}, "t_s holds dates"),
-        ({"t_s": [[0.0, 1.0]], "speed_mps": [[1.0, 1.0]]}, "one trip"),
-        ({"t_s": [0.0, 9.0], "speed_mps": ["a", "b"]}, "speed_mps holds what is no number"),
-        ({"t_s": [0.0, 0.0], "speed_mps": [1.0, 1.0]}, "time does not rise"),
-        ({"t_s": [0.0, 1.0], "speed_mps": [1.0]}, "differ in shape"),
-    ],
-)
-def test_a_wrong_plan_is_refused_with_the_reason(trip, reason):
-    with pytest.raises(ev.InputError, match=reason):
-        ev.forecast(trip)
-
-
 def test_the_charge_along_a_plan_is_that_of_the_node(result):
     """At its end; before, it falls with the energy, and rises where the car brakes."""
     time = np.arange(0.0, 421.0)
@@ -253,29 +220,6 @@ def test_the_charge_of_a_car_that_nothing_was_learned_of_is_by_its_capacity():
     assert end["charge_pct"] == pytest.approx(50.0 - 100 * share)
     assert end["charge_sigma_pct"] > 0
     assert ev.forecast(trip, charge_pct=50.0)["charge_pct"].isna().all()  # a car of any battery
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda: ev.Estimator(mode="none"),
-        lambda: ev.Estimator().add(float("nan"), 10.0),
-        lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]}, charge_pct=101.0),
-        lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]}, air_density=-1.2),
-        lambda: ev.forecast({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]}, head_wind=np.inf),
-        lambda: ev.replay(ROOT / "bags" / "urban", warm_up=float("nan")),
-        lambda: ev.replay(ROOT / "bags" / "urban", mode="none"),
-    ],
-)
-def test_every_error_of_input_is_an_input_error(call):
-    with pytest.raises(ev.InputError):
-        call()
-
-
-def test_a_plan_may_have_its_time_as_the_index(result):
-    table = pd.DataFrame({"t_s": [0.0, 9.0], "speed_mps": [9.0, 9.0]})
-    found = ev.forecast(table.set_index("t_s"), result)
-    assert found.equals(ev.forecast(table, result)) and found.equals(ev.forecast(found, result))
 
 
 def test_a_learner_without_a_model_answers_by_its_parameters(result):
@@ -315,11 +259,6 @@ def without_path(result: ev.Result) -> dict:
     found = without_timing(result.metrics)
     del found["input"]["path"]
     return found
-
-
-def test_a_report_is_written(result, tmp_path):
-    result.write_report(tmp_path / "drive.html")
-    assert "<!doctype html>" in (tmp_path / "drive.html").read_text()[:100].lower()
 
 
 def test_what_is_declared_is_there_and_documented():

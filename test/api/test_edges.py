@@ -42,25 +42,6 @@ def test_what_two_routes_share_cancels():
     assert FOUND.difference(one, one) == (0.0, 0.0)
 
 
-def test_conditions_count():
-    cold = ev.edge_energies(EDGES, "bmw_i3", temperature_c=-10.0, payload_kg=200.0)
-    assert (cold.table.energy_j > FOUND.table.energy_j)["a", "b"]
-
-
-@pytest.mark.parametrize(
-    ("edges", "words"),
-    [
-        ({"length_m": [100.0]}, "two of the columns"),
-        ({"length_m": [-1.0], "speed_kmh": [50.0]}, "negative"),
-        ({"length": [100.0], "speed_kmh": [50.0]}, "unit"),
-        ({"length_m": ["x"], "speed_kmh": [50.0]}, "no number"),
-    ],
-)
-def test_what_is_no_edge_is_refused_in_words(edges, words):
-    with pytest.raises(ev.InputError, match=words):
-        ev.edge_energies(edges, "bmw_i3")
-
-
 def test_a_route_over_no_such_edge_is_refused():
     with pytest.raises(ev.InputError, match="not in the table"):
         FOUND.route([("c", "a")])

@@ -1,5 +1,4 @@
 from collections.abc import Callable
-import os
 from pathlib import Path
 
 from hypothesis import HealthCheck, given, settings
@@ -280,10 +279,7 @@ NO_BAGS = [
     (lambda folder: folder / "none", "no such file"),
     (lambda folder: folder, "no .mcap or .db3 file"),
     (as_file("a.mcap", b""), "the file is empty"),
-    (as_file("a.db3", b""), "the file is empty"),
     (as_file("a.mcap", b"t_s,speed_mps\n"), "not an MCAP file"),
-    (as_file("a.csv", b"t_s,speed_mps\n"), "not an MCAP file"),
-    (as_file("a.db3", b"t_s,speed_mps\n" * 100), "Cannot open database"),
     (as_file("a.db3", b"SQLite format 3\0" + bytes(5000)), "Cannot open database"),
 ]
 
@@ -319,12 +315,3 @@ def test_a_cut_or_damaged_database_is_refused_or_reported(tmp_path):
         assert problem or values == list(range(COUNT))
         reported += problem is not None
     assert reported
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_a_file_that_may_not_be_read(drive, tmp_path):
-    path = tmp_path / "a.mcap"
-    path.write_bytes(mcap_of(drive).read_bytes())
-    path.chmod(0)
-    with pytest.raises(InputError, match="Permission denied"):
-        BagReader(path)

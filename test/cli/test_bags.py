@@ -128,15 +128,6 @@ def test_recover_then_replay(evpinn, folder):
     assert file["messages"] == count and len(file["losses"]) >= 2
 
 
-def test_a_full_disk_is_one_line(folder):
-    for arguments, *words in (
-        (("convert", URBAN, "full_1"), "full_1", "File too large"),
-        (("recover", "broken.mcap", "full_2"), "full_2", "File too large"),
-        (("convert", URBAN, "full_4", "--storage", "sqlite3"), "full_4"),
-    ):
-        assert_fails_in_one_line(on_a_full_disk(*arguments, cwd=folder), *words)
-
-
 def test_a_bag_of_several_files_is_replayed(evpinn, folder):
     with BagWriter(folder / "split", split=Split(seconds=20.0)) as writer, Reader(URBAN) as reader:
         for connection, log_time_ns, data in reader.messages():
@@ -144,16 +135,3 @@ def test_a_bag_of_several_files_is_replayed(evpinn, folder):
     assert len(list((folder / "split").glob("*.mcap"))) == 18
     found = json.loads(evpinn("info", "split", URBAN, "--json", cwd=folder).stdout)
     assert found[0]["topics"] == found[1]["topics"]
-
-
-def test_splitting_needs_a_recording(evpinn, folder):
-    done = evpinn("run", "--vehicle", "generic", "--split-time", 60, cwd=folder)
-    assert done.returncode == 2 and "need --record" in done.stderr
-
-
-def test_a_csv_without_one_usable_time_makes_no_bag(evpinn, folder):
-    rows = "".join(f"some day,{i},{i}\n" for i in range(20))
-    (folder / "days.csv").write_text("time,speed_mps,power_w\n" + rows)
-    done = evpinn("convert", "days.csv", "days", cwd=folder)
-    assert_fails_in_one_line(done, "days.csv", "'some day' is no time that is known")
-    assert not (folder / "days").exists()

@@ -5,7 +5,6 @@ import json
 import os
 from pathlib import Path
 import pty
-import re
 import signal
 import subprocess
 import sys
@@ -17,9 +16,6 @@ import can
 import pytest
 from typer.testing import CliRunner
 
-from evpinn_ros.bags.can_frames import encode_frame
-from evpinn_ros.bags.types import FRAME_TYPE
-from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.logs import LogFile, write_log
@@ -53,11 +49,6 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_help_has_an_example(evpinn, folder):
-    done = evpinn("can", "inspect", "--help", cwd=folder)
-    assert done.returncode == 0 and "Example: evpinn can inspect" in done.stdout
-
-
 def test_a_log_for_people(evpinn, folder):
     done = evpinn("can", "inspect", "tesla_model_3.log", cwd=folder, columns=80)
     assert done.returncode == 0, done.stderr
@@ -69,15 +60,6 @@ def test_a_log_for_people(evpinn, folder):
     assert "1800 frames of 2 ids in 12.0 s" in done.stdout
     assert " 132 " in done.stdout and "battery" in done.stdout
     assert "contradicted" in done.stdout
-
-
-def test_a_log_that_counts_from_its_start_has_no_date(evpinn, folder, tmp_path):
-    log = (folder / "tesla_model_3.log").read_text()
-    stamps = iter(range(48_659_000, 10**9))
-    counted = re.sub(r"^\(\d+\.\d+\)", lambda _: f"({next(stamps) / 1000:.6f})", log, flags=re.M)
-    (tmp_path / "counted.log").write_text(counted)
-    done = evpinn("info", "counted.log", cwd=tmp_path)
-    assert ", without a date" in done.stdout and "1970" not in done.stdout
 
 
 def test_a_log_for_scripts(evpinn, folder):
@@ -94,14 +76,6 @@ def test_a_log_for_scripts(evpinn, folder):
     assert first["verdict"] == "fits" and first["proven"]
     assert first["values"]["voltage"]["highest"] == pytest.approx(380.0)
     assert first["current_sign"] == {"told": False, "suspicion": None}
-
-
-def test_a_bag_of_raw_frames(evpinn, folder):
-    with BagWriter(folder / "raw") as writer:
-        for frame in frames("tesla_model_3", 2.0):
-            writer.write_raw("/ev/can/frames", FRAME_TYPE, encode_frame(frame), frame.stamp_ns)
-    done = evpinn("can", "inspect", "raw", cwd=folder)
-    assert done.returncode == 0 and "Fits: tesla_model_3" in done.stdout, done.stderr
 
 
 def test_a_profile_of_ones_own_is_ranked(evpinn, folder):
@@ -124,32 +98,6 @@ def test_a_damaged_log_shows_what_it_holds_and_fails(evpinn, folder):
     done = evpinn("can", "inspect", "cut.log", cwd=folder)
     assert done.returncode == 1
     assert "Fits: tesla_model_3" in done.stdout and "cut.log: cut off" in done.stderr
-
-
-def test_frames_left_out_are_told(evpinn, folder):
-    lines = (folder / "tesla_model_3.log").read_text().splitlines(keepends=True)
-    both = "".join(line + line.replace("can0", "can1") for line in lines)
-    (folder / "both.log").write_text(both)
-    done = evpinn("can", "inspect", "both.log", cwd=folder)
-    assert f"both.log: {len(lines)} frames left out: other_bus" in done.stderr
-    assert "Fits: tesla_model_3" in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "text"),
-    [
-        ((), 2, "give either SOURCE, --channel or --elm327"),
-        (("x.log", "--channel", "can0"), 2, "give either SOURCE, --channel or --elm327"),
-        (("nowhere.log",), 1, "nowhere.log: No such file"),
-        (("--interface", "slcan", "--channel", "/dev/none"), 1, "is the adapter plugged in"),
-        (("x.log", "--can-profile", "nope"), 1, "no CAN profile named 'nope'"),
-        (("--channel", "can0", "--seconds", "-2"), 2, "--seconds must be above 0"),
-        (("tesla_model_3.log", "--seconds", "nan"), 2, "--seconds must be above 0"),
-    ],
-)
-def test_what_cannot_be_looked_at(evpinn, folder, arguments, code, text):
-    done = evpinn("can", "inspect", *arguments, cwd=folder)
-    assert done.returncode == code and text in done.stderr and "Traceback" not in done.stderr
 
 
 def test_a_live_bus(folder, monkeypatch):
@@ -247,25 +195,3 @@ def test_check_params_checks_the_profile_of_a_vehicle_file_too(evpinn, tmp_path)
     (tmp_path / "car.yaml").write_text(own)
     done = evpinn("check-params", tmp_path / "car.yaml", cwd=CONFIG)
     assert done.returncode == 1 and f"{tmp_path / 'nowhere.yaml'}: No such file" in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "reason"),
-    [
-        ("", "", None),
-        ("signal: Current", "signal: Curent", "no signal 'Curent'; did you mean Current"),
-        (", positive_means: charge", "", "'positive_means' is missing"),
-        ("dbc: nissan_leaf.dbc\n", "", "'dbc' is missing"),
-        ("counter: Counter", "counter: Speed", "'Speed' and 'Speed' overlap in 'WheelSpeed'"),
-    ],
-)
-def test_check_params_tells_what_is_wrong_with_a_profile(evpinn, tmp_path, old, new, reason):
-    text = (CONFIG / "nissan_leaf.yaml").read_text()
-    (tmp_path / "my.yaml").write_text(text.replace(old, new, 1))
-    (tmp_path / "nissan_leaf.dbc").write_bytes((CONFIG / "nissan_leaf.dbc").read_bytes())
-    done = evpinn("check-params", "my.yaml", cwd=tmp_path)
-    if reason is None:
-        assert done.stdout.strip() == "my.yaml: a valid CAN profile"
-    else:
-        (line,) = done.stderr.strip().splitlines()
-        assert done.returncode == 1 and reason in line

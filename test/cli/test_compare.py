@@ -38,21 +38,6 @@ def test_the_same_for_scripts(compared, drives):
     assert difference["breakdown"]["measured"]["kwh"] == pytest.approx(other - one)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "text"),
-    [
-        (("mild",), 2, "two drives or more"),
-        (("mild", "none"), 1, "none"),
-        (("mild", "cold", "--state", "mild/truth.yaml"), 1, "truth.yaml"),
-        (("mild", "cold", "--state", "none.json"), 1, "none.json: no such file"),
-    ],
-)
-def test_what_cannot_be_compared_is_said_in_words(evpinn, drives, arguments, code, text):
-    done = evpinn("compare", *arguments, *CAR, cwd=drives)
-    assert done.returncode == code and "Traceback" not in done.stderr
-    assert text in done.stderr
-
-
 def test_several_drives_of_a_replay_are_one_table(evpinn, drives):
     done = evpinn("replay", "mild", "cold", *CAR, "--warm-up", 30, cwd=drives)
     assert done.returncode == 0, done.stderr
@@ -61,10 +46,3 @@ def test_several_drives_of_a_replay_are_one_table(evpinn, drives):
     rows = [line.split() for line in done.stdout.splitlines()]
     mild, cold = (next(row for row in rows if row[:1] == [name]) for name in ("mild", "cold"))
     assert float(cold[4]) > float(mild[4])  # kWh/100 km
-
-
-def test_of_one_drive_the_owner_is_answered_before_the_scores(evpinn, drives):
-    done = evpinn("replay", "mild", *CAR, "--warm-up", 30, cwd=drives)
-    words = ("kWh from the battery", "Where the energy went", "Power, predicted before")
-    places = [done.stdout.index(each) for each in words]
-    assert places == sorted(places)

@@ -2,7 +2,6 @@
 
 import json
 
-import pandas as pd
 import pytest
 
 import evpinn_ros as ev
@@ -97,50 +96,6 @@ def test_the_battery_is_that_of_the_state_once_drives_have_shown_it(evpinn, tmp_
     assert f"Battery: {held:.1f} +- " in done.stdout and "as its drives showed" in done.stdout
     unknown = evpinn("forecast", "slow.csv", "--vehicle", "generic", "--charge", 80, cwd=tmp_path)
     assert "the capacity of the battery" in unknown.stdout
-
-
-@pytest.mark.parametrize(
-    ("plan", "reason"),
-    [
-        ("", "the file is empty"),
-        ("t_s;speed_mps\n0;0\n15;20,5\n30;1,x\n", "holds what is no number, '1,x' in row 3"),
-        ("t_s,speed_mps\n", "needs at least two points"),
-        ("t_s,speed_mps\n0,0\n15,nan\n30,0\n", "speed is not finite at point 1"),
-        ("t_s,speed_mps\n0,0\n15,x\n30,0\n", "speed_mps holds what is no number"),
-        ("t_s,speed_mps\n0,0\n30,20\n15,0\n", "time does not rise at point 1"),
-        ("t_s,speed_mps\n0,0\n30,111\n90,0\n", "speed is above 100 m/s at point 1"),
-        ("t_s,elevation_m\n0,0\n", "which has the columns t_s and speed_mps"),
-        ("t_s,speed_mps,distance_m\n0,20,0\n60,20,1.2\n", "speeds make 1200 m"),
-        (None, "No such file"),
-    ],
-)
-def test_a_wrong_plan_is_refused_by_name_and_in_one_line(evpinn, tmp_path, plan, reason):
-    if plan is not None:
-        (tmp_path / "plan.csv").write_text(plan)
-    done = evpinn("forecast", "plan.csv", "--vehicle", CAR, cwd=tmp_path)
-    assert done.returncode == 1 and done.stdout == ""
-    assert done.stderr.startswith("evpinn: plan.csv: ") and reason in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("given", "reason"),
-    [
-        (("--state", "none.json"), "none.json: no such file"),
-        (("--vehicle", "bmw_i3", "--state", "car.json"), "car.json: saved for"),
-        (("--vehicle", "car.json"), "car.json: no vehicle file, which ends in .yaml"),
-    ],
-)
-def test_a_wrong_car_is_refused_in_words(evpinn, folder, given, reason):
-    done = evpinn("forecast", "slow.csv", *given, cwd=folder)
-    assert done.returncode == 1 and reason in done.stderr
-
-
-def test_a_plan_is_what_pandas_reads_of_the_file(folder):
-    table = pd.read_csv(folder / "slow.csv")
-    pd.testing.assert_frame_equal(
-        ev.forecast(folder / "slow.csv", CAR), ev.forecast(table.set_index("t_s"), CAR)
-    )
 
 
 def test_a_drive_is_read_as_the_options_say(evpinn, folder):

@@ -14,7 +14,6 @@ from evpinn_ros.common.units import METRIC, US
 from evpinn_ros.core.signals.readings import AltitudeReading, BatteryReading, SpeedReading
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.comparison import Comparison, compare
-from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.driven import travelled
 from evpinn_ros.replays.over_distance import distance_until, over_distance
 from evpinn_ros.replays.run import ReplayOptions
@@ -22,7 +21,6 @@ from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.report.compare_page import write_comparison
 from evpinn_ros.report.comparison_text import part_rows, sentences, trip_rows
-from evpinn_ros.report.curves import MOST_TICKS, ticks
 from test.replays.test_replay import Recorded
 
 pytestmark = pytest.mark.slow
@@ -73,14 +71,6 @@ def test_a_load_is_found_as_what_explains_the_difference(vehicle):
     assert second.startswith("Statistically significant: other standing load +")
 
 
-def test_rows_are_per_100_km_and_of_every_drive(winter):
-    rows = {name: cells for name, *cells in part_rows(winter.parts())}
-    total = winter.parts()[1].total().kwh_per_100km
-    assert rows["measured"][1].startswith(f"{total:.2f} +- ")
-    assert trip_rows(winter)[0][0] == "length"
-    assert all(len(cells) == 2 for cells in rows.values())
-
-
 def test_miles_are_the_same_roads(winter, tmp_path):
     """Each figure is the metric one in other units; no kilometre is left on the page."""
     metric, us = (
@@ -116,12 +106,6 @@ def test_a_charge_on_the_way_is_no_energy_of_the_road(winter):
     assert after == pytest.approx(before, abs=0.002)
 
 
-def test_what_was_read_first_is_known_as_in_a_replay_of_its_own(vehicle, readings, winter):
-    alone = compared(vehicle, readings).parts()[0]
-    assert winter.parts()[0].measured == pytest.approx(alone.measured)
-    assert winter.parts()[0].distance == pytest.approx(alone.distance)
-
-
 @pytest.mark.nightly
 def test_a_long_stop_within_a_drive_belongs_to_it(vehicle, readings):
     minute, hour = readings[: len(readings) // 2], 3600 * 10**9
@@ -147,28 +131,6 @@ def test_parameters_of_the_nodes_hold_here_too(vehicle, readings, tmp_path):
     again = [*minute, *minute]  # starts over, which must not forget the drive before
     one, two = compared(vehicle, minute, again, params=file).parts()
     assert two.distance == pytest.approx(2 * one.distance, rel=0.05)
-
-
-def test_names_are_as_short_as_they_can_be():
-    assert short_names([Path("a/x"), Path("b/y")]) == ("x", "y")
-    assert short_names([Path("a/x"), Path("b/x")]) == ("a/x", "b/x")
-    assert short_names([Path("a/x"), Path("a/x")]) == ("1: x", "2: x")
-
-
-def test_curves_end_where_the_drive_does(winter):
-    drive = winter.drives[0]
-    course = over_distance(drive, 200)
-    assert course.distance[-1] == pytest.approx(distance_until(drive)[1][-1] / 1000)
-    assert np.isnan(course.height).all()  # no altitude was recorded
-    assert np.nanmax(course.speed) <= 3.6 * drive.speed[:, 1].max() * 1.01
-    whole = winter.parts()[0].total().kwh
-    assert course.energy[-1] == pytest.approx(whole, rel=0.15)  # the last interval is not learned
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 0.0), (-3.2, 7.1), (312.0, 314.5), (0.0, 2e4)])
-def test_ticks_hold_both_ends_and_are_few(low, high):
-    found = ticks(low, high)
-    assert found[0] <= low and found[-1] >= high and 2 <= len(found) <= MOST_TICKS + 1
 
 
 def test_the_page_loads_and_runs_nothing_and_escapes_names(winter, tmp_path):

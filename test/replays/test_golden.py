@@ -38,10 +38,3 @@ def test_a_number_that_changed_came_or_went_is_told():
         "('c', 0, '30')",
     ]
     assert not list(golden.differences(old, {**old, ("a", 0, "30"): 1.0009}, 1e-6))
-
-
-def test_a_record_is_read_as_it_was_written(tmp_path):
-    record = {("estimate/mass", 0, "30"): 1885.12345, ("energy/range", 2, "60"): float("nan")}
-    golden.save(tmp_path / "records" / "x.csv", record)
-    assert not list(golden.differences(record, golden.load(tmp_path / "records" / "x.csv"), 0.0))
-    assert golden.load(tmp_path / "none.csv") == {}

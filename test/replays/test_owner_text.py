@@ -1,9 +1,7 @@
 """What an owner asks first: kilometres, kilowatt hours, and what took most."""
 
-from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-import re
 import time
 
 import numpy as np
@@ -12,13 +10,11 @@ import pytest
 from evpinn_ros.common.units import US
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
-from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.driven import charged, measured_steps
 from evpinn_ros.replays.over_distance import distance_until
 from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
-from evpinn_ros.report.breakdown_text import duration_text
-from evpinn_ros.report.owner_text import drives_columns, drives_rows, owner_line
+from evpinn_ros.report.owner_text import owner_line
 from test.replays.test_replay import Recorded
 
 pytestmark = pytest.mark.slow
@@ -48,19 +44,6 @@ def test_the_line_holds_what_was_measured(town):
     assert per_kwh == pytest.approx(km / 1.609344 / kwh, rel=0.03)
 
 
-def test_a_way_down_gives_energy_back_and_a_short_drive_is_told_in_seconds(town):
-    down = replace(town.drive, measured=town.drive.measured * (1.0, -1.0))
-    kwh = measured_steps(town.drive).energy.sum() / 3.6e6
-    assert f" in 2 min: {kwh:.2f} kWh back into the battery, -" in owner_line(down, town.metrics)
-    assert (duration_text(19.4), duration_text(120.0)) == ("19 s", "2 min")
-
-
-def test_where_the_battery_was_silent_the_line_says_of_how_much_it_is(town):
-    half = replace(town.drive, measured=town.drive.measured[town.drive.measured[:, 0] < 105.0])
-    line, km = owner_line(half, town.metrics), measured_steps(half).distance.sum() / 1000
-    assert line.endswith(f"kWh/100 km over the {km:.1f} km measured.")
-
-
 def test_what_a_charger_gave_is_told_apart(town):
     """An hour at 7 kW after the drive, in the same log: the drive took what it took."""
     end = town.drive.duration
@@ -74,30 +57,3 @@ def test_what_a_charger_gave_is_told_apart(town):
     assert after.startswith(before)
     assert after.endswith("Charged while it stood: 7.00 kWh, not included above.")
     assert charged(town.drive) == 0.0
-
-
-def test_without_a_battery_the_energy_is_predicted(vehicle, readings):
-    found = replayed(vehicle, (each for each in readings if isinstance(each, SpeedReading)))
-    line = owner_line(found.drive, found.metrics)
-    assert "kWh predicted, " in line and "from the battery" not in line
-    ((_, *_, most, rmse, error),) = drives_rows([("town", found.drive, found.metrics)])
-    assert (most, rmse, error) == ("-", "-", "-")
-
-
-def test_a_row_holds_what_took_most(town):
-    found = deepcopy(town.metrics)
-    found["breakdown"]["together"] = []
-    for part in found["breakdown"].values():
-        if isinstance(part, dict) and "kwh" in part:
-            part.update(kwh=0.5, sigma_kwh=0.1)
-    found["breakdown"]["measured"]["kwh"] = 15.0
-    found["breakdown"]["tyres"].update(kwh=3.0)
-    found["breakdown"]["air"].update(kwh=9.0, sigma_kwh=9.0)  # not known
-    found["breakdown"]["speed"].update(kwh=4.0)  # stops to be
-    (row,) = drives_rows([("town", town.drive, found)])
-    assert dict(zip(drives_columns(), row, strict=True))["took most"] == "tyres, 16 %"
-    both = {"parts": ["climate", "standing"], "kwh": 6.0, "sigma_kwh": 0.1}
-    found["breakdown"]["together"] = [both]
-    (row,) = drives_rows([("town", town.drive, found)])
-    most = dict(zip(drives_columns(), row, strict=True))["took most"]
-    assert re.fullmatch(r"heating \+ standing load, \d+ %", most)  # short, for a column

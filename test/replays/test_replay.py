@@ -13,7 +13,6 @@ import pytest
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
@@ -21,7 +20,7 @@ from evpinn_ros.core.signals.time_jump import JumpPolicy, JumpRule
 from evpinn_ros.logs.source import Source
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.events import EventKind, drive_events
-from evpinn_ros.replays.run import ReplayOptions, output_folders, replay
+from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.topics import topic_of
 from evpinn_ros.topics.readings import to_reading
 
@@ -221,12 +220,6 @@ def test_no_battery_predicts_from_the_priors(readings, vehicle, tmp_path):
     assert (mass["prior_share"], mass["state"]) == (pytest.approx(1.0), "unestimated")
 
 
-def test_no_speed_is_an_error(readings, vehicle, tmp_path):
-    battery = [r for r in readings if isinstance(r, BatteryReading)]
-    with pytest.raises(InputError, match="no speed"):
-        run(battery, vehicle, tmp_path)
-
-
 def test_what_was_learned_is_carried_to_the_next_drive(readings, vehicle, whole, tmp_path):
     first, used = whole[0], deepcopy(whole[1])
     used.begin_next_drive()
@@ -238,41 +231,9 @@ def test_what_was_learned_is_carried_to_the_next_drive(readings, vehicle, whole,
     assert second.metrics["updates"]["count"] < first.metrics["updates"]["count"]
 
 
-def test_paper_mode_runs_and_learns(readings, vehicle, tmp_path):
-    result = run(readings[:500], vehicle, tmp_path, mode=Mode.PAPER)
-    assert np.isfinite(result.drive.smoothed.power).all()
-    assert result.metrics["updates"]["accepted"] > 10
-    assert result.metrics["parameters"]["mass"]["value"] != vehicle.initial.mass
-
-
-def test_each_of_several_drives_has_a_folder(tmp_path):
-    paths = [tmp_path / "a.csv.gz", tmp_path / "b"]
-    folders = [tmp_path / "out" / "001_a", tmp_path / "out" / "002_b"]
-    assert output_folders(tmp_path / "out", paths, several=True) == folders
-    assert output_folders(tmp_path / "out", paths[:1], several=False) == [tmp_path / "out"]
-    assert output_folders(tmp_path / "out", paths[:1], several=True) == folders[:1]
-    assert output_folders(None, paths, several=True) == [None, None]
-
-
 def test_energy_state_carries_sigma_that_grows_while_withheld(withheld):
     with BagReader(withheld[1]) as bag:
         states = [r.message for r in bag.records(["/ev/energy/state"])]
     assert all(len(state.effort) == len(state.name) for state in states[1:])
     index = list(states[-1].name).index("predicted")
     assert 0 < states[len(states) // 2].effort[index] < states[-1].effort[index]
-
-
-@pytest.mark.parametrize(
-    ("options", "whole", "seconds"),
-    [
-        ({}, 360.0, 360.0),
-        ({"start": 100.0}, 360.0, 260.0),
-        ({"start": 400.0}, 360.0, 0.0),
-        ({"start": 100.0, "duration": 30.0}, 360.0, 30.0),
-        ({"duration": 500.0}, 360.0, 360.0),
-        ({"duration": 30.0}, None, 30.0),
-        ({"start": 100.0}, None, None),
-    ],
-)
-def test_length_of_what_is_replayed(options, whole, seconds):
-    assert ReplayOptions(**options).seconds_of(whole) == seconds

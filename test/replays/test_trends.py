@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evpinn_ros.common.units import US
 from evpinn_ros.core.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.core.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.core.vehicle.identifiable import Identifiable
 from evpinn_ros.replays.history import Drive, PowerSeries
 from evpinn_ros.replays.trends import CAPACITY, ROLLING, drive_point, trends
-from evpinn_ros.report.owner_text import heating_note, sparse_note
 
 MONDAY = 1_700_438_400 * NANOSECONDS  # 2023-11-20
 WEEK = 7 * 86_400 * NANOSECONDS
@@ -73,34 +71,6 @@ def test_a_rolling_resistance_that_cannot_be_trusted_is_left_out():
 
 def _doubted(found: ParameterSet) -> ParameterSet:
     return replace(found, parameters={"c_rr": replace(found.parameters["c_rr"], possible=False)})
-
-
-def test_speeds_far_apart_are_said_to_be_rough():
-    dense = DRIVES[0]
-    assert sparse_note(dense) is None
-    assert "every 5.0 s" in sparse_note(replace(dense, speed=dense.speed[::5]))
-    assert sparse_note(replace(dense, speed=dense.speed[:1])) is None
-
-
-def test_heating_that_the_battery_does_not_show_is_said():
-    heated = replace(
-        DRIVES[0], temperature=np.array([[0.0, 25.0]]), heating=np.array([[0.0, 1600.0]])
-    )
-    found = {
-        "unknown": None,
-        "duration_s": 1800.0,
-        "climate": {"kwh": 0.1, "sigma_kwh": 0.1},
-    }
-    assert heating_note(heated, found).startswith("The car reports 1.6 kW of heating at 25 °C")
-    assert heating_note(heated, found | {"climate": {"kwh": 0.75, "sigma_kwh": 0.1}}) is None
-    assert heating_note(replace(heated, temperature=np.array([[0.0, 5.0]])), found) is None
-    assert heating_note(DRIVES[0], found) is None
-
-
-def test_units_are_those_of_the_reader():
-    titles = [trend.title for trend in trends(POINTS, US)]
-    assert "consumption, Wh/mi by week" in titles
-    assert any(row.name.endswith("°F") for trend in trends(POINTS, US) for row in trend.rows)
 
 
 def test_too_few_drives_and_those_without_a_day_have_no_trend():

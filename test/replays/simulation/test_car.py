@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.vehicle.physics import GRAVITY
 from evpinn_ros.replays.simulation.car import STEP, drive_car
 from evpinn_ros.replays.simulation.powertrain import Brakes, Drivetrain
-from evpinn_ros.replays.simulation.surroundings import Surroundings, ambient_celsius
+from evpinn_ros.replays.simulation.surroundings import Surroundings
 
 
 def energy(power: np.ndarray) -> float:
@@ -50,12 +49,6 @@ def test_voltage_times_current_is_the_power(drive):
     charge = drive.car.battery.capacity / drive.car.battery.nominal_voltage
     drawn = (trace.state_of_charge[0] - trace.state_of_charge[-1]) * charge
     assert drawn == pytest.approx(np.sum(trace.current[1:]) * STEP, rel=1e-6)
-
-
-def test_heat_never_comes_back(drive):
-    trace = drive.trace
-    for heat in (trace.friction_power, trace.no_load_loss, trace.load_loss, trace.auxiliary):
-        assert heat.min() >= 0
 
 
 def test_efficiency_depends_on_torque_and_speed():
@@ -111,13 +104,3 @@ def test_head_wind_costs_energy(urban):
     windy = replace(calm, head_wind=calm.head_wind + 5.0)
     used = [energy(drive_car(urban.car, urban.trace.motion, air).power) for air in (calm, windy)]
     assert used[1] > used[0]
-
-
-def test_a_battery_too_weak_is_refused(urban):
-    trace = urban.trace
-    with pytest.raises(InputError, match="too weak"):
-        urban.car.battery.deliver(1e6 * np.ones_like(trace.power), STEP)
-
-
-def test_temperature_of_the_air():
-    assert ambient_celsius(1.2041) == pytest.approx(20.0, abs=0.1)

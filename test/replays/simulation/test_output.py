@@ -103,17 +103,6 @@ def test_command(tmp_path):
     assert truth["hidden"]["rms_grade"] == 0
 
 
-@pytest.mark.parametrize("wrong", ["mass", "mass=heavy", "weight=3", "eta=3"])
-def test_command_refuses_wrong_parameters(tmp_path, wrong):
-    result = run(tmp_path / "drive", "--true", wrong)
-    assert isinstance(result.exception, InputError)
-    assert not (tmp_path / "drive").exists()
-
-
-def test_help_has_an_example():
-    assert "Example: evpinn simulate" in run("--help").stdout
-
-
 @pytest.mark.parametrize("name", ["urban", "highway"])
 class TestBundled:
     def test_regenerates_to_identical_readings(self, name, tmp_path):

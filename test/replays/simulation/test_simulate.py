@@ -4,7 +4,6 @@ from scipy.optimize import least_squares
 
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -153,29 +152,6 @@ def test_a_current_beyond_the_signal_reads_as_its_limit(seed):
     currents = [reading.current for reading in of(drive, BatteryReading)]
     assert len(currents) > 1900 and -511.0 <= min(currents) <= max(currents) <= 400.0
     assert (min(currents) == -511.0) == (max(drive.trace.current) > 511.0)
-
-
-def test_a_voltage_beyond_the_signal_is_another_car(monkeypatch):
-    monkeypatch.setattr("evpinn_ros.replays.simulation.sensors.VOLTAGE_NOISE", 500.0)
-    with pytest.raises(InputError, match="is outside"):
-        simulate(DriveKind.MIXED, load_vehicle("nissan_leaf"), 30.0, 1)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        ({"vehicle": load_vehicle("generic")}, "has no CAN profile"),
-        ({"car": {"weight": 2000.0}}, "no parameter 'weight'"),
-        ({"car": {"eta": 1.2}}, "eta = 1.2 is outside"),
-        ({"car": {"mass": 50_000.0}}, "too weak"),
-        ({"can_profile": "none_such"}, "none_such"),
-    ],
-)
-def test_wrong_wishes_are_refused_in_one_line(arguments, reason):
-    arguments = {"vehicle": CAR} | arguments
-    with pytest.raises(InputError, match=reason) as error:
-        simulate(DriveKind.URBAN, duration_s=60.0, seed=1, **arguments)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("model", ["tesla_model_3_lr", "nissan_leaf", "chevrolet_bolt"])

@@ -103,13 +103,3 @@ def test_draws_from_the_priors_have_their_mean_and_spread():
         assert column.mean() == pytest.approx(prior.value, abs=0.1 * prior.std)
         assert column.std() == pytest.approx(prior.std, rel=0.1)
         assert LIMITS[name].lower < column.min() and column.max() < LIMITS[name].upper
-
-
-def test_drives_from_prior_draws_have_a_truth():
-    rng = np.random.default_rng(3)
-    for seed in range(6):
-        wish = prior_parameters(CAR, rng)
-        truth = simulate(DriveKind.URBAN, CAR, 60.0, seed, car=wish._asdict()).truth.parameters
-        assert truth.mass == pytest.approx(wish.mass)
-        assert truth.eta == pytest.approx(wish.eta, rel=0.1)
-        assert np.all(np.isfinite(truth))
