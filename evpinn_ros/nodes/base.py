@@ -450,16 +450,10 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return self._transit(self._deactivate, super().on_deactivate, state)
 
     def on_cleanup(self, state: Any) -> Any:
-        """Forget all that `configure` made."""
+        """Forget all that `configure` made; after a shutdown or a fault of our own too."""
         return self._transit(self._clean_up, super().on_cleanup, state)
 
-    def on_shutdown(self, state: Any) -> Any:
-        """Stop working for good, and forget all."""
-        return self._transit(self._clean_up, super().on_shutdown, state)
-
-    def on_error(self, state: Any) -> Any:
-        """After a fault of our own: forget all, so that the node can be configured anew."""
-        return self._transit(self._clean_up, super().on_error, state)
+    on_shutdown = on_error = on_cleanup
 
     def _transit(
         self, step: Callable[[], None], entities: Callable[[Any], Any], state: Any
