@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.energy.forecast import forecast_plan
-from evpinn_ros.core.energy.plan import Plan, PlanError, legs_of, legs_of_trip, points_of
+from evpinn_ros.core.energy.plan import Plan, PlanError, legs_of_trip, points_of
 from evpinn_ros.core.energy.power_model import Weather, vehicle_model
 from evpinn_ros.core.estimation.states import PHYSICS
 from evpinn_ros.core.estimation.unevenness import Path, even_rows
@@ -61,15 +61,6 @@ def test_a_coarse_plan_costs_more_than_even_speed_and_is_less_sure():
     fine = forecast_plan(even, MODEL, Weather(1.2))
     assert parts.energy[-1] > 1.05 * fine.energy[-1]
     assert parts.sigma[-1] > fine.sigma[-1] and whole.sigma[-1] > fine.sigma[-1]
-
-
-def test_legs_need_not_be_one_trip():
-    """A road network's are checked one by one, and may last longer than a trip."""
-    n = 60_000
-    edges = legs_of(np.full(n, 900.0), np.full(n, 60.0))
-    assert len(edges.length) == n
-    with pytest.raises(PlanError, match="60000 points are more than 50000"):
-        legs_of_trip(edges.length, edges.duration)
 
 
 @pytest.mark.parametrize(

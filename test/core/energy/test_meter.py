@@ -55,13 +55,6 @@ def test_both_integrals_by_hand():
     assert state.measuring and state.unmeasured_s == 0.0
 
 
-def test_measured_sigma_when_the_sensor_is_known():
-    known = meter()
-    for tick in range(3):
-        known.add_measured(START + tick * 100_000_000, 1e3, 50.0)
-    assert 0 < known.state.measured.sigma < 50.0
-
-
 def test_a_silent_battery_stops_only_what_is_measured():
     silent = drive(meter(), range(60), silent=range(20, 60))
     state = silent.state
@@ -115,13 +108,6 @@ def test_time_without_battery_and_speed_is_counted_and_nothing_is_drawn_across_i
     assert driven.last_dropout.unknown_s == pytest.approx(40.0, abs=0.3)
 
 
-@pytest.mark.slow
-def test_speed_that_is_silent_while_the_battery_speaks_costs_nothing():
-    state = drive(meter(), range(300), blind=range(100, 200)).state
-    assert (state.unknown_s, state.unmeasured_s) == (0.0, 0.0)
-    assert state.consumed == pytest.approx(300 * 10e3)
-
-
 def test_regenerated_is_measured_then_predicted():
     driven = drive(
         meter(), range(30), measured=-5e3, predicted=-4e3, silent=range(10, 30), measured_sigma=0.0
@@ -131,13 +117,6 @@ def test_regenerated_is_measured_then_predicted():
     assert state.regenerated.power == 4e3
     assert state.regenerated.sigma == state.consumed_sigma  # a part of it
     assert state.predicted.energy == pytest.approx(-30 * 4e3)
-
-
-def test_prediction_without_any_battery():
-    state = drive(meter(), range(30), silent=range(-1, 30)).state
-    assert not state.measuring
-    assert state.consumed == state.rknn.energy == pytest.approx(state.predicted.energy, rel=1e-4)
-    assert state.unmeasured_s == pytest.approx(30.0)
 
 
 def test_what_cannot_be_used_is_counted():

@@ -17,11 +17,6 @@ def integrate(samples, max_gap=2.0):
     return integral
 
 
-def test_trapezoid_over_irregular_steps_by_hand():
-    integral = integrate([(0.0, 1000.0), (0.5, 2000.0), (2.0, 0.0)])
-    assert integral.energy == pytest.approx(750.0 + 1500.0)
-
-
 def test_sign_change_inside_a_step_is_split_exactly():
     # From +3 kW to -1 kW in 2 s: zero is crossed after 1.5 s.
     integral = integrate([(0.0, 3000.0), (2.0, -1000.0)])

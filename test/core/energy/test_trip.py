@@ -51,23 +51,6 @@ def test_windows_and_total_agree_while_nothing_is_forgotten(speeds, cost):
     assert log.windows[-1].total == pytest.approx(log.total, rel=1e-9, abs=1e-6)
 
 
-def test_the_last_kilometre_forgets_the_one_before():
-    log = drive(TripLog(), 100.0, cost=500.0)  # 2 km
-    energy = log.total.energy
-    for tick in range(1, 1001):  # 2 km more at twice the cost
-        log.update(round((100 + tick / 10) * SECOND), 20.0, energy + 1000.0 * 2.0 * tick)
-    short = log.windows[0]
-    assert short.known and short.total.energy / short.total.distance == pytest.approx(1000.0)
-    assert not log.windows[1].known
-    assert log.total.energy / log.total.distance == pytest.approx(750.0)
-
-
-def test_energy_without_distance_is_in_no_kilometre():
-    log = drive(TripLog(), 200.0, silent=range(50, 150))
-    assert log.total.distance == pytest.approx(100 * 20.0, rel=1e-6)
-    assert log.total.energy / log.total.distance == pytest.approx(500.0)
-
-
 def test_in_reverse_a_car_covers_distance_too():
     assert drive(TripLog(), 10.0, speed=-2.0, cost=-500.0).total.distance == pytest.approx(20.0)
 

@@ -195,11 +195,6 @@ def test_a_state_is_kept_and_what_does_not_fit_is_refused(learner, vehicle):
         {"car": {**car, "mean": [[math.nan] * len(NAMES)] * len(car["mean"])}},
         {"unevenness": {**uneven, "rows": uneven["rows"][:-1]}},
         {"unevenness": {**uneven, "squares": 1e30}},
-        {"seen_ns": -1},
-        {"seen_ns": 2**70},
-        {"trim": math.nan},
-        {"payload": {**saved["payload"], "chance": {"count": -8.0, "squares": 0.0}}},
-        {"grade": {"detected": True, "sums": [1.0]}},
     ):
         with pytest.raises((KeyError, TypeError, ValueError)):
             fresh.restore({**saved, **wrong})
