@@ -97,15 +97,6 @@ def test_the_same_writes_give_the_same_bytes(tmp_path):
     assert (first / "metadata.yaml").read_bytes() == (second / "metadata.yaml").read_bytes()
 
 
-def test_an_empty_bag_opens(tmp_path):
-    with BagWriter(tmp_path / "empty"):
-        pass
-    with Reader(tmp_path / "empty") as reader:
-        assert reader.message_count == 0
-    with BagReader(tmp_path / "empty") as reader:
-        assert list(reader.records()) == [] and reader.problem is None
-
-
 def test_nothing_is_overwritten(tmp_path):
     folder = write(tmp_path / "drive")
     with pytest.raises(InputError, match="a bag is there already; use another name or remove it"):
@@ -120,25 +111,11 @@ def test_nothing_is_overwritten(tmp_path):
         BagWriter(tmp_path / "notes" / "a.txt" / "drive")
 
 
-def test_an_empty_folder_is_used(tmp_path):
-    (tmp_path / "drive").mkdir()
-    write(tmp_path / "drive", 10)
-
-
 def test_a_topic_keeps_its_type(tmp_path):
     with BagWriter(tmp_path / "drive") as writer:
         writer.write("/a", scalar(new_message, 1.0), START)
         with pytest.raises(ValueError, match="/a is std_msgs/msg/Float64"):
             writer.write("/a", new_message("std_msgs/msg/Empty"), START)
-
-
-def test_raw_bytes_are_written_as_they_are(tmp_path):
-    message = scalar(new_message, 2.5)
-    with BagWriter(tmp_path / "drive") as writer:
-        writer.write_raw("/a", "std_msgs/msg/Float64", encode(message), START)
-    with BagReader(tmp_path / "drive") as reader:
-        (record,) = reader.records()
-    assert record.message == message
 
 
 def test_an_exception_leaves_a_whole_bag(tmp_path):

@@ -270,15 +270,6 @@ def test_failing_callback_is_no_failing_bus(scripted):
     assert "ZeroDivisionError('mine')" in reader.status().problem
 
 
-def test_error_and_remote_frames_are_counted(scripted):
-    scripted([message(0.0, is_error_frame=True), message(0.0, is_remote_frame=True)])
-    received = []
-    reader = BusReader("virtual", "x", received.append, lambda: NOW)
-    with reading(reader):
-        wait_until(lambda: reader.status().counters.get("remote_frames") == 1)
-    assert not received and reader.status().counters["error_frames"] == 1
-
-
 def test_error_frames_alone_are_told_until_a_frame_comes(monkeypatch):
     monkeypatch.setattr(bus_module, "SILENT_AFTER_S", math.inf)
     reader = BusReader("virtual", "errors", print, lambda: NOW)

@@ -10,7 +10,7 @@ from evpinn_ros.can.decoder import (
     TORQUE_HOLD_NS,
     Decoder,
 )
-from evpinn_ros.can.frame import MOST_IDS, CanFrame, nanoseconds
+from evpinn_ros.can.frame import MOST_IDS, CanFrame
 from evpinn_ros.can.profile import id_sum, load_profile, nissan_crc8
 from evpinn_ros.core.signals.readings import BatteryReading, MotorReading, SpeedReading
 
@@ -33,12 +33,6 @@ def tesla():
 @pytest.fixture
 def leaf():
     return Decoder(load_profile("nissan_leaf"))
-
-
-def test_stamp_keeps_the_digits_of_the_log():
-    assert nanoseconds(1549819403.028902) == 1549819403028902000
-    assert nanoseconds(0.0) == 0
-    assert nanoseconds(12.345678901) == 12345678901
 
 
 @pytest.mark.parametrize(("raw", "kmh"), [(1500, 80.0), (500, 0.0), (375, -10.0)])

@@ -132,16 +132,6 @@ def test_no_battery_is_said_and_predictions_go_on(evpinn, folder):
     assert found["energy"]["predicted_j"] > 0 and found["power"]["rmse_w"] is None
 
 
-def test_bad_inputs_fail_in_one_line(evpinn, folder):
-    (folder / "empty_folder").mkdir(exist_ok=True)
-    (folder / "empty.mcap").write_bytes(b"")
-    assert_fails_in_one_line(evpinn("replay", "nowhere", cwd=folder), "nowhere", "no such file")
-    assert_fails_in_one_line(evpinn("replay", "empty_folder", cwd=folder), "empty_folder")
-    assert_fails_in_one_line(evpinn("replay", "empty.mcap", cwd=folder), "empty.mcap")
-    done = evpinn("replay", "drive", "--vehicle", "teapot", cwd=folder)
-    assert_fails_in_one_line(done, "teapot", "tesla_model_3_lr")
-
-
 def test_truncated_bag_is_replayed_as_far_as_it_goes(evpinn, folder):
     (bag,) = (folder / "drive").glob("*.mcap")
     data = bag.read_bytes()
@@ -225,16 +215,6 @@ def test_parameter_file_reaches_the_cores(evpinn, folder):
     )
     assert done.returncode == 0, done.stderr
     assert json.loads((folder / "p.json").read_text())["mode"] == "paper"
-
-
-def test_the_paper_s_mode_has_a_floor_and_a_choice_of_optimizer(evpinn, folder):
-    options = ("--mode", "paper", "--optimizer", "gauss_newton", "--metrics", "g.json")
-    done = evpinn("replay", "speed.csv", *options, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    power = json.loads((folder / "g.json").read_text())["power"]
-    assert power["floor_w"] is None  # nothing was measured
-    done = evpinn("replay", "speed.csv", "--optimizer", "gauss_newton", cwd=folder)
-    assert_fails_in_one_line(done, "--optimizer", "--mode paper")
 
 
 def test_vehicles_are_listed_found_and_shown(evpinn, folder):

@@ -13,7 +13,6 @@ import pytest
 import typer
 
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
@@ -61,16 +60,6 @@ def test_a_drive_outlives_a_report_that_fails(tmp_path):
     [kept] = tmp_path.iterdir()
     with BagReader(kept) as reader:
         assert any(reader.log_times())
-
-
-def test_where_nothing_was_recorded_nothing_is_reported(tmp_path):
-    """A bag that was there before the drive is another drive: the nodes refuse it."""
-    for record in (URBAN, tmp_path / "none"):
-        with reported(tmp_path / "drive.html", record, None, OPTIONS):
-            pass
-    with reported(tmp_path / "drive.html", None, None, OPTIONS) as bag:
-        BagWriter(bag).close()  # some node was refused once this was begun
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_report_that_has_no_place_is_refused_before_the_drive(tmp_path):

@@ -37,8 +37,3 @@ def test_energy_is_kwh_consumption_kwh_per_100_km_and_range_km() -> None:
         **{"charge_percent": 80.0, "charge_projected": False, "usable_kwh": 60.0},
         **{"capacity_kwh": 75.0, "range_km": 300.0, "lower_km": 250.0, "upper_km": 350.0},
     }
-
-
-def test_a_range_that_is_not_known_is_none() -> None:
-    found = account_metrics(summary(None))["range"]
-    assert [found[f"{name}_km"] for name in ("range", "lower", "upper")] == [None] * 3

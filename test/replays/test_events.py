@@ -38,10 +38,6 @@ def kinds(found) -> list[tuple[float, EventKind]]:
     return [(event.time, event.kind) for event in found]
 
 
-def test_a_quiet_drive_has_no_events():
-    assert drive_events(drive(detections=[(0.0, LearnerReport())])) == []
-
-
 def test_gaps_are_events_at_the_ends_too():
     speed = [t for t in range(61) if not 20 < t < 30]
     found = drive_events(drive(speed, range(8, 51)))
@@ -90,11 +86,6 @@ def test_a_payload_that_is_withdrawn_is_told():
     assert "withdrawn" in found[1].text
 
 
-def test_a_payload_of_an_earlier_drive_is_no_event():
-    known = LearnerReport(PayloadChange(START_NS - NANOSECONDS, 150.0, 40.0), 1)
-    assert drive_events(drive(detections=[(0.0, known)])) == []
-
-
 def test_suspicions_come_and_go():
     suspected = LearnerReport(suspicion=CURRENT_SIGN)
     found = drive_events(
@@ -107,9 +98,3 @@ def test_suspicions_come_and_go():
 def test_a_withheld_battery_is_an_event_if_it_came_to_that():
     assert kinds(drive_events(drive(), 30.0)) == [(30.0, EventKind.WITHHELD)]
     assert drive_events(drive(), 90.0) == []
-
-
-def test_events_are_in_order():
-    messy = drive(*([t for t in range(61) if t // n % 2 == 0] for n in (6, 10)))
-    times = [event.time for event in drive_events(messy, 15.0)]
-    assert len(times) > 5 and times == sorted(times)

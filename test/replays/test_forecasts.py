@@ -69,11 +69,6 @@ def test_slow_readings_have_no_gap_and_a_charger_is_in_no_plan(drive, vehicle):
     assert forecast_outcomes(replace(slow, speed=speed, measured=power), vehicle.air_density) == []
 
 
-def test_a_short_drive_and_one_without_models_are_not_compared(drive, vehicle):
-    assert forecast_outcomes(replace(drive, duration=20.0), vehicle.air_density) == []
-    assert forecast_outcomes(replace(drive, models=()), vehicle.air_density) == []
-
-
 def test_a_plan_climbs_as_its_altitudes_do():
     time = np.arange(0.0, 101.0, 0.5)
     speed = np.stack((time, np.full(len(time), 20.0)), axis=1)

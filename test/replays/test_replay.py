@@ -229,11 +229,3 @@ def test_what_was_learned_is_carried_to_the_next_drive(readings, vehicle, whole,
     assert mass[1] == pytest.approx(mass[0], rel=0.01)
     assert mass[1] != vehicle.initial.mass
     assert second.metrics["updates"]["count"] < first.metrics["updates"]["count"]
-
-
-def test_energy_state_carries_sigma_that_grows_while_withheld(withheld):
-    with BagReader(withheld[1]) as bag:
-        states = [r.message for r in bag.records(["/ev/energy/state"])]
-    assert all(len(state.effort) == len(state.name) for state in states[1:])
-    index = list(states[-1].name).index("predicted")
-    assert 0 < states[len(states) // 2].effort[index] < states[-1].effort[index]

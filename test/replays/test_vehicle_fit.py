@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.core.vehicle.files import load_vehicle
@@ -43,17 +42,7 @@ def test_a_heavier_car_is_named_with_rivals_of_its_mass():
     assert "2280 kg" in text and "--vehicle generic, or one of " in text
 
 
-def test_a_drive_within_the_warm_up_is_too_short_to_doubt_the_car():
-    short = replace(drive(2280.0), duration=19.0)
-    assert vehicle_doubt(I3, short) is None
-
-
 def test_a_larger_battery_shows_by_charge_and_energy():
     expected = float(prior_identifiable(I3)[0].mass_over_eta)
     text = vehicle_doubt(I3, drive(expected, kwh=0.2 * 46.0, used=0.2))
     assert text is not None and "its battery holds 46 kWh by charge and energy" in text
-
-
-@pytest.mark.parametrize("mass_over_eta", [900.0, 4000.0])
-def test_generic_is_any_car(mass_over_eta: float):
-    assert vehicle_doubt(load_vehicle("generic"), drive(mass_over_eta)) is None

@@ -5,17 +5,14 @@ import pytest
 
 from evpinn_ros.core.estimation.states import PHYSICS
 from evpinn_ros.core.estimation.terms import equation_of
-from evpinn_ros.core.vehicle.files import load_vehicle, vehicle_names
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.core.vehicle.parameters import LIMITS
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.replays.simulation.truth import (
     LEAST_AUXILIARY,
-    PLAUSIBLE_ETA,
-    PLAUSIBLE_MU,
     combinations,
-    plausible_parameters,
     prior_parameters,
 )
 
@@ -81,18 +78,6 @@ def test_a_car_driven_again_is_the_same_car(urban):
     assert again.car is urban.car
     assert again.truth.parameters.mass == urban.truth.parameters.mass
     assert again.truth.parameters.eta != urban.truth.parameters.eta  # another drive
-
-
-@pytest.mark.parametrize("name", [name for name in vehicle_names() if name != "mobile_robot"])
-def test_plausible_cars_are_plausible(name):
-    vehicle, rng = load_vehicle(name), np.random.default_rng(1)
-    for _ in range(50):
-        drawn = plausible_parameters(vehicle, rng)
-        assert PLAUSIBLE_ETA[0] <= drawn.eta <= PLAUSIBLE_ETA[1]
-        assert PLAUSIBLE_MU[0] <= drawn.mu <= PLAUSIBLE_MU[1]
-        for key in ("mass", "c_rr", "c_d", "p_aux"):
-            prior = vehicle.priors[key]
-            assert abs(getattr(drawn, key) - prior.value) <= 1.5 * prior.std
 
 
 def test_draws_from_the_priors_have_their_mean_and_spread():
