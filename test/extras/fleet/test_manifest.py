@@ -46,11 +46,6 @@ def test_folders_of_cars_may_be_given_themselves(data):
     assert names_of(found, data) == {"bob": ALL["bob"], "data": ALL["data"]}
 
 
-def test_patterns_and_the_same_drive_twice(data):
-    found = cars_by_folder([str(data / "data/b*/*.mcap"), str(data / "data/bob")], LEAF)
-    assert names_of(found, data) == {"bob": ALL["bob"]}
-
-
 def test_two_folders_of_one_name_are_not_mixed(data):
     with pytest.raises(InputError, match="would both be car 'bob'"):
         cars_by_folder([str(data / "data"), str(data / "other")], LEAF)

@@ -74,13 +74,6 @@ def test_without_evidence_the_vehicle_file_stays():
             assert Population(LEAF, found).value(name).cars == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_car_that_is_all_prior_changes_nothing():
-    some = list(cars(8, np.zeros(6), np.full(6, 0.3), np.random.default_rng(1)))
-    alone, among = Population(LEAF, some), Population(LEAF, [NO_EVIDENCE, *some, NO_EVIDENCE])
-    for name in PARAMETER_NAMES:
-        assert alone.value(name) == among.value(name)
-
-
 def test_what_no_car_tells_stays_as_it_was():
     rng = np.random.default_rng(2)
     population = Population(LEAF, list(cars(200, np.full(6, 0.2), np.full(6, 0.2), rng)))

@@ -1,5 +1,3 @@
-from copy import deepcopy
-
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -11,7 +9,6 @@ from evpinn_ros.core.energy.quadrature import Step
 from evpinn_ros.core.energy.rknn import energy_step, slopes
 from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.extras.paper.energy_network import (
-    CURVE_EPOCHS,
     MAX_GAP,
     EnergyTraining,
     step_data,
@@ -84,27 +81,6 @@ def test_steps_across_gaps_and_beside_unknown_power_are_left_out():
 # Training
 
 
-def test_the_networks_have_equally_many_weights():
-    networks = training()._networks
-    rknn, dnn = (
-        sum(weights.numel() for weights in part.parameters())
-        for part in (networks.subnetworks, networks.plain)
-    )
-    assert rknn == 8932
-    assert dnn == pytest.approx(rknn, rel=0.015)
-
-
-def test_losses_begin_near_one_and_fall(trained):
-    assert [row.epoch for row in trained.losses] == [
-        n for n in range(1, EPOCHS + 1) if n in CURVE_EPOCHS
-    ]
-    first, last = trained.losses[0], trained.losses[-1]
-    for begin, end in zip(first[1:], last[1:], strict=True):
-        assert begin == pytest.approx(1.0, abs=0.35)
-        assert end < begin / 10
-    assert {1, 10, 100, 1000, 10_000} <= CURVE_EPOCHS
-
-
 def test_losses_are_eq_30_over_the_mean_square_step():
     data = step_data(*drive())
     run = EnergyTraining(data, seed=1)
@@ -135,19 +111,6 @@ def test_interrupted_training_gives_the_same_numbers(trained, tmp_path):
 
 
 # Roll-out
-
-
-def test_roll_out_starts_every_step_from_its_own_energy(trained):
-    time, power = drive()
-    unit, networks = trained._units.energy, deepcopy(trained._networks).double()
-    steps = trained._units.scaled(step_data(time, power), torch.float64)
-    rolled = np.array(trained.integrate(time, power))
-    energy = torch.zeros(2, 1, dtype=torch.float64)
-    for i in range(len(time) - 1):
-        assert rolled[:, i] == pytest.approx(energy[:, 0].numpy() * unit, abs=1e-8 * unit)
-        with torch.no_grad():
-            energy = energy + networks(type(steps)(*(c[i : i + 1] for c in steps)), energy)
-    assert rolled[:, -1] == pytest.approx(energy[:, 0].numpy() * unit, abs=1e-8 * unit)
 
 
 def test_roll_out_follows_the_quadrature_and_stands_still_in_gaps(trained):

@@ -11,14 +11,12 @@ from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.extras.paper.learner import (
-    EPOCHS,
     MIN_SAMPLES,
     POWER_SCALE,
-    WINDOW,
     PaperLearner,
 )
 from evpinn_ros.extras.paper.log_parameters import LEARNED
-from evpinn_ros.extras.paper.network import PARAMETER_RATE, PHYSICS_LOSS
+from evpinn_ros.extras.paper.network import PHYSICS_LOSS
 
 TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux=1250.0)
 
@@ -86,25 +84,6 @@ def test_the_loss_falls_from_update_to_update(vehicle, synthetic, form):
     assert losses[0] > losses[1] > losses[2]
 
 
-def test_parameters_move_by_one_adam_step_of_their_logarithms(vehicle, synthetic):
-    """Adam moves each by at most its rate an epoch, whatever the unit: 20 * 0.002."""
-    learner = train(teach(PaperLearner(vehicle), synthetic(TRUTH), 100, 400), 1)
-    found = learner.parameters().parameters
-    moved = [math.log(found[n].value / getattr(vehicle.initial, n)) for n in LEARNED]
-    most = EPOCHS * PARAMETER_RATE
-    assert all(0 < abs(step) <= most * 1.2 for step in moved)
-    # While the sign of a gradient stays, Adam moves its full rate each epoch.
-    assert max(map(abs, moved)) == pytest.approx(most, rel=0.1)
-
-
-def test_warm_start_goes_on_where_it_was(vehicle, synthetic):
-    """Two updates on one window are one of twice the epochs, Adam's memory included."""
-    drive = synthetic(TRUTH)
-    twice = train(teach(PaperLearner(vehicle), drive, 100, 400), 2)
-    epochs = [group["step"].item() for group in twice._trained.optimizer_state["state"].values()]
-    assert set(epochs) == {2 * EPOCHS}
-
-
 def test_p_aux_is_the_median_at_standstill_less_known_loads(vehicle):
     learner = PaperLearner(vehicle)
     for k in range(100):
@@ -150,17 +129,6 @@ def test_sigma_is_told_by_data_and_prior(vehicle, synthetic):
         assert relative >= estimate.prior_share * drift
     relative = found.identifiable_std.mass_over_eta / found.identifiable.mass_over_eta
     assert relative < 0.5 * math.hypot(110 / 1823, 0.1 / 0.7)
-
-
-def test_the_window_drops_what_becomes_too_old(vehicle):
-    """A minute is kept, both ends included, and ages count from the newest sample."""
-    learner = PaperLearner(vehicle)
-    for second in range(int(WINDOW) + 3):
-        learner.observe(Sample(second * NANOSECONDS, 10.0, 0.5, 0.01, 1.2, 300.0), 1000.0)
-    assert len(learner._window) == WINDOW + 1
-    assert learner._window[0][0].stamp_ns == 2 * NANOSECONDS
-    learner.forget_window()
-    assert not learner._window and learner.prepare_update() is None
 
 
 def test_reverse_and_charging_teach_nothing(vehicle):

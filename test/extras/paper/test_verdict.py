@@ -4,10 +4,8 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.extras.paper.experiment import (
     CHRONOLOGICAL,
     NETWORK,
@@ -72,18 +70,6 @@ def test_power_of_road_not_yet_driven(
     found = verdict(scored(scored(outcome, r2=r2), TIME_HELD, r2=-0.05))[POWER]
     assert found.answer is answer
     assert ("Time is one of its inputs" in found.measured) is (r2 == -370.0)
-
-
-def test_time_is_held_at_the_last_trained(outcome: Outcome) -> None:
-    """The score is that of the network at its last time and the speeds of the last fifth."""
-    problem = outcome.chronological.problem
-    rows, log = problem.split, outcome.log
-    held = chosen_rows(log, rows.validation)
-    held = held._replace(time=np.full(len(held.time), log.time[rows.training].max()))
-    power = problem.predicted_power(outcome.chronological.optimizer.network, held)
-    found = {(each.method, each.split): each.score for each in outcome.scores}
-    expected = float(np.sqrt(np.mean((power - held.power) ** 2)))
-    assert found[TIME_HELD, CHRONOLOGICAL].rmse_w == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
