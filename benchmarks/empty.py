@@ -139,7 +139,7 @@ def _piece(
     drive: int, driven: Stretch, intervals: tuple[Interval, ...], log: TripLog, model: CarModel
 ) -> Kilometre:
     for window in log.windows:
-        window.add(driven)
+        window.extend(*(np.array([part]) for part in driven))
     if not log.windows[LAST_10].known:
         return Kilometre(drive, driven, intervals, model, None, math.nan, math.nan)
     recent, long = (

@@ -52,7 +52,7 @@ def _meter_verdict(account: EnergyAccount, condition: Condition) -> tuple[Level,
         return Level.WARN, "waiting for power/smoothed"
     if condition.age > MISSING_AFTER:
         return Level.WARN, NO_POWER
-    if not account.meter.measuring:
+    if not account.measuring:
         return Level.WARN, "predicting: no power/measured"
     if condition.file_problem is not None:
         return Level.WARN, condition.file_problem

@@ -58,11 +58,6 @@ class Chain:
         )
 
     @property
-    def meter(self) -> EnergyMeter:
-        """Meter of the account."""
-        return self.account.meter
-
-    @property
     def dropped(self) -> Counter[str]:
         """Readings of this drive that were refused or did not pass the guard of time."""
         guard = self._guard.dropped + Counter(stamp_leaps=self._guard.held)
@@ -78,45 +73,53 @@ class Chain:
             if isinstance(item, Jump) or self.account.admission.admits(item):
                 yield item
 
-    def take(self, block: Sequence[Reading | Jump]) -> Iterator[list[ChainOutput]]:
-        """Take readings that may be used, and jumps of time; give the outputs of each item."""
+    def take(
+        self, block: Sequence[Reading | Jump], *, counted: bool = True
+    ) -> Iterator[list[ChainOutput]]:
+        """Take readings that may be used, and jumps of time; give the outputs of each item.
+
+        With `counted` the account is among them after each prediction; else `account.count` gives
+        its states once the block is over, at a tenth of the time.
+        """
         readings: list[Reading] = []
         for item in block:
             if not isinstance(item, Jump):
                 readings.append(item)
                 continue
-            yield from self._read(readings)
+            yield from self._read(readings, counted)
             readings = []
             yield self._after_jump()
-        yield from self._read(readings)
+        yield from self._read(readings, counted)
 
-    def _read(self, readings: Sequence[Reading]) -> Iterator[list[ChainOutput]]:
+    def _read(self, readings: Sequence[Reading], counted: bool) -> Iterator[list[ChainOutput]]:
         predicted = self.estimator.add_block(readings)
         for reading in readings:
             self.account.add_reading(reading)
-            yield [found for output in next(predicted) for found in self._counted(output)]
+            outputs: list[ChainOutput] = []
+            for output in next(predicted):
+                outputs.append(output)
+                if self._add(output) and counted:
+                    self._know_usual()
+                    outputs += self.account.count()
+                    outputs += filter(None, [self.account.tick()])
+            yield outputs
+        self._know_usual()
 
-    def _counted(self, output: Output) -> Iterator[ChainOutput]:
-        """An output of the estimator, and those of the account after it."""
-        yield output
+    def _know_usual(self) -> None:
+        car = self.estimator.model()
+        self.account.usual = math.nan if car is None else usual_cost(car)
+
+    def _add(self, output: Output) -> bool:
+        """Tell the account of an output; gives whether that is a prediction that it counts."""
         if not isinstance(output, PowerEstimate):
-            return
+            return False
         if output.kind is PowerKind.SMOOTHED:
-            self.account.add_predicted(
-                output.stamp_ns,
-                output.power,
-                output.sigma,
-                output.energy_sigma,
-                output.energy,
-            )
-            car = self.estimator.model()
-            self.account.usual = math.nan if car is None else usual_cost(car)
-            yield self.account.state
-            summary = self.account.tick()
-            if summary is not None:
-                yield summary
-        elif output.kind is PowerKind.MEASURED:
+            dropout = output.energy_sigma, output.energy
+            power = output.stamp_ns, output.power, output.sigma
+            return self.account.add_predicted(*power, *dropout)
+        if output.kind is PowerKind.MEASURED:
             self.account.add_measured(output.stamp_ns, output.power, output.sigma)
+        return False
 
     def _after_jump(self) -> list[ChainOutput]:
         if self._rule.policy is not JumpPolicy.RESET:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.core.energy.account import AccountSummary
-from evpinn_ros.core.energy.meter import EnergyState
+from evpinn_ros.core.energy.meter import EnergyState, EnergyStates
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import TRACKED, ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.learner import LearnerReport
@@ -210,9 +210,8 @@ class History:
             return
         time = self.seconds(output.stamp_ns)
         if isinstance(output, EnergyState):
-            predicted, rknn = output.predicted.energy, output.rknn.energy
-            if math.isfinite(predicted) and math.isfinite(rknn):  # not before the first step
-                self._series["energy"].add(time, predicted, rknn, output.predicted.sigma)
+            sigma = output.predicted.sigma
+            self._series["energy"].add(time, output.predicted.energy, output.rknn.energy, sigma)
         elif isinstance(output, PowerEstimate):
             if output.kind in self._power:
                 lag = (self._last_ns - self.moment(output.stamp_ns)) / NANOSECONDS
@@ -227,6 +226,18 @@ class History:
                     getattr(each, name) for each in (output.identifiable, output.identifiable_std)
                 )
                 rows.add(time, value, std)
+
+    def add_states(self, states: EnergyStates) -> None:
+        """Take what the account counted, at each prediction."""
+        rows = zip(
+            states.stamp_ns.tolist(),
+            states.predicted.tolist(),
+            states.rknn.tolist(),
+            states.predicted_sigma.tolist(),
+            strict=True,
+        )
+        for stamp_ns, *energies in rows:
+            self._series["energy"].add(self.seconds(stamp_ns), *energies)
 
     def add_detections(self, report: LearnerReport) -> None:
         """Take what the learner says of the car by now, if it says something new."""

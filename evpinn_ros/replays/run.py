@@ -100,12 +100,14 @@ def replay(
     whole = takewhile(lambda _: not stopped(), source.readings())
     readings = span(whole, options.start, options.duration)
     items = (item for reading in readings for item in chain.follow(reading))
-    size = BLOCK if options.rate is None else 1
+    size, recorded = BLOCK if options.rate is None else 1, writer is not None
     for block in _noted(_blocks(items, size), history, options, progress):
-        for noted, outputs in zip(block, _outputs(block, history, chain), strict=True):
+        outputs_of_all = _outputs(block, history, chain, counted=recorded)
+        for noted, outputs in zip(block, outputs_of_all, strict=True):
             if writer is not None and not isinstance(noted.item, Jump):
                 moment_ns = history.moment(noted.item.stamp_ns)
                 not_recorded.update(_record(writer, noted.item, outputs, moment_ns, chain))
+        history.add_states(chain.account.count())
     wall = time.perf_counter() - started
     drive = replace(history.drive(chain.estimator.model()), zoned=source.zoned)
     where = "" if options.start == 0 and options.duration is None else " in that span"
@@ -212,10 +214,11 @@ def _note(item: Reading | Jump, history: History, withhold_after: float | None) 
 
 
 def _outputs(
-    block: Sequence[_Noted], history: History, chain: Chain
+    block: Sequence[_Noted], history: History, chain: Chain, *, counted: bool
 ) -> Iterator[list[ChainOutput]]:
     """Outputs of the chain for each reading that it is given, noted too."""
-    outputs = chain.take([noted.item for noted in block if noted.given])
+    items = [noted.item for noted in block if noted.given]
+    outputs = chain.take(items, counted=counted)
     for item, moment_ns, given in block:
         history.move_to(moment_ns)
         if given and not isinstance(item, Jump) and history.wants_model:

@@ -208,9 +208,8 @@ ENERGY = (
     Parameter(
         "integrator",
         "rknn",
-        "Integrator of the predicted power while the battery is not measured, and between slow "
-        "samples: the paper's Runge-Kutta network, or the trapezoidal rule. energy/state has "
-        "both.",
+        "Integrator of the predicted power while the battery is not measured: the paper's "
+        "Runge-Kutta network, or the trapezoidal rule. energy/state has both.",
         choices=("rknn", "trapezoid"),
     ),
     Parameter("max_gap", 2.0, "Longest gap of power that is integrated.", "s", 0.1, 2.0),

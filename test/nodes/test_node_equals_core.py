@@ -92,5 +92,5 @@ def equal(bench, drive, policy):
     for topic in HEARD:
         assert bench.heard[topic] == expected[topic], topic.name
         assert bench.heard[topic], topic.name
-    assert repr(energy.account.state) == repr(core.meter.state)  # NaN is no equal of itself
+    assert repr(energy.account.state) == repr(core.account.state)  # NaN is no equal of itself
     return core

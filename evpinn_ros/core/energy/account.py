@@ -1,22 +1,36 @@
 """One car's account of energy: since reset and since ever, per kilometre, and what is left.
 
-It joins the meter to distance and to the state of charge, and is what outlives a restart.
+It joins the meter to distance and to the state of charge, and is what outlives a restart. What
+arrives is kept until somebody asks, and then counted at once, as a block; how it is cut into
+blocks changes nothing.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 import math
 from typing import Annotated, NamedTuple
+
+import numpy as np
 
 from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.energy.battery_model import BatteryModel, SavedBattery
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
 from evpinn_ros.core.energy.dropout import Dropout, Reconciled, Verdict, reconcile
 from evpinn_ros.core.energy.forecast import Forecast
-from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState, SavedMeter
+from evpinn_ros.core.energy.meter import (
+    NO_STATES,
+    NOTHING,
+    EnergyMeter,
+    EnergyState,
+    EnergyStates,
+    MeterCourse,
+    PowerBlock,
+    SavedMeter,
+)
 from evpinn_ros.core.energy.plan import Plan
 from evpinn_ros.core.energy.plausible import MOST_ENERGY, Joules, Metres, Seconds
 from evpinn_ros.core.energy.remaining import (
@@ -129,6 +143,53 @@ class AccountSummary:
     remaining: Remaining | None
 
 
+class _Kind(IntEnum):
+    """Kind of what arrives."""
+
+    PREDICTED = 0
+    MEASURED = 1
+    SPEED = 2
+    BATTERY = 3
+
+
+_POWERS = _Kind.PREDICTED, _Kind.MEASURED
+
+
+class _Correction(NamedTuple):
+    """A correction, and the place in the order of arrival from which it counts."""
+
+    order: int
+    found: TripCorrection
+
+
+class _Arrived:
+    """What has arrived and is not counted yet, by kind, in one order."""
+
+    def __init__(self) -> None:
+        self._orders: list[list[int]] = [[] for _ in _Kind]
+        self._stamps: list[list[int]] = [[] for _ in _Kind]
+        self._rows: list[list[tuple[float, ...]]] = [[] for _ in _Kind]
+        self._next = self.first_ns = 0
+
+    def __len__(self) -> int:
+        return self._next
+
+    def add(self, kind: _Kind, stamp_ns: int, row: tuple[float, ...]) -> None:
+        """Take one; `first_ns` is the first stamp of a power."""
+        if kind in _POWERS:
+            self.first_ns = self.first_ns or stamp_ns
+        self._orders[kind].append(self._next)
+        self._stamps[kind].append(stamp_ns)
+        self._rows[kind].append(row)
+        self._next += 1
+
+    def columns(self, kind: _Kind, width: int) -> Iterator[np.ndarray]:
+        """Order, stamps and the columns of rows of a kind, shape (n,) each."""
+        yield np.array(self._orders[kind], np.int64)
+        yield np.array(self._stamps[kind], np.int64)
+        yield from np.array(self._rows[kind], dtype=float).reshape(-1, width).T
+
+
 class EnergyAccount(Saveable[SavedAccount]):
     """Counts the energy of one car; knows no ROS.
 
@@ -184,7 +245,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._before_reset, self._correction = before, correction
         self._newest_ns = self._summary_ns = 0
         self.reconciled: Reconciled | None = None
-        self._seen: Dropout | None = None
+        self._arrived = _Arrived()
         self._awaits_charge: tuple[Dropout, float] | None = None
         self._charge_before = math.nan  # the last one received while the battery was measured
 
@@ -203,6 +264,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def begin_readings_anew(self) -> None:
         """Join no speed and no battery reading to those before: their time jumped."""
+        self.count()
         self.admission.begin_anew()
         self.trip.begin_anew()
         self.battery.begin_anew()
@@ -219,13 +281,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         if not _is_possible(power, sigma, self.admission.limits.power):
             self.refused["power_out_of_range"] += 1
             return
-        self._see(stamp_ns)
-        self.meter.add_measured(stamp_ns, power, sigma)
-        ended = self.meter.last_dropout
-        if ended is not None and ended is not self._seen:
-            self._seen = ended
-            self.reconciled = reconcile(ended, UNKNOWN)
-            self._awaits_charge = (ended, self._charge_before)
+        self._arrived.add(_Kind.MEASURED, stamp_ns, (power, sigma, math.nan, math.nan))
 
     def add_predicted(
         self,
@@ -235,46 +291,112 @@ class EnergyAccount(Saveable[SavedAccount]):
         energy_sigma: float = math.nan,
         energy: float = math.nan,
     ) -> bool:
-        """Take one prediction of power (see `EnergyMeter`); gives whether it can be one."""
+        """Take one prediction of power (see `PowerBlock`); gives whether it can be one."""
         if not _is_possible(power, sigma, MAX_POWER):
             self.refused["power_out_of_range"] += 1
             return False
-        self._see(stamp_ns)
-        self.meter.add_predicted(stamp_ns, power, sigma, energy_sigma, energy)
+        self._arrived.add(_Kind.PREDICTED, stamp_ns, (power, sigma, energy_sigma, energy))
         return True
 
     def add_speed(self, stamp_ns: int, speed: float) -> None:
         """Take a speed, m/s, of an admitted reading."""
-        self.trip.update(stamp_ns, speed, self.meter.consumed)
+        self._arrived.add(_Kind.SPEED, stamp_ns, (speed,))
 
     def add_reading(self, reading: Reading) -> None:
         """Take an admitted speed, or what the battery tells of itself; others count nothing."""
         if isinstance(reading, SpeedReading):
             self.add_speed(reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading):
-            self.battery.add_reading(reading)
-            self.add_charge(reading.stamp_ns, reading.state_of_charge)
+            values = reading.voltage, reading.current, reading.state_of_charge
+            self._arrived.add(_Kind.BATTERY, reading.stamp_ns, values)
 
     def add_charge(self, stamp_ns: int, charge: float) -> None:
         """Take a state of charge, 0..1; NaN says nothing."""
-        if not 0.0 <= charge <= 1.0:
-            return
-        if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:
-            self._reconcile(*self._awaits_charge, charge)
-            self._awaits_charge = None
-        lifetime, silent = self.lifetime(), self.meter.in_dropout(stamp_ns)
-        if not silent:
-            self._charge_before = charge
-        self.gauge.update(
-            stamp_ns, charge, lifetime.net, None if silent else lifetime.unmeasured_s
+        self._arrived.add(_Kind.BATTERY, stamp_ns, (math.nan, math.nan, charge))
+
+    def count(self) -> EnergyStates:
+        """Count what has arrived; gives the state at each prediction of it."""
+        if not self._arrived:
+            return NO_STATES
+        arrived, self._arrived = self._arrived, _Arrived()
+        predicted, measured = (PowerBlock(*arrived.columns(kind, 4)) for kind in _POWERS)
+        course = self.meter.add(predicted, measured)
+        if len(predicted.order) or len(measured.order):
+            self._newest_ns = max(self._newest_ns, int(course.newest(course.end)[0]))
+            if self.route is not None:
+                self.route.see(arrived.first_ns)
+        order, stamps, speeds = arrived.columns(_Kind.SPEED, 1)
+        if len(order):
+            self.trip.extend(stamps, speeds, course.consumed(course.before(order))[0])
+        corrections = self._charged(course, *arrived.columns(_Kind.BATTERY, 3))
+        return self._corrected(course.states(course.at_predictions()), predicted, corrections)
+
+    def _corrected(
+        self, states: EnergyStates, predicted: PowerBlock, later: Sequence[_Correction]
+    ) -> EnergyStates:
+        """States with what reconciling had added by then."""
+        energy = np.full(len(states), self._correction.energy)
+        variance = np.full(len(states), self._correction.variance)
+        for order, found in later:
+            before = predicted.order < order
+            energy[before] -= found.energy
+            variance[before] -= found.variance
+        return replace(
+            states,
+            consumed=states.consumed + energy,
+            variance=np.fmax(states.variance - variance, 0.0) + 0.0 * states.variance,
         )
 
-    def _see(self, stamp_ns: int) -> None:
-        self._newest_ns = max(self._newest_ns, stamp_ns)
-        if self.route is not None:
-            self.route.see(stamp_ns)
+    def _charged(
+        self,
+        course: MeterCourse,
+        order: np.ndarray,
+        stamps: np.ndarray,
+        voltage: np.ndarray,
+        current: np.ndarray,
+        charge: np.ndarray,
+    ) -> list[_Correction]:
+        """Take battery readings; gives what dropouts were corrected by, and when."""
+        if not (len(order) or course.ended):
+            return []
+        self.battery.extend(stamps, voltage, current, charge)
+        told = np.flatnonzero((charge >= 0.0) & (charge <= 1.0))
+        order, stamps, charge = order[told], stamps[told], charge[told]
+        at = course.before(order)
+        consumed, variances, unmeasured_s = course.consumed(at)
+        silent = course.silent(at, stamps)
+        heard = np.append(self._charge_before, charge[~silent])
+        told = np.searchsorted(order[~silent], [place for place, _ in course.ended])
+        ends = list(zip(course.ended, heard[told].tolist(), strict=True))
+        corrections: list[_Correction] = []
+        before = self._before_reset
+        for row, place in enumerate(order.tolist()):
+            while ends and ends[0][0][0] < place:
+                (_, ended), before_it = ends.pop(0)
+                self._end(ended, before_it)
+            level, stamp_ns = float(charge[row]), int(stamps[row])
+            if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:
+                added = self._reconcile(*self._awaits_charge, level)
+                corrections.append(_Correction(place, added))
+                self._awaits_charge = None
+            seconds = None if silent[row] else before.unmeasured_s + float(unmeasured_s[row])
+            if row + 1 < len(order) and not self.gauge.is_new(level, seconds):
+                continue
+            net = before.net.value + float(consumed[row]) + self._correction.energy
+            variance = max(float(variances[row]) - self._correction.variance, 0.0)
+            sigma = math.sqrt(before.variance + variance)
+            self.gauge.update(stamp_ns, level, Uncertain(net, sigma), seconds)
+        for (_, ended), before_it in ends:
+            self._end(ended, before_it)
+        self._charge_before = float(heard[-1])
+        return corrections
 
-    def _reconcile(self, dropout: Dropout, before: float, after: float) -> None:
+    def _end(self, dropout: Dropout, charge: float) -> None:
+        """A dropout ended, before which the state of charge was this."""
+        self.reconciled = reconcile(dropout, UNKNOWN)
+        self._awaits_charge = dropout, charge
+
+    def _reconcile(self, dropout: Dropout, before: float, after: float) -> TripCorrection:
         """Join a dropout with its states of charge, unless no car can do what they say."""
         by_charge = self.gauge.energy_between(before, after)
         if not abs(by_charge.value) <= MAX_POWER * dropout.duration:
@@ -282,20 +404,23 @@ class EnergyAccount(Saveable[SavedAccount]):
         found = self.reconciled = reconcile(dropout, by_charge)
         if found.verdict is Verdict.JOINED:
             self.trip.correct(found.correction)
+        added = TripCorrection(found.correction, found.variance_taken)
         energy, variance = self._correction
-        self._correction = TripCorrection(
-            energy + found.correction, variance + found.variance_taken
-        )
+        self._correction = TripCorrection(energy + added.energy, variance + added.variance)
+        return added
 
     @property
     def state(self) -> EnergyState:
         """The meter's, with what reconciling added."""
-        state = self.meter.state
-        sigma = state.consumed_sigma
-        if not math.isnan(sigma):
-            sigma = math.sqrt(max(sigma**2 - self._correction.variance, 0.0))
-        consumed = state.consumed + self._correction.energy
-        return replace(state, consumed=consumed, consumed_sigma=sigma)
+        self.count()
+        course = self.meter.course
+        return self._corrected(course.states(course.end), NOTHING, ())[0]
+
+    @property
+    def measuring(self) -> bool:
+        """True if the battery was measured within its timeout."""
+        self.count()
+        return self.meter.measuring
 
     def since_reset(self) -> EnergyTotals:
         """Totals since the last reset."""
@@ -313,6 +438,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     @property
     def odometer(self) -> float:
         """Distance since the first start, m."""
+        self.count()
         return self._before_reset.distance + self.trip.total.distance
 
     def follow(self, plan: Plan, found: Forecast) -> None:
@@ -320,6 +446,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
         A plan shorter than `SHORTEST` is the horizon of a controller and changes nothing.
         """
+        self.count()
         if plan.distance[-1] - plan.distance[0] >= SHORTEST:
             self.route = Route.from_here(plan, found, self.odometer, self._newest_ns)
 
@@ -329,10 +456,12 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def charge(self) -> Uncertain:
         """State of charge now, 0..1, its value NaN while unknown."""
+        self.count()
         return self.gauge.charge(self._newest_ns, self.lifetime().net)
 
     def tick(self) -> AccountSummary | None:
         """The summary, when the last is a second of stamps old."""
+        self.count()
         if self._newest_ns - self._summary_ns < SUMMARY_NS:
             return None
         self._summary_ns = self._newest_ns
@@ -389,6 +518,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def saved(self) -> SavedAccount:
         """State to save."""
+        self.count()
         return SavedAccount(
             version=STATE_VERSION,
             vehicle=self._vehicle,

@@ -112,22 +112,42 @@ class BatteryModel(Saveable[SavedBattery]):
         return self.samples >= LEAST_SAMPLES and self._gauge.capacity.known
 
     def add_reading(self, reading: BatteryReading) -> None:
-        """Take a reading; of what no battery has, nothing."""
-        if 0.0 <= reading.state_of_charge <= 1.0:
-            self._charge = reading.state_of_charge
-        voltage, current = reading.voltage, -reading.current
-        if not (MIN_VOLTAGE <= voltage <= MAX_VOLTAGE and abs(current) <= MAX_CURRENT):
-            return
-        dropped = self._current.dropped
-        self._current.append(reading.stamp_ns, current)
-        if self._current.dropped > dropped or math.isnan(self._charge):
-            return
-        if not self.samples:
-            self._begin(voltage)
-        taken = Uncertain(self._current.energy, 0.0)
-        self._gauge.update(reading.stamp_ns, self._charge, taken, self._current.gap_s)
-        if reading.stamp_ns - self._learned_ns >= LEARN_EVERY * NANOSECONDS:
-            self._learn(reading.stamp_ns, voltage, current)
+        """Take one reading."""
+        values = reading.voltage, reading.current, reading.state_of_charge
+        self.extend(np.array([reading.stamp_ns]), *(np.array([value]) for value in values))
+
+    def extend(
+        self, stamps: np.ndarray, voltage: np.ndarray, current: np.ndarray, charge: np.ndarray
+    ) -> None:
+        """Take readings, shape (n,) each, as in `BatteryReading`; of what no battery has, none."""
+        known = (charge >= 0.0) & (charge <= 1.0)
+        charge = np.append(self._charge, np.where(known, charge, math.nan))
+        told = np.maximum.accumulate(np.where(np.isnan(charge), 0, np.arange(len(charge))))
+        charge = charge[told]  # the last one told
+        self._charge = float(charge[-1])
+        possible = (voltage >= MIN_VOLTAGE) & (voltage <= MAX_VOLTAGE)
+        possible &= np.abs(current) <= MAX_CURRENT
+        course = self._current.extend(stamps[possible], -current[possible])
+        kept = np.flatnonzero(possible)[np.flatnonzero(np.diff(course.used))]
+        taken = (course.drawn - course.regenerated)[1:]
+        rows = zip(
+            course.stamps.tolist(),
+            voltage[kept].tolist(),
+            (-current[kept]).tolist(),
+            charge[kept + 1].tolist(),
+            taken.tolist(),
+            course.gaps[1:].tolist(),
+            strict=True,
+        )
+        for stamp_ns, volts, amperes, level, energy, gaps in rows:
+            due = stamp_ns - self._learned_ns >= LEARN_EVERY * NANOSECONDS
+            if math.isnan(level) or not (due or self._gauge.is_new(level, gaps)):
+                continue
+            if not self.samples:
+                self._begin(volts)
+            self._gauge.update(stamp_ns, level, Uncertain(energy, 0.0), gaps)
+            if due:
+                self._learn(stamp_ns, volts, amperes, level)
 
     def _begin(self, voltage: float) -> None:
         """Take the priors, which scale with the first voltage."""
@@ -142,8 +162,8 @@ class BatteryModel(Saveable[SavedBattery]):
         hour = (USUAL_CHARGE if math.isnan(full) else full) / 3600
         return np.array([voltage, voltage, RESISTANCE_SHARE * voltage / hour])
 
-    def _learn(self, stamp_ns: int, voltage: float, current: float) -> None:
-        """A Kalman update by one voltage, V, at a current, A."""
+    def _learn(self, stamp_ns: int, voltage: float, current: float, charge: float) -> None:
+        """A Kalman update by one voltage, V, at a current, A, and a state of charge."""
         elapsed = (stamp_ns - self._learned_ns) / NANOSECONDS
         elapsed = LEARN_EVERY if elapsed > MAX_GAP else elapsed
         scale = self._scale(float(self._state[0]))
@@ -151,7 +171,7 @@ class BatteryModel(Saveable[SavedBattery]):
         excess = np.sqrt(np.diag(self._covariance)) / (scale * PRIOR_SHARE)
         narrow = 1 / np.maximum(excess, 1.0)  # never less sure than before any reading
         self._covariance *= np.outer(narrow, narrow)
-        row = np.array([1.0, self._charge - 0.5, -current])
+        row = np.array([1.0, charge - 0.5, -current])
         error = voltage - float(row @ self._state)
         towards = self._covariance @ row
         gain = towards / (float(row @ towards) + NOISE**2)

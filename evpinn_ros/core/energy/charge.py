@@ -115,6 +115,13 @@ class ChargeGauge(Saveable[SavedGauge]):
         """1-sigma of one reading, 0..1, from the size of its steps."""
         return self._step / math.sqrt(12.0)
 
+    def is_new(self, charge: float, unmeasured_s: float | None) -> bool:
+        """True if `update` would learn anything of this but that it is the newest."""
+        last, anchor = self._last, self._anchor
+        if last is None or anchor is None or charge != last.charge:
+            return True
+        return unmeasured_s is None or anchor.unmeasured_s != unmeasured_s
+
     def update(
         self, stamp_ns: int, charge: float, consumed: Uncertain, unmeasured_s: float | None
     ) -> None:

@@ -1,33 +1,34 @@
 """Energy consumed since reset: measured, predicted, integrated by the Runge-Kutta network.
 
 The measured integral stays where it is during a battery dropout; the predicted ones go on from
-speed alone, and bridge it. Between two samples of a slow battery the prediction shapes the power
-(`energy.power_interpolation`). When speed drops out as well, nothing is known of what was taken:
-that time is counted, and no line is drawn across it.
+speed alone, and bridge it. When speed drops out as well, nothing is known of what was taken: that
+time is counted, and no line is drawn across it.
+
+Power comes in blocks, of predictions and of measurements, each with its position in the order of
+arrival; how they are cut changes nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.saved_fields import Saveable
-from evpinn_ros.core.energy.dropout import Bridge, Dropout, Dropouts
+from evpinn_ros.core.energy.dropout import LEAST_DROPOUT, Bridge, Dropout
 from evpinn_ros.core.energy.plausible import ROUNDING, Joules, Seconds, Sigma
-from evpinn_ros.core.energy.power_interpolation import (
-    LONGEST,
-    MeasuredStep,
-    PowerInterpolation,
-)
-from evpinn_ros.core.energy.quadrature import MAX_GAP, EnergyIntegral, SavedIntegral, Step
+from evpinn_ros.core.energy.quadrature import MAX_GAP, Course, EnergyIntegral, SavedIntegral
 from evpinn_ros.core.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.core.energy.uncertainty import LASTING_SHARE, CorrelatedError
 from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import NANOSECONDS
+
+BATCH = 4000  # steps that the network takes at once
 
 
 class Integrator(str, Enum):
@@ -58,8 +59,7 @@ class EnergyState:
         regenerated: as positive J and W; of measured power, and of predicted power for the time
             the battery was silent. Its sigma is that of the net energy it is a part of.
         consumed: net energy by the same rule, J: measured where possible, predicted elsewhere.
-            Where they join, one sample may count twice or not at all. A step of a slow battery
-            counts as a straight line until the prediction, which lags behind, has passed it.
+            Where they join, one sample may count twice or not at all.
         consumed_sigma: its 1-sigma, J.
         gaps: steps too long to integrate, of measured and predicted power together.
         dropped: samples dropped (out of order or not finite), of both together.
@@ -80,6 +80,64 @@ class EnergyState:
     unmeasured_s: float
     unknown_s: float
     measuring: bool
+
+
+class Counts(NamedTuple):
+    """How many predictions and measurements of a block had arrived, shape (k,) each."""
+
+    predicted: np.ndarray
+    measured: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class EnergyStates:
+    """`EnergyState` at n moments, in columns of shape (n,); `variance` is that of `consumed`."""
+
+    stamp_ns: np.ndarray
+    measured: np.ndarray
+    measured_power: np.ndarray
+    measured_sigma: np.ndarray
+    predicted: np.ndarray
+    predicted_power: np.ndarray
+    predicted_sigma: np.ndarray
+    rknn: np.ndarray
+    rknn_power: np.ndarray
+    regenerated: np.ndarray
+    regenerated_power: np.ndarray
+    consumed: np.ndarray
+    variance: np.ndarray
+    gaps: np.ndarray
+    dropped: np.ndarray
+    unmeasured_s: np.ndarray
+    unknown_s: np.ndarray
+    measuring: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def __getitem__(self, index: int) -> EnergyState:
+        row = {each.name: getattr(self, each.name)[index].item() for each in fields(self)}
+        sigma, of_predicted = math.sqrt(row["variance"]), row["predicted_sigma"]
+        return EnergyState(
+            stamp_ns=row["stamp_ns"],
+            measured=Flow(row["measured"], row["measured_power"], row["measured_sigma"]),
+            predicted=Flow(row["predicted"], row["predicted_power"], of_predicted),
+            rknn=Flow(row["rknn"], row["rknn_power"], of_predicted),
+            regenerated=Flow(row["regenerated"], row["regenerated_power"], sigma),
+            consumed=row["consumed"],
+            consumed_sigma=sigma,
+            gaps=row["gaps"],
+            dropped=row["dropped"],
+            unmeasured_s=row["unmeasured_s"],
+            unknown_s=row["unknown_s"],
+            measuring=row["measuring"],
+        )
+
+    def __iter__(self) -> Iterator[EnergyState]:
+        return (self[index] for index in range(len(self)))
+
+
+NO_STATES = EnergyStates(*np.empty((len(fields(EnergyStates)), 0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +162,191 @@ class SavedMeter:
             raise ValueError(f"rknn is more than {MAX_POWER:g} W all the time")
 
 
+NO_POWERS = np.empty(0, np.int64), np.empty(0, np.int64), *np.empty((4, 0))
+
+
+class PowerBlock(NamedTuple):
+    """Powers in order of arrival, shape (n,) each.
+
+    Attributes:
+        order: position among all that arrives, not falling.
+        stamp_ns: their moments.
+        power: W.
+        sigma: its 1-sigma, W.
+        energy_sigma: of a prediction 1-sigma of the energy predicted since the battery was last
+            measured, J, where the estimator knows it; else NaN, and it is guessed from `sigma`.
+        energy: that energy, J; NaN where it is the integral of `power`.
+    """
+
+    order: np.ndarray
+    stamp_ns: np.ndarray
+    power: np.ndarray
+    sigma: np.ndarray
+    energy_sigma: np.ndarray
+    energy: np.ndarray
+
+
+NOTHING = PowerBlock(*NO_POWERS)
+
+
+@dataclass(frozen=True, slots=True)
+class MeterCourse:
+    """What a meter had counted along a block, by how much of it had arrived.
+
+    Rows of predictions are after 0 to n of them, rows of measurements after 0 to m.
+
+    Attributes:
+        predicted: the block of predictions.
+        measured: the block of measurements.
+        integrals: of both.
+        parts: what was predicted: the columns of `Bridge`, shape (n + 1, 4).
+        plain: the same energy by trapezoids, J, shape (n + 1,).
+        rknn: by the network, J, and its power, W, shape (n + 1, 2).
+        variances: of the energies predicted and measured, J^2, shapes (n + 1,) and (m + 1,).
+        powers: the last ones used, W, likewise.
+        newest_ns: of the stamps, likewise.
+        told: what the estimator last told: energy of a dropout and its 1-sigma, shape (n + 1, 2).
+        since_ns: the last word of the battery, 0 before any, shape (m + 1,).
+        first_ns: stamp of the first prediction, which stands in for that, shape (n + 1,).
+        heard: whether the battery has spoken, shape (m + 1,).
+        anchors: `parts` and variance when it last spoke, shape (m + 1, 5).
+        dropouts: all that ended (columns of `Dropouts`), shape (m + 1, 7).
+        ended: the dropouts that ended in this block, with their places in the order of arrival.
+        dropped: samples dropped before the block.
+    """
+
+    predicted: PowerBlock
+    measured: PowerBlock
+    integrals: tuple[Course, Course]
+    parts: np.ndarray
+    plain: np.ndarray
+    rknn: np.ndarray
+    variances: tuple[np.ndarray, np.ndarray]
+    powers: tuple[np.ndarray, np.ndarray]
+    newest_ns: tuple[np.ndarray, np.ndarray]
+    told: np.ndarray
+    since_ns: np.ndarray
+    first_ns: np.ndarray
+    heard: np.ndarray
+    anchors: np.ndarray
+    dropouts: np.ndarray
+    ended: tuple[tuple[int, Dropout], ...]
+    dropped: int
+
+    @property
+    def end(self) -> Counts:
+        """All of the block."""
+        return Counts(*(np.array([len(each.order)]) for each in (self.predicted, self.measured)))
+
+    def before(self, order: np.ndarray) -> Counts:
+        """How much had arrived before others in the order of arrival, shape (k,)."""
+        blocks = self.predicted, self.measured
+        return Counts(*(np.searchsorted(each.order, order, side="left") for each in blocks))
+
+    def at_predictions(self) -> Counts:
+        """How much had arrived with each prediction."""
+        order = self.predicted.order
+        heard = np.searchsorted(self.measured.order, order, side="right")
+        return Counts(np.arange(1, len(order) + 1), heard)
+
+    def newest(self, at: Counts) -> np.ndarray:
+        """The newest stamp, ns, shape (k,)."""
+        newest_ns: np.ndarray = np.maximum(
+            *(stamps[counts] for stamps, counts in zip(self.newest_ns, at, strict=True))
+        )
+        return newest_ns
+
+    def silent_s(self, at: Counts, stamp_ns: np.ndarray) -> np.ndarray:
+        """Time from the last word of the battery, or the first stamp, to stamps, s."""
+        since_ns = self.since_ns[at.measured]
+        since_ns = np.where(since_ns == 0, self.first_ns[at.predicted], since_ns)
+        return np.where(since_ns == 0, 0, np.maximum(stamp_ns - since_ns, 0)) / NANOSECONDS
+
+    def silent(self, at: Counts, stamp_ns: np.ndarray) -> np.ndarray:
+        """True where the battery gave nothing within its timeout before stamps."""
+        seconds, integral = self.silent_s(at, stamp_ns), self.integrals[1]
+        late = seconds > MAX_GAP
+        counts, which = np.unique(integral.used[at.measured[late]], return_inverse=True)
+        longest = np.array([integral.longest(count) for count in counts.tolist()])
+        late[late] = seconds[late] > longest[which]
+        silent: np.ndarray = late | ~self.heard[at.measured]
+        return silent
+
+    def bridges(
+        self, at: Counts, seconds: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bridge since the battery last spoke, its short 1-sigma and its 1-sigma, J.
+
+        In so many seconds as `LEAST_DROPOUT` the energy that the estimator tells counts, before
+        that the integral of its powers.
+        """
+        anchors, told = self.anchors[at.measured], self.told[at.predicted]
+        bridge = self.parts[at.predicted] - anchors[:, :4]
+        by_estimator = np.isfinite(told[:, 0]) & (seconds >= LEAST_DROPOUT)
+        bridge[:, 0] = np.where(by_estimator, told[:, 0], bridge[:, 0])
+        walked = self.variances[0][at.predicted] - anchors[:, 4]
+        guessed = np.sqrt(np.maximum(walked, 0.0))
+        is_told = np.isfinite(told[:, 1])
+        short = np.where(is_told, told[:, 1], guessed)
+        lasting = np.hypot(guessed, LASTING_SHARE * bridge[:, 2])
+        return bridge, short, np.where(is_told, told[:, 1], lasting)
+
+    def until_now(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
+        """All dropouts, the present one among them, and where there is one; shape (k, 7), (k,)."""
+        stamp_ns = self.newest(at)
+        silent = self.silent(at, stamp_ns)
+        seconds = self.silent_s(at, stamp_ns)
+        bridge, short, sigma = self.bridges(at, seconds)
+        variance = sigma**2
+        present = np.column_stack((bridge, variance, variance - short**2, seconds))
+        return self.dropouts[at.measured] + np.where(silent[:, None], present, 0.0), silent
+
+    def consumed(self, at: Counts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Net energy, J, its variance, J^2, and time without the battery, s, shape (k,) each."""
+        now, _ = self.until_now(at)
+        measured = self._measured(at)[0] + now[:, 0]
+        return measured, self.variances[1][at.measured] + now[:, 4], now[:, 6]
+
+    def _measured(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
+        """Energy that was measured and the regenerated part of it, J."""
+        integral = self.integrals[1]
+        used = integral.used[at.measured]
+        regenerated = integral.regenerated[used]
+        return integral.drawn[used] - regenerated, regenerated
+
+    def states(self, at: Counts) -> EnergyStates:
+        """States at places of the block."""
+        now, silent = self.until_now(at)
+        measured, regenerated = self._measured(at)
+        predicted_power, measured_power = (
+            powers[counts] for powers, counts in zip(self.powers, at, strict=True)
+        )
+        power = np.where(silent, predicted_power, measured_power)
+        used = [each.used[counts] for each, counts in zip(self.integrals, at, strict=True)]
+        gaps = sum(each.gaps[row] for each, row in zip(self.integrals, used, strict=True))
+        rknn, rknn_power = self.rknn[at.predicted].T
+        return EnergyStates(
+            stamp_ns=self.newest(at),
+            measured=measured,
+            measured_power=np.where(silent, math.nan, measured_power),
+            measured_sigma=np.sqrt(self.variances[1][at.measured]),
+            predicted=self.plain[at.predicted],
+            predicted_power=predicted_power,
+            predicted_sigma=np.sqrt(self.variances[0][at.predicted] + now[:, 5]),
+            rknn=rknn,
+            rknn_power=rknn_power,
+            regenerated=regenerated + now[:, 1],
+            regenerated_power=np.where(np.isnan(power), power, np.maximum(-power, 0.0)),
+            consumed=measured + now[:, 0],
+            variance=self.variances[1][at.measured] + now[:, 4],
+            gaps=gaps.astype(np.int64),
+            dropped=self.dropped + sum(at) - sum(used),
+            unmeasured_s=now[:, 6],
+            unknown_s=np.maximum(now[:, 6] - now[:, 3], 0.0),
+            measuring=~silent,
+        )
+
+
 class EnergyMeter(Saveable[SavedMeter]):
     """Integrates measured and predicted power side by side.
 
@@ -111,7 +354,7 @@ class EnergyMeter(Saveable[SavedMeter]):
     over calls `reset`.
 
     Attributes:
-        last_dropout: the last dropout that ended, None before.
+        course: of the last block.
     """
 
     def __init__(
@@ -125,8 +368,8 @@ class EnergyMeter(Saveable[SavedMeter]):
 
         Args:
             rknn: the Runge-Kutta network.
-            integrator: of predicted power where it stands in for the battery, in a dropout
-                and between two slow samples; both integrals of it are in the state.
+            integrator: of predicted power where it stands in for the battery; both integrals of
+                it are in the state.
             max_gap: longest step of predicted power that is integrated, s.
 
         Raises:
@@ -148,172 +391,160 @@ class EnergyMeter(Saveable[SavedMeter]):
         """Go on from what was counted; the next sample starts a new step, not a gap."""
         self._measured = EnergyIntegral(MAX_GAP, saved.measured)
         self._predicted = EnergyIntegral(self._max_gap, saved.predicted)
-        self._rknn, self._rknn_power = saved.rknn, math.nan
-        self._measured_error = CorrelatedError(saved.measured_sigma)
-        self._predicted_error = CorrelatedError(saved.predicted_sigma)
-        self._newest_ns = 0
-        self._dropout_since_ns: int | None = None
-        self.last_dropout: Dropout | None = None
-        # Those that ended, and what the course of power added.
-        variances = saved.bridged_sigma**2, saved.lasting_sigma**2
-        self._dropouts = Dropouts(saved.bridged, *variances, saved.unmeasured_s)
-        by_network = self._integrator is Integrator.RKNN
-        self._interpolation = PowerInterpolation(
-            self._max_gap, self._network if by_network else None
+        sigmas = saved.predicted_sigma, saved.measured_sigma
+        self._errors = CorrelatedError(sigmas[0]), CorrelatedError(sigmas[1])
+        whole = saved.predicted
+        plain = whole.drawn - whole.regenerated
+        energy = saved.rknn if self._integrator is Integrator.RKNN else plain
+        parts = [energy, whole.regenerated, whole.drawn + whole.regenerated, whole.covered_s]
+        variance = saved.predicted_sigma**2
+        dropouts = [*saved.bridged, saved.bridged_sigma**2, saved.lasting_sigma**2]
+        nothing = np.zeros(1, np.int64)
+        self.course = MeterCourse(
+            NOTHING,
+            NOTHING,
+            (self._predicted.extend(*NO_POWERS[1:3]), self._measured.extend(*NO_POWERS[1:3])),
+            parts=np.array([parts]),
+            plain=np.array([plain]),
+            rknn=np.array([[saved.rknn, math.nan]]),
+            variances=(np.array([variance]), np.array([saved.measured_sigma**2])),
+            powers=(np.array([math.nan]), np.array([math.nan])),
+            newest_ns=(nothing, nothing),
+            told=np.full((1, 2), math.nan),
+            since_ns=nothing,
+            first_ns=nothing,
+            heard=np.zeros(1, dtype=bool),
+            anchors=np.array([[*parts, variance]]),
+            dropouts=np.array([[*dropouts, saved.unmeasured_s]]),
+            ended=(),
+            dropped=self._predicted.dropped + self._measured.dropped,
         )
-        self._dropout_error = CorrelatedError()
-        self._energy = self._energy_sigma = math.nan
-        self._anchor = self._predicted_parts()
 
-    def add_predicted(
-        self,
-        stamp_ns: int,
-        power: float,
-        sigma: float,
-        energy_sigma: float = math.nan,
-        energy: float = math.nan,
-    ) -> None:
-        """Take one prediction of power.
+    def add(self, predicted: PowerBlock, measured: PowerBlock) -> MeterCourse:
+        """Take what arrived since the last block."""
+        last = self.course
+        dropped = self._predicted.dropped + self._measured.dropped
+        ours = self._predicted.extend(predicted.stamp_ns, predicted.power)
+        theirs = self._measured.extend(measured.stamp_ns, measured.power)
+        rknn = self._by_network(ours, last.rknn[-1])
+        plain = ours.drawn - ours.regenerated
+        energy = rknn[:, 0] if self._integrator is Integrator.RKNN else plain
+        gross = ours.drawn + ours.regenerated
+        parts = np.column_stack((energy, ours.regenerated, gross, ours.covered_s))[ours.used]
+        variances = (
+            _variances(self._errors[0], ours, predicted.sigma),
+            _variances(self._errors[1], theirs, measured.sigma),
+        )
+        # Places of the measurements that are used, and how many predictions came before each.
+        places = np.flatnonzero(np.diff(theirs.used))
+        passed = np.searchsorted(predicted.order, measured.order[places], side="left")
+        anchors = np.vstack(
+            (last.anchors[-1:], np.column_stack((parts[passed], variances[0][passed])))
+        )
+        since_ns = np.append(last.since_ns[-1], theirs.stamps)
+        first_ns = last.first_ns[-1] or int(predicted.stamp_ns[:1].sum())
+        course = MeterCourse(
+            predicted,
+            measured,
+            (ours, theirs),
+            parts=parts,
+            plain=plain[ours.used],
+            rknn=rknn[ours.used],
+            variances=variances,
+            powers=(
+                np.append(last.powers[0][-1], ours.end)[ours.used],
+                np.append(last.powers[1][-1], theirs.end)[theirs.used],
+            ),
+            newest_ns=(
+                np.maximum.accumulate(np.append(last.newest_ns[0][-1], predicted.stamp_ns)),
+                np.maximum.accumulate(np.append(last.newest_ns[1][-1], measured.stamp_ns)),
+            ),
+            told=np.vstack(
+                (last.told[-1:], np.column_stack((predicted.energy, predicted.energy_sigma)))
+            ),
+            since_ns=since_ns[theirs.used],
+            first_ns=np.append(last.first_ns[-1], np.full(len(predicted.order), first_ns)),
+            heard=last.heard[-1] | (theirs.used > 0),
+            anchors=anchors[theirs.used],
+            dropouts=np.repeat(last.dropouts[-1:], len(measured.order) + 1, axis=0),
+            ended=(),
+            dropped=dropped,
+        )
+        silences = np.flatnonzero(~theirs.joined)
+        at = Counts(passed[silences], places[silences])
+        self.course = _with_ended(course, at, theirs.stamps[silences])
+        return self.course
 
-        Args:
-            stamp_ns: its moment.
-            power: W.
-            sigma: its 1-sigma, W.
-            energy_sigma: 1-sigma of the energy predicted since the battery was last measured, J,
-                where the estimator knows it; NaN where it is to be guessed from `sigma`.
-            energy: that energy, J; NaN where it is the integral of `power`.
-        """
-        self._energy, self._energy_sigma = energy, energy_sigma
-        dropped = self._predicted.dropped
-        step = self._predicted.append(stamp_ns, power)
-        self._newest_ns = max(self._newest_ns, stamp_ns)
-        if self._dropout_since_ns is None:
-            self._dropout_since_ns = stamp_ns
-        if self._predicted.dropped == dropped:
-            self._correct(self._interpolation.add_predicted(stamp_ns, power, sigma))
-        if step is None:
-            return
-        energy = float(self._network.step(step.power, step.power_next, step.dt))
-        self._rknn += energy
-        self._rknn_power = energy / step.dt
-        self._predicted_error.integrate(sigma, step.dt)
-        self._dropout_error.integrate(sigma, step.dt)
-
-    def add_measured(self, stamp_ns: int, power: float, sigma: float = math.nan) -> None:
-        """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
-        dropped, last_ns = self._measured.dropped, self._measured.last_stamp_ns
-        last_power = self._measured.last_power
-        step = self._measured.append(stamp_ns, power)
-        self._newest_ns = max(self._newest_ns, stamp_ns)
-        if self._measured.dropped > dropped:
-            return
-        if last_ns is None:
-            self._end_dropout(stamp_ns)
-        elif step is None:
-            ended = self._end_dropout(stamp_ns)
-            line = Step((stamp_ns - last_ns) / NANOSECONDS, last_power, power)
-            if line.dt <= LONGEST:
-                dropout = MeasuredStep(last_ns, stamp_ns, line, ended.bridge)
-                self._correct(self._interpolation.add_measured(dropout))
-        else:
-            self._measured_error.integrate(sigma, step.dt)
-            self._correct(self._interpolation.add_measured(MeasuredStep(last_ns, stamp_ns, step)))
-        self._dropout_since_ns = stamp_ns
-        self._dropout_error = CorrelatedError()
-        self._anchor = self._predicted_parts()
-
-    def _correct(self, corrections: Iterable[tuple[Bridge, float]]) -> None:
-        for bridge, variance in corrections:
-            self._dropouts = self._dropouts.corrected(bridge, variance)
-
-    def _end_dropout(self, stamp_ns: int) -> Dropout:
-        ended = self._dropout_until(stamp_ns)
-        self._dropouts = self._dropouts.after(ended)
-        if ended.duration > self._measured.longest_step:
-            self.last_dropout = ended
-        return ended
-
-    def _dropout_until(self, stamp_ns: int) -> Dropout:
-        """The dropout since the last sample of the battery, as if it ended at this stamp."""
-        bridge = self._predicted_parts().less(self._anchor)
-        if math.isfinite(self._energy):
-            bridge = bridge._replace(energy=self._energy)
-        if math.isfinite(self._energy_sigma):
-            short = sigma = self._energy_sigma
-        else:
-            short = self._dropout_error.sigma
-            sigma = math.hypot(short, LASTING_SHARE * bridge.gross)
-        return Dropout(stamp_ns, self._dropout_seconds(stamp_ns), bridge, short, sigma)
-
-    def in_dropout(self, stamp_ns: int) -> bool:
-        """True if the battery gave nothing within its timeout before this stamp."""
-        measured = self._measured.last_stamp_ns is not None
-        return not measured or self._dropout_seconds(stamp_ns) > self._measured.longest_step
+    def _by_network(self, course: Course, last: np.ndarray) -> np.ndarray:
+        """Energy by the network after each sample used, and its last mean power, J and W."""
+        energies = np.zeros(len(course.steps))
+        joined = np.flatnonzero(course.joined)
+        for batch in np.split(joined, range(BATCH, len(joined), BATCH)) if len(joined) else ():
+            energies[batch] = self._network.step(
+                course.begin[batch], course.end[batch], course.steps[batch]
+            )
+        means = np.append(last[1], energies[joined] / course.steps[joined])
+        latest = np.append(0, np.cumsum(course.joined))
+        return np.column_stack((np.cumsum(np.append(last[0], energies)), means[latest]))
 
     @property
     def measuring(self) -> bool:
         """True if the battery was measured within its timeout."""
-        return not self.in_dropout(self._newest_ns)
-
-    @property
-    def consumed(self) -> float:
-        """Net energy, J, of the state, which takes longer to make."""
-        return self._measured.energy + self._until_now().bridged.energy
+        return not self.course.until_now(self.course.end)[1][0]
 
     @property
     def state(self) -> EnergyState:
         """The state now."""
-        measuring, now = self.measuring, self._until_now()
-        measured_power = self._measured.last_power if measuring else math.nan
-        power = measured_power if measuring else self._predicted.last_power
-        consumed_sigma = math.hypot(self._measured_error.sigma, math.sqrt(now.variance))
-        sigma = math.hypot(self._predicted_error.sigma, math.sqrt(now.lasting_variance))
-        return EnergyState(
-            stamp_ns=self._newest_ns,
-            measured=Flow(self._measured.energy, measured_power, self._measured_error.sigma),
-            predicted=Flow(self._predicted.energy, self._predicted.last_power, sigma),
-            rknn=Flow(self._rknn, self._rknn_power, sigma),
-            regenerated=Flow(
-                self._measured.regenerated + now.bridged.regenerated,
-                power if math.isnan(power) else max(-power, 0.0),
-                consumed_sigma,
-            ),
-            consumed=self._measured.energy + now.bridged.energy,
-            consumed_sigma=consumed_sigma,
-            gaps=self._measured.gaps + self._predicted.gaps,
-            dropped=self._measured.dropped + self._predicted.dropped,
-            unmeasured_s=now.seconds,
-            unknown_s=max(now.seconds - now.bridged.covered_s, 0.0),
-            measuring=measuring,
-        )
+        return self.course.states(self.course.end)[0]
 
     def saved(self) -> SavedMeter:
         """State to save, the present dropout counted in it."""
-        now = self._until_now()
+        now = self.course.until_now(self.course.end)[0][0].tolist()
         return SavedMeter(
-            measured=self._measured.saved(),
-            predicted=self._predicted.saved(),
-            rknn=self._rknn,
-            measured_sigma=self._measured_error.sigma,
-            predicted_sigma=self._predicted_error.sigma,
-            bridged=now.bridged,
-            bridged_sigma=math.sqrt(now.variance),
-            lasting_sigma=math.sqrt(now.lasting_variance),
-            unmeasured_s=now.seconds,
+            measured=self._measured.total,
+            predicted=self._predicted.total,
+            rknn=float(self.course.rknn[-1, 0]),
+            measured_sigma=self._errors[1].sigma,
+            predicted_sigma=self._errors[0].sigma,
+            bridged=Bridge(*now[:4]),
+            bridged_sigma=math.sqrt(now[4]),
+            lasting_sigma=math.sqrt(now[5]),
+            unmeasured_s=now[6],
         )
 
-    def _until_now(self) -> Dropouts:
-        """All dropouts, the present one among them."""
-        if self.measuring:
-            return self._dropouts
-        return self._dropouts.after(self._dropout_until(self._newest_ns))
 
-    def _predicted_parts(self) -> Bridge:
-        whole = self._predicted
-        energy = self._rknn if self._integrator is Integrator.RKNN else whole.energy
-        return Bridge(energy, whole.regenerated, whole.drawn + whole.regenerated, whole.covered_s)
+def _variances(error: CorrelatedError, course: Course, sigmas: np.ndarray) -> np.ndarray:
+    """Variance of an integral after each sample of a block, J^2, shape (n + 1,)."""
+    used = sigmas[np.flatnonzero(np.diff(course.used))]
+    variances = error.integrate(used[course.joined], course.steps[course.joined])
+    steps = np.append(0, np.cumsum(course.joined))
+    after: np.ndarray = variances[steps[course.used]]
+    return after
 
-    def _dropout_seconds(self, stamp_ns: int) -> float:
-        """Time from the last word of the battery (or the first stamp) to this stamp, s."""
-        since = self._dropout_since_ns
-        return 0.0 if since is None else max(stamp_ns - since, 0) / NANOSECONDS
+
+def _with_ended(course: MeterCourse, at: Counts, stamps: np.ndarray) -> MeterCourse:
+    """The course with the dropouts that measurements ended at these places and stamps."""
+    if not len(stamps):
+        return course
+    seconds = course.silent_s(at, stamps)
+    bridges, short, sigma = course.bridges(at, seconds)
+    columns = np.column_stack((bridges, sigma**2, sigma**2 - short**2, seconds))
+    added = np.zeros_like(course.dropouts)
+    added[at.measured + 1] = columns
+    measured = course.integrals[1]
+    limits = [measured.longest(count) for count in measured.used[at.measured + 1].tolist()]
+    long = seconds > np.maximum(MAX_GAP, limits)
+    ended = tuple(
+        (
+            int(course.measured.order[at.measured[index]]),
+            Dropout(
+                int(stamps[index]),
+                float(seconds[index]),
+                Bridge(*bridges[index].tolist()),
+                float(short[index]),
+                float(sigma[index]),
+            ),
+        )
+        for index in np.flatnonzero(long).tolist()
+    )
+    return replace(course, dropouts=course.dropouts + np.cumsum(added, axis=0), ended=ended)

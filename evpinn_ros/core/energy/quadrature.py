@@ -7,9 +7,7 @@ is linear in between. What cannot be integrated is counted, never guessed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-import math
+from dataclasses import dataclass
 from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,9 +15,10 @@ import numpy as np
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.energy.plausible import ROUNDING
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.track import GAP_STEPS, RATE_READINGS, Cadence
+from evpinn_ros.core.signals.track import GAP_STEPS, RATE_READINGS
 
 MAX_GAP = 2.0  # s
+NONE = np.empty(0)
 MOST_COUNTED = 1e15  # of any saved value: sums of two stay numbers
 Amount: TypeAlias = Annotated[float, Range(0.0, MOST_COUNTED)]
 Count: TypeAlias = Annotated[int, Range(0, MOST_COUNTED)]
@@ -30,8 +29,8 @@ def trapezoid(values: np.ndarray, at: np.ndarray) -> float:
     return float((np.diff(at) * (values[1:] + values[:-1]) / 2.0).sum())
 
 
-def joined(steps: np.ndarray, max_gap: float, before: Sequence[float] = ()) -> np.ndarray:
-    """Mask of the steps, s, shape (n,), that are integrated, by the rule of `Cadence`.
+def joined(steps: np.ndarray, max_gap: float, before: np.ndarray = NONE) -> np.ndarray:
+    """Mask of the steps, s, shape (n,), that are integrated, by the rule of `track.Cadence`.
 
     Args:
         steps: positive, in order.
@@ -39,39 +38,32 @@ def joined(steps: np.ndarray, max_gap: float, before: Sequence[float] = ()) -> n
         before: steps that went before.
     """
     mask: np.ndarray = steps <= max_gap
-    for index in np.flatnonzero(~mask).tolist():
-        recent = [*before, *steps[max(0, index - RATE_READINGS) : index].tolist()]
-        recent = sorted(recent[-RATE_READINGS:])
-        mask[index] = bool(recent) and steps[index] <= GAP_STEPS * recent[len(recent) // 2]
+    long = np.flatnonzero(~mask)
+    if len(long):
+        series = np.concatenate((before, steps))
+        for index in long.tolist():
+            last = len(before) + index
+            recent = np.sort(series[max(0, last - RATE_READINGS) : last])
+            mask[index] = len(recent) and steps[index] <= GAP_STEPS * recent[len(recent) // 2]
     return mask
 
 
-class Step(NamedTuple):
-    """Two neighbouring samples of power and the time between them.
+def split(steps: np.ndarray, begin: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Drawn and regenerated energy of steps, J, both >= 0; exact where the power changes sign.
 
-    Attributes:
-        dt: s, positive.
-        power: at the start, W.
-        power_next: at the end, W.
+    Args:
+        steps: s, positive, shape (n,) as all.
+        begin: power there, W.
+        end: power there, W.
     """
-
-    dt: float
-    power: float
-    power_next: float
-
-    @property
-    def energy(self) -> float:
-        """Integral of the linearly interpolated power, J."""
-        return (self.power + self.power_next) / 2 * self.dt
-
-    @property
-    def parts(self) -> tuple[float, float]:
-        """Drawn and regenerated energy, J, both >= 0; exact where the power changes sign."""
-        if self.power * self.power_next >= 0:
-            return max(self.energy, 0.0), max(-self.energy, 0.0)
-        high, low = max(self.power, self.power_next), min(self.power, self.power_next)
-        triangle = self.dt / (2 * (high - low))
-        return high * high * triangle, low * low * triangle
+    whole = (begin + end) / 2 * steps
+    high, low = np.maximum(begin, end), np.minimum(begin, end)
+    crossing = (high > 0.0) & (low < 0.0)
+    triangle = steps / (2 * np.where(crossing, high - low, 1.0))
+    return (
+        np.where(crossing, high * high * triangle, np.maximum(whole, 0.0)),
+        np.where(crossing, low * low * triangle, np.maximum(-whole, 0.0)),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,91 +88,128 @@ class SavedIntegral:
             raise ValueError(f"more than {most:g} all the time was integrated")
 
 
-FIELDS, NOTHING = fields(SavedIntegral), SavedIntegral()
+NOTHING = SavedIntegral()
+
+
+class Course(NamedTuple):
+    """What an integral counts of a block of n samples, of which it uses m.
+
+    Attributes:
+        used: how many of the block are used before each sample and after the last, shape (n + 1,).
+        stamps: of those used, ns, shape (m,).
+        steps: s from the sample used before to each of these, 0 at the first of all, shape (m,).
+        joined: whether that step was integrated, shape (m,).
+        begin: value at the begin of the step, shape (m,).
+        end: value at its end, shape (m,).
+        drawn: integral where the value is positive, after so many used, shape (m + 1,).
+        regenerated: integral where it is negative, as a positive number, likewise.
+        covered_s: time that was integrated, s, likewise.
+        gaps: steps too long to integrate, likewise.
+        recent: steps before the block, and those in it.
+    """
+
+    used: np.ndarray
+    stamps: np.ndarray
+    steps: np.ndarray
+    joined: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+    drawn: np.ndarray
+    regenerated: np.ndarray
+    covered_s: np.ndarray
+    gaps: np.ndarray
+    recent: np.ndarray
+
+    def longest(self, used: int) -> float:
+        """Longest step, s, that is integrated beyond `MAX_GAP` once so many are used."""
+        last = len(self.recent) - len(self.steps) + used
+        recent = np.sort(self.recent[max(0, last - RATE_READINGS) : last])
+        return GAP_STEPS * float(recent[len(recent) // 2]) if len(recent) else 0.0
 
 
 class EnergyIntegral:
-    """Integrates power sample by sample.
+    """Integrates power over blocks of samples.
 
-    A step longer than `longest_step` is not integrated: it counts as a gap. A sample that is not
-    newer than the last one, or not finite, is dropped and counted.
+    A step longer than `max_gap`, and than some of the usual steps of slow samples, is not
+    integrated: it counts as a gap. A sample that is not newer than the last one, or not finite, is
+    dropped and counted. How samples are cut into blocks changes nothing.
 
     Attributes:
-        drawn: integral of the power where it is positive, J.
-        regenerated: integral of the power where it is negative, as positive J.
-        covered_s: time that was integrated, s.
-        gaps: steps longer than `longest_step`.
-        gap_s: their duration, s.
-        out_of_order: samples dropped because of their stamp.
-        not_finite: samples dropped because their power is NaN or infinite.
+        total: what was counted.
     """
 
     def __init__(self, max_gap: float = MAX_GAP, saved: SavedIntegral = NOTHING) -> None:
         """An integral of zero, or one that goes on from what was saved.
 
         Args:
-            max_gap: longest step that is integrated, s; of slow samples some of their own steps
-                (`signals.track.Cadence`).
+            max_gap: longest step that is integrated, s (see `joined`).
             saved: totals and counters before the first sample.
         """
-        self._cadence = Cadence(max_gap)
+        self._max_gap, self.total = max_gap, saved
         self._last: tuple[int, float] | None = None
-        self.drawn, self.regenerated = saved.drawn, saved.regenerated
-        self.covered_s = saved.covered_s
-        self.gaps, self.gap_s = saved.gaps, saved.gap_s
-        self.out_of_order, self.not_finite = saved.out_of_order, saved.not_finite
-
-    @property
-    def longest_step(self) -> float:
-        """Longest step that is integrated, s."""
-        return self._cadence.gap_ns / NANOSECONDS
+        self._recent = np.empty(0)
 
     @property
     def energy(self) -> float:
         """Net energy, J: drawn minus regenerated."""
-        return self.drawn - self.regenerated
+        return self.total.drawn - self.total.regenerated
 
     @property
     def dropped(self) -> int:
         """Samples that were not used."""
-        return self.out_of_order + self.not_finite
+        return self.total.out_of_order + self.total.not_finite
 
-    @property
-    def last_stamp_ns(self) -> int | None:
-        """Stamp of the last sample used, ns."""
-        return self._last[0] if self._last else None
+    def extend(self, stamps: np.ndarray, values: np.ndarray) -> Course:
+        """Take samples in order of arrival: stamps, ns, and values, W, shape (n,) each."""
+        total, first = self.total, self._last is None
+        finite = np.isfinite(values)
+        oldest = np.iinfo(np.int64).min if self._last is None else self._last[0]
+        newest = np.maximum.accumulate(np.append(oldest, np.where(finite, stamps, oldest)))
+        taken = finite & (stamps > newest[:-1])
+        at, power = stamps[taken], values[taken]
+        if first:
+            before = (at[:1], power[:1])
+        else:
+            before = (np.array([self._last[0]]), np.array([self._last[1]]))  # type: ignore[index]
+        steps = np.diff(np.concatenate((before[0], at))) / NANOSECONDS
+        begin = np.concatenate((before[1], power))[: len(power)]
+        new = steps[1:] if first else steps
+        mask = joined(new, self._max_gap, self._recent)
+        gap = ~mask
+        if first and len(steps):
+            mask, gap = (np.append(np.zeros(1, dtype=bool), each) for each in (mask, gap))
+        drawn, regenerated = (energy * mask for energy in split(steps, begin, power))
+        course = Course(
+            np.append(0, np.cumsum(taken)),
+            at,
+            steps,
+            mask,
+            begin,
+            power,
+            _running(total.drawn, drawn),
+            _running(total.regenerated, regenerated),
+            _running(total.covered_s, steps * mask),
+            _running(total.gaps, gap),
+            np.concatenate((self._recent, new)),
+        )
+        self._recent = course.recent[-RATE_READINGS:]
+        if len(at):
+            self._last = int(at[-1]), float(power[-1])
+        not_finite = len(values) - int(finite.sum())
+        self.total = SavedIntegral(
+            float(course.drawn[-1]),
+            float(course.regenerated[-1]),
+            float(course.covered_s[-1]),
+            int(course.gaps[-1]),
+            float(_running(total.gap_s, steps * gap)[-1]),
+            total.out_of_order + len(values) - not_finite - len(at),
+            total.not_finite + not_finite,
+        )
+        return course
 
-    @property
-    def last_power(self) -> float:
-        """Power of the last sample used, W, NaN before the first."""
-        return self._last[1] if self._last else math.nan
 
-    def append(self, stamp_ns: int, power: float) -> Step | None:
-        """Take one sample of power, W; returns the step it completed, None without one."""
-        if not math.isfinite(power):
-            self.not_finite += 1
-            return None
-        last = self._last
-        since = math.inf if last is None else (stamp_ns - last[0]) / NANOSECONDS
-        if since <= 0:
-            self.out_of_order += 1
-            return None
-        self._last = (stamp_ns, power)
-        if last is None:
-            return None
-        longest = self.longest_step
-        self._cadence.add_step(since)
-        if since > longest:
-            self.gaps += 1
-            self.gap_s += since
-            return None
-        step = Step(since, last[1], power)
-        drawn, regenerated = step.parts
-        self.drawn += drawn
-        self.regenerated += regenerated
-        self.covered_s += since
-        return step
-
-    def saved(self) -> SavedIntegral:
-        """Totals and counters."""
-        return SavedIntegral(**{each.name: getattr(self, each.name) for each in FIELDS})
+def _running(start: float, parts: np.ndarray) -> np.ndarray:
+    """Running total of parts, shape (m,), from a start on, shape (m + 1,)."""
+    totals = np.empty(len(parts) + 1)
+    totals[0], totals[1:] = start, parts
+    return np.cumsum(totals, out=totals)

@@ -11,9 +11,6 @@ three hidden layers of 32 tanh units. Three choices the paper leaves open:
   depend on E, and the energy of a whole drive would leave the trained range within minutes. With
   it the steps of a series are independent, so a whole series is one batched evaluation.
 - **P(t + dt/2)** is an argument; by default the mean of both ends, which is linear interpolation.
-  Where samples lie between the ends, as those of a prediction between two of a slow battery do,
-  the middle is known: `energy.power_interpolation` passes it; `along` takes two pieces of a
-  series at a time.
 
 The shipped weights were made by the training that docs/project/benchmark_history.md names. With
 them the network differs from the quadrature of the same power by less than 0.01 % of the net
@@ -33,7 +30,6 @@ import numpy as np
 
 SCALE = 1e3  # W and J: where the normalisation turns from linear to logarithmic
 POWER_LIMIT = 5e5  # W: trained range; a step with power beyond it is Simpson's rule itself
-UNEVEN = 0.1  # by which two pieces of a step may differ for the sample between to be its middle
 STEP_LIMIT = 2.0  # s: longest step of the trained range
 HIDDEN = (32, 32, 32)
 ARGUMENTS = (1, 2, 2, 2)  # of N1 to N4: power, then energy
@@ -130,26 +126,6 @@ class Rknn:
         if not np.any(beyond):
             return energy
         return np.where(beyond, energy_step((power, middle, middle, power_next), dt), energy)
-
-    def along(self, time: np.ndarray, power: np.ndarray) -> float:
-        """Net energy of a series, J: two pieces are one step where they are of the same length.
-
-        Args:
-            time: shape (n,), s, rising.
-            power: shape (n,), W, linear between its samples.
-        """
-        first, begins, ends = 0, [], []
-        while first + 1 < len(time):
-            last = min(first + 2, len(time) - 1)
-            pieces = np.diff(time[first : last + 1])
-            if time[last] - time[first] > STEP_LIMIT or np.ptp(pieces) > UNEVEN * pieces.max():
-                last = first + 1
-            begins.append(first)
-            ends.append(last)
-            first = last
-        start, end = time[begins], time[ends]
-        middle = np.interp((start + end) / 2, time, power)
-        return float(np.sum(self.step(power[begins], power[ends], end - start, middle)))
 
 
 def load_rknn() -> Rknn:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from evpinn_ros.common.saved_fields import Saveable
 from evpinn_ros.core.energy.plausible import Joules, Metres
 from evpinn_ros.core.energy.quadrature import MAX_GAP, EnergyIntegral, SavedIntegral
@@ -20,10 +22,6 @@ class Stretch(NamedTuple):
 
     distance: Metres
     energy: Joules
-
-    def plus(self, distance: float, energy: float) -> Stretch:
-        """With so much more."""
-        return Stretch(self.distance + distance, self.energy + energy)
 
 
 NOTHING = Stretch(0.0, 0.0)
@@ -76,16 +74,23 @@ class DistanceWindow:
         """Sum of its whole span."""
         return Stretch(*(math.fsum(column) for column in zip(*self.buckets, strict=True)))
 
-    def add(self, stretch: Stretch) -> None:
-        """Take what was driven since the last."""
+    def extend(self, distance: np.ndarray, energy: np.ndarray) -> None:
+        """Take steps that were driven since the last: m and J, shape (n,) each."""
         *full, last = self.buckets
-        last = last.plus(*stretch)
-        if last.distance < self.length / BUCKETS:
-            self.buckets = (*full, last)
-            return
-        self.buckets = (*full, last, NOTHING)
-        while self.total.distance - self.buckets[0].distance >= self.length:
-            self.buckets = self.buckets[1:]
+        while True:
+            metres = np.cumsum(np.append(last.distance, distance))[1:]
+            joules = np.cumsum(np.append(last.energy, energy))[1:]
+            ends = int(np.searchsorted(metres, self.length / BUCKETS, side="left"))
+            if ends == len(metres):
+                break
+            full.append(Stretch(float(metres[ends]), float(joules[ends])))
+            distance, energy, last = distance[ends + 1 :], energy[ends + 1 :], NOTHING
+        if len(metres):
+            last = Stretch(float(metres[-1]), float(joules[-1]))
+        whole = math.fsum(each.distance for each in (*full, last))
+        while full and whole - full[0].distance >= self.length:
+            whole -= full.pop(0).distance
+        self.buckets = (*full, last)
 
 
 class TripLog(Saveable[SavedTrip]):
@@ -100,7 +105,8 @@ class TripLog(Saveable[SavedTrip]):
     def __init__(self) -> None:
         """Nothing driven yet; across more than `MAX_GAP` speed is not joined."""
         self.windows = tuple(DistanceWindow(length) for length in WINDOWS)
-        self.reset_trip()
+        self._energy = 0.0
+        self._go_on(SavedIntegral())
 
     def _go_on(self, saved: SavedIntegral) -> None:
         self._speed = EnergyIntegral(MAX_GAP, saved)
@@ -109,21 +115,22 @@ class TripLog(Saveable[SavedTrip]):
     @property
     def total(self) -> Stretch:
         """Since the last reset."""
-        return Stretch(self._speed.drawn, self._energy)
+        return Stretch(self._speed.total.drawn, self._energy)
 
-    def update(self, stamp_ns: int, speed: float, energy: float) -> None:
-        """Take a speed, m/s, and the net energy since whenever, J, at that moment."""
-        dropped = self._speed.dropped
+    def extend(self, stamps: np.ndarray, speeds: np.ndarray, energies: np.ndarray) -> None:
+        """Take speeds, m/s, and the net energy since whenever, J, then; shape (n,) each."""
         # The integral of speed is distance: one way to deal with gaps and doubled stamps.
-        step = self._speed.append(stamp_ns, abs(speed))
-        if self._speed.dropped > dropped:
+        course = self._speed.extend(stamps, np.abs(speeds))
+        used = energies[np.flatnonzero(np.diff(course.used))]
+        if not len(used):
             return
-        if step is not None and self._energy_before is not None:
-            stretch = Stretch(step.energy, energy - self._energy_before)
-            self._energy += stretch.energy
-            for window in self.windows:
-                window.add(stretch)
-        self._energy_before = energy
+        before = used[0] if self._energy_before is None else self._energy_before
+        joined = course.joined
+        distance, energy = np.diff(course.drawn)[joined], np.diff(used, prepend=before)[joined]
+        self._energy = float(np.cumsum(np.append(self._energy, energy))[-1])
+        for window in self.windows:
+            window.extend(distance, energy)
+        self._energy_before = float(used[-1])
 
     def correct(self, energy: float) -> None:
         """Add energy, J, that turned out later to belong to the trip."""
@@ -136,12 +143,12 @@ class TripLog(Saveable[SavedTrip]):
 
     def begin_anew(self) -> None:
         """Join nothing to the speed before: time jumped."""
-        self._go_on(self._speed.saved())
+        self._go_on(self._speed.total)
 
     def saved(self) -> SavedTrip:
         """Trip and windows."""
         windows = tuple(window.buckets for window in self.windows)
-        return SavedTrip(self._speed.saved(), self._energy, windows)
+        return SavedTrip(self._speed.total, self._energy, windows)
 
     def take(self, saved: SavedTrip) -> None:
         """Go on from a trip and its windows; the next speed joins to none before."""

@@ -21,6 +21,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from evpinn_ros.common.arrays import namespace
 
 # From the spread of the energy error over 60 s windows, in the second half of a Model 3 drive
@@ -58,11 +60,19 @@ class CorrelatedError:
         """1-sigma of the energy, J."""
         return math.sqrt(self._variance)
 
-    def integrate(self, sigma: float, dt: float) -> None:
-        """Integrate over dt, s, with a 1-sigma of power, W, constant in it."""
+    def integrate(self, sigmas: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Integrate over steps, s, each with a 1-sigma of power, W, constant in it; shape (n,).
+
+        Gives the variance of the energy, J^2, before and after each, shape (n + 1,).
+        """
         tau = CORRELATION_TIME
-        forgotten = -math.expm1(-dt / tau)  # 1 - exp(-dt / tau)
-        start = self._covariance * tau * forgotten
-        own = sigma * tau * (dt - tau * forgotten)
-        self._variance += 2 * sigma * (start + max(own, 0.0))
-        self._covariance += (sigma * tau - self._covariance) * forgotten
+        forgotten = relaxed(steps, tau) / tau  # 1 - exp(-dt / tau)
+        own = np.maximum(sigmas * tau * (steps - tau * forgotten), 0.0)
+        variances = [self._variance]
+        for sigma, share, alone in zip(
+            sigmas.tolist(), forgotten.tolist(), own.tolist(), strict=True
+        ):
+            self._variance += 2 * sigma * (self._covariance * tau * share + alone)
+            self._covariance += (sigma * tau - self._covariance) * share
+            variances.append(self._variance)
+        return np.array(variances)

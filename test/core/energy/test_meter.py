@@ -1,10 +1,10 @@
 import json
 import math
 
+import numpy as np
 import pytest
 
-from evpinn_ros.core.energy.meter import EnergyMeter, Integrator
-from evpinn_ros.core.energy.quadrature import EnergyIntegral
+from evpinn_ros.core.energy.meter import NOTHING, EnergyMeter, Integrator, PowerBlock
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.energy.uncertainty import LASTING_SHARE
 
@@ -16,8 +16,23 @@ NEVER = range(0)
 SEAM = 1.2e3  # J: the energy of one sample, where measured and predicted energy join
 
 
+class Fed(EnergyMeter):
+    """A meter that is given sample by sample."""
+
+    last_dropout = None
+
+    def add_measured(self, stamp_ns, power, sigma=math.nan):
+        row = (0, stamp_ns, power, sigma, math.nan, math.nan)
+        course = self.add(NOTHING, PowerBlock(*(np.array([value]) for value in row)))
+        self.last_dropout = next((each for _, each in course.ended), self.last_dropout)
+
+    def add_predicted(self, stamp_ns, power, sigma, energy_sigma=math.nan, energy=math.nan):
+        row = (0, stamp_ns, power, sigma, energy_sigma, energy)
+        self.add(PowerBlock(*(np.array([value]) for value in row)), NOTHING)
+
+
 def meter(**settings):
-    return EnergyMeter(RKNN, **settings)
+    return Fed(RKNN, **settings)
 
 
 def drive(
@@ -140,73 +155,6 @@ def test_reset_allows_time_to_start_over():
     state = drive(again, range(10)).state
     assert state.measured.energy == pytest.approx(100e3)
     assert (state.dropped, state.gaps) == (0, 0)
-
-
-def town(tick):
-    """Power, W, that changes its sign every few seconds."""
-    return 4e3 + 20e3 * math.sin(tick / 7) + 9e3 * math.sin(tick / 2.3)
-
-
-def slow_battery(to, ticks, every, lag=3):
-    """A battery at every so many ticks of 0.1 s, predictions 6 % high and late, as on board."""
-    for tick in ticks:
-        if tick % every == 0:
-            to.add_measured(START + tick * 100_000_000, town(tick), 30.0)
-        if tick >= lag:
-            late = tick - lag
-            to.add_predicted(START + late * 100_000_000, 1.06 * town(late), 500.0)
-    return to.state
-
-
-@pytest.mark.slow
-def test_between_two_words_of_a_slow_battery_the_prediction_tells_the_course():
-    truth, coarse = EnergyIntegral(), EnergyIntegral()
-    for tick in range(6001):
-        truth.append(START + tick * 100_000_000, town(tick))
-        if tick % 10 == 0:
-            coarse.append(START + tick * 100_000_000, town(tick))
-    joined = meter()
-    state = slow_battery(joined, range(6004), every=10)
-    missed = abs(coarse.regenerated - truth.regenerated)
-    assert missed > 0.1 * truth.regenerated
-    assert abs(state.regenerated.energy - truth.regenerated) < 0.15 * missed
-    assert state.consumed == pytest.approx(truth.energy, abs=2e3)
-    assert state.measured.energy == pytest.approx(coarse.energy)  # what was measured stays so
-    assert abs(state.consumed - truth.energy) < state.consumed_sigma
-    assert state.measuring and (state.gaps, state.unmeasured_s, state.unknown_s) == (0, 0.0, 0.0)
-    again = meter()
-    again.restore(json.loads(json.dumps(joined.export())))
-    assert again.state.consumed == pytest.approx(state.consumed)
-    assert again.state.consumed_sigma == pytest.approx(state.consumed_sigma)
-
-
-@pytest.mark.parametrize("integrator", Integrator)
-def test_short_dropouts_are_the_prediction_between_the_two_words_of_the_battery(integrator):
-    """A battery every 5 s; the prediction lags by 0.3 s, and its integral must not.
-
-    Its rate is known from the second step on, and what comes at its rate is no dropout.
-    """
-    truth = EnergyIntegral()
-    joined = meter(integrator=integrator)
-    for tick in range(1501):
-        truth.append(START + tick * 100_000_000, town(tick))
-        if tick % 50 == 0:
-            joined.add_measured(START + tick * 100_000_000, town(tick), 30.0)
-        if tick >= 3:
-            late = tick - 3
-            joined.add_predicted(START + late * 100_000_000, town(late), 500.0)
-    joined.add_predicted(START + 1500 * 100_000_000, town(1500), 500.0)
-    state = joined.state
-    assert state.consumed == pytest.approx(truth.energy, rel=1e-3)
-    assert state.regenerated.energy == pytest.approx(truth.regenerated, rel=1e-3)
-    assert state.unmeasured_s == pytest.approx(5.0) and state.unknown_s < 1.0
-
-
-@pytest.mark.slow
-def test_a_battery_as_frequent_as_the_prediction_is_counted_as_it_is():
-    state = slow_battery(meter(), range(1001), every=1)
-    assert state.consumed == state.measured.energy
-    assert state.consumed_sigma == state.measured.sigma
 
 
 @pytest.mark.parametrize("integrator", Integrator)

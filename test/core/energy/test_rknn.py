@@ -119,14 +119,3 @@ def test_a_step_with_power_beyond_the_trained_range_is_simpsons_rule(rknn):
     energy = rknn.step(powers[:, 0], powers[:, 1], 0.5, np.array([1.5e4, 3e5, -6e5]))
     assert energy[0] == pytest.approx(float(rknn.step(1e4, 2e4, 0.5, 1.5e4)), rel=1e-9)
     assert energy[1:] == pytest.approx([0.5 / 6 * (7.6e5 + 1.2e6), 0.5 / 6 * (7.7e5 - 2.4e6)])
-
-
-def test_along_a_series_two_pieces_are_a_step_with_its_midpoint(rknn):
-    time = np.array([0.0, 0.04, 0.14, 0.24, 0.34, 0.44])  # the first piece is shorter
-    power = np.array([1e3, 5e3, 2e4, 8e3, -1e4, 3e3])
-    expected = (
-        rknn.step(1e3, 5e3, 0.04) + rknn.step(5e3, 8e3, 0.2, 2e4) + rknn.step(8e3, 3e3, 0.2, -1e4)
-    )
-    assert rknn.along(time, power) == pytest.approx(float(expected), rel=1e-9)
-    slow = rknn.along(np.array([0.0, 1.5, 3.0]), np.array([1e3, 2e3, 3e3]))
-    assert slow == pytest.approx(6e3, rel=1e-3)  # no step beyond the trained range

@@ -15,8 +15,8 @@ from evpinn_ros.core.energy.uncertainty import (
 @given(st.lists(st.floats(0.01, 30.0), min_size=1, max_size=50))
 def test_step_by_step_equals_the_closed_form(steps):
     error = CorrelatedError()
-    for dt in steps:
-        error.integrate(250.0, dt)
+    after = error.integrate(np.full(len(steps), 250.0), np.array(steps))
+    assert after[-1] == error.sigma**2 or math.isclose(after[-1], error.sigma**2)
     expected = 250.0 * math.sqrt(walked(sum(steps), CORRELATION_TIME))
     assert error.sigma == pytest.approx(expected, rel=1e-6)
 
@@ -32,6 +32,6 @@ def test_against_simulated_errors():
     for now in sigma:
         after = keep * u + math.sqrt(1 - keep**2) * random.normal(size=count)
         energy += now * (u + after) / 2 * dt
-        error.integrate(now, dt)
+        error.integrate(np.array([now]), np.array([dt]))
         u = after
     assert error.sigma == pytest.approx(energy.std(), rel=0.05)
