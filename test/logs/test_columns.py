@@ -1,9 +1,7 @@
 """Strangers' CSV files: the same drive under other names, units, signs and separators."""
 
 from contextlib import suppress
-import csv
 from datetime import datetime, timedelta
-import gzip
 import math
 from pathlib import Path
 
@@ -193,15 +191,6 @@ def test_the_date_may_stand_beside_a_better_clock(tmp_path):
     assert first == 1_681_895_984 * 10**9  # 2023-04-19 09:19:44
 
 
-def test_dates_and_power_in_kilowatts(tmp_path):
-    lines = (
-        f"2024-05-01T08:{int(t // 60):02d}:{t % 60:06.3f}Z,{v:.4f},{u * i / 1000:.6f}"
-        for t, v, u, i in rows()
-    )
-    drive = drive_of(tmp_path, "Date Time,speed_mps,Battery Power (kW)", lines)
-    check(drive, 1_714_550_400_000_000_000)
-
-
 @pytest.mark.parametrize("days", [45_413, 0])
 def test_serial_dates_of_a_spreadsheet_are_no_seconds(tmp_path, days):
     lines = (f"{days + 0.25 + t / 86400:.12f},{v:.4f},{u},{i:.4f}" for t, v, u, i in rows())
@@ -310,39 +299,6 @@ def test_any_header_is_taken_or_left(header):
     with suppress(InputError):  # a bracket that is no unit
         for column in columns_by_name(header, []):
             assert header[column.place] == column.name and math.isfinite(column.factor)
-
-
-@pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
-def test_a_real_drive_under_other_names(tmp_path):
-    path = DATA / "bmw_i3" / "TripB11.csv.gz"
-    ours = open_drive(path, NOMINAL)
-    with gzip.open(path, "rt") as file:
-        header, *table = csv.reader(file)
-    at = {n: i for i, n in enumerate(header)}
-    lines = (
-        ";".join(
-            (
-                row[at["t_s"]],
-                str(3.6 * float(row[at["speed_mps"]])),
-                row[at["voltage_v"]],
-                str(-float(row[at["current_a"]])),
-            )
-        )
-        for row in table
-    )
-    drive = drive_of(tmp_path, "Time;Velocity;Battery Voltage;Battery Current", lines)
-    units = {rule.quantity: rule.unit for rule in drive.rules}
-    assert units == {"time": "s", "speed": "km/h", "voltage": "v", "current": "-a"}
-    kinds = SpeedReading, BatteryReading
-    theirs = [r for r in drive.readings() if isinstance(r, kinds)]
-    expected = [r for r in ours.readings() if isinstance(r, kinds)]
-    assert len(theirs) == len(expected)
-    for one, other in zip(theirs, expected, strict=True):
-        assert one.stamp_ns == other.stamp_ns
-        if isinstance(one, SpeedReading):
-            assert one.speed == pytest.approx(other.speed)
-        else:
-            assert one.power == pytest.approx(other.power)
 
 
 @pytest.mark.parametrize(

@@ -209,17 +209,6 @@ def test_withheld_battery_gives_finite_predictions_to_the_end(withheld):
     assert len(silent) > 10 and (silent[:, 1:] == silent[0, 1:]).all()
 
 
-def test_no_battery_predicts_from_the_priors(readings, vehicle, tmp_path):
-    speed = [r for r in readings if isinstance(r, SpeedReading)]
-    result = run(speed, vehicle, tmp_path)
-    assert len(result.drive.smoothed.power) > 500
-    assert result.metrics["power"]["rmse_w"] is None
-    assert result.metrics["energy"]["error_percent"] is None
-    mass = result.metrics["parameters"]["mass"]
-    assert mass["value"] == pytest.approx(vehicle.initial.mass, rel=1e-6)
-    assert (mass["prior_share"], mass["state"]) == (pytest.approx(1.0), "unestimated")
-
-
 def test_what_was_learned_is_carried_to_the_next_drive(readings, vehicle, whole, tmp_path):
     first, used = whole[0], deepcopy(whole[1])
     used.begin_next_drive()

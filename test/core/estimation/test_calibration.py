@@ -33,16 +33,6 @@ def test_bands_follow_errors_that_grow():
     assert coverage(errors, last=0.25) == pytest.approx(0.9, abs=0.02)
 
 
-def test_one_step_by_hand():
-    """A miss raises the ratio by exp(0.02 * 0.9), a hit lowers it by exp(-0.02 * 0.1)."""
-    band = BandCalibration()
-    band.learn(MOVING, 1000.0, 1.0)
-    assert band.sigma(MOVING, 1.0) == pytest.approx(np.exp(0.018))
-    band.learn(MOVING, 0.0, 1.0)
-    assert band.sigma(MOVING, 1.0) == pytest.approx(np.exp(0.018 - 0.002))
-    assert band.sigma(STANDING, 1.0) == 1.0
-
-
 def test_the_ratio_stays_in_its_range():
     band = BandCalibration()
     for _ in range(5000):

@@ -10,7 +10,6 @@ from evpinn_ros.core.signals.interval import DURATION
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.vehicle.identifiable import combined_power, identifiable
-from evpinn_ros.core.vehicle.physics import RegenForm
 
 MODES = [Mode.HYBRID, pytest.param(Mode.PAPER, marks=pytest.mark.torch)]
 CUT = 70.0  # s, in motion: from there on the battery is silent
@@ -251,11 +250,3 @@ def test_a_time_jump_keeps_what_was_learned(taught, play, powers, drive):
     outputs = powers(play(estimator, up_to(readings, 10.0)))  # the same stamps again
     assert outputs[0].stamp_ns <= readings[0].stamp_ns + NANOSECONDS
     assert len(outputs) > 180 and not estimator.status().dropped
-
-
-@pytest.mark.torch
-@pytest.mark.parametrize("form", list(RegenForm))
-def test_paper_mode_takes_every_form(new_estimator, play, powers, cruise, form):
-    readings = cruise(0, 8)
-    found = powers(play(new_estimator(mode=Mode.PAPER, regen_form=form), readings))
-    assert all(math.isfinite(p.power) for p in found) and len(found) > 140

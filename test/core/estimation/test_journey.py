@@ -75,14 +75,6 @@ def test_the_motor_stands_in_for_the_wheels_and_heating_is_counted():
     assert cold.row[State.COLD] == pytest.approx(20.0 * 9.0)
 
 
-def test_samples_that_come_again_or_late_are_left_out():
-    samples = town(200)
-    again = [*samples[:150], *samples[100:150], *samples[150:]]
-    end = 15 * NANOSECONDS
-    one, other = (tail_of(each).between(0, end, WARM) for each in (samples, again))
-    np.testing.assert_array_equal(one.row, other.row)
-
-
 def test_after_a_gap_a_sample_stands_for_no_more_than_some_seconds():
     samples = town(100)
     late = [*samples[:50], *(replace(s, stamp_ns=s.stamp_ns + 10**12) for s in samples[50:])]

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.estimation.trim import (
-    AHEAD,
-    PRIOR_SHARE,
     TRIM_SECONDS,
-    Persistence,
     Trim,
 )
 from evpinn_ros.core.signals.kinematics import PROFILE
@@ -115,18 +112,3 @@ def test_a_wind_that_holds_is_kept_longer_than_noise_that_does_not():
     short = taught(noise, 300.0).persistence
     assert wind.share_after(1.0) > 0.9
     assert short.share_after(1.0) < 0.3 < 0.5 < short.share_after(0.1)
-
-
-def test_persistence_is_a_share_of_what_was_said_and_the_prior_before():
-    fresh, seen = Persistence(), Persistence()
-    assert fresh.share_after(AHEAD) == pytest.approx(PRIOR_SHARE)
-    for _ in range(300):
-        seen.learn(200.0, 50.0, 5.0)
-    assert seen.share_after(5.0) == pytest.approx(0.25, abs=0.01)
-    assert seen.share_after(0.0) == 1.0
-    for _ in range(3000):
-        seen.learn(0.0, 0.0, 1.0)
-    assert seen.share_after(AHEAD) == pytest.approx(PRIOR_SHARE, abs=0.01)
-    for _ in range(300):
-        seen.learn(200.0, -100.0, 1.0)
-    assert 0.0 < seen.share_after(1.0) < 0.05
