@@ -37,10 +37,14 @@ HEAVY = ("rclpy", "torch")
 # often as Python does by itself takes 7 % of the processor's time.
 gc.set_threshold(100_000, 50, 100)
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # A shell starts what it runs in the background so, and each process that a test starts and
-    # interrupts would have it from here.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# A shell ignores the first in what it runs in the background, `nohup` the second, and each process
+# that a test starts and interrupts would have it from here.
+for ignored, handler in (
+    (signal.SIGINT, signal.default_int_handler),
+    (signal.SIGHUP, signal.SIG_DFL),
+):
+    if signal.getsignal(ignored) is signal.SIG_IGN:
+        signal.signal(ignored, handler)
 
 # Without a deadline for an example, which depends on the machine: pytest-timeout ends a hang.
 settings.register_profile("default", deadline=None)

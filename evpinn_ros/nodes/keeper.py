@@ -81,7 +81,7 @@ class Keeper:
             if node.values["managed"]:
                 raise InputError(unwritable)
             node.log(Level.WARN, unwritable)
-        self.file.load()
+        self.file.restore()
         if self.file.busy is not None and node.values["managed"]:
             raise InputError(self.file.busy)
         self.start = self.file.start or ANEW[half]

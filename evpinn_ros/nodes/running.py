@@ -41,9 +41,10 @@ frame in a hundred came 12 ms late, now 4 (docs/project/upstream.md)."""
 START = 30.0
 """s for the nodes to be made: 0.3 on free cores. Only what hangs takes longer."""
 
-FAREWELL = 4.0
-"""s for the nodes to leave the network once all is saved: 0.1 on free cores, and a launch sends
-its next signal after 5. Others that leave as well may hang Fast DDS for good (its issue 6502)."""
+FAREWELL = 8.0
+"""s for the nodes to leave the network once all is saved: 0.1 on free cores, seconds on a machine
+under load; a launch kills after 10. Others that leave as well may hang Fast DDS for good (its
+issue 6502)."""
 
 ONE_WISH = 1.0
 """s within which signals are one: a terminal and the launch that it stops both send theirs."""

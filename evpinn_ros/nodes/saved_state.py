@@ -62,7 +62,7 @@ class StateFile:
             return f"{self._path}: cannot be written: {error.strerror}"
         return f"{self._path}: cannot be written: a folder" if self._path.is_dir() else None
 
-    def load(self) -> None:
+    def restore(self) -> None:
         """Claim the half, and restore the owner from the file, if there is a usable one."""
         try:
             self._claim = StateClaim(self._path, [self._half])

@@ -210,8 +210,9 @@ class History:
             return
         time = self.seconds(output.stamp_ns)
         if isinstance(output, EnergyState):
-            sigma = output.predicted.sigma
-            self._series["energy"].add(time, output.predicted.energy, output.rknn.energy, sigma)
+            predicted, rknn = output.predicted.energy, output.rknn.energy
+            if math.isfinite(predicted) and math.isfinite(rknn):  # not before the first step
+                self._series["energy"].add(time, predicted, rknn, output.predicted.sigma)
         elif isinstance(output, PowerEstimate):
             if output.kind in self._power:
                 lag = (self._last_ns - self.moment(output.stamp_ns)) / NANOSECONDS

@@ -35,7 +35,7 @@ class Counter:
 
 def refuse_and_save(path):
     state_file = StateFile(path, Counter(), Half.LEARNED)
-    state_file.load()
+    state_file.restore()
     assert f"{path.name}.refused" in state_file.problem
     assert state_file.save() is None and state_file.problem is None
 
@@ -61,7 +61,7 @@ def test_a_file_that_was_used_is_not_set_aside(tmp_path):
     path = tmp_path / "car.json"
     for _ in range(2):
         state_file = StateFile(path, Counter(), Half.LEARNED)
-        state_file.load()
+        state_file.restore()
         assert state_file.problem is None and state_file.save() is None
     state_file.release()
     assert [file.name for file in tmp_path.iterdir()] == ["car.json"]
@@ -72,7 +72,7 @@ def test_the_second_user_of_a_half_is_told_and_writes_nothing(tmp_path):
     write_halves(path, {Half.LEARNED: {"count": 5}})
     first, second = (StateFile(path, Counter(), Half.LEARNED) for _ in range(2))
     for state_file in (first, second):
-        state_file.load()
+        state_file.restore()
         state_file._owner.count += 1
     assert first.problem is None
     for problem in (second.problem, second.save(), second.problem):
@@ -82,7 +82,7 @@ def test_the_second_user_of_a_half_is_told_and_writes_nothing(tmp_path):
     first.release()
     assert second.save() is not None, "it began before the first wrote"
     third = StateFile(path, Counter(), Half.LEARNED)
-    third.load()
+    third.restore()
     assert third.problem is None and third._owner.count == 6
 
 
@@ -91,7 +91,7 @@ def test_a_refused_half_is_kept_and_costs_the_other_nothing(tmp_path):
     write_halves(path, {Half.LEARNED: {"wrong": 1}, Half.ENERGY: {"count": 7}})
     files = [StateFile(path, Counter(), half) for half in Half]
     for state_file in files:
-        state_file.load()
+        state_file.restore()
     assert "car.json.refused" in files[0].problem and files[1].problem is None
     for state_file in files:
         assert state_file.save() is None
@@ -104,7 +104,7 @@ def test_a_file_that_both_nodes_refuse_is_kept_once(tmp_path):
     path.write_text("broken")
     files = [StateFile(path, Counter(), half) for half in Half]
     for state_file in files:
-        state_file.load()
+        state_file.restore()
     for state_file in files:
         assert state_file.save() is None
         state_file.release()
@@ -120,7 +120,7 @@ def test_files_of_earlier_versions_become_one_and_lose_nothing(tmp_path):
     write_state(account_path(path), account)
     files = [StateFile(path, Counter(), half) for half in Half]
     for state_file in files:
-        state_file.load()
+        state_file.restore()
         assert state_file.problem is None and state_file.save() is None
     assert read_state(path) == {"learned": {"count": 2}, "energy": {"count": 3}}
     assert read_state(account_path(path)) == account
@@ -132,7 +132,7 @@ def test_a_half_that_is_missing_is_reported(tmp_path):
     path = tmp_path / "car.json"
     write_halves(path, {Half.ENERGY: {"count": 3}})
     state_file = StateFile(path, Counter(), Half.LEARNED)
-    state_file.load()
+    state_file.restore()
     assert "holds no 'learned'" in state_file.problem
     assert state_file.save() is None and state_file.problem is None
     assert read_state(path) == {"learned": {"count": 0}, "energy": {"count": 3}}

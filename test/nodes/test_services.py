@@ -1,6 +1,7 @@
 """Services of the nodes: what each answers is true, after whichever other it is called."""
 
 from itertools import permutations
+import shutil
 
 import pytest
 from std_srvs.srv import SetBool, Trigger
@@ -27,6 +28,7 @@ def test_every_service_after_every_other_answers_what_was_done(
     path = tmp_path / "car.json" if writable else tmp_path / "missing" / "car.json"
     node = bench.start(make, **{file: str(path)})
     if not writable:
+        shutil.rmtree(path.parent)
         path.parent.write_text("a file where a folder should be")
     for order in permutations(calls, 2):
         for kind, name, request in order:

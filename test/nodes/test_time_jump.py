@@ -73,6 +73,7 @@ def test_one_battery_reading_of_the_future_does_not_end_what_is_learned_of_it(be
         bench.read(node, SpeedReading(NOW + second * S, 10.0))
         for at in (second, 10**8) if second == 9 else (second,):
             bench.read(node, BatteryReading(NOW + at * S, 350.0, -20.0, 0.5))
+    node.account.count()
     assert node.account.battery.samples >= 29
 
 

@@ -56,7 +56,7 @@ class BridgedCar:
         ]
         self._saved = 0
         for state_file in self._files:
-            state_file.load()
+            state_file.restore()
         self.chain.begin_next_drive()
 
     @property
