@@ -67,11 +67,11 @@ class BagReadings:
         self._reader, self._mounting = reader, mounting
         speeds = (_named(reader, topic, car) for topic in topics.SPEEDS)
         wanted_topics = [topic for topic in READING_TOPICS.values() if topic is not topics.SPEED]
-        found = [next(filter(None, speeds), None)]
-        found += [_named(reader, topic, car) for topic in wanted_topics]
-        self.topics = tuple(name for name in found if name)
+        names = [next(filter(None, speeds), None)]
+        names += [_named(reader, topic, car) for topic in wanted_topics]
+        self.topics = tuple(name for name in names if name)
         missing = {topics.SPEED, topics.BATTERY} - {topic_of(name) for name in self.topics}
-        if found[0]:
+        if names[0]:
             missing.discard(topics.SPEED)  # others have it too
         self.notes = tuple(_near_topics(reader, missing))
         if not self.topics:
@@ -94,7 +94,9 @@ def _near_topics(reader: BagReader, missing: Iterable[Topic]) -> Iterator[str]:
     wanted = {topic.name: topic for topic in missing}
     for name, info in reader.topics.items():
         near = near_names("/".join(name.split("/")[-2:]), wanted)
-        topic = next((each for each in wanted.values() if each.matches(name)), None)
+        topic = next(
+            (topic_wanted for topic_wanted in wanted.values() if topic_wanted.matches(name)), None
+        )
         if topic is not None:
             yield f"{name} is {info.type_name}, not {topic.type_name}"
         elif near:

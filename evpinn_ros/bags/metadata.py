@@ -136,8 +136,8 @@ class _Dumper(yaml.SafeDumper):
 def stated_seconds(bag: Path) -> float | None:
     """Length of a bag as its metadata.yaml states it, s; None where it states none."""
     try:
-        found = load_plain(bag / METADATA, "metadata", MOST_METADATA)
-        seconds = float(found[INFORMATION]["duration"]["nanoseconds"]) / NANOSECONDS
+        document = load_plain(bag / METADATA, "metadata", MOST_METADATA)
+        seconds = float(document[INFORMATION]["duration"]["nanoseconds"]) / NANOSECONDS
     except (InputError, KeyError, TypeError, ValueError, OverflowError):
         return None
     return seconds if 0 < seconds < math.inf else None

@@ -80,13 +80,13 @@ class BagReader:
     @property
     def topics(self) -> dict[str, TopicInfo]:
         """The topics by name, in the order of their names."""
-        found: dict[str, TopicInfo] = {}
+        infos: dict[str, TopicInfo] = {}
         for file in self._files:
             for id_, channel in file.channels.items():
-                before = found.get(channel.topic, TopicInfo(channel.type_name, 0))
+                before = infos.get(channel.topic, TopicInfo(channel.type_name, 0))
                 count = before.count + file.counts.get(id_, 0)
-                found[channel.topic] = TopicInfo(before.type_name, count)
-        return dict(sorted(found.items()))
+                infos[channel.topic] = TopicInfo(before.type_name, count)
+        return dict(sorted(infos.items()))
 
     @property
     def problem(self) -> str | None:
@@ -149,7 +149,7 @@ def _refusal(channel: Channel) -> str | None:
 
 def _no_bag(folder: Path) -> str:
     """Error for a folder that is no bag; it names the bags in it."""
-    inside = sorted(each.parent.name for each in folder.glob(f"*/{METADATA}"))
+    inside = sorted(file.parent.name for file in folder.glob(f"*/{METADATA}"))
     hint = f"; there are bags inside it: {', '.join(inside[:5])}" if inside else ""
     return f"{folder}: no .mcap or .db3 file in this folder{hint}"
 
@@ -166,14 +166,14 @@ def _open(path: Path, problems: list[str]) -> list[BagFile]:
         problems.append(f"{path}: {names} beside MCAP files, not read; give them by their names")
     paths = paths or others
     listed = _listed(metadata)
-    there = {each.name.removesuffix(PACKED) for each in paths}
+    there = {file.name.removesuffix(PACKED) for file in paths}
     if missing := sorted(name for name in listed if name.removesuffix(PACKED) not in there):
         problems.append(f"{path}: {METADATA} lists {', '.join(missing)}, not there")
     files: list[BagFile] = []
     errors: list[InputError] = []
-    for each in paths:
+    for file in paths:
         try:
-            files.append(_open_compressed(each, mode))
+            files.append(_open_compressed(file, mode))
         except InputError as error:
             errors.append(error)
     if not files:
@@ -232,11 +232,11 @@ def _metadata(path: Path, problems: list[str]) -> dict[str, Any]:
     if not path.exists():
         return {}
     try:
-        found = load_plain(path, "bag metadata", MOST_METADATA)
+        document = load_plain(path, "bag metadata", MOST_METADATA)
     except InputError as error:
         problems.append(f"{error}; not readable")
         return {}
-    information = found.get(INFORMATION) if isinstance(found, dict) else None
+    information = document.get(INFORMATION) if isinstance(document, dict) else None
     if isinstance(information, dict) and isinstance(information.get("relative_file_paths"), list):
         return information
     problems.append(f"{path}: not readable (lists no files)")

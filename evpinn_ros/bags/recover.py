@@ -112,10 +112,10 @@ def recover(source: Path, out: Path, progress: Progress = lambda _: None) -> lis
     out.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
     try:
-        found = _recover_files(paths, out, files, progress)
+        recovered = _recover_files(paths, out, files, progress)
         if not files:
-            raise InputError(_nothing(source, found))
-        return found
+            raise InputError(_nothing(source, recovered))
+        return recovered
     except (InputError, OSError, KeyboardInterrupt):
         for path in (*files, out / METADATA):
             path.unlink(missing_ok=True)
@@ -128,29 +128,29 @@ def _recover_files(
     paths: list[Path], out: Path, files: list[Path], progress: Progress
 ) -> list[RecoveredFile]:
     """Save each of them; `files` are those that were made."""
-    found: list[RecoveredFile] = []
+    recovered: list[RecoveredFile] = []
     topics: dict[str, WrittenTopic] = {}
     written: list[WrittenFile] = []
     for path in paths:
         files.append(out / f"{out.resolve().name}_{len(files)}.mcap")
-        before = sum(each.size for each in found)
+        before = sum(file.size for file in recovered)
         with _Copy(files[-1], topics) as copy:
-            found.append(_recover_file(path, copy, progress, before))
+            recovered.append(_recover_file(path, copy, progress, before))
         if copy.written.count:
             written.append(copy.written)
         else:
             files.pop().unlink()
     if files:
         write_metadata(out, bag_information(written, topics.values()))
-    return found
+    return recovered
 
 
-def _nothing(source: Path, found: list[RecoveredFile]) -> str:
+def _nothing(source: Path, files: list[RecoveredFile]) -> str:
     """Reason why there is no message at all."""
-    for one in found:
-        if one.problem is not None:
-            return one.problem
-    empty = not any(one.size for one in found)
+    for file in files:
+        if file.problem is not None:
+            return file.problem
+    empty = not any(file.size for file in files)
     return f"{source}: {'the file is empty' if empty else 'no message could be saved'}"
 
 
@@ -295,8 +295,8 @@ def _qos(channel: Channel) -> list[dict[str, Any]]:
     if len(text) > LONGEST_QOS:
         return []
     try:
-        found = plain_text(text)
+        document = plain_text(text)
     except ValueError:
         return []
-    whole = isinstance(found, list) and all(isinstance(each, dict) for each in found)
-    return found if whole else []
+    whole = isinstance(document, list) and all(isinstance(profile, dict) for profile in document)
+    return document if whole else []

@@ -89,7 +89,7 @@ class RosbagsFile:
         except READ_ERRORS as error:
             raise InputError(f"{path}: {self._reason(error)}") from error
         # A damaged row has nothing or a number where a name stands.
-        named = [each for each in self._reader.connections if _is_named(each)]
+        named = [connection for connection in self._reader.connections if _is_named(connection)]
         if len(named) < len(self._reader.connections):
             self._note("a topic without a name is not read")
         self._connections = {connection.id: connection for connection in named}
@@ -97,11 +97,13 @@ class RosbagsFile:
             id_: Channel(connection.topic, connection.msgtype, connection.ext.serialization_format)
             for id_, connection in self._connections.items()
         }
-        self.counts = {id_: each.msgcount for id_, each in self._connections.items()}
+        self.counts = {id_: connection.msgcount for id_, connection in self._connections.items()}
 
     def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
         """The messages of the wanted channel ids in log time order."""
-        connections = [each for id_, each in self._connections.items() if id_ in wanted]
+        connections = [
+            connection for id_, connection in self._connections.items() if id_ in wanted
+        ]
         if not connections:
             return
         read = 0
@@ -167,7 +169,7 @@ def _check_database(path: Path, source: Path, size: int) -> None:
     ):
         database.set_progress_handler(lambda: next(periods, None) is None, PERIOD)
         entries = list(islice(database.execute("SELECT type, name, sql FROM sqlite_master"), 100))
-        fault = next(filter(None, (_fault(database, each, size) for each in entries)), None)
+        fault = next(filter(None, (_fault(database, entry, size) for entry in entries)), None)
     if fault is not None:
         raise InputError(f"{path}: no bag: its database {fault}")
 

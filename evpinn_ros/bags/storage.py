@@ -84,7 +84,7 @@ def _copy(
 ) -> int:
     count = 0
     with Writer(out, version=VERSION, storage_plugin=StoragePlugin[storage.name]) as writer:
-        new = {each.id: _connect(writer, each) for each in reader.connections}
+        new = {connection.id: _connect(writer, connection) for connection in reader.connections}
         messages = takewhile(lambda _: not stopped(), reader.messages())
         for connection, log_time_ns, data in reported(messages, progress, itemgetter(1)):
             writer.write(new[connection.id], log_time_ns, data)

@@ -143,8 +143,8 @@ def replay(
                 for source, folder in zip(chain(first, again), folders, strict=True):
                     if interruption.asked:
                         break
-                    found = _one(car, source, folder, lambda: interruption.asked)
-                    _show(found, source, car.vehicle, warm_up, len(folders) > 1, units.units)
+                    replayed = _one(car, source, folder, lambda: interruption.asked)
+                    _show(replayed, source, car.vehicle, warm_up, len(folders) > 1, units.units)
             finally:
                 # Whatever ends a later drive, the results of those before it are kept.
                 written = _write(car, (state, metrics, report), units.units, len(inputs) > 1)

@@ -42,13 +42,13 @@ def search(
 
     Example: evpinn vehicles search model 3
     """
-    found = [load_vehicle(key) for key in find_vehicles(" ".join(words))]
-    if not found:
+    cars = [load_vehicle(key) for key in find_vehicles(" ".join(words))]
+    if not cars:
         raise InputError(
             f"no vehicle's name has {' '.join(words)!r}; evpinn vehicles lists all. For "
             "another car use --vehicle generic, or see docs/guides/add_your_car.md"
         )
-    lines = [_line(vehicle) for vehicle in found]
+    lines = [_line(vehicle) for vehicle in cars]
     if as_json_text:
         show_json(lines)
         return

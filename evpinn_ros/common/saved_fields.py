@@ -139,8 +139,8 @@ def read(kind: type[State], saved: Any) -> State:
         if details is None:
             raise StateError(f"saved state: {error}") from error
         first = details(include_url=False)[0]
-        place, found = ".".join(map(str, first["loc"])), reprlib.repr(first["input"])
-        raise StateError(f"saved '{place}' is {found}: {first['msg']}") from error
+        place, shown = ".".join(map(str, first["loc"])), reprlib.repr(first["input"])
+        raise StateError(f"saved '{place}' is {shown}: {first['msg']}") from error
     return value
 
 
@@ -171,7 +171,7 @@ class Declared(NamedTuple):
 @cache
 def declared(kind: Any) -> dict[str, Declared]:
     """Fields of a dataclass or NamedTuple as they are declared."""
-    found = {}
+    fields_by_name = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
         optional = NoneType in get_args(hint)
         inner = get_args(hint)[0] if optional else hint
@@ -181,8 +181,8 @@ def declared(kind: Any) -> dict[str, Declared]:
         has = defaults is not None and (
             defaults.default is not MISSING or defaults.default_factory is not MISSING
         )
-        found[name] = Declared(bare, notes[0] if notes else None, optional, has)
-    return found
+        fields_by_name[name] = Declared(bare, notes[0] if notes else None, optional, has)
+    return fields_by_name
 
 
 def is_within(value: Any) -> bool:
@@ -201,10 +201,10 @@ def is_within(value: Any) -> bool:
 def _refuse_another(saved: Any, before: Any) -> None:
     names = getattr(before, "SAME", ())
     wanted = {name: getattr(before, name) for name in names}
-    found = {name: saved.get(name) if isinstance(saved, Mapping) else None for name in names}
-    if found != wanted:
-        one, other = (
+    held = {name: saved.get(name) if isinstance(saved, Mapping) else None for name in names}
+    if held != wanted:
+        ours, other = (
             ", ".join(f"{name} {reprlib.repr(value)}" for name, value in values.items())
-            for values in (found, wanted)
+            for values in (held, wanted)
         )
-        raise StateError(f"saved for {one}, not for {other}")
+        raise StateError(f"saved for {ours}, not for {other}")

@@ -213,8 +213,8 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         async def safe(request: Any, response: Any) -> Any:
             self.calls[name] += 1
             try:
-                found = callback(request, response)
-                return await found if isawaitable(found) else found
+                answer = callback(request, response)
+                return await answer if isawaitable(answer) else answer
             except Exception as error:
                 self.count_fault(f"{name}: {type(error).__name__}", str(error))
                 response = kind.Response()
@@ -250,7 +250,11 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
     def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
         """Publish messages that belong together; none when one would not be finite."""
         try:
-            ready = [each for each in messages if self.active or each[0] is topics.DIAGNOSTICS]
+            ready = [
+                topic_and_message
+                for topic_and_message in messages
+                if self.active or topic_and_message[0] is topics.DIAGNOSTICS
+            ]
         except ValueError:
             self.bad[NOT_FINITE] += 1
             return

@@ -114,7 +114,7 @@ class CanBridgeNode(GuardedNode):
 
     def phases(self) -> list[Status]:
         """Messages of /diagnostics, but for how every bus begins."""
-        return [each for each in self._statuses(WELL) if each.text not in BEGINNINGS]
+        return [status for status in self._statuses(WELL) if status.text not in BEGINNINGS]
 
     def _start(self, run: Callable[[], None], name: str) -> threading.Thread:
         thread = threading.Thread(target=run, name=name, daemon=True)

@@ -137,9 +137,9 @@ class EnergyNode(GuardedNode):
         return "energy counts from zero; the lifetime's goes on"
 
     def _take_power(self, topic: Topic, message: Any) -> None:
-        found = read_power(topic, message)
-        self._count_missed(self._standby.hear(found.stamp_ns, self.steady_s()))
-        for admitted in self.kept.in_order(topic, found.stamp_ns, found):
+        estimate = read_power(topic, message)
+        self._count_missed(self._standby.hear(estimate.stamp_ns, self.steady_s()))
+        for admitted in self.kept.in_order(topic, estimate.stamp_ns, estimate):
             self._count(admitted)
 
     def _count_missed(self, powers: list[MeasuredPower]) -> None:
@@ -149,12 +149,12 @@ class EnergyNode(GuardedNode):
         if powers:
             self._publish_account()
 
-    def _count(self, found: PowerEstimate) -> None:
-        power = found.stamp_ns, found.power, found.sigma
-        if found.kind is PowerKind.MEASURED:
+    def _count(self, estimate: PowerEstimate) -> None:
+        power = estimate.stamp_ns, estimate.power, estimate.sigma
+        if estimate.kind is PowerKind.MEASURED:
             self.account.add_measured(*power)
             return
-        if not self.account.add_predicted(*power, found.energy_sigma, found.energy):
+        if not self.account.add_predicted(*power, estimate.energy_sigma, estimate.energy):
             return
         self._publish_account()
 
@@ -174,13 +174,13 @@ class EnergyNode(GuardedNode):
     def _on_reading(self, topic: Topic, message: Any) -> None:
         reading, topic = to_reading(topic.type_name, message), self.stream(topic)
         rule = jump_rule(self.values)
-        for each in self._reading_guard.admit(topic, reading.stamp_ns, reading, rule):
-            if isinstance(each, Jump):  # what the policy says is done when power jumps
+        for passed in self._reading_guard.admit(topic, reading.stamp_ns, reading, rule):
+            if isinstance(passed, Jump):  # what the policy says is done when power jumps
                 self.account.begin_readings_anew()
-            elif self.account.admission.admits(each):
-                self.account.add_reading(each)
-                if isinstance(each, BatteryReading) and why_impossible(each) is None:
-                    self._count_missed(self._standby.take(each, self.steady_s()))
+            elif self.account.admission.admits(passed):
+                self.account.add_reading(passed)
+                if isinstance(passed, BatteryReading) and why_impossible(passed) is None:
+                    self._count_missed(self._standby.take(passed, self.steady_s()))
 
     def _on_model(self, message: Any) -> None:
         model = read_model(message, self._vehicle)
@@ -261,7 +261,7 @@ class EnergyNode(GuardedNode):
         yield topics.FORECAST, forecast_message(new_message, header, times, *columns)
         if is_installed(PACKAGE):
             names = ("energy", "power", "sigma")
-            numbers = dict(zip(names, (each.tolist() for each in columns), strict=True))
+            numbers = dict(zip(names, (column.tolist() for column in columns), strict=True))
             typed = new_message(TYPED_FORECAST.type_name, time=times.tolist(), **numbers)
             typed.header, typed.basis = header, basis.value
             typed.conditions = list(answer.conditions)

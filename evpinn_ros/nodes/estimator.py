@@ -122,8 +122,8 @@ class EstimatorNode(GuardedNode):
         for output in self.estimator.add_reading(reading):
             self.publish(output_messages(new_message, output))
             if isinstance(output, ParameterSet):  # once a second
-                found = self.estimator.breakdown()
-                self.publish(breakdown_messages(new_message, output.stamp_ns, found))
+                breakdown = self.estimator.breakdown()
+                self.publish(breakdown_messages(new_message, output.stamp_ns, breakdown))
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         self.estimator.enabled = request.data

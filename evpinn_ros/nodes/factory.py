@@ -33,8 +33,8 @@ OVERRIDABLE = tuple(
 @cache
 def is_installed(package: str) -> bool:
     """True if a package of messages is there, and not merely its source in a checkout."""
-    found = find_spec(package)
-    return found is not None and found.origin is not None
+    spec = find_spec(package)
+    return spec is not None and spec.origin is not None
 
 
 def installed(topics: Iterable[Topic]) -> list[Topic]:

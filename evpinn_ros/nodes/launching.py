@@ -81,7 +81,7 @@ class Given:
         Raises:
             InputError: one is wrong.
         """
-        names = [each.name for each in arguments]
+        names = [argument.name for argument in arguments]
         self.values: dict[str, str] = {
             name: LaunchConfiguration(name).perform(context) for name in names
         }
@@ -148,7 +148,7 @@ def describe(
         simulated: its `use_sim_time`.
     """
     arguments = (*own, *COMMON, simulated)
-    names = [each.name for each in arguments]
+    names = [argument.name for argument in arguments]
 
     def perform(context: Any) -> list[Any]:
         given = Given(context, arguments)

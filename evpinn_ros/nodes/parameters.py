@@ -36,7 +36,9 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
     """
     given = node._parameter_overrides.get("managed")
     managed = given is not None and given.value is True
-    entries = [(each.name, each.default, _descriptor(each, managed)) for each in table]
+    entries = [
+        (parameter.name, parameter.default, _descriptor(parameter, managed)) for parameter in table
+    ]
     try:
         declared = node.declare_parameters("", entries)
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
@@ -44,11 +46,13 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
     values = {parameter.name: parameter.value for parameter in declared}
     if not managed:
         refuse_wrong(table, values)
-    fixed = {each.name for each in table if each.read_only} if managed else set()
+    fixed = {parameter.name for parameter in table if parameter.read_only} if managed else set()
     node.add_on_set_parameters_callback(_refuser(node, table, values, fixed))
 
     def follow(changed: list[RosParameter]) -> None:
-        values.update({each.name: each.value for each in changed if each.name in values})
+        values.update(
+            {parameter.name: parameter.value for parameter in changed if parameter.name in values}
+        )
 
     node.add_post_set_parameters_callback(follow)
     return values
@@ -61,8 +65,8 @@ def unknown_parameters(node: Node, table: tuple[Parameter, ...]) -> list[str]:
         node: that was given them.
         table: of those it has.
     """
-    known = {each.name for table in TABLES.values() for each in table}
-    own = [each.name for each in table]
+    known = {parameter.name for table in TABLES.values() for parameter in table}
+    own = [parameter.name for parameter in table]
     return [
         f"unknown parameter '{given}'{near_names(given, own)}"
         for given in node._parameter_overrides
@@ -79,7 +83,9 @@ def _refuser(
     node: Node, table: tuple[Parameter, ...], values: Mapping[str, Any], fixed: set[str]
 ) -> Callable[[list[RosParameter]], Any]:
     def refuse(changed: list[RosParameter]) -> Any:
-        new = {each.name: each.value for each in changed if each.name in values}
+        new = {
+            parameter.name: parameter.value for parameter in changed if parameter.name in values
+        }
         if not new:  # of rclpy's own: four for each topic, and the vehicle file takes 5 ms to read
             return SetParametersResult(successful=True)
         if "managed" in new:

@@ -163,14 +163,14 @@ class PlanCall:
         if self._points > self._limits.points:
             raise PlanError(f"more than {self._limits.points} points with the plans before it")
 
-    def _fill(self, result: Any, index: int, found: PlanAnswer) -> None:
-        self._log.answer(found.charge)
-        self._answered = found
-        result.energy = float(found.forecast.energy[-1])
-        result.energy_sigma = float(found.forecast.sigma[-1])
-        result.end_charge, result.end_charge_sigma = map(float, found.charge)
+    def _fill(self, result: Any, index: int, answer: PlanAnswer) -> None:
+        self._log.answer(answer.charge)
+        self._answered = answer
+        result.energy = float(answer.forecast.energy[-1])
+        result.energy_sigma = float(answer.forecast.sigma[-1])
+        result.end_charge, result.end_charge_sigma = map(float, answer.charge)
         self._more[index, index] = self._sigma[index, index] = 0.0
-        for name, apart in found.differences.items():
+        for name, apart in answer.differences.items():
             other = int(name)
             self._more[index, other], self._more[other, index] = apart.value, -apart.value
             self._sigma[index, other] = self._sigma[other, index] = apart.sigma
@@ -181,7 +181,7 @@ class PlanCall:
 
 def _plan(asked: Any) -> Plan:
     time, distance, speed, elevation = (
-        np.array(each, dtype=float)
-        for each in (asked.time, asked.distance, asked.speed, asked.elevation)
+        np.array(column, dtype=float)
+        for column in (asked.time, asked.distance, asked.speed, asked.elevation)
     )
     return plan_from_speed_profile(time, distance, speed, elevation if elevation.size else None)

@@ -151,7 +151,7 @@ def state_path(text: str) -> Path | None:
 def _identity(path: Path) -> tuple[int, int] | None:
     """Number and time of a file; None where there is none."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_ino, found.st_mtime_ns
+    return status.st_ino, status.st_mtime_ns

@@ -89,7 +89,7 @@ class CarReplay:
         """Replay the next drive, as `run.replay` does."""
         if self.done:
             self.chain.begin_next_drive()
-        found = replay(
+        replayed = replay(
             source,
             self.chain,
             self.options,
@@ -99,8 +99,8 @@ class CarReplay:
             progress=progress,
             stopped=stopped,
         )
-        self.done.append(found)
-        return found
+        self.done.append(replayed)
+        return replayed
 
     def write_state(self, path: Path) -> None:
         """Write what was learned, as `state_file.write_halves` does, of the car and its battery.

@@ -102,11 +102,11 @@ def _steps(rows: np.ndarray, power: np.ndarray, known: np.ndarray) -> DrivenStep
     steps = np.diff(time)
     middle = (speed[1:] + speed[:-1]) / 2
     energy = (power[1:] + power[:-1]) / 2 * steps
-    found = DrivenSteps(time[1:], steps, middle, middle * steps, energy)
-    return chosen_rows(found, known[1:] & known[:-1] & joined(steps, MAX_GAP))
+    all_steps = DrivenSteps(time[1:], steps, middle, middle * steps, energy)
+    return chosen_rows(all_steps, known[1:] & known[:-1] & joined(steps, MAX_GAP))
 
 
 def rising(rows: np.ndarray) -> np.ndarray:
     """A series, time and value, in order of time."""
-    found: np.ndarray = rows[np.argsort(rows[:, 0], kind="stable")]
-    return found
+    sorted_rows: np.ndarray = rows[np.argsort(rows[:, 0], kind="stable")]
+    return sorted_rows

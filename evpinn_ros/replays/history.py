@@ -224,7 +224,8 @@ class History:
                 self._parameters[name].add(*row)
             for name, rows in self._combinations.items():
                 value, std = (
-                    getattr(each, name) for each in (output.identifiable, output.identifiable_std)
+                    getattr(combinations, name)
+                    for combinations in (output.identifiable, output.identifiable_std)
                 )
                 rows.add(time, value, std)
 
@@ -245,9 +246,9 @@ class History:
         if not self._detections or self._detections[-1].report[:4] != report[:4]:
             self._detections.append(Detection(self.now, report))
 
-    def add_breakdown(self, found: Mapping[str, tuple[float, float]]) -> None:
+    def add_breakdown(self, breakdown: Mapping[str, tuple[float, float]]) -> None:
         """Take the breakdown as it is now, kWh and 1-sigma by part."""
-        self._breakdown = found
+        self._breakdown = breakdown
 
     @property
     def wants_model(self) -> bool:

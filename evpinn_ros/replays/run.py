@@ -54,7 +54,7 @@ class ReplayOptions:
 
     def __post_init__(self) -> None:
         times = (self.withhold_battery_after, self.warm_up, self.rate, self.start, self.duration)
-        if not all(each is None or 0.0 <= each < math.inf for each in times):
+        if not all(seconds is None or 0.0 <= seconds < math.inf for seconds in times):
             raise InputError("times of a replay are s from 0 on, and its rate is above 0")
 
     def seconds_of(self, whole: float | None) -> float | None:
@@ -119,7 +119,7 @@ def replay(
     if not len(drive.newest.power) and not len(drive.smoothed.power):
         raise InputError(f"{source.path}: nothing can be predicted{where}: {_too_seldom(drive)}")
     status = chain.estimator.status()
-    found = metrics(
+    scores = metrics(
         path=str(source.path),
         vehicle=vehicle,
         mode=mode,
@@ -131,7 +131,7 @@ def replay(
         wall=wall,
         breakdown=chain.estimator.breakdown(),
     )
-    return Replayed(drive, found, source.problem)
+    return Replayed(drive, scores, source.problem)
 
 
 def _too_seldom(drive: Drive) -> str:
@@ -223,12 +223,12 @@ def _outputs(
         history.move_to(moment_ns)
         if given and not isinstance(item, Jump) and history.wants_model:
             history.add_model(chain.estimator.model())
-        found = next(outputs) if given else []
-        for output in found:
+        outputs_of_block = next(outputs) if given else []
+        for output in outputs_of_block:
             history.add_output(output)
             if isinstance(output, ParameterSet):
                 history.add_detections(chain.estimator.detections())
-        yield found
+        yield outputs_of_block
 
 
 def _record(
@@ -247,8 +247,8 @@ def _record(
     for output in outputs:
         messages += output_messages(new_message, output)
         if isinstance(output, ParameterSet):  # once a second, as the node does
-            found = chain.estimator.breakdown()
-            messages += breakdown_messages(new_message, output.stamp_ns, found)
+            breakdown = chain.estimator.breakdown()
+            messages += breakdown_messages(new_message, output.stamp_ns, breakdown)
     for topic, message in messages:
         writer.write(topic.under(NAMESPACE), message, log_time_ns)
 

@@ -120,7 +120,7 @@ def speed_floor(drive: Drive, span: Span) -> float | None:
     time = drive.smoothed.time[chosen]
     power = measured_at(drive, time)[0]
     order = np.argsort(np.interp(time, *drive.speed.T), kind="stable")
-    rest = [each - each.mean() for each in np.array_split(power[order], FLOOR_BINS)]
+    rest = [powers - powers.mean() for powers in np.array_split(power[order], FLOOR_BINS)]
     return float(np.sqrt(np.mean(np.concatenate(rest) ** 2)))
 
 
@@ -138,7 +138,7 @@ def metrics(
     breakdown: Breakdown | None = None,
 ) -> dict[str, Any]:
     """All scores of one drive under the contract's keys; JSON holds it as it is."""
-    found: dict[str, Any] = {
+    document: dict[str, Any] = {
         "input": {
             "path": path,
             "duration_s": drive.duration,
@@ -151,17 +151,17 @@ def metrics(
     }
     end = drive.duration if withheld_from is None else withheld_from
     floor = speed_floor(drive, Span(warm_up, end)) if mode == Mode.PAPER.value else None
-    found["power"]["floor_w"] = floor
-    found["by_battery_age"] = battery_age_scores(drive, warm_up, withheld_from)
-    found["parameters"] = parameter_metrics(drive.final)
-    found["breakdown"] = breakdown_metrics(breakdown, mode)
-    found["updates"] = _updates(status)
-    found["replay"] = {
+    document["power"]["floor_w"] = floor
+    document["by_battery_age"] = battery_age_scores(drive, warm_up, withheld_from)
+    document["parameters"] = parameter_metrics(drive.final)
+    document["breakdown"] = breakdown_metrics(breakdown, mode)
+    document["updates"] = _updates(status)
+    document["replay"] = {
         "wall_s": wall,
         "realtime_factor": drive.duration / wall if wall > 0 else None,
         "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
     }
-    return found
+    return document
 
 
 def drive_scores(
@@ -169,11 +169,11 @@ def drive_scores(
 ) -> dict[str, Any]:
     """Scores of power and energy; those of a withheld part apart from what came before it."""
     end = drive.duration if withheld_from is None else withheld_from
-    found = _part(drive, Span(warm_up, end), Span(-1.0, end))
+    scores = _part(drive, Span(warm_up, end), Span(-1.0, end))
     if withheld_from is not None:
         rest = Span(withheld_from, drive.duration)
-        found["withheld"] = {"from_s": withheld_from, **_part(drive, rest, rest)}
-    return found
+        scores["withheld"] = {"from_s": withheld_from, **_part(drive, rest, rest)}
+    return scores
 
 
 def _part(drive: Drive, power: Span, energy: Span) -> dict[str, Any]:
@@ -223,9 +223,9 @@ def battery_age_scores(
     series, rows = drive.smoothed, drive.measured
     given = rows if withheld_from is None else rows[rows[:, 0] <= withheld_from]
     empty: dict[str, float | None] = dict.fromkeys(("rmse_w", "bias_w", "last_value_rmse_w"))
-    found = {f"{age:g}": dict(empty) for age in BATTERY_AGES}
+    scores_by_age = {f"{age:g}": dict(empty) for age in BATTERY_AGES}
     if len(given) < 2 or not len(series.time):
-        return found
+        return scores_by_age
     truth, known = measured_at(drive, series.time)
     last = np.searchsorted(given[:, 0], series.time, side="right") - 1
     chosen = known & (series.time > warm_up) & (last >= 0)
@@ -234,15 +234,15 @@ def battery_age_scores(
     group = np.searchsorted(edges, age)
     error = series.power[chosen] - truth[chosen]
     held = given[last[chosen], 1] - truth[chosen]
-    for index, name in enumerate(found):
+    for index, name in enumerate(scores_by_age):
         inside = group == index
         if inside.any():
-            found[name] = {
+            scores_by_age[name] = {
                 "rmse_w": float(np.sqrt(np.mean(error[inside] ** 2))),
                 "bias_w": float(np.mean(error[inside])),
                 "last_value_rmse_w": float(np.sqrt(np.mean(held[inside] ** 2))),
             }
-    return found
+    return scores_by_age
 
 
 def measured_energy(drive: Drive, stretches: list[Span]) -> float:
@@ -284,9 +284,9 @@ def parameter_metrics(final: ParameterSet | None) -> dict[str, dict[str, Any]]:
     return {name: estimate.figures() for name, estimate in final.parameters.items()}
 
 
-def combination_metrics(found: ParameterSet) -> dict[str, dict[str, float]]:
+def combination_metrics(parameter_set: ParameterSet) -> dict[str, dict[str, float]]:
     """Combinations of parameters, which the data alone determine: value and 1-sigma."""
-    sums, stds = found.identifiable, found.identifiable_std
+    sums, stds = parameter_set.identifiable, parameter_set.identifiable_std
     return {
         name: {"value": float(value), "std": float(std)}
         for name, value, std in zip(sums._fields, sums, stds, strict=True)

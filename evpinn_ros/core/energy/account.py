@@ -337,10 +337,10 @@ class EnergyAccount(Saveable[SavedAccount]):
         """States with what reconciling had added by then."""
         energy = np.full(len(states), self._correction.energy)
         variance = np.full(len(states), self._correction.variance)
-        for order, found in later:
+        for order, correction in later:
             before = predicted.order < order
-            energy[before] -= found.energy
-            variance[before] -= found.variance
+            energy[before] -= correction.energy
+            variance[before] -= correction.variance
         return replace(
             states,
             consumed=states.consumed + energy,
@@ -401,10 +401,10 @@ class EnergyAccount(Saveable[SavedAccount]):
         by_charge = self.gauge.energy_between(before, after)
         if not abs(by_charge.value) <= MAX_POWER * dropout.duration:
             by_charge = UNKNOWN
-        found = self.reconciled = reconcile(dropout, by_charge)
-        if found.verdict is Verdict.JOINED:
-            self.trip.correct(found.correction)
-        added = TripCorrection(found.correction, found.variance_taken)
+        reconciled = self.reconciled = reconcile(dropout, by_charge)
+        if reconciled.verdict is Verdict.JOINED:
+            self.trip.correct(reconciled.correction)
+        added = TripCorrection(reconciled.correction, reconciled.variance_taken)
         energy, variance = self._correction
         self._correction = TripCorrection(energy + added.energy, variance + added.variance)
         return added
@@ -441,14 +441,14 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.count()
         return self._before_reset.distance + self.trip.total.distance
 
-    def follow(self, plan: Plan, found: Forecast) -> None:
+    def follow(self, plan: Plan, forecast: Forecast) -> None:
         """Take a plan for the route that the car follows from here on.
 
         A plan shorter than `SHORTEST` is the horizon of a controller and changes nothing.
         """
         self.count()
         if plan.distance[-1] - plan.distance[0] >= SHORTEST:
-            self.route = Route.from_here(plan, found, self.odometer, self._newest_ns)
+            self.route = Route.from_here(plan, forecast, self.odometer, self._newest_ns)
 
     def lifetime(self) -> EnergyTotals:
         """Totals since the first start."""
@@ -487,11 +487,11 @@ class EnergyAccount(Saveable[SavedAccount]):
         )
 
     def _consumption(self, since_reset: EnergyTotals, lifetime: EnergyTotals) -> dict[str, float]:
-        found = {f"{w.length / 1e3:g}": w.total for w in self.trip.windows if w.known}
+        stretches = {f"{w.length / 1e3:g}": w.total for w in self.trip.windows if w.known}
         for name, totals in (("trip", since_reset), ("lifetime", lifetime)):
             if totals.distance >= LEAST_DISTANCE:
-                found[name] = Stretch(totals.distance, totals.driven)
-        return {name: stretch.energy / stretch.distance for name, stretch in found.items()}
+                stretches[name] = Stretch(totals.distance, totals.driven)
+        return {name: stretch.energy / stretch.distance for name, stretch in stretches.items()}
 
     def _remaining(self, usable: Uncertain, consumption: Mapping[str, float]) -> Remaining | None:
         """It needs what the last 10 km cost; the long run is 100 km, or all so far.

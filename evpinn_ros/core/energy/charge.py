@@ -157,23 +157,23 @@ class ChargeGauge(Saveable[SavedGauge]):
         if abs(change) < max(LEAST_CHANGE, LEAST_STEPS * self._step):
             return
         self._anchor = sample
-        found = (sample.consumed - anchor.consumed) / change
-        if not self._limits[0] <= found <= self._limits[1]:
+        capacity = (sample.consumed - anchor.consumed) / change
+        if not self._limits[0] <= capacity <= self._limits[1]:
             return
         spread = math.hypot(CAPACITY_SPREAD, math.sqrt(2) * self.rounding / change)
-        self._average(Uncertain(found, spread * found))
+        self._average(Uncertain(capacity, spread * capacity))
         self.learned += 1
 
-    def _average(self, found: Uncertain) -> None:
+    def _average(self, shown: Uncertain) -> None:
         """Weigh by variance, and never be surer than one reading's spread over four.
 
         What lies far off is as unsure as that: a winter trip of the i3 says 29 kWh, others 23.
         """
         if not self.capacity.known:
-            self.capacity = found
+            self.capacity = shown
             return
-        difference = found.value - self.capacity.value
-        variance = max(found.sigma, abs(difference) / OUTLIER) ** 2
+        difference = shown.value - self.capacity.value
+        variance = max(shown.sigma, abs(difference) / OUTLIER) ** 2
         gain = self.capacity.sigma**2 / (self.capacity.sigma**2 + variance)
         value = self.capacity.value + gain * difference
         sigma = max(self.capacity.sigma * math.sqrt(1 - gain), CAPACITY_SPREAD * value / 4)

@@ -91,8 +91,8 @@ def edge_energies(
     directions = np.empty((count, unknown.shape[1]), np.float32)  # memory is what takes time
     for begin in range(0, count, CHUNK):
         part = slice(begin, begin + CHUNK)
-        found = projected(legs, part)
-        energy[part], directions[part], uneven[part] = found[:, 0], found[:, 1:-1], found[:, -1]
+        sums = projected(legs, part)
+        energy[part], directions[part], uneven[part] = sums[:, 0], sums[:, 1:-1], sums[:, -1]
     stood = standing(legs.duration, legs.length)
     own = model.noise(legs.duration, stood, legs.length**2 / legs.duration)
     own += car.load_variance * legs.duration**2
@@ -130,8 +130,8 @@ def _projected(
     def of_edges(legs: Legs, part: slice | np.ndarray) -> np.ndarray:
         columns = legs.duration[part], legs.length[part], legs.climb[part]
         steps = even_steps(*columns, head_wind)
-        found = per_leg(steps, uneven)
-        found[:, :-1] += even(steps)
-        return found
+        sums = per_leg(steps, uneven)
+        sums[:, :-1] += even(steps)
+        return sums
 
     return of_edges

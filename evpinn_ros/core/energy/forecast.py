@@ -194,8 +194,8 @@ def forecast(
     parts = []
     for begin in range(0, len(speed), batch):
         some = (
-            each if each is None or each.ndim == 1 else each[begin : begin + batch]
-            for each in profiles
+            profile if profile is None or profile.ndim == 1 else profile[begin : begin + batch]
+            for profile in profiles
         )
         parts.append(_sums(Profiles(*some), model, density))
     if not parts:
@@ -203,10 +203,10 @@ def forecast(
     xp = namespace(speed)
     rows, elapsed, stood, square, unseen = map(xp.concatenate, zip(*parts, strict=True))
     noise = model.noise(elapsed, stood, square)
-    found = Energies(*model.predicted(rows, elapsed, noise, unseen))
-    if not bool(xp.isfinite(found.energy + found.sigma).all()):
+    energies = Energies(*model.predicted(rows, elapsed, noise, unseen))
+    if not bool(xp.isfinite(energies.energy + energies.sigma).all()):
         raise PlanError("a number of the profiles is not finite")
-    return found
+    return energies
 
 
 def forecast_plan(
@@ -243,7 +243,7 @@ def forecast_plan(
         unknown = length * (np.ptp(plan.elevation, axis=-1, keepdims=True) == 0.0)
     uneven = np.zeros_like(length)
     steps = standing(duration, length), length**2 / duration, unknown
-    stood, square, unseen = (np.cumsum(each, axis=-1) for each in steps)
+    stood, square, unseen = (np.cumsum(sums_of_step, axis=-1) for sums_of_step in steps)
     noise = model.noise(elapsed[..., 1:], stood, square)
     energies = None
     if _is_coarse(points):
@@ -257,13 +257,15 @@ def forecast_plan(
         row, energies = model.whole_row(_steps(points, wind), weather)
         rows = row[None]
     sums = elapsed[..., 1:], noise, unseen, uneven
-    energy, sigma = model.predicted(rows, *(each[..., -rows.shape[-2] :] for each in sums))
+    energy, sigma = model.predicted(
+        rows, *(sums_of_row[..., -rows.shape[-2] :] for sums_of_row in sums)
+    )
     possible = np.isfinite(sigma).all()
     if energies is not None:
         energy = np.cumsum(energies) + model.car.mean[State.LOAD] * wandered(elapsed[1:])[1]
         sigma = np.concatenate((np.full(len(energy) - 1, math.nan), sigma))
     zero = np.zeros_like(elapsed[..., :1])
-    energy, sigma = (np.concatenate((zero, each), axis=-1) for each in (energy, sigma))
+    energy, sigma = (np.concatenate((zero, series), axis=-1) for series in (energy, sigma))
     power = np.diff(energy) / duration
     power = np.concatenate((power, power[..., -1:]), axis=-1)
     if not (possible and np.isfinite(energy + power).all()):
@@ -271,12 +273,16 @@ def forecast_plan(
     end = UNKNOWN_END
     if energy.ndim == 1:
         whole = elapsed, points.distance - points.distance[0], noise, unseen, uneven
-        end = PlanEnd(rows[-1], *(float(each[-1]) for each in whole))
+        end = PlanEnd(rows[-1], *(float(last[-1]) for last in whole))
     return Forecast(time=points.time, energy=energy, power=power, sigma=sigma, end=end)
 
 
 def plan_parts(
-    plan: Plan | Legs, found: Forecast, model: PowerModel, weather: Weather, head_wind: float = 0.0
+    plan: Plan | Legs,
+    forecast: Forecast,
+    model: PowerModel,
+    weather: Weather,
+    head_wind: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Energies of one trip by part and their 1-sigma, J, shape (COUNT + 1,) each.
 
@@ -284,7 +290,7 @@ def plan_parts(
 
     Args:
         plan: the trip.
-        found: its forecast, with the arguments that follow.
+        forecast: its forecast, with the arguments that follow.
         model: of the car.
         weather: on the way.
         head_wind: against the car at the start, m/s over ground.
@@ -296,11 +302,11 @@ def plan_parts(
         wind = (wind[1:] + wind[:-1]) / 2.0
         steps = even_steps(steps.duration, steps.distance, steps.climb, wind)
     rows = np.concatenate((model.parts(steps, weather), np.zeros((1, SIZE))))
-    rows[Part.STANDING, State.LOAD] = found.end.row[State.LOAD]
-    rows[-1] = found.end.row - rows[WHOLE].sum(0)
+    rows[Part.STANDING, State.LOAD] = forecast.end.row[State.LOAD]
+    rows[-1] = forecast.end.row - rows[WHOLE].sum(0)
     car = model.car
     variance = car.trust * np.einsum("ij,jk,ik->i", rows, model.covariance, rows)
-    variance[-1] += (car.unevenness.share * found.end.uneven) ** 2
+    variance[-1] += (car.unevenness.share * forecast.end.uneven) ** 2
     return rows @ car.mean, np.sqrt(np.maximum(variance, 0.0))
 
 

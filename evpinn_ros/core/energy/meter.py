@@ -116,7 +116,7 @@ class EnergyStates:
         return len(self.stamp_ns)
 
     def __getitem__(self, index: int) -> EnergyState:
-        row = {each.name: getattr(self, each.name)[index].item() for each in fields(self)}
+        row = {field.name: getattr(self, field.name)[index].item() for field in fields(self)}
         sigma, of_predicted = math.sqrt(row["variance"]), row["predicted_sigma"]
         return EnergyState(
             stamp_ns=row["stamp_ns"],
@@ -236,12 +236,14 @@ class MeterCourse:
     @property
     def end(self) -> Counts:
         """All of the block."""
-        return Counts(*(np.array([len(each.order)]) for each in (self.predicted, self.measured)))
+        return Counts(
+            *(np.array([len(arrived.order)]) for arrived in (self.predicted, self.measured))
+        )
 
     def before(self, order: np.ndarray) -> Counts:
         """How much had arrived before others in the order of arrival, shape (k,)."""
         blocks = self.predicted, self.measured
-        return Counts(*(np.searchsorted(each.order, order, side="left") for each in blocks))
+        return Counts(*(np.searchsorted(arrived.order, order, side="left") for arrived in blocks))
 
     def at_predictions(self) -> Counts:
         """How much had arrived with each prediction."""
@@ -322,8 +324,8 @@ class MeterCourse:
             powers[counts] for powers, counts in zip(self.powers, at, strict=True)
         )
         power = np.where(silent, predicted_power, measured_power)
-        used = [each.used[counts] for each, counts in zip(self.integrals, at, strict=True)]
-        gaps = sum(each.gaps[row] for each, row in zip(self.integrals, used, strict=True))
+        used = [integral.used[counts] for integral, counts in zip(self.integrals, at, strict=True)]
+        gaps = sum(integral.gaps[row] for integral, row in zip(self.integrals, used, strict=True))
         rknn, rknn_power = self.rknn[at.predicted].T
         return EnergyStates(
             stamp_ns=self.newest(at),

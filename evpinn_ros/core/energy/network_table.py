@@ -26,8 +26,8 @@ SPEED_STEP, FORCE_STEP = float(GRID_SPEED[1]), float(GRID_FORCE[1] - GRID_FORCE[
 def table_of(network: Network) -> np.ndarray:
     """Force of the network on the grid, N per weight, shape (speeds, forces, NETWORK)."""
     speed, force = np.meshgrid(GRID_SPEED, GRID_FORCE, indexing="ij")
-    found = network.force(speed.ravel(), force.ravel())
-    return np.asarray(found.reshape(*speed.shape, -1))
+    forces = network.force(speed.ravel(), force.ravel())
+    return np.asarray(forces.reshape(*speed.shape, -1))
 
 
 def units_of(network: Network, wheels: Wheels) -> Iterator[tuple[slice, np.ndarray]]:
@@ -76,8 +76,8 @@ def places_of(wheels: Wheels) -> Places:
     floor = namespace(wheels.speed).floor
     speed, force = wheels.speed, wheels.force - float(GRID_FORCE[0])
     x, y = (
-        within(each * (1.0 / step), -math.inf, count - 1.001)
-        for each, step, count in ((speed, SPEED_STEP, SPEEDS), (force, FORCE_STEP, FORCES))
+        within(values * (1.0 / step), -math.inf, count - 1.001)
+        for values, step, count in ((speed, SPEED_STEP, SPEEDS), (force, FORCE_STEP, FORCES))
     )
     below_x, below_y = floor(x), floor(y)
     return Places(below_x, below_y, x - below_x, y - below_y)
@@ -90,8 +90,8 @@ def looked_up(wheels: Wheels, distance: Any, table: np.ndarray) -> Any:
     over that part of the grid where any of them drives.
     """
     batch, places = len(distance), places_of(wheels)
-    (i, slow), (j, weak) = ((each, int(each.min())) for each in places[:2])
-    speeds, forces = (int(each.max()) - low + 2 for each, low in ((i, slow), (j, weak)))
+    (i, slow), (j, weak) = ((axis, int(axis.min())) for axis in places[:2])
+    speeds, forces = (int(axis.max()) - low + 2 for axis, low in ((i, slow), (j, weak)))
     first = speeds * forces * np.arange(batch) - (slow * forces + weak)
     node = whole(i * forces + j + like(first.astype(float), i)[:, None]).ravel()
     count = batch * speeds * forces

@@ -41,8 +41,8 @@ def car_is_possible(car: CarModel) -> bool:
         return False
     if np.diag(car.covariance).min() < 0.0 or car.unevenness.share > MOST_SHARE:
         return False
-    speed, one = np.array([30.0, 10.0, 0.0]), np.ones(3)
-    ride = even_steps(one, speed, 0.0 * speed)._replace(kinetic=0.5 * speed)
+    speed, ones = np.array([30.0, 10.0, 0.0]), np.ones(3)
+    ride = even_steps(ones, speed, 0.0 * speed)._replace(kinetic=0.5 * speed)
     rows = PowerModel(car).rows(ride, Weather(1.2, -30.0))
     power = rows @ car.mean
     variance = ((rows @ car.covariance) * rows).sum(-1) + car.load_variance

@@ -199,12 +199,12 @@ class PowerModel:
             wheels = equation.of_steps(steps, conditions)
             moving = equation.moving_columns(wheels, steps.duration, cold, WARM.tyres)
             columns = np.stack([steps.duration, *moving.values()])
-            found = columns.T @ np.stack([power, *rest[list(moving)]])
+            terms = columns.T @ np.stack([power, *rest[list(moving)]])
             places = places_of(wheels)
             node = whole(places.speed * FORCES + places.force)
             for faster, stronger, share in places.shares(steps.distance):
-                found += network[node + (faster * FORCES + stronger)] * share[:, None]
-            return np.asarray(found)
+                terms += network[node + (faster * FORCES + stronger)] * share[:, None]
+            return np.asarray(terms)
 
         return of_steps
 
@@ -235,24 +235,24 @@ class PowerModel:
         still, moving = unexplained(elapsed, stood, square)
         return self.car.noise[0] * still + self.car.noise[1] * moving
 
-    def difference(self, one: PlanEnd, other: PlanEnd) -> Uncertain:
+    def difference(self, end: PlanEnd, other: PlanEnd) -> Uncertain:
         """Energy that one plan takes more than another, J, and the 1-sigma of that, J.
 
         Both begin at one moment, with one car: what they share cancels. Of one length they are
         taken to lead along one road.
         """
-        car, row = self.car, one.row - other.row
-        _, integral, _ = wandered(np.array([one.elapsed, other.elapsed]))
+        car, row = self.car, end.row - other.row
+        _, integral, _ = wandered(np.array([end.elapsed, other.elapsed]))
         row[State.LOAD] = integral[0] - integral[1]
-        _, alone, rest = wandered(abs(one.elapsed - other.elapsed))
-        shorter = min(one.elapsed, other.elapsed)
+        _, alone, rest = wandered(abs(end.elapsed - other.elapsed))
+        shorter = min(end.elapsed, other.elapsed)
         begun = -math.expm1(-2.0 * shorter / LOAD_TIME) * alone**2
         variance = float(row @ self.covariance @ row) + car.load_variance * (begun + rest)
-        variance += one.noise + other.noise
-        if abs(one.distance - other.distance) > SAME_LENGTH:
-            variance += car.growth * car.weight_over_eta**2 * (one.unseen + other.unseen)
+        variance += end.noise + other.noise
+        if abs(end.distance - other.distance) > SAME_LENGTH:
+            variance += car.growth * car.weight_over_eta**2 * (end.unseen + other.unseen)
         variance = car.trust * max(variance, 0.0)
-        variance += (car.unevenness.share * (one.uneven - other.uneven)) ** 2
+        variance += (car.unevenness.share * (end.uneven - other.uneven)) ** 2
         return Uncertain(float(row @ car.mean), math.sqrt(variance))
 
     def start(self, stood: float | None, prewarmed: float) -> Warmth:
@@ -263,10 +263,10 @@ class PowerModel:
                 drive cold.
             prewarmed: share of the cabin's warmth that the charger gave.
         """
-        found = Warmth.after(self.car.seconds)
+        warmth = Warmth.after(self.car.seconds)
         if stood is not None:
-            found = Warmth.after(self.car.seconds or self.car.last_drive).stood(stood)
-        return found._replace(cabin=found.cabin * (1.0 - prewarmed))
+            warmth = Warmth.after(self.car.seconds or self.car.last_drive).stood(stood)
+        return warmth._replace(cabin=warmth.cabin * (1.0 - prewarmed))
 
     def with_payload(self, payload: float) -> PowerModel:
         """The car with so many kg more than it has; its tyres carry them too."""

@@ -177,7 +177,7 @@ class EnergyIntegral:
         mask = joined(new, self._max_gap, self._recent)
         gap = ~mask
         if first and len(steps):
-            mask, gap = (np.append(np.zeros(1, dtype=bool), each) for each in (mask, gap))
+            mask, gap = (np.append(np.zeros(1, dtype=bool), flags) for flags in (mask, gap))
         drawn, regenerated = (energy * mask for energy in split(steps, begin, power))
         course = Course(
             np.append(0, np.cumsum(taken)),

@@ -144,15 +144,15 @@ class Route:
             raise ValueError("no such route: its distance falls, or a sigma is negative")
 
     @classmethod
-    def from_here(cls, plan: Plan, found: Forecast, odometer: float, stamp_ns: int) -> Route:
+    def from_here(cls, plan: Plan, forecast: Forecast, odometer: float, stamp_ns: int) -> Route:
         """The route of a plan that begins now, where the car is; stamp_ns: 0 if unknown yet."""
-        longest = int(GIVEN_UP * (found.time[-1] - found.time[0]) * NANOSECONDS)
-        along, energy, sigma = plan.distance - plan.distance[0], found.energy, found.sigma
+        longest = int(GIVEN_UP * (forecast.time[-1] - forecast.time[0]) * NANOSECONDS)
+        along, energy, sigma = plan.distance - plan.distance[0], forecast.energy, forecast.sigma
         if len(along) > MOST_POINTS:
             kept = np.linspace(0.0, along[-1], MOST_POINTS)
-            energy, sigma = (np.interp(kept, along, each) for each in (energy, sigma))
+            energy, sigma = (np.interp(kept, along, series) for series in (energy, sigma))
             along = kept
-        distance, energies, sigmas = (tuple(each.tolist()) for each in (along, energy, sigma))
+        distance, energies, sigmas = (tuple(series.tolist()) for series in (along, energy, sigma))
         return cls(distance, energies, sigmas, odometer, stamp_ns, longest)
 
     @property
@@ -248,8 +248,8 @@ def remaining(usable: Uncertain, ahead: Cost | RouteAhead) -> Remaining | None:
         return energy
 
     # The sooner it crosses zero the earlier the car stands: upwards for each of the three.
-    found = [_first_zero(over(quantile)) for quantile in (QUANTILE, 0.0, -QUANTILE)]
-    lower, distance, upper = found
+    distances = [_first_zero(over(quantile)) for quantile in (QUANTILE, 0.0, -QUANTILE)]
+    lower, distance, upper = distances
     if lower is None or distance is None or upper is None:
         return None
     return Remaining(distance, (upper - lower) / (2 * QUANTILE), lower, upper)

@@ -44,7 +44,7 @@ class SavedTrip:
             least = length / BUCKETS
             *full, last = buckets or (Stretch(math.inf, 0.0),)
             fits = len(full) <= BUCKETS and last.distance < least
-            if not fits or any(each.distance < least for each in full):
+            if not fits or any(stretch.distance < least for stretch in full):
                 raise ValueError(f"no window of {length:g} m")
 
 
@@ -87,7 +87,7 @@ class DistanceWindow:
             distance, energy, last = distance[ends + 1 :], energy[ends + 1 :], NOTHING
         if len(metres):
             last = Stretch(float(metres[-1]), float(joules[-1]))
-        whole = math.fsum(each.distance for each in (*full, last))
+        whole = math.fsum(bucket.distance for bucket in (*full, last))
         while full and whole - full[0].distance >= self.length:
             whole -= full.pop(0).distance
         self.buckets = (*full, last)

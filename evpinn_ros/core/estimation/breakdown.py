@@ -109,12 +109,12 @@ class Breakdown(Totals):
 
     def amounts(self) -> dict[str, Amount]:
         """The parts, what they leave unexplained, and what braking brought back beside them."""
-        found = {part.name.lower(): self.of(part) for part in list(Part)[WHOLE]}
+        amounts = {part.name.lower(): self.of(part) for part in list(Part)[WHOLE]}
         explained = float(self.energy[WHOLE].sum())
         unsure = float(self.covariance[WHOLE, WHOLE].sum()) + self.measured_variance + self.noise
-        found[UNEXPLAINED] = self._amount(self.measured - explained, unsure)
-        found[REGAINED] = self.of(Part.REGAINED)
-        return found
+        amounts[UNEXPLAINED] = self._amount(self.measured - explained, unsure)
+        amounts[REGAINED] = self.of(Part.REGAINED)
+        return amounts
 
     def of(self, *chosen: Part) -> Amount:
         """Some parts together."""
@@ -187,10 +187,10 @@ class Breakdowns:
         Both must be longer than `CONSUMPTION_METRES`.
         """
         pair = [drive, base]
-        more, less = (self.drives[each] for each in pair)
+        more, less = (self.drives[drive] for drive in pair)
         scale = np.array([DIFFERENCE_METRES / more.distance, -DIFFERENCE_METRES / less.distance])
         covariance = np.einsum("a,aibj,b->ij", scale, self.covariance[pair][:, :, pair], scale)
-        drawn = [self.drives[each].measured + self.energy[each, Part.REGAINED] for each in pair]
+        drawn = [self.drives[drive].measured + self.energy[drive, Part.REGAINED] for drive in pair]
         lasted = more.seconds, less.seconds
         efolds = math.log(max(drawn[0] / lasted[0], 1.0) / max(drawn[1] / lasted[1], 1.0))
         map_error = MAP_SHARE * efolds * float(np.abs(scale) @ drawn) / 2.0
@@ -201,7 +201,8 @@ class Breakdowns:
             measured=float(scale @ [more.measured, less.measured]),
             measured_variance=float(scale**2 @ [more.measured_variance, less.measured_variance]),
             distance=DIFFERENCE_METRES,
-            unseen=DIFFERENCE_METRES * max(each.unseen / each.distance for each in (more, less)),
+            unseen=DIFFERENCE_METRES
+            * max(parts.unseen / parts.distance for parts in (more, less)),
             noise=float(scale**2 @ [more.noise, less.noise]),
         )
 
@@ -213,7 +214,7 @@ class Breakdowns:
         """
         which = (np.arange(max(owners) + 1)[:, None] == np.array(owners)).astype(float)
         covariance = np.einsum("ad,dier,be->aibr", which, self.covariance, which)
-        whole = which @ [astuple(each) for each in self.drives]
+        whole = which @ [astuple(parts) for parts in self.drives]
         return Breakdowns(which @ self.energy, covariance, tuple(Totals(*row) for row in whole))
 
 
@@ -244,7 +245,7 @@ class DriveParts:
             unseen_of(interval),
             noise,
         )
-        sums = (one + other for one, other in zip(astuple(self.totals), more, strict=True))
+        sums = (ours + other for ours, other in zip(astuple(self.totals), more, strict=True))
         return DriveParts(self.rows + own, Totals(*sums))
 
     def ended(self, state: CarState) -> EndedDrive:
@@ -287,18 +288,18 @@ def breakdowns(
     """Breakdowns of drives that ended and of the one that goes on, by all that was learned."""
     drives = (*ended, now.ended(state))
     mean, covariance = state.mixture()
-    rows = np.concatenate([each.rows for each in drives])
-    unseen = [float(each.rows[Part.REGAINED, _TERMS] @ mean[PHYSICS]) for each in drives]
-    energy = rows @ mean[LASTING] + np.concatenate([each.offset for each in drives])
+    rows = np.concatenate([drive.rows for drive in drives])
+    unseen = [float(drive.rows[Part.REGAINED, _TERMS] @ mean[PHYSICS]) for drive in drives]
+    energy = rows @ mean[LASTING] + np.concatenate([drive.offset for drive in drives])
     whole = rows @ covariance[np.ix_(LASTING, LASTING)] @ rows.T
     weight = GRAVITY * equation.eta * float(mean[State.MASS])
     growth = math.nan if equation.vehicle.in_traffic else state.bands.growth
     shape = len(drives), COUNT
     energy, whole = energy.reshape(shape), whole.reshape(shape + shape)
-    for number, each in enumerate(drives):
-        beside = _beside(energy[number], unseen[number], each.totals, weight, growth)
-        whole[number, :, number] += each.own + beside
-    return Breakdowns(energy, whole, tuple(each.totals for each in drives))
+    for number, drive in enumerate(drives):
+        beside = _beside(energy[number], unseen[number], drive.totals, weight, growth)
+        whole[number, :, number] += drive.own + beside
+    return Breakdowns(energy, whole, tuple(drive.totals for drive in drives))
 
 
 def _beside(
@@ -329,7 +330,7 @@ def _beside(
         NOT_REGAINED * energy[Part.REGAINED] * braking,
         NOT_REGAINED_UNSEEN * regained * braking,
     )
-    own += sum(np.outer(each, each) for each in mistaken)
+    own += sum(np.outer(direction, direction) for direction in mistaken)
     # (m v dv)^2 at both ends
     own[Part.SPEED, Part.SPEED] += 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])
     return own
@@ -355,9 +356,9 @@ def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
     """Share of an unseen net climb that each part is off by, shape (COUNT,), sum 0."""
     friction = _as_friction(unseen)
     air, tyres = np.maximum(energy[[Part.AIR, Part.TYRES]], 0.0) + 1.0
-    found = np.zeros(COUNT)
-    found[Part.SLOPE] = 1.0
-    found[[Part.AIR, Part.TYRES]] = -friction * np.array([air, tyres]) / (air + tyres)
-    found[[Part.BRAKES, Part.STANDING]] = -CLIMB_AS_BRAKES, -CLIMB_AS_STANDING
-    found[Part.DRIVETRAIN] = -found[WHOLE].sum()
-    return found
+    shares = np.zeros(COUNT)
+    shares[Part.SLOPE] = 1.0
+    shares[[Part.AIR, Part.TYRES]] = -friction * np.array([air, tyres]) / (air + tyres)
+    shares[[Part.BRAKES, Part.STANDING]] = -CLIMB_AS_BRAKES, -CLIMB_AS_STANDING
+    shares[Part.DRIVETRAIN] = -shares[WHOLE].sum()
+    return shares

@@ -118,9 +118,9 @@ class LearnedCar:
 
     def breakdowns(self) -> Breakdowns:
         """Energy of this drive, and of those kept before it, by where it went."""
-        drives = [each for _, each in self.ended]
-        found = breakdowns(drives, self.parts, self.state, self.equation)
-        return found.joined([*(number for number, _ in self.ended), self.number])
+        drives = [parts for _, parts in self.ended]
+        of_drives = breakdowns(drives, self.parts, self.state, self.equation)
+        return of_drives.joined([*(number for number, _ in self.ended), self.number])
 
     def forget_road(self) -> LearnedCar:
         """After a jump of time: another place on the road, and the car may have stood."""
@@ -147,7 +147,7 @@ class LearnedCar:
         ended, number = self.ended, self.number
         if self.parts.totals.seconds:
             ended = (*ended, (number, self.parts.ended(car.state)))
-        if not goes_on and any(each == number for each, _ in ended):
+        if not goes_on and any(ended_number == number for ended_number, _ in ended):
             number += 1
         if not (compare or goes_on):
             ended, number = (), 0
@@ -221,8 +221,8 @@ class LearnedCar:
     def _along(self, interval: Interval) -> LearnedCar:
         """The car after the road of one more interval."""
         steps, hills = interval.steps, self.hills
-        one = np.ones(len(steps.duration))
-        path = Path(*steps[:5], interval.conditions.air_density * one, 0.0 * one)
+        ones = np.ones(len(steps.duration))
+        path = Path(*steps[:5], interval.conditions.air_density * ones, 0.0 * ones)
         if interval.height_known:
             hills = hills.plus(abs(interval.distance), float(steps.climb.sum()))
         newest = (*self.steps, path)[-MOST_INTERVALS:]

@@ -307,23 +307,23 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def _parameters(self, clock: _Clock) -> ParameterSet:
         """Parameters of the similar car."""
-        found = self._learner.parameters()
-        return found.stale() if clock.silent_for(STALE_AFTER_NS) else found
+        parameters = self._learner.parameters()
+        return parameters.stale() if clock.silent_for(STALE_AFTER_NS) else parameters
 
     def model(self) -> CarModel | None:
         """The car as forecasts of plans take it; None in the paper's mode."""
-        found = self._learner.model()
-        return None if found is None else self._similarity.model(found)
+        model = self._learner.model()
+        return None if model is None else self._similarity.model(model)
 
     def breakdown(self) -> Breakdown | None:
         """Energy of this drive by where it went; None in the paper's mode, and before any."""
-        found = self.breakdowns()
-        return None if found is None else found.of(-1)
+        breakdowns = self.breakdowns()
+        return None if breakdowns is None else breakdowns.of(-1)
 
     def breakdowns(self) -> Breakdowns | None:
         """Those of all drives that were kept, the present one last."""
-        found = self._learner.breakdowns()
-        return None if found is None else self._similarity.breakdowns(found)
+        breakdowns = self._learner.breakdowns()
+        return None if breakdowns is None else self._similarity.breakdowns(breakdowns)
 
     def evidence(self) -> Evidence:
         """Likelihood of the parameters without their prior (see `estimation.evidence`)."""

@@ -139,8 +139,8 @@ class Tail:
         self._samples.append(sample)
         self._stamps.append(sample.stamp_ns)
         if len(self._stamps) >= 2 * SAMPLES_KEPT:
-            for each in (self._samples, self._stamps, self._sums):
-                del each[:SAMPLES_KEPT]
+            for kept in (self._samples, self._stamps, self._sums):
+                del kept[:SAMPLES_KEPT]
 
     def between(self, start_ns: int, end_ns: int, warmth: Warmth) -> Journey:
         """Journey from one stamp to another, as far as it is remembered."""
@@ -167,7 +167,7 @@ class Tail:
         climb = speed * seconds * math.sin((begin.grade + end.grade) / 2.0)
         motor = np.array([1.0, -1.0]) * end.motor_power * seconds
         moved = seconds, way, air, kinetic, climb, *np.maximum(motor, 0.0)
-        steps = Steps._make((*(np.array([each]) for each in moved), end.motor_scaled))
+        steps = Steps._make((*(np.array([moved_by]) for moved_by in moved), end.motor_scaled))
         rows = self._equation.rows(steps, conditions_of(end), warmth)
         unseen = 0.0 if end.grade or steps.motor_known else way
         return Journey(rows[0], seconds, noise_of(steps), unseen)

@@ -68,7 +68,9 @@ class Network(NamedTuple):
         Speed, m/s, and force at the wheels over the mass, m/s^2, have shape (n,); numpy or torch.
         """
         xp = namespace(speed)
-        inner, bias, outer = (like(each, speed) for each in (self.inner, self.bias, self.outer))
+        inner, bias, outer = (
+            like(weights, speed) for weights in (self.inner, self.bias, self.outer)
+        )
         inputs = xp.stack(((speed - SPEED_CENTRE) / SPEED_SCALE, force / FORCE_SCALE), -1)
         return xp.tanh(inputs @ inner.T + bias) @ outer
 
@@ -102,5 +104,5 @@ def share_of_terms(driving: Driving, terms: np.ndarray, power: np.ndarray) -> np
     """
     root = np.sqrt(driving.seconds)[:, None]
     size = np.sqrt((driving.seconds @ terms**2) / driving.seconds.sum())
-    found = np.linalg.lstsq(root * terms / size, root * power, rcond=None)[0]
-    return np.asarray(found / size[:, None])
+    coefficients = np.linalg.lstsq(root * terms / size, root * power, rcond=None)[0]
+    return np.asarray(coefficients / size[:, None])

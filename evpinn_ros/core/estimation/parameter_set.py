@@ -93,7 +93,10 @@ def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
         Identifiable(*(combined[name].value for name in IDENTIFIABLE_NAMES)),
         Identifiable(*(combined[name].std for name in IDENTIFIABLE_NAMES)),
         reliable,
-        {name: _trust(one.share, 0.0, possible=True) for name, one in combined.items()},
+        {
+            name: _trust(combination.share, 0.0, possible=True)
+            for name, combination in combined.items()
+        },
     )
 
 
@@ -118,28 +121,28 @@ class TrustHysteresis:
         self._trust: dict[str, Trust] = {}
 
     def judge(
-        self, found: ParameterSet, away: Mapping[str, float], *, suspected: bool
+        self, parameter_set: ParameterSet, away: Mapping[str, float], *, suspected: bool
     ) -> ParameterSet:
         """The set with trust that has hysteresis.
 
         Args:
-            found: as made by `parameter_set`.
+            parameter_set: as made by `parameter_set`.
             away: of each parameter from its prior, in prior sigmas.
             suspected: whether the signals contradict each other.
         """
         parameters = {
             name: replace(p, trust=self._next(name, p, away[name], suspected))
-            for name, p in found.parameters.items()
+            for name, p in parameter_set.parameters.items()
         }
         self._trust = {name: p.trust for name, p in parameters.items()}
         wrong = Trust.INVALID in self._trust.values()
-        combined = found.identifiable_trust
+        combined = parameter_set.identifiable_trust
         if suspected:
             combined = dict.fromkeys(combined, Trust.INVALID)
         return replace(
-            found,
+            parameter_set,
             parameters=parameters,
-            reliable=found.reliable and not wrong,
+            reliable=parameter_set.reliable and not wrong,
             identifiable_trust=combined,
         )
 
@@ -158,23 +161,24 @@ class TrustHysteresis:
 
 def _combined(source: Published) -> dict[str, _Combined]:
     """Each identifiable combination."""
-    found = {}
+    combinations = {}
     for name, weights in COMBINATIONS.items():
         direction = np.zeros(len(PARAMETER_NAMES))
         direction[list(weights)] = list(weights.values())
         mean = float(direction @ source.now.mean)
         variance, before = (
-            float(direction @ each.covariance @ direction) for each in (source.now, source.prior)
+            float(direction @ gaussian.covariance @ direction)
+            for gaussian in (source.now, source.prior)
         )
         std = math.sqrt(max(0.0, variance))
         share = variance / before if before > 0.0 else 1.0
         if name in ("c_rr", "p_aux"):
-            found[name] = _Combined(mean, std, share)
+            combinations[name] = _Combined(mean, std, share)
         else:
             area = source.frontal_area if name == "drag_area_over_eta" else 1.0
             value = area * math.exp(mean)
-            found[name] = _Combined(value, value * std, share)
-    return found
+            combinations[name] = _Combined(value, value * std, share)
+    return combinations
 
 
 def _value(name: str, index: int, source: Published) -> tuple[float, float, Limits]:

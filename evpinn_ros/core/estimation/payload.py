@@ -213,8 +213,8 @@ class PayloadDetector:
         mass = math.exp(log) * (equation.eta + float(before.weights @ mean[:, State.ETA]))
         stop = _Trial(done.interval.start_ns, log, mass)
         trial = _tried(stop, state, learned, equation, done)
-        trials = sorted((*self.trials, trial), key=lambda each: each[0].odds)
-        kept = sorted(trials[-FORKS:], key=lambda each: each[0].stamp_ns)
+        trials = sorted((*self.trials, trial), key=lambda trial_and_fork: trial_and_fork[0].odds)
+        kept = sorted(trials[-FORKS:], key=lambda trial_and_fork: trial_and_fork[0].stamp_ns)
         return replace(self, trials=tuple(kept))
 
     def _judge(self, equation: Equation, driven: Driven, moved: float) -> PayloadDetector:
@@ -228,10 +228,12 @@ class PayloadDetector:
                 stop = replace(stop, change=change, significance=significance)
             trials.append((stop, state))
         detector = replace(self, trials=tuple(trials))
-        certain = [each for each in trials if self._decides(each[0])]
+        certain = [trial_and_fork for trial_and_fork in trials if self._decides(trial_and_fork[0])]
         if not certain:
             return detector._give_up(moved)
-        return detector._take(*max(certain, key=lambda each: each[0].significance))
+        return detector._take(
+            *max(certain, key=lambda trial_and_fork: trial_and_fork[0].significance)
+        )
 
     def _decides(self, stop: _Trial) -> bool:
         """True if a stop is certain to have changed the payload."""
@@ -244,13 +246,19 @@ class PayloadDetector:
 
     def _take(self, stop: _Trial, state: CarState) -> PayloadDetector:
         """A change is found, or found to be of a later stop than it seemed."""
-        later = (each for each in self.trials if each[0].stamp_ns > stop.stamp_ns)
+        later = (
+            trial_and_fork
+            for trial_and_fork in self.trials
+            if trial_and_fork[0].stamp_ns > stop.stamp_ns
+        )
         return replace(
             self,
             found=self.found + (not stop.rival),
             change=stop.payload_change(stop.change),
             watched=stop,
-            trials=tuple((replace(each, rival=True), fork) for each, fork in later),
+            trials=tuple(
+                (replace(trial_and_fork, rival=True), fork) for trial_and_fork, fork in later
+            ),
             given_up=(),
             taken=state,
         )
@@ -265,7 +273,11 @@ class PayloadDetector:
                 chance = chance.after(stop.sigmas)
         return replace(
             self,
-            trials=tuple(each for each in self.trials if each[0].motion <= MOST_MOTION),
+            trials=tuple(
+                trial_and_fork
+                for trial_and_fork in self.trials
+                if trial_and_fork[0].motion <= MOST_MOTION
+            ),
             given_up=tuple(stop for stop in given_up if stop.motion <= 2 * MOST_MOTION),
             chance=chance,
         )

@@ -202,8 +202,8 @@ class PinnLearner(Saveable[SavedPinn]):
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters, in the sense of eq. 12-21."""
         if self._projected is None:
-            found = published(self._car.state, self._equation, self._car.driven)
-            self._projected = parameter_set(0, found), deviations(found)
+            projected = published(self._car.state, self._equation, self._car.driven)
+            self._projected = parameter_set(0, projected), deviations(projected)
         now, away = self._projected
         now = replace(now, stamp_ns=self._last_ns or 0)
         return self._trust.judge(now, away, suspected=bool(self._sign.detected))

@@ -211,8 +211,8 @@ def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[Ca
         state = see_motor(state, rows, speed_squared(interval.steps))
     if state.reports and conditions.load_known:
         row = np.zeros(SIZE)
-        for each, power in climate_powers(conditions.celsius, done.warmth).items():
-            row[each] = power
+        for load, power in climate_powers(conditions.celsius, done.warmth).items():
+            row[load] = power
         state = see_reported_climate(state, row, conditions.load, interval.duration)
     return condition(state, done.journey, interval.energy, interval.sampling_variance)
 
@@ -294,8 +294,8 @@ def begin_drive(state: CarState, equation: Equation, *, keep: float = DRIVE_KEPT
     if not state.intervals:
         return forget_road(replace(state, seconds=0.0))
     whole = state.mixture()
-    found = whole.mean[OFFSETS] ** 2 + whole.covariance[OFFSETS, OFFSETS]
-    variance = (state.drives * state.offset_variance + found) / (state.drives + 1.0)
+    squares = whole.mean[OFFSETS] ** 2 + whole.covariance[OFFSETS, OFFSETS]
+    variance = (state.drives * state.offset_variance + squares) / (state.drives + 1.0)
     kept, fresh = np.ones(SIZE), np.zeros((len(state.mean), SIZE))
     kept[OFFSETS] = keep
     fresh[:, OFFSETS] = (1.0 - keep**2) * variance

@@ -91,7 +91,8 @@ class Driven:
             now,
             gram=keep * self.gram + over @ terms,
             cross=keep * self.cross + over @ done.rows[:, BESIDE],
-            braked=keep * self.braked + np.array([float(braking @ each) for each in moved]),
+            braked=keep * self.braked
+            + np.array([float(braking @ energies) for energies in moved]),
             load_known=interval.conditions.load_known,
         )
 
@@ -116,10 +117,10 @@ class Driven:
     def braked_share(self, equation: Equation, terms: np.ndarray) -> float:
         """Braking energy of the prior car over that of a car with these terms, shape (3,)."""
         before = -float(self.braked @ equation.mean[PHYSICS[:3]])
-        found = -float(self.braked @ terms)
-        if min(before, found) < BRAKED_FLOOR:
+        braked_energy = -float(self.braked @ terms)
+        if min(before, braked_energy) < BRAKED_FLOOR:
             return 1.0
-        return float(np.clip(before / found, *SHARE_RANGE))
+        return float(np.clip(before / braked_energy, *SHARE_RANGE))
 
 
 def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarray:
@@ -136,8 +137,8 @@ def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarr
     prior = equation.covariance[np.ix_(PHYSICS, PHYSICS)]
     scale = np.sqrt(np.diag(prior))
     ridge = NOISE_DENSITY * np.linalg.inv(prior / np.outer(scale, scale))
-    found = np.linalg.solve(gram * np.outer(scale, scale) + ridge, scale[:, None] * cross)
-    return np.asarray(scale[:, None] * found)
+    solution = np.linalg.solve(gram * np.outer(scale, scale) + ridge, scale[:, None] * cross)
+    return np.asarray(scale[:, None] * solution)
 
 
 class Published(NamedTuple):
@@ -166,7 +167,7 @@ def published(state: CarState, equation: Equation, driven: Driven) -> Published:
     share = driven.unseen or 0.0
     climb = share * climb_as_rolling(share * driven.distance)  # C_rr is of the whole drive
     for index, std in ((C_RR, climb), (C_D, climb / CLIMB_AS_DRAG)):
-        own, widest = (float(each.covariance[index, index]) for each in (now, before))
+        own, widest = (float(gaussian.covariance[index, index]) for gaussian in (now, before))
         now.covariance[index, index] = max(own, min(own + std**2, widest))
     return Published(now, before, equation.vehicle.frontal_area, hills_seen=share <= MOSTLY_UNSEEN)
 
@@ -205,11 +206,11 @@ def evidence_of(state: CarState, equation: Equation, driven: Driven) -> Evidence
         now.covariance[index, index] += std**2
     scale = np.sqrt(np.diag(before.covariance))
     correlation = before.covariance / np.outer(scale, scale)
-    found = evidence(
+    likelihood = evidence(
         (now.mean - before.mean) / scale, now.covariance / np.outer(scale, scale), correlation
     )
     file_mean, file_std = file_prior(equation.vehicle)
-    return found.about((file_mean - before.mean) / scale, file_std / scale)
+    return likelihood.about((file_mean - before.mean) / scale, file_std / scale)
 
 
 def _pushed(
@@ -231,14 +232,14 @@ def _linear(
     tyres = driven.cold_tyres / max(driven.distance, 1.0)
     theta[1, TYRES] = prior * np.array([coldness(celsius), tyres, 1.0])
     drag, rolling, mass, back = (theta @ mean).tolist()
-    drag, rolling, mass = (max(each, 1e-3) for each in (drag, rolling, mass))
+    drag, rolling, mass = (max(value, 1e-3) for value in (drag, rolling, mass))
     share = driven.braked_share(equation, np.array([drag, rolling, mass]))
     regeneration = min(max(equation.back + share * back, 0.01), 1.5)
     eta = min(max(equation.eta + float(mean[State.ETA]), 0.05), 1.2)
     log_eta, log_mass = state[State.ETA] / eta, theta[2] / mass
     standing = state[State.P_AUX] + state[State.LOAD_DRIVE]
-    for each, power in climate_powers(celsius, WARM).items():
-        standing[each] = power
+    for load, power in climate_powers(celsius, WARM).items():
+        standing[load] = power
     rows = np.array([
         log_eta,
         share * theta[3] / regeneration - log_eta,

@@ -56,10 +56,10 @@ def state_of(saved: SavedState, equation: Equation) -> CarState:
     mean[:, ours] = np.reshape(saved.mean, (count, size))[:, theirs]
     own = np.reshape(saved.covariance, (count, size, size))
     covariance[:, np.array(ours)[:, None], ours] = own[:, np.array(theirs)[:, None], theirs]
-    found = Gaussian(mean, covariance)
+    gaussian = Gaussian(mean, covariance)
     prior = np.sqrt(np.diagonal(fresh.covariance, axis1=1, axis2=2))[:, LASTING]
     away = np.abs(mean - fresh.mean)[:, LASTING] / np.maximum(prior, 1e-9)
-    if not (is_possible(found) and away.max() <= MOST_AWAY):
+    if not (is_possible(gaussian) and away.max() <= MOST_AWAY):
         raise ValueError("the state of the car is out of range")
     variance = np.zeros(len(NAMES))
     variance[OFFSETS] = fresh.offset_variance
@@ -78,9 +78,9 @@ class SavedUnevenness(Unevenness):
     names: tuple[str, ...]
 
 
-def saved_unevenness(found: Unevenness) -> SavedUnevenness:
+def saved_unevenness(unevenness: Unevenness) -> SavedUnevenness:
     """Form that is saved."""
-    return SavedUnevenness(**_fields(found, rows=found.rows.ravel()), names=NAMES)
+    return SavedUnevenness(**_fields(unevenness, rows=unevenness.rows.ravel()), names=NAMES)
 
 
 def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
@@ -95,10 +95,10 @@ def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
     if len(ours) < SIZE:
         rows += saved.metres[..., None] * prior_rows(equation)
     rows[..., ours] = np.reshape(saved.rows, (*SHAPE, len(saved.names)))[..., theirs]
-    found = Unevenness(**_fields(saved, rows=rows))
-    if found.share > MOST_SHARE:
+    unevenness = Unevenness(**_fields(saved, rows=rows))
+    if unevenness.share > MOST_SHARE:
         raise ValueError("the scatter of the unevenness is out of range")
-    return found
+    return unevenness
 
 
 def _fields(value: CarState | Unevenness, **others: np.ndarray) -> dict[str, Any]:

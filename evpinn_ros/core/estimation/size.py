@@ -61,56 +61,56 @@ class Similarity:
         return _scaled(reading, 1.0 / self.size, *EXTENSIVE_FIELDS.get(type(reading), ()))
 
     @overload
-    def estimate(self, found: PowerEstimate) -> PowerEstimate: ...
+    def estimate(self, estimate: PowerEstimate) -> PowerEstimate: ...
 
     @overload
-    def estimate(self, found: ParameterSet) -> ParameterSet: ...
+    def estimate(self, estimate: ParameterSet) -> ParameterSet: ...
 
-    def estimate(self, found: PowerEstimate | ParameterSet) -> PowerEstimate | ParameterSet:
+    def estimate(self, estimate: PowerEstimate | ParameterSet) -> PowerEstimate | ParameterSet:
         """An estimate of the car as one of the vehicle."""
-        if isinstance(found, PowerEstimate):
-            return _scaled(found, self.size, "power", "sigma", "energy", "energy_sigma")
-        parameters = dict(found.parameters)
+        if isinstance(estimate, PowerEstimate):
+            return _scaled(estimate, self.size, "power", "sigma", "energy", "energy_sigma")
+        parameters = dict(estimate.parameters)
         for name in EXTENSIVE:
             parameters[name] = _scaled(
                 parameters[name], self.size, "value", "std", "lower", "upper"
             )
         return replace(
-            found,
+            estimate,
             parameters=parameters,
-            identifiable=_scaled(found.identifiable, self.size, *EXTENSIVE_SUMS),
-            identifiable_std=_scaled(found.identifiable_std, self.size, *EXTENSIVE_SUMS),
+            identifiable=_scaled(estimate.identifiable, self.size, *EXTENSIVE_SUMS),
+            identifiable_std=_scaled(estimate.identifiable_std, self.size, *EXTENSIVE_SUMS),
         )
 
-    def model(self, found: CarModel) -> CarModel:
+    def model(self, model: CarModel) -> CarModel:
         """The car as forecasts take it, with the equation of the vehicle."""
         if self.size == 1.0:
-            return found
-        uneven = found.unevenness
+            return model
+        uneven = model.unevenness
         return replace(
-            _scaled(found, self.size**2, "noise", "load_variance"),
-            equation=equation_of(self._vehicle, found.equation.seed),
-            mean=self._states * found.mean,
-            covariance=np.outer(self._states, self._states) * found.covariance,
+            _scaled(model, self.size**2, "noise", "load_variance"),
+            equation=equation_of(self._vehicle, model.equation.seed),
+            mean=self._states * model.mean,
+            covariance=np.outer(self._states, self._states) * model.covariance,
             unevenness=replace(uneven, rows=self.size / self._states * uneven.rows),
         )
 
-    def breakdowns(self, found: Breakdowns) -> Breakdowns:
+    def breakdowns(self, breakdowns: Breakdowns) -> Breakdowns:
         """Energies of drives by part."""
-        drives = (_scaled(each, self.size, "measured") for each in found.drives)
+        drives = (_scaled(parts, self.size, "measured") for parts in breakdowns.drives)
         square = self.size**2
         return Breakdowns(
-            self.size * found.energy,
-            square * found.covariance,
-            tuple(_scaled(each, square, "measured_variance", "noise") for each in drives),
+            self.size * breakdowns.energy,
+            square * breakdowns.covariance,
+            tuple(_scaled(parts, square, "measured_variance", "noise") for parts in drives),
         )
 
-    def report(self, found: LearnerReport) -> LearnerReport:
+    def report(self, report: LearnerReport) -> LearnerReport:
         """Changes of payload, in kg of the vehicle."""
-        change = found.payload_change
+        change = report.payload_change
         if change is None:
-            return found
-        return found._replace(payload_change=_scaled(change, self.size, "delta_mass", "std"))
+            return report
+        return report._replace(payload_change=_scaled(change, self.size, "delta_mass", "std"))
 
 
 def _scaled(value: Value, size: float, *fields: str) -> Value:

@@ -130,11 +130,11 @@ def read_half(path: Path, half: Half) -> tuple[State | None, str | None]:
     """
     content = read_state(path)
     halves = {} if content is None else _halves(content, half)
-    found = halves.get(half.value)
-    if found is None and half is Half.ENERGY:
-        found = read_state(account_path(path))
-    if found is not None or not halves:
-        return found, None
+    half_state = halves.get(half.value)
+    if half_state is None and half is Half.ENERGY:
+        half_state = read_state(account_path(path))
+    if half_state is not None or not halves:
+        return half_state, None
     return None, f"{path}: holds no '{half.value}' of the car, which begins anew; the rest is used"
 
 
@@ -154,7 +154,7 @@ def read_state(path: Path) -> dict[str, Any] | None:
         raise InputError(f"{path}: not a saved state: {error}") from error
     if not isinstance(state, dict) or (
         KEYS & state.keys()
-        and not (state.keys() <= KEYS and all(isinstance(each, dict) for each in state.values()))
+        and not (state.keys() <= KEYS and all(isinstance(part, dict) for part in state.values()))
     ):
         raise InputError(f"{path}: not a saved state")
     return state

@@ -211,16 +211,16 @@ class Equation:
         """
         wheels = wheels or self.of_steps(steps, conditions)
         cold = coldness(conditions.celsius)
-        found = self.moving_rows(wheels, steps.duration, cold, warmth.tyres)
+        rows = self.moving_rows(wheels, steps.duration, cold, warmth.tyres)
         columns: dict[State, Any] = {}
         if steps.motor_known:
-            found[..., WHEELS] = 0.0
+            rows[..., WHEELS] = 0.0
             columns = self._motor_columns(steps)
         for state, power in standing_powers(conditions, warmth).items():
             columns[state] = power * steps.duration
         for state, column in columns.items():
-            found[..., state] = column
-        return np.asarray(found)
+            rows[..., state] = column
+        return np.asarray(rows)
 
     def moving_rows(self, wheels: Wheels, duration: Any, cold: Any, tyres: Any) -> Any:
         """Rows of what moves the car, without loads: shape (..., n, SIZE), numpy or torch.
@@ -273,7 +273,7 @@ class Equation:
             cold: tens of K below a mild day.
             tyres: coldness of the tyres, a number or of shape (n,).
         """
-        found, by_step = np.zeros((COUNT, SIZE)), np.zeros((4, *rows.shape))
+        parts, by_step = np.zeros((COUNT, SIZE)), np.zeros((4, *rows.shape))
         rolling = float(self.mean[State.ROLLING]) * wheels.rolling
         by_step[Part.AIR, :, State.DRAG] = wheels.drag
         by_step[Part.TYRES, :, State.ROLLING] = wheels.rolling
@@ -286,17 +286,17 @@ class Equation:
         prior[PHYSICS[:3]] = self.mean[PHYSICS[:3]]
         by_step *= self.eta
         by_step[..., State.ETA] = by_step @ prior / self.eta
-        found[:4] = by_step.sum(1)
+        parts[:4] = by_step.sum(1)
         moving = rows.copy()
         moving[:, CLIMATE + STANDING_LOADS] = 0.0
         back = self._braked(moving, wheels)
-        lost = moving.sum(0) - found[:4].sum(0)
-        found[Part.BRAKES] = back - (1.0 - wheels.driving) @ by_step.sum(0)
-        found[Part.DRIVETRAIN] = lost - found[Part.BRAKES]
-        found[Part.REGAINED] = -back
-        found[Part.CLIMATE, CLIMATE] = rows[:, CLIMATE].sum(0)
-        found[Part.STANDING, STANDING_LOADS] = rows[:, STANDING_LOADS].sum(0)
-        return found
+        lost = moving.sum(0) - parts[:4].sum(0)
+        parts[Part.BRAKES] = back - (1.0 - wheels.driving) @ by_step.sum(0)
+        parts[Part.DRIVETRAIN] = lost - parts[Part.BRAKES]
+        parts[Part.REGAINED] = -back
+        parts[Part.CLIMATE, CLIMATE] = rows[:, CLIMATE].sum(0)
+        parts[Part.STANDING, STANDING_LOADS] = rows[:, STANDING_LOADS].sum(0)
+        return parts
 
     def _braked(self, moving: np.ndarray, wheels: Wheels) -> np.ndarray:
         """Energy by state, J per unit, shape (SIZE,), of what moves the car while it brakes.
@@ -357,15 +357,15 @@ class Equation:
 
 def standing_powers(conditions: Conditions, warmth: Warmth) -> dict[State, Any]:
     """Standing power by state, W per unit; what is not among them is zero."""
-    found = dict.fromkeys(STANDING_LOADS, 1.0)
+    powers = dict.fromkeys(STANDING_LOADS, 1.0)
     known = conditions.load_known
     climate = climate_powers(conditions.celsius, warmth)
     if known is False:
-        return found | climate
-    found |= {State.REPORTED: conditions.load, State.DOUBTED: conditions.doubted_load}
+        return powers | climate
+    powers |= {State.REPORTED: conditions.load, State.DOUBTED: conditions.doubted_load}
     if known is True:
-        return found
-    return found | {state: power * ~known for state, power in climate.items()}
+        return powers
+    return powers | {state: power * ~known for state, power in climate.items()}
 
 
 def climate_powers(celsius: Any, warmth: Warmth) -> dict[State, Any]:

@@ -120,11 +120,11 @@ class Unevenness:
         if not drive.duration.size or not np.abs(drive.distance).sum():
             return self
         driven = _moving(equation, drive)
-        found = self._judged(equation, mean, drive, driven)
+        judged = self._judged(equation, mean, drive, driven)
         kept = math.exp(-float(np.abs(drive.distance).sum()) / MEMORY_METRES)
         metres, rows = kept * self.metres, kept * self.rows
         _add_drive(metres, rows, equation, drive, driven)
-        return replace(found, metres=metres, rows=rows)
+        return replace(judged, metres=metres, rows=rows)
 
     def _judged(
         self, equation: Equation, mean: np.ndarray, drive: Path, driven: np.ndarray
@@ -133,12 +133,12 @@ class Unevenness:
         if np.abs(drive.distance).sum() < JUDGED_DRIVE_METRES:
             return self
         legs = drive.legs(_cut(np.abs(drive.distance), JUDGED_METRES))
-        each = self.of_legs(equation, legs) @ mean
-        found = float((driven.sum(0) - even_rows(equation, legs).sum(0)) @ mean)
-        size = float(size_of(np.abs(each), stops_of(legs, mean))[-1])
+        of_each = self.of_legs(equation, legs) @ mean
+        extra = float((driven.sum(0) - even_rows(equation, legs).sum(0)) @ mean)
+        size = float(size_of(np.abs(of_each), stops_of(legs, mean))[-1])
         if size == 0.0:
             return self
-        ratio = min(((found - float(each.sum())) / size) ** 2, MOST_RATIO)
+        ratio = min(((extra - float(of_each.sum())) / size) ** 2, MOST_RATIO)
         return replace(
             self,
             squares=SPREAD_KEPT * self.squares + ratio,
@@ -169,10 +169,10 @@ def size_of(energy: np.ndarray, stops: np.ndarray) -> np.ndarray:
 def per_leg(legs: Path | Steps, table: np.ndarray) -> np.ndarray:
     """Numbers of n legs, (n, k), from such per metre at each node, shape (*SHAPE, k)."""
     way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
-    found = np.zeros((len(way), table.shape[-1]))
+    of_legs = np.zeros((len(way), table.shape[-1]))
     for speed, duration, share in _nodes(legs):
-        found += table[speed, duration] * (share * way)[:, None]
-    return found
+        of_legs += table[speed, duration] * (share * way)[:, None]
+    return of_legs
 
 
 def _add_drive(
@@ -264,7 +264,7 @@ def _nodes(legs: Path | Steps) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]
     """The four nodes about each leg: numbers of speed and duration, and its share in each."""
     speeds = _between(np.abs(legs.distance) / legs.duration, MIDDLES)
     durations = _between(np.log(legs.duration), np.log(DURATIONS))
-    return [(i, j, one * other) for i, one in speeds for j, other in durations]
+    return [(i, j, share * other) for i, share in speeds for j, other in durations]
 
 
 def _between(values: np.ndarray, nodes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -289,20 +289,20 @@ def prior_rows(equation: Equation) -> np.ndarray:
     places = np.indices(SHAPE).reshape(2, -1).T
     there = places[metres.ravel() >= NODE_METRES]
     away = np.abs(places[:, None] - there) @ (1, len(MIDDLES))  # rather of another speed
-    found = tuple(there[away.argmin(1)].T)
-    return np.asarray((rows[found] / metres[found][:, None]).reshape(rows.shape))
+    nearest = tuple(there[away.argmin(1)].T)
+    return np.asarray((rows[nearest] / metres[nearest][:, None]).reshape(rows.shape))
 
 
 def _drive_of(speed: np.ndarray, density: float) -> Path:
     """A drive on a flat road from its speed once a second, m/s."""
     start, end = speed[:-1], speed[1:]
-    one = np.ones_like(start)
+    ones = np.ones_like(start)
     return Path(
-        duration=one,
+        duration=ones,
         distance=(start + end) / 2.0,
         air=(start + end) * (start**2 + end**2) / 4.0,
         kinetic=(end**2 - start**2) / 2.0,
-        climb=0.0 * one,
-        density=density * one,
-        wind=0.0 * one,
+        climb=0.0 * ones,
+        density=density * ones,
+        wind=0.0 * ones,
     )

@@ -53,11 +53,11 @@ class AltitudeDetector:
     def after(self, odometer: float, altitude: float) -> AltitudeDetector:
         """The detector after an altitude, where the odometer shows so many m."""
         place, before = self.last or (odometer, altitude)
-        found = altitude - before
-        moved_at = odometer if found else self.moved_at
+        step = altitude - before
+        moved_at = odometer if step else self.moved_at
         stuck = ONE_ALTITUDE.judge(self.stuck, odometer - moved_at)
-        leaps = abs(found) > LEAP + STEEPEST * abs(odometer - place)
-        rise = None if stuck else Rise(place, 0.0 if leaps else found)
+        leaps = abs(step) > LEAP + STEEPEST * abs(odometer - place)
+        rise = None if stuck else Rise(place, 0.0 if leaps else step)
         return AltitudeDetector((odometer, altitude), moved_at, stuck, rise)
 
 

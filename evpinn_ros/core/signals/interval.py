@@ -168,12 +168,12 @@ class IntervalBuilder:
         stamps = self._speed.stamps
         last = self._edges[-1].stamp_ns if self._edges else None
         first = 0 if last is None else bisect_right(stamps, last)
-        found = []
+        edges = []
         for stamp_ns in stamps[first : bisect_right(stamps, settled_ns)]:
             if last is None or stamp_ns - last >= STEP * NANOSECONDS - LAG_TOLERANCE_NS:
-                found.append(stamp_ns)
+                edges.append(stamp_ns)
                 last = stamp_ns
-        return found
+        return edges
 
     def _add_edge(self, stamp_ns: int) -> None:
         conditions = self._road.conditions(stamp_ns)

@@ -149,16 +149,16 @@ class Speeds(NamedTuple):
         few = until < MIN_POINTS
         normal[few] = np.eye(3)
         try:
-            found = np.linalg.solve(normal, basis @ self.values[index][..., None])[..., 0]
+            coefficients = np.linalg.solve(normal, basis @ self.values[index][..., None])[..., 0]
         except np.linalg.LinAlgError:
             if len(moments) > 1:
                 alone = [self.smoothed(*pair) for pair in zip(*_ones(moments, until), strict=True)]
                 speeds, accelerations = zip(*alone, strict=True)
                 return np.concatenate(speeds), np.concatenate(accelerations)
             few = np.array([True])
-            found = np.empty((1, 3))
-        found[few, 0], found[few, 1] = self.values[until[few] - 1], np.nan
-        return found[:, 0], found[:, 1]
+            coefficients = np.empty((1, 3))
+        coefficients[few, 0], coefficients[few, 1] = self.values[until[few] - 1], np.nan
+        return coefficients[:, 0], coefficients[:, 1]
 
     def slopes(self, moments: np.ndarray, until: np.ndarray) -> np.ndarray:
         """Mean slope of speed over each span of `PROFILE_EDGES` around moments, m/s^2.

@@ -75,7 +75,7 @@ class BatteryTrack:
     def next_ns(self, stamp_ns: int) -> int | None:
         """First moment from which on both are known at `stamp_ns`, None while one is not."""
         after = [track.next_ns(stamp_ns) for track in self._tracks]
-        known = [each for each in after if each is not None]
+        known = [stamp_ns for stamp_ns in after if stamp_ns is not None]
         return max(known) if len(known) == 2 else None
 
     def at(self, stamp_ns: int) -> float:

@@ -69,7 +69,7 @@ class SignDetector:
         if abs(sample.acceleration) < HARD or sample.speed < MOVING:
             return self
         keep = math.exp(-step / MEMORY)
-        signed, size, seconds = (keep * each for each in self.sums)
+        signed, size, seconds = (keep * total for total in self.sums)
         signed += math.copysign(power, power * sample.acceleration) * step
         size += abs(power) * step
         seconds += step

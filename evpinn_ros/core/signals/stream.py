@@ -243,11 +243,11 @@ class SampleStream:
         """Compute what rests on speed alone for this one and those that follow it in order."""
         zero_ns = reading.stamp_ns
         run = [reading, *self._following(reading)]
-        stamps = np.array([each.stamp_ns - zero_ns for each in run], np.int64)
+        stamps = np.array([speed.stamp_ns - zero_ns for speed in run], np.int64)
         pending = np.array([moment_ns - zero_ns for moment_ns in self._moments], np.int64)
         oldest_ns = min([zero_ns, *self._moments]) - LOOK_BACK_NS
         before = self._speed.since(oldest_ns, zero_ns)
-        values = np.concatenate((before.values, [each.speed for each in run]))
+        values = np.concatenate((before.values, [speed.speed for speed in run]))
         speeds = Speeds(np.concatenate((before.stamps, stamps)), values)
         own = len(before.stamps) + 1 + np.arange(len(run))  # speeds up to each
         differences, slopes = speeds.differences(stamps), speeds.slopes(stamps, own)

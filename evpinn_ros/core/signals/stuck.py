@@ -115,16 +115,18 @@ class StuckDetector:
     def after(self, reading: Reading) -> StuckDetector:
         """The detector after a reading of any kind."""
         if isinstance(reading, SpeedReading):
-            found = self._moved(reading)._after_speed(reading)
+            detector = self._moved(reading)._after_speed(reading)
         elif isinstance(reading, BatteryReading) and math.isfinite(reading.power):
-            found = self._after_battery(reading)
+            detector = self._after_battery(reading)
         else:
             return self
-        if (reason := found.detected) is None and found.speed.doubted:
+        if (reason := detector.detected) is None and detector.speed.doubted:
             reason = SPEED_REPEATS
         if reason is None:
-            return found
-        return found._spoil(reason, found.battery if reason == BATTERY_STUCK else found.speed)
+            return detector
+        return detector._spoil(
+            reason, detector.battery if reason == BATTERY_STUCK else detector.speed
+        )
 
     def why_not(self, begin_ns: int, end_ns: int) -> str | None:
         """Reason not to learn of a time that lies behind, or None."""
@@ -146,29 +148,33 @@ class StuckDetector:
         return moved._spoil(SPEED_REPEATS, self.speed) if leapt else moved
 
     def _after_speed(self, reading: SpeedReading) -> StuckDetector:
-        found = self.speed.repeated(reading.stamp_ns, reading.speed)
+        repetition = self.speed.repeated(reading.stamp_ns, reading.speed)
         if abs(reading.speed) > MOVING:
             stuck, doubt = FINE_SPEED, FINE_DOUBT
             if self.step >= FINE:
                 stuck, doubt = COARSE_SPEED, COARSE_DOUBT
-            swing = found.high - found.low
-            found = found.judged(stuck, swing)
-            found = found._replace(doubted=doubt.judge(found.doubted, swing, found.seconds))
+            swing = repetition.high - repetition.low
+            repetition = repetition.judged(stuck, swing)
+            repetition = repetition._replace(
+                doubted=doubt.judge(repetition.doubted, swing, repetition.seconds)
+            )
         battery = self.battery.beside(reading.stamp_ns, reading.speed)
-        return StuckDetector(found, battery, self.step, self.spoilt)
+        return StuckDetector(repetition, battery, self.step, self.spoilt)
 
     def _after_battery(self, reading: BatteryReading) -> StuckDetector:
         values = reading.voltage, reading.current
-        found = self.battery.repeated(reading.stamp_ns, values)
+        repetition = self.battery.repeated(reading.stamp_ns, values)
         idle = abs(reading.power) < IDLE_POWER
-        found = found.judged(BATTERY_REPEATS, found.climb if idle else found.high - found.low)
+        repetition = repetition.judged(
+            BATTERY_REPEATS, repetition.climb if idle else repetition.high - repetition.low
+        )
         speed = self.speed.beside(reading.stamp_ns, reading.power)
-        return StuckDetector(speed, found, self.step, self.spoilt)
+        return StuckDetector(speed, repetition, self.step, self.spoilt)
 
-    def _spoil(self, reason: str, found: Repetition) -> StuckDetector:
+    def _spoil(self, reason: str, repetition: Repetition) -> StuckDetector:
         """Learn nothing of the time in which a value repeated so far."""
         before = self.spoilt
-        if before and before[-1][:2] == (reason, found.since_ns):
+        if before and before[-1][:2] == (reason, repetition.since_ns):
             before = before[:-1]
-        last = Spoilt(reason, found.since_ns, found.newest_ns)
+        last = Spoilt(reason, repetition.since_ns, repetition.newest_ns)
         return replace(self, spoilt=(*before, last)[-SPOILT_KEPT:])

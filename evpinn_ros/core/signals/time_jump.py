@@ -194,11 +194,11 @@ class StampGuard:
     def _catch_up(self, stamp_ns: int, threshold_ns: int) -> Iterator[Any]:
         """Pass on what was held and is in no doubt once time has come to this stamp."""
         held, self._held, self._newest_ns = self._held, [], stamp_ns
-        for each in held:
-            if self._leap_ns(each.source, each.stamp_ns, threshold_ns) == 0:
-                yield self._passed(each.source, each.stamp_ns, each.item)
+        for entry in held:
+            if self._leap_ns(entry.source, entry.stamp_ns, threshold_ns) == 0:
+                yield self._passed(entry.source, entry.stamp_ns, entry.item)
             else:
-                self._hold(each)
+                self._hold(entry)
 
     def _of_a_second_publisher(self, source: object, stamp_ns: int, leap_ns: int) -> bool:
         """True if a stamp belongs to a time that was left and is not to be followed again."""
@@ -215,7 +215,9 @@ class StampGuard:
     def _continued(self, stamp_ns: int, leap_ns: int) -> _Left | None:
         """The time left lately that a leaping stamp continues."""
         now_ns = stamp_ns - leap_ns
-        self._left = [each for each in self._left if now_ns - each.seen_ns <= SILENT_NS]
+        self._left = [
+            timeline for timeline in self._left if now_ns - timeline.seen_ns <= SILENT_NS
+        ]
         self._came_back &= bool(self._left)
         return next((x for x in self._left if x.continued_by(stamp_ns, leap_ns)), None)
 
@@ -244,13 +246,13 @@ class StampGuard:
     def _leap(self, stamp_ns: int, leap_ns: int) -> Iterator[Any | Jump]:
         """Begin a new stretch of time, with what was held and belongs to it."""
         held, self._held = self._held, []
-        kept = [each for each in held if abs(each.stamp_ns - stamp_ns) <= AGREE_NS]
+        kept = [entry for entry in held if abs(entry.stamp_ns - stamp_ns) <= AGREE_NS]
         self._drop(len(held) - len(kept))
         self._clock_went_back = False
         if (again := self._continued(stamp_ns, leap_ns)) is not None:
             self._left.remove(again)
             self._came_back = True
-        left_ns, self._newest_ns = stamp_ns - leap_ns, max(each.stamp_ns for each in kept)
+        left_ns, self._newest_ns = stamp_ns - leap_ns, max(entry.stamp_ns for entry in kept)
         self._left = [*self._left[1 - MOST_LEFT :], _Left(left_ns, leap_ns < 0, self._newest_ns)]
         if leap_ns < 0:
             self.jumps += 1
@@ -258,11 +260,11 @@ class StampGuard:
             yield Jump(-leap_ns / NANOSECONDS)
         self._ahead_ns.clear()
         self._leader_ns = None
-        for each in kept:
-            self._own_ns[each.source] = max(each.stamp_ns, self._own_ns.get(each.source, 0))
-            if each.source == self._leader:
-                self._step_to(each.stamp_ns)
-        yield from (each.item for each in kept)
+        for entry in kept:
+            self._own_ns[entry.source] = max(entry.stamp_ns, self._own_ns.get(entry.source, 0))
+            if entry.source == self._leader:
+                self._step_to(entry.stamp_ns)
+        yield from (entry.item for entry in kept)
 
     def _step_to(self, stamp_ns: int) -> None:
         """The leader came to this stamp."""

@@ -138,11 +138,11 @@ class Vehicle:
         )
 
     def _similar(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
-        found = dict(priors)
-        for name in EXTENSIVE if found else ():
-            value, std, source = astuple(found[name])
-            found[name] = Prior(value / self.relative_size, std / self.relative_size, source)
-        return found
+        scaled = dict(priors)
+        for name in EXTENSIVE if scaled else ():
+            value, std, source = astuple(scaled[name])
+            scaled[name] = Prior(value / self.relative_size, std / self.relative_size, source)
+        return scaled
 
     @property
     def correlation(self) -> np.ndarray:
@@ -223,14 +223,14 @@ def _key_of(text: str) -> str:
     words = words_of(text)
     named = find_vehicles(text) if words else {}
     # What is measured goes before what is only rated.
-    found = {key: name for key, name in named.items() if key not in rated_cars()} or named
-    close = [key for key, name in found.items() if {*words_of(name)[1:]} <= {*words}]
-    for keys in (list(found), close):
+    candidates = {key: name for key, name in named.items() if key not in rated_cars()} or named
+    close = [key for key, name in candidates.items() if {*words_of(name)[1:]} <= {*words}]
+    for keys in (list(candidates), close):
         if len(keys) == 1:
             return keys[0]
-    if found:
+    if candidates:
         raise InputError(
-            f"no vehicle named {text!r} alone; these have such names: {_some([*found])}"
+            f"no vehicle named {text!r} alone; these have such names: {_some([*candidates])}"
         )
     names = known_vehicles()
     near = get_close_matches("_".join(words), names, FEW // 2, LIKENESS)
@@ -335,22 +335,22 @@ def _correlations(section: Section) -> dict[tuple[str, str], float]:
     for name, others in given.items():
         later = PARAMETER_NAMES[PARAMETER_NAMES.index(name) + 1 :]
         others.refuse_unknown(later)
-    found = {
-        (one, other): given[one].number(other, -1.0, 1.0)
-        for one, other in combinations(PARAMETER_NAMES, 2)
-        if one in given and given[one].has(other)
+    correlations = {
+        (name, other): given[name].number(other, -1.0, 1.0)
+        for name, other in combinations(PARAMETER_NAMES, 2)
+        if name in given and given[name].has(other)
     }
-    if np.linalg.eigvalsh(_matrix(found)).min() < LEAST_EIGENVALUE:
+    if np.linalg.eigvalsh(_matrix(correlations)).min() < LEAST_EIGENVALUE:
         raise section.error("no quantities can have these correlations together")
-    return found
+    return correlations
 
 
 def _matrix(correlations: Mapping[tuple[str, str], float]) -> np.ndarray:
     """Shape (6, 6), symmetric."""
     matrix = np.eye(len(PARAMETER_NAMES))
     for pair, value in correlations.items():
-        one, other = map(PARAMETER_NAMES.index, pair)
-        matrix[one, other] = matrix[other, one] = value
+        row, other = map(PARAMETER_NAMES.index, pair)
+        matrix[row, other] = matrix[other, row] = value
     return matrix
 
 

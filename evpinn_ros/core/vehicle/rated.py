@@ -78,9 +78,9 @@ class RatedCar:
         noise = np.diag(np.square((MASS_SPREAD, ENERGY_SPREAD)))
         mean = start
         for _ in range(3):  # the energy is not quite linear in logarithms
-            found, rows = _facts(np.exp(mean))
+            expected, rows = _facts(np.exp(mean))
             gain = before @ rows.T @ np.linalg.inv(rows @ before @ rows.T + noise)
-            mean = start + gain @ (facts - found - rows @ (start - mean))
+            mean = start + gain @ (facts - expected - rows @ (start - mean))
         covariance = before - gain @ rows @ before
         spread = np.sqrt(np.diag(covariance))
         now = {
@@ -114,7 +114,7 @@ def _facts(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     step = 1e-4
     energy = cycle_energy(values)
     moved = values * (1.0 + step * np.eye(len(FACTORS)))
-    slopes = [(cycle_energy(each) / energy - 1.0) / step for each in moved]
+    slopes = [(cycle_energy(car) / energy - 1.0) / step for car in moved]
     rows = np.stack((np.eye(len(FACTORS))[FACTORS.index("mass")], slopes))
     return np.log([values[FACTORS.index("mass")], energy]), rows
 

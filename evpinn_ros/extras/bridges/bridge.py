@@ -126,9 +126,9 @@ class MqttBridge:
         if message is not None:
             self._take(message)
         now_ns = self._clock()
-        for each in self._seen.values():
-            self._feed(each, each.snapshots.flush(now_ns))
-            self._publish_due(each, now_ns)
+        for known_car in self._seen.values():
+            self._feed(known_car, known_car.snapshots.flush(now_ns))
+            self._publish_due(known_car, now_ns)
         if is_due(self._saved_ns, now_ns, SAVE_NS):
             self.save()
             self._saved_ns = now_ns
@@ -162,8 +162,8 @@ class MqttBridge:
     def _take(self, message: Message) -> None:
         if message.topic == self.settings.birth_topic:
             if message.payload == ONLINE.encode() and not message.retained:
-                for each in self._seen.values():
-                    self._announce(each)
+                for known_car in self._seen.values():
+                    self._announce(known_car)
             return
         parsed = self.settings.layout.parse(message.topic, message.payload)
         seen = None if parsed is None else self._car(parsed.car)

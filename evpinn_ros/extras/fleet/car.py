@@ -78,14 +78,14 @@ def learn_car(task: CarTask) -> CarDone:
     limit_blas_threads()
     _stop_if(task.stop)
     vehicle = task.drives.vehicle
-    found = _Found(task.folder, vehicle)
-    inputs = [_Input.of(path, found) for path in task.drives.drives]
-    ordered = sorted((one for one in inputs if one.problem is None), key=_Input.order)
-    kept = found.keep([one.fingerprint for one in ordered])
-    for one in ordered[kept:]:
-        found.add(one, *_learn(one, vehicle, found.state, lambda _: _stop_if(task.stop)))
-    found.note_unreadable([one for one in inputs if one.problem is not None])
-    failed = len(inputs) - sum(row["samples"] > 0 for row in found.rows)
+    learned = _Found(task.folder, vehicle)
+    inputs = [_Input.of(path, learned) for path in task.drives.drives]
+    ordered = sorted((drive for drive in inputs if drive.problem is None), key=_Input.order)
+    kept = learned.keep([drive.fingerprint for drive in ordered])
+    for drive in ordered[kept:]:
+        learned.add(drive, *_learn(drive, vehicle, learned.state, lambda _: _stop_if(task.stop)))
+    learned.note_unreadable([drive for drive in inputs if drive.problem is not None])
+    failed = len(inputs) - sum(row["samples"] > 0 for row in learned.rows)
     return CarDone(task.drives.car, len(ordered) - kept, kept, failed)
 
 

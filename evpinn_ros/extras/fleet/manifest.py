@@ -99,8 +99,8 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
             raise InputError(f"{line.where}: car '{line.car}' is a {line.vehicle} and a {first}")
         if line.vehicle not in vehicles:
             vehicles[line.vehicle] = _vehicle(line, path.parent)
-        for found in _matching(line.pattern, path.parent, line.where):
-            for drive in _recordings(found):
+        for matched in _matching(line.pattern, path.parent, line.where):
+            for drive in _recordings(matched):
                 real = os.path.realpath(drive)  # links may lead to one drive by two names
                 if real not in owner:
                     drives.setdefault(line.car, set()).add(drive)

@@ -169,13 +169,13 @@ class LiveData:
 
     def vector(self, topic: Topic) -> Mapping[str, float]:
         """The last values of a named vector, empty before the first."""
-        found = self._vectors.get(topic)
-        return {} if found is None else found.values
+        vector = self._vectors.get(topic)
+        return {} if vector is None else vector.values
 
     def sigmas(self, topic: Topic) -> Mapping[str, float]:
         """The last 1-sigmas of a named vector, empty where not received."""
-        found = self._vectors.get(topic)
-        return {} if found is None else found.sigmas
+        vector = self._vectors.get(topic)
+        return {} if vector is None else vector.sigmas
 
     def charge(self) -> float:
         """State of charge, 0 to 1, NaN where unknown: projected to now, else as last received."""
@@ -184,10 +184,10 @@ class LiveData:
 
     def consumption(self) -> float:
         """Wh/km of this trip, NaN while unknown; the node gives it from the first km on."""
-        found = self.vector(topics.ENERGY_CONSUMPTION)
-        distance = found.get("distance_trip", 0.0)
-        if "wh_per_km_trip" in found or distance < LEAST_DISTANCE:
-            return found.get("wh_per_km_trip", math.nan)
+        consumption = self.vector(topics.ENERGY_CONSUMPTION)
+        distance = consumption.get("distance_trip", 0.0)
+        if "wh_per_km_trip" in consumption or distance < LEAST_DISTANCE:
+            return consumption.get("wh_per_km_trip", math.nan)
         consumed = self.vector(topics.ENERGY_STATE).get("consumed", math.nan)
         return consumed / 3600.0 / (distance / 1000.0)
 
@@ -231,9 +231,9 @@ class LiveData:
         if not self.statuses:
             run = f"; nodes run under {', '.join(sorted(self._elsewhere))} (--namespace)"
             known = run if self._elsewhere else ""
-            found = [(Level.WARN, f"no /diagnostics of our nodes yet{known}")]
+            problems = [(Level.WARN, f"no /diagnostics of our nodes yet{known}")]
         else:
-            found = [
+            problems = [
                 (status.level, f"{name}: {status.text}")
                 for name, status in self.statuses.items()
                 if status.level is not Level.OK and now - status.arrived < STALE_AFTER
@@ -242,16 +242,16 @@ class LiveData:
         for name, status in self.statuses.items():
             node = name.partition(":")[0]
             silent[node] = min(silent.get(node, math.inf), now - status.arrived)
-        found += [
+        problems += [
             (Level.ERROR, f"{node}: has sent nothing for {age:.0f} s")
             for node, age in silent.items()
             if age >= STALE_AFTER
         ]
-        found += [
+        problems += [
             (Level.WARN, f"{name}: {count} messages were not usable")
             for name, count in self.unusable.items()
         ]
-        return sorted(found, key=lambda each: each[0], reverse=True)
+        return sorted(problems, key=lambda problem: problem[0], reverse=True)
 
     def activity(self, now: float) -> str:
         """Activity of the estimator, in its own words; empty when it sends nothing."""

@@ -168,14 +168,14 @@ def is_welcome(head: bytes, origins: Collection[str]) -> bool:
     `head` is that of an HTTP request, with its empty line; origins are as browsers write them,
     `https://app.foxglove.dev`.
     """
-    found, upgrades = [], False
+    asked_from, upgrades = [], False
     for line in head.split(b"\r\n")[1:]:
         name, _, value = line.partition(b":")
         text = value.strip().decode("latin-1")
         if name.strip().lower() == b"origin":
-            found.append(text)
+            asked_from.append(text)
         upgrades |= name.strip().lower() == b"upgrade" and text.lower() == "websocket"
-    return upgrades and all(origin in origins for origin in found)
+    return upgrades and all(origin in origins for origin in asked_from)
 
 
 class OriginGate:

@@ -47,8 +47,11 @@ class PowerHistory:
         if self.newest_ns is None:
             return [math.nan] * count
         end = self.newest_ns // BIN_NS + 1
-        found = (bins.get(index) for index in range(end - count, end))
-        return [math.nan if each is None else each[0] / each[1] for each in found]
+        sums = (bins.get(index) for index in range(end - count, end))
+        return [
+            math.nan if sum_and_count is None else sum_and_count[0] / sum_and_count[1]
+            for sum_and_count in sums
+        ]
 
 
 def power_axis(values: Sequence[float]) -> tuple[float, float]:

@@ -105,8 +105,8 @@ def plain_line(data: LiveData, now: float) -> str:
         return NOTHING
     parts = [f"{_number(3.6 * data.fresh_speed(now), 1)} km/h", _owner(data).plain]
     for topic, name in POWERS.items():
-        found = data.power(topic, now)
-        parts.append(f"{name} {_kilowatts(found.value)}{_sigma(found.sigma)} kW drawn")
+        power = data.power(topic, now)
+        parts.append(f"{name} {_kilowatts(power.value)}{_sigma(power.sigma)} kW drawn")
     parts.append(f"Wh went to {', '.join(_amounts(data)) or UNKNOWN}")
     parts += [
         f"{row.name} {_parameter(row, row.value)} +- {_parameter(row, row.std)}"
@@ -163,9 +163,9 @@ def _power(data: LiveData, now: float, width: int, rows: int) -> Iterable[Text]:
     axis = power_axis([value for line in lines.values() for value in line])
     heading = Text("kW drawn", style=HEADING)
     for topic, name in POWERS.items():
-        found = data.power(topic, now)
+        power = data.power(topic, now)
         heading.append(f"  {name} ", "not bold")
-        heading.append(f"{_kilowatts(found.value)}{_sigma(found.sigma)}", POWER_STYLES[name])
+        heading.append(f"{_kilowatts(power.value)}{_sigma(power.sigma)}", POWER_STYLES[name])
     coverage = data.band_coverage()
     if math.isfinite(coverage):
         heading.append(f"  {100 * coverage:.0f} % in band", f"not bold {FAINT}")
@@ -195,10 +195,10 @@ def _owner(data: LiveData) -> Text:
 
 def _range(data: LiveData) -> str:
     """Distance to empty with its 90 % band; why there is none, if the charge is known."""
-    found = data.vector(topics.ENERGY_RANGE)
+    values = data.vector(topics.ENERGY_RANGE)
     ends = ("to_empty", "lower", "upper")
-    middle, low, high = (_number(found.get(f"distance_{e}", math.nan) / 1e3, 0) for e in ends)
-    if "distance_to_empty" in found:
+    middle, low, high = (_number(values.get(f"distance_{e}", math.nan) / 1e3, 0) for e in ends)
+    if "distance_to_empty" in values:
         return f"{middle} km ({low}-{high})"
     return UNKNOWN if math.isnan(data.charge()) else "from 10 km on"
 
@@ -207,10 +207,10 @@ def _breakdown(data: LiveData, width: int) -> Iterable[Text]:
     """Parts of the energy so far, the largest first, in as many rows as they need, but two."""
     title = "Wh went to"
     rows = [""]
-    for each in _amounts(data) or [UNKNOWN]:
-        if rows[-1] and len(title) + len(rows[-1]) + len(each) + 2 > width:
+    for amount in _amounts(data) or [UNKNOWN]:
+        if rows[-1] and len(title) + len(rows[-1]) + len(amount) + 2 > width:
             rows.append("")
-        rows[-1] += f"  {each}"
+        rows[-1] += f"  {amount}"
     for index, row in enumerate(rows[:MOST_BREAKDOWN_ROWS]):
         head = title if index == 0 else " " * len(title)
         yield Text(head, style=HEADING).append(row, "not bold")
@@ -251,8 +251,8 @@ def _coverage(data: LiveData, now: float, width: int) -> Iterable[Text]:
         yield line.append(rate, FAINT)
 
 
-def _problems(found: Iterable[tuple[Level, str]]) -> Iterable[Text]:
-    for level, text in found:
+def _problems(problems: Iterable[tuple[Level, str]]) -> Iterable[Text]:
+    for level, text in problems:
         yield Text(f"! {printable(text)}", LEVEL_STYLES.get(level, LEVEL_STYLES[Level.ERROR]))
 
 

@@ -143,11 +143,11 @@ def _plain(out: TextIO) -> Show:
     shown: list[str] = []
 
     def show(data: LiveData, now: float) -> None:
-        found = problem_lines(data, now)
-        for line in found:
+        problems = problem_lines(data, now)
+        for line in problems:
             if line not in shown:
                 print(printable(line), file=out)
-        shown[:] = found
+        shown[:] = problems
         print(printable(plain_line(data, now)), file=out, flush=True)
 
     return show

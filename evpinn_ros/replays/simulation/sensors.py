@@ -76,7 +76,7 @@ def sense(
     try:
         sent = _sent(trace, profile, start_ns, rng)
         encoder, on_bus = Encoder(profile), "motor" in profile.messages
-        torque = [frame for each in motors if on_bus for frame in encoder.motor(each)]
+        torque = [frame for reading in motors if on_bus for frame in encoder.motor(reading)]
     except ValueError as error:
         raise InputError(f"CAN profile '{profile.key}': {error}") from error
     arrives = rng.uniform(size=len(sent)) >= LOST

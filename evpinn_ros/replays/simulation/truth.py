@@ -62,14 +62,14 @@ def true_values(car: Car, trace: Trace, equation: Equation) -> Truth:
         equation: of the vehicle file, whose car tells which steps drive and which brake.
     """
     wheels, duration, energy = _steps(car, trace, equation)
-    found = combinations(equation, wheels, duration, energy)
+    sums = combinations(equation, wheels, duration, energy)
     mass, rolling, drag = (
-        found[name] for name in ("mass_over_eta", "rolling_over_eta", "drag_area_over_eta")
+        sums[name] for name in ("mass_over_eta", "rolling_over_eta", "drag_area_over_eta")
     )
     eta = car.mass / mass
     parameters = Parameters(
         eta=eta,
-        mu=found["regeneration"] / eta,
+        mu=sums["regeneration"] / eta,
         mass=car.mass,
         c_rr=rolling / mass,
         c_d=drag * eta / car.frontal_area,
@@ -101,7 +101,7 @@ def combinations(
     drag, rolling, mass, back = (prior + change[:, 0]).tolist()
     braking = 1.0 - wheels.driving
     moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
-    braked = np.array([float(braking @ each) for each in moved])
+    braked = np.array([float(braking @ energies) for energies in moved])
     before = float(braked @ equation.mean[PHYSICS[:3]])
     share = before / float(braked @ (drag, rolling, mass)) if before else 1.0
     return {
