@@ -5,7 +5,7 @@ another. Without either these tests are skipped.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import importlib.util
 import json
 import os
@@ -55,9 +55,9 @@ class Ros2:
         """What a command that ends by itself prints."""
         return self._said(self._command(words))
 
-    def _said(self, command: list[str]) -> str:
+    def _said(self, command: list[str], timeout: float = HANG_S) -> str:
         return subprocess.run(
-            command, cwd=self.folder, env=self.environment, text=True, timeout=HANG_S,
+            command, cwd=self.folder, env=self.environment, text=True, timeout=timeout,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         ).stdout  # fmt: skip
 
@@ -70,15 +70,19 @@ class Ros2:
         return [(int(code), said) for said, code in zip(parts[::2], parts[1::2], strict=False)]
 
     def ask(self, *words: object) -> str:
-        """What a command that asks the graph prints, once the daemon has found the node."""
-        answers: list[str] = []
+        """What a command that asks the graph prints, once the daemon has found the node.
 
-        def answered() -> bool:
-            answers.append(self.run(*words))
-            return answers[-1].strip() != "Node not found"
+        The command waits for ever for an answer that was sent before DDS had matched it with
+        the node; then another one asks.
+        """
 
-        wait_until(answered, report=lambda: words)
-        return answers[-1]
+        def answer() -> str:
+            with suppress(subprocess.TimeoutExpired):
+                said = self._said(self._command(words), HANG_S / 4)
+                return said if said.strip() != "Node not found" else ""
+            return ""
+
+        return wait_until(answer, report=lambda: words)
 
     @contextmanager
     def running(self, *words: object) -> Iterator["Running"]:

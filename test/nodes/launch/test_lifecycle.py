@@ -3,7 +3,6 @@
 from collections import deque
 import json
 
-from lifecycle_msgs.srv import GetState
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 
@@ -12,6 +11,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.state_file import Half, StateClaim
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.topics.messages import stamp_ns
+from test.waiting import wait_until
 
 RUN, UNDER_EV = ("run", "evpinn_ros"), ("--ros-args", "-r", "__ns:=/ev", "-p", "managed:=true")
 
@@ -127,20 +127,10 @@ def test_a_fault_of_ours_leads_to_where_the_node_can_be_configured_anew(bench, m
     bench.faulty.add(node)
 
 
-def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2, bench):
+def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2):
     given = ("vehicle:=tesla_model_3_lr", "can_interface:=virtual", "can_channel:=none")
-    with ros2.running("launch", "evpinn_ros", "managed.launch.py", *given):
+    with ros2.running("launch", "evpinn_ros", "managed.launch.py", *given) as launch:
         for name in ("estimator", "energy", "can_bridge"):
-            client = bench.node.create_client(GetState, f"/ev/{name}/get_state")
-            labels: list = []
-
-            def active(client=client, labels=labels):
-                """Asked anew each time: DDS may lose an answer before it has matched the asker."""
-                if client.service_is_ready():
-                    asked = client.call_async(GetState.Request())
-                    asked.add_done_callback(
-                        lambda done: labels.append(done.result().current_state.label)
-                    )
-                return "active" in labels
-
-            bench.pump(active)
+            began = f"[ev.{name}]: "  # the line that each logs once it works
+            wait_until(lambda began=began: began in launch.output, report=lambda: launch.output)
+            assert ros2.ask("lifecycle", "get", f"/ev/{name}").startswith("active")
