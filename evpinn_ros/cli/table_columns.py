@@ -61,8 +61,9 @@ def _stem(name: str) -> str:
 
 def choice(rule: Column) -> str:
     """The column that was chosen for a quantity, with its unit and the reason."""
-    shown = f", {_unit(rule.unit)}, {rule.why}" if rule.why else ""
-    return f"{rule.name!r}{shown}"
+    unit = _unit(rule.unit) if rule.unit else ""
+    why = " ".join(filter(None, ["assumed" if rule.could_be else "", rule.why]))
+    return ", ".join(filter(None, [repr(rule.name), unit, why]))
 
 
 def _unit(text: str) -> str:

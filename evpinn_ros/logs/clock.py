@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,14 @@ DAY_OF_FORMAT = re.compile("%[-_0]?[cDdeFjvs]")  # what of a format tells the da
 CLOCK_OF_FORMAT = re.compile("%[-_0]?[cHIkMRrSsTX]")  # and the time of day
 
 
+class Spread(NamedTuple):
+    """Spread of rows that share a stamp, because it is coarser than they are apart."""
+
+    resolution_ns: int  # of the stamps
+    rows: int  # that share one
+    first: int  # rows that share the first one, which are its last ones
+
+
 class Order(Enum):
     """Order in which the rows of a table stand."""
 
@@ -81,6 +89,7 @@ class Clock:
     as_written: bool = False  # the format is a person's, for cells as they stand
     drives_from_ns: int | None = None  # time that each drive begins at; None if there is one
     order: Order = Order.OLDEST_FIRST  # of the rows
+    spread: Spread | None = None  # None where each row has a stamp of its own
 
     @property
     def period_ns(self) -> int:
@@ -94,7 +103,8 @@ class Clock:
 
     def running(self) -> RunningClock:
         """Counter that lets its times run on where it begins anew."""
-        return RunningClock(self.period_ns, self.drives_from_ns)
+        is_local = self.kind == "date" and not self.zoned
+        return RunningClock(self.period_ns, self.drives_from_ns, self.spread, is_local=is_local)
 
     @property
     def dated(self) -> bool:
@@ -122,20 +132,37 @@ class Clock:
 
 
 class RunningClock:
-    """Times made to run on over midnight, or from drive to drive, batch by batch."""
+    """Times made to run on over midnight, or from drive to drive, batch by batch.
 
-    def __init__(self, period_ns: int, drives_from_ns: int | None = None) -> None:
+    Local times are set back or forward by an hour in a night of autumn or spring, and run on.
+    """
+
+    def __init__(
+        self,
+        period_ns: int,
+        drives_from_ns: int | None = None,
+        spread: Spread | None = None,
+        *,
+        is_local: bool = False,
+    ) -> None:
         """Make times run on that begin anew after a period, or at a time with each drive."""
-        self._period, self._first = period_ns, drives_from_ns
+        self._period, self._first, self._spread = period_ns, drives_from_ns, spread
+        self._is_local = is_local
         self._added = 0
         self._before: NDArray[np.int64] | None = None  # the last two times
+        self._shared = (NONE, 0)  # the last stamp, and how many rows had it
 
     def add(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
         """The times of the next rows."""
         there = np.flatnonzero(stamps != NONE)
-        if there.size == 0 or not (self._period or self._first is not None):
+        if there.size == 0:
             return stamps
         known = stamps[there]
+        if self._spread is not None:
+            stamps = stamps.copy()
+            stamps[there] = known = self._spread_out(known, self._spread)
+        if not (self._period or self._first is not None or self._is_local):
+            return stamps
         before = known[[0, 0]] if self._before is None else self._before
         steps = np.diff(known, prepend=before[1])
         added = self._added + np.cumsum(self._turns(known, before, steps))
@@ -148,6 +175,9 @@ class RunningClock:
         self, known: NDArray[np.int64], before: NDArray[np.int64], steps: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """Time to add from each row on, ns."""
+        if self._is_local:
+            turned: NDArray[np.int64] = -_HOUR_NS * _set_forward(known - steps, known)
+            return turned
         if self._first is not None:
             begins = begin_drives(known, before, self._first, BACK_NS)
             return np.where(begins, PAUSE_NS - steps, 0)
@@ -155,6 +185,43 @@ class RunningClock:
         # A straggler from before midnight belongs to the day before.
         straggles = (steps > self._period // 2) & (np.cumsum(turns) + self._added > 0)
         return turns - np.where(straggles, self._period, 0)
+
+    def _spread_out(self, known: NDArray[np.int64], spread: Spread) -> NDArray[np.int64]:
+        """Stamps evenly apart within those that several rows share."""
+        begins = np.flatnonzero(np.diff(known, prepend=self._shared[0]) != 0)
+        counts = np.arange(known.size)
+        before = np.full(known.size, self._shared[1])  # rows of the stamp in the last batch
+        if begins.size:
+            later = counts >= begins[0]
+            at = np.searchsorted(begins, counts[later], side="right") - 1
+            counts[later] -= begins[at]
+            before[later] = 0
+        if self._shared[0] == NONE:  # the log began within its first stamp
+            end = begins[1] if begins.size > 1 else known.size
+            before[:end] = max(0, spread.rows - spread.first)
+        shared = counts + before
+        self._shared = int(known[-1]), int(shared[-1]) + 1
+        step = spread.resolution_ns / spread.rows
+        over = np.maximum(shared - (spread.rows - 1), 0)
+        offset = np.where(over > 0, spread.resolution_ns - step / (1 + over), shared * step)
+        return np.asarray(known + offset.astype(np.int64))
+
+
+_HOUR_NS, _MINUTE_NS = 3600 * NANOSECONDS, 60 * NANOSECONDS
+_NIGHT_NS = 4 * _HOUR_NS  # clocks are set before, at a full hour
+_THURSDAY = 4  # 1970-01-01, counted from a Sunday
+
+
+def _set_forward(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Hours by which a local clock was set forward between rows: 1, 0, or -1 in autumn."""
+    steps = after - before
+    sunday = (after // DAY_NS + _THURSDAY) % 7 == 0
+    night = sunday & (after % DAY_NS < _NIGHT_NS) & (after % _HOUR_NS <= _MINUTE_NS)
+    back = night & (steps > -_HOUR_NS) & (steps <= _MINUTE_NS - _HOUR_NS)
+    forward = night & (steps > _HOUR_NS) & (steps <= _HOUR_NS + _MINUTE_NS)
+    forward &= before % _HOUR_NS >= _HOUR_NS - _MINUTE_NS
+    hours: NDArray[np.int64] = np.where(forward, 1, np.where(back, -1, 0))
+    return hours
 
 
 def begin_drives(

@@ -24,6 +24,7 @@ from evpinn_ros.logs.clock import (
     UNITS_NS,
     Clock,
     Order,
+    Spread,
     begin_drives,
     joined_cells,
     parsed_times,
@@ -42,6 +43,8 @@ FASTEST_STEP = 9e-4  # s: closer rows are no seconds, but days of a spreadsheet
 SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is smaller
 MOSTLY = 0.8  # of the steps between rows
 SHUFFLED = 0.2  # of the rows lie farther behind the one before: no drive is of so few rows
+SHARED = 0.3  # of the rows have the stamp of the one before, where stamps are coarse
+CHANGED = 0.1  # of these have another value than the one before
 ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
 
 # Orders of a date, the likeliest first among equals: ISO, then day first as most of the world has
@@ -80,6 +83,7 @@ def clocks_of(used: Sequence[Column], survey: Survey, days: Collection[int] = ()
         if not _is_day_alone(clock, survey):
             stamps = clock.stamps(survey.cells)
             clock = _in_its_order(clock, stamps, survey, names)
+            clock = replace(clock, spread=_spread_of(clock, stamps, survey, names))
             merits[clock] = _merit(clock, stamps, names[clock.columns[0]])
     return sorted(merits, key=lambda clock: merits[clock], reverse=True)
 
@@ -269,6 +273,38 @@ def _in_its_order(
     return replace(clock, order=_order_of(clock, stamps))
 
 
+def _spread_of(
+    clock: Clock, stamps: NDArray[np.int64], survey: Survey, times: Collection[int]
+) -> Spread | None:
+    """The spread of rows over stamps that are coarser; `times` are places of columns of time.
+
+    Rows that share a stamp are one moment where each has other cells, or the same ones.
+    """
+    if clock.order is Order.SHUFFLED:
+        return None
+    rows = clock.order.rows(stamps)
+    rows = rows[stamps[rows] != NONE]
+    steps = np.diff(stamps[rows])
+    again = np.flatnonzero(steps == 0)
+    later = steps[steps > 0]
+    if again.size < SHARED * steps.size or later.size < 2 or not again.size:
+        return None
+    resolution = int(later.min())
+    if resolution < NANOSECONDS or (later % resolution).any():
+        return None
+    for place, cells in survey.cells.items():
+        if place in times:
+            continue
+        values = to_floats(cells, survey.styles[place])[rows]
+        change = np.abs(values[again + 1] - values[again])
+        if np.isfinite(change).mean() > 0.5 and (change > 0).mean() > CHANGED:
+            begins = np.flatnonzero(steps) + 1
+            count = float(np.median(np.diff(begins)))
+            share = survey.stride * np.array([count, begins[0]])
+            return Spread(resolution, max(1, int(share[0])), int(share[1]))
+    return None
+
+
 def _goes_back(times: NDArray[np.int64]) -> bool:
     return bool((np.diff(times) < -STRAGGLING_NS).any())
 
@@ -338,8 +374,7 @@ def _merit(clock: Clock, stamps: NDArray[np.int64], name: str) -> tuple[float, .
     return (
         round(known.size / max(1, stamps.size), 1),
         -float((steps < 0).sum()),
-        float(rising > 0.5),  # a date that comes in bursts tells no rows apart
+        round(rising, 1),  # a date that comes in bursts tells no rows apart
         float(clock.dated),
-        round(rising, 1),
         score("time", name),
     )

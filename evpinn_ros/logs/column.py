@@ -42,6 +42,7 @@ class Column:
     why: str = ""  # the reason for the unit; empty when the name is one of ours
     offset: float = 0.0  # to SI, added after the factor
     place: int = 0  # of the column in the file, from 0
+    could_be: tuple[str, ...] = ()  # other units that explain it as well: its own is assumed
 
     @property
     def is_ours(self) -> bool:
@@ -55,6 +56,23 @@ class Column:
     def turned(self) -> Column:
         """Column with the other sign."""
         return replace(self, factor=-self.factor, offset=-self.offset, unit=f"-{self.unit}")
+
+    def guessed(self, others: Sequence[str]) -> Column:
+        """Column whose unit is assumed, for it could be others as well."""
+        return replace(self, could_be=tuple(others))
+
+    @property
+    def assumption(self) -> str:
+        """What is assumed, and how to say otherwise; empty where nothing is."""
+        if not self.could_be:
+            return ""
+        option = f"--column '{self.quantity}={self.name}:{self.could_be[0]}'"
+        if self.quantity in SIGNED:
+            return f"{self.quantity}: the sign of {self.name!r} is assumed; {option} turns it"
+        return (
+            f"{self.quantity}: {self.name!r} is assumed to be in {self.unit}, "
+            f"and could be in {' or '.join(self.could_be)}; {option}"
+        )
 
     def in_unit(self, text: str, why: str) -> Column:
         """Column in a unit of its quantity, as `QUANTITIES` spells it."""

@@ -51,7 +51,10 @@ _SPEED = {"m/s": Unit(1.0), "mps": Unit(1.0), "ms": Unit(1.0), "meters/second": 
 _SPEED |= dict.fromkeys(("km/h", "kmh", "kph", "kmph", "km/hr", "kilometers/hour"), _KMH)
 _SPEED |= dict.fromkeys(("mph", "mi/h", "mi/hr", "miles/hour"), _MPH)
 _SPEED |= dict.fromkeys(("kn", "kt", "kts", "knots"), _KNOT)
-_TIME = _units(s=1.0, sec=1.0, seconds=1.0, ms=1e-3, us=1e-6, µs=1e-6, ns=1e-9, min=60.0, h=3600.0)
+_TIME = _units(s=1.0, sec=1.0, secs=1.0, second=1.0, seconds=1.0, ms=1e-3, msec=1e-3, us=1e-6)
+_TIME |= _units(µs=1e-6, ns=1e-9, milliseconds=1e-3, millis=1e-3, microseconds=1e-6)
+_TIME |= _units(nanoseconds=1e-9, min=60.0, mins=60.0, minute=60.0, minutes=60.0)
+_TIME |= _units(h=3600.0, hr=3600.0, hrs=3600.0, hour=3600.0, hours=3600.0, days=86400.0)
 _POWER = _units(w=1.0, kw=1e3, watts=1.0, kilowatts=1e3)
 _CELSIUS, _FAHRENHEIT = Unit(1.0), Unit(5 / 9, -160 / 9)
 _TEMPERATURE = dict.fromkeys(("c", "°c", "℃", "degc", "deg c", "celsius"), _CELSIUS)
@@ -83,7 +86,8 @@ _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outle
 QUANTITIES: Mapping[str, Quantity] = {
     "time": Quantity(
         "t_s",
-        "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,secs,elapsed,stamp,utc,epoch,"
+        "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,secs,minutes,hours,elapsed,"
+        "milliseconds,millis,stamp,utc,epoch,"
         "zeitstempel,temps,heure,horodatage,tiempo,fecha,hora,tempo,tijd,tid,czas,čas,время,"
         "时间,数据时间,采集时间,時刻,日時,시간",
         _TIME,
@@ -200,6 +204,8 @@ PLACES = ("latitude", "longitude")
 NEEDED = frozenset(("time", "speed", "voltage", "current", "power"))  # of these, or most
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
 # In brackets behind a name, but no unit: where the number comes from.
+ONE_WORD = ("speed", "power")  # a name may be its unit alone
+_SPELLED = ("seconds", "minutes", "hours", "milliseconds", "millis")
 QUALIFIERS = _phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start,real")
 
 
@@ -268,7 +274,7 @@ def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
         # A name of one word is the name: "t" is no ton, and "h" no hour.
         if len(parts) > 1 and text in units:
             return text, units[text]
-        if len(parts) == 1 and quantity in ("speed", "power") and text in units:
+        if len(parts) == 1 and text in units and (quantity in ONE_WORD or text in _SPELLED):
             return text, units[text]
     unknown = brackets and brackets[-1] and brackets[-1] not in QUALIFIERS
     return (brackets[-1], None) if unknown else ("", None)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -41,6 +40,10 @@ MOST_ROWS = 300_000  # looked at: eight hours at 10 Hz
 MOST_SIGNALS = 10_000
 
 
+class AnotherHeaderError(InputError):
+    """Another header in the middle of a table has other columns."""
+
+
 class Table(Protocol):
     """Rows of cells, which can be gone through again."""
 
@@ -62,6 +65,10 @@ class Head:
     names: list[str]  # of the columns
     row: int  # its number; data begin below it
     comments: list[str] = field(default_factory=list)  # the lines before it
+    written: list[str] = field(default_factory=list)  # the names without the units of a row below
+
+    def __post_init__(self) -> None:
+        self.written = self.written or self.names
 
 
 def find_head(table: Table) -> Head:
@@ -84,12 +91,13 @@ def find_head(table: Table) -> Head:
     number, row = rows[place]
     names = [name.strip().strip("\ufeff") for name in row]
     comments = [",".join(cells) for _, cells in rows[:place]]
+    written = names
     if place + 1 < len(rows) and (units := _units_row(names, rows[place + 1][1])):
         number = rows[place + 1][0]
         names = [
             f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)
         ]
-    return Head(names, number, comments)
+    return Head(names, number, comments, written)
 
 
 def long_form(head: Head) -> tuple[int, int, int | None] | None:
@@ -143,6 +151,7 @@ class Survey:
     cells: dict[int, list[str]]  # of each wanted column, in the order of the file, thinned evenly
     widths: Counter[int]  # how many rows have so many cells
     width: int  # of the header
+    stride: int = 1  # rows of the table from one whose cells are kept to the next
     empty: frozenset[int] = frozenset()  # places of columns without a cell in the rows looked at
 
     @cached_property
@@ -155,6 +164,11 @@ class Survey:
             place: style or style_of(self.cells[place], common) or common
             for place, style in styles.items()
         }
+
+    @property
+    def is_wider(self) -> bool:
+        """True if rows have more cells than the header."""
+        return any(width > self.width for width in self.widths)
 
     def put_in_order(self, rows: Sequence[int]) -> None:
         """Let the rows that were kept follow each other like this, by their places."""
@@ -190,7 +204,7 @@ def look_through(
     def seen() -> Survey:
         columns = list(zip(*kept, strict=True)) if kept else [()] * len(wanted)
         cells = {place: list(column) for place, column in zip(wanted, columns, strict=True)}
-        return Survey(cells, widths, len(head.names), frozenset(empty))
+        return Survey(cells, widths, len(head.names), stride, frozenset(empty))
 
     looked = islice(data_rows(table, head), limit)
     for index, (_, row) in enumerate(until_broken(looked)):
@@ -210,21 +224,58 @@ def look_through(
 
 def until_broken(rows: Iterator[Row]) -> Iterator[Row]:
     """The rows up to where the file breaks off, which is reported on reading."""
-    with suppress(InputError):
+    try:
         yield from rows
+    except AnotherHeaderError:
+        raise
+    except InputError:
+        return
 
 
 def data_rows(table: Table, head: Head) -> Iterator[Row]:
     """The rows below the header, without comments and further headers."""
-    again = head.names[:5]  # an app that was restarted writes its header again
-    first, begin = head.names[0], head.row
+    begin, width = head.row, len(head.names)
+    places: list[int | None] | None = None  # of the header's columns, below one of another order
     for number, row in table.rows():
         cell = row[0]
         if number <= begin or cell[:1] == "#":
             continue
-        if cell.strip() == first and [cell.strip() for cell in row[:5]] == again:
+        if cell[:1] not in _NO_NAME and _is_header(row, head):
+            places = _places_below(row, head, number)
             continue
+        if places is not None:
+            row = [row[at] if at is not None and at < len(row) else "" for at in places]
+        elif len(row) > width and not any(row[width:]):
+            row = row[:width]  # a separator stands at the end of each line
         yield number, row
+
+
+_NO_NAME = frozenset(" 0123456789+-.")  # what a cell of a number or a time begins with
+
+
+def _is_header(row: Sequence[str], head: Head) -> bool:
+    """True if an app that was restarted, or another one, wrote a header here."""
+    names = {cell.strip().strip("\ufeff") for cell in row}
+    if len(names.intersection(head.written)) >= min(2, len(head.written)):
+        return True
+    return not any(map(str.isdigit, row[0])) and _names_some(row)
+
+
+def _places_below(row: Sequence[str], head: Head, number: int) -> list[int | None] | None:
+    """Where the columns of the first header stand below another one; None if it is the same.
+
+    Raises:
+        InputError: one that may be of use is not there by its name.
+    """
+    names = [cell.strip().strip("\ufeff") for cell in row]
+    if names == head.written[: len(names)] or names[: len(head.written)] == head.written:
+        return None
+    for name in head.written:
+        if name and name not in names and (score("time", name) > 0 or may_be_of_use(name)):
+            raise AnotherHeaderError(
+                f"row {number} is another header, without {name!r}: split the file there"
+            )
+    return [names.index(name) if name in names else None for name in head.written]
 
 
 class LongTable:

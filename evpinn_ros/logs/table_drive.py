@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 import math
 from pathlib import Path
@@ -23,12 +23,21 @@ from evpinn_ros.logs.clock_start import (
     start_by_date,
     start_of_comments,
 )
-from evpinn_ros.logs.column import NO_USE, Column, check_columns, columns_by_name, unused_columns
+from evpinn_ros.logs.column import (
+    NO_USE,
+    Column,
+    check_columns,
+    columns_by_name,
+    is_complete,
+    unused_columns,
+)
 from evpinn_ros.logs.numbers import is_missing, to_floats
 from evpinn_ros.logs.quantities import NEEDED, PLACES, QUANTITIES, Unit
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.rows_to_readings import MOST, HeldSignals, RowOrder, RowReadings
+from evpinn_ros.logs.signal import LEAST_EVENTS, Signal
 from evpinn_ros.logs.source import Source
+from evpinn_ros.logs.split_numbers import joined_table
 from evpinn_ros.logs.survey import (
     MOST_ROWS,
     LongTable,
@@ -41,11 +50,10 @@ from evpinn_ros.logs.survey import (
 )
 from evpinn_ros.logs.text_table import Row
 from evpinn_ros.logs.values import (
-    Signal,
     contradictions,
     held_columns,
     power_beside,
-    stands_still,
+    unmeasured,
     with_units,
 )
 
@@ -93,7 +101,7 @@ class TableDrive(Source):
         self._terrain = options.terrain
         self._nominal_voltage = nominal_voltage
         self._at_nominal_voltage = 0
-        self._no_speed = False  # zero throughout while the odometer goes on, so it is not used
+        self._silent: dict[str, str] = {}  # quantities that were not measured, and why
         self.rows = self.used = 0
         self.first_bad: str | None = None
         try:
@@ -107,17 +115,24 @@ class TableDrive(Source):
             columns = columns_by_name(header, options.columns)
             check_columns(columns, header, battery=options.battery)
             self._beside = power_beside(header, columns)
+            self._begin(columns, options)
         except InputError as error:
             text = str(error)
             raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
+
+    def _begin(self, columns: list[Column], options: ReadOptions) -> None:
+        """Choose clock, units and signs by the cells of the columns."""
+        header = self._head.names
         own = all(not column.why and column.is_ours for column in columns)
         limit = FEW_ROWS if own else MOST_ROWS
         if self._long is not None:  # one signal may come after the other
             limit = sys.maxsize
         survey = self._look_through(columns, limit)
-        filled = _filled(columns, survey, header, options.columns)
-        if filled != columns:
-            columns, survey = filled, self._look_through(filled, limit)
+        if survey.is_wider and self._long is None:
+            self._table = joined_table(self._table, self._head)
+            survey = self._look_through(columns, limit)
+        for is_useless in (_is_empty, _is_silent):
+            columns, survey = self._better(columns, survey, options.columns, is_useless, limit)
         self._looked_at_all = survey.widths.total() < limit
         self._survey = survey
         self.clock, *clocks = self._clocks(columns, survey)
@@ -154,14 +169,16 @@ class TableDrive(Source):
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for a person on how it was read; complete once exhausted."""
-        notes = [*self._contradictions]
+        notes = [*filter(None, (rule.assumption for rule in self.rules)), *self._contradictions]
         if not self.in_order:
             notes.append("rows stand in no order of time, so they were sorted by it")
         if self._held:
             names = " and ".join(sorted(self._held))
             notes.append(f"{names}: cells that repeat the last value are not used")
-        if self._no_speed:
-            notes.append("speed is always 0 while the odometer counts up, so it is not used")
+        if self.clock.spread is not None:
+            every = self.clock.spread.resolution_ns / NANOSECONDS
+            notes.append(f"time: stamps are {every:g} s apart; rows are spread evenly within them")
+        notes += [f"{name} is {why}, so it is not used" for name, why in self._silent.items()]
         if self._at_nominal_voltage:
             notes.append(
                 f"{self._at_nominal_voltage} battery readings have power only; their voltage is "
@@ -201,6 +218,29 @@ class TableDrive(Source):
             limit=limit,
         )
 
+    def _better(
+        self,
+        columns: list[Column],
+        survey: Survey,
+        chosen: Sequence[str],
+        is_useless: Callable[[Survey, Column], bool],
+        limit: int,
+    ) -> tuple[list[Column], Survey]:
+        """The columns, others of their quantity in place of guessed ones that are useless.
+
+        What a drive needs stays where no other is better, for it is missed by name later.
+        """
+        first, useless = (columns, survey), set(survey.empty)
+        while places := {c.place for c in columns if _is_guessed(c) and is_useless(survey, c)}:
+            useless |= places
+            others = columns_by_name(self._head.names, chosen, useless)
+            names = {column.quantity for column in others}
+            lost = {column.quantity for column in columns} - names
+            if lost & NEEDED and not is_complete(names):
+                return first
+            columns, survey = others, self._look_through(others, limit)
+        return columns, survey
+
     def _clocks(self, columns: Sequence[Column], survey: Survey) -> list[Clock]:
         """The clocks of the table, the best first; InputError when no time can be read."""
         days = days_of_name(self.path.name)
@@ -221,9 +261,9 @@ class TableDrive(Source):
             stamps = np.where(there, stamps, 0) + self._start_ns
             late = there & ((stamps >= LAST_TIME_NS) | (stamps <= 0))
             self.dropped["time_out_of_range"] += int(late.sum())
-            if self._no_speed:
-                self.dropped["speed_stands_still"] += int(np.isfinite(values["speed"]).sum())
-                values["speed"][:] = math.nan
+            for name in self._silent:
+                self.dropped[f"{name}_stands_still"] += int(np.isfinite(values[name]).sum())
+                values[name][:] = math.nan
             rows = order.sorted(stamps, np.flatnonzero(there & ~late))
             held.drop_repeats(stamps, values, rows)
             yield from makers.readings(stamps, values, rows)
@@ -328,8 +368,8 @@ class TableDrive(Source):
         }
         if not own:
             used = with_units(used, signals)
-            self._no_speed = stands_still(used, signals)
-        self._held = held_columns(signals)
+        self._silent = unmeasured(used, signals)
+        self._held = held_columns(signals) & used.keys()
         self._contradictions = tuple(contradictions({**used, **beside}, signals))
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))
 
@@ -357,21 +397,21 @@ class TableDrive(Source):
         return DRIVE_START_NS, ""
 
 
-def _filled(
-    columns: list[Column], survey: Survey, header: Sequence[str], chosen: Sequence[str]
-) -> list[Column]:
-    """The columns without guessed ones that have no cell; others of their quantity come instead.
+def _is_guessed(column: Column) -> bool:
+    return column.quantity != "time" and column.why != "as given" and not column.is_ours
 
-    What a drive needs stays, for it is missed by name later.
-    """
-    empty = {
-        column.place
-        for column in columns
-        if column.why != "as given" and not column.is_ours and column.place in survey.empty
-    }
-    others = columns_by_name(header, chosen, empty) if empty else columns
-    lost = {column.quantity for column in columns} - {column.quantity for column in others}
-    return columns if lost & NEEDED else others
+
+def _is_empty(survey: Survey, column: Column) -> bool:
+    return column.place in survey.empty
+
+
+def _is_silent(survey: Survey, column: Column) -> bool:
+    """True if the cells of a quantity that moves in every drive hold one number."""
+    if column.quantity not in ("speed", "current", "power"):
+        return False
+    values = to_floats(survey.cells[column.place], survey.styles[column.place])
+    known = values[np.isfinite(values)]
+    return known.size >= LEAST_EVENTS and not np.ptp(known)
 
 
 def _heights(

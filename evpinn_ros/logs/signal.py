@@ -1,0 +1,85 @@
+"""Columns as signals: accelerations, values at other times, and the mass that a power moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+LEAST_EVENTS = 20  # moments of accelerating, and of braking, that tell a sign
+LONGEST_STEP = 10.0  # s between two speeds that still tell an acceleration
+LIKE = 0.4  # correlation of power with speed times acceleration from which on it tells the mass
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """Sample of a column: times, s, and values in the file's unit; shape (n,)."""
+
+    time: FloatArray
+    value: FloatArray
+
+    def points(self) -> tuple[FloatArray, FloatArray]:
+        """Times and values where both are finite."""
+        known = np.isfinite(self.time) & np.isfinite(self.value)
+        return self.time[known], self.value[known]
+
+    @property
+    def known(self) -> FloatArray:
+        """The values that are finite."""
+        return self.value[np.isfinite(self.value)]
+
+
+def pull(speed: Signal, power: Signal) -> float:
+    """Power over speed times acceleration in these units; NaN where they are not alike.
+
+    The change of kinetic energy is most of a car's power, so this is its mass, kg, where speed is
+    in m/s, a thirteenth of it where it is in km/h, and below zero for a power of the other sign.
+    """
+    times, change = accelerations(speed)
+    with np.errstate(over="ignore"):  # damaged cells, left out below
+        kinetic = change * at_times(speed, times)
+    drawn = at_times(power, times)
+    known = np.isfinite(kinetic) & np.isfinite(drawn)
+    if known.sum() < LEAST_EVENTS or not kinetic[known].any() or not np.ptp(drawn[known]):
+        return np.nan
+    spread = np.cov(kinetic[known], drawn[known])
+    if abs(spread[0, 1]) < LIKE * np.sqrt(spread[0, 0] * spread[1, 1]):
+        return np.nan
+    return float(spread[0, 1] / spread[0, 0])
+
+
+def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
+    """Change of speed over about a second or one step, and the middle of it, s.
+
+    Returns:
+        times, and unit of the speed per second; shape (n,) each.
+    """
+    time, value = speed.points()
+    if time.size < 3:
+        return np.empty(0), np.empty(0)
+    steps = np.diff(time)
+    typical = np.median(steps[steps > 0]) if (steps > 0).any() else 1.0
+    stride = int(np.clip(round(1.0 / typical), 1, 1000)) if typical > 0 else 1
+    span = time[stride:] - time[:-stride]
+    near = (span > 0.2) & (span <= LONGEST_STEP)
+    change = (value[stride:] - value[:-stride])[near] / span[near]
+    return 0.5 * (time[stride:] + time[:-stride])[near], change
+
+
+def at_times(signal: Signal, times: FloatArray) -> FloatArray:
+    """The signal at other times by interpolation; NaN within a gap of its own."""
+    time, value = signal.points()
+    if time.size < 2:
+        return np.full(times.shape, np.nan)
+    order = np.argsort(time, kind="stable")
+    time, value = time[order], value[order]
+    interpolated = np.interp(times, time, value)
+    after = np.clip(np.searchsorted(time, times), 1, time.size - 1)
+    inside = (times > time[after - 1]) & (times < time[after])
+    far = inside & (time[after] - time[after - 1] > LONGEST_STEP)
+    far |= (times < time[0]) | (times > time[-1])
+    interpolated[far] = np.nan
+    return interpolated

@@ -1,0 +1,229 @@
+"""The unit of a speed whose name tells none, judged together with that of the odometer.
+
+Candidates are km/h, mph and m/s for the speed, km and miles for the odometer. Positions and an
+odometer whose unit is known tell one; with an unknown odometer, km/h and km explain the way as
+well as mph and miles do. The power that accelerating takes tells the mass, which is unknown but
+for its order of magnitude. What several candidates explain is assumed, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evpinn_ros.logs.column import Column
+from evpinn_ros.logs.quantities import PLACES, QUANTITIES
+from evpinn_ros.logs.signal import (
+    LEAST_EVENTS,
+    LONGEST_STEP,
+    Signal,
+    accelerations,
+    at_times,
+    pull,
+)
+
+FASTEST = {"m/s": 45.0, "mph": 130.0}  # what is larger is hardly a speed of a car in this unit
+STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is no speed in m/s
+SAME_ROAD = 0.2  # logarithm of two ways that are one; mph is 0.48 from km/h
+LEAST_SEGMENTS = 3  # from one step of the odometer to the next
+SEGMENT = 300.0  # m between two positions that tell a way
+EARTH = 6_371_000.0  # m
+CANDIDATES = ("km/h", "mph", "m/s")
+
+FloatArray = NDArray[np.float64]
+
+
+class Masses(NamedTuple):
+    """Masses of a class of vehicles, kg."""
+
+    least: float
+    usual: float
+    heavy: float  # up to which km/h is likelier than a lighter one in mph
+    most: float
+
+
+LIGHT, MIDDLE = Masses(50, 250, 1300, 1500), Masses(80, 700, 2000, 4000)
+CAR = Masses(700, 2000, 3200, 30_000)
+LIGHT_BELOW, CAR_FROM = 60.0, 150.0  # V of the battery
+
+
+def with_speed_unit(
+    columns: Mapping[str, Column], cells: Mapping[str, Signal]
+) -> dict[str, Column]:
+    """The columns, speed and odometer with a unit."""
+    known = dict(columns)
+    speed, odometer = known["speed"], known.get("odometer")
+    if not (speed.unit or speed.is_ours):
+        known["speed"] = speed = _decided(speed, known, cells)
+    if odometer is not None and not (odometer.unit or odometer.is_ours):
+        known["odometer"] = _odometer(odometer, speed, cells)
+    return known
+
+
+def _decided(speed: Column, columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> Column:
+    factors = {text: QUANTITIES["speed"].units[text].factor for text in CANDIDATES}
+    signal, odometer = cells["speed"], columns.get("odometer")
+    if (text := _nearest(_road_of_places(cells), factors)) is not None:
+        return speed.in_unit(text, "by the positions")
+    road = _road_of_odometer(cells)
+    if odometer is not None and (odometer.unit or odometer.is_ours):
+        if (text := _nearest(road * odometer.factor, factors)) is not None:
+            return speed.in_unit(text, "by the odometer")
+        if odometer.why == "by its name":
+            text = "mph" if odometer.unit.startswith("mi") else "km/h"
+            return speed.in_unit(text, "as the odometer").guessed(_others(text))
+    lengths = [QUANTITIES["odometer"].units[text].factor for text in ("km", "mi")]
+    possible = {
+        text
+        for text, factor in factors.items()
+        if not road > 0
+        or any(abs(np.log(road * length / factor)) < SAME_ROAD for length in lengths)
+    } or set(CANDIDATES)
+    possible -= _too_fast(signal)
+    if len(possible) == 1:
+        why = "by the odometer" if road > 0 else "by its values"
+        return speed.in_unit(possible.pop(), why)
+    text, why, left = _by_mass(possible, columns, cells) or _usual(possible, signal)
+    column = speed.in_unit(text, why)
+    return column if left == {text} else column.guessed(tuple(sorted(left - {text})))
+
+
+def _others(text: str) -> tuple[str, ...]:
+    return tuple(other for other in CANDIDATES if other != text)
+
+
+def _too_fast(signal: Signal) -> set[str]:
+    """Units in which the speed would be none of a car."""
+    fastest = float(np.quantile(np.abs(signal.known), 0.999)) if signal.known.size else 0.0
+    too_fast = {text for text, limit in FASTEST.items() if fastest > limit}
+    changes = np.sort(np.abs(accelerations(signal)[1]))
+    if changes.size and changes[int(0.99 * changes.size)] > STRONGEST:
+        too_fast.add("m/s")
+    return too_fast
+
+
+def _by_mass(
+    possible: set[str], columns: Mapping[str, Column], cells: Mapping[str, Signal]
+) -> tuple[str, str, set[str]] | None:
+    """Unit in which the mass is the likeliest, why, and those in which it is possible."""
+    power = power_of(columns, cells)
+    mass = abs(pull(cells["speed"], power)) if power is not None else np.nan
+    if power is None or not mass > 0:
+        return None
+    volts = cells["voltage"].value * columns["voltage"].factor if "voltage" in cells else None
+    usual = _class_of(volts, power.known)
+    units = QUANTITIES["speed"].units
+    masses = {text: mass / units[text].factor ** 2 for text in possible}
+    left = {text for text, value in masses.items() if usual.least <= value <= usual.most}
+    if not left:
+        return None
+    text = min(sorted(left), key=lambda unit: abs(np.log(masses[unit] / usual.usual)))
+    if "km/h" in left and masses["km/h"] <= usual.heavy:
+        text = "km/h"
+    return text, "by the power that accelerating takes", left
+
+
+def _class_of(volts: FloatArray | None, power: FloatArray) -> Masses:
+    """The class of vehicles that has such a battery."""
+    if volts is not None and np.isfinite(volts).any():
+        middle = float(np.nanmedian(volts))
+        return LIGHT if middle < LIGHT_BELOW else MIDDLE if middle < CAR_FROM else CAR
+    return CAR
+
+
+def _usual(possible: set[str], signal: Signal) -> tuple[str, str, set[str]]:
+    """Unit that logs of such numbers have, why, and those that are possible."""
+    value = signal.known
+    fastest = float(np.abs(value).max(initial=0.0))
+    if "m/s" not in possible or fastest > FASTEST["m/s"]:
+        return "km/h", "by its values", possible
+    if fastest > 1 and value.size > LEAST_EVENTS and not (value % 1).any():
+        return "km/h", "by its whole numbers", possible
+    return "m/s", f"by its values, up to {fastest:.3g}", possible
+
+
+def _odometer(odometer: Column, speed: Column, cells: Mapping[str, Signal]) -> Column:
+    """The odometer in the unit by which it goes as far as the speed does."""
+    lengths = {text: QUANTITIES["odometer"].units[text].factor for text in ("km", "mi")}
+    road = _road_of_odometer(cells)
+    text = _nearest(speed.factor / road if road > 0 else np.nan, lengths)
+    if text is None:
+        return odometer.in_unit("km", "").guessed(("mi",))
+    column = odometer.in_unit(text, "as the speed")
+    return column.guessed(("km" if text == "mi" else "mi",)) if speed.could_be else column
+
+
+def _nearest(road: float, factors: Mapping[str, float]) -> str | None:
+    """Unit whose factor this is, about; None without one."""
+    if not road > 0:
+        return None
+    text = min(factors, key=lambda unit: abs(np.log(factors[unit] / road)))
+    return text if abs(np.log(factors[text] / road)) < SAME_ROAD else None
+
+
+def _way(speed: Signal, times: FloatArray) -> FloatArray:
+    """Integral of the speed between times, shape one less; NaN across a gap."""
+    at, value = speed.points()
+    span = np.diff(at)
+    middle = 0.5 * np.abs(value[1:] + value[:-1])
+    way = np.concatenate(([0.0], np.cumsum(middle * span)))
+    gaps = np.concatenate(([0.0], np.cumsum(span > LONGEST_STEP)))
+    ways = np.diff(np.interp(times, at, way))
+    return np.where((np.diff(np.interp(times, at, gaps)) == 0) & (ways > 0), ways, np.nan)
+
+
+def _road_of_odometer(cells: Mapping[str, Signal]) -> float:
+    """Way by the odometer over that by the speed, in the file's units; NaN if not known.
+
+    A low quantile over the ways from one step of the odometer to the next: where a phone has lost
+    its GPS the speed is zero for a while, so a way is too short or right.
+    """
+    if "odometer" not in cells:
+        return np.nan
+    time, value = cells["odometer"].points()
+    time, value = time[value > 0], value[value > 0]
+    steps = np.flatnonzero(np.diff(value) > 0) + 1
+    if steps.size <= LEAST_SEGMENTS or cells["speed"].points()[0].size < LEAST_EVENTS:
+        return np.nan
+    ratios = np.diff(value[steps]) / _way(cells["speed"], time[steps])
+    ratios = ratios[np.isfinite(ratios)]
+    return float(np.quantile(ratios, 0.25)) if ratios.size >= LEAST_SEGMENTS else np.nan
+
+
+def _road_of_places(cells: Mapping[str, Signal]) -> float:
+    """Way between positions, m, over that by the speed in the file's unit; NaN if not known.
+
+    A high quantile, for roads bend between positions.
+    """
+    if not cells.keys() >= set(PLACES) or cells["speed"].points()[0].size < LEAST_EVENTS:
+        return np.nan
+    time = cells["latitude"].time
+    north, east = (np.radians(cells[name].value) for name in PLACES)
+    there = np.isfinite(north + east + time) & (north != 0.0)
+    time, north, east = time[there], north[there], east[there]
+    if time.size < 2:
+        return np.nan
+    place = EARTH * np.column_stack((north, (east - east[0]) * np.cos(north)))
+    picked = [0]
+    for i in range(1, time.size):
+        if np.hypot(*(place[i] - place[picked[-1]])) > SEGMENT:
+            picked.append(i)
+    far = np.hypot(*np.diff(place[picked], axis=0).T)
+    ratios = far / _way(cells["speed"], time[picked])
+    ratios = ratios[np.isfinite(ratios)]
+    return float(np.quantile(ratios, 0.75)) if ratios.size >= LEAST_SEGMENTS else np.nan
+
+
+def power_of(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> Signal | None:
+    """Power of the battery, W, its sign unknown."""
+    if {"voltage", "current"} <= columns.keys():
+        current = cells["current"]
+        scale = columns["voltage"].factor * columns["current"].factor
+        volts = at_times(cells["voltage"], current.time)
+        return Signal(current.time, scale * current.value * volts)
+    if "power" in columns:
+        return Signal(cells["power"].time, cells["power"].value * columns["power"].factor)
+    return None

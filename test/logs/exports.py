@@ -1,0 +1,101 @@
+"""A drive whose way and energy are known, and what a log of it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.logs.read_options import ReadOptions
+from evpinn_ros.logs.source import Source
+from evpinn_ros.logs.sources import open_drive
+
+START = datetime(2024, 3, 5, 7, 8, 9)
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Signals of a drive, SI; current and power positive while discharging; shape (n,)."""
+
+    time: FloatArray
+    speed: FloatArray
+    voltage: FloatArray
+    current: FloatArray
+    odometer: FloatArray
+    charge: FloatArray  # %
+
+    @property
+    def distance(self) -> float:
+        """Way, m."""
+        return float(np.trapezoid(self.speed, self.time))
+
+    @property
+    def energy(self) -> float:
+        """Energy out of the battery, J."""
+        return float(np.trapezoid(self.voltage * self.current, self.time))
+
+
+def simulated(
+    count: int = 900, step: float = 1.0, mass: float = 2000.0, volts: float = 360.0, seed: int = 0
+) -> Drive:
+    """Stop and go in town and out of it; a car of this mass, kg, with a battery of these volts."""
+    chance = np.random.default_rng(seed)
+    time = step * np.arange(count)
+    phases = chance.uniform(0.0, 2.0 * math.pi, 3)
+    speed = 9.0 + 8.0 * np.sin(time / 9.0 + phases[0]) + 5.0 * np.sin(time / 23.0 + phases[1])
+    speed = np.maximum(speed + 4.0 * np.sin(time / 140.0 + phases[2]), 0.0)
+    wheels = speed * (mass * np.gradient(speed, time) + 0.11 * mass + 0.4 * speed**2)
+    power = np.where(wheels > 0, wheels / 0.88, 0.6 * wheels) + 0.25 * mass
+    resistance = volts / 4000.0
+    voltage = volts - resistance * power / volts
+    way = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
+    charge = 80.0 - np.cumsum(power) * step / (30.0 * mass * 36.0)
+    return Drive(time, speed, voltage, power / voltage, 28_582_000.0 + way, charge)
+
+
+def measured(source: Source) -> tuple[float, float]:
+    """Way, m, and energy, J, of the readings of a source."""
+    speeds: list[tuple[int, float]] = []
+    powers: list[tuple[int, float]] = []
+    for reading in source.readings():
+        if isinstance(reading, SpeedReading):
+            speeds.append((reading.stamp_ns, reading.speed))
+        elif isinstance(reading, BatteryReading) and math.isfinite(reading.power):
+            powers.append((reading.stamp_ns, reading.power))
+    return _integral(speeds), _integral(powers)
+
+
+def _integral(values: Sequence[tuple[int, float]]) -> float:
+    if len(values) < 2:
+        return math.nan
+    stamps, numbers = map(np.array, zip(*values, strict=True))
+    return float(np.trapezoid(numbers, (stamps - stamps[0]) / 1e9))
+
+
+def opened(folder: Path, text: str, name: str = "drive.csv", **options: object) -> Source:
+    """The table of a text."""
+    (folder / name).write_text(text)
+    return open_drive(folder / name, 360.0, ReadOptions(**options))  # type: ignore[arg-type]
+
+
+def date(seconds: float) -> str:
+    """A date and time of the drive."""
+    return (START + timedelta(seconds=seconds)).strftime("%Y-%m-%d %H:%M:%S")
+
+
+Line = Callable[[float, float, float, float, float, float], str]
+
+
+def table(header: str, drive: Drive, line: Line) -> str:
+    """A table with a line for each moment: time, speed, volts, amperes, odometer and charge."""
+    columns = (drive.time, drive.speed, drive.voltage, drive.current, drive.odometer, drive.charge)
+    return (
+        "\n".join([header, *(line(*map(float, row)) for row in zip(*columns, strict=True))]) + "\n"
+    )

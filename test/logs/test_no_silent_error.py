@@ -1,0 +1,192 @@
+"""Situations that users reported: the right answer, or what is assumed, or a refusal."""
+
+from collections.abc import Callable
+import math
+from pathlib import Path
+import sys
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from exports import date, measured, opened, simulated, table
+
+from evpinn_ros.common.errors import InputError
+
+DRIVE = simulated()
+LIGHT = simulated(mass=220.0, volts=20.0)
+PLAIN = "time,Speed (km/h),HV Battery Voltage (V),HV Battery Current (A)"
+
+
+def plain(t, v, u, i, *_):
+    return f"{date(t)},{3.6 * v:.2f},{u:.2f},{i:.2f}"
+
+
+def decimal_comma():
+    return table(PLAIN, DRIVE, lambda t, *v: plain(t, *v).replace(".", ","))
+
+
+def thousands():
+    header = f"time,Odometer (km),{PLAIN[5:]}"
+    return table(
+        header,
+        DRIVE,
+        lambda t, v, u, i, far, _: (
+            f"{date(t)},{(far - 28_582_000) / 1000 + 997.5:,.1f},{3.6 * v:.2f},{u:.2f},{i:.2f}"
+        ),
+    )
+
+
+def second_header():
+    lines = table(PLAIN, DRIVE, plain).splitlines()
+    places = [0, 2, 3, 1]
+    turned = [",".join(line.split(",")[place] for place in places) for line in lines]
+    return "\n".join([*lines[:450], turned[0], *turned[450:]])
+
+
+def miles():
+    header = "timestamp,speed,odometer,soc,elevation,power,shift_state"
+    return table(
+        header,
+        DRIVE,
+        lambda t, v, u, i, far, soc: (
+            f"{1709622489000 + 1000 * t:.0f},{v / 0.44704:.1f},{far / 1609.344:.2f},{soc:.0f},1,"
+            f"{u * i / 1000:.2f},D"
+        ),
+    )
+
+
+def minutes():
+    header = "Voltage,Current,Velocity,Elapsed minutes"
+    return table(
+        header, LIGHT, lambda t, v, u, i, *_: f"{u:.3f},{i:.3f},{v:.3f},{(t + 1000) / 60:.6f}"
+    )
+
+
+def stamps_of_a_minute():
+    return table(
+        "Time_Stamp,vehicle_speed,Odometer,DC_Link_Voltage,DC_Link_Current",
+        DRIVE,
+        lambda t, v, u, i, far, _: (
+            f"12/17/2024 10:{int(t + 17) // 60:02d},{3.6 * v:.1f},{far / 1000:.1f},{u:.2f},{i:.2f}"
+        ),
+    )
+
+
+def dst(first: str, hours: int, at: int = 480) -> str:
+    """The clock of a local time that is set by so many hours on a minute of the drive."""
+    lines = table(PLAIN, DRIVE, plain).splitlines()
+
+    def line(k: int, text: str) -> str:
+        day, _, _ = first.partition(" ")
+        hour = int(first[11:13]) * 3600 + 52 * 60 + k + (3600 * hours if k >= at else 0)
+        clock = f"{day} {hour // 3600:02d}:{hour // 60 % 60:02d}:{hour % 60:02d}"
+        return ",".join([clock, *text.split(",")[1:]])
+
+    return "\n".join([lines[0], *(line(k, text) for k, text in enumerate(lines[1:]))])
+
+
+def leafspy():
+    header = "Date/Time,Speed,Gids,Pack Volts,Pack Amps,Odo(km),epoch time, Speed1, Speed2"
+    return table(
+        header,
+        DRIVE,
+        lambda t, v, u, i, far, _: (
+            f"{date(t)},{v / 0.44704:.2f},400,{u:.2f},{i:.3f},{far / 1000:.2f},"
+            f"{1751256576 + t:.0f},0,0"
+        ),
+    )
+
+
+def repeated_with_power():
+    """Rows three times, with power beside voltage and current."""
+    header = "time,speed_kmh,voltage,current,power"
+    text = table(
+        header, DRIVE, lambda t, v, u, i, *_: f"{t:.1f},{3.6 * v:.2f},{u:.2f},{i:.2f},{u * i:.1f}"
+    )
+    lines = text.splitlines()
+    return "\n".join([lines[0], *(line for line in lines[1:] for _ in range(3))])
+
+
+RIGHT: dict[str, tuple[Callable[[], str], str]] = {
+    "decimal comma as separator": (decimal_comma, ""),
+    "thousands": (thousands, ""),
+    "second header": (second_header, ""),
+    "mph and miles": (miles, "'speed' is assumed to be in mph, and could be in km/h"),
+    "stamps of a minute": (stamps_of_a_minute, "stamps are 60 s apart"),
+    "autumn": (lambda: dst("2024-10-27 02", -1), ""),
+    "spring": (lambda: dst("2024-03-31 01", 1), ""),
+    "LeafSpy without Speed2": (leafspy, ""),
+    "rows repeated": (repeated_with_power, ""),
+}
+
+
+@pytest.mark.parametrize("case", RIGHT)
+def test_way_and_energy_are_right(tmp_path, case):
+    text, note = RIGHT[case]
+    source = opened(tmp_path, text())
+    distance, energy = measured(source)
+    assert distance == pytest.approx(DRIVE.distance, rel=0.01)
+    assert energy == pytest.approx(DRIVE.energy, rel=0.01)
+    assert note in " ".join(source.notes) and not (note == "" and "assumed to be" in note)
+
+
+def test_a_light_vehicle_in_metres_a_second_and_minutes(tmp_path):
+    source = opened(tmp_path, minutes())
+    distance, energy = measured(source)
+    assert distance == pytest.approx(LIGHT.distance, rel=0.01)
+    assert energy == pytest.approx(LIGHT.energy, rel=0.01)
+    assert "'Velocity' is assumed to be in m/s" in " ".join(source.notes)
+
+
+@pytest.mark.parametrize("header", ["t_s,speed_mps,voltage_v,current_a", "t,v veh,Volt,Amps"])
+@pytest.mark.parametrize("current", [0, 7])
+def test_a_current_that_never_changes_is_not_measured(tmp_path, header, current):
+    text = table(header, DRIVE, lambda t, v, u, *_: f"{t},{v:.2f},{u:.2f},{current}")
+    source = opened(tmp_path, text)
+    assert math.isnan(measured(source)[1])
+    assert f"current is always {current} while the car speeds up" in " ".join(source.notes)
+
+
+REFUSED = {
+    "another unit below": (
+        lambda: (
+            table(PLAIN, DRIVE, plain)
+            + table(PLAIN.replace("(A)", "(mA)"), DRIVE, lambda t, *v: plain(t + 1000, *v))
+        ),
+        r"drive.csv: row 902 is another header, without 'HV Battery Current \(A\)'",
+    ),
+    "commas of whole numbers": (
+        lambda: table(
+            "time,rpm,load,Speed (km/h),Voltage (V),Current (A)",
+            DRIVE,
+            lambda t, v, u, i, *_: (
+                f"{t:.0f},{400 + 99 * v:,.0f},{700 + 9 * i:,.0f},{100 + v:.0f},{u:.0f},{i:.0f}"
+            ),
+        ),
+        r"drive.csv: row \d+ has 7 cells under 6 names .*save the table with semicolons",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_refusal_names_the_row_and_the_remedy(tmp_path, case):
+    text, message = REFUSED[case]
+    with pytest.raises(InputError, match=message):
+        opened(tmp_path, text())
+
+
+@pytest.mark.parametrize("known", ["km/h", "mph", "m/s"])
+def test_positions_tell_the_unit_of_a_speed(tmp_path, known):
+    factor = {"km/h": 3.6, "mph": 1 / 0.44704, "m/s": 1.0}[known]
+    text = table(
+        "t,speed,voltage,current,lat,lon",
+        DRIVE,
+        lambda t, v, u, i, far, _: (
+            f"{t:.0f},{factor * v:.2f},{u:.1f},{i:.2f},{48 + np.degrees(far / 6.371e6):.6f},11.5"
+        ),
+    )
+    source = opened(tmp_path, text)
+    assert measured(source)[0] == pytest.approx(DRIVE.distance, rel=0.01)
+    (speed,) = (rule for rule in source.rules if rule.quantity == "speed")
+    assert (speed.unit, speed.why, speed.could_be) == (known, "by the positions", ())
