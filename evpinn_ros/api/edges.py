@@ -107,6 +107,7 @@ def edge_energies(
     _, model, _ = known_car(car)
     given = PlanConditions(temperature_c, heating_w, head_wind, payload_kg)
     legs = edges_of_columns(columns_of(edges))
-    of_edges = energy_edges.edge_energies(legs, *basis_of(model, given, air_density))
+    basis = basis_of(model, given, air_density)
+    of_edges = energy_edges.edge_energies(legs, basis.model, basis.weather, basis.head_wind)
     index = edges.index if isinstance(edges, pd.DataFrame) else pd.RangeIndex(len(legs.length))
     return EdgeEnergies(index, of_edges)

@@ -8,7 +8,7 @@ from rclpy.serialization import serialize_message
 
 from evpinn_ros import topics
 from evpinn_ros.core.energy.charge import Uncertain
-from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.forecast import DIRECTION_LENGTH, forecast_plan
 from evpinn_ros.core.energy.forecaster import Forecaster
 from evpinn_ros.core.energy.path_plan import BEND, COMFORT_LATERAL
 from evpinn_ros.core.energy.plan import MAX_POINTS, plan_from_speed_profile
@@ -107,7 +107,7 @@ def test_forecasts_take_the_air_outside_while_it_is_fresh(bench):
     bench.read(node, WindReading(NOW, 8.0))
     plan = plan_from_speed_profile(*zip(*TRIP, strict=True))
     cold = Weather(103_000.0 / (287.05 * 263.15), -10.0)
-    windy = forecast_plan(plan, vehicle_model(VEHICLE), cold, 8.0).energy[-1]
+    windy = forecast_plan(plan, vehicle_model(VEHICLE), cold, 8.0, DIRECTION_LENGTH).energy[-1]
     assert cost() == pytest.approx(windy) and windy > 1.1 * calm
     values = bench.diagnosis(node)["plan"][2]
     assert [values[name] for name in ("air_celsius", "air_pascal", "head_wind_mps")] == [

@@ -34,7 +34,8 @@ from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import density_of_air
 from evpinn_ros.core.vehicle.files import Vehicle
 
-DIRECTION_LENGTH = 5e3  # m within which a trip turns away from where the car now points
+# m within which a trip turns away from where the car now points, and from the wind measured there
+DIRECTION_LENGTH = 5e3
 UNKNOWN_END = PlanEnd(np.full(SIZE, math.nan), *(math.nan,) * 5)
 # Profiles computed together, and about their points, so that what they need stays in the cache.
 TOGETHER, POINTS_TOGETHER = 64, 24_000
@@ -104,6 +105,7 @@ class PlanBasis(NamedTuple):
     model: PowerModel
     weather: Weather
     head_wind: float
+    wind_length: float
 
     @classmethod
     def of(
@@ -122,13 +124,16 @@ class PlanBasis(NamedTuple):
             density: of the air, kg/m^3; None: by its temperature and pressure.
         """
         celsius = air.celsius if given.temperature is None else given.temperature
-        head_wind = air.head if given.head_wind is None else given.head_wind
+        head_wind, wind_length = given.head_wind, math.inf
+        if head_wind is None:
+            head_wind, wind_length = air.head, DIRECTION_LENGTH
         if density is None:
             reference = model.car.equation.vehicle.air_density
             density = density_of_air(reference, celsius, air.pascal)
         start = model.start(given.stood, given.prewarmed or 0.0)
         weather = Weather(density, celsius, given.heating, start)
-        return cls(model.with_payload(given.payload or 0.0), weather, head_wind or 0.0)
+        loaded = model.with_payload(given.payload or 0.0)
+        return cls(loaded, weather, head_wind or 0.0, wind_length)
 
 
 class PlannedEnergy(NamedTuple):
@@ -214,6 +219,7 @@ def forecast_plan(
     model: PowerModel,
     weather: Weather,
     head_wind: float = 0.0,
+    wind_length: float = math.inf,
     *,
     along: bool = True,
 ) -> Forecast:
@@ -226,8 +232,9 @@ def forecast_plan(
         plan: one trip, legs of one, or many trips.
         model: of the car.
         weather: on the way.
-        head_wind: against the car at the start, m/s over ground. Few plans say where they lead,
-            so less and less of it is expected along the way.
+        head_wind: against the car at the start, m/s over ground.
+        wind_length: m within which it fades to a third. Few plans say where they lead, so less and
+            less of a wind that was measured is expected along the way; one that is stated stays.
         along: whether sigma is wanted at every point of one trip; without it may be NaN at all
             but the last, which takes half the time.
 
@@ -235,7 +242,8 @@ def forecast_plan(
         PlanError: the model gives no finite energy.
     """
     points = points_of(plan)
-    wind, elapsed = _wind(points, head_wind), points.time - points.time[..., :1]
+    wind = _wind(points, head_wind, wind_length)
+    elapsed = points.time - points.time[..., :1]
     duration, length = np.diff(points.time), np.diff(points.distance)
     if isinstance(plan, Legs):
         unknown = plan.length * ~plan.height_known
@@ -283,6 +291,7 @@ def plan_parts(
     model: PowerModel,
     weather: Weather,
     head_wind: float = 0.0,
+    wind_length: float = math.inf,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Energies of one trip by part and their 1-sigma, J, shape (COUNT + 1,) each.
 
@@ -294,9 +303,10 @@ def plan_parts(
         model: of the car.
         weather: on the way.
         head_wind: against the car at the start, m/s over ground.
+        wind_length: m within which it fades to a third.
     """
     points = points_of(plan)
-    wind = _wind(points, head_wind)
+    wind = _wind(points, head_wind, wind_length)
     steps = _steps(points, wind)
     if _is_coarse(points):
         wind = (wind[1:] + wind[:-1]) / 2.0
@@ -316,10 +326,10 @@ def _is_coarse(points: Plan) -> bool:
     return duration.ndim == 1 and float(np.median(duration)) > COARSE
 
 
-def _wind(points: Plan, head_wind: float) -> np.ndarray:
+def _wind(points: Plan, head_wind: float, length: float) -> np.ndarray:
     """Wind against the car at each point, m/s."""
     along = points.distance - points.distance[..., :1]
-    return np.asarray(head_wind * np.exp(-along / DIRECTION_LENGTH))
+    return np.asarray(head_wind * np.exp(-along / length))
 
 
 def _path(points: Plan, density: float, wind: np.ndarray) -> Path:

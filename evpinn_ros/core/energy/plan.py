@@ -134,7 +134,7 @@ class PlanConditions:
     Attributes:
         temperature: of the air outside, degrees Celsius.
         heating: electric power of heating and air conditioning, W.
-        head_wind: against the car at the start, m/s over ground; negative from behind.
+        head_wind: against the car all the way, m/s over ground; negative from behind.
         payload: people and luggage, kg.
         charge: state of charge at the start, 0..1.
         stood: for how long the car stands before it, s: tyres and cabin cool meanwhile.

@@ -12,7 +12,7 @@ from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.core.energy.forecaster import Basis, Forecaster
 from evpinn_ros.core.energy.plan import PlanConditions, Question, plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import CLIMATE_SHARE, vehicle_model
-from evpinn_ros.core.signals.readings import TemperatureReading
+from evpinn_ros.core.signals.readings import TemperatureReading, WindReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.plans import read_conditions
@@ -44,6 +44,26 @@ def test_cold_wind_and_payload_cost_and_a_tail_wind_gives():
     assert energy(heating=4000.0) > energy(heating=0.0) + 0.99 * 600 * 4000.0
     assert energy(head_wind=10.0) > plain > energy(head_wind=-10.0)
     assert energy(payload=300.0) > plain
+
+
+@pytest.mark.parametrize("points", [50, 20_000])
+def test_wind_that_is_stated_stays_and_that_of_now_fades(points):
+    def more(length: float, wind: float, fades: bool) -> float:
+        time = np.linspace(0.0, length / 14.0, points)
+        forecaster, plan = Forecaster(CAR), plan_from_speed_profile(time, None, 14.0 + 0.0 * time)
+        calm = forecaster.answer(plan, UNKNOWN, UNKNOWN, 0, BatteryModel(math.nan)).forecast
+        if fades:
+            forecaster.set_air(WindReading(0, wind), 0)
+        else:
+            forecaster.set_conditions(PlanConditions(head_wind=wind))
+        windy = forecaster.answer(plan, UNKNOWN, UNKNOWN, 0, BatteryModel(math.nan)).forecast
+        return float(windy.energy[-1] - calm.energy[-1])
+
+    drag_area, eta = CAR.frontal_area * CAR.priors["c_d"].value, CAR.priors["eta"].value
+    physics = 0.5 * CAR.air_density * drag_area / eta * (24.0**2 - 14.0**2) * 50e3
+    assert more(50e3, 10.0, False) == pytest.approx(physics, rel=0.15)
+    assert more(200e3, 10.0, False) == pytest.approx(4.0 * more(50e3, 10.0, False), rel=0.02)
+    assert 0.0 < more(50e3, 10.0, True) < 0.2 * physics
 
 
 def test_air_is_known_for_half_an_hour_and_a_learned_car_until_another_is_learned():

@@ -185,11 +185,12 @@ def test_the_same_way_more_slowly(speed, slower):
     assert energy(slow) == pytest.approx(rolling + drag / slower**2 + standing)
 
 
-def test_wind_against_the_car_counts_less_the_farther_it_goes():
+def test_wind_that_was_measured_counts_less_the_farther_the_car_goes():
     speed, wind = 20.0, 6.0
     model, plan = plain(), cruise(speed, 2000.0, points=2001)
     calm, windy, tail = (
-        forecast_plan(plan, model, AIR, against) for against in (0.0, wind, -wind)
+        forecast_plan(plan, model, AIR, against, DIRECTION_LENGTH)
+        for against in (0.0, wind, -wind)
     )
     drag = 0.5 * CAR.air_density * COMBINED.drag_area_over_eta * speed
     first = drag * ((speed + wind) ** 2 - speed**2)  # of the first 20 m, 0.4 % of the way to calm
@@ -200,7 +201,7 @@ def test_wind_against_the_car_counts_less_the_farther_it_goes():
     assert more == pytest.approx(np.trapezoid(added, plan.distance), rel=0.01)
     assert -more < tail.energy[-1] - calm.energy[-1] < 0
     many = Plan(*(np.stack([getattr(plan, name)] * 2) for name in Plan.__slots__))
-    both = forecast_plan(many, model, AIR, wind)
+    both = forecast_plan(many, model, AIR, wind, DIRECTION_LENGTH)
     assert both.energy[:, -1] == pytest.approx(windy.energy[-1])
 
 
