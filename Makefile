@@ -118,9 +118,7 @@ golden: $(INSTALLED)
 
 # The pictures of the documents and the reference pages, from code; that of the report needs Chromium.
 docs: $(INSTALLED)
-	@$(BIN)/python docs/demo.py
 	@$(BIN)/python docs/benchmarks_picture.py
-	@$(BIN)/python docs/hidden_battery.py
 	@$(BIN)/python docs/eco_speed.py
 	@$(BIN)/python docs/live_view.py
 	@$(BIN)/python docs/generate.py

@@ -1,9 +1,11 @@
-"""The picture of the README: a bundled drive predicted with its battery hidden.
+"""The picture of the README: a recorded drive predicted with its battery hidden.
 
-Run: python docs/hidden_battery.py (`make docs` does)
+Run: python docs/hidden_battery.py DATA/changchun_sedan, a folder with the recordings of a
+sedan in Changchun. The sixth trip is predicted from the five before it.
 """
 
 from pathlib import Path
+import sys
 import tempfile
 
 from matplotlib.figure import Figure
@@ -13,22 +15,22 @@ from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.report.figure import save_figure
 
 ROOT = Path(__file__).resolve().parents[1]
-CAR = "tesla_model_3_lr"
+CAR = "generic"
 HIDDEN = 30.0  # s after which no voltage and no current reaches the estimator
 WH, KW, MINUTE = 3600.0, 1000.0, 60.0
 
 
-def main() -> None:
-    """Learn from one drive, predict another, draw both beside what was measured."""
+def main(recordings: Path) -> None:
+    """Learn from drives, predict the next, draw both beside what was measured."""
+    *before, last = sorted(recordings.glob("trip_*.csv.gz"))[:6]
     with tempfile.TemporaryDirectory() as folder:
         state = Path(folder) / "car.json"
-        ev.replay(ROOT / "bags" / "urban", CAR, state=state)
-        drive = ev.replay(
-            ROOT / "bags" / "highway", CAR, state=state, withhold_battery_after=HIDDEN
-        )
+        for drive in before:
+            ev.replay(drive, CAR, state=state)
+        result = ev.replay(last, CAR, state=state, withhold_battery_after=HIDDEN)
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")
     above, below = figure.subplots(2, sharex=True, height_ratios=(3, 2))
-    energy, power = drive.energy, drive.power
+    energy, power = result.energy, result.power
     minutes = energy.index / MINUTE
     predicted = energy["predicted_j"] / WH
     half = GAUSSIAN_QUANTILE * energy["predicted_sigma_j"] / WH
@@ -37,10 +39,11 @@ def main() -> None:
     above.plot(minutes, energy["measured_j"] / WH, "k--", lw=1, label="measured, hidden from it")
     above.set_ylabel("energy, Wh")
     above.legend(loc="upper left", frameon=False)
-    for name, style in (("smoothed_w", "tab:blue"), ("measured_w", "k")):
-        below.plot(power.index / MINUTE, power[name] / KW, color=style, lw=0.8)
+    for name, color in (("measured_w", "k"), ("smoothed_w", "tab:blue")):
+        curve = power[name].dropna() / KW
+        below.plot(curve.index / MINUTE, curve, color=color, lw=0.6)
     below.set_ylabel("power, kW")
-    below.set_xlabel("minutes of a drive on the motorway, after a drive of six minutes in town")
+    below.set_xlabel(f"minutes of {last.name.split('.')[0]}, after {len(before)} drives")
     for axes in (above, below):
         axes.axvspan(0, HIDDEN / MINUTE, color="0.9", zorder=0)
         axes.grid(alpha=0.3)
@@ -49,4 +52,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(Path(sys.argv[1]))

@@ -27,9 +27,7 @@ pytestmark = pytest.mark.build
 ROOT = Path(__file__).parents[1]
 GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
 DOCS = sorted((ROOT / "docs").rglob("*.md"))
-# The history tells of commands of its time.
-PAGES = [path for path in DOCS if path.stem != "benchmark_history"]
-PAGES += [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES = [*DOCS, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 LONG = {"add_your_car", "compare", "fleet", "obd", "plan", "python", "replay", "rmf"}
 LONG |= {"robot", "uncertainty", "viewing"}
 NOTHING_RUNS = {"planning", "ros"}  # their blocks need ROS, nodes or a window

@@ -44,7 +44,6 @@ def drive_figure(
     drive: Drive,
     title: str,
     truth: Identifiable | None = None,
-    true_parts: Mapping[str, float] | None = None,
 ) -> Figure:
     """Draw a drive.
 
@@ -52,12 +51,11 @@ def drive_figure(
         drive: what was replayed, with its breakdown.
         title: of the picture.
         truth: of a simulated car, drawn as lines.
-        true_parts: energy that each part of the breakdown truly took, kWh.
     """
     figure = Figure(figsize=(12, 11.5), layout="constrained")
     figure.suptitle(title, parse_math=False)  # it may be the name of a file
     grid = figure.add_gridspec(5, 6, height_ratios=(1.35, 0.7, 1.2, 1, 1))
-    _draw_breakdown(figure.add_subplot(grid[0, :]), drive.breakdown, true_parts or {})
+    _draw_breakdown(figure.add_subplot(grid[0, :]), drive.breakdown)
     over_time = [figure.add_subplot(grid[row, :]) for row in (1, 2)]
     cells = [grid[row, columns] for row in (3, 4) for columns in _thirds()]
     over_time += [figure.add_subplot(cell) for cell in cells]
@@ -91,17 +89,13 @@ def _thirds() -> tuple[slice, ...]:
     return slice(0, 2), slice(2, 4), slice(4, 6)
 
 
-def _draw_breakdown(
-    axes: Axes, amounts: Mapping[str, tuple[float, float]], truth: Mapping[str, float]
-) -> None:
-    """A bar for each part with its 95 % interval, and the truth where it is known."""
+def _draw_breakdown(axes: Axes, amounts: Mapping[str, tuple[float, float]]) -> None:
+    """A bar for each part with its 95 % interval."""
     names = [name for name in MEANINGS if any(amounts.get(name, ()))]
     for row, name in enumerate(names):
         kwh, sigma = amounts[name]
         axes.barh(row, kwh, color=PREDICTED, alpha=0.45, height=0.7)
         axes.errorbar(kwh, row, xerr=INTERVAL * sigma, color=PREDICTED, elinewidth=2)
-        if name in truth:
-            axes.plot([truth[name]] * 2, [row - 0.45, row + 0.45], color=TRUTH, lw=2.5)
         text = f"{kwh:.3f} \u00b1 {sigma:.3f}"
         beside = ("axes fraction", "data")
         axes.annotate(text, (1.01, row), xycoords=beside, va="center", annotation_clip=False)
@@ -110,14 +104,12 @@ def _draw_breakdown(
     axes.axvline(0.0, color="k", lw=0.8)
     # A climb that no height shows is unsure by more than the whole drive took: its line goes on
     # beyond the edge, so that the parts can be seen.
-    drawn = [0.0, *(amounts[name][0] for name in names), *truth.values()]
+    drawn = [0.0, *(amounts[name][0] for name in names)]
     if beside := BESIDE_BARS * np.ptp(drawn):
         axes.set_xlim(min(drawn) - beside, max(drawn) + beside)
     axes.invert_yaxis()
     axes.grid(axis="x", alpha=0.3)
     axes.errorbar([], [], xerr=[], color=PREDICTED, elinewidth=2, label="estimate, 95 % interval")
-    if truth:
-        axes.plot([], [], color=TRUTH, lw=2.5, label="truth")
     axes.legend(**OUTSIDE, ncols=2)
 
 

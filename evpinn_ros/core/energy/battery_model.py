@@ -10,8 +10,7 @@ differs by 11 %). So the end of a plan is found by integrating
 with the Runge-Kutta step of the paper, whose slopes depend on the state here, and so are more than
 a quadrature of P. U is a straight line in q; it and R are learned from voltage, current and state
 of charge by a Kalman filter, Q as the capacity is (`energy.charge`). A polarisation behind a
-second resistance was tried and brought nothing at the end of a plan
-(docs/project/benchmark_history.md).
+second resistance was tried and brought nothing at the end of a plan.
 """
 
 from __future__ import annotations

@@ -12,10 +12,9 @@ three hidden layers of 32 tanh units. Three choices the paper leaves open:
   it the steps of a series are independent, so a whole series is one batched evaluation.
 - **P(t + dt/2)** is an argument; by default the mean of both ends, which is linear interpolation.
 
-The shipped weights were made by the training that docs/project/benchmark_history.md names. With
-them the network differs from the quadrature of the same power by less than 0.01 % of the net
-energy of real drives. Without a state in dE/dt a Runge-Kutta step *is* Simpson's rule, so it gains
-where the midpoint is known.
+With the shipped weights the network differs from the quadrature of the same power by less than
+0.01 % of the net energy of real drives. Without a state in dE/dt a Runge-Kutta step *is* Simpson's
+rule, so it gains where the midpoint is known.
 """
 
 from __future__ import annotations

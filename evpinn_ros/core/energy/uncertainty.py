@@ -28,8 +28,7 @@ from evpinn_ros.common.arrays import namespace
 # From the spread of the energy error over 60 s windows, in the second half of a Model 3 drive
 # and twelve BMW i3 drives, with parameters fitted to the first half: median 4.5 s, 1.8 to 30 s.
 CORRELATION_TIME = 5.0  # s
-# Twelve BMW i3 trips, each without its battery after learning on those before:
-# docs/project/benchmark_history.md.
+# Twelve BMW i3 trips, each without its battery after learning on those before.
 LASTING_SHARE = 0.06
 
 
