@@ -169,7 +169,6 @@ def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:
     trip, energies = planned.trip, planned.energies
     more = planned.basis.model.difference(energies.end, first.energies.end)
     charge, charge_sigma = (100 * planned.charge[:, -1]).tolist()
-    empty = planned.charge[0] <= 0.0
     return {
         "plan": str(path),
         "distance_m": float(trip.distance[-1]),
@@ -178,7 +177,7 @@ def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:
         "sigma_j": float(energies.sigma[-1]),
         "charge_pct": max(charge, 0.0),
         "charge_sigma_pct": charge_sigma,
-        "empty_at_m": float(trip.distance[empty.argmax()]) if empty.any() else None,
+        "empty_at_m": planned.empty_at,
         "more_than_first_j": more.value,
         "more_than_first_sigma_j": more.sigma,
     }

@@ -76,8 +76,8 @@ def _sentence(planned: PlannedEnergy) -> str:
     left, half = (100 * planned.charge[:, -1]).tolist()
     if not np.isfinite(left):
         return text
-    if (planned.charge[0] <= 0.0).any():
-        return f"{text} The battery is empty before the end."
+    if planned.empty_at is not None:
+        return f"{text} The battery is empty after {planned.empty_at / 1e3:.1f} km."
     half *= GAUSSIAN_QUANTILE
     least, most = max(left - half, 0.0), min(left + half, 100.0)
     return f"{text} The battery then has {left:.0f} % left, between {least:.0f} and {most:.0f} %."

@@ -78,7 +78,7 @@ def test_conditions_change_the_forecast(evpinn, folder):
 
 def test_a_battery_that_does_not_last_is_told_with_its_place(evpinn, folder):
     done = evpinn("forecast", "slow.csv", "--vehicle", CAR, "--charge", 1, cwd=folder)
-    assert "empty at 7.8" in done.stdout and "by its vehicle file alone" in done.stdout
+    assert "empty at 3.5 km" in done.stdout and "by its vehicle file alone" in done.stdout
     assert "Battery: 75.0 +- 15.0 kWh when full, by its vehicle file." in done.stdout
     assert "--charge PERCENT" in evpinn("forecast", "slow.csv", cwd=folder).stderr
 

@@ -12,6 +12,7 @@ from evpinn_ros.core.energy.plan import (
     plan_from_speed_profile,
 )
 from evpinn_ros.core.estimation.terms import WHOLE, Part
+from evpinn_ros.report.forecast_page import _sentence
 
 TIME = np.arange(0.0, 601.0, 2.0)
 SPEED = np.minimum(20.0, np.minimum(TIME, 600.0 - TIME)) * (1.0 + 0.1 * np.sin(TIME / 20.0))
@@ -52,3 +53,18 @@ def test_a_stop_lasts_as_long_however_fast_one_drives():
     assert FINE.quicker(1.25).distance[-1] == FINE.distance[-1]
     with pytest.raises(PlanError):
         FINE.quicker(20.0)
+
+
+@pytest.mark.parametrize("charge", [0.05, 0.03, 0.01])
+def test_the_battery_is_empty_where_its_energy_is_used_up_and_the_page_says_it(charge):
+    """Wherever the points lie."""
+    given = PlanConditions(charge=charge)
+    coarse = legs_of_trip(np.array([40e3, 10e3]), np.array([1800.0, 600.0]))
+    found = planned_energy(coarse, "bmw_i3", given)
+    energy, distance = found.energies.energy, found.trip.distance
+    where = float(np.interp(charge * found.gauge.capacity.value, energy, distance))
+    assert 0.0 < where < 40e3 and found.empty_at == pytest.approx(where)
+    assert f"empty after {where / 1e3:.1f} km" in _sentence(found)
+    assert planned_energy(coarse, "bmw_i3", PlanConditions(charge=0.0)).empty_at == 0.0
+    assert planned_energy(coarse, "bmw_i3", PlanConditions(charge=1.0)).empty_at is None
+    assert planned_energy(coarse, "bmw_i3").empty_at is None

@@ -156,6 +156,16 @@ class PlannedEnergy(NamedTuple):
     charge: np.ndarray
     gauge: ChargeGauge
 
+    @property
+    def empty_at(self) -> float | None:
+        """Distance at which the battery is empty, m; None if it lasts, or nothing is known."""
+        along, charge = self.trip.distance - self.trip.distance[0], self.charge[0]
+        if not (charge <= 0.0).any():
+            return None
+        end = int((charge <= 0.0).argmax())
+        here = slice(max(end - 1, 0), end + 1)
+        return float(np.interp(0.0, charge[here][::-1], along[here][::-1]))
+
 
 class Change(NamedTuple):
     """A trip driven otherwise: what, the energy it takes more, J, and the time, s."""
