@@ -19,14 +19,14 @@ PAGES = [  # all that git tracks; of an export, which it knows nothing of, the d
 ] or [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 
 
-def generator():
-    spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
+def script(name):
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-GENERATOR = generator()
+GENERATOR = script("generate")
 
 
 @pytest.mark.parametrize("name", GENERATOR.PAGES)
@@ -84,3 +84,19 @@ def test_every_equation_is_where_the_page_says():
     for number, name in rows:
         documented = pkgutil.resolve_name(f"evpinn_ros.{name}").__doc__
         assert int(number) in equations_named(documented), f"{name} does not name eq. {number}"
+
+
+def test_the_scores_on_the_pages_are_those_of_the_file() -> None:
+    """One home of what was measured: the page has its table, the README the same numbers."""
+    picture = script("benchmarks_picture")
+    page = (ROOT / "docs" / "project" / "benchmarks.md").read_text()
+    lines = picture.table().splitlines()
+    assert len(lines) > 4 and all(line in page for line in lines[2:])
+    readme = (ROOT / "README.md").read_text()
+    for car in picture.cars():
+        numbers = (
+            car[name]
+            for name in ("drives", picture.OURS, "vehicle file alone", "energy per km so far")
+        )
+        shown = " | ".join(map(str, numbers)) + f" | {car[picture.HOLDS]} % |"
+        assert shown in readme, car
