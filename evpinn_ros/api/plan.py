@@ -69,9 +69,10 @@ def forecast(
 
     Args:
         plan: one of three. Speed over time: columns `t_s` (or the index), s, and `speed_mps`, m/s;
-            optional `distance_m` (otherwise from the speeds) and `elevation_m` (otherwise a flat
-            road). Legs: columns with units in their names, two of `length_m`, `duration_s` and
-            `speed_kmh`; optional `climb_m`, or `start_elevation_m` and `end_elevation_m`.
+            optional `distance_m` (otherwise from the speeds), and `elevation_m` or `grade`
+            (otherwise a flat road). Legs: columns with units in their names, two of `length_m`,
+            `duration_s` and `speed_kmh`; optional `climb_m`, `grade`, or `start_elevation_m` and
+            `end_elevation_m`. A column that is not used is named in a warning.
             Or the path of a file: such a table, a GPX or GeoJSON file, the JSON of a
             route service, or a recorded drive.
         car: name or file of a vehicle, or a `Vehicle`, of which nothing was learned; or the

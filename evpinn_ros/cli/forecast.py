@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 from typing import Annotated, Any
+import warnings
 
 import typer
 
@@ -102,7 +103,14 @@ def forecast(
         temperature, heating, head_wind, payload, share, seconds, float(prewarmed)
     )
     own = load_vehicle(vehicle)
-    forecasts = [planned_energy(read_plan(path, own, read_options), car, given) for path in plans]
+    forecasts = []
+    for path in plans:
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always", UserWarning)
+            plan = read_plan(path, own, read_options)
+        for warning in (each for each in warned if each.category is UserWarning):
+            note(f"evpinn: {path}: {warning.message}")
+        forecasts.append(planned_energy(plan, car, given))
     rows = [
         _figures(path, planned, forecasts[0])
         for path, planned in zip(plans, forecasts, strict=True)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import chain, islice
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
+import warnings
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from evpinn_ros.core.energy.plan import (
     legs_of,
     legs_of_trip,
     plan_from_speed_profile,
+    sums,
 )
 from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of, to_floats
 from evpinn_ros.logs.quantities import score, unit_of, words_of
@@ -29,37 +32,57 @@ from evpinn_ros.logs.text_table import TextTable
 
 COLUMNS = "columns t_s and speed_mps, or those of legs, length_m and duration_s or speed_kmh"
 FEW = 8  # names that an error lists
-NEEDED, OPTIONAL = ("t_s", "speed_mps"), ("distance_m", "elevation_m")
+NEEDED = ("t_s", "speed_mps")
 BATTERY = ({"voltage_v", "current_a"}, {"power_w"})  # of a drive; a forecast has a distance too
-LEG_COLUMNS = {  # by what they hold: words before the unit, and a quantity of the same units
+Kinds: TypeAlias = Mapping[str, tuple[tuple[str, ...], str]]
+"""Columns by what they hold: words before the unit, and a quantity of the same units."""
+GRADE = ("grade", "road grade", "gradient", "slope", "cyc grade"), "charge"
+PROFILE_COLUMNS: Kinds = {  # "cyc" as FASTSim has it: cycSecs, cycMps, cycGrade
+    "time": (("t", "time", "cyc"), "time"),
+    "speed": (("speed", "cyc", ""), "speed"),
+    "distance": (("distance", "length"), "odometer"),
+    "elevation": (("elevation", "height", "altitude"), "elevation"),
+    "grade": GRADE,
+}
+LEG_COLUMNS: Kinds = {
     "length": (("length", "distance"), "odometer"),
     "duration": (("duration", "travel time"), "time"),
     "speed": (("speed", "mean speed"), "speed"),
     "climb": (("climb", "rise"), "elevation"),
     "start": (("start elevation", "start height"), "elevation"),
     "end": (("end elevation", "end height", "elevation", "height"), "elevation"),
+    "grade": GRADE,
 }
+HEIGHTS = {"elevation", "climb", "end"}  # beside which a grade is not needed
+STEEPEST, STEEPEST_MEAN = 0.4, 0.12  # fractions of roads and of trips: what has more is in percent
 
 
 def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
     """The plan of columns by their names: `t_s` and `speed_mps`, or those of legs.
 
+    Columns that are not used are named in a warning.
+
     Raises:
         InputError: columns are missing, or hold what is no number; `PlanError`: no trip.
     """
-    if {*NEEDED} <= {*given}:
-        numbers = {
-            name: _numbers(name, given[name]) for name in (*NEEDED, *OPTIONAL) if name in given
-        }
-        time, speed = numbers["t_s"], numbers["speed_mps"]
-        height = numbers.get("elevation_m")
-        return plan_from_speed_profile(time, numbers.get("distance_m"), speed, height)
-    if columns := leg_columns([*given]):
+    names = [*map(str, given)]
+    if columns := profile_columns(names):
+        _warn_of_unused(names, columns)
+        profile = _in_si(columns, given)
+        time, speed, distance = profile["time"], profile["speed"], profile.get("distance")
+        plan = plan_from_speed_profile(time, distance, speed, profile.get("elevation"))
+        if "grade" in profile:
+            length = np.diff(plan.distance)
+            grade = (profile["grade"][1:] + profile["grade"][:-1]) / 2.0
+            plan = replace(plan, elevation=sums(_climb(length, grade)))
+        return plan
+    if columns := leg_columns(names):
+        _warn_of_unused(names, columns)
         legs = _in_si(columns, given)
         if "end" in legs and "start" not in legs:
             legs["start"] = np.concatenate(([np.nan], legs["end"][:-1]))
         return legs_of_trip(*_leg_numbers(legs))
-    there = ", ".join([*map(str, given)][:FEW]) or "none"
+    there = ", ".join(names[:FEW]) or "none"
     raise InputError(f"a plan has the {COLUMNS}; there are: {there}")
 
 
@@ -85,12 +108,13 @@ def table_plan(path: Path) -> Plan | Legs | None:
     head = find_head(table)
     names = {*head.names}
     recorded = "distance_m" not in names and any(columns <= names for columns in BATTERY)
-    if recorded:
+    columns = {} if recorded else profile_columns(head.names)
+    if not {*NEEDED} <= names and ("grade" not in columns or _has_battery(head.names)):
+        columns = {} if recorded else leg_columns(head.names)
+    if not columns:
         return None
-    of_legs = {} if {*NEEDED} <= names else leg_columns(head.names)
-    used = {name for name, _ in of_legs.values()} if of_legs else {*NEEDED, *OPTIONAL}
-    if not (of_legs or {*NEEDED} <= names):
-        return None
+    _warn_of_unused(head.names, columns)
+    used = {name for name, _ in columns.values()}
     places = {name: place for place, name in enumerate(head.names) if name in used}
     cells: dict[str, list[str]] = {name: [] for name in places}  # the others may be thousands
     for _, row in islice(data_rows(table, head), MAX_POINTS + 1):
@@ -100,11 +124,30 @@ def table_plan(path: Path) -> Plan | Legs | None:
     return plan_of_columns({name: Cells(texts, style) for name, texts in cells.items()})
 
 
+def _has_battery(names: Sequence[str]) -> bool:
+    """True of a recorded drive, whose reader knows no grade."""
+    return any(score(what, name) > 0 for what in ("voltage", "current", "power") for name in names)
+
+
+def _warn_of_unused(names: Sequence[str], columns: Mapping[str, tuple[str, float]]) -> None:
+    used = {name for name, _ in columns.values()}
+    if unused := [name for name in names if name.strip() and name not in used]:
+        more = f" and {len(unused) - FEW} more" if len(unused) > FEW else ""
+        text = f"columns of the plan that are not used: {', '.join(unused[:FEW])}{more}"
+        warnings.warn(text, stacklevel=3)
+
+
 class Cells(NamedTuple):
     """Cells of a column of text, and the style of their numbers."""
 
     cells: list[str]
     style: Style
+
+
+def profile_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
+    """Columns of speed over time by what they hold, with SI values per unit; empty for others."""
+    columns, _ = _known_columns(names, PROFILE_COLUMNS)
+    return columns if columns.keys() >= {"time", "speed"} else {}
 
 
 def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
@@ -113,25 +156,42 @@ def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
     Raises:
         PlanError: a column of legs does not say its unit.
     """
-    columns: dict[str, tuple[str, float]] = {}
-    bare = ""
-    for name in map(str, names):
-        for what, (phrases, quantity) in LEG_COLUMNS.items():
-            text, unit = unit_of(quantity, name)
-            words = words_of(name)[0].strip()
-            if unit is None and words in phrases:
-                bare, columns[what] = name, (name, math.nan)
-            elif unit and words.removesuffix(text.replace("/", " ")).strip() in phrases:
-                columns[what] = name, unit.factor
-    ours = {name for name, _ in columns.values()}
+    columns, bare = _known_columns(names, LEG_COLUMNS)
+    ours = {name for name, _ in columns.values()} | {*bare.values()}
     timed = any(score("time", str(name)) > 0 for name in names if name not in ours)
-    if timed or len(columns.keys() & {"length", "duration", "speed"}) < 2:
+    if timed or len((columns.keys() | bare.keys()) & {"length", "duration", "speed"}) < 2:
         return {}
     if bare:
         raise PlanError(
-            f"the column {bare!r} does not say its unit, as length_km and speed_kmh do"
+            f"the column {[*bare.values()][-1]!r} does not say its unit, as length_km and "
+            "speed_kmh do"
         )
     return columns
+
+
+def _known_columns(
+    names: Sequence[str], kinds: Kinds
+) -> tuple[dict[str, tuple[str, float]], dict[str, str]]:
+    """Columns by what they hold: with their SI value per unit, and those that say no unit.
+
+    The value is NaN of a grade that says none, which its numbers tell.
+    """
+    columns: dict[str, tuple[str, float]] = {}
+    bare: dict[str, str] = {}
+    for name in map(str, names):
+        for what, (phrases, quantity) in kinds.items():
+            text, unit = unit_of(quantity, name)
+            words = words_of(name)[0].strip()
+            if unit is None and words in phrases:
+                if what == "grade":
+                    columns[what] = name, math.nan
+                else:
+                    bare[what] = name
+            elif unit and words.removesuffix(text.replace("/", " ")).strip() in phrases:
+                columns[what] = name, unit.factor * (0.01 if what == "grade" else 1.0)
+    if columns.keys() & HEIGHTS:
+        columns.pop("grade", None)
+    return columns, bare
 
 
 def _in_si(
@@ -139,8 +199,11 @@ def _in_si(
 ) -> dict[str, np.ndarray]:
     """Numbers of legs by what they hold, in SI."""
     numbers = {
-        what: _numbers(name, given[name]) * factor for what, (name, factor) in columns.items()
+        what: _numbers(name, given[name]) * (1.0 if math.isnan(factor) else factor)
+        for what, (name, factor) in columns.items()
     }
+    if "grade" in columns and math.isnan(columns["grade"][1]):
+        numbers["grade"] *= _grade_unit(numbers["grade"])
     if len({len(column) for column in numbers.values()}) > 1:
         lengths = ", ".join(f"{name} {len(numbers[what])}" for what, (name, _) in columns.items())
         raise InputError(f"the columns have different numbers of rows: {lengths}")
@@ -165,7 +228,21 @@ def _leg_numbers(
         )
     if "end" in given and "start" in given:
         climb = np.where(np.isnan(climb), given["end"] - given["start"], climb)
+    if "grade" in given:
+        climb = _climb(length, given["grade"])
     return length, duration, climb
+
+
+def _grade_unit(grade: np.ndarray) -> float:
+    """1 of fractions, 0.01 of percent, as no road and no trip is steeper than some."""
+    size = np.abs(grade[np.isfinite(grade)])
+    fractions = not size.size or (size.max() <= STEEPEST and size.mean() <= STEEPEST_MEAN)
+    return 1.0 if fractions else 0.01
+
+
+def _climb(length: np.ndarray, grade: np.ndarray) -> np.ndarray:
+    """Climbs of lengths along roads that rise by so much of the horizontal way."""
+    return np.asarray(length * grade / np.hypot(1.0, grade))
 
 
 def _numbers(name: str, values: Any) -> np.ndarray:

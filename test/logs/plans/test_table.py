@@ -66,6 +66,55 @@ def test_heights_at_the_ends_are_climbs(read):
     assert ends.climb.tolist() == [0, -20] and ends.height_known.tolist() == [False, True]
 
 
+def uphill(header, rows):
+    return header + "\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)
+
+
+@pytest.mark.parametrize("grade", [0.05, -0.05])
+@pytest.mark.parametrize(
+    ("header", "row", "percent"),
+    [
+        ("t_s,speed_mps,grade", lambda t, g: (t, 20, g), False),
+        ("t_s,speed_mps,grade", lambda t, g: (t, 20, g), True),
+        ("cycSecs,cycMps,cycGrade,cycRoadType", lambda t, g: (t, 20, g, 0), False),
+        ("time [min],Speed (mph),distance_mi,Slope [%]",
+         lambda t, g: (t / 60, 20 / 0.44704, 20 * t / 1609.344, g), True),
+        ("length_km,speed_kmh,road_grade_pct", lambda t, g: (0.2, 72, g), True),
+        ("distance_mi,speed_mph,grade", lambda t, g: (0.2 / 1.609344, 72 / 1.609344, g), False),
+    ],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore:columns of the plan")
+def test_grades_are_climbs(read, header, row, percent, grade):
+    """Fractions or percent, by their name or their size."""
+    rows = [row(10 * i, 100 * grade if percent else grade) for i in range(51)]
+    plan = read(uphill(header, rows))
+    if isinstance(plan, Plan):
+        length, climb = plan.distance[-1], np.ptp(plan.elevation) * np.sign(plan.elevation[-1])
+    else:
+        length, climb = plan.length.sum(), plan.climb.sum()
+        assert plan.height_known.all()
+    assert length == pytest.approx(10_000.0, rel=0.021)
+    assert climb / length == pytest.approx(np.sin(np.arctan(grade)))
+
+
+def test_a_grade_beside_heights_is_not_used_nor_is_a_drive_with_one_a_plan(read):
+    with pytest.warns(UserWarning, match="not used: grade, wind"):
+        plan = read(
+            "t_s,speed_mps,elevation_m,grade,wind\n0,0,0,9,1\n400,20,60,9,1\n420,0,60,9,1\n"
+        )
+    assert plan.elevation.tolist() == [0, 60, 60]
+    rows = [(t, 20, 350, 10, 0.05) for t in range(100)]
+    drive = read(uphill("time_s,speed_mps,voltage (V),current (A),grade", rows), "drive.csv")
+    assert not np.ptp(drive.elevation)
+
+
+def test_columns_that_are_not_used_are_named():
+    with pytest.warns(UserWarning, match="not used: height, 7, road$"):
+        ev.forecast({"t_s": [0, 9], "speed_mps": [9, 9], "height": [1, 2], 7: 0, "road": "A"})
+    with pytest.warns(UserWarning, match="not used: .*and 2 more$"):
+        ev.forecast({"length_m": [900], "speed_kmh": [50]} | {f"x{i}": 0 for i in range(10)})
+
+
 def test_a_leg_without_length_is_a_stop(read):
     legs = read("length_km,speed_kmh,duration_s\n3,60,\n0,,300\n3,60,\n")
     assert legs.length.tolist() == [3000, 0, 3000] and legs.duration.tolist() == [180, 300, 180]
