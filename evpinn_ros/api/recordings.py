@@ -171,8 +171,10 @@ def _result(car: CarReplay, source: Source) -> Result:
 def _path_of(drive: Any, folder: Path) -> Path:
     """Path of a drive; a DataFrame is written as a table into the folder first."""
     path = folder / "drive.csv"
-    if hasattr(drive, "write_csv"):  # of polars, which has no index
-        drive.write_csv(path)
+    if hasattr(drive, "write_parquet"):  # of polars, which has no index
+        path = path.with_suffix(".parquet")
+        objects = [name for name, kind in drive.schema.items() if str(kind) == "Object"]
+        drive.drop(objects).write_parquet(path)
     elif hasattr(drive, "to_csv"):  # of pandas
         if drive.index.dtype.kind == "m":
             drive = drive.set_axis(drive.index.total_seconds().rename("time"))

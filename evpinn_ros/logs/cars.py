@@ -24,7 +24,7 @@ NAMES = frozenset(
 LEAST_ROWS, LEAST_SHARE = 20, 0.1  # of a car, and of the rows of the commonest: others are torn
 MOST_CARS = 10_000
 MOST_NAMED = 10  # cars in a message
-FRACTION = re.compile(r"[+-]?\d*[.,]\d*[1-9]\d*")
+FRACTION = re.compile(r"[+-]?\d*[.,]\d*[1-9]0*")
 
 
 class CarTable:

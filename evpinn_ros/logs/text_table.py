@@ -13,6 +13,7 @@ from pathlib import Path
 import re
 from tempfile import TemporaryDirectory
 from typing import IO, Any
+import weakref
 import zlib
 
 from evpinn_ros.common.apart import run_apart
@@ -143,11 +144,11 @@ class TextTable:
         """The text of the file, line by line; what comes before a damage is not lost."""
         self._encoding = self._encoding or _encoding(file.peek(LOOKED_AT_BYTES)[:LOOKED_AT_BYTES])
         errors = "evpinn-cp1252" if self._encoding == "utf-8-sig" else "replace"
-        text = TextIOWrapper(file, self._encoding, errors)
-        while line := text.readline(LONGEST_LINE + 1):
-            if len(line) > LONGEST_LINE and line[-1] != "\n":
-                raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
-            yield line.replace("\0", "")
+        with TextIOWrapper(file, self._encoding, errors) as text:
+            while line := text.readline(LONGEST_LINE + 1):
+                if len(line) > LONGEST_LINE and line[-1] != "\n":
+                    raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
+                yield line.replace("\0", "")
 
 
 class ConvertedTable(TextTable):
@@ -159,11 +160,11 @@ class ConvertedTable(TextTable):
         Raises:
             InputError: it cannot be read.
         """
-        self._folder = TemporaryDirectory()  # lasts as long as the table
-        content = Path(self._folder.name, "table.csv")
+        folder = TemporaryDirectory()
+        weakref.finalize(self, folder.cleanup)  # it lasts as long as the table
+        content = Path(folder.name, "table.csv")
         self.broken = run_apart(function, path, content)
         if not content.exists() or (self.broken and content.stat().st_size == 0):
-            self._folder.cleanup()
             raise InputError(f"{path}: {self.broken or 'no table in it'}")
         super().__init__(path, content, separator=",")
 

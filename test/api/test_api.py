@@ -249,10 +249,19 @@ def test_a_table_of_pandas_or_polars_is_a_drive(table):
     times = pd.to_timedelta(frame["t_s"], unit="s")
     tables = frame, frame.set_index("t_s"), frame.drop(columns="t_s").set_index(times)
     polars_table = polars.from_dict({name: frame[name].tolist() for name in frame})
-    first, *others = (
-        without_path(ev.replay(each, warm_up=5.0)) for each in (*tables, polars_table)
+    rows = len(frame)
+    other_kinds = polars_table.with_columns(
+        polars.duration(milliseconds=polars.col("t_s") * 1e3).alias("t_s"),
+        polars.Series("cells", [[3.7, 3.8]] * rows),
+        polars.Series("place", [{"lat": 1.0}] * rows),
+        polars.Series("raw", [b"7e8"] * rows),
+        polars.Series("note", [object()] * rows, polars.Object),
     )
-    assert first["input"]["samples"] > 140 and others == [first, first, first]
+    first, *others = (
+        without_path(ev.replay(each, warm_up=5.0))
+        for each in (*tables, polars_table, other_kinds)
+    )
+    assert first["input"]["samples"] > 140 and others == [first] * 4
 
 
 def without_path(result: ev.Result) -> dict:
