@@ -258,8 +258,7 @@ def test_a_table_of_pandas_or_polars_is_a_drive(table):
         polars.Series("note", [object()] * rows, polars.Object),
     )
     first, *others = (
-        without_path(ev.replay(each, warm_up=5.0))
-        for each in (*tables, polars_table, other_kinds)
+        without_path(ev.replay(each, warm_up=5.0)) for each in (*tables, polars_table, other_kinds)
     )
     assert first["input"]["samples"] > 140 and others == [first] * 4
 
