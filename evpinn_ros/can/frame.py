@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter, deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,10 @@ MOST_IDS = 4096
 
 BusId = tuple[int, bool]
 """An id, and whether it has 29 bits."""
+
+RECENT = 3  # frames of an id with which another bus is compared
+JUDGED = 100  # frames of an id on another bus that tell
+LEAST_SHARED = 2  # ids with other data that tell two cars
 
 EPOCH_S = 1e9
 """Times above this count from 1970, times below it from the start of a log or an adapter."""
@@ -40,19 +45,59 @@ class FirstBus:
     """Takes each id of a recording of several buses from the one that showed it first.
 
     On another bus the id may mean something else, and two streams of one id make one of nonsense.
+    Where most ids of a bus come with other data on another one, the buses are of two cars.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, only: str | None = None) -> None:
+        """Take frames of all buses, or of the one of this name."""
+        self._only = only
         self._buses: dict[BusId, Any] = {}
+        self._data: dict[BusId, deque[bytes]] = {}  # the last of ids that other buses have as well
+        self._others: dict[BusId, list[int]] = {}  # frames on another bus, and those of other data
+        self._seen: Counter[Any] = Counter()  # ids by the bus that showed them first
+        self.cars = ""  # what tells two cars, if there are two
 
-    def takes(self, key: BusId, bus: Any) -> bool:
+    def takes(self, key: BusId, bus: Any, data: bytes = b"") -> bool:
         """True if a frame of this bus, by whatever name the recording gives it, is to be read.
 
         With more than `MOST_IDS` ids the log is garbage; what comes then is taken.
         """
+        if self._only is not None:
+            self._seen[bus] += 1
+            return str(bus) == self._only
         if key not in self._buses and len(self._buses) < MOST_IDS:
             self._buses[key] = bus
-        return bool(self._buses.get(key, bus) == bus)
+            self._seen[bus] += 1
+        first = self._buses.get(key, bus)
+        if first == bus:
+            if key in self._data:
+                self._data[key].append(bytes(data))
+            return True
+        self._compare(key, first, bus, bytes(data))
+        return False
+
+    @property
+    def missing(self) -> str:
+        """That there is no bus of the name that was asked for; empty where there is one."""
+        if self._only is None or self._only in map(str, self._seen):
+            return ""
+        return f"no frame of the bus {self._only!r}; there are {', '.join(map(str, self._seen))}"
+
+    def _compare(self, key: BusId, first: Any, bus: Any, data: bytes) -> None:
+        """Judge whether another bus with an id repeats what the first one says."""
+        counts = self._others.setdefault(key, [0, 0])
+        recent = self._data.setdefault(key, deque(maxlen=RECENT))
+        counts[0] += bool(recent)
+        counts[1] += bool(recent) and data not in recent
+        if counts[0] % JUDGED or not counts[0]:
+            return
+        judged = [(both, other) for both, other in self._others.values() if both >= JUDGED]
+        differ = sum(other > 0.5 * both for both, other in judged)
+        if len(judged) >= LEAST_SHARED and 2 * differ > max(self._seen[first], 2 * LEAST_SHARED):
+            self.cars = (
+                f"{first} and {bus} have {differ} ids with other data, as of two cars; "
+                f"say --car {first} or --car {bus}"
+            )
 
 
 def nanoseconds(seconds: float) -> int:

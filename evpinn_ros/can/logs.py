@@ -9,7 +9,7 @@ microseconds; version 1 has no `Dir` (SavvyCAN, framefileio.cpp, loadNativeCSVFi
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 import csv
@@ -25,6 +25,7 @@ import can
 from can.io import mf4
 
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
+from evpinn_ros.can.log_clock import LOOKED_AT, TimedLines
 from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES, MF4
 from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
@@ -33,6 +34,10 @@ from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.writer import replaced
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
+FORMATS = (
+    "formats that are read: candump -L (.log), Vector .asc and .blf, PEAK .trc, .csv of SavvyCAN "
+    "and python-can, ASAM .mf4; a table of a drive is a .csv, .tsv or .txt"
+)
 LAST_ID, LAST_EXTENDED_ID, LONGEST_DATA = 0x7FF, 0x1FFFFFFF, 64
 LAST_TIME = 2.0**33  # s since 1970: the year 2242
 END = 64 << 10  # bytes at either end of a log that tell how long it is
@@ -52,6 +57,10 @@ _METHOD = struct.Struct("<H14x")
 logging.getLogger("can.io.blf").setLevel(logging.ERROR)
 
 
+class TwoCarsError(InputError):
+    """A recording holds the buses of two cars."""
+
+
 class LogFile:
     """A CAN log on disk, read once by `frames()`; the attributes are complete after that.
 
@@ -66,8 +75,8 @@ class LogFile:
         problem: why reading stopped before the end, or the sign that the end is missing.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        """Find out the format.
+    def __init__(self, path: str | Path, channel: str | None = None) -> None:
+        """Find out the format; of several buses, read the channel of this name if given.
 
         Raises:
             InputError: no such file, an empty one, or a suffix that is not a CAN log's.
@@ -76,7 +85,7 @@ class LogFile:
         self.count = 0
         self.skipped: Counter[str] = Counter()
         self.problem: str | None = None
-        self._first_bus = FirstBus()
+        self._first_bus = FirstBus(channel)
         suffixes = [suffix.lower() for suffix in self.path.suffixes]
         self._gzipped = suffixes[-1:] == [".gz"]
         self._suffix = "".join(suffixes[:-1][-1:] if self._gzipped else suffixes[-1:])
@@ -106,7 +115,10 @@ class LogFile:
                     reader = BlfReader(file)
                     seconds = reader.stop_timestamp - reader.start_timestamp
                 else:
-                    frames = list(ends._read(_Lines(_ends(file))))
+                    lines = _Lines(_ends(file))
+                    frames = list(ends._read(lines))
+                    if lines.timed.summed:  # of lines that are not there
+                        return None
                     seconds = (frames[-1].stamp_ns - frames[0].stamp_ns) / NANOSECONDS
         except Exception:  # foreign code over a damaged file; why, reading it will tell
             return None
@@ -122,7 +134,8 @@ class LogFile:
             self.count += 1
             yield frame
         if self.count == 0:
-            raise InputError(self.problem or f"{self.path}: no CAN frame in it")
+            nothing = self._first_bus.missing or "no CAN frame in it"
+            raise InputError(self.problem or f"{self.path}: {nothing}")
 
     def _until_broken(self) -> Iterator[CanFrame]:
         with self._open() as file:
@@ -131,9 +144,13 @@ class LogFile:
             # thing, that the log ends here. Whoever takes the frames is not inside the try.
             try:
                 yield from self._read(lines or file)
+            except TwoCarsError:
+                raise
             except Exception as error:
                 place = f"{self.path}:{lines.number}" if lines else str(self.path)
                 self.problem = f"{place}: broken after {self.count} frames: {one_line(error)}"
+                if self.count == 0 and lines is not None and lines.line:
+                    self.problem = f"{place}: {lines.line[:40]!r} is of none of the {FORMATS}"
 
     def _converted(self) -> Iterator[CanFrame]:
         """The frames of an .mf4, by way of a candump log that another process makes of it."""
@@ -164,9 +181,11 @@ class LogFile:
             elif not _is_possible(message):
                 self.skipped["impossible_frame"] += 1
             elif not self._first_bus.takes(
-                (message.arbitration_id, message.is_extended_id), message.channel
+                (message.arbitration_id, message.is_extended_id), message.channel, message.data
             ):
                 self.skipped["other_bus"] += 1
+                if cars := self._first_bus.cars:
+                    raise TwoCarsError(f"{self.path}: {cars}")
             else:
                 yield CanFrame.of(message, nanoseconds(message.timestamp))
         # These readers stop where the file stops and are content; gzip notices by itself.
@@ -200,7 +219,7 @@ def _is_possible(message: Any) -> bool:
 
 def _csv_reader(lines: _Lines) -> Any:
     """The reader of SavvyCAN's columns, or of python-can's own."""
-    is_gvret = lines.peek().startswith(GVRET_HEADER)
+    is_gvret = lines.peek(1)[0].startswith(GVRET_HEADER)
     return gvret_messages(lines) if is_gvret else can.CSVReader(lines)
 
 
@@ -212,32 +231,42 @@ class _Lines:
     """
 
     def __init__(self, file: IO[str]) -> None:
-        self.number, self.cut_off = 0, False
+        self.number, self.cut_off, self.line = 0, False, ""
+        self.timed = TimedLines()
         self.read, self.close = file.read, file.close
         self._file = file
-        self._peeked: str | None = None
+        self._peeked: deque[str] = deque()
 
-    def peek(self) -> str:
-        """The next line, which will come again; empty at the end."""
-        if self._peeked is None:
-            self._peeked = self._file.readline(LONGEST_LINE + 1)
-        return self._peeked.lstrip("\ufeff")
+    def peek(self, count: int) -> list[str]:
+        """The next lines, so many at most, which will come again; empty ones at the end."""
+        while len(self._peeked) < count:
+            self._peeked.append(self._file.readline(LONGEST_LINE + 1))
+        return [line.lstrip("\ufeff") for line in self._peeked]
 
     def __iter__(self) -> Iterator[str]:
         return self
 
     def __next__(self) -> str:
-        self.peek()
-        line, self._peeked = self._peeked, None
+        line = self._peeked.popleft() if self._peeked else self._file.readline(LONGEST_LINE + 1)
         if not line:
             raise StopIteration
         if len(line) > LONGEST_LINE:
             raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
-        self.number += 1
+        self.number, self.line = self.number + 1, line
         self.cut_off = not line.endswith("\n")
         if self.cut_off:
             raise StopIteration
         return line
+
+
+class _Timed:
+    """The lines of a text file with other times, as a file for the readers."""
+
+    def __init__(self, file: _Lines, lines: Iterator[str]) -> None:
+        self.read, self.close, self._lines = file.read, file.close, lines
+
+    def __iter__(self) -> Iterator[str]:
+        return self._lines
 
 
 def convert_mf4(path: Path, out: Path) -> None:
@@ -363,9 +392,10 @@ def gvret_messages(lines: Iterable[str]) -> Iterator[can.Message]:
 
 
 _READERS: dict[str, Callable[..., Any]] = {
-    ".log": can.CanutilsLogReader,
-    # By default the reader drops the date of the log and starts at zero.
-    ".asc": lambda file: can.ASCReader(file, relative_timestamp=False),
+    ".log": lambda file: can.CanutilsLogReader(
+        _Timed(file, file.timed.candump(file.peek(LOOKED_AT), file))
+    ),
+    ".asc": lambda file: can.ASCReader(_Timed(file, file.timed.asc(file))),
     ".blf": BlfReader,
     ".trc": can.TRCReader,
     ".csv": _csv_reader,

@@ -22,9 +22,14 @@ class BagSource(Source):
     def __init__(self, path: Path, options: ReadOptions = READ_DEFAULTS) -> None:
         """Open the bag; InputError when it is none or has none of our topics."""
         super().__init__(path)
-        self._reader, self._terrain = BagReader(path), options.terrain
-        self._readings = BagReadings(self._reader, options.car, options.mounting)
+        self._options, self._terrain = options, options.terrain
+        self._open()
+
+    def _open(self) -> None:
+        self._reader = BagReader(self.path)
+        self._readings = BagReadings(self._reader, self._options.car, self._options.mounting)
         self.dropped = self._readings.dropped
+        self._is_read = False
 
     @property
     def seconds(self) -> float | None:
@@ -43,6 +48,9 @@ class BagSource(Source):
 
     def readings(self) -> Iterator[Reading]:
         """The readings in order of log time."""
+        if self._is_read:  # a broken bag can be gone through once
+            self._open()
+        self._is_read = True
         with self._reader:
             readings = iter(self._readings)
             yield from readings if self._terrain is None else self._terrain.on(readings)

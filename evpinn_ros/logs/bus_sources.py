@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TypeAlias
@@ -77,8 +78,12 @@ class BagFrames:
                 message = record.message
                 if message.is_error or message.is_rtr:
                     self.skipped["error_frame" if message.is_error else "remote_frame"] += 1
-                elif not first_bus.takes((message.id, message.is_extended), record.topic):
+                elif not first_bus.takes(
+                    (message.id, message.is_extended), record.topic, bytes(message.data)
+                ):
                     self.skipped["other_bus"] += 1
+                    if first_bus.cars:
+                        raise InputError(f"{self.path}: {first_bus.cars}")
                 else:
                     self.count += 1
                     yield read_frame(message, record.log_time_ns)
@@ -94,16 +99,12 @@ CanLog: TypeAlias = LogFile | BagFrames
 def open_can_log(path: Path, car: str | None = None) -> CanLog:
     """A CAN log of any kind: a file of frames, or a bag with a topic of them.
 
-    `car` is the namespace of the one that is asked for.
+    `car` is the namespace of the one that is asked for, or the channel of its bus.
 
     Raises:
         InputError: it is neither, or of no such car; the text has the file and the reason.
     """
-    if is_bag(path):
-        return BagFrames(path, car)
-    if car:
-        raise InputError(f"{path}: a CAN log does not tell cars apart, so there is no {car!r}")
-    return LogFile(path)
+    return BagFrames(path, car) if is_bag(path) else LogFile(path, car)
 
 
 def inspected(log: CanLog) -> BusReport:
@@ -117,9 +118,13 @@ def inspected(log: CanLog) -> BusReport:
 class CanLogSource(Source):
     """A CAN log, or the raw frames of a bag, decoded by a profile."""
 
-    def __init__(self, log: CanLog, bridge: CanBridge) -> None:
-        super().__init__(log.path)
-        self._log, self._bridge = log, bridge
+    def __init__(
+        self, open_log: Callable[[], CanLog], make_bridge: Callable[[], CanBridge]
+    ) -> None:
+        """Open the log, and again each time it is read."""
+        self._open_log, self._make_bridge = open_log, make_bridge
+        self._log, self._bridge = open_log(), make_bridge()
+        super().__init__(self._log.path)
 
     @property
     def seconds(self) -> float | None:
@@ -139,6 +144,8 @@ class CanLogSource(Source):
         Raises:
             InputError: it does from the start, or no frame of the whole log gave a reading.
         """
+        self._log, self._bridge = self._open_log(), self._make_bridge()
+        self.dropped.clear()
         newest, decoded = 0, 0
         for frame in self._log.frames():
             newest = max(newest, frame.stamp_ns)
@@ -164,7 +171,6 @@ def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Sourc
     """
     if not is_bag(path) and suffix_of(path) not in LOG_SUFFIXES:
         raise unknown_kind(path)
-    log = open_can_log(path, options.car)
     name = options.can_profile or vehicle.can_profile
     if name is None:
         raise InputError(
@@ -172,7 +178,10 @@ def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Sourc
             "give the --vehicle of a car that does, or --can-profile"
         )
     profile = load_profile(name)
-    guard = None
-    if not options.trust_profile:
-        guard = FitGuard(profile, bundled_profiles(), patient=True)
-    return CanLogSource(log, CanBridge(profile, guard=guard))
+
+    def bridge() -> CanBridge:
+        trusted = options.trust_profile
+        guard = None if trusted else FitGuard(profile, bundled_profiles(), patient=True)
+        return CanBridge(profile, guard=guard)
+
+    return CanLogSource(partial(open_can_log, path, options.car), bridge)

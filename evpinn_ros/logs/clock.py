@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evpinn_ros.common.months import IN_ENGLISH
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.signals.readings import DAY_NS, NANOSECONDS
 from evpinn_ros.logs.numbers import POINT, Style, to_floats
@@ -27,25 +28,8 @@ LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
 BACK_NS = 10 * NANOSECONDS  # to where it began, about: a clock that begins anew with each drive
 PAUSE_NS = 3600 * NANOSECONDS  # between such drives; it is not known, but a drive has ended
 
-# Months as phones abbreviate them in German, French, Spanish, Italian, Dutch and Portuguese, where
-# English does not.
-_MONTHS = {
-    f"-{name}-": f"-{month}-"
-    for month, names in {
-        "Jan": "jän janv ene gen",
-        "Feb": "févr fév fev",
-        "Mar": "mär märz mrz mars mrt",
-        "Apr": "avr abr",
-        "May": "mai mag mei",
-        "Jun": "juin giu",
-        "Jul": "juil lug",
-        "Aug": "août aoû ago",
-        "Sep": "sept set",
-        "Oct": "okt ott out",
-        "Dec": "déc dez dic",
-    }.items()
-    for name in names.split()
-}
+# With the signs beside them, for a month may be part of another word.
+_MONTHS = {f"-{name}-": f"-{month}-" for name, month in IN_ENGLISH.items()}
 
 UNITS_NS = {name: 1e9 * unit.factor for name, unit in QUANTITIES["time"].units.items()}
 DAY_OF_FORMAT = re.compile("%[-_0]?[cDdeFjvs]")  # what of a format tells the day

@@ -148,6 +148,11 @@ class TripSource(Source):
             self.dropped.update(self._log.dropped)
 
 
+def is_one_trip(log: Source) -> bool:
+    """True if a bag or a CAN log is too short for a pause between trips, not so a table."""
+    return not log.rules and (log.seconds or math.inf) <= LONGEST_PAUSE
+
+
 def split(log: Source) -> tuple[Sequence[Source], float]:
     """The trips of a log as sources, and the energy it was charged with between them, J.
 

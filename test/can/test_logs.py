@@ -1,3 +1,5 @@
+from datetime import datetime
+
 import can
 from can.io import mf4
 import pytest
@@ -142,3 +144,64 @@ def test_frames_that_no_bus_can_carry_are_skipped_and_counted(tmp_path):
     log = LogFile(path)
     assert [frame.data for frame in log.frames()] == [b"\x02"]
     assert log.skipped == {"impossible_frame": 1}
+
+
+ASC = "date {date}\nbase hex  timestamps {kind}\nno internal events logged\n"
+
+
+def asc(path, times, date="Tue Mar 5 07:08:09.000 am 2024", kind="absolute"):
+    lines = [f"{time:.6f} 1  132             Rx   d 2 93 88\n" for time in times]
+    path.write_text(ASC.format(date=date, kind=kind) + "".join(lines))
+    return path
+
+
+BEGAN = datetime(2024, 3, 5, 7, 8, 9).timestamp()
+
+
+@pytest.mark.parametrize(
+    ("times", "options", "begin"),
+    [
+        ([-2.5, -1.0, 0.0, 3.0], {}, BEGAN - 2.5),
+        ([25690.5, 25692.0, 25693.0, 25696.0], {}, BEGAN + 1.5),  # of the day
+        ([300000.5, 300002.0, 300003.0, 300006.0], {}, BEGAN),  # since the computer started
+        ([0.0, 1.5, 1.0, 3.0], {"kind": "relative"}, BEGAN),
+        ([0.0, 1.5, 2.5, 5.5], {"date": "Die Mär 5 07:08:09.000 2024"}, BEGAN),
+        ([0.0, 1.5, 2.5, 5.5], {"date": "mar. mars 5 07:08:09 2024"}, BEGAN),
+        ([0.0, 1.5, 2.5, 5.5], {"date": "Kedd szept 5 07:08:09 2024"}, 0.0),  # no date is lost
+        ([-2.5, -1.0, 0.0, 3.0], {"date": "unknown"}, 0.0),
+    ],
+)
+def test_times_of_an_asc_run_from_its_first_frame(tmp_path, times, options, begin):
+    log = LogFile(asc(tmp_path / "a.asc", times, **options))
+    stamps = [frame.stamp_ns / 1e9 for frame in log.frames()]
+    assert stamps == pytest.approx([begin, begin + 1.5, begin + 2.5, begin + 5.5], abs=1e-5)
+
+
+def test_times_since_the_line_before_are_summed(tmp_path):
+    path = tmp_path / "a.log"
+    steps = [0.0, *[0.001, 0.099] * 50]
+    path.write_text("".join(f"(000.{1000 * s:03.0f}000) can0 132#9388\n" for s in steps))
+    log = LogFile(path)
+    assert log.seconds is None
+    stamps = [frame.stamp_ns / 1e9 for frame in log.frames()]
+    assert stamps[-1] == pytest.approx(5.0) and stamps == sorted(stamps)
+
+
+def two_buses(path, same):
+    """The same ids on two buses, with the same data or with others."""
+    with path.open("w") as log:
+        for k in range(400):
+            for can_id in range(0x130, 0x138):
+                log.write(f"({1000 + 0.1 * k:.6f}) can0 {can_id:03X}#{k:04X}\n")
+                log.write(f"({1000 + 0.1 * k:.6f}) can1 {can_id:03X}#{k if same else 7 * k:04X}\n")
+    return path
+
+
+def test_buses_of_two_cars_are_refused_or_chosen(tmp_path):
+    path = two_buses(tmp_path / "two.log", same=False)
+    with pytest.raises(InputError, match=r"two.log: can0 and can1 .* say --car can0 or"):
+        list(LogFile(path).frames())
+    second = [frame.data for frame in LogFile(path, "can1").frames()]
+    assert len(second) == 3200 and second[8] == (7).to_bytes(2, "big")
+    mirrored = LogFile(two_buses(tmp_path / "one.log", same=True))
+    assert len(list(mirrored.frames())) == 3200 and mirrored.skipped == {"other_bus": 3200}
