@@ -18,9 +18,14 @@ NAMES = frozenset(
         *("car", "car id", "carid", "car name", "car no", "car number", "imei"),
         *("vehicle", "vehicle id", "vehicleid", "veh id", "vehid", "vin", "vehicle name"),
         *("vehicle no", "vehicle number", "device id", "deviceid", "license plate"),
+        *("id", "device", "plate", "asset", "asset id", "asset name", "unit id", "tracker id"),
+        *("bus", "bus no", "bus id", "bus number", "truck", "truck id", "vehicle ref"),
+        *("registration", "registration number"),
+        *("serial", "serial number", "serial no", "kennung", "immatriculation", "matricula"),
         *("licence plate", "number plate", "fahrzeug", "kennzeichen", "车牌号", "车架号"),
     )
 )
+LEAST_OF_CAR = 5  # rows of the commonest car
 LEAST_ROWS, LEAST_SHARE = 20, 0.1  # of a car, and of the rows of the commonest: others are torn
 MOST_CARS = 10_000
 MOST_NAMED = 10  # cars in a message
@@ -95,7 +100,10 @@ def _rows_by_car(table: Table, head: Head) -> dict[int, Counter[str]]:
 
 def _cars(rows: Counter[str]) -> list[str]:
     """The cars of a column, sorted; none of a column of measured values."""
-    least = min(LEAST_ROWS, LEAST_SHARE * max(rows.values(), default=0))
+    commonest = max(rows.values(), default=0)
+    if commonest < LEAST_OF_CAR:  # each row has a number of its own
+        return []
+    least = min(LEAST_ROWS, LEAST_SHARE * commonest)
     cars = sorted(car for car, count in rows.items() if count >= least and not is_missing(car))
     return [] if any(map(FRACTION.fullmatch, cars)) else cars
 

@@ -42,6 +42,7 @@ class Column:
     why: str = ""  # the reason for the unit; empty when the name is one of ours
     offset: float = 0.0  # to SI, added after the factor
     place: int = 0  # of the column in the file, from 0
+    wraps: float = 0.0  # in the file's unit: what is above half of it is a negative number
     could_be: tuple[str, ...] = ()  # other units that explain it as well: its own is assumed
 
     @property

@@ -78,6 +78,8 @@ _BATTERY = (
 _OTHERS = (
     "motor,engine,cell,min,max,limit,charger,aux,auxiliary,lv,12v,phase,target,set,heating,heater,"
     "htr,aircon,ac,a c,regen,available,fan,accuracy,acc,wind,rear,gps2,temp,temperature,module,"
+    "dc dc,12 v,24v,24 v,starter,ignition,ecu,low voltage,rms,error,offset,previous,prev,"
+    "reference,ref,desired,demand,commanded,request,requested,setpoint,std,deviation,ripple,insulation,"
     "adapter,avg,average,mean,moyenne,media,durchschnittlich,zelle,cella,celda,cellule,obc,dcdc,evse,steering,sensor,throttle"
 )
 _NO_PLACE = "accuracy,error,acceleration,accel,acc,g,force,rate,term,trim,fuel,speed,time"
@@ -179,7 +181,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         _PERCENT,
         better="battery,displayed,display,hv",
         worse="usable",
-        never="min,max,target,limit,health,cell",
+        never="min,max,target,limit,health,cell,12v,12 v,24v,24 v,lv,aux,auxiliary,starter,error",
     ),
     "motor_torque": Quantity(
         "motor_torque_nm",

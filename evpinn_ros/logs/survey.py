@@ -20,7 +20,7 @@ from typing import Protocol
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.logs.apps import ANNOTATIONS, layout_of
 from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of
-from evpinn_ros.logs.quantities import QUANTITIES, known_unit, may_be_of_use, score
+from evpinn_ros.logs.quantities import BY_COLUMN, QUANTITIES, known_unit, may_be_of_use, score
 from evpinn_ros.logs.text_table import Row
 
 # The columns of a table with one value a row.
@@ -97,7 +97,18 @@ def find_head(table: Table) -> Head:
         names = [
             f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)
         ]
-    return Head(names, number, comments, written)
+    return Head(_told_apart(names), number, comments, written)
+
+
+def _told_apart(names: Sequence[str]) -> list[str]:
+    """Names of columns, twins numbered so that `--column` can take each."""
+    seen: Counter[str] = Counter()
+    told = []
+    for name in names:
+        seen[name] += 1
+        twin = seen[name] > 1 and name and name not in BY_COLUMN
+        told.append(f"{name} #{seen[name]}" if twin else name)
+    return told
 
 
 def long_form(head: Head) -> tuple[int, int, int | None] | None:

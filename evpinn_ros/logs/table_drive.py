@@ -53,6 +53,7 @@ from evpinn_ros.logs.values import (
     contradictions,
     held_columns,
     power_beside,
+    signed,
     unmeasured,
     with_units,
 )
@@ -172,6 +173,11 @@ class TableDrive(Source):
         notes = [*filter(None, (rule.assumption for rule in self.rules)), *self._contradictions]
         if not self.in_order:
             notes.append("rows stand in no order of time, so they were sorted by it")
+        notes += [
+            f"{rule.quantity}: numbers above {rule.wraps / 2:g} are negative ones of {rule.name!r}"
+            for rule in self.rules
+            if rule.wraps
+        ]
         if self._held:
             names = " and ".join(sorted(self._held))
             notes.append(f"{names}: cells that repeat the last value are not used")
@@ -324,7 +330,7 @@ class TableDrive(Source):
         """SI values of a column; NaN where there is none."""
         values = to_floats(_cells(batch, rule.place), self._survey.styles[rule.place])
         self._count_bad(batch, rule, ~np.isfinite(values), "is no number")
-        values = values * rule.factor + rule.offset
+        values = signed(values, rule.wraps) * rule.factor + rule.offset
         values[~(np.abs(values) < MOST)] = math.nan
         return values
 

@@ -41,6 +41,9 @@ HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
 LOADS = ("heating", "aircon", "auxiliary")
 ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
 SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
+RESOLUTIONS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.02, 0.01, 0.001)  # of a bus
+LEAST_WRAPPED = 5  # readings
+NOT_TRACTION = 40.0  # V: below, a battery that does not sag under the current is not what drives
 MAY_BE_HELD = ("speed", "current", "power")
 UNEVEN = 0.5  # of the usual step between rows: one step in twenty is shorter
 LEAST_REPEATS = 0.1  # of the steps
@@ -56,6 +59,10 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
     for name, decide in _BY_VALUES.items():  # the speed's needs the units of these
         if name in done and not _is_known(done[name]):
             done[name] = decide(done[name], cells[name].known)
+    for name in SIGNED:
+        if name in done and (span := wrapped_at(cells[name].known)):
+            done[name] = replace(done[name], wraps=span)
+            cells = {**cells, name: unwrapped(cells[name], span)}
     done = with_speed_unit(done, cells)
     for name in SIGNED:
         if name in done and done[name].why != "as given" and not done[name].is_ours:
@@ -82,6 +89,8 @@ def unmeasured(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
         way = float(np.ptp(odometer)) * columns["odometer"].factor if odometer.size else 0.0
         if way >= STANDING and not np.nan_to_num(cells["speed"].value).any():
             silent["speed"] = "always 0 while the odometer counts up"
+    if why := _of_12_volts(columns, cells):
+        silent["voltage"] = why
     change = np.abs(accelerations(cells["speed"])[1]) * columns["speed"].factor
     if (change > EVENT).sum() < LEAST_EVENTS:
         return silent
@@ -90,6 +99,24 @@ def unmeasured(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
         if known.size >= LEAST_EVENTS and not np.ptp(known):
             silent[name] = f"always {known[0]:g} while the car speeds up and slows down"
     return silent
+
+
+def _of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> str:
+    """Why a voltage is not that of the traction battery; empty if it may be."""
+    if not {"voltage", "current"} <= columns.keys() or columns["voltage"].why == "as given":
+        return ""
+    known = cells["voltage"].known * columns["voltage"].factor
+    middle = float(np.median(known)) if known.size >= LEAST_EVENTS else np.nan
+    if not 0 < middle < NOT_TRACTION or not np.ptp(cells["current"].known):
+        return ""
+    volts = at_times(cells["voltage"], cells["current"].time)
+    both = np.isfinite(volts) & np.isfinite(cells["current"].value)
+    if both.sum() < LEAST_SAGS or not np.ptp(volts[both]):
+        return ""
+    alike = np.corrcoef(volts[both], cells["current"].value[both])[0, 1]
+    if abs(alike) > ALIKE or _sag(cells["current"], cells["voltage"]) != 0.0:
+        return ""
+    return f"about {middle:.3g} V whatever the current, not that of the traction battery"
 
 
 def _sign(drawn: Signal, speed: Column, cells: Mapping[str, Signal]) -> tuple[bool, str]:
@@ -126,6 +153,32 @@ def _say_sign(column: Column, positive: bool, shows: str) -> Column:
     why = f"{'positive' if positive else 'negative'} while it discharges, {shows}"
     column = replace(column if positive else column.turned(), why=why)
     return column.guessed((f"-{column.unit.lstrip('-')}",)) if shows == "assumed" else column
+
+
+def wrapped_at(known: FloatArray) -> float:
+    """Span of unsigned numbers that should be signed; 0 where they are none.
+
+    A charging current of -13.6 A is then 65536 steps more: 6540 A. Nothing lies in between.
+    """
+    if not known.size or known.min() < 0:
+        return 0.0
+    for bits in (16, 32):
+        for resolution in RESOLUTIONS:
+            span = resolution * 2.0**bits
+            middle = (known > 0.25 * span) & (known < 0.75 * span)
+            if ((known >= 0.75 * span) & (known <= span)).sum() >= LEAST_WRAPPED:
+                return span if not middle.any() and known.max() <= span else 0.0
+    return 0.0
+
+
+def unwrapped(signal: Signal, span: float) -> Signal:
+    """The signal with signed values."""
+    return Signal(signal.time, signed(signal.value, span))
+
+
+def signed(values: FloatArray, span: float) -> FloatArray:
+    """Numbers with the sign that their upper half should have; none changes for a span of 0."""
+    return np.where(values > 0.5 * span, values - span, values) if span else values
 
 
 def _voltage_unit(column: Column, known: FloatArray) -> Column:

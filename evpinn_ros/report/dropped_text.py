@@ -27,6 +27,7 @@ WORDS = {
     "time_not_increasing": "readings that are not later than the one before",
     "time_out_of_range": "rows with an impossible date",
     "voltage_not_positive": "battery readings without a voltage",
+    "voltage_stands_still": "voltages that are not of the traction battery",
     "wrong_number_of_cells": "incomplete rows",
 }
 

@@ -148,6 +148,61 @@ def test_a_current_that_never_changes_is_not_measured(tmp_path, header, current)
     assert f"current is always {current} while the car speeds up" in " ".join(source.notes)
 
 
+def test_the_voltage_of_12_volts_is_not_that_of_the_traction_battery(tmp_path):
+    def line(t, v, _, i, *__):
+        return f"{t},{3.6 * v:.2f},{13.8 + 0.1 * math.sin(t):.1f},{i:.2f}"
+
+    header = "time,Speed (km/h),Battery Voltage (V),HV Battery Current (A)"
+    source = opened(tmp_path, table(header, DRIVE, line))
+    assert math.isnan(measured(source)[1])
+    assert "voltage is about 13.8 V whatever the current" in " ".join(source.notes)
+
+
+def test_an_unsigned_current_is_signed(tmp_path):
+    text = table(
+        PLAIN, DRIVE, lambda t, v, u, i, *_: f"{date(t)},{3.6 * v:.2f},{u:.2f},{i % 6553.6:.1f}"
+    )
+    source = opened(tmp_path, text)
+    assert measured(source)[1] == pytest.approx(DRIVE.energy, rel=0.01)
+    assert "numbers above 3276.8 are negative ones" in " ".join(source.notes)
+
+
+DECOYS = ("DC-DC {}", "{} RMS", "{} Offset", "{} Error", "Previous {}", "12V {}", "Charger {}")
+
+
+@pytest.mark.parametrize("name", ["Battery Current (A)", "Speed (km/h)", "HV Battery Voltage (V)"])
+def test_a_column_of_something_else_loses(tmp_path, name):
+    names = ["time", *(decoy.format(name) for decoy in DECOYS), *PLAIN.split(",")[1:]]
+    names[-1] = "Battery Current (A)"
+    text = table(
+        ",".join(names),
+        DRIVE,
+        lambda t, *v: plain(t, *v).replace(",", ",77" * len(DECOYS) + ",", 1),
+    )
+    distance, energy = measured(opened(tmp_path, text))
+    assert (distance, energy) == pytest.approx((DRIVE.distance, DRIVE.energy), rel=0.01)
+
+
+def test_a_twin_can_be_chosen(tmp_path):
+    header = "time,Speed (km/h),Speed (km/h),Voltage (V),Current (A)"
+    text = table(
+        header, DRIVE, lambda t, v, u, i, *_: f"{date(t)},{v:.2f},{3.6 * v:.2f},{u:.2f},{i:.2f}"
+    )
+    source = opened(tmp_path, text, columns=["speed=Speed (km/h) #2"])
+    assert measured(source)[0] == pytest.approx(DRIVE.distance, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["id", "device", "plate", "asset", "bus no"])
+def test_two_cars_are_refused(tmp_path, name):
+    other = simulated(seed=1)
+    lines = table(f"{name},{PLAIN}", DRIVE, lambda *v: "A7," + plain(*v)).splitlines()
+    lines += table("", other, lambda *v: "B2," + plain(*v)).splitlines()[1:]
+    with pytest.raises(InputError, match=f"2 cars; column '{name}' has A7, B2; say --car NAME"):
+        opened(tmp_path, "\n".join(lines))
+    numbered = table(f"{name},{PLAIN}", DRIVE, lambda t, *v: f"{t:.0f},{plain(t, *v)}")
+    assert measured(opened(tmp_path, numbered))[0] == pytest.approx(DRIVE.distance, rel=0.01)
+
+
 REFUSED = {
     "another unit below": (
         lambda: (
