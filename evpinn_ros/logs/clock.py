@@ -40,7 +40,7 @@ class Spread(NamedTuple):
     """Spread of rows that share a stamp, because it is coarser than they are apart."""
 
     resolution_ns: int  # of the stamps
-    rows: int  # that share one
+    rows: int  # that share one; 0 where too few stamps tell
     first: int  # rows that share the first one, which are its last ones
 
 
@@ -88,7 +88,8 @@ class Clock:
     def running(self) -> RunningClock:
         """Counter that lets its times run on where it begins anew."""
         is_local = self.kind == "date" and not self.zoned
-        return RunningClock(self.period_ns, self.drives_from_ns, self.spread, is_local=is_local)
+        spread = self.spread if self.spread is not None and self.spread.rows else None
+        return RunningClock(self.period_ns, self.drives_from_ns, spread, is_local=is_local)
 
     @property
     def dated(self) -> bool:

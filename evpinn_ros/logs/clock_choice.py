@@ -44,6 +44,7 @@ SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is sma
 MOSTLY = 0.8  # of the steps between rows
 SHUFFLED = 0.2  # of the rows lie farther behind the one before: no drive is of so few rows
 SHARED = 0.3  # of the rows have the stamp of the one before, where stamps are coarse
+LEAST_SHARED = 3  # stamps that rows share, to tell how far apart they are
 CHANGED = 0.1  # of these have another value than the one before
 ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
 
@@ -154,7 +155,7 @@ def _unit_of_steps(times: NDArray[np.float64]) -> str:
     step = float(np.median(forward)) if forward.size else 0.0
     if step <= SLOWEST_STEP:
         return "s" if step >= FASTEST_STEP or not forward.size else ""
-    return "ms" if step < SLOWEST_STEP * 1e3 else "us" if step < SLOWEST_STEP * 1e6 else "ns"
+    return "ms" if step <= SLOWEST_STEP * 1e3 else "us" if step <= SLOWEST_STEP * 1e6 else "ns"
 
 
 def _begins_anew(times: NDArray[np.float64], day: float) -> bool:
@@ -287,9 +288,9 @@ def _spread_of(
     steps = np.diff(stamps[rows])
     again = np.flatnonzero(steps == 0)
     later = steps[steps > 0]
-    if again.size < SHARED * steps.size or later.size < 2 or not again.size:
+    if again.size < SHARED * steps.size or not again.size:
         return None
-    resolution = int(later.min())
+    resolution = int(later.min(initial=DAY_NS))
     if resolution < NANOSECONDS or (later % resolution).any():
         return None
     for place, cells in survey.cells.items():
@@ -299,6 +300,8 @@ def _spread_of(
         change = np.abs(values[again + 1] - values[again])
         if np.isfinite(change).mean() > 0.5 and (change > 0).mean() > CHANGED:
             begins = np.flatnonzero(steps) + 1
+            if begins.size < LEAST_SHARED:
+                return Spread(resolution, 0, 0)
             count = float(np.median(np.diff(begins)))
             share = survey.stride * np.array([count, begins[0]])
             return Spread(resolution, max(1, int(share[0])), int(share[1]))
@@ -348,6 +351,7 @@ def _lie_apart(times: NDArray[np.int64], back: NDArray[np.bool_]) -> bool:
 def _is_newest_first(times: NDArray[Any]) -> bool:
     """True if times run backwards on the whole, in whichever unit."""
     steps = np.diff(times)
+    steps = steps[steps != 0]
     return steps.size >= 3 and float(np.mean(steps < 0)) > MOSTLY
 
 

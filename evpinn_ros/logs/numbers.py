@@ -68,8 +68,9 @@ def _certain(cell: str) -> Style | None:
         return POINT if point > comma else COMMA
     sign = "." if point >= 0 else ","
     decimal = POINT if sign == "." else COMMA
-    if cell.count(sign) > 1:
-        return COMMA if sign == "." else POINT
+    if cell.count(sign) > 1:  # thousands, but for a date
+        grouped = _GROUPS.fullmatch(cell) is not None
+        return (COMMA if sign == "." else POINT) if grouped else None
     before, after = cell.lstrip("+-").split(sign)
     if not (before + after).isdigit():
         return None

@@ -27,8 +27,8 @@ from evpinn_ros.logs.signal import (
 
 FASTEST = {"m/s": 45.0, "mph": 130.0}  # what is larger is hardly a speed of a car in this unit
 STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is no speed in m/s
-SAME_ROAD = 0.2  # logarithm of two ways that are one; mph is 0.48 from km/h
-LEAST_SEGMENTS = 3  # from one step of the odometer to the next
+SAME_ROAD = 0.15  # logarithm of two ways that are one; m/s by miles is 0.33 from mph by km
+LEAST_SEGMENTS, MOST_SEGMENTS = 3, 20  # from one step of the odometer to a later one
 SEGMENT = 300.0  # m between two positions that tell a way
 EARTH = 6_371_000.0  # m
 CANDIDATES = ("km/h", "mph", "m/s")
@@ -178,7 +178,7 @@ def _way(speed: Signal, times: FloatArray) -> FloatArray:
 def _road_of_odometer(cells: Mapping[str, Signal]) -> float:
     """Way by the odometer over that by the speed, in the file's units; NaN if not known.
 
-    A low quantile over the ways from one step of the odometer to the next: where a phone has lost
+    A low quantile over ways from one step of the odometer to a later one: where a phone has lost
     its GPS the speed is zero for a while, so a way is too short or right.
     """
     if "odometer" not in cells:
@@ -188,6 +188,7 @@ def _road_of_odometer(cells: Mapping[str, Signal]) -> float:
     steps = np.flatnonzero(np.diff(value) > 0) + 1
     if steps.size <= LEAST_SEGMENTS or cells["speed"].points()[0].size < LEAST_EVENTS:
         return np.nan
+    steps = steps[:: max(1, steps.size // MOST_SEGMENTS)]
     ratios = np.diff(value[steps]) / _way(cells["speed"], time[steps])
     ratios = ratios[np.isfinite(ratios)]
     return float(np.quantile(ratios, 0.25)) if ratios.size >= LEAST_SEGMENTS else np.nan

@@ -7,7 +7,7 @@ thousands. They are joined again where only one way fits; otherwise the table is
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from math import comb
 import re
@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.logs.apps import layout_of
-from evpinn_ros.logs.survey import Head, Table, data_rows, until_broken
+from evpinn_ros.logs.numbers import is_missing
+from evpinn_ros.logs.survey import AnotherHeaderError, Head, Table, data_rows, until_broken
 from evpinn_ros.logs.text_table import Row
 
 MOST_LAYOUTS = 5000  # ways to join that are tried
@@ -26,7 +27,8 @@ LEAST_ROWS = 3
 MOST_GROUPS, MOST_WAYS = 6, 8  # in a row, and ways to join it, that are looked at
 
 _WHOLE = re.compile(r"[+-]?(0|[1-9]\d*)")
-_PADDED = re.compile(r"[+-]?0\d+")  # 05 is the decimals of a number, not a number
+# 05 is the decimals of a number, not a number; and 3.2 has no decimal comma.
+_NO_NUMBER = re.compile(r"[+-]?(0\d+|\d+\.\d*)")
 _CLOCK = re.compile(r".*\d:\d\d")  # whose seconds may have decimals
 _GROUP, _LAST_GROUP = re.compile(r"\d{3}"), re.compile(r"\d{3}(\.\d*)?")
 _LEAD = re.compile(r"[+-]?[1-9]\d{0,2}")
@@ -44,44 +46,56 @@ class JoinedTable:
 
     Attributes:
         apart: widths of rows that are left as they are.
+        torn: lines that are no row.
     """
 
     apart: frozenset[int] = frozenset()
 
     def __init__(
-        self,
-        table: Table,
-        head: Head,
-        decimals: Mapping[int, tuple[int, ...]],
-        thousands: frozenset[int],
+        self, table: Table, head: Head, decimals: frozenset[int], thousands: frozenset[int]
     ) -> None:
         """Join rows.
 
-        `decimals` has for a width the columns that a decimal comma splits, `thousands` those that
-        are split where their numbers are large.
+        A decimal comma splits the columns `decimals`, and one between thousands the columns
+        `thousands` where their numbers are large.
         """
         self._table, self._head = table, head
         self._decimals, self._thousands = decimals, thousands
+        self._spoilt = 0
 
     @property
     def torn(self) -> int:
         """Lines that are no row."""
-        return self._table.torn
+        return self._table.torn + self._spoilt
 
     def rows(self) -> Iterator[Row]:
         """The rows, those that cannot be joined as they are."""
-        width = len(self._head.names)
+        self._spoilt, names = 0, self._head.written
         for number, row in self._table.rows():
-            if number > self._head.row and len(row) > width:
-                row = self.joined(row, width) or row
-            yield number, row
+            if number <= self._head.row:
+                yield number, row
+            elif row[0].strip() in names:
+                if [cell.strip() for cell in row[: len(names)]] != names:
+                    raise AnotherHeaderError(
+                        f"row {number} is another header, and commas split the numbers below it: "
+                        "save the table with semicolons"
+                    )
+            elif (joined := self.joined(row)) is not None:
+                yield number, joined
+            elif self._decimals:
+                self._spoilt += 1
+            else:
+                yield number, row
 
-    def joined(self, row: list[str], width: int) -> list[str] | None:
-        """A row of so many cells; None where there is no way, or several."""
+    def joined(self, row: list[str]) -> list[str] | None:
+        """A row as wide as the header; None where there is no way, or several."""
+        width = len(self._head.names)
+        if self._decimals:
+            return _with_decimals(row, self._decimals, width)
+        if len(row) <= width:
+            return row
         if len(row) in self.apart:
             return None
-        if columns := self._decimals.get(len(row)):
-            return _with_decimals(row, columns)
         ways = _ways(row, width)
         if len(ways) > 1:
             ways = [way for way in ways if way.columns <= self._thousands]
@@ -107,39 +121,39 @@ def joined_table(table: Table, head: Head) -> Table:
         if counts[size] <= TRIED_ROWS:
             rows.setdefault(size, []).append(row)
     least = max(LEAST_ROWS, LEAST_SHARE * counts.total())
-    decimals: dict[int, tuple[int, ...]] = {}
-    thousands: set[int] = set()
     wide = {size: found for size, found in sorted(rows.items()) if size > width}
     if any(layout_of(found[0][1]) for found in wide.values()):  # which has cells without a name
         return table
-    for size, found in wide.items():
-        layouts = _decimal_layouts([row for _, row in found], width)
-        if len(layouts) == 1 and counts[size] >= least:
-            decimals[size] = layouts[0]
+    thousands: set[int] = set()
+    for found in wide.values():
         ways = (_ways(row, width) for _, row in found)
         thousands.update(*(way[0].columns for way in ways if len(way) == 1))
+    commonest = max(counts, key=lambda size: counts[size])
+    layouts = _decimal_layouts([row for _, row in wide.get(commonest, [])], width)
+    decimals = frozenset(layouts[0] if len(layouts) == 1 else ())
     whole = JoinedTable(table, head, decimals, frozenset(thousands))
-    exact = [row for _, row in rows.get(width, [])]
     apart: set[int] = set()
     for size, found in wide.items():
-        bad = [row for row in found if whole.joined(row[1], width) is None]
-        if len(bad) > LEAST_SHARE * len(found) and size not in decimals:
-            apart.add(size)
-            split = sum(bool(_ways(row, width)) for _, row in found) > 0.5 * len(found)
-            if counts[size] >= least and (split or not _continues(found, exact)):
-                number, cells = bad[0]
-                raise InputError(
-                    f"row {number} has {size} cells under {width} names "
-                    f"({','.join(cells)[:60]!r}): if commas split its numbers, save the table "
-                    "with semicolons, or with points in its numbers"
-                )
+        bad = [row for row in found if whole.joined(row[1]) is None]
+        if len(bad) <= LEAST_SHARE * len(found):
+            continue
+        apart.add(size)
+        split = sum(bool(_ways(row, width)) for _, row in found) > 0.5 * len(found)
+        continues = not (decimals or split) and _continues(found, rows.get(width, []))
+        if counts[size] >= least and not continues:
+            number, cells = bad[0]
+            raise InputError(
+                f"row {number} has {size} cells under {width} names ({','.join(cells)[:60]!r}): "
+                "if commas split its numbers, save the table with semicolons, or with points in "
+                "its numbers"
+            )
     whole.apart = frozenset(apart)
     return whole
 
 
 def _decimal_layouts(rows: Sequence[list[str]], width: int) -> list[tuple[int, ...]]:
     """Sets of columns whose numbers a decimal comma may split in all these rows."""
-    extra = len(rows[0]) - width
+    extra = len(rows[0]) - width if rows else 0
     if not 0 < extra <= width or comb(width, extra) > MOST_LAYOUTS:
         return []
     return [
@@ -157,7 +171,7 @@ def _fits(rows: Sequence[list[str]], columns: set[int], width: int) -> bool:
         for column in range(width):
             cell = row[at].strip()
             if column not in columns:
-                if _PADDED.fullmatch(cell):
+                if _NO_NUMBER.fullmatch(cell):
                     return False
                 at += 1
                 continue
@@ -170,14 +184,18 @@ def _fits(rows: Sequence[list[str]], columns: set[int], width: int) -> bool:
     return True
 
 
-def _with_decimals(row: list[str], columns: Sequence[int]) -> list[str]:
+def _with_decimals(row: list[str], columns: frozenset[int], width: int) -> list[str] | None:
+    """The row with the decimals of these columns; None where it has other cells."""
     cells: list[str] = []
     at = 0
     while at < len(row):
-        step = 2 if len(cells) in columns else 1
+        split = len(cells) in columns and not is_missing(row[at])
+        if split and not (at + 1 < len(row) and row[at + 1].strip().isdigit()):
+            return None
+        step = 2 if split else 1
         cells.append(",".join(row[at : at + step]))
         at += step
-    return cells
+    return cells if len(cells) == width else None
 
 
 def _ways(row: list[str], width: int) -> list[_Way]:
@@ -208,12 +226,12 @@ def _ways(row: list[str], width: int) -> list[_Way]:
     return ways
 
 
-def _continues(wide: Sequence[Row], rows: Sequence[list[str]]) -> bool:
+def _continues(wide: Sequence[Row], exact: Sequence[Row]) -> bool:
     """True if wide rows have more cells at their end alone, as an app writes that was updated.
 
     The others then hold numbers where rows of the header's width do.
     """
-    longer = [row for _, row in wide]
+    longer, rows = [row for _, row in wide], [row for _, row in exact]
     return bool(rows) and all(
         _numeric(longer, place) == _numeric(rows, place) for place in range(len(rows[0]))
     )

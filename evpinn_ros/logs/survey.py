@@ -152,7 +152,9 @@ def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:
         for quantity in QUANTITIES
         if cell and score(quantity, names[i]) > 0 and known_unit(quantity, cell.lower())
     }
-    return cells if len(units) >= 2 else []
+    others = (cell.lower() for cell in cells if cell)
+    are_units = all(any(known_unit(name, cell) for name in QUANTITIES) for cell in others)
+    return cells if len(units) >= 2 or (units and are_units) else []
 
 
 @dataclass
@@ -251,7 +253,7 @@ def data_rows(table: Table, head: Head) -> Iterator[Row]:
         cell = row[0]
         if number <= begin or cell[:1] == "#":
             continue
-        if cell[:1] not in _NO_NAME and _is_header(row, head):
+        if (cell[:1] not in _NO_NAME or cell in head.written) and _is_header(row, head):
             places = _places_below(row, head, number)
             continue
         if places is not None:

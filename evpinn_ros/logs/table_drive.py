@@ -137,6 +137,12 @@ class TableDrive(Source):
         self._looked_at_all = survey.widths.total() < limit
         self._survey = survey
         self.clock, *clocks = self._clocks(columns, survey)
+        if self.clock.spread is not None and not self.clock.spread.rows:
+            name = header[self.clock.columns[0]]
+            raise InputError(
+                f"column {name!r}: rows have the same few times, which do not tell how far apart "
+                "they are; say --column time=NAME if there is a finer one"
+            )
         self.zoned = self.clock.zoned
         self.in_order = self.clock.order is not Order.SHUFFLED
         stamps = self.clock.stamps(survey.cells)

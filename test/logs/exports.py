@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.admission import Admission
+from evpinn_ros.core.signals.readings import DAY_NS, BatteryReading, SpeedReading
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.sources import open_drive
@@ -52,36 +53,43 @@ def simulated(
     speed = 9.0 + 8.0 * np.sin(time / 9.0 + phases[0]) + 5.0 * np.sin(time / 23.0 + phases[1])
     speed = np.maximum(speed + 4.0 * np.sin(time / 140.0 + phases[2]), 0.0)
     wheels = speed * (mass * np.gradient(speed, time) + 0.11 * mass + 0.4 * speed**2)
-    power = np.where(wheels > 0, wheels / 0.88, 0.6 * wheels) + 0.25 * mass
+    power: FloatArray = np.where(wheels > 0, wheels / 0.88, 0.6 * wheels) + 0.25 * mass
     resistance = volts / 4000.0
     voltage = volts - resistance * power / volts
     way = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
     charge = 80.0 - np.cumsum(power) * step / (30.0 * mass * 36.0)
-    return Drive(time, speed, voltage, power / voltage, 28_582_000.0 + way, charge)
+    signals = (time, speed, voltage, power / voltage, 28_582_000.0 + way, charge)
+    return Drive(*(np.asarray(signal, np.float64) for signal in signals))
 
 
 def measured(source: Source) -> tuple[float, float]:
-    """Way, m, and energy, J, of the readings of a source."""
-    speeds: list[tuple[int, float]] = []
-    powers: list[tuple[int, float]] = []
-    for reading in source.readings():
+    """Way, m, and energy, J, of the readings of a source that are admitted."""
+    signals: dict[str, list[tuple[int, float]]] = {"speed": [], "voltage": [], "current": []}
+    for reading in filter(Admission().admits, source.readings()):
         if isinstance(reading, SpeedReading):
-            speeds.append((reading.stamp_ns, reading.speed))
-        elif isinstance(reading, BatteryReading) and math.isfinite(reading.power):
-            powers.append((reading.stamp_ns, reading.power))
-    return _integral(speeds), _integral(powers)
+            signals["speed"].append((reading.stamp_ns, reading.speed))
+        elif isinstance(reading, BatteryReading):
+            for name, value in (("voltage", reading.voltage), ("current", -reading.current)):
+                if math.isfinite(value):
+                    signals[name].append((reading.stamp_ns, value))
+    stamps, values = zip(*map(_signal, signals.values()), strict=True)
+    volts = np.interp(stamps[2], stamps[1], values[1]) if stamps[1].size else np.nan
+    return _integral(stamps[0], values[0]), _integral(stamps[2], volts * values[2])
 
 
-def _integral(values: Sequence[tuple[int, float]]) -> float:
-    if len(values) < 2:
-        return math.nan
-    stamps, numbers = map(np.array, zip(*values, strict=True))
-    return float(np.trapezoid(numbers, (stamps - stamps[0]) / 1e9))
+def _signal(points: Sequence[tuple[int, float]]) -> tuple[FloatArray, FloatArray]:
+    """Times since midnight, s, and values, shape (n,) each."""
+    seconds = [stamp % DAY_NS / 1e9 for stamp, _ in points]
+    return np.array(seconds, np.float64), np.array([value for _, value in points], np.float64)
 
 
-def opened(folder: Path, text: str, name: str = "drive.csv", **options: object) -> Source:
+def _integral(times: FloatArray, values: FloatArray) -> float:
+    return float(np.trapezoid(values, times)) if times.size > 1 else math.nan
+
+
+def opened(folder: Path, text: str | bytes, name: str = "drive.csv", **options: object) -> Source:
     """The table of a text."""
-    (folder / name).write_text(text)
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     return open_drive(folder / name, 360.0, ReadOptions(**options))  # type: ignore[arg-type]
 
 

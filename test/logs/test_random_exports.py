@@ -1,0 +1,49 @@
+"""Random exports are read right, or what is assumed is said, or they are refused with a reason."""
+
+from collections import Counter
+from pathlib import Path
+import sys
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from exports import measured, opened
+from random_exports import Export, random_export
+
+from evpinn_ros.common.errors import InputError
+
+pytestmark = pytest.mark.slow
+
+BLOCK = 50
+MOST_WRONG = 0.02  # of way and energy
+MOST_REFUSED = 0.03  # of those that a person could read
+MOST_ASSUMED_WRONGLY = 0.1
+NIGHT = [pytest.param(block, marks=pytest.mark.nightly) for block in range(4, 100)]
+
+
+def verdict(folder: Path, export: Export) -> str:
+    """`right`, `assumed` wrongly, `silent` or `refused`, of an export that a person could read."""
+    try:
+        source = opened(folder, export.data)
+        distance, energy = measured(source)
+    except InputError:
+        return "refused, as by a person" if export.refused else "refused"
+    ratios = distance / export.drive.distance, energy / export.drive.energy
+    if all(abs(ratio - 1.0) < MOST_WRONG for ratio in ratios):
+        return "right"
+    return "assumed" if any("is assumed" in note for note in source.notes) else "silent"
+
+
+@pytest.mark.parametrize("block", [*range(4), *NIGHT])
+def test_no_export_is_read_wrong_in_silence(tmp_path, block):
+    verdicts: Counter[str] = Counter()
+    examples = {}
+    for seed in range(BLOCK * block, BLOCK * (block + 1)):
+        export = random_export(seed)
+        word = verdict(tmp_path, export)
+        verdicts[word] += 1
+        examples.setdefault(word, export.kind)
+    assert not verdicts["silent"], examples["silent"]
+    assert verdicts["refused"] <= MOST_REFUSED * BLOCK, examples["refused"]
+    assert verdicts["assumed"] <= MOST_ASSUMED_WRONGLY * BLOCK, examples["assumed"]
+    assert verdicts["right"] > 0.6 * BLOCK, verdicts
