@@ -13,13 +13,22 @@ class App(NamedTuple):
     mark: str  # the name of that column
     columns: Mapping[str, str]  # by quantity the column to take, whatever other names say
     units: Mapping[str, str]  # by column, as `QUANTITIES` spells them
+    could_be: Mapping[str, tuple[str, ...]]  # by column, other units that a setting chooses
 
 
 # LeafSpy writes the ambient temperature in degrees F beside packs in both ("LeafSpy Log file
 # format", lstech.io). Its Speed is the phone's GPS, which freezes and is silent in pockets; Speed2
 # is the car's own, in 0.01 km/h: it agrees with the odometer within 1 % ("Reading logs of apps" in
 # docs/project/benchmarks.md).
-APPS = (App("Gids", {"speed": "Speed2"}, {"Ambient": "f", "Speed2": "0.01 km/h"}),)
+# Its A/C Pwr is the sum of both estimates, of which the heater's would count twice.
+APPS = (
+    App(
+        "Gids",
+        {"speed": "Speed2", "aircon": "Est Pwr A/C(50w)", "heating": "Est Pwr Htr(250w)"},
+        {"Ambient": "f", "Speed2": "0.01 km/h"},
+        {"Ambient": ("c",)},
+    ),
+)
 
 ANNOTATIONS = ("#group", "#datatype", "#default")  # of InfluxDB's columns, above their names
 

@@ -221,7 +221,8 @@ def _named(quantity: str, header: Sequence[str], place: int) -> tuple[Column, st
         return column.measured_in(text, unit, "by its name"), ""
     by_app = app.units.get(name, "") if app else ""
     if app and (unit := known_unit(quantity, by_app)):
-        return column.measured_in(by_app, unit, f"as in logs with a column {app.mark!r}"), ""
+        column = column.measured_in(by_app, unit, f"as in logs with a column {app.mark!r}")
+        return column.guessed(app.could_be.get(name, ())), ""
     return column, text
 
 

@@ -202,6 +202,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         never="temperature,since",
     ),
 }
+_ENGINE = "engine speed,engine rpm,ice rpm,ice speed,régime moteur,verbrenner drehzahl"
 PLACES = ("latitude", "longitude")
 NEEDED = frozenset(("time", "speed", "voltage", "current", "power"))  # of these, or most
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
@@ -253,6 +254,12 @@ def speaks_of(quantity: str, name: str) -> bool:
     """True if a name has a word of the quantity, of whatever part of the car it is."""
     words, _ = words_of(name)
     return any(f" {phrase} " in words for phrase in _phrases(QUANTITIES[quantity].words))
+
+
+def is_engine_speed(name: str) -> bool:
+    """True if a name is that of the speed of a combustion engine."""
+    words, _ = words_of(name)
+    return any(f" {phrase} " in words for phrase in _phrases(_ENGINE))
 
 
 def may_be_of_use(name: str) -> bool:

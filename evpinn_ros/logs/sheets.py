@@ -14,6 +14,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import open_file
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.writer import new_table
+from evpinn_ros.logs.survey import OTHER_SHEETS, names_some
 from evpinn_ros.logs.text_table import MOST_COLUMNS, plain_cell
 
 with suppress(ImportError):  # at once, for the process is limited from what it took until then
@@ -24,17 +25,26 @@ EMPTY_ABOVE = 50  # rows above the header
 
 
 def write_sheet(path: Path, out: Path) -> None:
-    """Write the first sheet of an .xlsx that holds a table, a row a line."""
+    """Write the first visible sheet of an .xlsx that holds a table, a row a line.
+
+    Sheets with the same header continue it; the names of others stand in a line above.
+    """
     with optional_imports():
         from openpyxl import load_workbook
     with open_file(path) as file, new_table(out) as table:
         book = load_workbook(file, read_only=True, data_only=True)
         writer = csv.writer(table)
-        for sheet in book.worksheets:
-            first = list(islice(_rows(sheet), 2))
-            if len(first) == 2 or sheet is book.worksheets[-1]:  # a line alone is a note
-                writer.writerows(_rows(sheet))
-                return
+        sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
+        sheets = sheets or book.worksheets
+        heads = {sheet.title: list(islice(_rows(sheet), 2)) for sheet in sheets}
+        tables = [sheet for sheet in sheets if len(heads[sheet.title]) == 2] or sheets[-1:]
+        drives = [sheet for sheet in tables if names_some(heads[sheet.title][0] or [""])]
+        first = next(iter(drives), tables[0])  # a line alone is a note
+        same = [sheet for sheet in tables if heads[sheet.title][:1] == heads[first.title][:1]]
+        if others := [sheet.title for sheet in tables if sheet not in same]:
+            writer.writerow([f"{OTHER_SHEETS}{', '.join(map(plain_cell, others))}"])
+        for sheet in same:
+            writer.writerows(_rows(sheet))
 
 
 def _rows(sheet: Any) -> Iterator[list[str]]:

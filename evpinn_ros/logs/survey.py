@@ -30,6 +30,7 @@ NAMES = (
 )
 VALUES = ("value", "reading", "wert", "val", "_value")
 UNITS = ("units", "unit", "einheit")
+OTHER_SHEETS = "# sheets that are not read: "
 HEADER_WITHIN = 60  # rows
 LEAST_SHARE = 0.02  # of rows that are wider than the header: an app that was updated
 NARROW_SHARE = 0.05  # of narrower ones, which leave out empty cells at the end
@@ -82,7 +83,7 @@ def find_head(table: Table) -> Head:
     rows = list(islice(table.rows(), HEADER_WITHIN))
     if not rows:
         raise InputError("the file is empty")
-    place = next((i for i, (_, row) in enumerate(rows) if _names_some(row)), None)
+    place = next((i for i, (_, row) in enumerate(rows) if names_some(row)), None)
     if place is None:
         layouts = (layout_of(row) for _, row in rows)
         if names := next(filter(None, layouts), None):
@@ -90,6 +91,11 @@ def find_head(table: Table) -> Head:
         place = 0
     number, row = rows[place]
     names = [name.strip().strip("\ufeff") for name in row]
+    if len(names) == 1 and len(names[0].split()) > 2:
+        raise InputError(
+            f"one column, {names[0][:60]!r}: cells are separated by commas, semicolons, tabs or "
+            "bars, and not by blanks"
+        )
     comments = [",".join(cells) for _, cells in rows[:place]]
     written = names
     if place + 1 < len(rows) and (units := _units_row(names, rows[place + 1][1])):
@@ -124,7 +130,7 @@ def long_form(head: Head) -> tuple[int, int, int | None] | None:
     return name, value, place(UNITS)
 
 
-def _names_some(row: Sequence[str]) -> bool:
+def names_some(row: Sequence[str]) -> bool:
     """True if two cells of a row or more are names of quantities."""
     if row[0] in ANNOTATIONS:
         return False
@@ -271,7 +277,7 @@ def _is_header(row: Sequence[str], head: Head) -> bool:
     names = {cell.strip().strip("\ufeff") for cell in row}
     if len(names.intersection(head.written)) >= min(2, len(head.written)):
         return True
-    return not any(map(str.isdigit, row[0])) and _names_some(row)
+    return not any(map(str.isdigit, row[0])) and names_some(row)
 
 
 def _places_below(row: Sequence[str], head: Head, number: int) -> list[int | None] | None:

@@ -32,7 +32,7 @@ from evpinn_ros.logs.column import (
     unused_columns,
 )
 from evpinn_ros.logs.numbers import is_missing, to_floats
-from evpinn_ros.logs.quantities import NEEDED, PLACES, QUANTITIES, Unit
+from evpinn_ros.logs.quantities import NEEDED, PLACES, QUANTITIES, Unit, is_engine_speed
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.rows_to_readings import MOST, HeldSignals, RowOrder, RowReadings
 from evpinn_ros.logs.signal import LEAST_EVENTS, Signal
@@ -40,6 +40,7 @@ from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.split_numbers import joined_table
 from evpinn_ros.logs.survey import (
     MOST_ROWS,
+    OTHER_SHEETS,
     LongTable,
     Survey,
     Table,
@@ -52,6 +53,7 @@ from evpinn_ros.logs.text_table import Row
 from evpinn_ros.logs.values import (
     contradictions,
     held_columns,
+    is_engine,
     power_beside,
     signed,
     unmeasured,
@@ -116,6 +118,8 @@ class TableDrive(Source):
             columns = columns_by_name(header, options.columns)
             check_columns(columns, header, battery=options.battery)
             self._beside = power_beside(header, columns)
+            engines = (place for place, name in enumerate(header) if is_engine_speed(name))
+            self._engine = next(engines, None)  # its place, of a hybrid
             self._begin(columns, options)
         except InputError as error:
             text = str(error)
@@ -177,6 +181,8 @@ class TableDrive(Source):
     def notes(self) -> tuple[str, ...]:
         """Notes for a person on how it was read; complete once exhausted."""
         notes = [*filter(None, (rule.assumption for rule in self.rules)), *self._contradictions]
+        comments = self._head.comments
+        notes += [text.lstrip("# ") for text in comments if text.startswith(OTHER_SHEETS)]
         if not self.in_order:
             notes.append("rows stand in no order of time, so they were sorted by it")
         notes += [
@@ -184,6 +190,8 @@ class TableDrive(Source):
             for rule in self.rules
             if rule.wraps
         ]
+        if self._engine is not None:
+            notes.append("rows in which the engine turns are not used")
         if self._held:
             names = " and ".join(sorted(self._held))
             notes.append(f"{names}: cells that repeat the last value are not used")
@@ -225,7 +233,10 @@ class TableDrive(Source):
         return look_through(
             self._table,
             self._head,
-            sorted({column.place for column in (*columns, *filter(None, [self._beside]))}),
+            sorted(
+                {column.place for column in (*columns, *filter(None, [self._beside]))}
+                | ({self._engine} if self._engine is not None else set())
+            ),
             early=partial(self._clocks, columns),
             limit=limit,
         )
@@ -295,7 +306,9 @@ class TableDrive(Source):
         running = self.clock.running()
         batches = _batches(self._until_broken(broken))
         places = self.clock.columns
-        timed = ((b, self.clock.stamps({i: _cells(b, i) for i in places})) for b in batches)
+        timed = (
+            (b, np.array(self.clock.stamps({i: _cells(b, i) for i in places}))) for b in batches
+        )
         blocks = ((stamps, self._values(batch, stamps)) for batch, stamps in timed)
         for stamps, values in _oldest_first(blocks, self.clock.order):
             yield running.add(stamps), values
@@ -305,6 +318,11 @@ class TableDrive(Source):
     def _values(self, batch: Batch, stamps: Stamps) -> Numbers:
         """SI values of the quantities that are used; cells without a time are counted."""
         self._count_times(batch, stamps)
+        if self._engine is not None:
+            style = self._survey.styles[self._engine]
+            on = (to_floats(_cells(batch, self._engine), style) > 0) & (stamps != NONE)
+            self.dropped["engine_on"] += int(on.sum())
+            stamps[on] = NONE
         values = {
             rule.quantity: self._numbers(batch, rule)
             for rule in self.rules
@@ -381,6 +399,9 @@ class TableDrive(Source):
         if not own:
             used = with_units(used, signals)
         self._silent = unmeasured(used, signals)
+        if self._engine is not None:
+            turning = self._signal(Column("time", "", place=self._engine), times)
+            self._engine = self._engine if is_engine(turning, signals["speed"]) else None
         self._held = held_columns(signals) & used.keys()
         self._contradictions = tuple(contradictions({**used, **beside}, signals))
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))

@@ -44,6 +44,7 @@ SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
 RESOLUTIONS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.02, 0.01, 0.001)  # of a bus
 LEAST_WRAPPED = 5  # readings
 NOT_TRACTION = 40.0  # V: below, a battery that does not sag under the current is not what drives
+GEARED = 0.98  # correlation of speed and motor speed
 MAY_BE_HELD = ("speed", "current", "power")
 UNEVEN = 0.5  # of the usual step between rows: one step in twenty is shorter
 LEAST_REPEATS = 0.1  # of the steps
@@ -78,6 +79,19 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
 
 def _is_known(column: Column) -> bool:
     return bool(column.unit) or column.is_ours
+
+
+def is_engine(turning: Signal, speed: Signal) -> bool:
+    """True if a speed is that of a hybrid's engine, which stands at times while the car drives.
+
+    Electric cars send that of their motor in its place, which goes with the speed.
+    """
+    at = at_times(turning, speed.time)
+    known = np.isfinite(at) & np.isfinite(speed.value)
+    fast, turns = speed.value[known], at[known]
+    if turns.size < LEAST_EVENTS or not (turns > 0).any() or not np.ptp(turns) or not np.ptp(fast):
+        return False
+    return float(np.corrcoef(fast, turns)[0, 1]) < GEARED
 
 
 def unmeasured(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> dict[str, str]:

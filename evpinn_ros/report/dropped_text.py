@@ -13,6 +13,7 @@ WORDS = {
     "current_stands_still": "currents that never change",
     "battery_late": "battery readings that came too late",
     "battery_out_of_range": "impossible voltages or currents",
+    "engine_on": "rows in which the engine turns",
     "no_time": "rows without a time",
     "power_stands_still": "powers that never change",
     "second_publisher": "readings from a second source of the same signal",

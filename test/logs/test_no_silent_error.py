@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from exports import date, measured, opened, simulated, table
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.logs.sources import open_drive
 
 DRIVE = simulated()
 LIGHT = simulated(mass=220.0, volts=20.0)
@@ -203,7 +204,48 @@ def test_two_cars_are_refused(tmp_path, name):
     assert measured(opened(tmp_path, numbered))[0] == pytest.approx(DRIVE.distance, rel=0.01)
 
 
+def with_engine(turns):
+    def line(t, v, u, i, *_):
+        return f"{plain(t, v, u, i)},{turns(t, v):.0f}"
+
+    return table(f"{PLAIN},Engine RPM (rpm)", DRIVE, line)
+
+
+def test_a_hybrid_is_read_where_its_engine_stands(tmp_path):
+    source = opened(tmp_path, with_engine(lambda t, v: 1500 + 30 * v if t >= 450 else 0))
+    stamps = [reading.stamp_ns for reading in source.readings()]
+    assert (max(stamps) - min(stamps)) / 1e9 == 449 and source.dropped == {"engine_on": 450}
+    assert "rows in which the engine turns are not used" in source.notes
+    motor = opened(tmp_path, with_engine(lambda t, v: 410 * v))
+    assert measured(motor)[0] == pytest.approx(DRIVE.distance, rel=0.01) and not motor.dropped
+
+
+def test_the_visible_sheet_with_a_drive_is_read_and_others_are_named(tmp_path):
+    book = pytest.importorskip("openpyxl").Workbook()
+    hidden = book.active
+    hidden.title, hidden.sheet_state = "old", "hidden"
+    lines = [line.split(",") for line in table(PLAIN, DRIVE, plain).splitlines()]
+    for title, rows in (
+        ("notes", [["a", "b"], [1, 2]]),
+        ("drive", lines[:500]),
+        ("drive 2", [lines[0], *lines[500:]]),
+    ):
+        sheet = book.create_sheet(title)
+        for row in rows:
+            sheet.append(row)
+    for row in lines[:10]:
+        hidden.append(row)
+    book.save(tmp_path / "drive.xlsx")
+    source = open_drive(tmp_path / "drive.xlsx")
+    assert measured(source)[0] == pytest.approx(DRIVE.distance, rel=0.01)
+    assert "sheets that are not read: notes" in source.notes
+
+
 REFUSED = {
+    "blanks": (
+        lambda: table(PLAIN, DRIVE, plain).replace(" ", "_").replace(",", " "),
+        r"one column, 'time Speed_.* and not by blanks",
+    ),
     "another unit below": (
         lambda: (
             table(PLAIN, DRIVE, plain)
