@@ -56,6 +56,7 @@ def forecast(
     payload_kg: float | None = None,
     stood_h: float | None = None,
     prewarmed: bool = False,
+    steady: bool | None = None,
     air_density: float | None = None,
 ) -> pd.DataFrame:
     """Energy that a plan will take, and the charge along it, each with 1-sigma.
@@ -88,6 +89,10 @@ def forecast(
         stood_h: hours since the last drive, in which tyres and cabin cool down. If not given, they
             are as at the end of that drive; of a car that was read from a file they are cold.
         prewarmed: True if the cabin was heated or cooled before the start, while plugged in.
+        steady: True: speed is a straight line between points, and legs are driven evenly. False:
+            between points that are some seconds apart or more, the energy of speeding up and
+            braking is added that is usual on such legs; so it is by default, but for paths and
+            trajectories that a controller follows.
         air_density: kg/m^3; if not given, that of the vehicle file, at `temperature_c` if given.
 
     Returns:
@@ -108,6 +113,7 @@ def forecast(
         None if charge_pct is None else charge_pct / 100,
         None if stood_h is None else 3600.0 * stood_h,
         float(prewarmed),
+        None if steady is None else float(steady),
     )
     _, trip, _, energies, charge, _ = planned_energy(plan, car, given, air_density)
     columns = {

@@ -18,6 +18,7 @@ from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 
 COLUMNS = ("plan", "km", "min", "km/h", "kWh", "1-sigma", "kWh/100 km", "charge after")
 MORE = "kWh more than the first"
+LEAST_UNEVEN = 0.005 * JOULES_PER_KWH  # which would read 0.00
 WIDE = 100  # characters of a table that compares
 ENERGIES = ("energy_j", "sigma_j", "more_than_first_j", "more_than_first_sigma_j")
 
@@ -69,6 +70,14 @@ def forecast(
         bool,
         typer.Option("--prewarmed", help="The cabin was heated or cooled while plugged in."),
     ] = False,
+    steady: Annotated[
+        bool | None,
+        typer.Option(
+            "--steady/--expected",
+            help="Between points far apart, speed is a straight line, or as drivers have it "
+            "(the default, but for paths and trajectories that a controller follows).",
+        ),
+    ] = None,
     read_options: ReadOptions = READ_DEFAULTS,
     report: Annotated[
         Path | None,
@@ -91,6 +100,7 @@ def forecast(
     # Here, for pandas takes longer to import than all else together.
     from evpinn_ros.api.estimator import Estimator
     from evpinn_ros.api.plan import planned_energy, what_if
+    from evpinn_ros.core.energy.forecast import UNEVEN
     from evpinn_ros.core.energy.plan import PlanConditions
     from evpinn_ros.core.vehicle.files import load_vehicle
     from evpinn_ros.logs.plans.read import read_plan
@@ -100,7 +110,14 @@ def forecast(
     share = None if charge is None else charge / 100
     seconds = None if stood is None else 3600 * stood
     given = PlanConditions(
-        temperature, heating, head_wind, payload, share, seconds, float(prewarmed)
+        temperature,
+        heating,
+        head_wind,
+        payload,
+        share,
+        seconds,
+        float(prewarmed),
+        None if steady is None else float(steady),
     )
     own = load_vehicle(vehicle)
     forecasts = []
@@ -117,8 +134,13 @@ def forecast(
     ]
     rows[0] |= dict.fromkeys(ENERGIES[2:], math.nan)
     columns = (*COLUMNS, MORE) if len(rows) > 1 else COLUMNS
-    table = PlainTable("Forecast", columns, [_texts(row)[: len(columns)] for row in rows])
+    texts = [_texts(row)[: len(columns)] for row in rows]
+    table = PlainTable("Forecast", columns, texts)
     show(table, at_least=WIDE if len(rows) > 1 else 0)
+    for row, (name, *_) in zip(rows, texts, strict=True):
+        if row["uneven_j"] > LEAST_UNEVEN:
+            kwh, whole = row["uneven_j"] / JOULES_PER_KWH, row["energy_j"] / JOULES_PER_KWH
+            say(f"{name}: {kwh:.2f} of {whole:.2f} kWh: {UNEVEN}; --steady leaves it out.")
     known = "by its vehicle file alone; --state FILE uses what earlier drives taught"
     say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
     expected = _expected(given, forecasts[0].basis.model.car.celsius)
@@ -183,6 +205,7 @@ def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:
         "duration_s": float(trip.time[-1]),
         "energy_j": float(energies.energy[-1]),
         "sigma_j": float(energies.sigma[-1]),
+        "uneven_j": planned.uneven,
         "charge_pct": max(charge, 0.0),
         "charge_sigma_pct": charge_sigma,
         "empty_at_m": planned.empty_at,

@@ -10,7 +10,7 @@ import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.core.energy.charge import Uncertain
-from evpinn_ros.core.energy.forecast import Change, PlannedEnergy, plan_parts
+from evpinn_ros.core.energy.forecast import UNEVEN, Change, PlannedEnergy, plan_parts
 from evpinn_ros.core.energy.plan import Legs
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.estimation.terms import Part
@@ -20,7 +20,6 @@ from evpinn_ros.report.html import write_page
 from evpinn_ros.report.intervals import IntervalRow, interval_rows
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
-UNEVEN = "speeding up and braking between the points"
 LEAST_SHOWN = 0.0005  # kWh, which would read 0.000
 
 
@@ -73,6 +72,8 @@ def _sentence(planned: PlannedEnergy) -> str:
         f"{np.ptp(trip.distance) / 1e3:.1f} km in {minutes:.0f} minutes take {kwh:.2f} kWh: "
         f"9 times in 10 between {low:.2f} and {high:.2f}."
     )
+    if (uneven := planned.uneven / JOULES_PER_KWH) > LEAST_SHOWN:
+        text += f" {uneven:.2f} kWh of it are for {UNEVEN}; --steady leaves them out."
     left, half = (100 * planned.charge[:, -1]).tolist()
     if not np.isfinite(left):
         return text

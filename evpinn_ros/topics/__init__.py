@@ -308,8 +308,8 @@ CONDITIONS = Topic(
     "plan/conditions",
     "planner",
     "optional, for all plans from then on: `temperature` degC, `heating` W, `head_wind` m/s, "
-    "`payload` kg, `charge` 0..1, `stood` s before the start, `prewarmed` 0..1; NaN or not named: "
-    "the last known",
+    "`payload` kg, `charge` 0..1, `stood` s before the start, `prewarmed` 0..1, `steady` 0 or 1; "
+    "NaN or not named: the last known",
 )
 FORECAST = Topic(
     "energy/forecast",

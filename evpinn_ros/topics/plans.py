@@ -6,6 +6,7 @@ Readers raise `PlanError` with the reason when a message is no plan.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 import math
 import struct
 from typing import Any, TypeAlias
@@ -60,9 +61,12 @@ def plan_of_message(
         raise
     except (ValueError, struct.error) as error:
         raise PlanError("the message is damaged") from error
-    if type_name == PATH_TYPE:
-        return path_plan(message, nominal_speed)
-    return (speed_profile_plan if type_name == TRAJECTORY_TYPE else trajectory_plan)(message)
+    if type_name == TRAJECTORY_TYPE:
+        return speed_profile_plan(message)
+    followed = (
+        path_plan(message, nominal_speed) if type_name == PATH_TYPE else trajectory_plan(message)
+    )
+    return replace(followed, commanded=True)  # by a controller, of Nav2 or Autoware
 
 
 def _point_count(type_name: str, data: bytes) -> int:

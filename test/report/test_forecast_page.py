@@ -1,5 +1,7 @@
 """The page of `evpinn forecast --report`, and what its figures are made of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,9 @@ COARSE = legs_of_trip(
     duration=np.array([60.0, 90.0, 350.0]),
     climb=np.array([0.0, 0.0, 40.0]),
 )
+FEW = plan_from_speed_profile(
+    np.array([0.0, 20.0, 580.0, 600.0]), None, np.array([0.0, 20.0, 20.0, 0.0])
+)
 COLD = PlanConditions(temperature=-10.0, head_wind=5.0)
 
 
@@ -35,6 +40,16 @@ def test_parts_add_up_to_the_forecast(plan):
     assert uneven > 1e4 if plan is COARSE else abs(uneven) < 1.0
     assert energy[Part.SLOPE] > 0.0 and energy[Part.CLIMATE] > 0.0
     assert (sigma[[Part.AIR, Part.TYRES]] > 0.0).all()
+
+
+@pytest.mark.parametrize("plan", [FEW, COARSE])
+def test_the_part_of_uneven_speed_is_what_steady_leaves_out(plan):
+    found = planned_energy(plan, "bmw_i3", COLD)
+    steady = planned_energy(plan, "bmw_i3", replace(COLD, steady=1.0))
+    less = found.energies.energy[-1] - steady.energies.energy[-1]
+    assert found.uneven == pytest.approx(less, rel=0.02) and less > 1e4
+    assert abs(steady.uneven) < 0.02 * less
+    assert found.energies.time.tolist() == steady.energies.time.tolist()
 
 
 def test_faster_takes_more_and_less_time_and_colder_takes_more():

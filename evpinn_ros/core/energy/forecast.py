@@ -19,21 +19,17 @@ import numpy as np
 from evpinn_ros.common.arrays import namespace
 from evpinn_ros.core.energy.charge import ChargeGauge, Uncertain
 from evpinn_ros.core.energy.plan import COARSE, Legs, Plan, PlanConditions, PlanError, points_of
-from evpinn_ros.core.energy.power_model import (
-    PlanEnd,
-    PowerModel,
-    Weather,
-    even_steps,
-    vehicle_model,
-)
+from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, Weather, vehicle_model
 from evpinn_ros.core.estimation.journey import standing, wandered
 from evpinn_ros.core.estimation.states import SIZE, State
 from evpinn_ros.core.estimation.terms import WHOLE, Part
-from evpinn_ros.core.estimation.unevenness import Path, size_of, stops_of
+from evpinn_ros.core.estimation.unevenness import Path, even_path, size_of, stops_of
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import density_of_air
 from evpinn_ros.core.vehicle.files import Vehicle
 
+SMALL_CHANGE = 0.5  # m/s from point to point of a speed that is commanded
+MOST_STRAIGHT = 100_000  # points between those of a plan
 # m within which a trip turns away from where the car now points, and from the wind measured there
 DIRECTION_LENGTH = 5e3
 UNKNOWN_END = PlanEnd(np.full(SIZE, math.nan), *(math.nan,) * 5)
@@ -97,6 +93,7 @@ class Air(NamedTuple):
 
 
 UNKNOWN_AIR = Air()
+UNEVEN = "speeding up and braking between the points"
 
 
 class PlanBasis(NamedTuple):
@@ -106,6 +103,7 @@ class PlanBasis(NamedTuple):
     weather: Weather
     head_wind: float
     wind_length: float
+    steady: bool | None
 
     @classmethod
     def of(
@@ -133,7 +131,8 @@ class PlanBasis(NamedTuple):
         start = model.start(given.stood, given.prewarmed or 0.0)
         weather = Weather(density, celsius, given.heating, start)
         loaded = model.with_payload(given.payload or 0.0)
-        return cls(loaded, weather, head_wind or 0.0, wind_length)
+        steady = None if given.steady is None else given.steady >= 0.5
+        return cls(loaded, weather, head_wind or 0.0, wind_length, steady)
 
 
 class PlannedEnergy(NamedTuple):
@@ -155,6 +154,12 @@ class PlannedEnergy(NamedTuple):
     energies: Forecast
     charge: np.ndarray
     gauge: ChargeGauge
+
+    @property
+    def uneven(self) -> float:
+        """The part of its energy that uneven speed between its points takes, J."""
+        energies, _ = plan_parts(self.given, self.energies, *self.basis)
+        return float(energies[-1])
 
     @property
     def empty_at(self) -> float | None:
@@ -230,13 +235,14 @@ def forecast_plan(
     weather: Weather,
     head_wind: float = 0.0,
     wind_length: float = math.inf,
+    steady: bool | None = None,
     *,
     along: bool = True,
 ) -> Forecast:
     """Energy, power and 1-sigma along a plan.
 
     Where its points lie further apart than some seconds, what drivers do between them is expected,
-    as this car's drives had it (`estimation.unevenness`).
+    as this car's drives had it (`estimation.unevenness`), unless its speeds are commanded.
 
     Args:
         plan: one trip, legs of one, or many trips.
@@ -245,6 +251,8 @@ def forecast_plan(
         head_wind: against the car at the start, m/s over ground.
         wind_length: m within which it fades to a third. Few plans say where they lead, so less and
             less of a wind that was measured is expected along the way; one that is stated stays.
+        steady: True if speeds are commanded, False if expected; None: as the plan has it. Of legs
+            the mean speeds are then driven evenly.
         along: whether sigma is wanted at every point of one trip; without it may be NaN at all
             but the last, which takes half the time.
 
@@ -252,6 +260,11 @@ def forecast_plan(
         PlanError: the model gives no finite energy.
     """
     points = points_of(plan)
+    steady, coarse = is_steady(plan, steady), _is_coarse(points)
+    own: Any = slice(None)
+    if coarse and steady and isinstance(plan, Plan):
+        (plan, own), coarse = _straight(plan), False
+        points = plan
     wind = _wind(points, head_wind, wind_length)
     elapsed = points.time - points.time[..., :1]
     duration, length = np.diff(points.time), np.diff(points.distance)
@@ -264,9 +277,9 @@ def forecast_plan(
     stood, square, unseen = (np.cumsum(sums_of_step, axis=-1) for sums_of_step in steps)
     noise = model.noise(elapsed[..., 1:], stood, square)
     energies = None
-    if _is_coarse(points):
+    if coarse:
         path = _path(points, weather.air_density, wind)
-        legs, beyond = model.leg_rows(path, weather)
+        legs, beyond = model.leg_rows(path, weather, even=steady)
         uneven = size_of(np.abs(beyond @ model.car.mean), stops_of(path, model.car.mean))
         rows = np.cumsum(legs, axis=0)
     elif along or duration.ndim > 1:
@@ -283,8 +296,9 @@ def forecast_plan(
         energy = np.cumsum(energies) + model.car.mean[State.LOAD] * wandered(elapsed[1:])[1]
         sigma = np.concatenate((np.full(len(energy) - 1, math.nan), sigma))
     zero = np.zeros_like(elapsed[..., :1])
-    energy, sigma = (np.concatenate((zero, series), axis=-1) for series in (energy, sigma))
-    power = np.diff(energy) / duration
+    energy, sigma = (np.concatenate((zero, series), -1)[..., own] for series in (energy, sigma))
+    time = points.time[..., own]
+    power = np.diff(energy) / np.diff(time)
     power = np.concatenate((power, power[..., -1:]), axis=-1)
     if not (possible and np.isfinite(energy + power).all()):
         raise PlanError("by the model of the car its energy is not finite")
@@ -292,7 +306,7 @@ def forecast_plan(
     if energy.ndim == 1:
         whole = elapsed, points.distance - points.distance[0], noise, unseen, uneven
         end = PlanEnd(rows[-1], *(float(last[-1]) for last in whole))
-    return Forecast(time=points.time, energy=energy, power=power, sigma=sigma, end=end)
+    return Forecast(time=time, energy=energy, power=power, sigma=sigma, end=end)
 
 
 def plan_parts(
@@ -302,6 +316,7 @@ def plan_parts(
     weather: Weather,
     head_wind: float = 0.0,
     wind_length: float = math.inf,
+    steady: bool | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Energies of one trip by part and their 1-sigma, J, shape (COUNT + 1,) each.
 
@@ -314,13 +329,15 @@ def plan_parts(
         weather: on the way.
         head_wind: against the car at the start, m/s over ground.
         wind_length: m within which it fades to a third.
+        steady: True if its speeds are commanded.
     """
     points = points_of(plan)
+    if _is_coarse(points) and isinstance(plan, Plan):
+        points, _ = _straight(plan)
     wind = _wind(points, head_wind, wind_length)
     steps = _steps(points, wind)
-    if _is_coarse(points):
-        wind = (wind[1:] + wind[:-1]) / 2.0
-        steps = even_steps(steps.duration, steps.distance, steps.climb, wind)
+    if _is_coarse(points) and isinstance(plan, Legs):
+        steps = Steps(*even_path(_path(points, weather.air_density, wind))[:5])
     rows = np.concatenate((model.parts(steps, weather), np.zeros((1, SIZE))))
     rows[Part.STANDING, State.LOAD] = forecast.end.row[State.LOAD]
     rows[-1] = forecast.end.row - rows[WHOLE].sum(0)
@@ -330,10 +347,46 @@ def plan_parts(
     return rows @ car.mean, np.sqrt(np.maximum(variance, 0.0))
 
 
+def is_steady(plan: Plan | Legs, steady: bool | None) -> bool:
+    """True if the speeds of a plan are commanded: as asked, else as it says."""
+    return isinstance(plan, Plan) and plan.commanded if steady is None else steady
+
+
 def _is_coarse(points: Plan) -> bool:
     """True for one trip whose points are so far apart that its speed varies between them."""
     duration = np.diff(points.time)
     return duration.ndim == 1 and float(np.median(duration)) > COARSE
+
+
+def _straight(plan: Plan) -> tuple[Plan, np.ndarray]:
+    """One trip with points between its own, as `_steps` has speeds there, and which its own are.
+
+    So many that speed changes little from each to the next.
+    """
+    duration, length = np.diff(plan.time), np.diff(plan.distance)
+    start, end = plan.speed[:-1], plan.speed[1:]
+    middle = np.maximum(1.5 * length / duration - (start + end) / 4.0, 0.0)
+    change = np.abs(middle - start) + np.abs(end - middle)
+    most = max(MOST_STRAIGHT // len(length), 1)
+    pieces = np.clip(np.ceil(change / SMALL_CHANGE), 1, most).astype(int)
+    own = np.concatenate(([0], np.cumsum(pieces)))
+    leg = np.repeat(np.arange(len(length)), pieces)
+    share = (np.arange(own[-1]) - own[leg]) / pieces[leg]
+    first, last, top = start[leg], end[leg], middle[leg]
+    rise, bend = 4.0 * top - 3.0 * first - last, 2.0 * (first + last) - 4.0 * top
+    speed = np.maximum(first + share * (rise + share * bend), 0.0)
+    way = share * (first + share * (rise / 2.0 + share * bend / 3.0))
+    whole = (start + 4.0 * middle + end) / 6.0
+    way = np.divide(way, whole[leg], out=share.copy(), where=whole[leg] > 0.0)
+
+    def between(column: np.ndarray, along: np.ndarray) -> np.ndarray:
+        return np.append(column[leg] + along * np.diff(column)[leg], column[-1])
+
+    way = np.maximum.accumulate(np.clip(way, 0.0, 1.0) + leg) - leg
+    time, distance = between(plan.time, share), between(plan.distance, way)
+    fine = Plan(time, distance, np.append(speed, plan.speed[-1]), between(plan.elevation, way),
+                commanded=True)  # fmt: skip
+    return fine, own
 
 
 def _wind(points: Plan, head_wind: float, length: float) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
-from evpinn_ros.core.energy.forecast import Air, Forecast, PlanBasis, forecast_plan
+from evpinn_ros.core.energy.forecast import Air, Forecast, PlanBasis, forecast_plan, is_steady
 from evpinn_ros.core.energy.plan import UNNAMED, UNSAID, Plan, PlanConditions, Question
 from evpinn_ros.core.energy.plausible import car_is_possible
 from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, combined_model, vehicle_model
@@ -179,6 +179,7 @@ class Forecaster:
             "charge": charge.value if charge.known else None,
             "stood": given.stood,
             "prewarmed": given.prewarmed or 0.0,
+            "steady": float(is_steady(plan, basis.steady)),
         }
         assumed = {name: value for name, value in taken.items() if value is not None}
         end = battery.after(result, charge, capacity)

@@ -34,7 +34,9 @@ CONDITION_RANGES = {
     "charge": (0.0, 1.0),
     "stood": (0.0, 1e8),  # s, some years
     "prewarmed": (0.0, 1.0),
+    "steady": (0.0, 1.0),
 }
+COLUMNS = ("time", "distance", "speed", "elevation")
 
 
 class PlanError(InputError):
@@ -50,6 +52,8 @@ class Plan:
         distance: same shape, m along the road, never falling.
         speed: same shape, m/s, 0 to `MAX_SPEED`.
         elevation: same shape, m.
+        commanded: True where a controller follows it, so that speed is a straight line between
+            two points however far apart; else what drivers do between them is expected.
 
     Raises:
         PlanError: the arrays are no trip.
@@ -59,9 +63,10 @@ class Plan:
     distance: np.ndarray
     speed: np.ndarray
     elevation: np.ndarray
+    commanded: bool = False
 
     def __post_init__(self) -> None:
-        check_arrays({name: getattr(self, name) for name in self.__slots__})
+        check_arrays({name: getattr(self, name) for name in COLUMNS})
         length, climb = np.diff(self.distance), np.diff(self.elevation)
         duration = np.diff(self.time)
         refuse(duration <= 0, "time does not rise")
@@ -82,7 +87,7 @@ class Plan:
         duration = np.where(moves, duration / factor, duration)
         time = self.time[..., :1] + np.cumsum(duration, axis=-1)
         time = np.concatenate((self.time[..., :1], time), axis=-1)
-        return Plan(time, self.distance, self.speed * factor, self.elevation)
+        return replace(self, time=time, speed=self.speed * factor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,6 +144,8 @@ class PlanConditions:
         charge: state of charge at the start, 0..1.
         stood: for how long the car stands before it, s: tyres and cabin cool meanwhile.
         prewarmed: share of the cabin's warmth that the charger gave before the start.
+        steady: 1 to take its speeds as commanded, 0 as expected (`Plan.commanded`); None: as the
+            plan is.
 
     Raises:
         PlanError: a number that no trip has.
@@ -151,6 +158,7 @@ class PlanConditions:
     charge: float | None = None
     stood: float | None = None
     prewarmed: float | None = None
+    steady: float | None = None
 
     def __post_init__(self) -> None:
         for name, (least, most) in CONDITION_RANGES.items():

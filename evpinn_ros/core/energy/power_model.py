@@ -108,19 +108,22 @@ class PowerModel:
         wheels, cold = equation.of_steps(steps, conditions), coldness(conditions.celsius)
         return equation.split(self.rows(steps, weather), wheels, cold, warmth.tyres)
 
-    def leg_rows(self, legs: Path, weather: Weather) -> tuple[np.ndarray, np.ndarray]:
+    def leg_rows(
+        self, legs: Path, weather: Weather, even: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Energy of legs whose mean speed alone is known, J per unit, shape (n, SIZE) each.
 
         Args:
             legs: of one trip.
             weather: on the way.
+            even: True for legs at even speed.
 
         Returns:
             The whole, and the part of it that is expected of uneven speed.
         """
         equation = self.car.equation
         conditions, warmth = self._surroundings(legs, weather)
-        beyond = self.car.unevenness.of_legs(equation, legs)
+        beyond = self.car.unevenness.of_legs(equation, legs) * (not even)
         rows = even_rows(equation, legs) + beyond
         tyres = float(equation.mean[State.ROLLING]) * rows[:, State.ROLLING]
         rows[:, State.ROLLING_DRIVE] = tyres

@@ -213,15 +213,16 @@ def _carried(equation: Equation, legs: Path) -> np.ndarray:
 
 def even_rows(equation: Equation, legs: Path) -> np.ndarray:
     """Rows of legs at even speed without loads, J per unit, shape (n, SIZE)."""
-    half = Path._make((*(0.5 * column for column in legs[:5]), legs.density, legs.wind))
-    joined = _joined(half, np.abs(legs.distance) / legs.duration)
-    rows = _moving(equation, joined)
-    before, after = half.duration / joined.duration[:-1], half.duration / joined.duration[1:]
+    joined = even_path(legs)
+    rows, half = _moving(equation, joined), 0.5 * legs.duration
+    before, after = half / joined.duration[:-1], half / joined.duration[1:]
     return np.asarray(rows[:-1] * before[:, None] + rows[1:] * after[:, None])
 
 
-def _joined(half: Path, speed: np.ndarray) -> Path:
+def even_path(legs: Path) -> Path:
     """Steps from the middle of each leg to that of the next, the first and last from standing."""
+    half = Path._make((*(0.5 * column for column in legs[:5]), legs.density, legs.wind))
+    speed = np.abs(legs.distance) / legs.duration
     flow = speed + half.wind
     air = flow * np.abs(flow) * np.abs(half.distance)
     ends = np.concatenate(([0.0], speed, [0.0]))

@@ -168,7 +168,7 @@ def test_conditions_of_one_plan_go_before_those_of_all_and_the_answer_has_both()
     assert usual.conditions == ("heating", "payload")
     assert own.conditions == ("heating", "payload", "charge")
     taken = {"temperature": 8.0, "heating": 500.0, "payload": 150.0}
-    assert usual.assumed == taken | {"head_wind": 0.0, "prewarmed": 0.0}
+    assert usual.assumed == taken | {"head_wind": 0.0, "prewarmed": 0.0, "steady": 0.0}
     assert own.assumed == usual.assumed | {"heating": 0.0, "charge": 0.5}
     assert own.charge.known and not usual.charge.known
     assert ask().forecast.energy[-1] == usual.forecast.energy[-1] > own.forecast.energy[-1]

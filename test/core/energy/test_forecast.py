@@ -10,10 +10,11 @@ import pytest
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.core.energy.forecast import DIRECTION_LENGTH, forecast_plan
-from evpinn_ros.core.energy.plan import Plan, plan_from_speed_profile
+from evpinn_ros.core.energy.plan import COLUMNS, Plan, plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.core.estimation.journey import LOAD_TIME
 from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.identifiable import (
     IDENTIFIABLE_NAMES,
     Identifiable,
@@ -200,9 +201,34 @@ def test_wind_that_was_measured_counts_less_the_farther_the_car_goes():
     added = drag / speed * ((speed + wind * along) ** 2 - speed**2)
     assert more == pytest.approx(np.trapezoid(added, plan.distance), rel=0.01)
     assert -more < tail.energy[-1] - calm.energy[-1] < 0
-    many = Plan(*(np.stack([getattr(plan, name)] * 2) for name in Plan.__slots__))
+    many = Plan(*(np.stack([getattr(plan, name)] * 2) for name in COLUMNS))
     both = forecast_plan(many, model, AIR, wind, DIRECTION_LENGTH)
     assert both.energy[:, -1] == pytest.approx(windy.energy[-1])
+
+
+@pytest.mark.parametrize("name", ["bmw_i3", "tesla_model_3_lr", "generic"])
+@pytest.mark.parametrize("top", [8.0, 20.0, 28.0])
+def test_speeds_that_are_commanded_take_as_much_however_few_points_have_them(name, top):
+    """README's plan of four points, and the same motion once a second or in ten."""
+    model = vehicle_model(load_vehicle(name))
+    knots = np.array([0.0, 15.0, 400.0, 420.0])
+
+    def plan(time: np.ndarray) -> Plan:
+        speed = np.interp(time, knots, [0.0, top, top, 0.0])
+        length = plan_from_speed_profile(time, None, speed).distance
+        return plan_from_speed_profile(time, None, speed, 50.0 * length / length[-1])
+
+    few, some = plan(knots), plan(np.unique(np.append(knots, np.arange(0.0, 421.0, 10.0))))
+    dense = forecast_plan(plan(np.arange(421.0)), model, AIR)
+    for cut in (few, some):
+        found = forecast_plan(cut, model, AIR, steady=True)
+        same = forecast_plan(dataclasses.replace(cut, commanded=True), model, AIR, along=False)
+        assert found.energy == pytest.approx(same.energy, rel=1e-9)
+        assert found.time.tolist() == cut.time.tolist()
+        at = np.searchsorted(dense.time, cut.time)
+        assert found.energy == pytest.approx(dense.energy[at], rel=0.01)
+        assert found.sigma[1:] == pytest.approx(dense.sigma[at][1:], rel=0.05)
+        assert forecast_plan(cut, model, AIR).energy[-1] > found.energy[-1]
 
 
 def test_a_forecast_of_the_end_alone_is_that_of_the_whole_way():
