@@ -21,7 +21,7 @@ from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.extras.bridges.broker import FAREWELL_S, ONLINE, Connection, Message
 from evpinn_ros.extras.bridges.car import BridgedCar, Document
-from evpinn_ros.extras.bridges.layouts import Layout
+from evpinn_ros.extras.bridges.layouts import Layout, Parsed
 from evpinn_ros.extras.bridges.sensors import SENSORS, discovery
 from evpinn_ros.extras.bridges.snapshot import Snapshots, is_due
 
@@ -29,6 +29,7 @@ POWER_NS = 9 * NANOSECONDS // 10  # between two of power: one a second, of a sou
 DOCUMENTS_NS = 10 * NANOSECONDS  # between two of all others
 SAVE_NS = 60 * NANOSECONDS  # between two states, as the nodes do
 MOST_CARS = 16  # a topic is anybody's to invent; each car takes some ten MB
+MOST_HELD = 10_000  # retained messages of cars that nobody named and that do not send
 WAIT_S = 0.5  # longest wait for a message
 
 
@@ -73,9 +74,10 @@ class BridgeSettings:
 
 @dataclass(slots=True)
 class _Seen:
-    """A car and what was published of it."""
+    """A car, whose it is, and what was published of it."""
 
     car: BridgedCar
+    user: str
     snapshots: Snapshots
     power_ns: int = 0
     documents_ns: int = 0
@@ -87,7 +89,7 @@ class MqttBridge:
 
     Attributes:
         cars: by name, in the order in which they came.
-        ignored: names of cars without a vehicle, or too many.
+        ignored: names of cars without a vehicle, too many, or of a second user.
     """
 
     def __init__(
@@ -107,6 +109,8 @@ class MqttBridge:
         self._clock, self._note = connection.clock, note
         self._seen: dict[str, _Seen] = {}
         self.ignored: set[str] = set()
+        # What was retained of a car, and when it arrived, until the car sends.
+        self._held: dict[str, list[tuple[Parsed, int]]] = {}
         self._connections = 0
         self._saved_ns = self._clock()
 
@@ -155,6 +159,7 @@ class MqttBridge:
 
     def _begin_again(self) -> None:
         """Hold nothing of before a connection, and repeat what its broker may have lost."""
+        self._held.clear()
         for seen in self._seen.values():
             seen.snapshots.forget()
             self._announce(seen)
@@ -166,29 +171,53 @@ class MqttBridge:
                     self._announce(known_car)
             return
         parsed = self.settings.layout.parse(message.topic, message.payload)
-        seen = None if parsed is None else self._car(parsed.car)
-        if parsed is None or seen is None:
+        if parsed is None or (message.retained and self._hold(parsed, message.arrived_ns)):
             return
+        seen = self._car(parsed)
+        if seen is None:
+            return
+        for held, arrived_ns in self._held.pop(parsed.car, ()):
+            if held.user == seen.user:
+                self._feed(seen, seen.snapshots.add(held, arrived_ns, retained=True))
         retained, arrived_ns = message.retained, message.arrived_ns
         self._feed(seen, seen.snapshots.add(parsed, arrived_ns, retained=retained))
 
-    def _car(self, name: str) -> _Seen | None:
+    def _hold(self, retained: Parsed, arrived_ns: int) -> bool:
+        """Whether it is of a car that nobody named and that did not send: it is kept till then."""
+        if retained.car in self._seen or retained.car in self.settings.vehicles:
+            return False
+        if retained.values and sum(map(len, self._held.values())) < MOST_HELD:
+            self._held.setdefault(retained.car, []).append((retained, arrived_ns))
+        return True
+
+    def _car(self, parsed: Parsed) -> _Seen | None:
+        name, named = parsed.car, self.settings.vehicles
         if name in self._seen:
-            return self._seen[name]
-        vehicle = self.settings.vehicles.get(name, self.settings.other)
-        if vehicle is None or len(self._seen) >= MOST_CARS:
-            if name not in self.ignored and len(self.ignored) < MOST_CARS:
-                self.ignored.add(name)
-                why = "no vehicle is given for it" if vehicle is None else "too many cars"
-                self._note(f"car '{name}' is ignored: {why}")
+            seen = self._seen[name]
+            if seen.user == parsed.user:
+                return seen
+            self._ignore(name, f"user '{parsed.user}' has it too; give a --namespace")
+            return None
+        vehicle = named.get(name, self.settings.other)
+        if vehicle is None:
+            self._ignore(name, "no vehicle is given for it")
+            return None
+        if name not in named and len(self._seen.keys() - named) >= MOST_CARS - len(named):
+            self._ignore(name, "too many cars")
             return None
         state = self.settings.state and self.settings.state / f"{name}.json"
         car = BridgedCar(name, vehicle, self.settings.estimator, state)
         self._note(f"car '{name}': {vehicle.name}" + (f"; {car.problem}" if car.problem else ""))
         snapshots = Snapshots(vehicle.nominal_voltage, on_change=self.settings.layout.on_change)
-        seen = self._seen[name] = _Seen(car, snapshots)
+        seen = self._seen[name] = _Seen(car, parsed.user, snapshots)
         self._announce(seen)
         return seen
+
+    def _ignore(self, name: str, why: str) -> None:
+        """Say once that a car, or a second one of its name, is left out."""
+        if name not in self.ignored and len(self.ignored) < MOST_CARS:
+            self.ignored.add(name)
+            self._note(f"car '{name}' is ignored: {why}")
 
     def _feed(self, seen: _Seen, readings: list[Reading]) -> None:
         if readings and seen.car.add_readings(readings):

@@ -25,6 +25,7 @@ MILLISECONDS = 1e11  # a larger number of seconds since 1970 is of milliseconds
 CAR_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 BUNDLED = ("teslamate", "ovms")
 CAR = "{car}"  # a level of a topic
+USER = "(?P<user>[^/]+)"  # of the first level above the car's that stands for any
 WILDCARDS = {CAR: "(?P<car>[^/]+)", "+": "[^/]+", "#": ".+"}
 
 
@@ -85,11 +86,19 @@ class Value(NamedTuple):
 
 
 class Parsed(NamedTuple):
-    """Content of a message: the car, its values, and their stamp, None if the message has none."""
+    """Content of a message.
+
+    Attributes:
+        car: its name.
+        values: by quantity.
+        stamp_ns: None if the message has none.
+        user: level above the car's that stands for any, as of OVMS; empty without one.
+    """
 
     car: str
     values: Mapping[Measurand, Value]
     stamp_ns: int | None = None
+    user: str = ""
 
 
 class Layout:
@@ -129,8 +138,9 @@ class Layout:
         for expression, rules in self._rules.items():
             match = expression.fullmatch(topic)
             if match is not None:
-                car = match.groupdict().get("car", "car")
-                return self._parsed(car, payload, rules) if CAR_NAME.fullmatch(car) else None
+                levels = {"car": "car", "user": "", **match.groupdict()}
+                parsed = self._parsed(levels["car"], payload, rules)
+                return parsed._replace(user=levels["user"]) if _is_name(parsed.car) else None
         return None
 
     def _parsed(self, car: str, payload: bytes, rules: Mapping[str, Rule]) -> Parsed:
@@ -145,14 +155,21 @@ class Layout:
         return Parsed(car, known, _stamp_ns(fields.get(self._stamp)))
 
 
+def _is_name(car: str) -> bool:
+    return CAR_NAME.fullmatch(car) is not None
+
+
 def _expression(topic: str) -> re.Pattern[str]:
-    """Expression of the topics that a filter means, with the group `car`."""
+    """Expression of the topics that a filter means, with the groups `user` and `car`."""
     levels = topic.split("/")
     rest = "/".join(level for level in levels if level not in WILDCARDS)
     broken = not topic or levels.count(CAR) > 1 or "#" in levels[:-1]
     if broken or re.search(r"[+#\0]|\{car\}", rest):
         raise InputError(f"'{topic}': a topic has no wildcard but one level {CAR}")
-    return re.compile("/".join(WILDCARDS.get(level) or re.escape(level) for level in levels))
+    parts = [WILDCARDS.get(level) or re.escape(level) for level in levels]
+    if CAR in levels and "+" in levels[: levels.index(CAR)]:
+        parts[levels.index("+")] = USER
+    return re.compile("/".join(parts))
 
 
 def _stamp_ns(seconds: object) -> int | None:

@@ -17,7 +17,7 @@ import pytest
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.extras.bridges.bridge import BridgeSettings, MqttBridge
+from evpinn_ros.extras.bridges.bridge import MOST_CARS, BridgeSettings, MqttBridge
 from evpinn_ros.extras.bridges.broker import IN_FLIGHT, BrokerSettings, Connection
 from evpinn_ros.extras.bridges.layouts import read_layout
 from evpinn_ros.extras.bridges.mqtt import credentials, split_address
@@ -324,3 +324,32 @@ def test_a_password_comes_from_the_environment_and_wants_a_user(
     monkeypatch.delenv("EVPINN_MQTT_USER")
     with pytest.raises(InputError, match="a password without a user"):
         credentials(None, None)
+
+
+def test_cars_that_somebody_invents_keep_no_named_one_out(broker: Broker, bridged: Make) -> None:
+    """Retained topics of cars that do not send are no cars; a named one has its place."""
+    writer = broker.client()
+    for name in map(str, range(100, 140)):
+        writer.publish(f"teslamate/cars/{name}/battery_level", "50")
+    named = {"7": load_vehicle(VEHICLE)}
+    given = settings(read_layout("teslamate"), vehicles=named)
+    bridge, _ = bridged(given)
+    writer.publish("teslamate/cars/7/battery_level", "60", retain=False)
+    step_until(bridge, lambda: "7" in bridge.cars)
+    assert [*bridge.cars] == ["7"]
+    for name in map(str, range(100, 140)):
+        writer.publish(f"teslamate/cars/{name}/speed", "0", retain=False)
+    step_until(bridge, lambda: len(bridge.ignored) == MOST_CARS)
+    assert len(bridge.cars) == MOST_CARS
+
+
+def test_a_second_user_with_the_same_vehicle_id_is_another_car(
+    broker: Broker, bridged: Make
+) -> None:
+    bridge, _ = bridged(settings(read_layout("ovms")))
+    writer = broker.client()
+    writer.publish("ovms/ann/CAR/metric/v/b/soc", "80", retain=False)
+    step_until(bridge, lambda: bridge.cars)
+    writer.publish("ovms/bob/CAR/metric/v/b/soc", "20", retain=False)
+    step_until(bridge, lambda: bridge.ignored)
+    assert [*bridge.cars] == ["CAR"] and bridge.ignored == {"CAR"}

@@ -131,7 +131,7 @@ def test_a_mapping_file_says_what_words_mean_and_whether_values_last(tmp_path: P
     assert [only(layout, "my/zoe/ignition", each)[2] for each in ("on", "off")] == [0.0, 1.0]
     (drawn,) = layout.parse("my/zoe/kw", b"-2").values.values()
     assert drawn == (2000.0, pytest.approx(100.0))
-    assert layout.parse("my/zoe/some/thing", b"1") == ("zoe", {}, None)
+    assert layout.parse("my/zoe/some/thing", b"1") == ("zoe", {}, None, "")
     assert read_layout(str(path), "your").subscriptions == ("your/+/#",)
 
 
