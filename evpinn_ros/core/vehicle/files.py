@@ -178,9 +178,24 @@ def vehicle_names() -> list[str]:
 
 
 def find_vehicles(text: str = "") -> dict[str, str]:
-    """Names by keys of the known cars whose name or key has all these words."""
-    words = set(words_of(text))
-    return {key: name for key, name in _names() if words <= {*words_of(key), *words_of(name)}}
+    """Names by keys of the known cars whose name or key has all these words.
+
+    Hyphens and spaces within a word make no difference: `e208` and `e 208` are the e-208.
+    """
+    words = words_of(text)
+    asked = set(words), {"".join(words)}
+
+    def has(key: str, name: str) -> bool:
+        known = _joined(words_of(key)) | _joined(words_of(name))
+        return any(some <= known for some in asked)
+
+    return {key: name for key, name in _names() if has(key, name)}
+
+
+def _joined(words: Sequence[str]) -> set[str]:
+    """The words, and what up to three of them in a row make without a space."""
+    places = range(len(words))
+    return {"".join(words[i:j]) for i in places for j in (i + 1, i + 2, i + 3)}
 
 
 def load_vehicle(name_or_path: str | Path) -> Vehicle:

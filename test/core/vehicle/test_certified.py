@@ -120,3 +120,6 @@ def test_names_of_several_cars_and_of_none():
         load_vehicle("porsche taican turbo 2022")
     assert find_vehicles().keys() == {*known_vehicles()}
     assert find_vehicles("zeppelin") == {}
+    e_208 = find_vehicles("e-208")
+    assert len(e_208) == 2
+    assert all(find_vehicles(text) == e_208 for text in ("e208", "E 208", "peugeot E208"))
