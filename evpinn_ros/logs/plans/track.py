@@ -25,9 +25,11 @@ with optional_imports():
 
 MILLISECONDS_FROM = 1e11  # as seconds since 1970 it would be the year 5138
 TIMES, SPEEDS = ("coordTimes", "times"), ("speeds",)
+PARTS = ("trkseg", "rte")
 POINTS, DETAILS = ("trkpt", "rtept"), ("ele", "time", "speed")
 MOST_PLACES = 2 * MAX_POINTS  # of a GPX; each takes some 500 bytes, and not all have a time
 PIECE = 1 << 16  # bytes
+LEAST_GAP = 60.0  # s between two segments, as of a recorded drive; less is a loss of reception
 DEEPEST = 100  # elements in each other: the parser keeps each that is open
 NEITHER = (
     "its points have neither times nor speeds: export it with times, or give the route as the "
@@ -42,11 +44,13 @@ class GeoTrack(NamedTuple):
         place: shape (n, 3), longitude and latitude, degrees, and height, m, NaN where unknown.
         time: shape (n,), s since anything, NaN where unknown.
         speed: shape (n,), m/s, NaN where unknown.
+        part: number of the segment or line of each, shape (n,); what lies between two is no road.
     """
 
     place: np.ndarray
     time: np.ndarray
     speed: np.ndarray
+    part: np.ndarray
 
 
 def legs_of_track(track: GeoTrack) -> Legs:
@@ -55,11 +59,16 @@ def legs_of_track(track: GeoTrack) -> Legs:
     Raises:
         PlanError: the points have neither times nor speeds, or are no trip.
     """
-    place, time, speed = track
+    place, time, speed, part = track
     if len(place) < 2:
         raise PlanError("it has no line of two points or more")
-    along = way_length(*place[:, :2].T)
-    timed = np.isfinite(time)
+    steps, timed = np.diff(way_length(*place[:, :2].T)), np.isfinite(time)
+    apart = np.flatnonzero(np.diff(part))
+    if timed.sum() > 1:
+        apart, left_out = _pauses(time, apart)
+        time = time - left_out
+    steps[apart] = 0.0
+    along = sums(steps)
     if timed.sum() > 1:
         along = along - along[timed.argmax()]
         return legs_between(time[timed], along[timed], Heights(along, place[:, 2]))
@@ -70,6 +79,25 @@ def legs_of_track(track: GeoTrack) -> Legs:
         raise PlanError(f"it has no times, and its speed is 0 from point {stuck.argmax()} on")
     elapsed = sums(length / np.where(length > 0, mean, 1.0))
     return legs_between(elapsed, along, Heights(along, place[:, 2]))
+
+
+def _pauses(time: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Those borders between segments that are longer than a loss of reception.
+
+    Args:
+        time: s, shape (n,), NaN where unknown.
+        apart: numbers of the points before the borders.
+
+    Returns:
+        numbers of the points before the pauses; s of pauses before each point, shape (n,).
+    """
+    timed = np.flatnonzero(np.isfinite(time))
+    after = np.searchsorted(timed, apart, "right")
+    apart, after = (border[(after > 0) & (after < len(timed))] for border in (apart, after))
+    gap = time[timed[after]] - time[timed[after - 1]]
+    pauses = np.zeros_like(time)
+    pauses[timed[after]] = np.where(gap > LEAST_GAP, gap, 0.0)
+    return apart[gap > LEAST_GAP], np.cumsum(pauses)
 
 
 def gpx_track(content: bytes) -> GeoTrack:
@@ -100,6 +128,7 @@ class _Gpx:
         self.is_gpx = False
         self.points: dict[str, list[dict[str, str]]] = {kind: [] for kind in POINTS}
         self._point: dict[str, str] | None = None
+        self._part = 0
         self._depth = 0
         self._text: list[str] = []
 
@@ -113,8 +142,10 @@ class _Gpx:
         self._depth += 1
         if self._depth > DEEPEST:
             raise PlanError(f"its XML is more than {DEEPEST} elements deep")
+        self._part += name in PARTS
         if name in POINTS:
-            self._point = {"lat": attributes["lat"], "lon": attributes["lon"]}
+            place = {name: attributes[name] for name in ("lat", "lon")}
+            self._point = place | {"part": str(self._part)}
             self.points[name].append(self._point)
             if len(self.points[name]) > MOST_PLACES:
                 raise PlanError(f"more than {MOST_PLACES} points")
@@ -143,7 +174,8 @@ def _gpx_points(points: Sequence[Mapping[str, str]]) -> GeoTrack:
 
     places = [[point["lon"], point["lat"], point.get("ele", "nan")] for point in points]
     time = _seconds([point.get("time") for point in points])
-    return GeoTrack(np.array(places, float).reshape(-1, 3), time, numbers("speed"))
+    place = np.array(places, float).reshape(-1, 3)
+    return GeoTrack(place, time, numbers("speed"), numbers("part"))
 
 
 def geojson_track(data: Mapping[str, Any]) -> GeoTrack:
@@ -155,7 +187,9 @@ def geojson_track(data: Mapping[str, Any]) -> GeoTrack:
     places: list[Sequence[float]] = []
     times: list[Any] = []
     speeds: list[Any] = []
-    for line, given in _lines(data):
+    parts: list[int] = []
+    for number, (line, given) in enumerate(_lines(data)):
+        parts += [number] * len(line)
         places += [[*point[:3], np.nan][:3] for point in line]
         for names, collected in ((TIMES, times), (SPEEDS, speeds)):
             values = next((given[name] for name in names if given.get(name)), [None] * len(line))
@@ -163,7 +197,7 @@ def geojson_track(data: Mapping[str, Any]) -> GeoTrack:
                 raise PlanError(f"{len(values)} {names[-1]} for {len(line)} points of a line")
             collected += values
     place = np.array(places, float).reshape(-1, 3)
-    return GeoTrack(place, _seconds(times), np.array(speeds, float))
+    return GeoTrack(place, _seconds(times), np.array(speeds, float), np.array(parts))
 
 
 def _lines(data: Mapping[str, Any]) -> Iterator[tuple[Sequence[Any], Mapping[str, Any]]]:

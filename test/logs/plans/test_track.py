@@ -55,6 +55,38 @@ def geojson(kind="Feature", **properties):
     return feature if kind == "Feature" else geometry
 
 
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("kind", ["gpx", "geojson"])
+@pytest.mark.parametrize(("pause", "driven"), [(3600.0, 4000.0), (20.0, 4500.0)])
+def test_what_lies_between_two_segments_is_no_road_but_where_reception_was_lost(
+    read, kind, timed, pause, driven
+):
+    """A ferry of an hour, a tunnel of 20 s; without times nobody knows of the tunnel."""
+    leap = 30e3 if pause > 60.0 else 500.0
+    half = np.arange(0.0, 101.0, 10.0)
+    north = np.concatenate((20.0 * half, 2000.0 + leap + 20.0 * half))
+    time = np.concatenate((half, 100.0 + pause + half))
+    if kind == "gpx":
+        points = [
+            f'<trkpt lat="{48 + y / DEGREE:.8f}" lon="11.5">'
+            + (f"<time>{np.datetime64(1_714_557_600, 's') + int(t)}Z</time>" if timed
+               else "<extensions><speed>20.0</speed></extensions>")
+            + "</trkpt>"
+            for y, t in zip(north, time, strict=True)
+        ]  # fmt: skip
+        segments = "".join(f"<trkseg>{''.join(p)}</trkseg>" for p in (points[:11], points[11:]))
+        plan = read(f'<gpx version="1.1"><trk>{segments}</trk></gpx>')
+    else:
+        values = {"coordTimes": time.tolist()} if timed else {"speeds": [20.0] * 22}
+        lines = [[[11.5, 48 + y / DEGREE] for y in part] for part in (north[:11], north[11:])]
+        both = {name: [value[:11], value[11:]] for name, value in values.items()}
+        shape = {"type": "MultiLineString", "coordinates": lines}
+        plan = read({"type": "Feature", "properties": both, "geometry": shape})
+    expected = driven if timed else 4000.0
+    assert plan.length.sum() == pytest.approx(expected, rel=1e-3)
+    assert plan.duration.sum() == pytest.approx(200.0 + (expected > 4000.0) * pause, rel=1e-3)
+
+
 MILLIS = [1_714_557_600_000 + 1000 * t for t in SECONDS]
 TRACKS = {
     "gpx 1.1": gpx(),
