@@ -73,7 +73,7 @@ def _lines(recording: Contents) -> Iterator[str]:
     when = f"{(end - begin) / NANOSECONDS:.1f} s{_start(recording, begin)}" if end else "empty"
     yield f"{recording.path}: {recording.kind}, {when}"
     for column in recording.columns:
-        yield f"  {column.quantity}: column {choice(column)}"
+        yield f"  {column.quantity}: column {choice(column)} ({column.basis})"
     for why, names in by_reason(recording.unused).items():
         yield f"  not used, {why}: {shorter(names)}"
     if recording.frames:
@@ -139,7 +139,7 @@ def _as_json(recording: Contents) -> dict[str, Any]:
             {"name": topic.name, "type": topic.type_name, **_flow_json(topic.flow)}
             for topic in recording.topics
         ],
-        "columns": [asdict(column) for column in recording.columns],
+        "columns": [asdict(column) | {"basis": column.basis} for column in recording.columns],
         "columns_not_used": list(recording.unused),
         "columns_not_used_why": by_reason(recording.unused),
         "can_profile": recording.profile,

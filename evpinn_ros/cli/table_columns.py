@@ -31,7 +31,7 @@ def explain_columns(source: Source) -> None:
         return
     note(f"{source.path}: columns were found by their names and values:")
     for rule in source.rules:
-        note(f"  {rule.quantity}: {choice(rule)}")
+        note(f"  {rule.quantity}: {choice(rule)}{' (assumed)' if rule.could_be else ''}")
     if source.ignored:
         note(f"  not used: {shorter(source.ignored)}")
     note("  to correct one: --column speed='NAME:km/h', --column current='NAME:-A', ...")
@@ -62,8 +62,7 @@ def _stem(name: str) -> str:
 def choice(rule: Column) -> str:
     """The column that was chosen for a quantity, with its unit and the reason."""
     unit = _unit(rule.unit) if rule.unit else ""
-    why = " ".join(filter(None, ["assumed" if rule.could_be else "", rule.why]))
-    return ", ".join(filter(None, [repr(rule.name), unit, why]))
+    return ", ".join(filter(None, [repr(rule.name), unit, rule.why]))
 
 
 def _unit(text: str) -> str:

@@ -63,6 +63,15 @@ class Column:
         return replace(self, could_be=tuple(others))
 
     @property
+    def basis(self) -> str:
+        """What unit and sign rest on: `named`, `given`, `measured` or `assumed`."""
+        if self.could_be:
+            return "assumed"
+        if self.is_ours or self.why.startswith(("by its name", "as in logs")):
+            return "named"
+        return "given" if self.why == "as given" else "measured"
+
+    @property
     def assumption(self) -> str:
         """What is assumed, and how to say otherwise; empty where nothing is."""
         if not self.could_be:

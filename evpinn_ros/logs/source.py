@@ -53,6 +53,11 @@ class Source(ABC):
         """Unreadable part, in one line; None while all is well, final when exhausted."""
 
     @property
+    def assumptions(self) -> tuple[str, ...]:
+        """Units and signs that the data do not decide, each with the option to say otherwise."""
+        return tuple(filter(None, (rule.assumption for rule in self.rules)))
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Notes for a person on how it was read; complete once exhausted."""
         return ()

@@ -180,7 +180,7 @@ class TableDrive(Source):
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for a person on how it was read; complete once exhausted."""
-        notes = [*filter(None, (rule.assumption for rule in self.rules)), *self._contradictions]
+        notes = [*self.assumptions, *self._contradictions]
         comments = self._head.comments
         notes += [text.lstrip("# ") for text in comments if text.startswith(OTHER_SHEETS)]
         if not self.in_order:

@@ -127,7 +127,8 @@ def _of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> 
     both = np.isfinite(volts) & np.isfinite(cells["current"].value)
     if both.sum() < LEAST_SAGS or not np.ptp(volts[both]):
         return ""
-    alike = np.corrcoef(volts[both], cells["current"].value[both])[0, 1]
+    ranks = [values[both].argsort().argsort() for values in (volts, cells["current"].value)]
+    alike = np.asarray(np.corrcoef(ranks))[0, 1]  # which no glitch hides
     if abs(alike) > ALIKE or _sag(cells["current"], cells["voltage"]) != 0.0:
         return ""
     return f"about {middle:.3g} V whatever the current, not that of the traction battery"

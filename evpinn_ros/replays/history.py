@@ -97,6 +97,7 @@ class Drive:
         final: the last parameters, None if there never were any.
         start_ns: stamp of the first reading.
         zoned: whether its times are UTC; else they are local ones.
+        reading_notes: what was assumed of the log on reading it, and what was not used.
         altitude: time and m, shape (n, 2).
         position: time, latitude and longitude, degrees, shape (n, 3).
         charge: time and state of charge, 0..1, shape (n, 2).
@@ -120,6 +121,7 @@ class Drive:
     final: ParameterSet | None
     start_ns: int = 0
     zoned: bool = True
+    reading_notes: tuple[str, ...] = ()
     altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     charge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))

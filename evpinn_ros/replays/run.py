@@ -109,10 +109,14 @@ def replay(
                 not_recorded.update(_record(writer, noted.item, outputs, moment_ns, chain))
         history.add_states(chain.account.count())
     wall = time.perf_counter() - started
-    drive = replace(history.drive(chain.estimator.model()), zoned=source.zoned)
+    drive = replace(
+        history.drive(chain.estimator.model()),
+        zoned=source.zoned,
+        reading_notes=tuple(dict.fromkeys((*source.assumptions, *source.notes))),
+    )
     where = "" if options.start == 0 and options.duration is None else " in that span"
     if len(drive.speed) == 0:
-        why = next((text for text in source.notes if "speed" in text), "")
+        why = next((text for text in source.notes if text.startswith("speed is")), "")
         raise InputError(
             f"{source.path}: no speed{where}, so nothing can be predicted{why and f': {why}'}"
         )

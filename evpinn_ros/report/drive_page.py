@@ -160,7 +160,7 @@ def _drive(
     values = {
         "name": name,
         "about": f"{reported.vehicle.name}, {_date(drive)}",
-        "doubts": owner_notes(reported.vehicle, drive, metrics),
+        "doubts": [*owner_notes(reported.vehicle, drive, metrics), *drive.reading_notes],
         "record": _record(metrics),
         "breakdown": breakdown_values(metrics["breakdown"], units),
         "tiles": list(drive_tiles(drive, units)),

@@ -31,7 +31,8 @@ def verdict(folder: Path, export: Export) -> str:
     ratios = distance / export.drive.distance, energy / export.drive.energy
     if all(abs(ratio - 1.0) < MOST_WRONG for ratio in ratios):
         return "right"
-    return "assumed" if any("is assumed" in note for note in source.notes) else "silent"
+    said = ("is assumed", "so it is not used")
+    return "assumed" if any(word in note for note in source.notes for word in said) else "silent"
 
 
 @pytest.mark.parametrize("block", [*range(4), *NIGHT])
