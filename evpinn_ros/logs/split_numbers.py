@@ -29,6 +29,7 @@ MOST_GROUPS, MOST_WAYS = 6, 8  # in a row, and ways to join it, that are looked 
 _WHOLE = re.compile(r"[+-]?(0|[1-9]\d*)")
 # 05 is the decimals of a number, not a number; and 3.2 has no decimal comma.
 _NO_NUMBER = re.compile(r"[+-]?(0\d+|\d+\.\d*)")
+_POINT = re.compile(r"[+-]?\d+\.\d+")
 _CLOCK = re.compile(r".*\d:\d\d")  # whose seconds may have decimals
 _GROUP, _LAST_GROUP = re.compile(r"\d{3}"), re.compile(r"\d{3}(\.\d*)?")
 _LEAD = re.compile(r"[+-]?[1-9]\d{0,2}")
@@ -52,12 +53,12 @@ class JoinedTable:
     apart: frozenset[int] = frozenset()
 
     def __init__(
-        self, table: Table, head: Head, decimals: frozenset[int], thousands: frozenset[int]
+        self, table: Table, head: Head, decimals: frozenset[int], thousands: frozenset[int] | None
     ) -> None:
         """Join rows.
 
         A decimal comma splits the columns `decimals`, and one between thousands the columns
-        `thousands` where their numbers are large.
+        `thousands` where their numbers are large; None if it may be a decimal comma.
         """
         self._table, self._head = table, head
         self._decimals, self._thousands = decimals, thousands
@@ -94,7 +95,7 @@ class JoinedTable:
             return _with_decimals(row, self._decimals, width)
         if len(row) <= width:
             return row
-        if len(row) in self.apart:
+        if len(row) in self.apart or self._thousands is None:
             return None
         ways = _ways(row, width)
         if len(ways) > 1:
@@ -128,10 +129,12 @@ def joined_table(table: Table, head: Head) -> Table:
     for found in wide.values():
         ways = (_ways(row, width) for _, row in found)
         thousands.update(*(way[0].columns for way in ways if len(way) == 1))
+    written = (cell.strip() for found in rows.values() for _, row in found for cell in row)
+    has_points = any(map(_POINT.fullmatch, written))  # so that a comma stands between thousands
     commonest = max(counts, key=lambda size: counts[size])
     layouts = _decimal_layouts([row for _, row in wide.get(commonest, [])], width)
     decimals = frozenset(layouts[0] if len(layouts) == 1 else ())
-    whole = JoinedTable(table, head, decimals, frozenset(thousands))
+    whole = JoinedTable(table, head, decimals, frozenset(thousands) if has_points else None)
     apart: set[int] = set()
     for size, found in wide.items():
         bad = [row for row in found if whole.joined(row[1]) is None]
@@ -229,12 +232,12 @@ def _ways(row: list[str], width: int) -> list[_Way]:
 def _continues(wide: Sequence[Row], exact: Sequence[Row]) -> bool:
     """True if wide rows have more cells at their end alone, as an app writes that was updated.
 
-    The others then hold numbers where rows of the header's width do.
+    Rows then begin as wide as the header, and hold numbers where those do.
     """
+    if not exact or exact[0][0] > wide[0][0]:
+        return False
     longer, rows = [row for _, row in wide], [row for _, row in exact]
-    return bool(rows) and all(
-        _numeric(longer, place) == _numeric(rows, place) for place in range(len(rows[0]))
-    )
+    return all(_numeric(longer, place) == _numeric(rows, place) for place in range(len(rows[0])))
 
 
 def _numeric(rows: Sequence[list[str]], place: int) -> bool:

@@ -242,6 +242,18 @@ def test_the_visible_sheet_with_a_drive_is_read_and_others_are_named(tmp_path):
 
 
 REFUSED = {
+    "three decimals or thousands": (
+        lambda: table(
+            "time,Speed (km/h),Voltage (V),Current (A)",
+            DRIVE,
+            lambda t, v, u, i, *_: (
+                f"{t:.0f},{3.6 * v:.3f},,".replace(".", ",")
+                + f"\n{t:.0f},,{u:.3f},".replace(".", ",")
+                + f"\n{t:.0f},,,{i:.3f}".replace(".", ",")
+            ),
+        ),
+        r"row \d+ has 5 cells under 4 names .*save the table with semicolons",
+    ),
     "blanks": (
         lambda: table(PLAIN, DRIVE, plain).replace(" ", "_").replace(",", " "),
         r"one column, 'time Speed_.* and not by blanks",
