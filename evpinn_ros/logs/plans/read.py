@@ -25,7 +25,8 @@ MOST_XML = 32 << 20  # bytes, unpacked: 50,000 points with all that watches add
 MOST_JSON = 16 << 20  # bytes
 MOST_VALUES = 20 * MAX_POINTS  # of JSON; as an object of Python each takes up to 150 bytes
 BLANK = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # before the first letter, marks of the encoding too
-BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - {*TEXT_SUFFIXES}  # and logs of other forms than tables
+TEXTS = {*TEXT_SUFFIXES, ".json"}  # whose content says whether they are a plan or a drive
+BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - TEXTS  # and logs of other forms than tables
 DAMAGED = (AttributeError, IndexError, OverflowError, RecursionError, TypeError, ValueError)
 KNOWN = (
     "JSON of no known kind: known are GeoJSON and the answers of Valhalla, OSRM, GraphHopper and "
