@@ -125,7 +125,7 @@ def _projected(
     """
     car = model.car
     even = model.projected(weather, onto)
-    uneven = car.unevenness.per_metre(car.equation) @ np.column_stack((onto, car.mean))
+    uneven = car.unevenness.per_metre(car.equation, car.mean) @ np.column_stack((onto, car.mean))
 
     def of_edges(legs: Legs, part: slice | np.ndarray) -> np.ndarray:
         columns = legs.duration[part], legs.length[part], legs.climb[part]

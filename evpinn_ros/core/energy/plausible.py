@@ -55,5 +55,5 @@ def _is_possible(uneven: Unevenness, car: CarModel) -> bool:
     """True if no leg's uneven speed takes more power than a car has."""
     speed, duration = map(np.ravel, np.meshgrid(MIDDLES, DURATIONS))
     legs = even_steps(duration, speed * duration, 0.0 * speed)
-    power = uneven.of_legs(car.equation, legs) @ car.mean / duration
+    power = uneven.of_legs(car.equation, car.mean, legs) @ car.mean / duration
     return bool((np.abs(power) <= MAX_POWER).all())

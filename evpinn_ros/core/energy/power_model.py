@@ -123,7 +123,7 @@ class PowerModel:
         """
         equation = self.car.equation
         conditions, warmth = self._surroundings(legs, weather)
-        beyond = self.car.unevenness.of_legs(equation, legs) * (not even)
+        beyond = self.car.unevenness.of_legs(equation, self.car.mean, legs) * (not even)
         rows = even_rows(equation, legs) + beyond
         tyres = float(equation.mean[State.ROLLING]) * rows[:, State.ROLLING]
         rows[:, State.ROLLING_DRIVE] = tyres

@@ -109,7 +109,7 @@ def usual_cost(car: CarModel) -> float:
         return math.nan
     legs = even_steps(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, 0.0 * MIDDLES)
     rows = PowerModel(car).rows(legs, Weather(car.equation.vehicle.air_density))
-    rows += car.unevenness.of_legs(car.equation, legs)
+    rows += car.unevenness.of_legs(car.equation, car.mean, legs)
     cost = float(metres @ (rows @ car.mean / legs.distance) / metres.sum())
     return cost if math.isfinite(cost) and cost > 0.0 else math.nan
 

@@ -14,6 +14,7 @@ to the other; a trip begins and ends standing.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 import math
@@ -106,14 +107,28 @@ class Unevenness:
         """1-sigma of a trip's unevenness over the size of what is expected of it."""
         return float(np.sqrt(self.squares / self.drives))
 
-    def of_legs(self, equation: Equation, legs: Path | Steps) -> np.ndarray:
+    def of_legs(self, equation: Equation, mean: np.ndarray, legs: Path | Steps) -> np.ndarray:
         """Expected rows of n legs beyond those at even speed, J per unit, shape (n, SIZE)."""
-        return per_leg(legs, self.per_metre(equation))
+        return per_leg(legs, self.per_metre(equation, mean))
 
-    def per_metre(self, equation: Equation) -> np.ndarray:
-        """Expected rows per metre at each node of speed and duration, shape (*SHAPE, SIZE)."""
-        table = self.rows + PRIOR_METRES * prior_rows(equation)
-        return np.asarray(table / (self.metres + PRIOR_METRES)[..., None])
+    def per_metre(self, equation: Equation, mean: np.ndarray) -> np.ndarray:
+        """Expected rows per metre at each node of speed and duration, shape (*SHAPE, SIZE).
+
+        A longer leg of one mean speed has more room for unevenness: where its energy would fall,
+        for few metres taught it, the nodes have their mean in common.
+
+        Args:
+            equation: of the car.
+            mean: of its states, shape (SIZE,).
+        """
+        weight = self.metres + PRIOR_METRES
+        table = (self.rows + PRIOR_METRES * prior_rows(equation)) / weight[..., None]
+        energy = table @ mean
+        for rows, weights, energies in zip(table, weight, energy.tolist(), strict=True):
+            for begin, end in _rising(energies, weights.tolist()):
+                common = np.average(rows[begin:end], axis=0, weights=weights[begin:end])
+                rows[begin:end] = common * (common @ mean > 0.0)
+        return np.asarray(table)
 
     def after(self, equation: Equation, mean: np.ndarray, drive: Path) -> Unevenness:
         """With the steps of one more drive; its scatter is judged by the car's mean, (SIZE,)."""
@@ -133,7 +148,7 @@ class Unevenness:
         if np.abs(drive.distance).sum() < JUDGED_DRIVE_METRES:
             return self
         legs = drive.legs(_cut(np.abs(drive.distance), JUDGED_METRES))
-        of_each = self.of_legs(equation, legs) @ mean
+        of_each = self.of_legs(equation, mean, legs) @ mean
         extra = float((driven.sum(0) - even_rows(equation, legs).sum(0)) @ mean)
         size = float(size_of(np.abs(of_each), stops_of(legs, mean))[-1])
         if size == 0.0:
@@ -144,6 +159,18 @@ class Unevenness:
             squares=SPREAD_KEPT * self.squares + ratio,
             drives=SPREAD_KEPT * self.drives + 1.0,
         )
+
+
+def _rising(values: Sequence[float], weights: Sequence[float]) -> list[tuple[int, int]]:
+    """Runs of values, begin and end, whose weighted means rise (pool adjacent violators)."""
+    runs: list[tuple[int, int, float, float]] = []
+    for place, (mean, weight) in enumerate(zip(values, weights, strict=True)):
+        begin = place
+        while runs and runs[-1][2] > mean:
+            begin, _, before, heavy = runs.pop()
+            mean, weight = (before * heavy + mean * weight) / (heavy + weight), heavy + weight
+        runs.append((begin, place + 1, mean, weight))
+    return [(begin, end) for begin, end, *_ in runs]
 
 
 def stops_of(legs: Path, mean: np.ndarray) -> np.ndarray:

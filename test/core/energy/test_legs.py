@@ -1,5 +1,8 @@
 """Legs of a trip and what they are as points."""
 
+from dataclasses import replace
+from functools import cache
+
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -7,10 +10,12 @@ import pytest
 
 from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import Plan, PlanError, legs_of_trip, points_of
-from evpinn_ros.core.energy.power_model import Weather, vehicle_model
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.core.estimation.states import PHYSICS
 from evpinn_ros.core.estimation.unevenness import Path, even_rows
+from evpinn_ros.core.vehicle.files import load_vehicle
 from test.core.energy.cars import CAR, FEW
+from test.core.estimation.test_unevenness import town
 
 MODEL = vehicle_model(CAR)
 LEG = st.tuples(st.floats(1.0, 600.0), st.floats(0.5, 40.0) | st.just(0.0), st.floats(-0.1, 0.1))
@@ -50,6 +55,47 @@ def test_unevenness_vanishes_as_steps_become_short():
         shares.append(float((beyond @ MODEL.car.mean).sum() / (whole @ MODEL.car.mean).sum()))
     assert shares[0] > 0.05 and shares[3] < 2e-3 * shares[0]
     assert 8.0 < shares[2] / shares[3] < 12.0
+
+
+@cache
+def car_of(name: str, seed: int) -> PowerModel:
+    """A car of a vehicle file, with the habits of a driver; of nobody where the seed is 0."""
+    model = vehicle_model(load_vehicle(name))
+    uneven = model.car.unevenness
+    if seed:
+        uneven = uneven.after(model.car.equation, model.car.mean, town(seed, 1800.0))
+    return PowerModel(replace(model.car, unevenness=uneven))
+
+
+@FEW
+@given(
+    st.sampled_from(["bmw_i3", "tesla_model_3_lr", "nissan_leaf", "generic"]),
+    st.sampled_from([0, 1, 2]),
+    st.floats(3.0, 35.0),
+    st.tuples(st.integers(1, 320), st.integers(1, 320)).map(sorted),
+)
+def test_at_one_mean_speed_longer_legs_never_take_less(name, seed, speed, counts):
+    """What uneven speed takes never falls, so that the whole falls by no more than its start."""
+    model, length = car_of(name, seed), 16e3
+
+    def energy(count: int, steady: bool) -> float:
+        legs = legs_of_trip(np.full(count, length / count), np.full(count, length / count / speed))
+        return float(forecast_plan(legs, model, Weather(1.2), steady=steady).energy[-1])
+
+    (long, even), (short, other) = (
+        [energy(n, steady) for steady in (False, True)] for n in counts
+    )
+    assert long - even >= (short - other) * (1.0 - 1e-9) >= 0.0
+    assert long >= 0.985 * short
+
+
+@pytest.mark.parametrize("name", ["bmw_i3", "tesla_model_3_lr"])
+@pytest.mark.parametrize("speed", [3.0, 14.0, 33.0])
+def test_short_legs_take_what_steady_ones_do(name, speed):
+    model, one = car_of(name, 1), np.full(1000, 0.1)
+    path = Path(one, speed * one, 0.0 * one, 0.0 * one, 0.0 * one, 0.0 * one + 1.2, 0.0 * one)
+    whole, beyond = (rows.sum(0) @ model.car.mean for rows in model.leg_rows(path, Weather(1.2)))
+    assert 0.0 <= beyond < 0.01 * whole
 
 
 def test_a_coarse_plan_costs_more_than_even_speed_and_is_less_sure():

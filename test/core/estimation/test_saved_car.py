@@ -17,7 +17,7 @@ from evpinn_ros.core.estimation.posterior import CarState, initial_state, passed
 from evpinn_ros.core.estimation.saved_car import SavedState, saved_state, state_of
 from evpinn_ros.core.estimation.states import NAMES, OFFSETS, SIZE, State
 from evpinn_ros.core.estimation.terms import equation_of
-from evpinn_ros.core.estimation.unevenness import Path
+from evpinn_ros.core.estimation.unevenness import prior_rows
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
 from test.declared import plain_fields
@@ -153,13 +153,14 @@ def test_a_car_of_an_older_version_goes_on_learning(saved, town, state):
 
 def test_uneven_speed_costs_a_new_state_what_simulated_drives_say(saved):
     """Until the car has driven with it, and not nothing on roads that it knows well."""
-    older, fresh = PinnLearner(CAR), PinnLearner(CAR)
+    older = PinnLearner(CAR)
     older.restore(without(saved, State.TURNING))
-    one, minute = np.ones(1), np.full(1, 60.0)
-    legs = Path(minute, 480.0 * one, 4e4 * one, 0.0 * one, 0.0 * one, 1.2 * one, 0.0 * one)
-    found, before = (each.model().unevenness.of_legs(EQUATION, legs)[0] for each in (older, fresh))
-    assert found[State.TURNING] == pytest.approx(before[State.TURNING]) and before[State.TURNING]
-    assert found[State.MASS] != pytest.approx(before[State.MASS], rel=1e-3)  # as it was driven
+    found, before = older.model().unevenness, prior_rows(EQUATION)
+    expected = found.metres[..., None] * before
+    turning = expected[..., State.TURNING]
+    assert turning.any() and found.rows[..., State.TURNING] == pytest.approx(turning)
+    driven = found.rows[..., State.MASS]
+    assert driven != pytest.approx(expected[..., State.MASS], rel=1e-3)  # as it was driven
 
 
 def many(car: dict, name: str, number: float) -> None:

@@ -72,7 +72,7 @@ def test_a_drive_that_was_driven_before_is_expected_as_it_was():
     for _ in range(2):
         found = found.after(EQUATION, EQUATION.mean, path)
     even = even_rows(EQUATION, cut).sum(0) @ EQUATION.mean
-    expected = even + found.of_legs(EQUATION, cut).sum(0) @ EQUATION.mean
+    expected = even + found.of_legs(EQUATION, EQUATION.mean, cut).sum(0) @ EQUATION.mean
     assert even < 0.6 * driven
     assert expected == pytest.approx(driven, rel=0.12)  # the prior still counts
 
@@ -88,7 +88,7 @@ def test_what_is_expected_of_legs_makes_up_for_even_speed():
         path = town(seed)
         cut = legs(60, path)
         even = even_rows(EQUATION, cut).sum(0) @ EQUATION.mean
-        more = found.of_legs(EQUATION, cut).sum(0) @ EQUATION.mean
+        more = found.of_legs(EQUATION, EQUATION.mean, cut).sum(0) @ EQUATION.mean
         driven = rows_of(path) @ EQUATION.mean
         errors.append((even + more) / driven - 1.0)
         before.append(even / driven - 1.0)
@@ -103,7 +103,9 @@ def test_it_vanishes_with_the_duration_of_a_leg():
     for seconds in (10.0, 1.0, 0.1):
         step = Path(seconds * one, 8.0 * seconds * one, 512.0 * seconds * one, *(0.0 * one,) * 2,
                     1.2 * one, 0.0 * one)  # fmt: skip
-        powers.append(float(found.of_legs(EQUATION, step)[0] @ EQUATION.mean) / seconds)
+        powers.append(
+            float(found.of_legs(EQUATION, EQUATION.mean, step)[0] @ EQUATION.mean) / seconds
+        )
     assert powers[0] > 0.0
     assert powers[1:] == pytest.approx([0.1 * powers[0], 0.01 * powers[0]], rel=1e-6)
     assert DURATIONS[0] == 10.0
