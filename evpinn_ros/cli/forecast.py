@@ -10,7 +10,7 @@ import warnings
 import typer
 
 from evpinn_ros.cli.console import command_line, note, say, show, write_json
-from evpinn_ros.cli.options import JsonOption, VehicleOption, check_report, with_read_options
+from evpinn_ros.cli.options import JsonOption, check_report, complete_vehicle, with_read_options
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH, kwh_digits
 from evpinn_ros.common.writer import check_outputs
@@ -32,7 +32,14 @@ def forecast(
             "Valhalla, OSRM, GraphHopper or openrouteservice, or recorded drives."
         ),
     ],
-    vehicle: VehicleOption = "generic",
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            help="Name of the vehicle (evpinn vehicles lists them), or path of a vehicle file; "
+            "if not given, that of the state, else generic.",
+            autocompletion=complete_vehicle,
+        ),
+    ] = None,
     state: Annotated[
         Path | None, typer.Option(help="File that replay or run --state wrote.")
     ] = None,
@@ -95,16 +102,19 @@ def forecast(
     of the car's mass, and of the unknown road if both plans are equally long (to 1 m). The page on
     inputs in the documentation (docs/reference/inputs.md) describes the files.
 
-    Example: evpinn forecast route.json --vehicle tesla_model_3_lr --state car.json --charge 80
+    Example: evpinn forecast route.json --state car.json --charge 80
     """
     # Here, for pandas takes longer to import than all else together.
     from evpinn_ros.api.estimator import Estimator
     from evpinn_ros.api.plan import planned_energy, what_if
     from evpinn_ros.core.energy.forecast import UNEVEN
     from evpinn_ros.core.energy.plan import PlanConditions
+    from evpinn_ros.core.estimation.state_file import vehicle_of
     from evpinn_ros.core.vehicle.files import load_vehicle
     from evpinn_ros.logs.plans.read import read_plan
 
+    if vehicle is None:
+        vehicle = (None if state is None else vehicle_of(state)) or "generic"
     check_outputs((json_file, report), (*plans, state, Path(vehicle)))
     car = vehicle if state is None else Estimator(vehicle, state=state)
     share = None if charge is None else charge / 100

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 import evpinn_ros as ev
@@ -78,7 +79,10 @@ def test_conditions_change_the_forecast(evpinn, folder):
 
 def test_a_battery_that_does_not_last_is_told_with_its_place(evpinn, folder):
     done = evpinn("forecast", "slow.csv", "--vehicle", CAR, "--charge", 1, cwd=folder)
-    assert "empty at 3.5 km" in done.stdout and "by its vehicle file alone" in done.stdout
+    along = ev.forecast(folder / "slow.csv", CAR, charge_pct=1.0)
+    place = np.interp(0.0, -along["charge_pct"], along["distance_m"]) / 1e3
+    assert 1.0 < place < 7.0 and f"empty at {place:.1f} km" in done.stdout
+    assert "by its vehicle file alone" in done.stdout
     assert "Battery: 75.0 +- 15.0 kWh when full, by its vehicle file." in done.stdout
     assert "--charge PERCENT" in evpinn("forecast", "slow.csv", cwd=folder).stderr
 
@@ -93,6 +97,11 @@ def test_the_battery_is_that_of_the_state_once_drives_have_shown_it(evpinn, tmp_
     done = evpinn("forecast", "slow.csv", *given, cwd=tmp_path)
     held = car.account.gauge.capacity.value / 3.6e6  # 40 kWh, and some of the file's 75
     assert held < 50.0
+    same = evpinn("forecast", "slow.csv", *given[2:], cwd=tmp_path)
+    assert same.stdout == done.stdout  # whose car it is says the state
+    assert evpinn(
+        "forecast", "slow.csv", "--vehicle", "bmw_i3", *given[2:], cwd=tmp_path
+    ).returncode
     assert f"Battery: {held:.1f} +- " in done.stdout and "as its drives showed" in done.stdout
     unknown = evpinn("forecast", "slow.csv", "--vehicle", "generic", "--charge", 80, cwd=tmp_path)
     assert "the capacity of the battery" in unknown.stdout

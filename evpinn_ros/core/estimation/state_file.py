@@ -138,6 +138,17 @@ def read_half(path: Path, half: Half) -> tuple[State | None, str | None]:
     return None, f"{path}: holds no '{half.value}' of the car, which begins anew; the rest is used"
 
 
+def vehicle_of(path: Path) -> str | None:
+    """The vehicle that a saved state is of; None where it says none.
+
+    Raises:
+        InputError: as of `read_half`.
+    """
+    learned, _ = read_half(path, Half.LEARNED)
+    vehicle = (learned or {}).get("vehicle")
+    return vehicle if isinstance(vehicle, str) else None
+
+
 def read_state(path: Path) -> dict[str, Any] | None:
     """Read a JSON file of a state, None when there is no such file.
 
