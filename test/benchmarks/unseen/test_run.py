@@ -43,8 +43,11 @@ class Flat:
 
 @pytest.fixture
 def folder(tmp_path):
-    """A CSV drive of 400 s at a steady 20 kW."""
-    rows = (f"{t / 10},{15 + t % 7 / 10},360,{2e4 / 360}\n" for t in range(4000))
+    """A CSV drive of 400 s at 20 kW; a current that never changes is not measured."""
+    amperes = 2e4 / 360
+    rows = (
+        f"{t / 10},{15 + t % 7 / 10},360,{amperes + (t % 2 - 0.5) / 1e3}\n" for t in range(4000)
+    )
     path = tmp_path / "drive.csv"
     path.write_text("t_s,speed_mps,voltage_v,current_a\n" + "".join(rows))
     return tmp_path
