@@ -33,7 +33,7 @@ def test_a_line_of_a_page_works(ros2, bench, line, monkeypatch, tmp_path):
         node = bench.node.create_publisher(_type(words[2]), words[2], 10)
         # By itself and with time to look around, for a daemon would stay behind.
         with ros2.running(*words, "--no-daemon", "--spin-time", "5") as echo:
-            echo.codes = {0, 2, 130}  # of its own at Ctrl-C
+            echo.codes, echo.quiet = {0, 2, 130}, False  # its own, at Ctrl-C
             bench.pump(lambda: node.publish(_type(words[2])()) or "position" in echo.output)
         return
     line = next(line for name, line in UP.items() if name in words)
