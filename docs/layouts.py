@@ -2,15 +2,13 @@
 
 Foxglove's is a photograph of the last open Foxglove Studio that npm holds, in a headless Chromium,
 with our layout imported and the recorded bag opened. PlotJuggler is no package here, so its
-picture is drawn from its layout file: the same tabs, panels, series and scales. Each picture
-carries the hash of the layout that it shows, which `test/test_views.py` compares.
+picture is drawn from its layout file: the same tabs, panels, series and scales.
 
 Run: python docs/layouts.py (`make layouts` does); needs Chromium and npm.
 """
 
 from collections.abc import Iterator
 from functools import partial
-import hashlib
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 import shutil
@@ -23,7 +21,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from PIL import Image, PngImagePlugin
+from PIL import Image
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message
@@ -70,11 +68,6 @@ Series = dict[str, list[tuple[float, float]]]  # time, s, and value
 def picture_of(name: str) -> Path:
     """Where the picture of a layout lies."""
     return ROOT / "docs" / f"layout_{name}.png"
-
-
-def digest(layout: Path) -> str:
-    """Hash of what a picture shows."""
-    return hashlib.sha256(layout.read_bytes()).hexdigest()
 
 
 def record(out: Path) -> None:
@@ -240,11 +233,9 @@ def draw(bag: Path, picture: Path) -> None:
 
 
 def keep(picture: Path, name: str) -> None:
-    """Write a picture into the docs in few colours, with the hash of its layout."""
-    info = PngImagePlugin.PngInfo()
-    info.add_text("layout", digest(LAYOUTS[name]))
+    """Write a picture into the docs in few colours."""
     colours = Image.open(picture).convert("RGB").quantize(256, dither=Image.Dither.NONE)
-    colours.save(picture_of(name), optimize=True, pnginfo=info)
+    colours.save(picture_of(name), optimize=True)
 
 
 def main() -> None:

@@ -8,6 +8,8 @@ import subprocess
 
 import pytest
 
+from evpinn_ros.topics import NAMESPACE, TOPICS
+
 pytestmark = pytest.mark.build
 
 ROOT = Path(__file__).parents[1]
@@ -61,10 +63,16 @@ def test_the_index_has_every_page():
 
 def test_the_ros_guide_names_every_topic():
     guide = (ROOT / "docs" / "guides" / "ros.md").read_text()
-    missing = [
-        t.name for t in GENERATOR.TOPICS if t.name not in guide and "estimate/" not in t.name
-    ]
+    missing = [t.name for t in TOPICS if t.name not in guide and "estimate/" not in t.name]
     assert not missing
+
+
+@pytest.mark.parametrize("name", ["foxglove.json", "plotjuggler.xml"])
+def test_the_ready_layouts_show_topics_that_exist(name):
+    text = (ROOT / "config" / "views" / name).read_text()
+    topics = {topic.under(NAMESPACE) for topic in TOPICS}
+    shown = re.findall(r"/ev/\w+/\w+", re.sub(r"/studio_script/ev/\w+", "", text))
+    assert len(set(shown)) > 9 and set(shown) <= topics
 
 
 def equations_named(text: str) -> set[int]:

@@ -39,23 +39,15 @@ def true_power(vehicle) -> Callable[[np.ndarray], np.ndarray]:
 
 @pytest.fixture(scope="session")
 def make_drive(true_power) -> Callable[..., UnseenDrive]:
-    """A drive of a length, s, one reading a period, s; polled logs have speed, V and I in turn."""
+    """Makes a drive of a length, s, with five readings a second."""
 
-    def make(
-        seconds: float, *, start: float = 0.0, period: float = 0.1, polled=False
-    ) -> UnseenDrive:
-        time = start + np.arange(0.0, seconds, period)
-        shift = period / 3 if polled else 0.0
+    def make(seconds: float, *, start: float = 0.0) -> UnseenDrive:
+        time = start + np.arange(0.0, seconds, 0.2)
         readings: list[Reading] = []
-        for t, v, p in zip(time, speed_at(time), true_power(time + 2 * shift), strict=True):
+        for t, v, p in zip(time, speed_at(time), true_power(time), strict=True):
             stamp_ns = START_NS + round(t * NANOSECONDS)
             readings.append(SpeedReading(stamp_ns, float(v)))
-            if not polled:
-                readings.append(BatteryReading(stamp_ns, 360.0, -float(p) / 360.0))
-                continue
-            one, two = (stamp_ns + round(k * shift * NANOSECONDS) for k in (1, 2))
-            readings.append(BatteryReading(one, 360.0, float("nan")))
-            readings.append(BatteryReading(two, float("nan"), -float(p) / 360.0))
+            readings.append(BatteryReading(stamp_ns, 360.0, -float(p) / 360.0))
         return UnseenDrive(f"drive at {start:g}", tuple(readings))
 
     return make
@@ -64,11 +56,7 @@ def make_drive(true_power) -> Callable[..., UnseenDrive]:
 @pytest.fixture(scope="session")
 def car(vehicle, make_drive) -> UnseenCar:
     """Two drives of ten and five minutes, five readings a second."""
-    return UnseenCar(
-        "made",
-        vehicle,
-        (make_drive(700.0, period=0.2), make_drive(500.0, start=5000.0, period=0.2)),
-    )
+    return UnseenCar("made", vehicle, (make_drive(700.0), make_drive(500.0, start=5000.0)))
 
 
 def speed_at(time: np.ndarray) -> np.ndarray:
