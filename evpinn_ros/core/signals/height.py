@@ -93,18 +93,23 @@ class HeightProfile:
         """True if heights are measured up to a place, so that its average changes no more."""
         return bool(self._odometer) and self._odometer[-1] >= odometer
 
-    def mean_around(self, odometer: float) -> float | None:
-        """Height averaged `REACH` to either side, m, as far as known; None where it is not."""
-        if not self._odometer or not (
-            self._odometer[0] - REACH <= odometer <= self._odometer[-1] + REACH
-        ):
+    def means_around(self, odometers: np.ndarray) -> np.ndarray | None:
+        """Heights averaged `REACH` to either side of places, m, as far as known, shape (n,).
+
+        None where one of them is not known.
+        """
+        if not self._odometer:
             return None
-        low = max(odometer - REACH, self._odometer[0])
-        high = min(odometer + REACH, self._odometer[-1])
-        if high - low < LEAST_STEP:
-            return float(np.interp(odometer, self._odometer, self._height))
-        ends = np.interp((low, high), self._odometer, self._integral)
-        return float(ends[1] - ends[0]) / (high - low)
+        begin, end = self._odometer[0], self._odometer[-1]
+        if odometers.min() < begin - REACH or odometers.max() > end + REACH:
+            return None
+        road, height, integral = map(np.array, self._columns)
+        low, high = np.maximum(odometers - REACH, begin), np.minimum(odometers + REACH, end)
+        length = high - low
+        mean = (np.interp(high, road, integral) - np.interp(low, road, integral)) / np.maximum(
+            length, LEAST_STEP
+        )
+        return np.asarray(np.where(length < LEAST_STEP, np.interp(odometers, road, height), mean))
 
     @property
     def _columns(self) -> tuple[list[float], list[float], list[float]]:

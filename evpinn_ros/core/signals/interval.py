@@ -17,7 +17,6 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 import math
 from typing import NamedTuple
 
@@ -218,7 +217,7 @@ class IntervalBuilder:
     def _split(self, edges: list[_Edge]) -> Iterator[Interval]:
         """The interval between edges, or two of it where the battery drops out or comes back."""
         stamps = [edge.stamp_ns for edge in edges]
-        known = [self._battery.covers(*pair) for pair in pairwise(stamps)]
+        known = self._battery.covered(stamps).tolist()
         first = 0
         for last in range(1, len(edges)):
             if last == len(edges) - 1 or known[last] != known[last - 1]:
@@ -228,9 +227,8 @@ class IntervalBuilder:
     def _interval(self, edges: list[_Edge]) -> Interval:
         start, end = edges[0], edges[-1]
         measured = self._battery.energy(start.stamp_ns, end.stamp_ns)
-        heights = [self._height.mean_around(edge.odometer) for edge in edges]
-        known = all(height is not None for height in heights)
-        climb = np.diff(np.array(heights, float)) if known else np.zeros(len(edges) - 1)
+        heights = self._height.means_around(np.array([edge.odometer for edge in edges]))
+        climb = np.zeros(len(edges) - 1) if heights is None else np.diff(heights)
         drive, brake = np.array([edge.motor for edge in edges[1:]]).T
         speed = np.array([edge.speed for edge in edges])
         steps = Steps(
@@ -251,7 +249,7 @@ class IntervalBuilder:
                 load=float(np.mean([edge.conditions.load for edge in edges])),
                 doubted_load=float(np.mean([edge.conditions.doubted_load for edge in edges])),
             ),
-            height_known=known,
+            height_known=heights is not None,
             energy=measured.energy,
             sampling_variance=measured.variance,
             leaps=any(edge.leapt for edge in edges[1:]),

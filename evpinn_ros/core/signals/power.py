@@ -7,6 +7,7 @@ power. How far apart two readings may be to be joined follows the rate at which 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
 from typing import NamedTuple
 
@@ -84,7 +85,11 @@ class BatteryTrack:
 
     def covers(self, start_ns: int, end_ns: int) -> bool:
         """True if power was measured from one moment to another without a gap."""
-        return all(track.covers(start_ns, end_ns) for track in self._tracks)
+        return bool(self.covered([start_ns, end_ns])[0])
+
+    def covered(self, moments: Sequence[int]) -> np.ndarray:
+        """`SignalTrack.covered` of both, shape (n - 1,)."""
+        return np.asarray(self._voltage.covered(moments) & self._current.covered(moments))
 
     def energy(self, start_ns: int, end_ns: int) -> Energy:
         """Energy drawn between two moments.
@@ -97,7 +102,7 @@ class BatteryTrack:
         if not self.covers(start_ns, end_ns):
             return UNMEASURED
         stamps = [start_ns, *self._current.within(start_ns, end_ns), end_ns]
-        power = np.array([self.at(stamp_ns) for stamp_ns in stamps])
+        power = drawn_power(*(track.between(stamps) for track in self._tracks))
         step = np.diff(stamps) / NANOSECONDS
         bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ step**2)
         period = max(track.step_around(end_ns) for track in self._tracks)
@@ -142,7 +147,7 @@ class MotorTrack:
         if not self._power.covers(start_ns, end_ns):
             return math.nan, math.nan
         stamps = [start_ns, *self._power.within(start_ns, end_ns), end_ns]
-        power = np.array([self._power.at(stamp_ns) for stamp_ns in stamps])
+        power = self._power.between(stamps)
         step = np.diff(stamps) / NANOSECONDS
         drive, brake = np.maximum(power, 0.0), np.maximum(-power, 0.0)
         return _trapezoid(drive, step), _trapezoid(brake, step)

@@ -214,40 +214,42 @@ class _Hill:
     """
 
     def __init__(self) -> None:
-        self._mean: np.ndarray | None = None  # altitude, m, and slope
-        self._covariance = np.diag((ALTITUDE_STD**2, SLOPE_STD**2))
+        self._altitude = math.nan  # m, before the first
+        self.slope = 0.0  # rise over run
+        # Variances of altitude and slope, and their covariance: numbers, for 2 x 2 arrays take
+        # five times as long.
+        self._variance, self._joint, self._of_slope = ALTITUDE_STD**2, 0.0, SLOPE_STD**2
         self._road = 0.0  # m since the last altitude
-
-    @property
-    def slope(self) -> float:
-        """Rise over run; 0 before anything is known."""
-        return 0.0 if self._mean is None else float(self._mean[1])
 
     def travel(self, distance: float) -> None:
         """Move on by a distance, m."""
         self._road += distance
-        if self._mean is None:
+        if math.isnan(self._altitude):
             return
-        step = np.array([[1.0, distance], [0.0, 1.0]])
-        self._mean = step @ self._mean
-        self._covariance = step @ self._covariance @ step.T
-        self._covariance[1, 1] += 2 * SLOPE_STD**2 * distance / SLOPE_LENGTH
+        self._altitude += distance * self.slope
+        self._variance += distance * (2.0 * self._joint + distance * self._of_slope)
+        self._joint += distance * self._of_slope
+        self._of_slope += 2.0 * SLOPE_STD**2 * distance / SLOPE_LENGTH
 
     def see(self, altitude: float) -> None:
         """Take an altitude, m; those of one place add nothing."""
-        if self._mean is None:
-            self._mean = np.array([altitude, 0.0])
+        if math.isnan(self._altitude):
+            self._altitude = altitude
             return
         if self._road < ALTITUDE_STEP:
             return
-        if abs(altitude - self._mean[0]) > LEAP + STEEPEST * self._road:
-            self._mean[0], self._road = altitude, 0.0  # a receiver that found itself: no slope
+        miss = altitude - self._altitude
+        if abs(miss) > LEAP + STEEPEST * self._road:
+            self._altitude, self._road = altitude, 0.0  # a receiver that found itself: no slope
             return
         noise = ALTITUDE_STD**2 * max(1.0, ALTITUDE_LENGTH / self._road)
         self._road = 0.0
-        gain = self._covariance[:, 0] / (self._covariance[0, 0] + noise)
-        self._mean = self._mean + gain * (altitude - self._mean[0])
-        self._covariance = self._covariance - np.outer(gain, self._covariance[0])
+        gain = self._variance / (self._variance + noise)
+        turn = self._joint / (self._variance + noise)
+        self._altitude, self.slope = self._altitude + gain * miss, self.slope + turn * miss
+        self._of_slope -= turn * self._joint
+        self._joint -= gain * self._joint
+        self._variance -= gain * self._variance
 
 
 def _age(now_ns: int, stamp_ns: int) -> float:

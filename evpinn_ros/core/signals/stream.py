@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.core.signals.interval import IntervalBuilder
+from evpinn_ros.core.signals.interval import Interval, IntervalBuilder
 from evpinn_ros.core.signals.kinematics import (
     LAG_TOLERANCE_NS,
     LOOK_BACK_NS,
@@ -196,6 +196,11 @@ class SampleStream:
         else:
             self._road.add_reading(reading)
         return events
+
+    def finish(self) -> Iterator[Interval]:
+        """The intervals that wait for more of a drive that is over."""
+        if len(self._speed):
+            yield from self._intervals.finish()
 
     def _drop(self, reason: str) -> None:
         """Count a reading that is not used, or not whole."""

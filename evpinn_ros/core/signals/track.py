@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import deque
+from collections.abc import Sequence
 import math
 
 import numpy as np
@@ -99,11 +100,33 @@ class SignalTrack:
 
     def covers(self, start_ns: int, end_ns: int) -> bool:
         """True if readings around and within a span leave no gap."""
-        first = bisect_right(self.stamps, start_ns) - 1
-        last = bisect_left(self.stamps, end_ns)
-        if first < 0 or last == len(self.stamps):
-            return False
-        return bool((np.diff(self.stamps[first : last + 1]) <= self.cadence.gap_ns).all())
+        return bool(self.covered([start_ns, end_ns])[0])
+
+    def covered(self, moments: Sequence[int]) -> np.ndarray:
+        """Whether readings around and within each step between n moments leave no gap.
+
+        The moments, ns, rise; shape (n - 1,).
+        """
+        stamps = self._around(moments)[0]
+        if not len(stamps):
+            return np.zeros(len(moments) - 1, dtype=bool)
+        gaps = np.append(0, np.cumsum(np.diff(stamps) > self.cadence.gap_ns))
+        first = np.searchsorted(stamps, moments[:-1], side="right") - 1
+        last = np.searchsorted(stamps, moments[1:])
+        known = (first >= 0) & (last < len(stamps))
+        return np.asarray(known & (gaps[np.minimum(last, len(gaps) - 1)] == gaps[first]))
+
+    def between(self, moments: Sequence[int]) -> np.ndarray:
+        """Values at n moments in order, linear between readings on both sides, shape (n,)."""
+        stamps, values = self._around(moments)
+        zero_ns = moments[0]
+        return np.asarray(np.interp(np.array(moments) - zero_ns, stamps - zero_ns, values))
+
+    def _around(self, moments: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Stamps, ns, and values of the readings around and within moments in order."""
+        first = max(0, bisect_right(self.stamps, moments[0]) - 1)
+        last = bisect_left(self.stamps, moments[-1]) + 1
+        return np.array(self.stamps[first:last], np.int64), np.array(self.values[first:last])
 
     def step_around(self, stamp_ns: int) -> float:
         """Usual step between the readings up to a moment, s, whatever their order of arrival."""

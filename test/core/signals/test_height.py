@@ -13,41 +13,42 @@ from evpinn_ros.core.signals.height import (
 
 
 def driven(height, places) -> HeightProfile:
-    found = HeightProfile()
+    profile = HeightProfile()
     for place in places:
-        found.add(float(place), float(height(place)))
-    return found
+        profile.add(float(place), float(height(place)))
+    return profile
 
 
 def test_a_height_is_the_average_around_a_place():
-    found = driven(lambda x: 100.0 + 0.05 * x, np.arange(0.0, 1000.0, 5.0))
-    assert found.mean_around(500.0) == pytest.approx(125.0)
+    slope = driven(lambda x: 100.0 + 0.05 * x, np.arange(0.0, 1000.0, 5.0))
+    assert slope.means_around(np.array([400.0, 500.0])) == pytest.approx([120.0, 125.0])
     rng = np.random.default_rng(0)
     noisy = driven(lambda x: rng.standard_normal(), np.arange(0.0, 1000.0, 10.0))
-    errors = [noisy.mean_around(place) for place in np.arange(100.0, 900.0, 10.0)]
     # Fifteen readings within 150 m.
+    errors = noisy.means_around(np.arange(100.0, 900.0, 10.0))
     assert np.std(errors) == pytest.approx(15**-0.5, rel=0.5)
 
 
 def test_near_the_ends_it_is_of_what_is_known_and_beyond_unknown():
-    found = driven(lambda x: x, np.arange(0.0, 501.0, 5.0))
-    assert found.mean_around(500.0) == pytest.approx(500.0 - REACH / 2)
-    assert found.mean_around(0.0) == pytest.approx(REACH / 2)
-    assert found.mean_around(500.0 + REACH + 1) is None and found.mean_around(-REACH - 1) is None
-    assert found.known_at(500.0 + KNOWN_WITHIN - 1) and not found.known_at(500.0 + KNOWN_WITHIN)
+    slope = driven(lambda x: x, np.arange(0.0, 501.0, 5.0))
+    ends = slope.means_around(np.array([0.0, 500.0]))
+    assert ends == pytest.approx([REACH / 2, 500.0 - REACH / 2])
+    for beyond in (500.0 + REACH + 1, -REACH - 1):
+        assert slope.means_around(np.array([250.0, beyond])) is None
+    assert slope.known_at(500.0 + KNOWN_WITHIN - 1) and not slope.known_at(500.0 + KNOWN_WITHIN)
 
 
 def test_a_standing_car_tells_nothing_new():
-    found = driven(lambda x: 7.0, [0.0])
+    parked = driven(lambda x: 7.0, [0.0])
     for _ in range(100):
-        found.add(0.2, 99.0)
-    assert found.mean_around(0.0) == 7.0
+        parked.add(0.2, 99.0)
+    assert parked.means_around(np.zeros(1)) == [7.0]
 
 
 def test_only_so_much_road_is_kept():
-    found = driven(lambda x: 0.1 * x, np.arange(0.0, 20_000.0, 5.0))
-    assert found.mean_around(19_000.0) == pytest.approx(1900.0)
-    assert found.mean_around(20_000.0 - 3 * LENGTH) is None
+    slope = driven(lambda x: 0.1 * x, np.arange(0.0, 20_000.0, 5.0))
+    assert slope.means_around(np.array([19_000.0])) == pytest.approx([1900.0])
+    assert slope.means_around(np.array([20_000.0 - 3 * LENGTH])) is None
 
 
 def rises(*altitudes) -> list:
