@@ -64,17 +64,17 @@ class TimedLines:
 
         `ahead` are the first of them.
         """
-        stamps = [float(found[1]) for line in ahead if (found := _STAMP.fullmatch(line))]
+        stamps = [float(stamp[1]) for line in ahead if (stamp := _STAMP.fullmatch(line))]
         back = sum(later < earlier for earlier, later in pairwise(stamps))
         self.summed = back > GOES_BACK * len(stamps) and max(stamps) < EPOCH
         passed = 0.0
         for line in lines:
-            found = _STAMP.fullmatch(line) if self.summed else None
-            if found is None:
+            stamp = _STAMP.fullmatch(line) if self.summed else None
+            if stamp is None:
                 yield line
                 continue
-            passed += float(found[1])
-            yield f"({passed:.6f}){found[2]}"
+            passed += float(stamp[1])
+            yield f"({passed:.6f}){stamp[2]}"
 
 
 def _date(match: re.Match[str]) -> datetime | None:

@@ -142,18 +142,18 @@ class RunningClock:
         there = np.flatnonzero(stamps != NONE)
         if there.size == 0:
             return stamps
-        known = stamps[there]
+        times = stamps[there]
         if self._spread is not None:
             stamps = stamps.copy()
-            stamps[there] = known = self._spread_out(known, self._spread)
+            stamps[there] = times = self._spread_out(times, self._spread)
         if not (self._period or self._first is not None or self._is_local):
             return stamps
-        before = known[[0, 0]] if self._before is None else self._before
-        steps = np.diff(known, prepend=before[1])
-        added = self._added + np.cumsum(self._turns(known, before, steps))
-        self._added, self._before = int(added[-1]), np.append(before, known)[-2:]
+        before = times[[0, 0]] if self._before is None else self._before
+        steps = np.diff(times, prepend=before[1])
+        added = self._added + np.cumsum(self._turns(times, before, steps))
+        self._added, self._before = int(added[-1]), np.append(before, times)[-2:]
         running = stamps.copy()
-        running[there] = known + added
+        running[there] = times + added
         return running
 
     def _turns(

@@ -46,6 +46,11 @@ class Column:
     could_be: tuple[str, ...] = ()  # other units that explain it as well: its own is assumed
 
     @property
+    def has_unit(self) -> bool:
+        """True if its unit is known: by what is written, given or decided, or by our own name."""
+        return bool(self.unit) or self.is_ours
+
+    @property
     def is_ours(self) -> bool:
         """True if its name is one of ours, which tells the unit and the sign."""
         return self.name == QUANTITIES[self.quantity].column

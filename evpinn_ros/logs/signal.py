@@ -23,8 +23,8 @@ class Signal:
 
     def points(self) -> tuple[FloatArray, FloatArray]:
         """Times and values where both are finite."""
-        known = np.isfinite(self.time) & np.isfinite(self.value)
-        return self.time[known], self.value[known]
+        finite = np.isfinite(self.time) & np.isfinite(self.value)
+        return self.time[finite], self.value[finite]
 
     @property
     def known(self) -> FloatArray:
@@ -42,10 +42,10 @@ def pull(speed: Signal, power: Signal) -> float:
     with np.errstate(over="ignore"):  # damaged cells, left out below
         kinetic = change * at_times(speed, times)
     drawn = at_times(power, times)
-    known = np.isfinite(kinetic) & np.isfinite(drawn)
-    if known.sum() < LEAST_EVENTS or not kinetic[known].any() or not np.ptp(drawn[known]):
+    both = np.isfinite(kinetic) & np.isfinite(drawn)
+    if both.sum() < LEAST_EVENTS or not kinetic[both].any() or not np.ptp(drawn[both]):
         return np.nan
-    spread = np.cov(kinetic[known], drawn[known])
+    spread = np.cov(kinetic[both], drawn[both])
     if abs(spread[0, 1]) < LIKE * np.sqrt(spread[0, 0] * spread[1, 1]):
         return np.nan
     return float(spread[0, 1] / spread[0, 0])

@@ -12,13 +12,13 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evpinn_ros.logs.column import Column
 from evpinn_ros.logs.quantities import PLACES, QUANTITIES
 from evpinn_ros.logs.signal import (
     LEAST_EVENTS,
     LONGEST_STEP,
+    FloatArray,
     Signal,
     accelerations,
     at_times,
@@ -32,8 +32,6 @@ LEAST_SEGMENTS, MOST_SEGMENTS = 3, 20  # from one step of the odometer to a late
 SEGMENT = 300.0  # m between two positions that tell a way
 EARTH = 6_371_000.0  # m
 CANDIDATES = ("km/h", "mph", "m/s")
-
-FloatArray = NDArray[np.float64]
 
 
 class Masses(NamedTuple):
@@ -54,13 +52,13 @@ def with_speed_unit(
     columns: Mapping[str, Column], cells: Mapping[str, Signal]
 ) -> dict[str, Column]:
     """The columns, speed and odometer with a unit."""
-    known = dict(columns)
-    speed, odometer = known["speed"], known.get("odometer")
-    if not (speed.unit or speed.is_ours):
-        known["speed"] = speed = _decided(speed, known, cells)
-    if odometer is not None and not (odometer.unit or odometer.is_ours):
-        known["odometer"] = _odometer(odometer, speed, cells)
-    return known
+    decided = dict(columns)
+    speed, odometer = decided["speed"], decided.get("odometer")
+    if not speed.has_unit:
+        decided["speed"] = speed = _decided(speed, decided, cells)
+    if odometer is not None and not odometer.has_unit:
+        decided["odometer"] = _odometer(odometer, speed, cells)
+    return decided
 
 
 def _decided(speed: Column, columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> Column:
@@ -69,7 +67,7 @@ def _decided(speed: Column, columns: Mapping[str, Column], cells: Mapping[str, S
     if (text := _nearest(_road_of_places(cells), factors)) is not None:
         return speed.in_unit(text, "by the positions")
     road = _road_of_odometer(cells)
-    if odometer is not None and (odometer.unit or odometer.is_ours):
+    if odometer is not None and odometer.has_unit:
         if (text := _nearest(road * odometer.factor, factors)) is not None:
             return speed.in_unit(text, "by the odometer")
         if odometer.why == "by its name":

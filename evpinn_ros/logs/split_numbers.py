@@ -122,27 +122,31 @@ def joined_table(table: Table, head: Head) -> Table:
         if counts[size] <= TRIED_ROWS:
             rows.setdefault(size, []).append(row)
     least = max(LEAST_ROWS, LEAST_SHARE * counts.total())
-    wide = {size: found for size, found in sorted(rows.items()) if size > width}
-    if any(layout_of(found[0][1]) for found in wide.values()):  # which has cells without a name
+    wide = {size: same_width for size, same_width in sorted(rows.items()) if size > width}
+    if any(
+        layout_of(same_width[0][1]) for same_width in wide.values()
+    ):  # which has cells without a name
         return table
     thousands: set[int] = set()
-    for found in wide.values():
-        ways = (_ways(row, width) for _, row in found)
+    for same_width in wide.values():
+        ways = (_ways(row, width) for _, row in same_width)
         thousands.update(*(way[0].columns for way in ways if len(way) == 1))
-    written = (cell.strip() for found in rows.values() for _, row in found for cell in row)
+    written = (
+        cell.strip() for same_width in rows.values() for _, row in same_width for cell in row
+    )
     has_points = any(map(_POINT.fullmatch, written))  # so that a comma stands between thousands
     commonest = max(counts, key=lambda size: counts[size])
     layouts = _decimal_layouts([row for _, row in wide.get(commonest, [])], width)
     decimals = frozenset(layouts[0] if len(layouts) == 1 else ())
     whole = JoinedTable(table, head, decimals, frozenset(thousands) if has_points else None)
     apart: set[int] = set()
-    for size, found in wide.items():
-        bad = [row for row in found if whole.joined(row[1]) is None]
-        if len(bad) <= LEAST_SHARE * len(found):
+    for size, same_width in wide.items():
+        bad = [row for row in same_width if whole.joined(row[1]) is None]
+        if len(bad) <= LEAST_SHARE * len(same_width):
             continue
         apart.add(size)
-        split = sum(bool(_ways(row, width)) for _, row in found) > 0.5 * len(found)
-        continues = not (decimals or split) and _continues(found, rows.get(width, []))
+        split = sum(bool(_ways(row, width)) for _, row in same_width) > 0.5 * len(same_width)
+        continues = not (decimals or split) and _continues(same_width, rows.get(width, []))
         if counts[size] >= least and not continues:
             number, cells = bad[0]
             raise InputError(

@@ -253,13 +253,13 @@ def until_broken(rows: Iterator[Row]) -> Iterator[Row]:
 
 def data_rows(table: Table, head: Head) -> Iterator[Row]:
     """The rows below the header, without comments and further headers."""
-    begin, width, known = head.row, len(head.names), frozenset(head.written)
+    begin, width, names = head.row, len(head.names), frozenset(head.written)
     places: list[int | None] | None = None  # of the header's columns, below one of another order
     for number, row in table.rows():
         cell = row[0]
         if number <= begin or cell[:1] == "#":
             continue
-        if (cell[:1] not in _NO_NAME or cell in known) and _is_header(row, head):
+        if (cell[:1] not in _NO_NAME or cell in names) and _is_header(row, head):
             places = _places_below(row, head, number)
             continue
         if places is not None:

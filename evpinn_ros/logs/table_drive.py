@@ -443,8 +443,8 @@ def _is_silent(survey: Survey, column: Column) -> bool:
     if column.quantity not in ("speed", "current", "power"):
         return False
     values = to_floats(survey.cells[column.place], survey.styles[column.place])
-    known = values[np.isfinite(values)]
-    return known.size >= LEAST_EVENTS and not np.ptp(known)
+    finite = values[np.isfinite(values)]
+    return finite.size >= LEAST_EVENTS and not np.ptp(finite)
 
 
 def _heights(

@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.logs.column import SIGNED, Column, column_of
@@ -21,6 +20,7 @@ from evpinn_ros.logs.quantities import QUANTITIES, Unit, score
 from evpinn_ros.logs.signal import (
     LEAST_EVENTS,
     LONGEST_STEP,
+    FloatArray,
     Signal,
     accelerations,
     at_times,
@@ -51,34 +51,28 @@ LEAST_REPEATS = 0.1  # of the steps
 FINE = 10.0  # resolutions that a signal usually changes by
 LEAST_ROWS = 100
 
-FloatArray = NDArray[np.float64]
-
 
 def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> dict[str, Column]:
     """The columns, each with a unit and a sign."""
-    done = dict(columns)
+    decided = dict(columns)
     for name, decide in _BY_VALUES.items():  # the speed's needs the units of these
-        if name in done and not _is_known(done[name]):
-            done[name] = decide(done[name], cells[name].known)
+        if name in decided and not decided[name].has_unit:
+            decided[name] = decide(decided[name], cells[name].known)
     for name in SIGNED:
-        if name in done and (span := wrapped_at(cells[name].known)):
-            done[name] = replace(done[name], wraps=span)
+        if name in decided and (span := wrapped_at(cells[name].known)):
+            decided[name] = replace(decided[name], wraps=span)
             cells = {**cells, name: unwrapped(cells[name], span)}
-    done = with_speed_unit(done, cells)
+    decided = with_speed_unit(decided, cells)
     for name in SIGNED:
-        if name in done and done[name].why != "as given" and not done[name].is_ours:
-            positive, shows = _sign(cells[name], done["speed"], cells)
-            done[name] = _say_sign(done[name], positive, shows)
-    for name, column in done.items():
-        if not _is_known(column):
+        if name in decided and decided[name].why != "as given" and not decided[name].is_ours:
+            positive, shows = _sign(cells[name], decided["speed"], cells)
+            decided[name] = _say_sign(decided[name], positive, shows)
+    for name, column in decided.items():
+        if not column.has_unit:
             units = iter(QUANTITIES[name].units)
             column = column.in_unit(next(units), "")
-            done[name] = column.guessed(("ft",)) if name == "elevation" else column
-    return done
-
-
-def _is_known(column: Column) -> bool:
-    return bool(column.unit) or column.is_ours
+            decided[name] = column.guessed(("ft",)) if name == "elevation" else column
+    return decided
 
 
 def is_engine(turning: Signal, speed: Signal) -> bool:
@@ -87,8 +81,8 @@ def is_engine(turning: Signal, speed: Signal) -> bool:
     Electric cars send that of their motor in its place, which goes with the speed.
     """
     at = at_times(turning, speed.time)
-    known = np.isfinite(at) & np.isfinite(speed.value)
-    fast, turns = speed.value[known], at[known]
+    both = np.isfinite(at) & np.isfinite(speed.value)
+    fast, turns = speed.value[both], at[both]
     if turns.size < LEAST_EVENTS or not (turns > 0).any() or not np.ptp(turns) or not np.ptp(fast):
         return False
     return float(np.corrcoef(fast, turns)[0, 1]) < GEARED
@@ -109,9 +103,9 @@ def unmeasured(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
     if (change > EVENT).sum() < LEAST_EVENTS:
         return silent
     for name in SIGNED:
-        known = cells[name].known if name in columns else np.empty(0)
-        if known.size >= LEAST_EVENTS and not np.ptp(known):
-            silent[name] = f"always {known[0]:g} while the car speeds up and slows down"
+        values = cells[name].known if name in columns else np.empty(0)
+        if values.size >= LEAST_EVENTS and not np.ptp(values):
+            silent[name] = f"always {values[0]:g} while the car speeds up and slows down"
     return silent
 
 
@@ -119,8 +113,8 @@ def _of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> 
     """Why a voltage is not that of the traction battery; empty if it may be."""
     if not {"voltage", "current"} <= columns.keys() or columns["voltage"].why == "as given":
         return ""
-    known = cells["voltage"].known * columns["voltage"].factor
-    middle = float(np.median(known)) if known.size >= LEAST_EVENTS else np.nan
+    volts_of_all = cells["voltage"].known * columns["voltage"].factor
+    middle = float(np.median(volts_of_all)) if volts_of_all.size >= LEAST_EVENTS else np.nan
     if not 0 < middle < NOT_TRACTION or not np.ptp(cells["current"].known):
         return ""
     volts = at_times(cells["voltage"], cells["current"].time)
@@ -327,7 +321,7 @@ def _compared(column: Column, power: Signal, drawn: Signal) -> Iterator[str]:
         yield f"{name!r} has little in common with voltage times current, which are used"
         return
     ratio = float(np.std(beside) / np.std(other))
-    if not (column.unit or column.is_ours):  # W, kW or mW
+    if not column.has_unit:  # W, kW or mW
         ratio /= 1e3 ** round(np.log10(ratio) / 3.0)
     if alike < 0.0:
         yield f"{name!r} has the other sign than voltage times current, which are used"

@@ -186,8 +186,8 @@ def find_vehicles(text: str = "") -> dict[str, str]:
     asked = set(words), {"".join(words)}
 
     def has(key: str, name: str) -> bool:
-        known = _joined(words_of(key)) | _joined(words_of(name))
-        return any(some <= known for some in asked)
+        names = _joined(words_of(key)) | _joined(words_of(name))
+        return any(some <= names for some in asked)
 
     return {key: name for key, name in _names() if has(key, name)}
 
