@@ -79,14 +79,12 @@ def given_conditions(message: Any) -> PlanConditions:
     Raises:
         PlanError: a number that no trip has.
     """
-    given = {name: number for name in CONDITION_RANGES for number in getattr(message, name, ())}
+    given = {name: number for name in CONDITION_RANGES for number in getattr(message, name)}
     return PlanConditions(**{k: v for k, v in given.items() if not math.isnan(v)})
 
 
 def assumed_conditions(assumed: Mapping[str, float]) -> Any:
     """The typed message of conditions that a forecast took, by name."""
-    message = new_message(PLAN_CONDITIONS)
-    for name, value in assumed.items():
-        if hasattr(message, name):  # else it was built before
-            setattr(message, name, [float(value)])
-    return message
+    return new_message(
+        PLAN_CONDITIONS, **{name: [float(value)] for name, value in assumed.items()}
+    )

@@ -92,8 +92,16 @@ def test_at_one_mean_speed_longer_legs_never_take_less(name, seed, speed, counts
 @pytest.mark.parametrize("name", ["bmw_i3", "tesla_model_3_lr"])
 @pytest.mark.parametrize("speed", [3.0, 14.0, 33.0])
 def test_short_legs_take_what_steady_ones_do(name, speed):
-    model, one = car_of(name, 1), np.full(1000, 0.1)
-    path = Path(one, speed * one, 0.0 * one, 0.0 * one, 0.0 * one, 0.0 * one + 1.2, 0.0 * one)
+    model, tenths = car_of(name, 1), np.full(1000, 0.1)
+    path = Path(
+        tenths,
+        speed * tenths,
+        0.0 * tenths,
+        0.0 * tenths,
+        0.0 * tenths,
+        0.0 * tenths + 1.2,
+        0.0 * tenths,
+    )
     whole, beyond = (rows.sum(0) @ model.car.mean for rows in model.leg_rows(path, Weather(1.2)))
     assert 0.0 <= beyond < 0.01 * whole
 
