@@ -233,7 +233,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def reset(self) -> None:
         """Forget all, as if nothing had ever been counted."""
-        self._shown = EnergyTotals()  # of the lifetime, in the last summary
+        self._shown = EnergyTotals()  # of the lifetime, last published
         self.meter.reset()
         self.trip = TripLog()
         self.gauge.reset()
@@ -465,12 +465,17 @@ class EnergyAccount(Saveable[SavedAccount]):
         if self._newest_ns - self._summary_ns < SUMMARY_NS:
             return None
         self._summary_ns = self._newest_ns
-        return self.summary()
+        return self.show()
+
+    def show(self) -> AccountSummary:
+        """The account now, to be published: no later lifetime draws or regenerates less."""
+        summary = self.summary()
+        self._shown = summary.lifetime
+        return summary
 
     def summary(self) -> AccountSummary:
-        """The account now."""
+        """The account now, for a look at it."""
         since_reset, lifetime = self.since_reset(), self.lifetime().not_below(self._shown)
-        self._shown = lifetime
         charge = self.gauge.charge(self._newest_ns, lifetime.net)
         usable = self.gauge.usable(charge)
         consumption = self._consumption(since_reset, lifetime)

@@ -114,13 +114,17 @@ class BridgedCar:
 
     def documents(self) -> Mapping[str, Document]:
         """All other documents, by the last part of their topic."""
-        estimator, account = self.chain.estimator, account_metrics(self.chain.account.summary())
+        estimator, account = self.chain.estimator, account_metrics(self.chain.account.show())
         parameters = estimator.parameters()
         combinations = {"combinations": combination_metrics(parameters)}
         return {
             **account,
             "energy": {"time": _seconds(self.newest_ns), **account["energy"]},
-            "breakdown": breakdown_metrics(estimator.breakdown(), self._settings.mode.value),
+            "breakdown": breakdown_metrics(
+                estimator.breakdown(),
+                self._settings.mode.value,
+                parameters.parameters["mass"].state,
+            ),
             "parameters": {**parameter_metrics(parameters), **combinations},
         }
 

@@ -328,16 +328,16 @@ def test_a_prediction_that_a_late_measurement_puts_right_is_not_taken_back():
     counted = drive(account(), range(60))
     for tick in range(1, 8):
         counted.add_predicted(START + 60_000_000_000 + tick * 500_000_000, 30e3, 1e3)
-    shown = counted.summary().lifetime
+    shown = counted.show().lifetime
     counted.add_measured(START + 62_000_000_000, 10e3, 30.0)
-    assert counted.lifetime().drawn < shown.drawn == counted.summary().lifetime.drawn
+    assert counted.lifetime().drawn < shown.drawn == counted.show().lifetime.drawn
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_published_never_falls_among_leaps(seed):
     """Stamps leap by 3 s, power changes its sign, samples are lost, the process restarts."""
     random, counted, skew = np.random.default_rng(seed), account(), 0.0
-    before = counted.summary().lifetime
+    before = counted.show().lifetime
     for tick in range(600):
         skew += random.choice([-3.0, 3.0]) if random.random() < 0.03 else 0.0
         if random.random() < 0.01:
@@ -350,7 +350,7 @@ def test_what_is_published_never_falls_among_leaps(seed):
         if random.random() < 0.9:
             counted.add_speed(stamp_ns, SPEED)
             counted.add_predicted(stamp_ns, 1.05 * power + 300.0 * random.normal(), 1e3)
-        now = counted.summary().lifetime
+        now = counted.show().lifetime
         assert now.drawn >= before.drawn and now.regenerated >= before.regenerated
         assert now.net.value == pytest.approx(counted.lifetime().net.value)
         before = now
