@@ -311,11 +311,9 @@ class PowerModel:
         return Conditions(weather.air_density, 0.0, celsius, weather.heating or 0.0, given)
 
     def _surroundings(self, steps: Path | Steps, weather: Weather) -> tuple[Conditions, Warmth]:
-        """Conditions, and coldness of tyres and cabin in the middle of each step."""
-        duration = steps.duration
+        """Conditions, and mean coldness of tyres and cabin in each step."""
         start = Warmth.after(self.car.seconds) if weather.start is None else weather.start
-        warmth = start.driven(namespace(duration).cumsum(duration, -1) - duration / 2)
-        return self._conditions(weather), warmth
+        return self._conditions(weather), start.during(steps.duration)
 
     def _drive_heats(self, weather: Weather) -> bool:
         """True if heating goes on as it strayed in this drive."""

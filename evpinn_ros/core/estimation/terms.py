@@ -80,6 +80,8 @@ class Part(IntEnum):
 
 COUNT = len(Part)
 WHOLE = slice(0, Part.REGAINED)  # the parts that add up
+# None of them is ever negative; air may push, a road may fall, a car may slow down.
+LOSSES = Part.TYRES, Part.BRAKES, Part.DRIVETRAIN, Part.CLIMATE, Part.STANDING, Part.REGAINED
 
 
 class Wheels(NamedTuple):
@@ -137,6 +139,20 @@ class Warmth(NamedTuple):
         return Warmth(
             self.tyres * exp(-seconds / TYRES_WARM), self.cabin * exp(-seconds / CABIN_WARM)
         )
+
+    def during(self, duration: Any) -> Warmth:
+        """Mean coldness in each of steps of driving, s, one after another, shape (..., n).
+
+        The mean and not that of the middle: how a trip is cut changes nothing.
+        """
+        xp = namespace(duration)
+        begin = xp.cumsum(duration, -1) - duration
+
+        def mean(cold: Any, warms_in: float) -> Any:
+            share = -xp.expm1(-duration / warms_in) * (warms_in / duration)
+            return cold * share * xp.exp(-begin / warms_in)
+
+        return Warmth(mean(self.tyres, TYRES_WARM), mean(self.cabin, CABIN_WARM))
 
     def stood(self, seconds: float) -> Warmth:
         """Coldness after the car has stood for so many s."""

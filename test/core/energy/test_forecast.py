@@ -221,14 +221,14 @@ def test_speeds_that_are_commanded_take_as_much_however_few_points_have_them(nam
     few, some = plan(knots), plan(np.unique(np.append(knots, np.arange(0.0, 421.0, 10.0))))
     dense = forecast_plan(plan(np.arange(421.0)), model, AIR)
     for cut in (few, some):
-        found = forecast_plan(cut, model, AIR, steady=True)
+        commanded = forecast_plan(cut, model, AIR, steady=True)
         same = forecast_plan(dataclasses.replace(cut, commanded=True), model, AIR, along=False)
-        assert found.energy == pytest.approx(same.energy, rel=1e-9)
-        assert found.time.tolist() == cut.time.tolist()
+        assert commanded.energy == pytest.approx(same.energy, rel=1e-9)
+        assert commanded.time.tolist() == cut.time.tolist()
         at = np.searchsorted(dense.time, cut.time)
-        assert found.energy == pytest.approx(dense.energy[at], rel=0.01)
-        assert found.sigma[1:] == pytest.approx(dense.sigma[at][1:], rel=0.05)
-        assert forecast_plan(cut, model, AIR).energy[-1] > found.energy[-1]
+        assert commanded.energy == pytest.approx(dense.energy[at], rel=0.01)
+        assert commanded.sigma[1:] == pytest.approx(dense.sigma[at][1:], rel=0.05)
+        assert forecast_plan(cut, model, AIR).energy[-1] > commanded.energy[-1]
 
 
 def test_a_forecast_of_the_end_alone_is_that_of_the_whole_way():

@@ -155,11 +155,11 @@ def test_uneven_speed_costs_a_new_state_what_simulated_drives_say(saved):
     """Until the car has driven with it, and not nothing on roads that it knows well."""
     older = PinnLearner(CAR)
     older.restore(without(saved, State.TURNING))
-    found, before = older.model().unevenness, prior_rows(EQUATION)
-    expected = found.metres[..., None] * before
+    unevenness, before = older.model().unevenness, prior_rows(EQUATION)
+    expected = unevenness.metres[..., None] * before
     turning = expected[..., State.TURNING]
-    assert turning.any() and found.rows[..., State.TURNING] == pytest.approx(turning)
-    driven = found.rows[..., State.MASS]
+    assert turning.any() and unevenness.rows[..., State.TURNING] == pytest.approx(turning)
+    driven = unevenness.rows[..., State.MASS]
     assert driven != pytest.approx(expected[..., State.MASS], rel=1e-3)  # as it was driven
 
 
