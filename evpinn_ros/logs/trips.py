@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
@@ -32,6 +33,7 @@ LEAST_CHARGING, CHARGING_POWER = 120.0, 300.0  # s, W
 STANDING = 0.3  # m/s
 EDGE = 30.0  # s that the car stands before and after a trip and that belong to it
 LEAST_DISTANCE = 500.0  # m; shorter ones are manoeuvres
+MANOEUVRE = 50.0  # m, of a log without a drive
 
 
 class Trip(NamedTuple):
@@ -43,10 +45,17 @@ class Trip(NamedTuple):
 
 
 class Trips(NamedTuple):
-    """Trips of a log, in order, and the energy that it was charged with outside of them, J."""
+    """Trips of a log, in order.
+
+    Attributes:
+        trips: of at least `LEAST_DISTANCE`.
+        charged: energy that the battery was charged with outside of them, J.
+        distance: of all the log, m.
+    """
 
     trips: tuple[Trip, ...]
-    charged: float
+    charged: float = 0.0
+    distance: float = 0.0
 
 
 class JoinedLog(Source):
@@ -159,9 +168,12 @@ def split(log: Source) -> tuple[Sequence[Source], float]:
     A log of one trip is given as it is.
 
     Raises:
-        InputError: it cannot be read.
+        InputError: it cannot be read, or the car stood in all of it and was charged.
     """
     trips = trips_of(log.readings())
+    if trips.charged and trips.distance < MANOEUVRE:
+        kwh = trips.charged / JOULES_PER_KWH
+        raise InputError(f"{log.path}: no drive: the car stood and was charged with {kwh:.2f} kWh")
     if len(trips.trips) < 2:
         return [log], 0.0
     count = len(trips.trips)
@@ -178,7 +190,7 @@ def trips_of(readings: Iterable[Reading]) -> Trips:
             voltage = reading.voltage if math.isfinite(reading.voltage) else voltage
             power.append((reading.stamp_ns, drawn_power(voltage, reading.current)))
     if len(speed) < 2:
-        return Trips((), 0.0)
+        return Trips(())
     start_ns = speed[0][0]
     time, fast = _series(speed, start_ns)
     drawn = _series(power, start_ns)
@@ -199,7 +211,7 @@ def trips_of(readings: Iterable[Reading]) -> Trips:
         if far >= LEAST_DISTANCE:
             begin_ns, end_ns = (start_ns + seconds * NANOSECONDS for seconds in (begin, end))
             trips.append(Trip(begin_ns, end_ns, far))
-    return Trips(tuple(trips), charged)
+    return Trips(tuple(trips), charged, float(way[-1]))
 
 
 def _series(rows: Sequence[tuple[int, float]], start_ns: int) -> tuple[np.ndarray, np.ndarray]:

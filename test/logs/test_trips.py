@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.logs.sources import open_drive
 from evpinn_ros.logs.trips import joined, split, trips_of
@@ -81,3 +82,10 @@ def test_files_of_unknown_days_are_not_joined(tmp_path: Path) -> None:
 def test_a_file_that_begins_before_the_last_one_ended_is_another_drive(tmp_path: Path) -> None:
     paths = torn(tmp_path, 0, 50)
     assert len(joined([open_drive(path) for path in paths])) == 2
+
+
+def test_a_log_of_charging_alone_is_no_drive(tmp_path: Path) -> None:
+    path = tmp_path / "home.csv"
+    path.write_text(HEADER + rows(0, 60, 0.0, 1.0) + rows(60, 3600, 0.0, -10.0))
+    with pytest.raises(InputError, match=r"home\.csv: no drive: .* charged with 3\.49 kWh"):
+        split(open_drive(path))
