@@ -173,8 +173,9 @@ class Estimator:
     @property
     def breakdown(self) -> pd.DataFrame:
         """Parts into which the energy of this drive went, one row each, as in `Result`."""
-        parts = breakdown_metrics(self._chain.estimator.breakdown(), self._mode.value)
-        return breakdown_frame(parts)
+        estimator = self._chain.estimator
+        mass = estimator.parameters().parameters["mass"].state
+        return breakdown_frame(breakdown_metrics(estimator.breakdown(), self._mode.value, mass))
 
     @property
     def model(self) -> PowerModel:

@@ -9,6 +9,7 @@ from typing import Any
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.core.energy.account import AccountSummary
 from evpinn_ros.core.estimation.breakdown import REGAINED, UNEXPLAINED, Amount, Breakdown
+from evpinn_ros.core.estimation.estimate import Trust
 from evpinn_ros.core.estimation.estimator import Mode
 
 KWH_PER_100KM = JOULES_PER_KWH / 1e5  # J/m
@@ -32,12 +33,24 @@ NOTHING = (
 )
 
 
-def breakdown_metrics(breakdown: Breakdown | None, mode: str) -> dict[str, Any]:
-    """The values of `--metrics` under `breakdown`; null with the reason where nothing is known."""
+INVALID = (
+    "unknown, because the mass learned is invalid: signals contradict each other, or the vehicle "
+    "is another one"
+)
+
+
+def breakdown_metrics(
+    breakdown: Breakdown | None, mode: str, mass: str = Trust.VALID.value
+) -> dict[str, Any]:
+    """The values of `--metrics` under `breakdown`; null with the reason where nothing is known.
+
+    `mass` is the state of the parameter.
+    """
     if breakdown is None:
         nothing = dict.fromkeys(Amount.__dataclass_fields__)
         rows: dict[str, Any] = {name: dict(nothing) for name in MEANINGS}
-        why = PAPER if mode == Mode.PAPER.value else NOTHING
+        why = INVALID if mass == Trust.INVALID.value else NOTHING
+        why = PAPER if mode == Mode.PAPER.value else why
         return {
             **rows,
             "together": [],

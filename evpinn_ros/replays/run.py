@@ -23,7 +23,7 @@ from evpinn_ros.logs.source import STRAGGLING_NS, Source
 from evpinn_ros.replays.chain import Chain, ChainOutput
 from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.replays.scoring import metrics
-from evpinn_ros.topics import NAMESPACE
+from evpinn_ros.topics import NAMESPACE, Topic
 from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.readings import reading_messages
 
@@ -108,6 +108,12 @@ def replay(
                 moment_ns = history.moment(noted.item.stamp_ns)
                 not_recorded.update(_record(writer, noted.item, outputs, moment_ns, chain))
         history.add_states(chain.account.count())
+    last = chain.estimator.finish()
+    history.add_output(last)
+    history.add_detections(chain.estimator.detections())
+    if writer is not None:
+        for topic, message in _estimates([last], chain):
+            writer.write(topic.under(NAMESPACE), message, history.moment(last.stamp_ns))
     wall = time.perf_counter() - started
     drive = replace(
         history.drive(chain.estimator.model()),
@@ -248,13 +254,17 @@ def _record(
     except ValueError:
         yield "not_recordable"
         messages = []
-    for output in outputs:
-        messages += output_messages(new_message, output)
-        if isinstance(output, ParameterSet):  # once a second, as the node does
-            breakdown = chain.estimator.breakdown()
-            messages += breakdown_messages(new_message, output.stamp_ns, breakdown)
-    for topic, message in messages:
+    for topic, message in (*messages, *_estimates(outputs, chain)):
         writer.write(topic.under(NAMESPACE), message, log_time_ns)
+
+
+def _estimates(outputs: Iterable[ChainOutput], chain: Chain) -> Iterator[tuple[Topic, Any]]:
+    """The messages of outputs; those of parameters have the breakdown beside them, as live."""
+    for output in outputs:
+        yield from output_messages(new_message, output)
+        if isinstance(output, ParameterSet):
+            breakdown = chain.estimator.breakdown()
+            yield from breakdown_messages(new_message, output.stamp_ns, breakdown)
 
 
 def has_battery(drive: Drive) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from evpinn_ros.core.energy.quadrature import trapezoid
 from evpinn_ros.core.estimation.breakdown import Breakdown
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.core.estimation.estimate import ParameterSet
+from evpinn_ros.core.estimation.estimate import ParameterSet, Trust
 from evpinn_ros.core.estimation.estimator import EstimatorStatus, Mode
 from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.history import Drive, PowerSeries
@@ -154,7 +154,8 @@ def metrics(
     document["power"]["floor_w"] = floor
     document["by_battery_age"] = battery_age_scores(drive, warm_up, withheld_from)
     document["parameters"] = parameter_metrics(drive.final)
-    document["breakdown"] = breakdown_metrics(breakdown, mode)
+    mass = status.trust.get("mass", Trust.VALID).value
+    document["breakdown"] = breakdown_metrics(breakdown, mode, mass)
     document["updates"] = _updates(status)
     document["replay"] = {
         "wall_s": wall,

@@ -31,7 +31,7 @@ TOOK = {
     MEANINGS["brakes"]: "braking lost",
 }
 SHORTEST_MINUTES = 90.0  # s; what is shorter is given in seconds
-WORTH_SAYING = 0.1  # of a drive: from here on heating comes first, for it can be turned down
+WORTH_SAYING = 0.1  # of a drive: from here on heating is named, for it can be turned down
 # From here on what took energy is given as shares of all that did: a drive that went down takes
 # little in sum, and each part of it is a multiple of that.
 GAVE_BACK = 1.1  # of what was measured
@@ -136,26 +136,40 @@ def _whole(breakdown: Mapping[str, Any]) -> tuple[float, str]:
     return (measured, "this drive") if spent < GAVE_BACK * measured else (spent, "what was spent")
 
 
-def breakdown_sentence(breakdown: Mapping[str, Any]) -> str:
-    """Sentence on what is worth saying: of the rows known to two sigmas the largest.
+def largest_part(breakdown: Mapping[str, Any]) -> KnownPart | None:
+    """The part that took most, if it is known to two sigmas; None of a smaller one instead.
 
-    Heating comes first where it took `WORTH_SAYING`; speed, which stops to be, and what is
-    unexplained are left out. Empty where nothing is known so well. Another tells what descents
-    gave back, where shares are of what was spent.
+    Speed, which stops to be, and what is unexplained are left out.
     """
-    known = [row for row in known_parts(breakdown) if row.name not in LEFT_OUT]
-    if not known:
-        return ""
-    heating = [row for row in known if row.name == MEANINGS["climate"]]
-    first = [row for row in heating if row.share > WORTH_SAYING]
-    most, (_, whole) = max(first or known, key=lambda row: row.kwh), _whole(breakdown)
-    amount, share = _amount(most.kwh, most.sigma_kwh), _share(most.share)
-    sentence = f"{_took(most.name).capitalize()} {amount}, {share} of {whole}."
+    parts = [row for row in shown(breakdown) if row[0] not in LEFT_OUT]
+    name, _ = max(parts, key=lambda row: row[1]["kwh"], default=("", {}))
+    return next((part for part in known_parts(breakdown) if part.name == name), None)
+
+
+def breakdown_sentence(breakdown: Mapping[str, Any]) -> str:
+    """Sentences on what is worth saying: the largest part, and heating from `WORTH_SAYING` on.
+
+    Empty where nothing is known so well. Another tells what descents gave back, where shares are
+    of what was spent.
+    """
+    _, whole = _whole(breakdown)
+    heating = MEANINGS["climate"]
+    warmed = [
+        part
+        for part in known_parts(breakdown)
+        if part.name == heating and part.share > WORTH_SAYING
+    ]
+    said = dict.fromkeys(filter(None, (largest_part(breakdown), *warmed)))
+    sentences = [
+        f"{_took(part.name).capitalize()} {_amount(part.kwh, part.sigma_kwh)}, "
+        f"{_share(part.share)} of {whole}."
+        for part in said
+    ]
     slope = dict(shown(breakdown)).get(MEANINGS["slope"], {"kwh": 0.0, "sigma_kwh": 0.0})
-    if whole != "this drive" and slope["kwh"] < -2 * slope["sigma_kwh"]:
+    if said and whole != "this drive" and slope["kwh"] < -2 * slope["sigma_kwh"]:
         back = _amount(-slope["kwh"], slope["sigma_kwh"])
-        sentence += f" The way down gave back {back}."
-    return sentence
+        sentences.append(f"The way down gave back {back}.")
+    return " ".join(sentences)
 
 
 def _took(name: str) -> str:

@@ -18,7 +18,8 @@ from evpinn_ros.replays.driven import travelled
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.report.breakdown_text import name_of
 
-SURE = 2.0  # sigmas of a difference that is statistically significant
+SURE = 2.0  # sigmas of a part beyond which it explains a difference
+WORTH_NAMING = 0.1  # of the difference
 Rows = list[tuple[str, ...]]
 
 
@@ -94,19 +95,43 @@ def sentences(comparison: Comparison, units: Units = METRIC) -> Iterator[str]:
 
 
 def _explained(difference: Breakdown, units: Units) -> str:
-    """The parts whose difference is statistically significant, the largest first."""
-    parts = {group: difference.of(*group) for group in common_groups([difference])}
-    sure = {
-        g: amount for g, amount in parts.items() if abs(amount.kwh) > SURE * amount.sigma_kwh > 0.0
+    """The parts that explain a difference, largest first, and those that leave it open.
+
+    A part explains what has its sign and is beyond `SURE` sigmas; one that is as large as
+    `WORTH_NAMING` of the difference, or may be, is named too.
+    """
+    total = difference.total().kwh
+    parts = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
+    parts.append((MEANINGS[UNEXPLAINED], difference.amounts()[UNEXPLAINED]))
+    parts = [part for part in parts if _is_shown(part[1], units)]
+    parts.sort(key=lambda part: -abs(part[1].kwh))
+    sure = [part for part in parts if abs(part[1].kwh) > SURE * part[1].sigma_kwh > 0.0]
+    least = WORTH_NAMING * abs(total)
+    by_kind = {
+        "Explained by": [part for part in sure if part[1].kwh * total > 0.0],
+        "Against that": [p for p in sure if p[1].kwh * total < 0.0 and abs(p[1].kwh) > least],
+        "Not known well enough": [
+            part
+            for part in parts
+            if part not in sure and max(abs(part[1].kwh), part[1].sigma_kwh) > least
+        ],
     }
-    if not sure:
-        return "No single part differs by more than 2 sigma: these drives do not show the cause."
-    largest = sorted(sure, key=lambda group: -abs(sure[group].kwh))
-    listed = "; ".join(
-        f"{name_of(group)} {rate_text(sure[group], DIFFERENCE_METRES, True, units)}"
-        for group in largest
-    )
-    return f"Statistically significant: {listed}."
+    texts = {
+        kind: "; ".join(
+            f"{name} {rate_text(amount, DIFFERENCE_METRES, True, units)}" for name, amount in named
+        )
+        for kind, named in by_kind.items()
+    }
+    sentences = [f"{kind}: {text}." for kind, text in texts.items() if text]
+    if not by_kind["Explained by"]:
+        sentences.insert(0, "No part explains it beyond 2 sigma: these drives do not show why.")
+    return " ".join(sentences)
+
+
+def _is_shown(amount: Amount, units: Units) -> bool:
+    """True if a part of a difference, or its 1-sigma, does not round to nothing."""
+    scale = JOULES_PER_KWH / DIFFERENCE_METRES / units.rate_joules
+    return any(round(kwh * scale, _digits(units)) for kwh in (amount.kwh, amount.sigma_kwh))
 
 
 def rate_text(amount: Amount, distance: float, signed: bool = False, units: Units = METRIC) -> str:

@@ -16,12 +16,11 @@ from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.report.breakdown_text import (
     CONTRADICTED,
-    LEFT_OUT,
     SHORT,
     SHORTEST_MINUTES,
     TOGETHER,
     duration_text,
-    known_parts,
+    largest_part,
 )
 from evpinn_ros.report.tables import signed_percent, watts
 
@@ -138,11 +137,8 @@ def _figures(
 
 
 def _most(breakdown: Mapping[str, Any]) -> str:
-    """Name and share of what took most, of what is known to two sigmas."""
-    if breakdown["unknown"]:
-        return "-"
-    known = [row for row in known_parts(breakdown) if row.name not in LEFT_OUT]
-    most = max(known, key=lambda row: row.kwh, default=None)
+    """Name and share of what took most, if it is known to two sigmas."""
+    most = None if breakdown["unknown"] else largest_part(breakdown)
     if most is None:
         return "-"
     name = TOGETHER.join(SHORT.get(part, part) for part in most.name.split(TOGETHER))

@@ -7,11 +7,13 @@ import time
 import numpy as np
 import pytest
 
-from evpinn_ros.common.units import US
+from evpinn_ros.common.units import JOULES_PER_KWH, US
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import BatteryReading
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.replays.driven import charged, measured_steps
+from evpinn_ros.replays.driven import charged, counted, measured_steps
+from evpinn_ros.replays.energy_metrics import INVALID
 from evpinn_ros.replays.over_distance import distance_until
 from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
 from evpinn_ros.report.owner_text import owner_line
@@ -57,3 +59,26 @@ def test_what_a_charger_gave_is_told_apart(town):
     assert after.startswith(before)
     assert after.endswith("Charged while it stood: 7.00 kWh, not included above.")
     assert charged(town.drive) == 0.0
+
+
+def test_all_of_a_drive_is_in_its_breakdown(town):
+    """What waits for more is learned when it ends: 10 s and 75 m would be missing."""
+    parts, total = town.metrics["breakdown"], counted(town.drive)
+    assert parts["distance_m"] == pytest.approx(total.distance, abs=10.0)
+    assert parts["duration_s"] == pytest.approx(town.drive.duration, abs=1.5)
+    measured = total.energy / JOULES_PER_KWH
+    assert parts["measured"]["kwh"] == pytest.approx(measured, rel=0.02)
+    speed = town.drive.speed[-1, 1]
+    kinetic = 0.5 * town.metrics["parameters"]["mass"]["value"] * speed**2 / JOULES_PER_KWH
+    assert parts["speed"]["kwh"] == pytest.approx(kinetic, rel=0.3, abs=2e-3)
+
+
+def test_a_breakdown_of_an_impossible_mass_is_no_answer(vehicle, readings):
+    """A current ten times too small: a car of two hundred kilograms."""
+    small = (
+        replace(one, current=one.current / 10.0) if isinstance(one, BatteryReading) else one
+        for one in readings
+    )
+    metrics = replayed(vehicle, small).metrics
+    assert metrics["parameters"]["mass"]["state"] == "invalid"
+    assert metrics["breakdown"]["unknown"] == INVALID

@@ -6,12 +6,13 @@ import pytest
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, US
 from evpinn_ros.core.estimation.breakdown import Breakdown
 from evpinn_ros.core.estimation.terms import COUNT, Part
-from evpinn_ros.replays.energy_metrics import NOTHING, PAPER, breakdown_metrics
+from evpinn_ros.replays.energy_metrics import INVALID, NOTHING, PAPER, breakdown_metrics
 from evpinn_ros.report.breakdown_text import (
     NAMES,
     breakdown_lines,
     breakdown_notes,
     breakdown_rows,
+    breakdown_sentence,
     shown,
 )
 
@@ -54,9 +55,29 @@ def test_rows_in_other_units_are_the_same_energy():
     assert "31.1 mi" in breakdown_notes(found, US)[-1]
 
 
-@pytest.mark.parametrize(("mode", "why"), [("paper", PAPER), ("hybrid", NOTHING)])
-def test_no_breakdown_is_null_with_the_reason(mode, why):
-    found = breakdown_metrics(None, mode)
+def test_the_sentence_begins_with_the_part_that_the_table_leads_with():
+    parts = breakdown_metrics(breakdown(), "hybrid")
+    largest = max(shown(parts), key=lambda part: part[1]["kwh"])[0]
+    air, heating = breakdown_sentence(parts).split(". ")
+    assert air.startswith("Air and wind took") and largest == "air and wind"
+    assert heating.startswith("Heating and cooling took") and heating.endswith(
+        "a fifth of this drive."
+    )
+    unsure = breakdown()
+    unsure.covariance[Part.AIR, Part.AIR] *= 16.0
+    assert breakdown_sentence(breakdown_metrics(unsure, "hybrid")) == heating  # nothing smaller
+
+
+@pytest.mark.parametrize(
+    ("mode", "mass", "why"),
+    [
+        ("paper", "valid", PAPER),
+        ("hybrid", "estimating", NOTHING),
+        ("hybrid", "invalid", INVALID),
+    ],
+)
+def test_no_breakdown_is_null_with_the_reason(mode, mass, why):
+    found = breakdown_metrics(None, mode, mass)
     assert found["unknown"] == why
     assert all(found[name]["kwh"] is None for name in NAMES)
     assert breakdown_rows(found) == []

@@ -44,12 +44,12 @@ def test_parts_add_up_to_the_forecast(plan):
 
 @pytest.mark.parametrize("plan", [FEW, COARSE])
 def test_the_part_of_uneven_speed_is_what_steady_leaves_out(plan):
-    found = planned_energy(plan, "bmw_i3", COLD)
+    planned = planned_energy(plan, "bmw_i3", COLD)
     steady = planned_energy(plan, "bmw_i3", replace(COLD, steady=1.0))
-    less = found.energies.energy[-1] - steady.energies.energy[-1]
-    assert found.uneven == pytest.approx(less, rel=0.02) and less > 1e4
+    less = planned.energies.energy[-1] - steady.energies.energy[-1]
+    assert planned.uneven == pytest.approx(less, rel=0.02) and less > 1e4
     assert abs(steady.uneven) < 0.02 * less
-    assert found.energies.time.tolist() == steady.energies.time.tolist()
+    assert planned.energies.time.tolist() == steady.energies.time.tolist()
 
 
 def test_faster_takes_more_and_less_time_and_colder_takes_more():
@@ -75,11 +75,11 @@ def test_the_battery_is_empty_where_its_energy_is_used_up_and_the_page_says_it(c
     """Wherever the points lie."""
     given = PlanConditions(charge=charge)
     coarse = legs_of_trip(np.array([40e3, 10e3]), np.array([1800.0, 600.0]))
-    found = planned_energy(coarse, "bmw_i3", given)
-    energy, distance = found.energies.energy, found.trip.distance
-    where = float(np.interp(charge * found.gauge.capacity.value, energy, distance))
-    assert 0.0 < where < 40e3 and found.empty_at == pytest.approx(where)
-    assert f"empty after {where / 1e3:.1f} km" in _sentence(found)
+    planned = planned_energy(coarse, "bmw_i3", given)
+    energy, distance = planned.energies.energy, planned.trip.distance
+    where = float(np.interp(charge * planned.gauge.capacity.value, energy, distance))
+    assert 0.0 < where < 40e3 and planned.empty_at == pytest.approx(where)
+    assert f"empty after {where / 1e3:.1f} km" in _sentence(planned)
     assert planned_energy(coarse, "bmw_i3", PlanConditions(charge=0.0)).empty_at == 0.0
     assert planned_energy(coarse, "bmw_i3", PlanConditions(charge=1.0)).empty_at is None
     assert planned_energy(coarse, "bmw_i3").empty_at is None

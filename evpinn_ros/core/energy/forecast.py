@@ -20,9 +20,10 @@ from evpinn_ros.common.arrays import namespace
 from evpinn_ros.core.energy.charge import ChargeGauge, Uncertain
 from evpinn_ros.core.energy.plan import COARSE, Legs, Plan, PlanConditions, PlanError, points_of
 from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, Weather, vehicle_model
+from evpinn_ros.core.estimation.gaussian import Gaussian, at_least_zero, condition, innovate
 from evpinn_ros.core.estimation.journey import standing, wandered
 from evpinn_ros.core.estimation.states import SIZE, State
-from evpinn_ros.core.estimation.terms import WHOLE, Part
+from evpinn_ros.core.estimation.terms import COUNT, LOSSES, WHOLE, Part
 from evpinn_ros.core.estimation.unevenness import Path, even_path, size_of, stops_of
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import density_of_air
@@ -261,9 +262,9 @@ def forecast_plan(
     """
     points = points_of(plan)
     steady, coarse = is_steady(plan, steady), _is_coarse(points)
-    own: Any = slice(None)
+    given_points: Any = slice(None)
     if coarse and steady and isinstance(plan, Plan):
-        (plan, own), coarse = _straight(plan), False
+        (plan, given_points), coarse = _straight(plan), False
         points = plan
     wind = _wind(points, head_wind, wind_length)
     elapsed = points.time - points.time[..., :1]
@@ -296,8 +297,10 @@ def forecast_plan(
         energy = np.cumsum(energies) + model.car.mean[State.LOAD] * wandered(elapsed[1:])[1]
         sigma = np.concatenate((np.full(len(energy) - 1, math.nan), sigma))
     zero = np.zeros_like(elapsed[..., :1])
-    energy, sigma = (np.concatenate((zero, series), -1)[..., own] for series in (energy, sigma))
-    time = points.time[..., own]
+    energy, sigma = (
+        np.concatenate((zero, series), -1)[..., given_points] for series in (energy, sigma)
+    )
+    time = points.time[..., given_points]
     power = np.diff(energy) / np.diff(time)
     power = np.concatenate((power, power[..., -1:]), axis=-1)
     if not (possible and np.isfinite(energy + power).all()):
@@ -342,9 +345,16 @@ def plan_parts(
     rows[Part.STANDING, State.LOAD] = forecast.end.row[State.LOAD]
     rows[-1] = forecast.end.row - rows[WHOLE].sum(0)
     car = model.car
-    variance = car.trust * np.einsum("ij,jk,ik->i", rows, model.covariance, rows)
-    variance[-1] += (car.unevenness.share * forecast.end.uneven) ** 2
-    return rows @ car.mean, np.sqrt(np.maximum(variance, 0.0))
+    covariance = car.trust * (rows @ model.covariance @ rows.T)
+    covariance[-1, -1] += (car.unevenness.share * forecast.end.uneven) ** 2
+    # No part of what is known as a whole, and none beside it, is a negative loss.
+    whole, exactly = np.zeros(COUNT), np.zeros(())
+    whole[WHOLE] = 1.0
+    energies = rows @ car.mean
+    parts = Gaussian(energies[:-1], covariance[:-1, :-1])
+    parts = condition(parts, innovate(parts, whole, exactly, exactly), exactly)
+    energies[:-1] = at_least_zero(parts, LOSSES)
+    return energies, np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
 def is_steady(plan: Plan | Legs, steady: bool | None) -> bool:
@@ -369,9 +379,9 @@ def _straight(plan: Plan) -> tuple[Plan, np.ndarray]:
     change = np.abs(middle - start) + np.abs(end - middle)
     most = max(MOST_STRAIGHT // len(length), 1)
     pieces = np.clip(np.ceil(change / SMALL_CHANGE), 1, most).astype(int)
-    own = np.concatenate(([0], np.cumsum(pieces)))
+    given_points = np.concatenate(([0], np.cumsum(pieces)))
     leg = np.repeat(np.arange(len(length)), pieces)
-    share = (np.arange(own[-1]) - own[leg]) / pieces[leg]
+    share = (np.arange(given_points[-1]) - given_points[leg]) / pieces[leg]
     first, last, top = start[leg], end[leg], middle[leg]
     rise, bend = 4.0 * top - 3.0 * first - last, 2.0 * (first + last) - 4.0 * top
     speed = np.maximum(first + share * (rise + share * bend), 0.0)
@@ -386,7 +396,7 @@ def _straight(plan: Plan) -> tuple[Plan, np.ndarray]:
     time, distance = between(plan.time, share), between(plan.distance, way)
     fine = Plan(time, distance, np.append(speed, plan.speed[-1]), between(plan.elevation, way),
                 commanded=True)  # fmt: skip
-    return fine, own
+    return fine, given_points
 
 
 def _wind(points: Plan, head_wind: float, length: float) -> np.ndarray:

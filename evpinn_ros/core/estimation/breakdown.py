@@ -14,17 +14,18 @@ the data tell apart worse than they tell their sum are to be read together (`tog
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from itertools import combinations
 import math
 
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.core.estimation.gaussian import Gaussian, at_least_zero
 from evpinn_ros.core.estimation.journey import unseen_of
 from evpinn_ros.core.estimation.posterior import CarState
 from evpinn_ros.core.estimation.states import LASTING, PHYSICS, SIZE, State
-from evpinn_ros.core.estimation.terms import COUNT, WHOLE, Equation, Part
+from evpinn_ros.core.estimation.terms import COUNT, LOSSES, WHOLE, Equation, Part
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.vehicle.physics import GRAVITY
 
@@ -178,6 +179,14 @@ class Breakdowns:
             return None
         own = self.covariance[drive, :, drive]
         return Breakdown(*astuple(whole), energy=self.energy[drive], covariance=own)
+
+    def possible(self) -> Breakdowns:
+        """Their likeliest energies without a negative loss, as sure as before."""
+        energy = np.array([
+            at_least_zero(Gaussian(parts, self.covariance[drive, :, drive]), LOSSES)
+            for drive, parts in enumerate(self.energy)
+        ])  # fmt: skip
+        return replace(self, energy=energy)
 
     def difference(self, drive: int, base: int) -> Breakdown:
         """Energy that a drive took more than another, of 100 km each.

@@ -120,7 +120,8 @@ class LearnedCar:
         """Energy of this drive, and of those kept before it, by where it went."""
         drives = [parts for _, parts in self.ended]
         of_drives = breakdowns(drives, self.parts, self.state, self.equation)
-        return of_drives.joined([*(number for number, _ in self.ended), self.number])
+        owners = [*(number for number, _ in self.ended), self.number]
+        return of_drives.joined(owners).possible()
 
     def forget_road(self) -> LearnedCar:
         """After a jump of time: another place on the road, and the car may have stood."""

@@ -221,8 +221,17 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._learner.forget_window()
         self._begin_time()
 
+    def finish(self) -> ParameterSet:
+        """Learn what waits for more of a drive that is over; gives the parameters then."""
+        for interval in self._stream.finish():
+            deque(self._handle(interval, self._stuck), maxlen=0)
+        deque(self._tick(self._clock), maxlen=0)  # takes the update before and begins the last
+        (parameters,) = self._tick(self._clock)
+        return self._similarity.estimate(parameters)
+
     def begin_next_drive(self) -> None:
         """Begin another drive of this car; the same holds for the stamps."""
+        self.finish()
         self.handle_time_jump()
         self._learner.end_drive()
 
@@ -316,9 +325,15 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return None if model is None else self._similarity.model(model)
 
     def breakdown(self) -> Breakdown | None:
-        """Energy of this drive by where it went; None in the paper's mode, and before any."""
+        """Energy of this drive by where it went.
+
+        None in the paper's mode, before any, and while the mass is invalid: then the car is
+        another one, or a signal is wrong, and what rests on them answers nothing.
+        """
         breakdowns = self.breakdowns()
-        return None if breakdowns is None else breakdowns.of(-1)
+        if breakdowns is None or self.parameters().parameters["mass"].trust is Trust.INVALID:
+            return None
+        return breakdowns.of(-1)
 
     def breakdowns(self) -> Breakdowns | None:
         """Those of all drives that were kept, the present one last."""

@@ -6,7 +6,7 @@ Arrays carry leading axes for the hypotheses of a bank: means have shape (..., n
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,6 +75,27 @@ def mixture(weights: np.ndarray, state: Gaussian) -> Gaussian:
     away = state.mean - mean
     covariance = np.einsum("k,kij->ij", weights, state.covariance)
     return Gaussian(mean, covariance + np.einsum("k,ki,kj->ij", weights, away, away))
+
+
+def at_least_zero(state: Gaussian, entries: Sequence[int]) -> np.ndarray:
+    """Likeliest mean, shape (n,), of one state some entries of which cannot be negative.
+
+    The others move with them as the covariance says: a sum that is known stays as it is. An active
+    set of conditions (Nocedal and Wright, Numerical Optimization, 16.5).
+    """
+    mean, covariance = state
+    held: list[int] = []
+    for _ in range(2 * len(entries) + 1):
+        price = np.linalg.lstsq(covariance[np.ix_(held, held)], -mean[held], rcond=1e-12)[0]
+        likeliest = mean + covariance[:, held] @ price
+        likeliest[held] = 0.0
+        needless = [entry for entry, paid in zip(held, price, strict=True) if paid < 0.0]
+        beyond = [entry for entry in entries if likeliest[entry] < 0.0]
+        if not (needless or beyond):
+            break
+        held = [entry for entry in held if entry not in needless]
+        held += [min(beyond, key=lambda entry: likeliest[entry])] if beyond else []
+    return np.asarray(likeliest)
 
 
 def outlier_variance(seen: Innovation, noise: np.ndarray, limit: float) -> np.ndarray:

@@ -8,6 +8,7 @@ import pytest
 from evpinn_ros.core.estimation.gaussian import (
     Gaussian,
     Innovation,
+    at_least_zero,
     condition,
     innovate,
     mixture,
@@ -87,3 +88,28 @@ def test_an_outlier_pulls_no_further_than_its_limit():
     assert pull(4.9)[0] == pull(-5.0)[0] == 0.0
     assert pull(10.0)[0] == pytest.approx(4.0 * (2.0**2 - 1.0))
     assert pull(50.0)[1] < pull(10.0)[1] < pull(5.0)[1]
+
+
+@given(seeds, st.sets(st.integers(0, SIZE - 1)))
+def test_the_likeliest_mean_with_entries_of_at_least_zero_meets_the_conditions_of_a_minimum(
+    seed, entries
+):
+    """Karush, Kuhn and Tucker: uphill where an entry is held at zero, level elsewhere."""
+    rng = np.random.default_rng(seed)
+    state = Gaussian(3.0 * rng.standard_normal(SIZE), covariances(rng, 1)[0])
+    likeliest = at_least_zero(state, sorted(entries))
+    slope = np.linalg.solve(state.covariance, likeliest - state.mean)
+    for entry, value in enumerate(likeliest.tolist()):
+        held = entry in entries and value == 0.0
+        assert value >= 0.0 or entry not in entries
+        assert slope[entry] >= -1e-9 if held else abs(slope[entry]) < 1e-8
+
+
+@given(seeds)
+def test_a_known_sum_stays_when_a_part_of_it_cannot_be_negative(seed):
+    rng = np.random.default_rng(seed)
+    state, ones = Gaussian(rng.standard_normal(SIZE), covariances(rng, 1)[0]), np.ones(SIZE)
+    exactly = np.zeros(())
+    known = condition(state, innovate(state, ones, exactly, exactly), exactly)
+    likeliest = at_least_zero(known, range(SIZE - 1))
+    assert likeliest.sum() == pytest.approx(state.mean.sum(), abs=1e-8)
