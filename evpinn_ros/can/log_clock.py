@@ -23,7 +23,7 @@ GOES_BACK = 0.3  # of the steps between lines
 
 _DATE = re.compile(
     r"(?:date|begin\s+triggerblock)\s+\w+\.?\s+(\w+)\.?\s+(\d+)\s+"
-    r"(\d+):(\d+):(\d+(?:\.\d+)?)\s*([ap]m)?\s+(\d{4})",
+    r"(\d+):(\d+):(\d+(?:\.\d+)?)(?:\s*([ap]m))?\s+(\d{4})",
     re.IGNORECASE,
 )
 _TIME = re.compile(r"\s*(-?\d+\.\d+)(\s.*)", re.DOTALL)

@@ -219,7 +219,7 @@ def words_of(name: str) -> tuple[str, tuple[str, ...]]:
     A bracket at the start names a control unit (`[LEAF] HV Battery Current(A)`), not a unit.
     """
     rest = re.sub(r"^\s*\[[^\]]*\]", "", name)
-    brackets = re.findall(r"[\[(]([^\])]*)[\])]", rest)
+    brackets = [text for text, end in re.findall(r"[\[(]([^\])]*)([\])]?)", rest) if end]
     bare = re.sub(r"[\[(][^\])]*[\])]?", " ", rest)
     bare = bare.replace("_", " ")
     # kW, mV and SoC are one word, vehicleSpeed and HVBatt two.
@@ -294,7 +294,7 @@ def known_unit(quantity: str, text: str) -> Unit | None:
     units = QUANTITIES[quantity].units
     if text in units:
         return units[text]
-    multiple = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(\D+)", text)
+    multiple = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([^\d\s]\D*)", text)
     if multiple is None or multiple[2] not in units or units[multiple[2]].offset:
         return None
     factor = float(multiple[1])
