@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from importlib import import_module
 import os
+import resource
 import signal
 import sys
 
 from evpinn_ros.common.stopping import STOPS, at_stop
 
+ADDRESS_SPACE = 1_500_000_000  # bytes that libraries reserve; they use a tenth
 NODES = {"can_bridge": "CanBridgeNode", "energy": "EnergyNode", "estimator": "EstimatorNode"}
 
 
@@ -33,6 +35,7 @@ def estimator() -> int:
 
 def evpinn() -> None:
     """Run the command `evpinn`."""
+    _check_address_space()
     is_run = sys.argv[1:2] == ["run"]
     before = {number: signal.getsignal(number) for number in STOPS}
     at_stop(lambda number, _: os._exit(0 if is_run else 128 + number))
@@ -44,7 +47,18 @@ def evpinn() -> None:
     main()
 
 
+def _check_address_space() -> None:
+    """End where libraries could not be loaded: polars and BLAS abort, or raise whatever comes."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < ADDRESS_SPACE:
+        sys.exit(
+            f"evpinn: {limit / 1e6:.0f} MB of address space (`ulimit -v`) are too few: "
+            f"libraries reserve {ADDRESS_SPACE / 1e6:.0f} MB"
+        )
+
+
 def _node(name: str) -> int:
+    _check_address_space()
     at_stop(lambda *_: os._exit(0))
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)  # where `node_process` has held them back
     from evpinn_ros.nodes.running import run

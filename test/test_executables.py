@@ -55,3 +55,13 @@ def test_a_signal_ends_a_process_that_still_starts(command, number, library):
 
 def test_nothing_that_takes_time_is_imported_before_signals_are_heard(loads_without):
     loads_without("import evpinn_ros.executables", "numpy", "rclpy", "torch", "typer")
+
+
+@pytest.mark.parametrize("megabytes", [200, 500, 1400])
+@pytest.mark.parametrize("command", [RUN, ("-m", "evpinn_ros", "info", "bags/urban"), ESTIMATOR])
+def test_too_little_address_space_is_one_line(command, megabytes):
+    """Polars and BLAS abort in the middle of an import, or end in a NameError."""
+    limited = ["bash", "-c", f'ulimit -v {megabytes}000; exec "$@"', "", sys.executable, *command]
+    done = subprocess.run(limited, cwd=ROOT, capture_output=True, text=True, timeout=HANG_S)
+    assert done.returncode == 1 and done.stdout == ""
+    assert re.fullmatch(r"evpinn: \d+ MB of address space .* reserve 1500 MB\n", done.stderr)

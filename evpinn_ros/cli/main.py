@@ -82,6 +82,9 @@ def main() -> None:
     except InputError as error:
         note(f"evpinn: {error}")
         sys.exit(FAILED)
+    except MemoryError:
+        note("evpinn: out of memory")
+        sys.exit(FAILED)
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would be a traceback
         sys.exit(INTERRUPTED)
