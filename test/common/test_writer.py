@@ -1,10 +1,12 @@
 """A file is whole or not there, whatever ends its writing."""
 
 import ast
+import ctypes
 import errno
 import os
 from pathlib import Path
 import re
+import signal
 import subprocess
 import sys
 
@@ -13,8 +15,8 @@ import pytest
 from evpinn_ros.common import writer
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.writer import DRAFT, Held, check_outputs, claimed, replaced
-from evpinn_ros.core.estimation.state_file import Half, read_half, read_state, write_halves
-from test.waiting import wait_until
+from evpinn_ros.core.estimation import state_file
+from evpinn_ros.core.estimation.state_file import Half, read_state, write_halves
 
 
 def names(folder):
@@ -258,40 +260,74 @@ def test_no_output_is_written_over_an_input_or_another(tmp_path):
     check_outputs([bag / "report.html", tmp_path / "new"], [drive, bag, tmp_path / "absent"])
 
 
-WRITER = """
-import sys
-from pathlib import Path
-from evpinn_ros.core.estimation.state_file import Half, write_halves
-path, half, number = Path(sys.argv[1]), Half(sys.argv[2]), 0
-while not path.with_name("stop").exists():
-    number += 1
-    write_halves(path, {half: {"number": number, "bulk": [number] * 2000}})
-print(number)
-"""
+TRACE_ME, TO_SYSTEM_CALL = 0, 24  # of ptrace
+STOPS = 140  # a save has some 65 system calls, with a stop before and behind each
+
+
+def in_child(function):
+    """Start a function in a child, which ends with 0 where it returns."""
+    if (child := os.fork()) == 0:
+        try:
+            function()
+            os._exit(0)
+        finally:
+            os._exit(1)
+    return child
+
+
+def save(path, half, number):
+    write_halves(path, {half: {"number": number, "bulk": [number] * 200}})
+
+
+def traced_save(path, number):
+    """Save a half, and stop where the file is claimed."""
+
+    def stop_and_read(path):
+        os.kill(os.getpid(), signal.SIGSTOP)
+        return read_state(path)
+
+    assert ctypes.CDLL(None).ptrace(TRACE_ME, 0, None, None) == 0
+    state_file.read_state = stop_and_read
+    save(path, Half.LEARNED, number)
+
+
+def saved(path):
+    halves = read_state(path)
+    numbers = [halves[half]["number"] for half in Half]
+    assert [halves[half]["bulk"] for half in Half] == [[number] * 200 for number in numbers]
+    return numbers
 
 
 @pytest.mark.slow
-def test_two_processes_tear_and_lose_nothing(tmp_path):
-    path, stop = tmp_path / "car.json", tmp_path / "stop"
-    command = [sys.executable, "-c", WRITER, str(path)]
-    processes = [
-        subprocess.Popen([*command, half.value], stdout=subprocess.PIPE, text=True)
-        for half in Half
-    ]
-
-    def both_have_written_often():
-        halves = (read_state(path) or {}).values()
-        for half in halves:
-            assert set(half["bulk"]) == {half["number"]}
-        return [half["number"] >= 60 for half in halves] == [True, True]
-
-    try:
-        wait_until(both_have_written_often, meanwhile=lambda: None)
-    finally:
-        stop.touch()
-        counts = [int(process.communicate()[0]) for process in processes]
-    assert [read_half(path, half)[0]["number"] for half in Half] == counts
-    stop.unlink()
+@pytest.mark.timeout(3600)
+@pytest.mark.skipif(sys.platform != "linux", reason="traces system calls")
+@pytest.mark.parametrize(
+    "kills", [range(0, STOPS, 3), pytest.param(range(10_000), marks=pytest.mark.nightly)], ids=len
+)
+def test_a_kill_at_each_system_call_of_a_save_loses_nothing_of_two_writers(tmp_path, kills):
+    """One of two is killed at each of its stops while the other waits."""
+    path, ended = tmp_path / "car.json", 0
+    for half in Half:
+        save(path, half, 0)
+    for attempt in kills:
+        killed = in_child(lambda number=attempt: traced_save(path, number))
+        assert os.WIFSTOPPED(os.waitpid(killed, 0)[1])
+        other = in_child(lambda number=attempt: save(path, Half.ENERGY, number))
+        before, _ = saved(path)
+        for _ in range(attempt % STOPS):
+            ctypes.CDLL(None).ptrace(TO_SYSTEM_CALL, killed, None, None)
+            if whole := os.WIFEXITED(os.waitpid(killed, 0)[1]):
+                break
+        else:
+            whole = False
+            assert saved(path)[0] in (before, attempt)
+            os.kill(killed, signal.SIGKILL)
+            os.waitpid(killed, 0)
+        assert os.waitstatus_to_exitcode(os.waitpid(other, 0)[1]) == 0
+        learned, energy = saved(path)
+        assert energy == attempt and learned in ((attempt,) if whole else (before, attempt))
+        ended += whole
+    assert 0 < ended < len(kills) / 2
     assert names(tmp_path) == ["car.json"]
 
 
