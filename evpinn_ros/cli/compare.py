@@ -71,8 +71,7 @@ def compare(
     options = ReplayOptions(start=start, duration=duration)
     car = CarReplay(vehicle, options, params=params, state=state, keep_drives=True)
     sources = [car.open(path, read_options) for path in drives]
-    for source in sources:
-        explain_columns(source)
+    explain_columns(sources)
     comparison = compare_drives(
         car,
         sources,

@@ -63,7 +63,7 @@ def convert(
         return
     car = load_vehicle(vehicle)
     source = open_source(source_path, car, read_options)
-    explain_columns(source)
+    explain_columns([source])
     with Interruption() as interruption:
         dropped = _write(source, out, interruption)
         dropped.update(source.dropped)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from itertools import chain
@@ -140,17 +140,22 @@ def replay(
                 paths = [source.path for source in first] * loop
                 several = len(inputs) > 1 or len(paths) > 1  # though all of them be one drive
                 folders = output_folders(out, paths, several=several)
+                said: set[str] = set()
                 for source, folder in zip(chain(first, again), folders, strict=True):
                     if interruption.asked:
                         break
                     replayed = _one(car, source, folder, lambda: interruption.asked)
-                    _show(replayed, source, car.vehicle, warm_up, len(folders) > 1, units.units)
+                    if len(folders) > 1:
+                        _show_briefly(replayed, source, car.vehicle, said, units.units)
+                    else:
+                        _show(replayed, source, car.vehicle, warm_up, units.units)
             finally:
                 # Whatever ends a later drive, the results of those before it are kept.
                 written = _write(car, (state, metrics, report), units.units, len(inputs) > 1)
         if len(car.done) > 1:
             rows = [(result.drive, result.metrics) for result in car.done]
-            show(drives_table(rows, units.units), at_least=WIDE)
+            show(drives_table(rows, breakdown := car.breakdown(), units.units), at_least=WIDE)
+            _show_breakdown(breakdown, units.units, "the energy of all drives")
             show(parameter_table(car.done[-1].metrics))
             say("To see these drives side by side, use evpinn compare.")
         for line in unreadable:
@@ -173,9 +178,9 @@ def _opened(
     for path in chain.from_iterable(map(files_of, inputs)):
         try:
             logs.append(open_input(path))
-            explain_columns(logs[-1])
         except InputError as error:
             unreadable.append(str(error))
+    explain_columns(logs)
     drives = logs if whole else joined(logs)
     if len(drives) < len(logs):
         note(f"{len(logs)} files make {len(drives)} logs: some continue the file before them")
@@ -211,15 +216,29 @@ def _one(
         return car.replay(source, writer=writer, progress=progress, stopped=stopped)
 
 
-def _show(
-    result: Replayed,
-    source: Source,
-    vehicle: Vehicle,
-    warm_up: float,
-    briefly: bool,
-    units: Units,
+def _show_briefly(
+    result: Replayed, source: Source, vehicle: Vehicle, said: set[str], units: Units
 ) -> None:
-    """Tables for people, of one of many drives a line, and one for each thing that was missing."""
+    """One of many drives in a line, and what to doubt, but for what was `said` of one before."""
+    metrics = result.metrics
+    if result.problem:
+        note(f"evpinn: {result.problem}")
+    said.update(explain_notes(source, said))
+    dropped = dropped_text(metrics["input"]["dropped"])
+    line = owner_line(result.drive, metrics, units) + (dropped and f" Not used: {dropped}.")
+    if not has_battery(result.drive):
+        line += " No battery voltage and current; nothing could be learned."
+    say(f"{metrics['input']['path']}: {line}")
+    doubts = [line for line in owner_notes(vehicle, result.drive, metrics) if line not in said]
+    for line in doubts:
+        say(line)
+    said.update(doubts)
+
+
+def _show(
+    result: Replayed, source: Source, vehicle: Vehicle, warm_up: float, units: Units
+) -> None:
+    """Tables for people, and a line for each thing that was missing."""
     metrics = result.metrics
     if result.problem:
         note(f"evpinn: {result.problem}")
@@ -235,12 +254,7 @@ def _show(
     say(owner_line(result.drive, metrics, units))
     for line in owner_notes(vehicle, result.drive, metrics):
         say(line)
-    if briefly:
-        return
-    if metrics["breakdown"]["unknown"] is None:
-        show(breakdown_table(metrics["breakdown"], units))
-    for line in breakdown_lines(metrics["breakdown"], units):
-        say(line)
+    _show_breakdown(metrics["breakdown"], units)
     show(score_table(result.drive, metrics, warm_up))
     if result.drive.duration <= warm_up:
         say(
@@ -250,6 +264,13 @@ def _show(
     for line in energy_lines(metrics):
         say(line)
     show(parameter_table(metrics, read_truth(source.path)))
+
+
+def _show_breakdown(breakdown: Mapping[str, Any], units: Units, of: str = "the energy") -> None:
+    if breakdown["unknown"] is None:
+        show(breakdown_table(breakdown, units, of))
+    for line in breakdown_lines(breakdown, units):
+        say(line)
 
 
 def _write(
@@ -288,4 +309,5 @@ def _write_report(path: Path, car: CarReplay, units: Units) -> None:
     # Here, for pictures take longer to import than all else together.
     from evpinn_ros.report.drive_page import write_replayed
 
-    write_replayed(path, car.done, car.vehicle, car.options, command_line(), units)
+    of_all = car.breakdown() if len(car.done) > 1 else None
+    write_replayed(path, car.done, car.vehicle, car.options, command_line(), units, of_all)

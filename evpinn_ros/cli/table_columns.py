@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from evpinn_ros.cli.console import note
+from evpinn_ros.common.units import counted
 
 if TYPE_CHECKING:
     from evpinn_ros.logs.column import Column
@@ -23,24 +24,42 @@ PRETTY = {
 }
 
 
-def explain_columns(source: Source) -> None:
-    """Say what was guessed of a table; of one with our own names what is not used."""
+def explain_columns(sources: Iterable[Source]) -> None:
+    """Say what was guessed of tables; of those with our own names what is not used.
+
+    What was said of one table is not said of others alike.
+    """
+    tables: dict[tuple[str, ...], list[Source]] = {}
+    for source in sources:
+        if lines := tuple(_columns(source)):
+            tables.setdefault(lines, []).append(source)
+    for lines, (first, *others) in tables.items():
+        alike = f" and {counted(len(others), 'file')} like it" if others else ""
+        note(f"{first.path}{alike}: {lines[0]}")
+        for line in lines[1:]:
+            note(line)
+
+
+def _columns(source: Source) -> Iterator[str]:
+    """Lines on the columns of a table, none if there is nothing to say."""
     if not any(rule.why for rule in source.rules):
         if source.ignored:
-            note(f"{source.path}: columns not used: {shorter(source.ignored)}")
+            yield f"columns not used: {shorter(source.ignored)}"
         return
-    note(f"{source.path}: columns were found by their names and values:")
+    yield "columns were found by their names and values:"
     for rule in source.rules:
-        note(f"  {rule.quantity}: {choice(rule)}{' (assumed)' if rule.could_be else ''}")
+        yield f"  {rule.quantity}: {choice(rule)}{' (assumed)' if rule.could_be else ''}"
     if source.ignored:
-        note(f"  not used: {shorter(source.ignored)}")
-    note("  to correct one: --column speed='NAME:km/h', --column current='NAME:-A', ...")
+        yield f"  not used: {shorter(source.ignored)}"
+    yield "  to correct one: --column speed='NAME:km/h', --column current='NAME:-A', ..."
 
 
-def explain_notes(source: Source) -> None:
-    """Say what turned out on reading."""
-    for text in source.notes:
+def explain_notes(source: Source, said: Container[str] = ()) -> list[str]:
+    """Say what turned out on reading, but for what was `said` of another; gives what it said."""
+    texts = [text for text in source.notes if text not in said]
+    for text in texts:
         note(text if text.startswith(str(source.path)) else f"{source.path}: {text}")
+    return texts
 
 
 def shorter(names: Iterable[str]) -> str:

@@ -47,10 +47,12 @@ def live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
     return table
 
 
-def breakdown_table(breakdown: Mapping[str, Any], units: Units = METRIC) -> PlainTable:
+def breakdown_table(
+    breakdown: Mapping[str, Any], units: Units = METRIC, of: str = "the energy"
+) -> PlainTable:
     """Breakdown of the energy: kWh, 1-sigma, energy over distance and share of each part."""
     rows = breakdown_rows(breakdown, units)
-    return PlainTable("Where the energy went", breakdown_columns(units), rows)
+    return PlainTable(f"Where {of} went", breakdown_columns(units), rows)
 
 
 def score_table(drive: Drive, metrics: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
@@ -60,15 +62,12 @@ def score_table(drive: Drive, metrics: Mapping[str, Any], warm_up: float = WARM_
 
 
 def drives_table(
-    drives: Sequence[tuple[Drive, Mapping[str, Any]]], units: Units = METRIC
+    drives: Sequence[tuple[Drive, Mapping[str, Any]]],
+    breakdown: Mapping[str, Any],
+    units: Units = METRIC,
 ) -> PlainTable:
-    """Drives of one car with their metrics, a row each."""
+    """Drives of one car with their metrics, a row each, and one of all with their breakdown."""
     names = short_names([Path(metrics["input"]["path"]) for _, metrics in drives])
-    rows = drives_rows(
-        [
-            (name, *drive_and_metrics)
-            for name, drive_and_metrics in zip(names, drives, strict=True)
-        ],
-        units,
-    )
+    named = [(name, *drive) for name, drive in zip(names, drives, strict=True)]
+    rows = drives_rows(named, breakdown, units)
     return PlainTable("Drives", drives_columns(units), rows, words=("took most",))

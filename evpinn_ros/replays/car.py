@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 import time
+from typing import Any
 
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.blas_threads import limit_blas_threads
@@ -13,6 +14,7 @@ from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.meter import EnergyMeter
 from evpinn_ros.core.energy.rknn import load_rknn
+from evpinn_ros.core.estimation.breakdown import EndedDrive
 from evpinn_ros.core.estimation.estimator import Mode, PaperOptimizer
 from evpinn_ros.core.estimation.state_file import Half, read_half, write_halves
 from evpinn_ros.core.estimation.worker import InlineWorker
@@ -22,6 +24,7 @@ from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.sources import open_source
 from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.run import Progress, Replayed, ReplayOptions, replay
 from evpinn_ros.topics.node_parameters import TABLES, Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
@@ -63,6 +66,7 @@ class CarReplay:
         self.vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         self.options = options
         self.done: list[Replayed] = []
+        self._before: list[EndedDrive] = []  # parts of all drives but the last
         values = _parameters(params, mode, optimizer)
         self._mounting = imu_mounting(values)
         if keep_drives:
@@ -88,6 +92,7 @@ class CarReplay:
     ) -> Replayed:
         """Replay the next drive, as `run.replay` does."""
         if self.done:
+            self._before += self.chain.estimator.drive()
             self.chain.begin_next_drive()
         replayed = replay(
             source,
@@ -101,6 +106,13 @@ class CarReplay:
         )
         self.done.append(replayed)
         return replayed
+
+    def breakdown(self) -> dict[str, Any]:
+        """Where the energy of all drives went together, as in the metrics of each."""
+        estimator = self.chain.estimator
+        mass = estimator.parameters().parameters["mass"].trust
+        of_all = estimator.breakdown(self._before)
+        return breakdown_metrics(of_all, self._mode.value, mass.value)
 
     def write_state(self, path: Path) -> None:
         """Write what was learned, as `state_file.write_halves` does, of the car and its battery.

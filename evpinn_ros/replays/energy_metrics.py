@@ -17,7 +17,7 @@ MEANINGS: Mapping[str, str] = {
     "air": "air and wind",
     "tyres": "tyres",
     "slope": "net climb",
-    "speed": "kinetic energy at the end",
+    "speed": "net speeding up",
     "brakes": "lost while braking",
     "drivetrain": "motor and drivetrain",
     "climate": "heating and cooling",

@@ -94,14 +94,14 @@ def breakdown_lines(breakdown: Mapping[str, Any], units: Units = METRIC) -> list
 def breakdown_notes(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[str]:
     """Sentences on a known breakdown: what to doubt in it, and how much driving it is based on."""
     lines = [
-        f"This drive cannot separate {_together(group['parts'])}: only their sum is known."
+        f"These data cannot separate {_together(group['parts'])}: only their sum is known."
         for group in breakdown["together"]
     ]
     left = breakdown[UNEXPLAINED]
     if abs(left["kwh"]) > CONTRADICTED * left["sigma_kwh"]:
         amount = _amount(left["kwh"], left["sigma_kwh"])
         lines.append(
-            f"Unexplained: {amount}. The model of the car does not account for this drive, so "
+            f"Unexplained: {amount}. The model of the car does not account for it, so "
             "doubt its parts: a signal may be wrong, or the vehicle may be another."
         )
     if breakdown["without_height_m"] > MOSTLY_UNSEEN * breakdown["distance_m"]:
@@ -130,10 +130,10 @@ def known_parts(breakdown: Mapping[str, Any]) -> list[KnownPart]:
 
 
 def _whole(breakdown: Mapping[str, Any]) -> tuple[float, str]:
-    """Whole that shares are of, kWh, and its name: the drive, where little of it came back."""
+    """Whole that shares are of, kWh, and its name: all measured, where little of it came back."""
     spent = sum(max(part["kwh"], 0.0) for _, part in shown(breakdown))
     measured = breakdown["measured"]["kwh"]
-    return (measured, "this drive") if spent < GAVE_BACK * measured else (spent, "what was spent")
+    return (measured, "the whole") if spent < GAVE_BACK * measured else (spent, "what was spent")
 
 
 def largest_part(breakdown: Mapping[str, Any]) -> KnownPart | None:
@@ -166,7 +166,7 @@ def breakdown_sentence(breakdown: Mapping[str, Any]) -> str:
         for part in said
     ]
     slope = dict(shown(breakdown)).get(MEANINGS["slope"], {"kwh": 0.0, "sigma_kwh": 0.0})
-    if said and whole != "this drive" and slope["kwh"] < -2 * slope["sigma_kwh"]:
+    if said and whole != "the whole" and slope["kwh"] < -2 * slope["sigma_kwh"]:
         back = _amount(-slope["kwh"], slope["sigma_kwh"])
         sentences.append(f"The way down gave back {back}.")
     return " ".join(sentences)

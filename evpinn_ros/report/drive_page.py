@@ -95,6 +95,7 @@ def write_replayed(
     options: ReplayOptions,
     command: str,
     units: Units = METRIC,
+    breakdown: Mapping[str, Any] | None = None,
 ) -> None:
     """Write the report of replayed drives, with the truth that lies beside simulated ones."""
     drives = [
@@ -108,13 +109,28 @@ def write_replayed(
         )
         for replayed in done
     ]
-    write_drives(path, drives, command, units)
+    write_drives(path, drives, command, units, breakdown)
 
 
 def write_drives(
-    path: Path, drives: Sequence[ReportedDrive], command: str, units: Units = METRIC
+    path: Path,
+    drives: Sequence[ReportedDrive],
+    command: str,
+    units: Units = METRIC,
+    breakdown: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write the report; of several drives each can be opened, the first is open."""
+    """Write the report; of several drives each can be opened, the first is open.
+
+    Args:
+        path: of the new file.
+        drives: in order.
+        command: that made it, text.
+        units: of distances.
+        breakdown: of several drives together, as in the metrics of each.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     points = max(POINTS // len(drives), LEAST_POINTS)
     names = short_names([Path(drive.metrics["input"]["path"]) for drive in drives])
     pages = [
@@ -122,8 +138,10 @@ def write_drives(
     ]
     rows = drives_rows(
         [(name, drive.drive, drive.metrics) for name, drive in zip(names, drives, strict=True)],
+        breakdown,
         units,
     )
+    began = [*(_date(drive.drive) for drive in drives), ""]
     write_page(
         path,
         "drive.html.j2",
@@ -132,9 +150,8 @@ def write_drives(
         plots=[plots for _, plots in pages],
         drives=[values for values, _ in pages],
         index_columns=("drive", "began", *drives_columns(units)[1:]),
-        index=[
-            (row[0], _date(drive.drive), *row[1:]) for row, drive in zip(rows, drives, strict=True)
-        ],
+        index=[(row[0], date, *row[1:]) for row, date in zip(rows, began, strict=False)],
+        whole=breakdown and {"breakdown": breakdown_values(breakdown, units)},
         trends=trend_intervals([drive_point(drive.drive) for drive in drives], units),
         score_columns=SCORE_COLUMNS,
         parameter_titles=drive_charts.TITLES,

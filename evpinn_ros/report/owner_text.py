@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,7 +41,7 @@ def drives_columns(units: Units = METRIC) -> tuple[str, ...]:
 def owner_line(drive: Drive, metrics: Mapping[str, Any], units: Units = METRIC) -> str:
     """Length, time and energy of a drive, measured or, where it was not, predicted."""
     total = counted(drive)
-    far, _, kwh, consumption = _figures(drive, total, metrics, units)
+    far, _, kwh, consumption = _texts(_figures(drive, total, metrics), units)
     how = "predicted" if metrics["energy"]["measured_j"] is None else "from the battery"
     if kwh.startswith("-") and how != "predicted":  # more came back downhill than was drawn
         kwh, how = kwh[1:], "back into the battery"
@@ -105,40 +105,84 @@ def sparse_note(drive: Drive) -> str | None:
 
 
 def drives_rows(
-    drives: Sequence[tuple[str, Drive, Mapping[str, Any]]], units: Units = METRIC
+    drives: Sequence[tuple[str, Drive, Mapping[str, Any]]],
+    breakdown: Mapping[str, Any] | None,
+    units: Units = METRIC,
 ) -> list[tuple[str, ...]]:
-    """A row under `drives_columns` for each name, drive and its metrics."""
-    return [
+    """A row under `drives_columns` for each name, drive and its metrics, and one of all.
+
+    Args:
+        drives: in order.
+        breakdown: of all of them together, as in the metrics of each; None where not known.
+        units: of distances.
+    """
+    figures = [_figures(drive, counted(drive), metrics) for _, drive, metrics in drives]
+    rows: list[tuple[str, ...]] = [
         (
             name,
-            *_figures(drive, counted(drive), metrics, units),
+            *_texts(of_drive, units),
             _most(metrics["breakdown"]),
             watts(metrics["power"]["rmse_w"]),
             signed_percent(metrics["energy"]["error_percent"]),
         )
-        for name, drive, metrics in drives
+        for (name, _, metrics), of_drive in zip(drives, figures, strict=True)
     ]
+    if len(rows) > 1:
+        total = Figures(*map(sum, zip(*figures, strict=True)))
+        rows.append((f"all {len(rows)}", *_texts(total, units), _most(breakdown), "-",
+                     signed_percent(_predicted(metrics for *_, metrics in drives))))  # fmt: skip
+    return rows
 
 
-def _figures(
-    drive: Drive, total: Counted, metrics: Mapping[str, Any], units: Units
-) -> tuple[str, str, str, str]:
-    """Distance, minutes, kWh, and energy over distance: of what was measured, where it was."""
+def _predicted(metrics: Iterable[Mapping[str, Any]]) -> float | None:
+    """Error of the energy predicted of all drives that measured it, percent."""
+    energies = [drive["energy"] for drive in metrics if drive["energy"]["measured_j"] is not None]
+    measured = sum(energy["measured_j"] for energy in energies)
+    predicted = sum(energy["predicted_j"] for energy in energies)
+    return 100.0 * (predicted - measured) / abs(measured) if measured else None
+
+
+class Figures(NamedTuple):
+    """Figures of a drive, or sums of them.
+
+    Attributes:
+        distance: m.
+        duration: s.
+        joules: measured, where it was, else predicted.
+        known: distance over which that is, m.
+    """
+
+    distance: float
+    duration: float
+    joules: float
+    known: float
+
+
+def _figures(drive: Drive, total: Counted, metrics: Mapping[str, Any]) -> Figures:
+    """Figures of a drive; of no energy at all 0 over 0 m."""
     known, joules = total.known, total.energy
     if metrics["energy"]["measured_j"] is None:
         known, joules = total.distance, metrics["energy"]["predicted_j"]
-    kwh = None if joules is None else joules / JOULES_PER_KWH
+    if joules is None:
+        known, joules = 0.0, 0.0
+    return Figures(total.distance, drive.duration, joules, known)
+
+
+def _texts(figures: Figures, units: Units) -> tuple[str, str, str, str]:
+    """Distance, minutes, kWh, and energy over distance."""
+    distance, duration, joules, known = figures
+    kwh = joules / JOULES_PER_KWH
     return (
-        f"{total.distance / units.metres:.1f}",
-        f"{drive.duration / 60:.0f}",
-        "-" if kwh is None else f"{kwh:.{kwh_digits(kwh, 2)}f}",
-        "-" if joules is None or known < CONSUMPTION_METRES else units.consumption(joules, known),
+        f"{distance / units.metres:.1f}",
+        f"{duration / 60:.0f}",
+        "-" if not (joules or known) else f"{kwh:.{kwh_digits(kwh, 2)}f}",
+        "-" if known < CONSUMPTION_METRES else units.consumption(joules, known),
     )
 
 
-def _most(breakdown: Mapping[str, Any]) -> str:
+def _most(breakdown: Mapping[str, Any] | None) -> str:
     """Name and share of what took most, if it is known to two sigmas."""
-    most = None if breakdown["unknown"] else largest_part(breakdown)
+    most = None if not breakdown or breakdown["unknown"] else largest_part(breakdown)
     if most is None:
         return "-"
     name = TOGETHER.join(SHORT.get(part, part) for part in most.name.split(TOGETHER))

@@ -61,7 +61,7 @@ def test_the_sentence_begins_with_the_part_that_the_table_leads_with():
     air, heating = breakdown_sentence(parts).split(". ")
     assert air.startswith("Air and wind took") and largest == "air and wind"
     assert heating.startswith("Heating and cooling took") and heating.endswith(
-        "a fifth of this drive."
+        "a fifth of the whole."
     )
     unsure = breakdown()
     unsure.covariance[Part.AIR, Part.AIR] *= 16.0

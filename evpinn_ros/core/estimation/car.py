@@ -7,7 +7,7 @@ computed in a thread beside the callbacks, and thrown away.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
@@ -115,6 +115,17 @@ class LearnedCar:
         model = self.state.model(self.equation)
         growth = max(model.growth, self.hills.growth)
         return replace(model, growth=growth, unevenness=self.unevenness)
+
+    def drive(self) -> tuple[EndedDrive, ...]:
+        """Parts of this drive so far, as functions of the states of the car alone."""
+        before_stops = [parts for number, parts in self.ended if number == self.number]
+        return (*before_stops, self.parts.ended(self.state))
+
+    def together(self, before: Sequence[EndedDrive]) -> Breakdowns:
+        """Energy of this drive and of others before it, as that of one."""
+        drives = (*before, *self.drive()[:-1])
+        of_drives = breakdowns(drives, self.parts, self.state, self.equation)
+        return of_drives.joined([0] * len(of_drives.drives)).possible()
 
     def breakdowns(self) -> Breakdowns:
         """Energy of this drive, and of those kept before it, by where it went."""

@@ -9,7 +9,7 @@ after its data, whether it took 5 ms or 900 ms to compute, and live equals repla
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
@@ -17,7 +17,7 @@ import math
 from typing import Any, NamedTuple, TypeAlias
 
 from evpinn_ros.common.saved_fields import Saveable
-from evpinn_ros.core.estimation.breakdown import Breakdown, Breakdowns
+from evpinn_ros.core.estimation.breakdown import Breakdown, Breakdowns, EndedDrive
 from evpinn_ros.core.estimation.calibration import BandCalibration, SavedBands
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
@@ -324,16 +324,20 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         model = self._learner.model()
         return None if model is None else self._similarity.model(model)
 
-    def breakdown(self) -> Breakdown | None:
-        """Energy of this drive by where it went.
+    def drive(self) -> tuple[EndedDrive, ...]:
+        """Parts of this drive so far, to be kept for `breakdown`."""
+        return self._learner.drive()
+
+    def breakdown(self, before: Sequence[EndedDrive] = ()) -> Breakdown | None:
+        """Energy of this drive by where it went; with drives before it, of all of them.
 
         None in the paper's mode, before any, and while the mass is invalid: then the car is
         another one, or a signal is wrong, and what rests on them answers nothing.
         """
-        breakdowns = self.breakdowns()
+        breakdowns = self._learner.together(before)
         if breakdowns is None or self.parameters().parameters["mass"].trust is Trust.INVALID:
             return None
-        return breakdowns.of(-1)
+        return self._similarity.breakdowns(breakdowns).of(0)
 
     def breakdowns(self) -> Breakdowns | None:
         """Those of all drives that were kept, the present one last."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import math
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from evpinn_ros.core.estimation.breakdown import Breakdowns
+from evpinn_ros.core.estimation.breakdown import Breakdowns, EndedDrive
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.evidence import NO_EVIDENCE, Evidence
@@ -98,6 +98,14 @@ class Learner(Protocol):
     def evidence(self) -> Evidence:
         """Likelihood of the parameters without their prior (see `estimation.evidence`)."""
         return NO_EVIDENCE
+
+    def drive(self) -> tuple[EndedDrive, ...]:
+        """Parts of this drive so far, to be kept for `together`; none where not known."""
+        return ()
+
+    def together(self, before: Sequence[EndedDrive]) -> Breakdowns | None:
+        """Energy of this drive and of others before it, as that of one; None where not known."""
+        return None
 
     def breakdowns(self) -> Breakdowns | None:
         """Energy of this drive, and of those kept before it, by where it went.

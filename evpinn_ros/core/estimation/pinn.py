@@ -24,7 +24,7 @@ import numpy as np
 
 from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.estimation.bands import Hills
-from evpinn_ros.core.estimation.breakdown import Breakdowns
+from evpinn_ros.core.estimation.breakdown import Breakdowns, EndedDrive
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import ParameterSet
@@ -207,6 +207,14 @@ class PinnLearner(Saveable[SavedPinn]):
         now, away = self._projected
         now = replace(now, stamp_ns=self._last_ns or 0)
         return self._trust.judge(now, away, suspected=bool(self._sign.detected))
+
+    def drive(self) -> tuple[EndedDrive, ...]:
+        """Parts of this drive so far, to be kept for `together`."""
+        return self._car.drive()
+
+    def together(self, before: Sequence[EndedDrive]) -> Breakdowns | None:
+        """Energy of this drive and of others before it, as that of one."""
+        return self._car.together(before)
 
     def breakdowns(self) -> Breakdowns | None:
         """Energy of this drive, and of those kept before it, by where it went."""
