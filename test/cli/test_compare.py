@@ -25,7 +25,7 @@ def compared(evpinn, drives):
 def test_two_drives_side_by_side(compared, drives):
     assert compared.returncode == 0, compared.stderr
     assert "cold minus mild" in compared.stdout
-    assert "Statistically significant: other standing load +" in compared.stdout
+    assert "Explained by: other standing load +" in compared.stdout
     assert "cold minus mild" in (drives / "deep" / "c.html").read_text()
 
 
