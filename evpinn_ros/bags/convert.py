@@ -13,7 +13,13 @@ from evpinn_ros.common.errors import SAY_CAR, InputError, near_names
 from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.topics import NAMESPACE, Topic, topic_of
 from evpinn_ros.topics.messages import BadMessage
-from evpinn_ros.topics.readings import READING_TOPICS, Rotation, reading_messages, to_reading
+from evpinn_ros.topics.readings import (
+    READING_TOPICS,
+    ChargeScale,
+    Rotation,
+    reading_messages,
+    to_reading,
+)
 
 NOT_A_MESSAGE = "not_finite_or_out_of_range"
 
@@ -81,9 +87,11 @@ class BagReadings:
 
     def __iter__(self) -> Iterator[Reading]:
         self.dropped.clear()
+        charge = ChargeScale()
         for record in self._reader.records(self.topics):
             try:
-                yield to_reading(record.type_name, record.message, self._mounting)
+                reading = to_reading(record.type_name, record.message, self._mounting)
+                yield charge.reading(reading)
             except BadMessage as error:
                 self.dropped[error.reason] += 1
         self.dropped.update(self._reader.dropped)

@@ -10,6 +10,7 @@ from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.core.signals.readings import Reading
+from evpinn_ros.logs.battery_watch import BatteryWatch
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.source import Source
 
@@ -28,7 +29,7 @@ class BagSource(Source):
     def _open(self) -> None:
         self._reader = BagReader(self.path)
         self._readings = BagReadings(self._reader, self._options.car, self._options.mounting)
-        self.dropped = self._readings.dropped
+        self.dropped, self._watch = self._readings.dropped, BatteryWatch()
         self._is_read = False
 
     @property
@@ -43,8 +44,8 @@ class BagSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Topics that are nearly those that are missing."""
-        return self._readings.notes
+        """Topics that are nearly those that are missing, and what the battery cannot be."""
+        return *self._readings.notes, *self._watch.notes
 
     def readings(self) -> Iterator[Reading]:
         """The readings in order of log time."""
@@ -52,7 +53,7 @@ class BagSource(Source):
             self._open()
         self._is_read = True
         with self._reader:
-            readings = iter(self._readings)
+            readings = self._watch.on(self._readings)
             yield from readings if self._terrain is None else self._terrain.on(readings)
 
 

@@ -25,6 +25,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.logs.bag_source import frame_topics
+from evpinn_ros.logs.battery_watch import BatteryWatch
 from evpinn_ros.logs.formats import suffix_of, unknown_kind
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.source import Source
@@ -123,7 +124,7 @@ class CanLogSource(Source):
     ) -> None:
         """Open the log, and again each time it is read."""
         self._open_log, self._make_bridge = open_log, make_bridge
-        self._log, self._bridge = open_log(), make_bridge()
+        self._log, self._bridge, self._watch = open_log(), make_bridge(), BatteryWatch()
         super().__init__(self._log.path)
 
     @property
@@ -138,6 +139,11 @@ class CanLogSource(Source):
             return f"{self.path}: {self._bridge.refusal}; --trust-profile overrules this"
         return self._log.problem
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the battery cannot be."""
+        return self._watch.notes
+
     def readings(self) -> Iterator[Reading]:
         """The readings frame by frame, up to where the log contradicts the profile.
 
@@ -145,7 +151,11 @@ class CanLogSource(Source):
             InputError: it does from the start, or no frame of the whole log gave a reading.
         """
         self._log, self._bridge = self._open_log(), self._make_bridge()
+        self._watch = BatteryWatch()
         self.dropped.clear()
+        yield from self._watch.on(self._decoded())
+
+    def _decoded(self) -> Iterator[Reading]:
         newest, decoded = 0, 0
         for frame in self._log.frames():
             newest = max(newest, frame.stamp_ns)

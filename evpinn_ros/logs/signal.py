@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+EVENT = 0.3  # m/s^2 from which on it is accelerating or braking
 LEAST_EVENTS = 20  # moments of accelerating, and of braking, that tell a sign
 LONGEST_STEP = 10.0  # s between two speeds that still tell an acceleration
 LIKE = 0.4  # correlation of power with speed times acceleration from which on it tells the mass

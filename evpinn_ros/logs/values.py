@@ -18,6 +18,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.logs.column import SIGNED, Column, column_of
 from evpinn_ros.logs.quantities import QUANTITIES, Unit, score
 from evpinn_ros.logs.signal import (
+    EVENT,
     LEAST_EVENTS,
     LONGEST_STEP,
     FloatArray,
@@ -28,7 +29,6 @@ from evpinn_ros.logs.signal import (
 )
 from evpinn_ros.logs.speed_unit import with_speed_unit
 
-EVENT = 0.3  # m/s^2 from which on it is accelerating or braking
 CRUISING = 5.0  # m/s: a car that goes faster takes from its battery in the mean
 LEAST_CRUISE = 30  # readings of such a mean
 SAG = 0.3  # correlation of current and voltage from which on the battery's resistance is seen
@@ -294,13 +294,25 @@ def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> I
         drawn = Signal(current.time, current.value * at_times(signals["voltage"], current.time))
         if "power" in signals:
             yield from _compared(used["power"], signals["power"], drawn)
-    if drawn is not None and pull(signals["speed"], drawn) < 0.0:
+    if drawn is None:
+        return
+    yield from never_back(drawn)
+    if pull(signals["speed"], drawn) < 0.0:
         column = used["current" if "current" in used else "power"]
         unit = column.unit.lstrip("-") or next(iter(QUANTITIES[column.quantity].units))
         turned = unit if column.unit.startswith("-") else f"-{unit}"
         yield (
             f"the car speeds up while its battery is charged: the sign of {column.name!r} is "
             f"probably wrong; --column '{column.quantity}={column.name}:{turned}' turns it"
+        )
+
+
+def never_back(drawn: Signal) -> Iterator[str]:
+    """Sentence on a battery that is never charged, power drawn in W: it does not show braking."""
+    if drawn.known.size >= LEAST_EVENTS and drawn.known.min() >= 0.0:
+        yield (
+            "no current ever flows back into the battery, so nothing is known of its "
+            "regeneration (mu)"
         )
 
 

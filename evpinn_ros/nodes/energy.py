@@ -55,7 +55,7 @@ from evpinn_ros.topics.plans import (
     question,
     read_conditions,
 )
-from evpinn_ros.topics.readings import battery_message, to_reading
+from evpinn_ros.topics.readings import ChargeScale, battery_message, to_reading
 from evpinn_ros.topics.settings import jump_rule
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
@@ -86,7 +86,7 @@ class EnergyNode(GuardedNode):
         actions = Actions(self._reset, account.begin_next_trip, account.begin_after_jump)
         self.kept = Keeper(self, account, Half.ENERGY, (topics.POWER_SMOOTHED,), actions)
         # Of its own: in a fast replay readings are seconds ahead of power.
-        self._reading_guard = StampGuard(topics.SPEED)
+        self._reading_guard, self._charge_scale = StampGuard(topics.SPEED), ChargeScale()
         self.kept.guards.append(self._reading_guard)
         self._standby = Standby(self.steady_s())
         self.plans = PlanLog()
@@ -172,7 +172,8 @@ class EnergyNode(GuardedNode):
             raise BadMessage(str(error)) from error
 
     def _on_reading(self, topic: Topic, message: Any) -> None:
-        reading, topic = to_reading(topic.type_name, message), self.stream(topic)
+        reading = self._charge_scale.reading(to_reading(topic.type_name, message))
+        topic = self.stream(topic)
         rule = jump_rule(self.values)
         for passed in self._reading_guard.admit(topic, reading.stamp_ns, reading, rule):
             if isinstance(passed, Jump):  # what the policy says is done when power jumps

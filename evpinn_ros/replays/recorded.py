@@ -17,7 +17,7 @@ from evpinn_ros.topics.estimates import (
     read_power,
 )
 from evpinn_ros.topics.messages import BadMessage
-from evpinn_ros.topics.readings import to_reading
+from evpinn_ros.topics.readings import ChargeScale, to_reading
 
 
 def recorded_drive(bag: Path) -> Drive:
@@ -26,7 +26,7 @@ def recorded_drive(bag: Path) -> Drive:
     Raises:
         InputError: it is no bag.
     """
-    history = History()
+    history, charge = History(), ChargeScale()
     parameters: Any = None
     combined: Any = None
     with BagReader(bag) as reader:
@@ -36,7 +36,8 @@ def recorded_drive(bag: Path) -> Drive:
             topic = topic_of(record.topic)
             try:
                 if topic in (speed, topics.BATTERY):
-                    history.add_reading(to_reading(record.type_name, record.message))
+                    reading = to_reading(record.type_name, record.message)
+                    history.add_reading(charge.reading(reading))
                 elif topic is topics.PARAMETERS:
                     parameters = record.message
                 elif topic is topics.IDENTIFIABLE:

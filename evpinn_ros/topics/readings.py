@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 import math
 from typing import Any, NamedTuple
 
@@ -270,15 +271,33 @@ def velocity_report_reading(message: Any) -> SpeedReading:
 def battery_reading(message: Any) -> BatteryReading:
     """Voltage and current of a BatteryState, each NaN where not measured.
 
-    A percentage outside 0..1 is unknown too: some drivers count to 100, some say -1.
+    The percentage is as it was sent, for `ChargeScale`; outside 0..100 it is unknown.
     """
     voltage, current, charge = map(float, (message.voltage, message.current, message.percentage))
-    charge = charge if 0 <= charge <= 1 else math.nan
+    charge = charge if 0 <= charge <= 100 else math.nan
     if math.isinf(voltage) or math.isinf(current):
         raise BadMessage("not_finite")
     if math.isnan(voltage) and math.isnan(current) and math.isnan(charge):
         raise BadMessage("nothing_measured")
     return BatteryReading(stamp_ns(message), voltage, current, charge)
+
+
+class ChargeScale:
+    """Scale of the state of charge of one publisher: 0..1, or 0..100 once it is beyond 1.
+
+    It is decided once: a percentage that counts to 100 would read 1 % as full when nearly empty.
+    """
+
+    def __init__(self) -> None:
+        self._full = 1.0
+
+    def reading(self, reading: Reading) -> Reading:
+        """A reading whose state of charge is 0..1, or NaN."""
+        if not isinstance(reading, BatteryReading) or math.isnan(reading.state_of_charge):
+            return reading
+        if reading.state_of_charge > 1.0:
+            self._full = 100.0
+        return replace(reading, state_of_charge=reading.state_of_charge / self._full)
 
 
 def altitude_reading(message: Any) -> AltitudeReading:

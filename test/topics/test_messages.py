@@ -245,10 +245,23 @@ def test_auxiliary_power_is_heating_by_its_name_and_the_sum_of_all_else():
     assert reading_messages.auxiliary_reading(vector) == AuxiliaryReading(NOW, 1500.0, 350.0)
 
 
-def test_a_percentage_that_counts_to_hundred_is_unknown():
-    message = stamped("sensor_msgs/msg/BatteryState", voltage=400.0, current=-1.0, percentage=87.0)
-    reading = reading_messages.battery_reading(message)
-    assert reading.voltage == 400.0 and math.isnan(reading.state_of_charge)
+def charges(*percentages) -> list[float]:
+    """States of charge of one publisher of these percentages."""
+    scale = reading_messages.ChargeScale()
+    return [
+        scale.reading(
+            reading_messages.battery_reading(
+                stamped("sensor_msgs/msg/BatteryState", voltage=400.0, percentage=percentage)
+            )
+        ).state_of_charge
+        for percentage in percentages
+    ]
+
+
+def test_whether_a_percentage_counts_to_one_or_to_hundred_is_decided_once():
+    assert charges(87.0, 2.0, 1.0, 0.5) == pytest.approx([0.87, 0.02, 0.01, 0.005])
+    assert charges(1.0, 0.9, 0.0) == [1.0, 0.9, 0.0]
+    assert all(map(math.isnan, charges(-1.0, 101.0, math.nan)))
 
 
 def test_regeneration_is_not_called_charging():

@@ -268,6 +268,8 @@ class MeterCourse:
         """True where the battery gave nothing within its timeout before stamps."""
         seconds, integral = self.silent_s(at, stamp_ns), self.integrals[1]
         late = seconds > MAX_GAP
+        if not late.any():
+            return np.asarray(~self.heard[at.measured])
         counts, which = np.unique(integral.used[at.measured[late]], return_inverse=True)
         longest = np.array([integral.longest(count) for count in counts.tolist()])
         late[late] = seconds[late] > longest[which]

@@ -102,7 +102,8 @@ COARSE_SPEED = FINE_SPEED._replace(
 FINE_DOUBT = FINE_SPEED._replace(fault=SPEED_REPEATS, on=20e3, off=20e3, least=1.0)
 COARSE_DOUBT = COARSE_SPEED._replace(fault=SPEED_REPEATS, on=20e3, off=20e3, least=2.0)
 BATTERY_REPEATS = Hysteresis(
-    BATTERY_STUCK, "change of speed while voltage and current repeat; below 5 kW its rise alone",
+    BATTERY_STUCK,
+    "change of speed while voltage and current repeat, or 0 A; below 5 kW its rise alone",
     "m/s", 5.0, NEVER, 2.0, "s of repetition", f"the battery is not used, {NOT_LEARNED}",
 )  # fmt: skip
 ONE_ALTITUDE = Hysteresis(  # even a flat road is not that level to the digit

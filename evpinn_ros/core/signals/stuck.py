@@ -162,7 +162,8 @@ class StuckDetector:
         return StuckDetector(repetition, battery, self.step, self.spoilt)
 
     def _after_battery(self, reading: BatteryReading) -> StuckDetector:
-        values = reading.voltage, reading.current
+        # Robots send a current of 0 for want of a sensor, beside a voltage that is measured.
+        values = (reading.voltage, reading.current) if reading.current else (reading.current,)
         repetition = self.battery.repeated(reading.stamp_ns, values)
         idle = abs(reading.power) < IDLE_POWER
         repetition = repetition.judged(

@@ -21,7 +21,7 @@ from evpinn_ros.nodes.live.power_line import PowerHistory
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.estimates import POWER, bounds_of
 from evpinn_ros.topics.messages import BadMessage, Level, NamedVector, read_named_vector
-from evpinn_ros.topics.readings import to_reading
+from evpinn_ros.topics.readings import ChargeScale, to_reading
 
 VECTORS = (
     topics.PARAMETERS,
@@ -93,6 +93,7 @@ class LiveData:
         )
         self._first: dict[Topic, float] = {}
         self._last: dict[Topic, float] = {}
+        self._charge_scale = ChargeScale()
 
     def take(self, topic: Topic, message: Any, now: float) -> None:
         """Take one message of `WATCHED`, of any class family."""
@@ -109,7 +110,7 @@ class LiveData:
             for status in message.status:
                 self._take_status(status, now)
         elif topic not in VECTORS:
-            reading = to_reading(topic.type_name, message)
+            reading = self._charge_scale.reading(to_reading(topic.type_name, message))
             if isinstance(reading, SpeedReading):
                 self.speed = reading.speed
             elif isinstance(reading, BatteryReading):

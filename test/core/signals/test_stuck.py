@@ -40,6 +40,15 @@ def test_a_battery_that_hangs_while_speed_changes_even_at_next_to_nothing(curren
     assert judge(20, waves(15, 8), lambda _: current) == BATTERY_STUCK
 
 
+def test_a_current_that_is_zero_all_the_time_whatever_the_voltage():
+    detector = StuckDetector()
+    for step in range(200):
+        stamp_ns, now = step * NANOSECONDS // 10, step / 10
+        detector = detector.after(BatteryReading(stamp_ns, 350.0 - now % 3, 0.0))
+        detector = detector.after(SpeedReading(stamp_ns, waves(15, 8)(now)))
+    assert detector.detected == BATTERY_STUCK
+
+
 def test_a_speed_that_hangs_while_power_changes():
     assert judge(20, lambda _: 15.0, waves(-50, 120)) == SPEED_STUCK
 
