@@ -98,17 +98,17 @@ def part_checks(
         chain = SpanChain(drive.vehicle)
         for reading in drive.readings:
             chain.add_reading(reading)
-        found = chain.breakdown
-        if found is None:
+        breakdown = chain.breakdown
+        if breakdown is None:
             continue
         truth = true_parts(drive.car, drive.trace, chain.spans)
         # No load of a simulated car is heating: climate and standing load have one truth.
         loads = Part.CLIMATE, Part.STANDING
         groups: list[tuple[Part, ...]] = [(part,) for part in Part if part not in loads]
         groups += [loads, CLIMB, tuple(list(Part)[WHOLE])]
-        groups += [group for group in found.together() if group not in groups]
+        groups += [group for group in breakdown.together() if group not in groups]
         for group in groups:
-            amount = found.of(*group)
+            amount = breakdown.of(*group)
             true = sum(truth[part.name.lower()] for part in group) / JOULES_PER_KWH
             yield PartCheck(
                 drive.vehicle.key,
@@ -118,7 +118,7 @@ def part_checks(
                 amount.kwh,
                 amount.sigma_kwh,
                 true,
-                found.total().kwh,
+                breakdown.total().kwh,
             )
 
 
@@ -147,17 +147,20 @@ def difference_checks(
                 chain.add_reading(reading)
             car = chain.car
             truths.append(true_parts(drive.car, drive.trace, chain.spans))
-        found = car.breakdowns()
-        if len(found.drives) < len(kinds):
+        breakdowns = car.breakdowns()
+        if len(breakdowns.drives) < len(kinds):
             continue
-        difference = found.difference(1, 0)
+        difference = breakdowns.difference(1, 0)
         for part in Part:
             base, other = (
                 truth[part.name.lower()] / whole.distance * DIFFERENCE_METRES / JOULES_PER_KWH
-                for truth, whole in zip(truths, found.drives, strict=True)
+                for truth, whole in zip(truths, breakdowns.drives, strict=True)
             )
             amount = difference.of(part)
-            total = sum(found.drives[i].measured / found.drives[i].distance for i in (0, 1)) / 2
+            total = (
+                sum(breakdowns.drives[i].measured / breakdowns.drives[i].distance for i in (0, 1))
+                / 2
+            )
             yield PartCheck(
                 vehicle=vehicle.key,
                 kind="+".join(kind.value for kind in kinds),
@@ -188,24 +191,24 @@ class PartSummary:
     sigma_percent: float
 
 
-def part_summaries(found: Iterable[PartCheck]) -> list[PartSummary]:
+def part_summaries(checks: Iterable[PartCheck]) -> list[PartSummary]:
     """Coverage and errors of each part, groups that data do not separate last."""
     parts: dict[str, list[PartCheck]] = {}
-    for one in found:
-        parts.setdefault(one.name, []).append(one)
+    for check in checks:
+        parts.setdefault(check.name, []).append(check)
     return [_summary(name, group) for name, group in parts.items()]
 
 
 def _summary(name: str, group: list[PartCheck]) -> PartSummary:
-    rows = [(each.kwh, each.sigma_kwh, each.total_kwh, each.true_kwh) for each in group]
+    rows = [(check.kwh, check.sigma_kwh, check.total_kwh, check.true_kwh) for check in group]
     kwh, sigma, total, true = np.array(rows).T
     error = kwh - true
     return PartSummary(
         name=name,
         drives=len(group),
-        coverage_percent=100.0 * float(np.mean([each.covered for each in group])),
+        coverage_percent=100.0 * float(np.mean([check.covered for check in group])),
         coverage_90_percent=100.0
-        * float(np.mean([each.within(GAUSSIAN_QUANTILE) for each in group])),
+        * float(np.mean([check.within(GAUSSIAN_QUANTILE) for check in group])),
         deviation=float(np.sqrt(np.mean((error / np.maximum(sigma, 1e-12)) ** 2))),
         share_percent=100.0 * float(np.mean(true / total)),
         bias_percent=100.0 * float(np.mean(error / total)),

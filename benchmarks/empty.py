@@ -89,7 +89,7 @@ def empty_scores(data: str, key: str, seed: int = 0) -> list[EmptyScore]:
     """Every kilometre of a car's drives, as if its battery lasted for the next ones."""
     pieces = list(_pieces(load_car(data, key), seed))
     ahead = [_along_route(pieces, index) for index in range(len(pieces))]
-    found = []
+    scores = []
     for horizon in HORIZONS:
         errors = list(_errors(pieces, ahead, horizon))
         if errors:
@@ -108,8 +108,8 @@ def empty_scores(data: str, key: str, seed: int = 0) -> list[EmptyScore]:
                 without_route=_median(ours[known]),
                 route_covered=float(on_it[known].mean()) if known.any() else math.nan,
             )
-            found.append(score)
-    return found
+            scores.append(score)
+    return scores
 
 
 def _median(errors: np.ndarray) -> float:
@@ -128,9 +128,9 @@ def _pieces(car: UnseenCar, seed: int) -> Iterator[Kilometre]:
             if math.isnan(interval.energy):
                 continue
             done.append(interval)
-            distance = sum(abs(each.distance) for each in done)
+            distance = sum(abs(step.distance) for step in done)
             if distance >= PIECE:
-                driven = Stretch(distance, sum(each.energy for each in done))
+                driven = Stretch(distance, sum(step.energy for step in done))
                 yield _piece(number, driven, tuple(done), log, learned.model())
                 done = []
 
@@ -143,8 +143,8 @@ def _piece(
     if not log.windows[LAST_10].known:
         return Kilometre(drive, driven, intervals, model, None, math.nan, math.nan)
     recent, long = (
-        each.energy / each.distance
-        for each in (log.windows[LAST_10].total, log.windows[LAST_100].total)
+        stretch.energy / stretch.distance
+        for stretch in (log.windows[LAST_10].total, log.windows[LAST_100].total)
     )
     spread = cost_spread(log.windows[LAST_100].whole)
     cost = Cost.ahead(recent, long, usual_cost(model), spread)
@@ -154,16 +154,18 @@ def _piece(
 def _along_route(pieces: list[Kilometre], index: int) -> RouteAhead | None:
     """The rest of the drive after a piece as a route; None at its end and before a cost."""
     here, after = pieces[index], pieces[index + 1 :]
-    done = [each for piece in after if piece.drive == here.drive for each in piece.intervals]
+    done = [
+        interval for piece in after if piece.drive == here.drive for interval in piece.intervals
+    ]
     if here.cost is None or not done:
         return None
     try:
         legs = plan_of(done, "500 m")
     except PlanError:
         return None
-    found = forecast_plan(legs, PowerModel(here.model), weather_of(done))
+    forecast = forecast_plan(legs, PowerModel(here.model), weather_of(done))
     points = points_of(legs)
-    return Route.from_here(points, found, 0.0, 0).ahead(0.0, here.cost)
+    return Route.from_here(points, forecast, 0.0, 0).ahead(0.0, here.cost)
 
 
 def _errors(
@@ -181,8 +183,8 @@ def _errors(
             continue
         driven = float(distances[end] - distances[index])
         left = float(energies[end] - energies[index])
-        found, by_route, on_it = remaining(Uncertain(left, 0.0), piece.cost), math.nan, False
-        if found is None or left <= 0.0:
+        span, by_route, on_it = remaining(Uncertain(left, 0.0), piece.cost), math.nan, False
+        if span is None or left <= 0.0:
             continue
         by_10, by_100 = (left / cost / driven - 1.0 for cost in (piece.recent, piece.long))
         if route is not None and pieces[end].drive == piece.drive:
@@ -190,5 +192,5 @@ def _errors(
             if along is not None:
                 by_route = along.distance / driven - 1.0
                 on_it = along.lower <= driven <= along.upper
-        inside = found.lower <= driven <= found.upper
-        yield found.distance / driven - 1.0, by_10, by_100, inside, by_route, on_it
+        inside = span.lower <= driven <= span.upper
+        yield span.distance / driven - 1.0, by_10, by_100, inside, by_route, on_it

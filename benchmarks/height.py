@@ -32,8 +32,8 @@ def height_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartC
     """Each part of drives of each car without heights, and of the differences of two in a row."""
     for key in cars:
         car = load_car(data, key)
-        found = [list(drive.intervals(car.vehicle)) for drive in car.drives[:drives]]
-        usable = [intervals for intervals in found if has_height(intervals)]
+        all_intervals = [list(drive.intervals(car.vehicle)) for drive in car.drives[:drives]]
+        usable = [intervals for intervals in all_intervals if has_height(intervals)]
         for seed, intervals in enumerate(usable):
             yield from _checks(car, "alone", seed, [intervals])
         for seed, pair in enumerate(pairwise(usable)):
@@ -44,8 +44,10 @@ def alone_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartCh
     """Each part of drives of each car, learned alone, against all of its drives."""
     for key in cars:
         car = load_car(data, key)
-        found = [list(drive.intervals(car.vehicle)) for drive in car.drives[:drives]]
-        usable = [intervals for intervals in found if _way(intervals).sum() > LEAST_DISTANCE]
+        all_intervals = [list(drive.intervals(car.vehicle)) for drive in car.drives[:drives]]
+        usable = [
+            intervals for intervals in all_intervals if _way(intervals).sum() > LEAST_DISTANCE
+        ]
         whole = learned(car.vehicle, usable)
         for seed, intervals in enumerate(usable):
             true, alone = whole.of(seed), learned(car.vehicle, [intervals]).of(0)
@@ -57,12 +59,12 @@ def alone_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartCh
 def has_height(intervals: Sequence[Interval]) -> bool:
     """True if a drive is long enough, and its height known nearly all the way."""
     way = _way(intervals)
-    known = np.array([each.height_known for each in intervals])
+    known = np.array([interval.height_known for interval in intervals])
     return bool(way.sum() > LEAST_DISTANCE and way[known].sum() > HEIGHT_KNOWN * way.sum())
 
 
 def _way(intervals: Sequence[Interval]) -> np.ndarray:
-    return np.array([abs(each.distance) for each in intervals])
+    return np.array([abs(interval.distance) for interval in intervals])
 
 
 def without_height(interval: Interval) -> Interval:
@@ -86,18 +88,18 @@ def _checks(
     flat = [[without_height(each) for each in intervals] for intervals in drives]
     pair = [learned(car.vehicle, each) for each in (drives, flat)]
     if len(drives) == 1:
-        true, found = (each.of(0) for each in pair)
+        true, without = (each.of(0) for each in pair)
     else:
-        true, found = (each.difference(1, 0) for each in pair)
-    if true is None or found is None:
+        true, without = (each.difference(1, 0) for each in pair)
+    if true is None or without is None:
         return
     for part in list(Part)[WHOLE]:
-        yield _check(car.key, kind, seed, part, true, found)
+        yield _check(car.key, kind, seed, part, true, without)
 
 
 def _check(
-    car: str, kind: str, seed: int, part: Part, true: Breakdown, found: Breakdown
+    car: str, kind: str, seed: int, part: Part, true: Breakdown, without: Breakdown
 ) -> PartCheck:
-    amount = found.of(part)
-    values = amount.kwh, amount.sigma_kwh, true.of(part).kwh, abs(found.total().kwh)
+    amount = without.of(part)
+    values = amount.kwh, amount.sigma_kwh, true.of(part).kwh, abs(without.total().kwh)
     return PartCheck(car, kind, seed, f"{kind}: {part.name.lower()}", *values)

@@ -76,8 +76,8 @@ def measure_plans(plans: int, points: int, progress: Callable[[float], None]) ->
             time.sleep(PAUSE)
         node_seconds = processor_seconds(node) - begin
     p50, p99, largest = np.quantile(times[WARM_UP:], (0.5, 0.99, 1.0)).tolist()
-    each = node_seconds / plans
-    return PlanLoad(plans, points, *(1e3 * seconds for seconds in (p50, p99, largest, each)))
+    node_s = node_seconds / plans
+    return PlanLoad(plans, points, *(1e3 * seconds for seconds in (p50, p99, largest, node_s)))
 
 
 def measure_rounds(
@@ -182,8 +182,8 @@ class _Planner:
         data = [bytes(serialize_message(plan)) for plan in plans]
         self._statuses.clear()
         begin = time.perf_counter()
-        for each in data:
-            self._plans.publish(each)
+        for message in data:
+            self._plans.publish(message)
         self._spin_until(lambda: all(f in self._statuses for f in frames), ANSWER_TIMEOUT)
         seconds = time.perf_counter() - begin
         pairs = len(plans) * (len(plans) - 1) // 2

@@ -80,13 +80,13 @@ def plan_scores(data: str, key: str, seed: int = 0) -> list[PlanScore]:
     """Every drive of a car as plans, from what the drives before it taught."""
     car = load_car(data, key)
     rows = list(_planned(car, seed))
-    found = []
+    scores = []
     for resolution in RESOLUTIONS:
         for method in METHODS:
             own = [row for row in rows if (row.resolution, row.method) == (resolution, method)]
             if own:
-                found.append(_score(key, own))
-    return found
+                scores.append(_score(key, own))
+    return scores
 
 
 def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
@@ -96,7 +96,7 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
         intervals = list(intervals_of(car, drive))
         if before:
             learned = learned.begin_drive()
-        done = [each for each in intervals if not math.isnan(each.energy)]
+        done = [interval for interval in intervals if not math.isnan(interval.energy)]
         driven = np.array([(e.energy, abs(e.distance), e.duration) for e in done])
         if not len(driven):
             continue
@@ -109,7 +109,9 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
 
 def intervals_of(car: UnseenCar, drive: UnseenDrive) -> Iterator[Interval]:
     """Intervals of a drive that a car learns from."""
-    return (each for each in drive.intervals(car.vehicle) if gate_interval(each) is None)
+    return (
+        interval for interval in drive.intervals(car.vehicle) if gate_interval(interval) is None
+    )
 
 
 def forecasts(
@@ -122,8 +124,8 @@ def forecasts(
         done: intervals of the drive whose energy was measured.
         before: energy, J, distance, m, and duration, s, of each drive before.
     """
-    measured = sum(each.energy for each in done)
-    gross = sum(abs(each.energy) for each in done)
+    measured = sum(interval.energy for interval in done)
+    gross = sum(abs(interval.energy) for interval in done)
     weather, loaded = weather_of(done), weather_of(done, loads=True)
     ways = {"forecast": (model, weather)}
     if loaded.heating is not None:
@@ -135,8 +137,8 @@ def forecasts(
         except PlanError:
             continue
         for method, (car, around) in ways.items():
-            found = forecast_plan(plan, PowerModel(car), around)
-            energy, sigma = float(found.energy[-1]), float(found.sigma[-1])
+            forecast = forecast_plan(plan, PowerModel(car), around)
+            energy, sigma = float(forecast.energy[-1]), float(forecast.sigma[-1])
             yield PlannedDrive(resolution, method, energy, sigma, measured, gross)
         for method, energy in _by_distance(before, done):
             yield PlannedDrive(resolution, method, energy, math.nan, measured, gross)
@@ -144,9 +146,9 @@ def forecasts(
 
 def weather_of(done: list[Interval], *, loads: bool = False) -> Weather:
     """Means of a drive: of its temperature and, where asked for and reported, of its loads."""
-    known = [each for each in done if each.conditions.celsius is not None]
+    known = [interval for interval in done if interval.conditions.celsius is not None]
     celsius = _mean(known, "celsius") if known else None
-    reported = loads and any(each.conditions.load > 0.0 for each in done)
+    reported = loads and any(interval.conditions.load > 0.0 for interval in done)
     return Weather(_mean(done, "air_density"), celsius, _mean(done, "load") if reported else None)
 
 
@@ -161,8 +163,8 @@ def plan_of(done: list[Interval], resolution: str) -> Plan | Legs:
 
 def _mean(done: list[Interval], name: str) -> float:
     """Mean of a condition over time."""
-    values = [getattr(each.conditions, name) for each in done]
-    return float(np.average(values, weights=[each.duration for each in done]))
+    values = [getattr(interval.conditions, name) for interval in done]
+    return float(np.average(values, weights=[interval.duration for interval in done]))
 
 
 def _even() -> Unevenness:
@@ -175,9 +177,9 @@ def _by_distance(
     before: list[tuple[float, float, float]], done: list[Interval]
 ) -> Iterator[tuple[str, float]]:
     energy, distance, duration = np.array(before).T
-    length = sum(abs(each.distance) for each in done)
+    length = sum(abs(interval.distance) for interval in done)
     yield "per km", float(length * energy.sum() / distance.sum())
-    speed = length / sum(each.duration for each in done)
+    speed = length / sum(interval.duration for interval in done)
     alike = np.abs(distance / duration - speed) <= SPEED_CLASS
     if not alike.any():
         alike[:] = True
@@ -201,11 +203,11 @@ class _Steps:
     @classmethod
     def of(cls, done: list[Interval]) -> _Steps:
         duration, distance, kinetic, climb = (
-            np.concatenate([getattr(each.steps, name) for each in done])
+            np.concatenate([getattr(interval.steps, name) for interval in done])
             for name in ("duration", "distance", "kinetic", "climb")
         )
-        counts = [len(each.steps.duration) for each in done]
-        known = np.repeat([float(each.height_known) for each in done], counts)
+        counts = [len(interval.steps.duration) for interval in done]
+        known = np.repeat([float(interval.height_known) for interval in done], counts)
         gaps = [before.end_ns != after.start_ns for before, after in pairwise(done)]
         piece = np.repeat(np.cumsum([0, *gaps]), counts)
         return cls(duration, np.abs(distance), kinetic, climb, known, piece)
@@ -224,15 +226,15 @@ class _Steps:
             np.bincount(owner, column, count)
             for column in (self.duration, self.distance, self.climb, self.distance * self.known)
         ]
-        duration, length, climb, seen = (each[sums[0] > 0.0] for each in sums)
+        duration, length, climb, seen = (total[sums[0] > 0.0] for total in sums)
         climb = np.clip(climb, -length, length)
         return Legs(length, duration, climb, seen > length / 2.0)
 
     def _dense(self) -> Plan:
         """Points at the ends of the steps, speeds by their kinetic energy."""
         time, distance, height = (
-            np.concatenate(([0.0], np.cumsum(each)))
-            for each in (self.duration, self.distance, self.climb)
+            np.concatenate(([0.0], np.cumsum(column)))
+            for column in (self.duration, self.distance, self.climb)
         )
         speed = self._speeds(self.piece == 0)
         for number in range(1, int(self.piece[-1]) + 1):

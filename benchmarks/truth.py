@@ -163,29 +163,29 @@ def compare(
             chain.add_reading(reading)
 
 
-def summaries(found: Iterable[TruthCheck]) -> list[TruthSummary]:
+def summaries(checks: Iterable[TruthCheck]) -> list[TruthSummary]:
     """Median, 90th percentile and coverage of each quantity at each time."""
     groups: dict[tuple[int, str], list[TruthCheck]] = {}
-    for one in found:
-        groups.setdefault((one.seconds, one.name), []).append(one)
+    for check in checks:
+        groups.setdefault((check.seconds, check.name), []).append(check)
     return [_summary(group) for group in groups.values()]
 
 
 def _compared(chain: CarChain, drive: SimulatedDrive, seconds: int) -> Iterator[TruthCheck]:
-    found = chain.parameters()
+    estimates = chain.parameters()
     truth = true_so_far(drive, seconds, chain.car.equation)
     share = identifiable_shares(chain.published())
 
-    def one(name: str, value: float, std: float, prior: float, true: float) -> TruthCheck:
+    def check(name: str, value: float, std: float, prior: float, true: float) -> TruthCheck:
         return TruthCheck(drive.vehicle.key, drive.seed, seconds, name, value, std, prior, true)
 
     for name in IDENTIFIABLE_NAMES[:4]:
-        parts = (found.identifiable, found.identifiable_std, share, truth.identifiable)
-        yield one(name, *(getattr(part, name) for part in parts))
+        parts = (estimates.identifiable, estimates.identifiable_std, share, truth.identifiable)
+        yield check(name, *(getattr(part, name) for part in parts))
     for name in PARAMETER_NAMES:
-        estimate, true = found.parameters[name], getattr(truth.parameters, name)
+        estimate, true = estimates.parameters[name], getattr(truth.parameters, name)
         if name not in IDENTIFIABLE_NAMES or name == "p_aux":
-            yield one(name, estimate.value, estimate.std, estimate.prior_share, true)
+            yield check(name, estimate.value, estimate.std, estimate.prior_share, true)
 
 
 def true_so_far(drive: SimulatedDrive, seconds: int, equation: Equation) -> Truth:
@@ -200,7 +200,7 @@ def true_so_far(drive: SimulatedDrive, seconds: int, equation: Equation) -> Trut
 
 
 def _summary(group: list[TruthCheck]) -> TruthSummary:
-    error = np.array([one.error_percent for one in group])
+    error = np.array([check.error_percent for check in group])
     first = group[0]
     return TruthSummary(
         first.name,
@@ -209,7 +209,7 @@ def _summary(group: list[TruthCheck]) -> TruthSummary:
         float(error.mean()),
         float(np.median(np.abs(error))),
         float(np.quantile(np.abs(error), 0.9)),
-        float(np.median([100 * one.std / one.truth for one in group])),
-        float(np.mean([100.0 * one.covered for one in group])),
-        float(np.median([one.prior_share for one in group])),
+        float(np.median([100 * check.std / check.truth for check in group])),
+        float(np.mean([100.0 * check.covered for check in group])),
+        float(np.median([check.prior_share for check in group])),
     )

@@ -127,8 +127,10 @@ def read_car(data: str, key: str) -> RecordedCar:
     car = load_car(data, key)
     drives = []
     for drive in car.drives:
-        found = drive.intervals(car.vehicle)
-        drives.append([e for e in found if not math.isnan(e.energy) and gate_interval(e) is None])
+        intervals = drive.intervals(car.vehicle)
+        drives.append(
+            [e for e in intervals if not math.isnan(e.energy) and gate_interval(e) is None]
+        )
     return RecordedCar(key, car.vehicle, [drive for drive in drives if drive])
 
 
@@ -147,7 +149,7 @@ def score(variant: Variant, car: RecordedCar, seeds: Sequence[int] = SEEDS) -> V
     """Score a variant on a car's drives."""
     with replaced(variant.changes):
         rows = [_score(variant.name, car, seed) for seed in seeds]
-    scores = [each.name for each in fields(VariantRow)[2:-1]]
+    scores = [field.name for field in fields(VariantRow)[2:-1]]
     means: dict[str, Any] = {
         name: float(np.mean([getattr(row, name) for row in rows])) for name in scores
     }
@@ -199,14 +201,14 @@ def _score(name: str, recorded: RecordedCar, seed: int) -> VariantRow:
 def _learn(car: LearnedCar, drive: Sequence[Interval]) -> tuple[LearnedCar, list[_Hidden]]:
     """The car after a drive, and its prediction of each stretch."""
     ends = np.cumsum([interval.duration for interval in drive])
-    next_cut, found = FIRST, []
+    next_cut, rows = FIRST, []
     for index, interval in enumerate(drive):
         car = car.after([interval])
         if ends[index] >= next_cut and ends[-1] - ends[index] > STRETCH:
             next_cut = ends[index] + STEP
             last = int(np.searchsorted(ends, ends[index] + STRETCH))
-            found.append(_hidden(car, drive[index + 1 : last + 1]))
-    return car, found
+            rows.append(_hidden(car, drive[index + 1 : last + 1]))
+    return car, rows
 
 
 def _hidden(car: LearnedCar, intervals: Sequence[Interval]) -> _Hidden:
@@ -225,7 +227,9 @@ def _hidden(car: LearnedCar, intervals: Sequence[Interval]) -> _Hidden:
 
 
 def _crps(rows: np.ndarray) -> float:
-    scores = [crps(found - true, sigma) / gross for true, found, sigma, gross, _ in rows.tolist()]
+    scores = [
+        crps(energy - true, sigma) / gross for true, energy, sigma, gross, _ in rows.tolist()
+    ]
     return 100.0 * float(np.mean(scores))
 
 

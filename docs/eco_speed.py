@@ -153,7 +153,7 @@ def draw_energies(axes: Axes, order: list[int], asked: list[Any], colours: list[
 def draw_differences(axes: Axes, order: list[int], more: list[Any], colours: list[str]) -> None:
     """Energy of each profile beyond that of the picked one, whose errors they share."""
     for row, index in enumerate(order):
-        apart, sigma = (each / WH for each in more[index])
+        apart, sigma = (joules / WH for joules in more[index])
         half = GAUSSIAN_QUANTILE * sigma
         axes.errorbar(apart, row, xerr=half, color=colours[index], **AFTER)
         text = f"{apart:+.0f} ± {sigma:.0f}" if sigma else "picked"
@@ -173,8 +173,8 @@ def name_rows(axes: Axes, planner: Any, order: list[int], deadline: float) -> No
     axes.set_yticks(range(len(order)), names)
     axes.set_ylim(len(order) - 0.4, -0.6)
     late = sum(arrival <= deadline for arrival in arrivals) - 0.5
-    for each in axes.figure.axes[-2:]:
-        each.axhline(late, color="k", ls="--", lw=1)
+    for axis in axes.figure.axes[-2:]:
+        axis.axhline(late, color="k", ls="--", lw=1)
     axes.annotate(f"deadline {deadline / 60:g} min", (0.99, late), **ABOVE)
 
 
@@ -194,7 +194,7 @@ def main() -> None:
         rclpy.try_shutdown()
     pick = example.cheapest_in_time(planner.candidates, after, deadline)
     candidates = planner.candidates
-    colours = [_colour(i, each, pick, deadline) for i, each in enumerate(candidates)]
+    colours = [_colour(i, candidate, pick, deadline) for i, candidate in enumerate(candidates)]
     order = sorted(range(len(candidates)), key=lambda index: candidates[index].arrival)
     more = [example.difference(after, index, pick) for index in range(len(candidates))]
     figure = Figure(figsize=(11, 8.5), layout="constrained")

@@ -255,7 +255,7 @@ def metrics_page() -> str:
     """Every key of `evpinn replay --metrics`."""
     lines = [MADE, "# Metrics", "", READING]
     lines += ["| key | unit | meaning |", "|---|---|---|"]
-    lines += [f"| `{each.key}` | {each.unit} | {each.meaning} |" for each in METRICS]
+    lines += [f"| `{metric.key}` | {metric.unit} | {metric.meaning} |" for metric in METRICS]
     return "\n".join([*lines, ""])
 
 
@@ -310,12 +310,12 @@ def detectors_page() -> str:
 
 def commands_page() -> str:
     """Every command: help, examples, arguments and options."""
-    found = list(_commands(typer.main.get_command(app), "evpinn"))
+    commands = list(_commands(typer.main.get_command(app), "evpinn"))
     lines = [MADE, "# Commands", "", SHELL, "| command | |", "|---|---|"]
-    for path, command in found:
+    for path, command in commands:
         anchor = path.replace(" ", "-")
         lines.append(f"| [`{path}`](#{anchor}) | {_paragraphs(command)[0]} |")
-    for path, command in found:
+    for path, command in commands:
         lines += ["", *_command_section(path, command)]
     return "\n".join([*lines, ""])
 
@@ -336,7 +336,7 @@ def _function(command: Any) -> Callable[..., Any]:
 
 def _paragraphs(command: Any) -> list[str]:
     text = inspect.getdoc(_function(command)) or ""
-    return [" ".join(each.split()) for each in text.split("\n\n")]
+    return [" ".join(paragraph.split()) for paragraph in text.split("\n\n")]
 
 
 def _command_section(path: str, command: Any) -> Iterator[str]:
@@ -368,7 +368,7 @@ def _value(kind: Any, info: Any) -> str:
     several = ", repeated" if get_origin(kind) is list else ""
     (kind,) = get_args(kind) if several else (kind,)
     if issubclass(kind, Enum):
-        return ", ".join(f"`{each.value}`" for each in kind) + several
+        return ", ".join(f"`{member.value}`" for member in kind) + several
     ends = (("from", info.min), ("to", info.max))
     bounds = [f"{word} {end:g}" for word, end in ends if end is not None]
     return " ".join([WORDS[kind], *bounds]) + several

@@ -81,25 +81,27 @@ def record(out: Path) -> None:
     asked_ns = 0
     with BagWriter(out) as writer:
         for reading in simulate(DriveKind.MIXED, vehicle, SECONDS, SEED).readings:
-            now_ns, found = reading.stamp_ns, list(reading_messages(new_message, reading))
+            now_ns, messages = reading.stamp_ns, list(reading_messages(new_message, reading))
             for output in chain.add_reading(reading):
-                found += output_messages(new_message, output)
+                messages += output_messages(new_message, output)
                 if not isinstance(output, ParameterSet):
                     continue
-                found += breakdown_messages(new_message, now_ns, chain.estimator.breakdown())
+                messages += breakdown_messages(new_message, now_ns, chain.estimator.breakdown())
                 well = Condition(Health({}, {}), 0.0, 0, None)
                 name, *rest = estimator_status(chain.estimator.status(), well)
                 status = (f"{NAMESPACE}/estimator: {name}", *rest)
                 hardware = f"{VEHICLE} {NAMESPACE}"
-                found.append((DIAGNOSTICS, diagnostics(new_message, now_ns, [status], hardware)))
+                messages.append(
+                    (DIAGNOSTICS, diagnostics(new_message, now_ns, [status], hardware))
+                )
                 if now_ns - asked_ns >= PLAN_PERIOD_NS:
                     asked_ns = now_ns
                     model = known_model(chain.estimator.model(), output, vehicle)
                     answer = forecast_plan(plan, model, vehicle.air_density)
                     columns = (answer.time, answer.energy, answer.power, answer.sigma)
                     forecast = forecast_message(new_message, header(new_message, now_ns), *columns)
-                    found.append((FORECAST, forecast))
-            for topic, message in found:
+                    messages.append((FORECAST, forecast))
+            for topic, message in messages:
                 writer.write(topic.under(NAMESPACE), message, now_ns)
 
 
@@ -156,7 +158,7 @@ class Page(SimpleHTTPRequestHandler):
 
 def series_of(bag: Path, wanted: set[str]) -> Series:
     """Series by the names that PlotJuggler gives them, of those wanted."""
-    found: Series = {}
+    series: Series = {}
     with BagReader(bag) as reader:
         begin = None
         for record in reader.records():
@@ -164,8 +166,8 @@ def series_of(bag: Path, wanted: set[str]) -> Series:
             time = (record.log_time_ns - begin) / NANOSECONDS
             for name, value in _numbers(record.topic, record.message, wanted):
                 if name in wanted:
-                    found.setdefault(name, []).append((time, value))
-    return found
+                    series.setdefault(name, []).append((time, value))
+    return series
 
 
 def _numbers(topic: str, message: Any, wanted: set[str]) -> Iterator[tuple[str, float]]:
@@ -179,10 +181,10 @@ def _numbers(topic: str, message: Any, wanted: set[str]) -> Iterator[tuple[str, 
                     yield f"{topic}/{name}/{field}", float(value)
     elif kind == DIAGNOSTICS_TYPE:
         for status in message.status:
-            for each in status.values:
-                name = "/".join(filter(None, (topic, status.hardware_id, status.name, each.key)))
+            for entry in status.values:
+                name = "/".join(filter(None, (topic, status.hardware_id, status.name, entry.key)))
                 try:
-                    yield name, float(each.value)
+                    yield name, float(entry.value)
                 except ValueError:
                     continue
     else:

@@ -65,8 +65,8 @@ def drive(data: LiveData) -> float:
                     if shown in WATCHED:
                         data.take(shown, message, now)
     now = begin + SECONDS
-    found = breakdown_messages(new_message, int(now * NANOSECONDS), chain.estimator.breakdown())
-    for shown, message in found:
+    messages = breakdown_messages(new_message, int(now * NANOSECONDS), chain.estimator.breakdown())
+    for shown, message in messages:
         data.take(shown, message, now)
     condition = Condition(WELL, 0.0, 0, None)
     name, level, text, values = estimator_status(chain.estimator.status(), condition)

@@ -96,14 +96,14 @@ def page() -> str:
     vehicle = load_vehicle("bmw_i3")
     given = [*readings(vehicle)]
     driven = intervals(given, vehicle)
-    interval = max(driven, key=lambda one: float(one.steps.kinetic.sum()))
+    interval = max(driven, key=lambda piece: float(piece.steps.kinetic.sum()))
     equation = Equation(vehicle)
     done = passed(equation, interval, 0.0)
     row, before = done.journey.row, initial_state(equation)
     after, innovation = learn(before, equation, done)
     whole = before
-    for one in driven:
-        whole, _ = learn(whole, equation, passed(equation, one, whole.seconds))
+    for piece in driven:
+        whole, _ = learn(whole, equation, passed(equation, piece, whole.seconds))
     products = {state: row[state] * equation.mean[state] for state in SHOWN}
     predicted = float(row @ equation.mean)
     mixtures = [state.mixture() for state in (before, after, whole)]

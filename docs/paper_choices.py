@@ -99,10 +99,10 @@ def row(title: str, adam: Adam, epochs: int) -> str:
     score = power_score(own.predicted_power(adam.network, held), held.power, own.scale)
     losses = own.losses(own.validation, adam.network, adam.log_scale.detach())
     values = own.values(adam.log_scale)
-    found = combinations(values, own.vehicle.frontal_area, RegenForm.RECOVERY)
+    determined = combinations(values, own.vehicle.frontal_area, RegenForm.RECOVERY)
     return (
         f"| {title} | {losses.total:.4f} | {losses.data:.4f} | {score.r2:.3f} | "
-        f"{found['mass_over_eta']:.0f} | {values.mu:.3f} | {values.c_rr:.4f} |"
+        f"{determined['mass_over_eta']:.0f} | {values.mu:.3f} | {values.c_rr:.4f} |"
     )
 
 
@@ -110,15 +110,17 @@ def fit_rows(log: DriveLog, vehicle: Vehicle) -> list[str]:
     """Fits of the readings of eq. 21 by least squares, without any network."""
     rows = []
     for form in RegenForm:
-        one = Problem(log, vehicle, random_split(len(log.time), 0), form=form, dtype=torch.float64)
-        fit = one.fit(one.training, one.training.power)
-        values = one.values(fit.log_scale)
-        found = combinations(values, vehicle.frontal_area, RegenForm.RECOVERY)
-        held = chosen_rows(log, one.split.validation)
-        score = power_score(least_squares_power(one)[0], held.power, one.scale)
+        problem = Problem(
+            log, vehicle, random_split(len(log.time), 0), form=form, dtype=torch.float64
+        )
+        fit = problem.fit(problem.training, problem.training.power)
+        values = problem.values(fit.log_scale)
+        determined = combinations(values, vehicle.frontal_area, RegenForm.RECOVERY)
+        held = chosen_rows(log, problem.split.validation)
+        score = power_score(least_squares_power(problem)[0], held.power, problem.scale)
         rows.append(
             f"| {form.value} | {score.rmse_w:.0f} | {score.r2:.4f} | "
-            f"{found['mass_over_eta']:.0f} | {values.mu:.3f} | {values.c_rr:.4f} |"
+            f"{determined['mass_over_eta']:.0f} | {values.mu:.3f} | {values.c_rr:.4f} |"
         )
     return rows
 

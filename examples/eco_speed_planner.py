@@ -153,13 +153,13 @@ def all_candidates(
     return made[:number]
 
 
-def difference(answers: list[Answer], one: int, other: int) -> tuple[float, float]:
+def difference(answers: list[Answer], first: int, other: int) -> tuple[float, float]:
     """Energy of one candidate beyond another, J, and its 1-sigma, NaN where unknown."""
-    if one == other:
+    if first == other:
         return 0.0, 0.0
-    if other in answers[one].more:
-        return answers[one].more[other]
-    less, sigma = answers[other].more.get(one, (math.nan, math.nan))
+    if other in answers[first].more:
+        return answers[first].more[other]
+    less, sigma = answers[other].more.get(first, (math.nan, math.nan))
     return -less, sigma
 
 

@@ -61,14 +61,14 @@ def door_of(module: str) -> str:
 @cache
 def imports(name: str) -> list[str]:
     """The full name of everything a module imports, at its top or inside a function."""
-    found: list[str] = []
+    modules: list[str] = []
     for node in ast.walk(tree(name)):
         if isinstance(node, ast.Import):
-            found += (alias.name for alias in node.names)
+            modules += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert not node.level, f"{name}: a relative import"
-            found += (f"{node.module}.{alias.name}" for alias in node.names)
-    return found
+            modules += (f"{node.module}.{alias.name}" for alias in node.names)
+    return modules
 
 
 @cache

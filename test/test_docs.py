@@ -43,8 +43,8 @@ def test_links_lead_somewhere(page):
     for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)", page.read_text()):
         if "://" in target:
             continue
-        found = page.parent / target if target else page
-        if not found.exists() or (anchor and anchor not in anchors(found.read_text())):
+        linked = page.parent / target if target else page
+        if not linked.exists() or (anchor and anchor not in anchors(linked.read_text())):
             missing.append(f"{target}#{anchor}")
     assert not missing
 
@@ -52,7 +52,7 @@ def test_links_lead_somewhere(page):
 def anchors(text: str) -> set[str]:
     """Where a link into a page may lead, by the names that forges give headings."""
     headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", each.lower()).replace(" ", "-") for each in headings}
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 def test_the_index_has_every_page():
@@ -77,11 +77,11 @@ def test_the_ready_layouts_show_topics_that_exist(name):
 
 def equations_named(text: str) -> set[int]:
     """Numbers of equations after `eq.`, single or as a range."""
-    found: set[int] = set()
+    numbers: set[int] = set()
     for group in re.findall(r"[Ee]q\. ([\d, to and-]+)", text):
         for first, last in re.findall(r"(\d+)(?:(?:-| to )(\d+))?", group):
-            found |= set(range(int(first), int(last or first) + 1))
-    return found
+            numbers |= set(range(int(first), int(last or first) + 1))
+    return numbers
 
 
 def test_every_equation_is_where_the_page_says():

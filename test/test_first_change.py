@@ -19,8 +19,8 @@ LEFT_OUT = shutil.ignore_patterns(".*", "build", "install", "log", "out", "*.egg
 
 def block(language: str) -> str:
     """The one block of code in this language, without its indentation."""
-    (found,) = re.findall(rf"^   ```{language}\n(.*?)^   ```$", PAGE, re.DOTALL | re.MULTILINE)
-    return dedent(found)
+    (text,) = re.findall(rf"^   ```{language}\n(.*?)^   ```$", PAGE, re.DOTALL | re.MULTILINE)
+    return dedent(text)
 
 
 @pytest.fixture

@@ -177,6 +177,6 @@ def test_commands_are_ones_that_the_command_line_takes(page):
 @pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.stem)
 def test_every_fence_is_one_that_is_understood(page):
     text = page.read_text()
-    found = FENCED.findall(text)
-    assert {language for language, _ in found} <= {"bash", "csv", "python", "yaml", ""}
-    assert text.count("```") == 2 * len(found), "indented, or not closed: it would not be run"
+    fences = FENCED.findall(text)
+    assert {language for language, _ in fences} <= {"bash", "csv", "python", "yaml", ""}
+    assert text.count("```") == 2 * len(fences), "indented, or not closed: it would not be run"

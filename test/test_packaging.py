@@ -316,9 +316,9 @@ def linked(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.nightly
 def test_a_workspace_of_links_runs_what_is_in_its_source(linked: Path) -> None:
     code = "from evpinn_ros.common import package_data as data; print(data.__file__)"
-    found = Path(in_workspace(linked, sys.executable, "-c", code).strip())
+    path = Path(in_workspace(linked, sys.executable, "-c", code).strip())
     name = "evpinn_ros/common/package_data.py"
-    assert found.resolve() == (linked.parent / "src" / "evpinn_ros" / name).resolve()
+    assert path.resolve() == (linked.parent / "src" / "evpinn_ros" / name).resolve()
     assert "replay" in in_workspace(linked, "evpinn_ros/lib/evpinn_ros/evpinn", "--help")
     shown = in_workspace(linked, "evpinn_ros/lib/evpinn_ros/evpinn", "vehicles")
     assert "bmw_i3" in shown
@@ -333,8 +333,8 @@ def test_colcon_test_runs_the_tests(installed: Path, source: Path) -> None:
     which = ("--return-code-on-test-failure", "--pytest-args", "test/common/test_errors.py")
     home = os.environ | {"COLCON_HOME": str(space)}
     run(*colcon, "test", "--paths", source, *bases, *which, cwd=space, env=home)
-    found = run(*colcon, "test-result", "--all", "--test-result-base", space / "build", env=home)
-    assert re.search(r"Summary: [1-9]\d* tests, 0 errors, 0 failures", found)
+    result = run(*colcon, "test-result", "--all", "--test-result-base", space / "build", env=home)
+    assert re.search(r"Summary: [1-9]\d* tests, 0 errors, 0 failures", result)
 
 
 def container_steps() -> list[tuple[str, str]]:

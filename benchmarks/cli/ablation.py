@@ -157,7 +157,7 @@ def ablation(
     rows: list[VariantRow] = []
     with json_at_the_end(json_file, lambda: list(map(asdict, rows))):
         read = [read_car(data, key) for key in keys]
-        tasks = [(each, car, range(seeds)) for car in read for each in VARIANTS]
+        tasks = [(variant, car, range(seeds)) for car in read for variant in VARIANTS]
         for row in in_parallel("variants", jobs, score, tasks):
             rows.append(row)
     for key in keys:

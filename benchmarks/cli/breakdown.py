@@ -72,7 +72,7 @@ def breakdown(
     Example: evpinn bench breakdown --drives 30
     """
     limit_blas_threads()
-    found: list[PartCheck] = []
+    part_rows: list[PartCheck] = []
     seeds = range(FIRST_SEED, FIRST_SEED + drives)
     if heights:
         checks = height_checks(heights, cars.split(","), drives)
@@ -95,10 +95,10 @@ def breakdown(
     try:
         with progress_bar("drives", drives, unit="drives") as progress:
             for check in checks:
-                found.append(check)
-                progress(len(found) if heights or alone else check.seed - FIRST_SEED + 1)
+                part_rows.append(check)
+                progress(len(part_rows) if heights or alone else check.seed - FIRST_SEED + 1)
     finally:  # Ctrl-C leaves the drives so far
-        rows = part_summaries(found)
+        rows = part_summaries(part_rows)
         show(table_of("", rows, COLUMNS), at_least=WIDTH)
         if json_file is not None:
             write_json(json_file, [asdict(row) for row in rows])

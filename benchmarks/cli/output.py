@@ -55,13 +55,13 @@ def in_parallel(
 
 
 @contextmanager
-def json_at_the_end(path: Path | None, found: Callable[[], Any]) -> Iterator[None]:
+def json_at_the_end(path: Path | None, document: Callable[[], Any]) -> Iterator[None]:
     """Write what was found so far, also where Ctrl-C or an error ends the block."""
     try:
         yield
     finally:
         if path is not None:
-            write_json(path, found())
+            write_json(path, document())
 
 
 def table_of(
@@ -78,7 +78,7 @@ def table_of(
     """
     headers = [header for header, _ in columns]
     objects = (row if type(row) is tuple else (row,) for row in rows)
-    cells = ([cell.format(*each) for _, cell in columns] for each in objects)
+    cells = ([cell.format(*record) for _, cell in columns] for record in objects)
     return PlainTable(title, headers, cells, words=headers[:left])
 
 

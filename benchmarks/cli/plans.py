@@ -38,8 +38,8 @@ def plans(
     rows: list[Any] = []
     roads: list[Any] = []
     with json_at_the_end(metrics, lambda: [asdict(row) for row in (*rows, *roads)]):
-        for found in in_parallel("plans of cars", jobs, plan_scores, tasks):
-            rows += found
+        for car_scores in in_parallel("plans of cars", jobs, plan_scores, tasks):
+            rows += car_scores
         for more in in_parallel("distance to empty of cars", jobs, empty_scores, tasks):
             roads += more
     show(table_of("Plans", rows, PLAN_COLUMNS, left=3), at_least=TABLE_WIDTH)

@@ -84,12 +84,15 @@ Scores = Mapping[str, Mapping[str, VariantRow]]
 
 def alternatives() -> list[Variant]:
     """The core as it is, and with one constant at a time replaced."""
-    return [Variant(PRODUCT), *(each for setting in SETTINGS for each in setting.variants()[1:])]
+    return [
+        Variant(PRODUCT),
+        *(variant for setting in SETTINGS for variant in setting.variants()[1:]),
+    ]
 
 
 def others(car: str, cars: Iterable[str]) -> list[str]:
     """The cars that may choose constants for a car."""
-    return [each for each in cars if _one(each) != _one(car)]
+    return [other for other in cars if _one(other) != _one(car)]
 
 
 def choose(scores: Scores, judges: Sequence[str]) -> dict[ConstantPlace, Any]:
@@ -100,7 +103,9 @@ def choose(scores: Scores, judges: Sequence[str]) -> dict[ConstantPlace, Any]:
     """
     changes: dict[ConstantPlace, Any] = {}
     for setting in SETTINGS:
-        likeliest = max(setting.variants(), key=lambda each: support(scores, judges, each.name))
+        likeliest = max(
+            setting.variants(), key=lambda variant: support(scores, judges, variant.name)
+        )
         changes |= likeliest.changes  # the first where they tie, the product's
     return changes
 
@@ -157,11 +162,11 @@ def settings(
     chosen: dict[str, list[Variant]] = {}
     with json_at_the_end(metrics, lambda: _found(scores, chosen, finals)):
         recorded = list(in_parallel("cars read", jobs, read_car, [(data, key) for key in keys]))
-        tasks = [(each, car) for car in recorded for each in alternatives()]
+        tasks = [(variant, car) for car in recorded for variant in alternatives()]
         for row in in_parallel("alternatives on cars", jobs, score, tasks):
             scores[row.car][row.variant] = row
         chosen |= {key: final_variants(scores, key) for key in keys}
-        tasks = [(each, car) for car in recorded for each in chosen[car.key]]
+        tasks = [(variant, car) for car in recorded for variant in chosen[car.key]]
         for row in in_parallel("chosen constants", jobs, score, tasks):
             finals[row.car][row.variant] = row
         _show_alternatives(scores)
@@ -174,10 +179,10 @@ def _found(
     return {
         "alternatives": [asdict(row) for rows in scores.values() for row in rows.values()],
         "chosen": [
-            {"changes": changes_text(each.changes), **asdict(finals[key][each.name])}
+            {"changes": changes_text(variant.changes), **asdict(finals[key][variant.name])}
             for key, variants in chosen.items()
-            for each in variants
-            if each.name in finals[key]
+            for variant in variants
+            if variant.name in finals[key]
         ],
     }
 
@@ -196,9 +201,9 @@ def _show_alternatives(scores: Scores) -> None:
 
 def _show_chosen(chosen: Mapping[str, Sequence[Variant]], finals: Scores) -> None:
     changes = {
-        (key, each.name): changes_text(each.changes) or "-"
+        (key, variant.name): changes_text(variant.changes) or "-"
         for key, variants in chosen.items()
-        for each in variants
+        for variant in variants
     }
     columns = (
         ("car", "{0.car}"),

@@ -143,38 +143,38 @@ def speed(
     Example: evpinn bench speed --plans 300
     """
     limit_blas_threads()
-    found: dict[str, Any] = {"load_average": os.getloadavg()[0]}
-    with json_at_the_end(json_file, lambda: found):
-        found["replay"] = _replay(seconds)
-        found["library"] = _library()
+    figures: dict[str, Any] = {"load_average": os.getloadavg()[0]}
+    with json_at_the_end(json_file, lambda: figures):
+        figures["replay"] = _replay(seconds)
+        figures["library"] = _library()
         if find_spec("rclpy") is None:
             note("rclpy is not installed: plans over DDS are left out")
         else:
-            found["plans"] = _plans(plans)
+            figures["plans"] = _plans(plans)
 
 
 def _replay(seconds: float) -> dict[str, float]:
-    found = measure_replay(load_vehicle(CAR), seconds)
+    load = measure_replay(load_vehicle(CAR), seconds)
     rows = [
-        ("times real time", f"{found.realtime_factor:.0f}", "1000"),
-        ("a sample", f"{found.sample_us:.0f} us", "90 us"),
-        ("a step of a Kalman filter", f"{found.kalman_us:.0f} us", ""),
-        ("  replay over that", f"{found.sample_us / found.kalman_us:.0f}", "10"),
+        ("times real time", f"{load.realtime_factor:.0f}", "1000"),
+        ("a sample", f"{load.sample_us:.0f} us", "90 us"),
+        ("a step of a Kalman filter", f"{load.kalman_us:.0f} us", ""),
+        ("  replay over that", f"{load.sample_us / load.kalman_us:.0f}", "10"),
     ]
     show(figures_table(f"Replay of {seconds:.0f} s at 10 Hz with learning, one core", rows))
-    return found._asdict()
+    return load._asdict()
 
 
 def _library() -> dict[str, float]:
-    found = measure_throughput(load_vehicle(CAR))
+    throughput = measure_throughput(load_vehicle(CAR))
     rows = [
-        ("vehicle file, numpy", f"{found.vehicle_file_ms:.0f} ms", "100 ms"),
-        ("learned model, numpy", f"{found.learned_ms:.0f} ms", "100 ms"),
-        ("learned model, torch", f"{found.torch_ms:.0f} ms", ""),
-        ("  with the gradient", f"{found.torch_gradient_ms:.0f} ms", ""),
+        ("vehicle file, numpy", f"{throughput.vehicle_file_ms:.0f} ms", "100 ms"),
+        ("learned model, numpy", f"{throughput.learned_ms:.0f} ms", "100 ms"),
+        ("learned model, torch", f"{throughput.torch_ms:.0f} ms", ""),
+        ("  with the gradient", f"{throughput.torch_gradient_ms:.0f} ms", ""),
     ]
     show(figures_table(f"{BATCH} profiles of {POINTS} points, one core", rows))
-    return found._asdict()
+    return throughput._asdict()
 
 
 def _plans(plans: int) -> dict[str, Any]:

@@ -61,16 +61,16 @@ def truth(
 
 
 def _compare(figures: dict[str, Any], compared: Iterable[TruthCheck], drives: int) -> None:
-    found: list[TruthCheck] = []
+    checks: list[TruthCheck] = []
     try:
         with progress_bar("drives", drives, unit="drives") as progress:
-            for one in compared:
-                found.append(one)
-                progress(one.seed - FIRST_SEED)
+            for check in compared:
+                checks.append(check)
+                progress(check.seed - FIRST_SEED)
     finally:  # and the drives so far
-        if found:
-            _show(figures, summaries(found))
-            figures["unobservable"] = _unobservable(found)
+        if checks:
+            _show(figures, summaries(checks))
+            figures["unobservable"] = _unobservable(checks)
             say(figures["unobservable"])
 
 
@@ -79,9 +79,11 @@ def _show(figures: dict[str, Any], rows: list[TruthSummary]) -> None:
     show(table_of("", rows, COLUMNS))
 
 
-def _unobservable(found: Sequence[TruthCheck]) -> str:
+def _unobservable(checks: Sequence[TruthCheck]) -> str:
     """In how many drives C_d was shown as not informed by the data, at the end."""
-    end = max(one.seconds for one in found)
-    shares = [one.prior_share for one in found if one.name == "c_d" and one.seconds == end]
+    end = max(check.seconds for check in checks)
+    shares = [
+        check.prior_share for check in checks if check.name == "c_d" and check.seconds == end
+    ]
     flagged = sum(share > UNOBSERVABLE_ABOVE for share in shares)
     return f"C_d flagged as unobservable: {flagged} of {len(shares)} drives"

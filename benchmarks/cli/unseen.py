@@ -67,18 +67,18 @@ def unseen(
         note("evpinn: fastsim is not installed, so there are no cars by FASTSim")
     chosen = _chosen(names_in(cars), there)
     tasks = [Task(data, car, name) for car in chosen for name in names]
-    found: dict[str, Any] = {}
+    by_car: dict[str, Any] = {}
     with (
-        json_at_the_end(json_file, lambda: {"data": data, "cars": found}),
+        json_at_the_end(json_file, lambda: {"data": data, "cars": by_car}),
         progress_bar("methods on cars", len(tasks), unit="done") as progress,
     ):
         for number, result in enumerate(run_tasks(tasks, jobs), start=1):
-            _add(found, result)
+            _add(by_car, result)
             progress(number)
-            entry = found[result.task.car]
+            entry = by_car[result.task.car]
             if len(entry["methods"]) == len(names):
                 _show(result.task.car, entry, names)
-    _show_goals(found)
+    _show_goals(by_car)
 
 
 def _chosen(wanted: Sequence[str], there: Sequence[str]) -> Sequence[str]:
@@ -88,14 +88,14 @@ def _chosen(wanted: Sequence[str], there: Sequence[str]) -> Sequence[str]:
     return wanted or there
 
 
-def _add(found: dict[str, Any], result: TaskResult) -> None:
+def _add(by_car: dict[str, Any], result: TaskResult) -> None:
     fresh = {
         "vehicle": result.vehicle,
         "drives": result.drives,
         "hours": round(result.hours, 3),
         "methods": {},
     }
-    entry = found.setdefault(result.task.car, fresh)
+    entry = by_car.setdefault(result.task.car, fresh)
     entry["methods"][result.task.method] = result.scores
 
 
@@ -112,9 +112,9 @@ def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
         show(truth_table(methods), at_least=TABLE_WIDTH)
 
 
-def _show_goals(found: dict[str, Any]) -> None:
+def _show_goals(by_car: dict[str, Any]) -> None:
     """Goals over all cars that the core was scored on."""
-    rows = {car: entry["methods"] for car, entry in found.items()}
+    rows = {car: entry["methods"] for car, entry in by_car.items()}
     core = {car: methods[CORE] for car, methods in rows.items() if CORE in methods}
     core = {car: scores for car, scores in core.items() if "carried" in scores}
     beside = {car: methods[WEAK_LS] for car, methods in rows.items() if WEAK_LS in methods}

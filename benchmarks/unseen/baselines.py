@@ -114,7 +114,7 @@ class EnergyPerKilometre(PriorAlone):
         power = energy / distance * abs(step.speed) if known else self.power(step)
         self._unmeasured += power * step.dt
         shares = [e * distance / (d * energy) - 1 for e, d in self._drives if d > 0 and energy]
-        squares = self.WEIGHT * self.START**2 + sum(each**2 for each in shares)
+        squares = self.WEIGHT * self.START**2 + sum(part**2 for part in shares)
         share = math.sqrt(squares / (self.WEIGHT + len(shares)))
         sigma = share * abs(self._unmeasured)
         return Prediction(step.middle_ns, float(power), energy_sigma=sigma)

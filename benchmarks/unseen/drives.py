@@ -197,7 +197,9 @@ def _own_folder(key: str) -> Folder:
 def _drives(paths: Sequence[Path], car: Vehicle, folder: Folder) -> Iterator[UnseenDrive]:
     for path in paths:
         source = open_source(path, car, ReadOptions(folder.can_profile))
-        readings = tuple(each for each in source.readings() if not isinstance(each, folder.hidden))
+        readings = tuple(
+            reading for reading in source.readings() if not isinstance(reading, folder.hidden)
+        )
         for number, part in enumerate(split(readings), start=1):
             drive = UnseenDrive(f"{path.name.split('.')[0]}{LOG_PART}{number}", part)
             if drive.spans:

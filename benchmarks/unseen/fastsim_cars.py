@@ -84,7 +84,7 @@ def fastsim_truth(traces: list[FastsimDrive], vehicle: Vehicle) -> dict[str, flo
         seconds, climb = np.diff(trace.seconds), np.diff(trace.height)
         moved = Moved.between(trace.speed[:-1], trace.speed[1:], seconds, climb)
         parts.append((*moved, trace.power[1:] * seconds))
-    *columns, energy = (np.concatenate(each) for each in zip(*parts, strict=True))
+    *columns, energy = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     first = traces[0]
     return noise_free_truth(Moved(*columns), energy, first.p_aux, vehicle, first.air_density)
 
@@ -97,8 +97,8 @@ def _drive(
         fastsim.Vehicle.from_resource(car), fastsim_cycle(seconds, speed, slope)
     )
     drive.run()
-    found = drive.to_dict()["veh"]
-    course, battery = found["history"], found["pt_type"]["BEV"]["res"]["history"]
+    vehicle = drive.to_dict()["veh"]
+    course, battery = vehicle["history"], vehicle["pt_type"]["BEV"]["res"]["history"]
     return FastsimDrive(
         seconds,
         np.array(course["speed_ach_meters_per_second"]),

@@ -41,8 +41,8 @@ def car_table(cars: Mapping[str, Scores], beside: Mapping[str, Scores]) -> Plain
     for car, scores in cars.items():
         ratios = (_ratio(scores, beside.get(car, {}), part) for part in list(PARTS)[:2])
         inside = (_value(scores, part, "inside_90_percent") for part in PARTS)
-        table.add_row(car, *(_text(each, ".2f") for each in ratios),
-                      *(_text(each, ".0f") for each in inside))  # fmt: skip
+        table.add_row(car, *(_text(percent, ".2f") for percent in ratios),
+                      *(_text(percent, ".0f") for percent in inside))  # fmt: skip
     return table
 
 
@@ -57,10 +57,10 @@ def figures(
     """
     for (part, group), goal in GOALS.items():
         there = [car for car in group if car in cars]
-        found = _known(_value(cars[car], part, CRPS) for car in there)
-        if found:
-            name = f"CRPS {PARTS[part]}, geometric mean of {len(found)} of {len(group)} cars"
-            yield f"{name} ({group[0]}, ...)", f"{geometric_mean(found):.2f} %", f"{goal:g} %"
+        crps = _known(_value(cars[car], part, CRPS) for car in there)
+        if crps:
+            name = f"CRPS {PARTS[part]}, geometric mean of {len(crps)} of {len(group)} cars"
+            yield f"{name} ({group[0]}, ...)", f"{geometric_mean(crps):.2f} %", f"{goal:g} %"
     ratios = _known(
         _ratio(cars[car], beside.get(car, {}), part) for car in cars for part in list(PARTS)[:2]
     )
@@ -92,8 +92,8 @@ def _ratio(scores: Scores, beside: Scores, part: str) -> float | None:
 
 
 def _value(scores: Scores, part: str, key: str) -> float | None:
-    found = scores.get(part)
-    value: float | None = found[key] if found else None
+    part_scores = scores.get(part)
+    value: float | None = part_scores[key] if part_scores else None
     return value
 
 

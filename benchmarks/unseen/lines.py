@@ -72,11 +72,11 @@ class Line:
         breaks = np.flatnonzero(np.diff(self.time) > self.gap)
         begins = np.concatenate(([0], breaks + 1))
         ends = np.concatenate((breaks, [self.time.size - 1]))
-        found = [
+        spans = [
             DrivePart(float(self.time[i]), float(self.time[j]))
             for i, j in zip(begins, ends, strict=True)
         ]
-        return [span for span in found if span.length > 0]
+        return [span for span in spans if span.length > 0]
 
     def integral(self, time: np.ndarray) -> np.ndarray:
         """Integral from the first sample to times, gaps left out; exact for a straight line."""
@@ -104,9 +104,9 @@ def battery_power(readings: Iterable[Reading], start_ns: int) -> Line:
     need no pairing.
     """
     rows = [
-        ((each.stamp_ns - start_ns) / NANOSECONDS, each.voltage, each.current)
-        for each in readings
-        if isinstance(each, BatteryReading)
+        ((reading.stamp_ns - start_ns) / NANOSECONDS, reading.voltage, reading.current)
+        for reading in readings
+        if isinstance(reading, BatteryReading)
     ]
     time, voltage, current = np.array(rows, dtype=float).reshape(-1, 3).T
     volts, amperes = Line(time, voltage), Line(time, current)
@@ -118,9 +118,9 @@ def battery_power(readings: Iterable[Reading], start_ns: int) -> Line:
 def speed_line(readings: Iterable[Reading], start_ns: int) -> Line:
     """Speed, m/s."""
     rows = [
-        ((each.stamp_ns - start_ns) / NANOSECONDS, each.speed)
-        for each in readings
-        if isinstance(each, SpeedReading)
+        ((reading.stamp_ns - start_ns) / NANOSECONDS, reading.speed)
+        for reading in readings
+        if isinstance(reading, SpeedReading)
     ]
     return Line(*np.array(rows, dtype=float).reshape(-1, 2).T)
 

@@ -84,11 +84,11 @@ class OnlineChain:
 
         C_rr m/eta is the product of two of them, whose errors are taken as independent.
         """
-        found = self._chain.estimator.parameters()
-        value, std = found.identifiable, found.identifiable_std
+        estimates = self._chain.estimator.parameters()
+        value, std = estimates.identifiable, estimates.identifiable_std
         rolling = value.c_rr * value.mass_over_eta
         share = math.hypot(std.c_rr / value.c_rr, std.mass_over_eta / value.mass_over_eta)
-        p_aux = found.parameters["p_aux"]
+        p_aux = estimates.parameters["p_aux"]
         return {
             "mass_over_eta": (value.mass_over_eta, std.mass_over_eta),
             "regeneration": (value.regeneration, std.regeneration),

@@ -59,5 +59,5 @@ def noise_free_truth(
     *steps, moving = sums
     whole_steps, equation = Moved(*steps), Equation(vehicle)
     wheels = equation.wheels(**whole_steps._asdict(), density=air_density)
-    found = combinations(equation, wheels, whole_steps.duration, moving)
-    return found | {"p_aux": p_aux}
+    values = combinations(equation, wheels, whole_steps.duration, moving)
+    return values | {"p_aux": p_aux}

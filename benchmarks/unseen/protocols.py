@@ -69,15 +69,15 @@ def cuts(drive: UnseenDrive, step: float) -> list[Cut]:
     begins = list(np.arange(FIRST_CUT, last + 1e-6, step))
     if last - begins[-1] < step / 2 and len(begins) > 1:
         begins[-1] = np.floor(last)
-    found = [Cut(float(begin), DROPOUT) for begin in begins]
+    short = [Cut(float(begin), DROPOUT) for begin in begins]
     apart = np.arange(FIRST_CUT, drive.duration - LONG_DROPOUT, LONG_DROPOUT)
-    return [*found, *(Cut(float(begin), LONG_DROPOUT) for begin in apart)]
+    return [*short, *(Cut(float(begin), LONG_DROPOUT) for begin in apart)]
 
 
 def run_car(car: UnseenCar, factory: Factory) -> CarRun:
     """Predict and learn all drives of a car in order."""
     method = factory(car.vehicle)
-    found = CarRun([], [], [], [], {})
+    run = CarRun([], [], [], [], {})
     step = SPARSE_STEP if car.hours > MANY_HOURS else CUT_STEP
     for number, drive in enumerate(car.drives):
         if number:
@@ -85,11 +85,11 @@ def run_car(car: UnseenCar, factory: Factory) -> CarRun:
         if drive.distance >= LEAST_DISTANCE:
             whole = DrivePart(0.0, drive.duration)
             track = predicted(copy.deepcopy(method), drive, 0, whole, [])
-            found.carried.append(ScoredPart(drive.name, whole, score_part(drive, track, whole)))
+            run.carried.append(ScoredPart(drive.name, whole, score_part(drive, track, whole)))
         for part, scored in _through(method, drive, cuts(drive, step)):
-            getattr(found, part).append(scored)
-    found.combinations.update(method.combinations())
-    return found
+            getattr(run, part).append(scored)
+    run.combinations.update(method.combinations())
+    return run
 
 
 def _through(

@@ -61,8 +61,8 @@ def find_method(name: str) -> Factory:
     spec.loader.exec_module(module)
     if not hasattr(module, attribute):
         raise InputError(f"{path}: holds no '{attribute}'{near_names(attribute, vars(module))}")
-    found: Factory = getattr(module, attribute)
-    return found
+    method: Factory = getattr(module, attribute)
+    return method
 
 
 def run_task(task: Task) -> TaskResult:

@@ -130,11 +130,11 @@ def crps(error: float, sigma: float) -> float:
 def score_part(drive: UnseenDrive, track: Track, span: DrivePart) -> PartScore:
     """Score the predictions of a part of a drive."""
     spans = common(drive.spans, [span])
-    seconds = sum(each.length for each in spans)
-    answered = sum(each.length for each in common(spans, track.power.spans()))
+    seconds = sum(part.length for part in spans)
+    answered = sum(part.length for part in common(spans, track.power.spans()))
     covered = answered / seconds if seconds else 0.0
-    net = sum(drive.power.over(each) for each in spans)
-    gross = sum(drive.power.gross(each) for each in spans)
+    net = sum(drive.power.over(part) for part in spans)
+    gross = sum(drive.power.gross(part) for part in spans)
     if covered < LEAST_COVERED:
         return PartScore(covered, net, gross, math.nan, math.nan, (0.0, 0), {}, {}, math.nan)
     time = _sample_times(drive, spans)
@@ -184,17 +184,17 @@ def _ages(
     drive: UnseenDrive, track: Track, span: DrivePart, age: np.ndarray, error: np.ndarray
 ) -> dict[float, AgeScore]:
     """Errors around each age, and of the energy up to it."""
-    found = {}
-    for each in AGES:
-        upto = DrivePart(span.begin, span.begin + each)
+    by_age = {}
+    for age_s in AGES:
+        upto = DrivePart(span.begin, span.begin + age_s)
         known = common(drive.spans, [upto])
         if upto.end > span.end + 1e-6 or not known:
             continue
-        near = error[(age >= each / AGE_BAND) & (age < AGE_BAND * each)]
+        near = error[(age >= age_s / AGE_BAND) & (age < AGE_BAND * age_s)]
         energy = track.energy_over(known) - sum(drive.power.over(part) for part in known)
         gross = sum(drive.power.gross(part) for part in known)
-        found[each] = AgeScore(float(np.sum(near**2)), near.size, abs(energy), gross)
-    return found
+        by_age[age_s] = AgeScore(float(np.sum(near**2)), near.size, abs(energy), gross)
+    return by_age
 
 
 def _absolute(time: np.ndarray, error: np.ndarray) -> float:

@@ -27,10 +27,10 @@ def summary(run: CarRun) -> dict[str, Any]:
         "dropout_600": _energies(run.long),
         "online": _online(run),
         "by_battery_age": _by_age(run),
-        "drives": [_one(each) for each in run.carried],
-        "cuts": [_one(each) for each in (*run.withheld, *run.long)],
+        "drives": [_one(part) for part in run.carried],
+        "cuts": [_one(part) for part in (*run.withheld, *run.long)],
         "combinations": {
-            name: list(map(_number, each)) for name, each in run.combinations.items()
+            name: list(map(_number, pair)) for name, pair in run.combinations.items()
         },
     }
 
@@ -42,15 +42,17 @@ def _energies(parts: Sequence[ScoredPart]) -> dict[str, Any] | None:
     by the measured gross energy of the part. `rmse_w` is the mean over the parts, `rmse_pooled_w`
     and those of means are over all samples.
     """
-    known = [each.score for each in parts if each.score.gross > 0]
+    known = [part.score for part in parts if part.score.gross > 0]
     scores = [score for score in known if score.valid]
     if not scores or len(scores) < (1 - MOST_LEFT_OUT) * len(known):
         return None
-    by_net = np.array([100 * abs(one.error / one.net) if one.net else math.nan for one in scores])
-    by_gross = np.array([100 * abs(one.error) / one.gross for one in scores])
-    widths = [200 * QUANTILE_90 * one.sigma / one.gross for one in scores]
-    bounded = [one for one in scores if math.isfinite(one.sigma)]
-    inside = 100 * np.mean([one.inside_90 for one in bounded]) if bounded else math.nan
+    by_net = np.array(
+        [100 * abs(score.error / score.net) if score.net else math.nan for score in scores]
+    )
+    by_gross = np.array([100 * abs(score.error) / score.gross for score in scores])
+    widths = [200 * QUANTILE_90 * score.sigma / score.gross for score in scores]
+    bounded = [score for score in scores if math.isfinite(score.sigma)]
+    inside = 100 * np.mean([score.inside_90 for score in bounded]) if bounded else math.nan
     return {
         "parts": len(scores),
         "left_out": len(known) - len(scores),
@@ -61,12 +63,12 @@ def _energies(parts: Sequence[ScoredPart]) -> dict[str, Any] | None:
         "bias_percent": _number(100 * sum(o.error for o in scores) / sum(o.gross for o in scores)),
         "inside_90_percent": _number(inside),
         "width_90_percent": _number(np.median(widths)),
-        "crps_percent": _mean([100 * one.crps / one.gross for one in bounded]),
-        "log_score": _mean([one.log_score for one in bounded]),
-        "rmse_w": _number(np.mean([one.rmse for one in scores])),
-        "rmse_pooled_w": _pooled([one.squares for one in scores]),
+        "crps_percent": _mean([100 * score.crps / score.gross for score in bounded]),
+        "log_score": _mean([score.log_score for score in bounded]),
+        "rmse_w": _number(np.mean([score.rmse for score in scores])),
+        "rmse_pooled_w": _pooled([score.squares for score in scores]),
         "means_w": {
-            f"{length:g}": _pooled([one.means[length] for one in scores]) for length in MEANS
+            f"{length:g}": _pooled([score.means[length] for score in scores]) for length in MEANS
         },
     }
 
@@ -77,13 +79,13 @@ def _by_log(carried: Sequence[ScoredPart]) -> dict[str, float | None] | None:
     Drives that run downhill have a net energy near zero, which no percentage is of use for.
     """
     logs: dict[str, list[PartScore]] = {}
-    known = [each for each in carried if each.score.valid]
-    for each in known:
-        logs.setdefault(each.drive.split(LOG_PART)[0], []).append(each.score)
+    known = [part for part in carried if part.score.valid]
+    for part in known:
+        logs.setdefault(part.drive.split(LOG_PART)[0], []).append(part.score)
     if len(known) < (1 - MOST_LEFT_OUT) * len(carried) or len(logs) in (0, len(known)):
         return None
     errors = [
-        100 * abs(sum(one.error for one in scores) / sum(one.net for one in scores))
+        100 * abs(sum(score.error for score in scores) / sum(score.net for score in scores))
         for scores in logs.values()
     ]
     return {
@@ -95,43 +97,45 @@ def _by_log(carried: Sequence[ScoredPart]) -> dict[str, float | None] | None:
 
 def _online(run: CarRun) -> dict[str, Any] | None:
     """Errors of power while the battery is measured; its energy is then no prediction."""
-    found = _energies(run.online)
-    return found and {name: found[name] for name in ("parts", "rmse_pooled_w", "means_w")}
+    energies = _energies(run.online)
+    return energies and {name: energies[name] for name in ("parts", "rmse_pooled_w", "means_w")}
 
 
 def _by_age(run: CarRun) -> dict[str, dict[str, float | None] | None]:
     """RMSE, W, and error of the energy since the last battery sample, percent of gross."""
-    found: dict[str, dict[str, float | None] | None] = {ONLINE_AGE: None}
-    online = [each.score for each in run.online if each.score.valid]
+    by_age: dict[str, dict[str, float | None] | None] = {ONLINE_AGE: None}
+    online = [part.score for part in run.online if part.score.valid]
     if online:
-        absolute, gross = (sum(getattr(one, n) for one in online) for n in ("absolute", "gross"))
-        found[ONLINE_AGE] = {
-            "rmse_w": _pooled([one.squares for one in online]),
+        absolute, gross = (
+            sum(getattr(score, n) for score in online) for n in ("absolute", "gross")
+        )
+        by_age[ONLINE_AGE] = {
+            "rmse_w": _pooled([score.squares for score in online]),
             "energy_percent": _number(100 * absolute / gross),
         }
-    scores = [each.score for each in (*run.withheld, *run.long)]
+    scores = [part.score for part in (*run.withheld, *run.long)]
     for age in AGES:
-        found[f"{age:g}"] = _at_age(scores, age)
-    return found
+        by_age[f"{age:g}"] = _at_age(scores, age)
+    return by_age
 
 
 def _at_age(scores: Sequence[PartScore], age: float) -> dict[str, float | None] | None:
     ages = [score.ages[age] for score in scores if age in score.ages]
-    gross = sum(one.gross for one in ages)
+    gross = sum(at_age.gross for at_age in ages)
     if not gross:
         return None
     return {
-        "rmse_w": _pooled([(one.squares, one.samples) for one in ages]),
-        "energy_percent": _number(100 * sum(one.energy_error for one in ages) / gross),
+        "rmse_w": _pooled([(at_age.squares, at_age.samples) for at_age in ages]),
+        "energy_percent": _number(100 * sum(at_age.energy_error for at_age in ages) / gross),
     }
 
 
-def _one(each: ScoredPart) -> dict[str, Any]:
-    score = each.score
+def _one(part: ScoredPart) -> dict[str, Any]:
+    score = part.score
     return {
-        "drive": each.drive,
-        "from_s": round(each.span.begin, 3),
-        "to_s": round(each.span.end, 3),
+        "drive": part.drive,
+        "from_s": round(part.span.begin, 3),
+        "to_s": round(part.span.end, 3),
         "covered": _number(score.covered),
         "net_j": _number(score.net),
         "gross_j": _number(score.gross),

@@ -123,7 +123,9 @@ def powertrain(key: str) -> Powertrain:
     element = ElementTree.parse(path).getroot().find("vType")
     if element is None:
         raise InputError(f"{path}: holds no vehicle type")
-    parameters = {each.attrib["key"]: each.attrib["value"] for each in element.iter("param")}
+    parameters = {
+        parameter.attrib["key"]: parameter.attrib["value"] for parameter in element.iter("param")
+    }
     return Powertrain(element.attrib["id"], float(element.attrib["mass"]), parameters)
 
 

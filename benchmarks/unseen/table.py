@@ -75,18 +75,18 @@ def truth_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
     """Bias, percent (W for p_aux), and how often the 95 % interval holds the truth."""
     table = PlainTable("", ("bias %; 95 % covers %", *TRUTH_COLUMNS.values()))
     for name, scores in methods.items():
-        found = scores["truth"]
-        if found:
-            cells = (_truth_cell(key, found.get(key)) for key in TRUTH_COLUMNS)
+        truth = scores["truth"]
+        if truth:
+            cells = (_truth_cell(key, truth.get(key)) for key in TRUTH_COLUMNS)
             table.add_row(name, *cells)
     return table
 
 
-def _truth_cell(name: str, found: Mapping[str, Any] | None) -> str:
-    if found is None:
+def _truth_cell(name: str, row: Mapping[str, Any] | None) -> str:
+    if row is None:
         return "-"
-    bias = f"{found['bias']:+.0f} W" if name == "p_aux" else f"{found['bias_percent']:+.1f}"
-    return f"{bias}; {found['covered_percent']:.0f}"
+    bias = f"{row['bias']:+.0f} W" if name == "p_aux" else f"{row['bias_percent']:+.1f}"
+    return f"{bias}; {row['covered_percent']:.0f}"
 
 
 def _cell(scores: Mapping[str, Any] | None, key: str, form: str = "1f") -> str:
@@ -94,8 +94,8 @@ def _cell(scores: Mapping[str, Any] | None, key: str, form: str = "1f") -> str:
     return "-" if value is None else format(value, f".{form}")
 
 
-def _pair(scores: Mapping[str, Any] | None, one: str, two: str, form: str = "1f") -> str:
-    return f"{_cell(scores, one, form)}; {_cell(scores, two, form)}"
+def _pair(scores: Mapping[str, Any] | None, first: str, two: str, form: str = "1f") -> str:
+    return f"{_cell(scores, first, form)}; {_cell(scores, two, form)}"
 
 
 def _means(scores: Mapping[str, Any] | None) -> str:

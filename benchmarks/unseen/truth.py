@@ -48,17 +48,17 @@ class Error(NamedTuple):
     covered: bool
 
 
-def errors(found: Mapping[str, Estimate], truth: Mapping[str, float]) -> dict[str, Error]:
+def errors(estimates: Mapping[str, Estimate], truth: Mapping[str, float]) -> dict[str, Error]:
     """Errors of what a method says of a car, by name; of what is known of both."""
-    known = [name for name in NAMES if name in found and name in truth]
-    return {name: _error(name, found[name], truth[name]) for name in known}
+    known = [name for name in NAMES if name in estimates and name in truth]
+    return {name: _error(name, estimates[name], truth[name]) for name in known}
 
 
 def truth_summary(drives: Sequence[Mapping[str, Error]]) -> dict[str, dict[str, Any]]:
     """Bias, median size of the error and coverage of each quantity over drives."""
     summary = {}
     for name in NAMES:
-        rows = [each[name] for each in drives if name in each]
+        rows = [drive[name] for drive in drives if name in drive]
         if rows:
             percent = np.array([row.percent for row in rows])
             summary[name] = {
@@ -73,14 +73,14 @@ def truth_summary(drives: Sequence[Mapping[str, Error]]) -> dict[str, dict[str, 
 
 def run_truth(key: str, factory: Factory) -> dict[str, dict[str, Any]]:
     """Let a fresh method learn each of `DRIVES` drives, each of another car."""
-    found = []
+    rows = []
     for drive in truth_drives(key):
         method = factory(drive.vehicle)
         for reading in drive.readings:
             for _ in method.add_reading(reading) or ():
                 pass
-        found.append(errors(method.combinations(), true_combinations(drive)))
-    return truth_summary(found)
+        rows.append(errors(method.combinations(), true_combinations(drive)))
+    return truth_summary(rows)
 
 
 @lru_cache(maxsize=1)
@@ -112,12 +112,12 @@ def carried_drives() -> Iterator[tuple[Reading, ...]]:
 
 def true_combinations(drive: SimulatedDrive) -> dict[str, float]:
     """The truth of a simulated drive."""
-    found = drive.truth.identifiable
+    combinations = drive.truth.identifiable
     return {
-        "mass_over_eta": float(found.mass_over_eta),
-        "regeneration": float(found.regeneration),
-        "rolling_over_eta": float(found.c_rr * found.mass_over_eta),
-        "drag_area_over_eta": float(found.drag_area_over_eta),
+        "mass_over_eta": float(combinations.mass_over_eta),
+        "regeneration": float(combinations.regeneration),
+        "rolling_over_eta": float(combinations.c_rr * combinations.mass_over_eta),
+        "drag_area_over_eta": float(combinations.drag_area_over_eta),
         "p_aux": float(np.mean(drive.trace.auxiliary)),
     }
 
@@ -147,8 +147,8 @@ def dynamometer_truth(mass: float, force: tuple[float, float, float]) -> dict[st
     speed, weight = driving.speed, np.sqrt(driving.seconds * driving.speed)
     wanted = np.polynomial.polynomial.polyval(speed * KMH_PER_MPS, force)
     terms = np.stack((np.full_like(speed, GRAVITY), DENSITY / 2.0 * speed**2), axis=1)
-    found = np.linalg.lstsq(weight[:, None] * terms, weight * wanted, rcond=None)[0]
-    rolling, area = (found / ETA).tolist()
+    solution = np.linalg.lstsq(weight[:, None] * terms, weight * wanted, rcond=None)[0]
+    rolling, area = (solution / ETA).tolist()
     return {
         "mass_over_eta": mass / ETA,
         "rolling_over_eta": rolling,

@@ -199,11 +199,13 @@ class WeakFormLeastSquares:
         1/eta holds the loss with force squared, by its share of the energy that was spent in
         driving so far; so does the share that comes back in braking.
         """
-        found = self._combined(self.mean)
-        gradient = np.array([self._combined(self.mean + each) - found for each in self._nudges])
+        combined = self._combined(self.mean)
+        gradient = np.array(
+            [self._combined(self.mean + nudge) - combined for nudge in self._nudges]
+        )
         sizes = np.diag(self._nudges)[:, None]
         std = np.sqrt(np.diag((gradient / sizes).T @ self.covariance @ (gradient / sizes)))
-        pairs = zip(found.tolist(), std.tolist(), strict=True)
+        pairs = zip(combined.tolist(), std.tolist(), strict=True)
         return dict(zip(NAMES, pairs, strict=True))
 
     def _combined(self, mean: np.ndarray) -> np.ndarray:

@@ -135,8 +135,9 @@ def forecast(
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always", UserWarning)
             plan = read_plan(path, own, read_options)
-        for warning in (each for each in warned if each.category is UserWarning):
-            note(f"evpinn: {path}: {warning.message}")
+        for warning in warned:
+            if warning.category is UserWarning:
+                note(f"evpinn: {path}: {warning.message}")
         forecasts.append(planned_energy(plan, car, given))
     rows = [
         _figures(path, planned, forecasts[0])

@@ -134,7 +134,11 @@ def replay(
             note(f"evpinn: {state} does not exist yet: the car starts from its vehicle file")
         open_input = partial(car.open, options=read_options)
         first, unreadable = _opened(open_input, inputs, whole)
-        again = (one for _ in range(loop - 1) for one in _opened(open_input, inputs, whole)[0])
+        again = (
+            opened_source
+            for _ in range(loop - 1)
+            for opened_source in _opened(open_input, inputs, whole)[0]
+        )
         with Interruption() as interruption:
             try:
                 paths = [source.path for source in first] * loop

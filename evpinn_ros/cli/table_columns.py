@@ -20,7 +20,7 @@ PRETTY = {
     **dict.fromkeys(("w", "watt", "watts"), "W"),
     **dict.fromkeys(("c", "degc", "°c", "℃"), "°C"),
     **dict.fromkeys(("f", "degf", "°f", "℉"), "°F"),
-    **{each.lower(): each for each in ("mV", "mA", "kW", "kWh", "100W", "250W", "50W")},
+    **{unit.lower(): unit for unit in ("mV", "mA", "kW", "kWh", "100W", "250W", "50W")},
 }
 
 

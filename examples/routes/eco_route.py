@@ -63,16 +63,16 @@ def roads() -> pd.DataFrame:
 
 def ways(edges: pd.DataFrame) -> tuple[Way, Way, ev.EdgeEnergies]:
     """The fastest and the cheapest way from west to east, and the energies of all roads."""
-    found = ev.edge_energies(edges, VEHICLE, temperature_c=20.0)
+    energies = ev.edge_energies(edges, VEHICLE, temperature_c=20.0)
     seconds = (3.6 * edges.length_m / edges.speed_kmh).to_dict()
     ends = (0, FAST_ROW), (SIDE - 1, FAST_ROW)
 
     def way(costs: Mapping[Road, float]) -> Way:
         roads = least(costs, *ends)
-        energy, sigma = found.route(roads)
+        energy, sigma = energies.route(roads)
         return Way(roads, sum(map(seconds.get, roads)) / 60.0, energy / KWH, sigma / KWH)
 
-    return way(seconds), way(found.table.energy_j.to_dict()), found
+    return way(seconds), way(energies.table.energy_j.to_dict()), energies
 
 
 def least(costs: Mapping[Road, float], start: Crossing, goal: Crossing) -> list[Road]:
@@ -151,11 +151,11 @@ def _drive(folder: Path, roads: Sequence[Road]) -> float:
 def main() -> None:
     """Print both ways, and what SUMO says of them."""
     edges = roads()
-    fastest, cheapest, found = ways(edges)
+    fastest, cheapest, energies = ways(edges)
     for name, way in (("fastest", fastest), ("cheapest", cheapest)):
         length = f"{len(way.roads) * SPACING / 1e3:5.1f} km {way.minutes:5.1f} min"
         print(f"{name:9}{length} {way.energy:6.3f} +- {way.sigma:.3f} kWh")
-    more, sigma = found.difference(fastest.roads, cheapest.roads)
+    more, sigma = energies.difference(fastest.roads, cheapest.roads)
     print(f"The fastest takes {more / KWH:.3f} +- {sigma / KWH:.3f} kWh more.")
     if all(importlib.util.find_spec(name) for name in ("sumo", "libsumo")):
         driven = sumo_energies(edges, (fastest, cheapest))

@@ -63,9 +63,9 @@ def learned(table, tmp_path_factory) -> tuple[ev.Result, Path]:
 
 
 def without_timing(metrics: dict) -> dict:
-    found = json.loads(json.dumps(metrics, allow_nan=False))
-    del found["replay"], found["updates"]["p50_ms"], found["updates"]["p99_ms"]
-    return found
+    plain = json.loads(json.dumps(metrics, allow_nan=False))
+    del plain["replay"], plain["updates"]["p50_ms"], plain["updates"]["p99_ms"]
+    return plain
 
 
 def test_numbers_are_the_commands_to_the_bit(result, tmp_path):
@@ -86,10 +86,10 @@ def test_frames_hold_what_the_scores_are_of(result):
     withheld = result.energy[result.energy.index > 60.0]
     spent = withheld.iloc[-1] - withheld.iloc[0]
     for name in ("measured_j", "predicted_j", "rknn_j"):
-        found = result.metrics["withheld"]["energy"][name]
-        assert spent[name] == pytest.approx(found, rel=0.01)  # but for the edges
+        joules = result.metrics["withheld"]["energy"][name]
+        assert spent[name] == pytest.approx(joules, rel=0.01)  # but for the edges
     assert result.parameters["value"].to_dict() == {
-        name: each["value"] for name, each in result.metrics["parameters"].items()
+        name: estimate["value"] for name, estimate in result.metrics["parameters"].items()
     }
     last = result.learning.iloc[-1]
     assert last["mass", "std"] == result.parameters.loc["mass", "std"]
@@ -115,18 +115,19 @@ def test_a_gap_adds_nothing_to_measured_energy(table, tmp_path):
 def test_a_drive_without_a_battery_has_frames_of_what_is_known(table, tmp_path):
     rows = pd.read_csv(table)[["t_s", "speed_mps"]].iloc[:100].assign(power_w=np.nan)
     rows.to_csv(tmp_path / "speed.csv", index=False)
-    found = ev.replay(tmp_path / "speed.csv")
-    assert found.power["measured_w"].isna().all() and found.power["smoothed_w"].notna().any()
-    assert found.energy["measured_j"].isna().all() and found.breakdown["kwh"].isna().all()
-    assert len(found.parameters) == 6 and found.forecasts.empty
+    result = ev.replay(tmp_path / "speed.csv")
+    assert result.power["measured_w"].isna().all() and result.power["smoothed_w"].notna().any()
+    assert result.energy["measured_j"].isna().all() and result.breakdown["kwh"].isna().all()
+    assert len(result.parameters) == 6 and result.forecasts.empty
 
 
 def test_samples_one_by_one_give_what_a_replay_gives(table, learned, tmp_path):
     result, car = learned[0], ev.Estimator()
     with table.open() as file:
-        found = [car.add(**{k: float(v) for k, v in row.items()}) for row in csv.DictReader(file)]
+        rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
     predicted = result.power["predicted_w"].dropna()
-    live = pd.Series({each.t_s: each.power_w for each in found if each is not None})
+    now = filter(None, (car.add(**row) for row in rows))
+    live = pd.Series({prediction.t_s: prediction.power_w for prediction in now})
     np.testing.assert_allclose(live, predicted, rtol=1e-9)
     car._chain.estimator.finish()  # a replay knows where its drive ends
     pd.testing.assert_frame_equal(car.parameters, result.parameters)
@@ -158,7 +159,9 @@ def test_a_state_keeps_what_was_learned_of_the_battery(tmp_path):
     assert again.account.gauge.capacity == car.account.gauge.capacity
     time = np.arange(0.0, 601.0)
     plan = {"t_s": time, "speed_mps": np.minimum(25.0, 1.25 * time)}
-    ends = [ev.forecast(plan, each, charge_pct=80.0).iloc[-1] for each in (car, again, CAR)]
+    ends = [
+        ev.forecast(plan, known_car, charge_pct=80.0).iloc[-1] for known_car in (car, again, CAR)
+    ]
     drops = [80.0 - end["charge_pct"] for end in ends]
     assert drops[1] == pytest.approx(drops[0], rel=0.1) and drops[1] > 1.3 * drops[2]
     assert again.account.since_reset().distance == 0.0  # another trip
@@ -179,7 +182,7 @@ def test_a_state_is_carried_from_drive_to_drive(table, learned, tmp_path):
     state = tmp_path / "car.json"
     state.write_bytes(before.read_bytes())
     second = ev.replay(table, state=state)
-    drives = [read_state(each)["learned"]["learner"]["car"]["drives"] for each in (before, state)]
+    drives = [read_state(path)["learned"]["learner"]["car"]["drives"] for path in (before, state)]
     assert drives[1] > drives[0] and read_state(state)["learned"]["vehicle"] == "generic"
     assert (first.parameters["value"] != second.parameters["value"]).any()
     with pytest.raises(ev.InputError, match="saved for"):
@@ -189,26 +192,26 @@ def test_a_state_is_carried_from_drive_to_drive(table, learned, tmp_path):
 def test_a_plan_costs_what_the_batch_forecast_says(result):
     time = np.arange(0.0, 300.0)
     speed = 15.0 * np.minimum(1.0, np.minimum(time, time[-1] - time) / 15)
-    found = ev.forecast({"t_s": time, "speed_mps": speed}, CAR)
+    forecast = ev.forecast({"t_s": time, "speed_mps": speed}, CAR)
     batch = forecast_profiles(Profiles(time, speed[np.newaxis]), ev.load_vehicle(CAR))
-    assert found["energy_j"].iloc[-1] == pytest.approx(batch.energy[0], rel=1e-3)
-    assert found["sigma_j"].iloc[-1] == pytest.approx(batch.sigma[0], rel=1e-2)
+    assert forecast["energy_j"].iloc[-1] == pytest.approx(batch.energy[0], rel=1e-3)
+    assert forecast["sigma_j"].iloc[-1] == pytest.approx(batch.sigma[0], rel=1e-2)
     learned = ev.forecast({"t_s": time, "speed_mps": speed}, result)
-    assert learned["energy_j"].iloc[-1] != found["energy_j"].iloc[-1]
+    assert learned["energy_j"].iloc[-1] != forecast["energy_j"].iloc[-1]
     windy = ev.forecast({"t_s": time, "speed_mps": speed}, CAR, head_wind=10.0)
-    assert windy["energy_j"].iloc[-1] > found["energy_j"].iloc[-1]
+    assert windy["energy_j"].iloc[-1] > forecast["energy_j"].iloc[-1]
 
 
 def test_the_charge_along_a_plan_is_that_of_the_node(result):
     """At its end; before, it falls with the energy, and rises where the car brakes."""
     time = np.arange(0.0, 421.0)
     trip = {"t_s": time, "speed_mps": np.interp(time, [0, 15, 400, 420], [0, 20, 20, 0])}
-    found = ev.forecast(trip, result)
+    forecast = ev.forecast(trip, result)
     account, end = result.account, plan.planned_energy(trip, result).energies
     after = account.battery.after(end, account.charge(), account.gauge.capacity).charge
-    assert found["charge_pct"].iloc[-1] == pytest.approx(100 * after.value, abs=1e-9)
-    assert found["charge_sigma_pct"].iloc[-1] == pytest.approx(100 * after.sigma, rel=1e-9)
-    charge = found["charge_pct"].to_numpy()
+    assert forecast["charge_pct"].iloc[-1] == pytest.approx(100 * after.value, abs=1e-9)
+    assert forecast["charge_sigma_pct"].iloc[-1] == pytest.approx(100 * after.sigma, rel=1e-9)
+    charge = forecast["charge_pct"].to_numpy()
     assert charge[0] == 100 * account.charge().value and charge[400] < charge[15] < charge[0]
     assert charge[410] > charge[400]
 
@@ -235,10 +238,10 @@ def test_trips_of_a_day_are_results_that_learn_from_each_other(table, tmp_path):
     trip = pd.read_csv(table).iloc[:540]
     later = trip.assign(t_s=trip["t_s"] + 1800.0)
     first, second = ev.replay_trips(pd.concat([trip, later]), warm_up=10.0)
-    assert [len(each.power) > 100 for each in (first, second)] == [True, True]
+    assert [len(result.power) > 100 for result in (first, second)] == [True, True]
     alone = ev.replay(trip, warm_up=10.0)
     assert first.parameters.equals(alone.parameters)
-    begins = [each.learning["mass", "value"].iloc[0] for each in (first, second)]
+    begins = [result.learning["mass", "value"].iloc[0] for result in (first, second)]
     assert begins[0] != begins[1], "the second begins with what the first taught"
     assert first.account is not second.account
     with pytest.raises(ev.InputError):
@@ -259,15 +262,16 @@ def test_a_table_of_pandas_or_polars_is_a_drive(table):
         polars.Series("note", [object()] * rows, polars.Object),
     )
     first, *others = (
-        without_path(ev.replay(each, warm_up=5.0)) for each in (*tables, polars_table, other_kinds)
+        without_path(ev.replay(drive_table, warm_up=5.0))
+        for drive_table in (*tables, polars_table, other_kinds)
     )
     assert first["input"]["samples"] > 140 and others == [first] * 4
 
 
 def without_path(result: ev.Result) -> dict:
-    found = without_timing(result.metrics)
-    del found["input"]["path"]
-    return found
+    metrics = without_timing(result.metrics)
+    del metrics["input"]["path"]
+    return metrics
 
 
 def test_what_is_declared_is_there_and_documented():

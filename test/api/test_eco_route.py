@@ -19,22 +19,22 @@ def ways(example):
 
 
 def test_the_cheapest_way_takes_the_pass_and_saves_a_fifth(ways):
-    edges, fastest, cheapest, found = ways
-    assert (found.table.energy_j < 0).any()
+    edges, fastest, cheapest, energies = ways
+    assert (energies.table.energy_j < 0).any()
     assert cheapest.minutes > fastest.minutes and cheapest.energy < 0.85 * fastest.energy
     climbs = [max(edges.climb_m.to_dict()[road] for road in way.roads) for way in ways[1:3]]
     assert climbs[0] > 30.0 > climbs[1]
-    _, sigma = found.difference(fastest.roads, cheapest.roads)
+    _, sigma = energies.difference(fastest.roads, cheapest.roads)
     assert sigma < 0.8 * fastest.sigma * 3.6e6
 
 
 @pytest.mark.skipif(not (find_spec("sumo") and find_spec("libsumo")), reason="needs SUMO")
 def test_sumos_model_of_the_car_agrees_that_it_is_cheaper(example, ways):
     """By as much as the forecast says, within a sigma; each way within two."""
-    edges, fastest, cheapest, found = ways
+    edges, fastest, cheapest, energies = ways
     driven = example.sumo_energies(edges, (fastest, cheapest))
     for way, energy in zip((fastest, cheapest), driven, strict=True):
         assert abs(way.energy - energy) < 2.0 * way.sigma
-    more, sigma = (each / 3.6e6 for each in found.difference(fastest.roads, cheapest.roads))
+    more, sigma = (joules / 3.6e6 for joules in energies.difference(fastest.roads, cheapest.roads))
     assert driven[0] > 1.15 * driven[1]
     assert abs(driven[0] - driven[1] - more) < sigma

@@ -36,10 +36,10 @@ def test_a_route_is_the_sum_and_what_is_shared_adds_up():
 
 
 def test_what_two_routes_share_cancels():
-    one, other = [("a", "b"), ("b", "c")], [("a", "b"), ("b", "c"), ("a", "c")]
-    more = FOUND.difference(other, one)
+    first, other = [("a", "b"), ("b", "c")], [("a", "b"), ("b", "c"), ("a", "c")]
+    more = FOUND.difference(other, first)
     assert more == pytest.approx(FOUND.route([("a", "c")]))
-    assert FOUND.difference(one, one) == (0.0, 0.0)
+    assert FOUND.difference(first, first) == (0.0, 0.0)
 
 
 def test_a_route_over_no_such_edge_is_refused():

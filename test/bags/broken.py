@@ -170,10 +170,10 @@ def _try(
     except InputError:  # nothing could be saved
         tally.missing += len(expected)
         return
-    found = Counter(messages_of(new / "new_0.mcap"))
+    messages = Counter(messages_of(new / "new_0.mcap"))
     original = Counter(message for block in blocks for message in block.messages)
-    tally.missing += (Counter(expected) - found).total()
-    tally.altered += (found - original).total()
-    tally.miscounted += report.messages != found.total()
+    tally.missing += (Counter(expected) - messages).total()
+    tally.altered += (messages - original).total()
+    tally.miscounted += report.messages != messages.total()
     with Reader(new) as reader:
         tally.unread += sum(1 for _ in reader.messages()) != report.messages

@@ -104,8 +104,8 @@ def test_a_broken_recording_gives_what_is_left_and_says_so(tmp_path):
     file = next(write(tmp_path / "bag", frames).glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     log = open_can_log(file)
-    found = list(log.frames())
-    assert 100 < len(found) < 1000 and found == frames[: len(found)]
+    read = list(log.frames())
+    assert 100 < len(read) < 1000 and read == frames[: len(read)]
     assert str(file) in log.problem
 
 

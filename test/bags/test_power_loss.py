@@ -44,9 +44,9 @@ class Disk:
 
         def replaced(source: Path, target: Path) -> Path:
             self._instant()
-            found = replace(source, target)
+            renamed = replace(source, target)
             self._instant()
-            return found
+            return renamed
 
         monkeypatch.setattr(os, "fsync", synced)
         monkeypatch.setattr(Path, "replace", replaced)
@@ -72,15 +72,15 @@ class Disk:
         """Inode and content of every name, as they are at one moment: others write meanwhile."""
         while True:
             names = self._names_now()
-            found = {}
+            contents = {}
             try:
                 for name in names:
                     with (self.folder / name).open("rb") as file:
-                        found[name] = os.fstat(file.fileno()).st_ino, file.read()
+                        contents[name] = os.fstat(file.fileno()).st_ino, file.read()
             except FileNotFoundError:
                 continue  # renamed since it was listed
             if names == self._names_now():
-                return found
+                return contents
 
     def _names_now(self) -> list[str]:
         there = self.folder.exists()
@@ -162,12 +162,12 @@ def test_a_recording_loses_its_last_second_at_most(tmp_path, monkeypatch, split)
         looks += 1
         try:
             with BagReader(copy) as bag:
-                found = [record.log_time_ns for record in bag.records()]
+                times_ns = [record.log_time_ns for record in bag.records()]
         except InputError:
-            found = []
+            times_ns = []
         wanted = [time for time in written if time <= written[-1] - 1000 * MILLI]
-        if found[: len(wanted)] != wanted or found != written[: len(found)]:
-            lost.append(f"{copy}: {len(found)} of {len(written)}, {len(wanted)} were wanted")
+        if times_ns[: len(wanted)] != wanted or times_ns != written[: len(times_ns)]:
+            lost.append(f"{copy}: {len(times_ns)} of {len(written)}, {len(wanted)} were wanted")
 
     with BagWriter(disk.folder, live=True, split=split) as bag:
         disk.at_every_instant(look)

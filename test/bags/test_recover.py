@@ -35,17 +35,17 @@ def saved(folder: Path, data: bytes):
     """The report and the messages of a recovery, read by rosbags as well."""
     (folder / "broken.mcap").write_bytes(data)
     (report,) = recover(folder / "broken.mcap", folder / "new")
-    found = messages_of(folder / "new" / "new_0.mcap")
+    messages = messages_of(folder / "new" / "new_0.mcap")
     with Reader(folder / "new") as reader:
-        assert sum(1 for _ in reader.messages()) == reader.message_count == len(found)
-    assert report.messages == len(found)
-    return report, found
+        assert sum(1 for _ in reader.messages()) == reader.message_count == len(messages)
+    assert report.messages == len(messages)
+    return report, messages
 
 
 def test_every_message_of_undamaged_chunks_comes_back():
-    found = list(campaign(24, 40_000))
-    assert len(found) == len(STORAGES) * len(FAULTS)
-    for *kind, tally in found:
+    tallies = list(campaign(24, 40_000))
+    assert len(tallies) == len(STORAGES) * len(FAULTS)
+    for *kind, tally in tallies:
         assert tally.cases == 2 and tally.messages > 0, kind
         assert (tally.missing, tally.miscounted, tally.unread) == (0, 0, 0), kind
         # No checksum covers the message that was hit where it is in no chunk.
@@ -55,8 +55,8 @@ def test_every_message_of_undamaged_chunks_comes_back():
 
 @pytest.mark.parametrize("storage", STORAGES)
 def test_a_whole_file_comes_back_whole(wholes, tmp_path, storage):
-    report, found = saved(tmp_path, wholes[storage].read_bytes())
-    assert found == messages_of(wholes[storage])
+    report, messages = saved(tmp_path, wholes[storage].read_bytes())
+    assert messages == messages_of(wholes[storage])
     assert report.whole and report.ended and report.lost_messages == 0
     assert report.unproven == (report.messages if storage == "loose" else 0)
 
@@ -66,16 +66,16 @@ def test_only_the_damaged_chunk_is_lost_and_told(wholes, tmp_path):
     chunks, data = chunks_of(path), bytearray(path.read_bytes())
     hit = chunks[2]
     data[hit.chunk_start_offset + hit.chunk_length // 2] ^= 1
-    report, found = saved(tmp_path, bytes(data))
+    report, messages = saved(tmp_path, bytes(data))
     whole = messages_of(path)
     times = range(hit.message_start_time, hit.message_end_time + 1)
-    assert found == [message for message in whole if message[1] not in times]
+    assert messages == [message for message in whole if message[1] not in times]
     (loss,) = report.losses
     assert (loss.begin, loss.end) == (
         hit.chunk_start_offset,
         hit.chunk_start_offset + hit.chunk_length,
     )
-    assert loss.messages == report.lost_messages == len(whole) - len(found)
+    assert loss.messages == report.lost_messages == len(whole) - len(messages)
     assert (loss.after_ns, loss.before_ns) == (
         chunks[1].message_end_time,
         chunks[3].message_start_time,
@@ -87,15 +87,15 @@ def test_only_the_damaged_chunk_is_lost_and_told(wholes, tmp_path):
 def test_bytes_that_are_overwritten_missing_or_inserted(wholes, tmp_path, storage, hole):
     """What is before them is saved; what is behind them as well where the index leads there."""
     data, whole = wholes[storage].read_bytes(), messages_of(wholes[storage])
-    report, found = saved(tmp_path, data[:50_000] + hole + data[50_512:])
-    assert not report.whole and found[0] == whole[0]
-    altered = len(set(found) - set(whole))
+    report, messages = saved(tmp_path, data[:50_000] + hole + data[50_512:])
+    assert not report.whole and messages[0] == whole[0]
+    altered = len(set(messages) - set(whole))
     assert altered <= (storage == "loose")  # no checksum covers the message that was hit
     if len(hole) == 512 and storage != "loose":
-        assert 0.6 * len(whole) < len(found) < len(whole) and found[-1] == whole[-1]
+        assert 0.6 * len(whole) < len(messages) < len(whole) and messages[-1] == whole[-1]
     else:
-        assert 0.2 * len(whole) < len(found) < len(whole)
-        assert found[:-1] == whole[: len(found) - 1]
+        assert 0.2 * len(whole) < len(messages) < len(whole)
+        assert messages[:-1] == whole[: len(messages) - 1]
 
 
 def test_topics_whose_definition_was_in_the_lost_chunk(wholes, tmp_path):
@@ -104,8 +104,8 @@ def test_topics_whose_definition_was_in_the_lost_chunk(wholes, tmp_path):
     first, data = chunks_of(path)[0], bytearray(path.read_bytes())
     data[first.chunk_start_offset + first.chunk_length - 3] ^= 1
     sound = [m for m in messages_of(path) if m[1] > first.message_end_time]
-    report, found = saved(tmp_path, bytes(data))
-    assert found == sound and not report.unknown_topic
+    report, messages = saved(tmp_path, bytes(data))
+    assert messages == sound and not report.unknown_topic
     (tmp_path / "broken.mcap").write_bytes(data[:-10])
     with BagReader(tmp_path / "broken.mcap") as reader:
         assert not list(reader.raw_records())
@@ -117,8 +117,8 @@ def test_a_chunk_that_lies_about_its_size_is_refused(wholes, tmp_path, size):
     path = wholes["zstd"]
     hit, data = chunks_of(path)[1], bytearray(path.read_bytes())
     struct.pack_into("<Q", data, hit.chunk_start_offset + 9 + 16, size)
-    report, found = saved(tmp_path, bytes(data))
-    assert len(report.losses) == 1 and len(found) > 0.6 * len(messages_of(path))
+    report, messages = saved(tmp_path, bytes(data))
+    assert len(report.losses) == 1 and len(messages) > 0.6 * len(messages_of(path))
 
 
 def test_a_bomb_is_not_unpacked(tmp_path):
@@ -283,8 +283,8 @@ def test_records_of_other_programs_are_skipped(wholes, tmp_path):
     data, chunks = wholes["zstd"].read_bytes(), chunks_of(wholes["zstd"])
     own = b"\x80" + struct.pack("<Q", 5) + b"whose"
     at = chunks[1].chunk_start_offset
-    report, found = saved(tmp_path, data[:at] + own + data[at:])
-    assert report.losses == [] and found == messages_of(wholes["zstd"])
+    report, messages = saved(tmp_path, data[:at] + own + data[at:])
+    assert report.losses == [] and messages == messages_of(wholes["zstd"])
 
 
 def test_a_damaged_message_index_costs_nothing(wholes, tmp_path):
@@ -293,8 +293,8 @@ def test_a_damaged_message_index_costs_nothing(wholes, tmp_path):
     begin = hit.chunk_start_offset + hit.chunk_length
     for place in (begin, begin + 1, begin + 9, begin + 30, begin + hit.message_index_length - 3):
         (tmp_path / str(place)).mkdir()
-        report, found = saved(tmp_path / str(place), data[:place] + b"\xee" + data[place + 1 :])
-        assert found == messages_of(path)
+        report, messages = saved(tmp_path / str(place), data[:place] + b"\xee" + data[place + 1 :])
+        assert messages == messages_of(path)
         assert report.whole and report.lost_messages == 0 and report.lost_chunks == 0
 
 

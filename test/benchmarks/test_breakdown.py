@@ -23,8 +23,10 @@ def checks() -> list[PartCheck]:
 
 def test_parts_lie_within_their_sigmas(checks):
     """By chance 2.1 of seven parts of six drives lie outside of 95 %, more than 6 once in 200."""
-    parts = [one for one in checks if "+" not in one.name or one.name == "climate+standing"]
-    assert sum(not one.covered for one in parts) <= 6
+    parts = [
+        check for check in checks if "+" not in check.name or check.name == "climate+standing"
+    ]
+    assert sum(not check.covered for check in parts) <= 6
 
 
 def test_sigmas_are_not_so_wide_that_they_say_nothing(checks):
@@ -37,14 +39,14 @@ def test_sigmas_are_not_so_wide_that_they_say_nothing(checks):
 
 def test_sigmas_with_heights_are_narrow():
     kinds = [DriveKind.URBAN, DriveKind.HIGHWAY]
-    found = part_checks(
+    checks = part_checks(
         kinds, VEHICLES, range(8000, 8006), seconds=300.0, from_priors=True, altitude=True
     )
-    assert max(row.sigma_percent for row in part_summaries(found)) < 15.0
+    assert max(row.sigma_percent for row in part_summaries(checks)) < 15.0
 
 
 def test_all_parts_together_are_the_energy_drawn(checks):
-    errors = [one.kwh / one.true_kwh - 1.0 for one in checks if one.name == ALL]
+    errors = [check.kwh / check.true_kwh - 1.0 for check in checks if check.name == ALL]
     assert len(errors) == DRIVES
     assert np.abs(errors).max() < 0.02
 
@@ -56,7 +58,7 @@ def test_what_a_motor_shows_of_braking_is_not_what_the_brakes_took():
     same at any speed.
     """
     seed = 12_011
-    found = part_checks(
+    checks = part_checks(
         list(DriveKind),
         VEHICLES,
         range(seed, seed + 1),
@@ -66,14 +68,14 @@ def test_what_a_motor_shows_of_braking_is_not_what_the_brakes_took():
         temperature=True,
         motor_torque=True,
     )
-    away = {one.name: abs(one.kwh - one.true_kwh) / one.sigma_kwh for one in found}
+    away = {check.name: abs(check.kwh - check.true_kwh) / check.sigma_kwh for check in checks}
     assert max(away["brakes"], away["climate+standing"]) < 3.0
 
 
 def test_differences_of_two_drives_lie_within_their_sigmas():
     """Eight parts differ in each of two cars; braking and slopes stray most."""
-    found = list(difference_checks(VEHICLES, range(8100, 8102), seconds=240.0, altitude=True))
-    assert len(found) == 2 * len(Part)
-    assert all(abs(one.kwh - one.true_kwh) <= 4.0 * one.sigma_kwh + 1e-9 for one in found)
-    sigmas = {one.name: one.sigma_kwh / one.total_kwh for one in found}
+    checks = list(difference_checks(VEHICLES, range(8100, 8102), seconds=240.0, altitude=True))
+    assert len(checks) == 2 * len(Part)
+    assert all(abs(check.kwh - check.true_kwh) <= 4.0 * check.sigma_kwh + 1e-9 for check in checks)
+    sigmas = {check.name: check.sigma_kwh / check.total_kwh for check in checks}
     assert max(sigmas.values()) < 0.15

@@ -56,31 +56,33 @@ def as_planned(done: list[Interval]) -> list[Interval]:
         "load_known": weather.heating is not None,
         "doubted_load": 0.0,
     }
-    hilly = any(each.steps.climb.any() for each in done)
+    hilly = any(interval.steps.climb.any() for interval in done)
     return [
         replace(
-            each,
-            steps=each.steps._replace(motor_drive=np.full_like(each.steps.duration, math.nan)),
-            conditions=each.conditions._replace(**steady),
+            interval,
+            steps=interval.steps._replace(
+                motor_drive=np.full_like(interval.steps.duration, math.nan)
+            ),
+            conditions=interval.conditions._replace(**steady),
             height_known=hilly,
         )
-        for each in done
+        for interval in done
     ]
 
 
 def check_forecast_is_the_replay(model: CarModel, done: list[Interval]) -> None:
     done = as_planned(done)
     journey, seconds = NOWHERE, model.seconds
-    for each in done:
-        journey = journey.plus(passed(model.equation, each, seconds).journey)
-        seconds += each.duration
+    for interval in done:
+        journey = journey.plus(passed(model.equation, interval, seconds).journey)
+        seconds += interval.duration
     planned = PowerModel(model)
     # Early in a drive its heating may yet stray, which a replay does not count.
     energy, sigma = replace(model, covariance=planned.covariance).predicted(journey)
-    found = forecast_plan(plan_of(done, "1 s"), planned, weather_of(done, loads=True))
-    gross = sum(abs(each.energy) for each in done)
-    assert abs(found.energy[-1] - energy) < 0.005 * gross
-    assert found.sigma[-1] == pytest.approx(sigma, rel=0.01)
+    forecast = forecast_plan(plan_of(done, "1 s"), planned, weather_of(done, loads=True))
+    gross = sum(abs(interval.energy) for interval in done)
+    assert abs(forecast.energy[-1] - energy) < 0.005 * gross
+    assert forecast.sigma[-1] == pytest.approx(sigma, rel=0.01)
 
 
 def test_forecast_of_a_driven_speed_is_its_withheld_replay():

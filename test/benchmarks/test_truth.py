@@ -15,10 +15,10 @@ ONE = TruthCheck("bmw_i3", 1, 60, "mass", 1100.0, 60.0, 0.5, 1000.0)
 
 def test_intervals_of_cars_drawn_from_the_priors_are_true():
     """Twenty cars for two minutes; `evpinn bench truth --from-priors` has the figures."""
-    found = list(
+    checks = list(
         compare(DriveKind.URBAN, ["tesla_model_3_lr"], range(20), marks=(120,), from_priors=True)
     )
-    assert {one.name for one in found} == {*PARAMETER_NAMES, *IDENTIFIABLE_NAMES}
-    covered = np.mean([one.covered for one in found])
+    assert {check.name for check in checks} == {*PARAMETER_NAMES, *IDENTIFIABLE_NAMES}
+    covered = np.mean([check.covered for check in checks])
     # 180 intervals, at least 20 of them independent: 1-sigma of the share is at most 5 %.
     assert covered >= 0.95 - 3 * 0.05

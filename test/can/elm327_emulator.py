@@ -48,7 +48,7 @@ def spoiled(kind: str, answer: str) -> list[str]:
     lines = answer.split("<header>")[1:]
     if kind == "lossy":  # any line may be lost
         kept = [[line for line in lines if random.random() > 0.1] for _ in range(40)]
-        return ["".join(f"<header>{line}" for line in each) for each in kept]
+        return ["".join(f"<header>{line}" for line in kept_lines) for kept_lines in kept]
     if kind == "lying":  # half of what it says is of no car
         noise = (
             "<writeln>7EC 1</writeln><writeln>ELECTRIC 00 GG</writeln><writeln>7EC 30</writeln>"

@@ -210,8 +210,6 @@ def test_a_message_is_what_cantools_finds_in_the_whole_file(path):
 
 
 def _layout(message):
-    signals = [
-        (each.name, place_of(each), each.is_signed, each.is_float, each.scale, each.offset,
-         each.unit, each.is_multiplexer) for each in message.signals
-    ]  # fmt: skip
+    names = ("name", "is_signed", "is_float", "scale", "offset", "unit", "is_multiplexer")
+    signals = [(place_of(s), *(getattr(s, name) for name in names)) for s in message.signals]
     return message.name, message.frame_id, message.is_extended_frame, message.length, signals

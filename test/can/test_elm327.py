@@ -148,8 +148,8 @@ def adapter(monkeypatch):
         return made[-1]
 
     yield make
-    for each in made:
-        each.close()
+    for made_adapter in made:
+        made_adapter.close()
 
 
 def test_broadcast_frames_are_monitored_and_nothing_is_sent(adapter):

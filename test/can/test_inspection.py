@@ -31,7 +31,7 @@ def inspected(frames, bitrate=500_000):
 @pytest.mark.parametrize("name", sorted(PROFILES))
 def test_the_own_profile_of_every_simulated_bus_comes_first(name, reports):
     report = reports(name)
-    own = next(each for each in report.profiles if each.fit.profile == name)
+    own = next(profile for profile in report.profiles if profile.fit.profile == name)
     assert own.fit.score == report.best.fit.score and own.contradicted is None
     heard = [message for message in own.fit.messages if message.frames]
     assert len(heard) == len({*PROFILES[name].messages} - {*MOTORS})
@@ -75,9 +75,9 @@ def test_values_as_the_profile_reads_them():
         encoder.battery(BatteryReading(10 * MS * i, 390.0, current))
         for i, current in enumerate(currents)
     ]
-    found = inspected(frames).report().best.values
-    assert found.keys() == {"voltage", "current"}
-    current = found["current"]
+    values = inspected(frames).report().best.values
+    assert values.keys() == {"voltage", "current"}
+    current = values["current"]
     assert (current.count, current.newest, current.lowest, current.highest) == (3, -60, -60, 5)
 
 

@@ -89,8 +89,8 @@ def test_start_duration_and_loop(evpinn, folder):
     )
     assert done.returncode == 0, done.stderr
     first, second = json.loads((folder / "part.json").read_text())
-    for each in (first, second):
-        assert each["input"]["duration_s"] == pytest.approx(29.9)
+    for metrics in (first, second):
+        assert metrics["input"]["duration_s"] == pytest.approx(29.9)
     # The second turn knows what the first taught.
     assert second["parameters"]["p_aux"] != first["parameters"]["p_aux"]
     assert sorted(path.name for path in (folder / "parts").iterdir()) == ["001_my", "002_my"]
@@ -133,5 +133,5 @@ def test_a_bag_of_several_files_is_replayed(evpinn, folder):
         for connection, log_time_ns, data in reader.messages():
             writer.write_raw(connection.topic, connection.msgtype, bytes(data), log_time_ns)
     assert len(list((folder / "split").glob("*.mcap"))) == 18
-    found = json.loads(evpinn("info", "split", URBAN, "--json", cwd=folder).stdout)
-    assert found[0]["topics"] == found[1]["topics"]
+    document = json.loads(evpinn("info", "split", URBAN, "--json", cwd=folder).stdout)
+    assert document[0]["topics"] == document[1]["topics"]

@@ -65,14 +65,18 @@ def test_a_log_for_people(evpinn, folder):
 def test_a_log_for_scripts(evpinn, folder):
     done = evpinn("can", "inspect", "tesla_model_3.log", "--json", "--seconds", 2, cwd=folder)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["best"] == "tesla_model_3" == found["profiles"][0]["profile"]
-    assert found["frames"] == 301 and found["duration_s"] == 2.0 and found["bitrate"] == 500_000
-    battery, speed = found["ids"]
+    document = json.loads(done.stdout)
+    assert document["best"] == "tesla_model_3" == document["profiles"][0]["profile"]
+    assert (
+        document["frames"] == 301
+        and document["duration_s"] == 2.0
+        and document["bitrate"] == 500_000
+    )
+    battery, speed = document["ids"]
     assert (battery["id"], battery["lengths"]) == ("0x132", {"8": 201})
     assert speed["rate_hz"] == pytest.approx(50.0)
-    assert 0.0 < found["bus_load"]["least"] < found["bus_load"]["most"] < 0.1
-    first = found["profiles"][0]
+    assert 0.0 < document["bus_load"]["least"] < document["bus_load"]["most"] < 0.1
+    first = document["profiles"][0]
     assert first["verdict"] == "fits" and first["proven"]
     assert first["values"]["voltage"]["highest"] == pytest.approx(380.0)
     assert first["current_sign"] == {"told": False, "suspicion": None}
@@ -89,7 +93,7 @@ def test_a_profile_of_ones_own_is_ranked(evpinn, folder):
         cwd=folder,
     )
     profiles = json.loads(done.stdout)["profiles"]
-    assert {"my_car", "tesla_model_3"} == {each["profile"] for each in profiles[:2]}
+    assert {"my_car", "tesla_model_3"} == {profile["profile"] for profile in profiles[:2]}
 
 
 def test_a_damaged_log_shows_what_it_holds_and_fails(evpinn, folder):
@@ -129,9 +133,9 @@ def test_a_live_bus(folder, monkeypatch):
         command = ["can", "inspect", *options, *more, "--seconds", "4", "--json"]
         done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
-    found = json.loads(done.stdout)
-    assert found["best"] == "tesla_model_3" and found["frames"] == 400
-    assert found["source"] == f"udp_multicast {GROUP}"
+    document = json.loads(done.stdout)
+    assert document["best"] == "tesla_model_3" and document["frames"] == 400
+    assert document["source"] == f"udp_multicast {GROUP}"
 
 
 def heard_by_adapter(*options, cwd):

@@ -76,14 +76,14 @@ def test_replay_metrics_keep_the_contract(evpinn, folder):
     anew = "evpinn: state.json does not exist yet: the car starts from its vehicle file\n"
     assert done.stderr == anew
     assert "true value" in done.stdout and "baseline" in done.stdout
-    found = json.loads((folder / "found.json").read_text())
+    metrics = json.loads((folder / "found.json").read_text())
     for section, keys in METRIC_KEYS.items():
-        assert set(found[section]) == keys
-    assert set(found["withheld"]) == {"from_s", "power", "power_now", "energy"}
-    assert set(found["parameters"]) == {"eta", "mu", "mass", "c_rr", "c_d", "p_aux"}
+        assert set(metrics[section]) == keys
+    assert set(metrics["withheld"]) == {"from_s", "power", "power_now", "energy"}
+    assert set(metrics["parameters"]) == {"eta", "mu", "mass", "c_rr", "c_d", "p_aux"}
     keys = {"value", "std", "prior_share", "lower", "upper", "state"}
-    assert all(set(each) == keys for each in found["parameters"].values())
-    assert found["withheld"]["power"]["rmse_w"] > 0
+    assert all(set(estimate) == keys for estimate in metrics["parameters"].values())
+    assert metrics["withheld"]["power"]["rmse_w"] > 0
     report = (folder / "report.html").read_text()
     assert 'data-plot="power"' in report and "speed, mph" in report
     assert (folder / "learned" / "metadata.yaml").is_file()
@@ -128,8 +128,8 @@ def test_no_battery_is_said_and_predictions_go_on(evpinn, folder):
     assert done.returncode == 0
     (line,) = done.stderr.strip().splitlines()
     assert "no battery" in line
-    found = json.loads((folder / "speed.json").read_text())
-    assert found["energy"]["predicted_j"] > 0 and found["power"]["rmse_w"] is None
+    metrics = json.loads((folder / "speed.json").read_text())
+    assert metrics["energy"]["predicted_j"] > 0 and metrics["power"]["rmse_w"] is None
 
 
 def test_truncated_bag_is_replayed_as_far_as_it_goes(evpinn, folder):
@@ -138,9 +138,9 @@ def test_truncated_bag_is_replayed_as_far_as_it_goes(evpinn, folder):
     (folder / "cut.mcap").write_bytes(data[: len(data) * 6 // 10])
     done = evpinn("replay", "cut.mcap", "--metrics", "cut.json", "--warm-up", 5, cwd=folder)
     assert_fails_in_one_line(done, "cut.mcap")
-    found = json.loads((folder / "cut.json").read_text())
-    assert 15 < found["input"]["duration_s"] < 45
-    assert found["power"]["rmse_w"] > 0
+    metrics = json.loads((folder / "cut.json").read_text())
+    assert 15 < metrics["input"]["duration_s"] < 45
+    assert metrics["power"]["rmse_w"] > 0
 
 
 def test_results_before_a_bad_input_are_kept(evpinn, folder):
@@ -219,10 +219,10 @@ def test_parameter_file_reaches_the_cores(evpinn, folder):
 
 def test_vehicles_are_listed_found_and_shown(evpinn, folder):
     done = evpinn("vehicles", "search", "model", "3", "--json", cwd=folder)
-    found = {line["vehicle"]: line for line in json.loads(done.stdout)}
-    assert found["tesla_model_3_lr"]["from"] == "file"
-    assert found["tesla_model_3_rwd_2022"]["from"] == "certified"
-    assert found["tesla_model_3_rwd_2022"]["mass_kg"] == 1928
+    by_name = {line["vehicle"]: line for line in json.loads(done.stdout)}
+    assert by_name["tesla_model_3_lr"]["from"] == "file"
+    assert by_name["tesla_model_3_rwd_2022"]["from"] == "certified"
+    assert by_name["tesla_model_3_rwd_2022"]["mass_kg"] == 1928
     listed = evpinn("vehicles", cwd=folder)
     assert listed.returncode == 0 and len(listed.stdout.splitlines()) > 80
     shown = evpinn("vehicles", "show", "ioniq 5 rwd", cwd=folder)

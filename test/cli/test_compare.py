@@ -30,12 +30,14 @@ def test_two_drives_side_by_side(compared, drives):
 
 
 def test_the_same_for_scripts(compared, drives):
-    found = json.loads((drives / "c.json").read_text())
-    assert [each["name"] for each in found["drives"]] == ["mild", "cold"]
-    (difference,) = found["differences"]
+    document = json.loads((drives / "c.json").read_text())
+    assert [drive["name"] for drive in document["drives"]] == ["mild", "cold"]
+    (difference,) = document["differences"]
     assert (difference["drive"], difference["less"]) == ("cold", "mild")
-    one, other = (each["breakdown"]["measured"]["kwh_per_100km"] for each in found["drives"])
-    assert difference["breakdown"]["measured"]["kwh"] == pytest.approx(other - one)
+    first, other = (
+        drive["breakdown"]["measured"]["kwh_per_100km"] for drive in document["drives"]
+    )
+    assert difference["breakdown"]["measured"]["kwh"] == pytest.approx(other - first)
 
 
 def test_several_drives_of_a_replay_are_one_table(evpinn, drives):

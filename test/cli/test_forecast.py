@@ -36,15 +36,15 @@ def test_the_command_is_the_call_to_the_bit(evpinn, folder):
     assert done.returncode == 0, done.stderr
     assert "as learned in car.json" in done.stdout
     car = ev.Estimator(CAR, state=folder / "car.json")
-    found = json.loads((folder / "f.json").read_text())
-    for row in found:
+    document = json.loads((folder / "f.json").read_text())
+    for row in document:
         end = ev.forecast(folder / row["plan"], car, charge_pct=80.0).iloc[-1]
         names = ("distance_m", "energy_j", "sigma_j", "charge_pct", "charge_sigma_pct")
         assert [row[name] for name in names] == [end[name] for name in names]
-    more, sigma = (found[1][f"more_than_first_{name}"] for name in ("j", "sigma_j"))
-    assert more == pytest.approx(found[1]["energy_j"] - found[0]["energy_j"])
-    assert 0 < sigma < found[0]["sigma_j"] + found[1]["sigma_j"]
-    assert found[0]["more_than_first_j"] is None
+    more, sigma = (document[1][f"more_than_first_{name}"] for name in ("j", "sigma_j"))
+    assert more == pytest.approx(document[1]["energy_j"] - document[0]["energy_j"])
+    assert 0 < sigma < document[0]["sigma_j"] + document[1]["sigma_j"]
+    assert document[0]["more_than_first_j"] is None
 
 
 def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
@@ -56,10 +56,10 @@ def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
     given = ("--temperature", -10, "--head-wind", 5, "--charge", 60)
     done = evpinn("forecast", *plans, "--vehicle", CAR, *given, "--json", "f.json", cwd=folder)
     assert done.returncode == 0 and done.stderr == "", done.stderr
-    found = json.loads((folder / "f.json").read_text())
-    assert [round(row["distance_m"] / 100) for row in found] == [80, 162, 9, 80, 26]
+    document = json.loads((folder / "f.json").read_text())
+    assert [round(row["distance_m"] / 100) for row in document] == [80, 162, 9, 80, 26]
     conditions = {"temperature_c": -10.0, "head_wind": 5.0, "charge_pct": 60.0}
-    for row in found:
+    for row in document:
         end = ev.forecast(folder / row["plan"], CAR, **conditions).iloc[-1]
         assert row["energy_j"] == end["energy_j"] and row["charge_pct"] == end["charge_pct"]
         mild = ev.forecast(folder / row["plan"], CAR).iloc[-1]

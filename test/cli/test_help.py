@@ -21,9 +21,9 @@ def commands(command=ROOT, path: str = "evpinn") -> Iterator[tuple[str, object]]
     if hasattr(command, "list_commands"):
         context = command.make_context(path, [], resilient_parsing=True)
         for name in command.list_commands(context):
-            found = command.get_command(context, name)
-            assert found is not None, f"{path} lists {name}"
-            yield from commands(found, f"{path} {name}")
+            subcommand = command.get_command(context, name)
+            assert subcommand is not None, f"{path} lists {name}"
+            yield from commands(subcommand, f"{path} {name}")
 
 
 COMMANDS = dict(commands())
@@ -41,20 +41,22 @@ def parse(command, words: list[str], parent=None) -> str:
     context = command.make_context(words[0], words[1:], parent=parent)
     if not hasattr(command, "resolve_command"):
         return words[0]
-    name, found, rest = command.resolve_command(context, words[1:])
-    return f"{words[0]} {parse(found, [name, *rest], context)}"
+    name, subcommand, rest = command.resolve_command(context, words[1:])
+    return f"{words[0]} {parse(subcommand, [name, *rest], context)}"
 
 
 @pytest.mark.parametrize("path", COMMANDS)
 def test_help_shows_an_example_that_the_command_line_takes(path: str) -> None:
-    found = examples(COMMANDS[path])
-    assert found, (
+    shown_examples = examples(COMMANDS[path])
+    assert shown_examples, (
         f"evpinn_ros/cli: the docstring of `{path}` has no paragraph `Example: {path} ...`"
     )
-    used = [parse(ROOT, shlex.split(line)) for text in found for line in text.split(" && ")]
-    assert any(each == path or each.startswith(f"{path} ") for each in used)
+    used = [
+        parse(ROOT, shlex.split(line)) for text in shown_examples for line in text.split(" && ")
+    ]
+    assert any(path_used == path or path_used.startswith(f"{path} ") for path_used in used)
     shown = CliRunner().invoke(app, [*path.split()[1:], "--help"], terminal_width=300)
-    for text in found:
+    for text in shown_examples:
         assert text in " ".join(shown.output.split())
 
 

@@ -62,8 +62,8 @@ def test_completion_is_installed_and_completes_in_a_real_bash(evpinn, tmp_path):
             f"COMP_WORDS=({quoted}); COMP_CWORD={len(words) - 1}; COMPREPLY=()",
             "_evpinn_completion evpinn; echo ${COMPREPLY[@]}",
         ]
-    found = bash("\n".join(lines), evpinn, tmp_path).splitlines()
-    assert [set(line.split()) for line in found] == list(completions.values())
+    offered = bash("\n".join(lines), evpinn, tmp_path).splitlines()
+    assert [set(line.split()) for line in offered] == list(completions.values())
 
 
 def test_names_of_commands_complete_without_importing_them():
@@ -199,8 +199,8 @@ def test_ctrl_c_leaves_what_was_replayed(drive, tmp_path):
         once=lambda: has_data(out),
     )
     assert_stopped(done)
-    found = json.loads((tmp_path / "m.json").read_text())
-    assert 10 < found["input"]["duration_s"] < 7000
+    metrics = json.loads((tmp_path / "m.json").read_text())
+    assert 10 < metrics["input"]["duration_s"] < 7000
     assert json.loads((tmp_path / "s.json").read_text())["learned"]["vehicle"] == "generic"
     assert read_bag(out) > 1000
 
@@ -237,4 +237,4 @@ def test_a_full_disk_is_one_line(on_a_full_disk, short, tmp_path):
     assert no_room.returncode == 1
     *said, line = no_room.stderr.strip().splitlines()
     assert line == "evpinn: /dev/full: No space left on device"
-    assert all(re.search("have power only|s left$", each) for each in said)
+    assert all(re.search("have power only|s left$", said_line) for said_line in said)

@@ -62,8 +62,8 @@ def test_whatever_a_parser_does_is_one_line(tmp_path, monkeypatch, function, sai
         (tmp_path / "sitecustomize.py").write_text(
             "import resource; resource.setrlimit(resource.RLIMIT_CPU, (1, 1))"
         )
-    found = apart.run_apart(f"parsers:{function}", tmp_path / "in", tmp_path / "out")
-    assert found == said or (said and said in found)
+    outcome = apart.run_apart(f"parsers:{function}", tmp_path / "in", tmp_path / "out")
+    assert outcome == said or (said and said in outcome)
     assert function != "copy" or (tmp_path / "out").read_text() == "abc"
 
 

@@ -55,9 +55,9 @@ class Forked(Oracle):
 
 def test_no_copy_of_a_method_ever_gets_a_battery_reading(car, true_power):
     Forked.copies = 0
-    found = run_car(car, lambda vehicle: Forked(true_power))
+    run = run_car(car, lambda vehicle: Forked(true_power))
     drives = len(car.drives)
-    assert len(found.carried) == drives
+    assert len(run.carried) == drives
     # One copy a drive that is carried, and one at each moment where the battery is cut.
     moments = sum(len({cut.begin for cut in cuts(drive, 50.0)}) for drive in car.drives)
     assert Forked.copies == drives + moments
@@ -89,23 +89,26 @@ def test_a_later_battery_changes_nothing_that_is_predicted(car, vehicle):
 
 
 def test_a_perfect_method_has_no_error(car, true_power):
-    found = summary(run_car(car, lambda vehicle: Oracle(true_power)))
+    scores = summary(run_car(car, lambda vehicle: Oracle(true_power)))
     for part in ("carried", "withheld"):
-        assert found[part]["gross_mean_percent"] == pytest.approx(0.0, abs=1e-9)
-        assert found[part]["rmse_w"] == pytest.approx(0.0, abs=1e-6)
-    assert all(each is None or each["rmse_w"] < 1e-6 for each in found["by_battery_age"].values())
+        assert scores[part]["gross_mean_percent"] == pytest.approx(0.0, abs=1e-9)
+        assert scores[part]["rmse_w"] == pytest.approx(0.0, abs=1e-6)
+    assert all(
+        age_scores is None or age_scores["rmse_w"] < 1e-6
+        for age_scores in scores["by_battery_age"].values()
+    )
 
 
 def test_an_error_of_power_is_found_in_every_score(car, true_power):
     bias = 100.0
-    found = summary(run_car(car, lambda vehicle: Oracle(true_power, bias)))
-    assert found["withheld"]["rmse_w"] == pytest.approx(bias)
-    assert found["carried"]["means_w"]["60"] == pytest.approx(bias)
+    scores = summary(run_car(car, lambda vehicle: Oracle(true_power, bias)))
+    assert scores["withheld"]["rmse_w"] == pytest.approx(bias)
+    assert scores["carried"]["means_w"]["60"] == pytest.approx(bias)
     drive = car.drives[1]
     gross = drive.power.gross(DrivePart(0.0, drive.duration))
     expected = 100 * bias * drive.duration / gross
-    assert found["carried"]["gross_mean_percent"] == pytest.approx(expected, rel=1e-5)
-    assert found["by_battery_age"]["60"]["rmse_w"] == pytest.approx(bias)
+    assert scores["carried"]["gross_mean_percent"] == pytest.approx(expected, rel=1e-5)
+    assert scores["by_battery_age"]["60"]["rmse_w"] == pytest.approx(bias)
 
 
 @pytest.mark.parametrize(("share", "inside"), [(0.99, True), (1.01, False)])
@@ -119,12 +122,14 @@ def test_coverage_counts_errors_within_the_90_percent_interval(car, true_power, 
 def test_gaps_of_the_battery_are_not_scored(make_drive, true_power):
     whole = make_drive(300.0)
     lost = tuple(
-        each
-        for each in whole.readings
-        if not (isinstance(each, BatteryReading) and 100 < whole.seconds(each.stamp_ns) < 200)
+        reading
+        for reading in whole.readings
+        if not (
+            isinstance(reading, BatteryReading) and 100 < whole.seconds(reading.stamp_ns) < 200
+        )
     )
     drive = UnseenDrive("lost", lost)
     track = predicted(Oracle(true_power, 50.0), drive, 0, DrivePart(0.0, 300.0), [])
-    found = score_part(drive, track, DrivePart(0.0, drive.duration))
-    assert found.error == pytest.approx(50.0 * (drive.duration - 100.0), rel=1e-3)
-    assert math.isclose(found.covered, 1.0)
+    score = score_part(drive, track, DrivePart(0.0, drive.duration))
+    assert score.error == pytest.approx(50.0 * (drive.duration - 100.0), rel=1e-3)
+    assert math.isclose(score.covered, 1.0)

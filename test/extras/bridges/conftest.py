@@ -23,9 +23,9 @@ MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/
 
 
 def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
 
 
 @dataclass
@@ -105,12 +105,12 @@ class Client:
 def broker(tmp_path: Path) -> Iterator[Broker]:
     if MOSQUITTO is None:
         pytest.skip("mosquitto")
-    found = Broker(tmp_path, free_port())
-    found.start()
-    yield found
-    for client in found.clients:
+    served = Broker(tmp_path, free_port())
+    served.start()
+    yield served
+    for client in served.clients:
         client.close()
-    found.kill()
+    served.kill()
 
 
 @pytest.fixture

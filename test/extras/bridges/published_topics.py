@@ -33,7 +33,7 @@ class Second(NamedTuple):
 @cache
 def drive(name: str = "urban", seconds: int = 600) -> tuple[Second, ...]:
     """The newest values of each second of a bundled drive."""
-    found: list[Second] = []
+    seconds_sent: list[Second] = []
     speed = battery = None
     for reading in open_source(BAGS / name, load_vehicle(VEHICLE)).readings():
         if isinstance(reading, SpeedReading):
@@ -42,12 +42,12 @@ def drive(name: str = "urban", seconds: int = 600) -> tuple[Second, ...]:
             battery = reading
         if speed is None or battery is None:
             continue
-        if not found or reading.stamp_ns - found[-1].stamp_ns >= 1_000_000_000:
+        if not seconds_sent or reading.stamp_ns - seconds_sent[-1].stamp_ns >= 1_000_000_000:
             kmh = 3.6 * speed.speed
-            found.append(Second(reading.stamp_ns, kmh, battery.voltage, -battery.current))
-        if len(found) == seconds:
+            seconds_sent.append(Second(reading.stamp_ns, kmh, battery.voltage, -battery.current))
+        if len(seconds_sent) == seconds:
             break
-    return tuple(found)
+    return tuple(seconds_sent)
 
 
 def energy(seconds: tuple[Second, ...], digits: int | None = None) -> float:

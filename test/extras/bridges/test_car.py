@@ -38,17 +38,17 @@ def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def tesla(state: Path) -> BridgedCar:
     """A car behind TeslaMate, after a drive; nothing is saved yet."""
-    found = car(state)
-    send(found, read_layout("teslamate"), as_teslamate())
-    return found
+    bridged = car(state)
+    send(bridged, read_layout("teslamate"), as_teslamate())
+    return bridged
 
 
 @pytest.fixture(scope="module")
 def ovms() -> BridgedCar:
     """A car behind OVMS, whose numbers are not rounded, after that drive."""
-    found = car()
-    send(found, read_layout("ovms"), as_ovms())
-    return found
+    bridged = car()
+    send(bridged, read_layout("ovms"), as_ovms())
+    return bridged
 
 
 def test_a_state_into_which_another_process_learns_is_not_written(tmp_path: Path) -> None:
@@ -105,24 +105,24 @@ def test_each_sensor_finds_its_number(tesla: BridgedCar) -> None:
 
 
 def test_a_long_stop_begins_another_drive_and_the_lifetime_goes_on(tmp_path: Path) -> None:
-    found = car(tmp_path / "1.json")
-    send(found, read_layout("teslamate"), as_teslamate(seconds=120))
-    first = found.documents()["energy"]
-    send(found, read_layout("teslamate"), as_teslamate(seconds=120), shift_ns=3600 * SECOND)
-    second = found.documents()["energy"]
+    bridged = car(tmp_path / "1.json")
+    send(bridged, read_layout("teslamate"), as_teslamate(seconds=120))
+    first = bridged.documents()["energy"]
+    send(bridged, read_layout("teslamate"), as_teslamate(seconds=120), shift_ns=3600 * SECOND)
+    second = bridged.documents()["energy"]
     assert second["trip_kwh"] == pytest.approx(first["trip_kwh"], rel=0.05)
     assert second["drawn_kwh"] == pytest.approx(2 * first["drawn_kwh"], rel=0.05)
     assert (tmp_path / "1.json").exists(), "saved where a drive ends"
 
 
 def test_one_wild_stamp_ends_no_drive() -> None:
-    found, sets = car(), [*as_teslamate(seconds=60)]
-    send(found, read_layout("teslamate"), sets[:30])
-    before = found.documents()["energy"]["trip_km"]
-    send(found, read_layout("teslamate"), sets[30:31], shift_ns=24 * 3600 * SECOND)
-    send(found, read_layout("teslamate"), sets[31:])
-    assert found.documents()["energy"]["trip_km"] > before > 0.0
-    assert found.newest_ns == sets[-1][0]
+    bridged, sets = car(), [*as_teslamate(seconds=60)]
+    send(bridged, read_layout("teslamate"), sets[:30])
+    before = bridged.documents()["energy"]["trip_km"]
+    send(bridged, read_layout("teslamate"), sets[30:31], shift_ns=24 * 3600 * SECOND)
+    send(bridged, read_layout("teslamate"), sets[31:])
+    assert bridged.documents()["energy"]["trip_km"] > before > 0.0
+    assert bridged.newest_ns == sets[-1][0]
 
 
 def test_what_was_learned_outlives_the_process(tesla: BridgedCar, state: Path) -> None:
@@ -138,7 +138,7 @@ def test_what_was_learned_outlives_the_process(tesla: BridgedCar, state: Path) -
 
 def test_a_stamp_that_leapt_ahead_is_not_the_newest_for_ever() -> None:
     """A bridge that waits for it would publish no power until then."""
-    found = car()
+    bridged = car()
     stamps = [(1_700_000_000 + second) * SECOND for second in (0, 1, 50_000, 2, 3)]
-    found.add_readings(SpeedReading(stamp_ns, 10.0) for stamp_ns in stamps)
-    assert found.newest_ns == stamps[-1]
+    bridged.add_readings(SpeedReading(stamp_ns, 10.0) for stamp_ns in stamps)
+    assert bridged.newest_ns == stamps[-1]

@@ -87,15 +87,15 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
         [sys.executable, "-c", run, *map(str, command)], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    found: dict[str, dict[str, str]] = {}
+    entries: dict[str, dict[str, str]] = {}
 
     def walk(name: str, node: dict) -> None:
-        found[name] = node
+        entries[name] = node
         for child, below in node.get("children", {}).items():
             walk(f"{name}.{child}", below)
 
     walk("Vehicle", json.loads(out.read_text())["Vehicle"])
-    return found
+    return entries
 
 
 def test_vss_tools_accepts_the_overlay_and_has_each_signal_of_ours(tree) -> None:
@@ -152,14 +152,14 @@ class Databroker(v2_grpc.VALServicer, v1_grpc.VALServicer):
 
 @pytest.fixture
 def served(request: pytest.FixtureRequest) -> Iterator[tuple[Databroker, int]]:
-    found = Databroker(set(getattr(request, "param", INPUTS.keys() | OUTPUTS.keys())))
+    databroker = Databroker(set(getattr(request, "param", INPUTS.keys() | OUTPUTS.keys())))
     server = grpc.server(ThreadPoolExecutor(4))
-    v2_grpc.add_VALServicer_to_server(found, server)
-    v1_grpc.add_VALServicer_to_server(found, server)
+    v2_grpc.add_VALServicer_to_server(databroker, server)
+    v1_grpc.add_VALServicer_to_server(databroker, server)
     port = server.add_insecure_port("127.0.0.1:0")
     server.start()
-    yield found, port
-    found.values.put(None)
+    yield databroker, port
+    databroker.values.put(None)
     server.stop(None)
 
 

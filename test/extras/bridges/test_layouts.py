@@ -10,9 +10,9 @@ from evpinn_ros.extras.bridges.layouts import Layout, Measurand, read_layout
 
 
 def only(layout: Layout, topic: str, payload: str) -> tuple[str, Measurand, float]:
-    found = layout.parse(topic, payload.encode())
-    ((quantity, value),) = found.values.items()
-    return found.car, quantity, pytest.approx(value.value)
+    parsed = layout.parse(topic, payload.encode())
+    ((quantity, value),) = parsed.values.items()
+    return parsed.car, quantity, pytest.approx(value.value)
 
 
 def test_teslamate_has_km_per_h_and_whole_kw_positive_when_drawn() -> None:
@@ -26,8 +26,8 @@ def test_teslamate_has_km_per_h_and_whole_kw_positive_when_drawn() -> None:
 
 @pytest.mark.parametrize(("gear", "stands"), [("P", 1), ("", 1), ("D", 0), ("R", 0), ("N", 0)])
 def test_a_parked_tesla_has_gear_p_or_none(gear: str, stands: int) -> None:
-    found = only(read_layout("teslamate"), "teslamate/cars/1/shift_state", gear)
-    assert found == ("1", Measurand.STANDING, stands)
+    parsed = only(read_layout("teslamate"), "teslamate/cars/1/shift_state", gear)
+    assert parsed == ("1", Measurand.STANDING, stands)
 
 
 def test_a_namespace_of_teslamate_stands_before_cars() -> None:
@@ -57,16 +57,16 @@ def test_ovms_has_a_prefix_of_its_owner() -> None:
 
 
 def test_rounded_numbers_have_their_step() -> None:
-    found = read_layout("teslamate").parse("teslamate/cars/1/power", b"12")
-    assert found.values[Measurand.POWER].step == 1000.0
-    found = read_layout("ovms").parse("ovms/me/CAR/metric/v/b/power", b"12")
-    assert math.isnan(found.values[Measurand.POWER].step)
+    parsed = read_layout("teslamate").parse("teslamate/cars/1/power", b"12")
+    assert parsed.values[Measurand.POWER].step == 1000.0
+    parsed = read_layout("ovms").parse("ovms/me/CAR/metric/v/b/power", b"12")
+    assert math.isnan(parsed.values[Measurand.POWER].step)
 
 
 def test_what_is_no_number_has_no_value_but_shows_that_the_car_sends() -> None:
     for payload in ("", "nan", "inf", "12,5", "1" * 100_000, "\x00"):
-        found = read_layout("teslamate").parse("teslamate/cars/1/speed", payload.encode())
-        assert found.values == {}, payload
+        parsed = read_layout("teslamate").parse("teslamate/cars/1/speed", payload.encode())
+        assert parsed.values == {}, payload
     assert read_layout("teslamate").parse("teslamate/cars/1/speed", b"\xff\xfe").values == {}
     assert read_layout("teslamate").parse("teslamate/cars/1/geofence", b"Home").car == "1"
 
@@ -93,9 +93,12 @@ def test_a_mapping_file_reads_plain_payloads_and_fields_of_json(tmp_path: Path) 
     layout = read_layout(str(path))
     assert set(layout.subscriptions) == {"garage/+/speed", "garage/+/state"}
     assert only(layout, "garage/zoe/speed", "10") == ("zoe", Measurand.SPEED, 4.4704)
-    found = layout.parse("garage/zoe/state", b'{"amps": 3, "volts": 400, "t": 1700000000.5}')
-    assert {of: each.value for of, each in found.values.items()} == {"current": -3, "voltage": 400}
-    assert found.stamp_ns == 1_700_000_000_500_000_000
+    parsed = layout.parse("garage/zoe/state", b'{"amps": 3, "volts": 400, "t": 1700000000.5}')
+    assert {of: value.value for of, value in parsed.values.items()} == {
+        "current": -3,
+        "voltage": 400,
+    }
+    assert parsed.stamp_ns == 1_700_000_000_500_000_000
     for broken in (b"[1]", b"{", b"7", b'{"amps": "x"}', b"[" * 50_000):
         assert layout.parse("garage/zoe/state", broken).values == {}
     assert layout.parse("garage/zoe/other", b"1") is None
@@ -128,7 +131,7 @@ def test_a_mapping_file_says_what_words_mean_and_whether_values_last(tmp_path: P
     )
     layout = read_layout(str(path))
     assert layout.on_change and layout.subscriptions == ("my/+/#",)
-    assert [only(layout, "my/zoe/ignition", each)[2] for each in ("on", "off")] == [0.0, 1.0]
+    assert [only(layout, "my/zoe/ignition", payload)[2] for payload in ("on", "off")] == [0.0, 1.0]
     (drawn,) = layout.parse("my/zoe/kw", b"-2").values.values()
     assert drawn == (2000.0, pytest.approx(100.0))
     assert layout.parse("my/zoe/some/thing", b"1") == ("zoe", {}, None, "")

@@ -24,12 +24,12 @@ class Tesla:
         self.snapshots, self.layout = Snapshots(360.0, on_change=True), read_layout("teslamate")
 
     def send(self, at_s: float, retained: bool = False, **values: object) -> list[Reading]:
-        found: list[Reading] = []
+        readings: list[Reading] = []
         for i, (name, value) in enumerate(values.items()):
             parsed = self.layout.parse(f"{BASE}/{name}", str(value).encode())
             moment = round(at_s * SECOND) + i * 1_000_000  # they come within milliseconds
-            found += self.snapshots.add(parsed, moment, retained=retained)
-        return found
+            readings += self.snapshots.add(parsed, moment, retained=retained)
+        return readings
 
 
 @pytest.fixture

@@ -74,9 +74,9 @@ def test_what_is_done_is_not_done_again(learned, monkeypatch):
 @pytest.mark.usefixtures("instant")
 @pytest.mark.parametrize("change", ["earlier drive", "drive", "vehicle", "state", "result"])
 def test_what_changed_is_learned_anew(task, drives, leaf, change):
-    one = task(drives / "a", drives / "b")
-    learn_car(one)
-    again = one
+    car_task = task(drives / "a", drives / "b")
+    learn_car(car_task)
+    again = car_task
     if change == "earlier drive":
         again = task(drives / "a", drives / "b", drives / "c")
     elif change == "drive":
@@ -84,10 +84,10 @@ def test_what_changed_is_learned_anew(task, drives, leaf, change):
     elif change == "vehicle":
         again = task(drives / "a", drives / "b", vehicle=replace(leaf, frontal_area=2.5))
     elif change == "state":
-        (one.folder / STATE_FILE).write_text("{}")
+        (car_task.folder / STATE_FILE).write_text("{}")
         os.utime(next((drives / "b").glob("*.mcap")), (0, 0))
     else:
-        (one.folder / RESULT_FILE).write_text('{"basis": ')
+        (car_task.folder / RESULT_FILE).write_text('{"basis": ')
     assert learn_car(again).kept == 0
     assert len(result(again)["drives"]) == len(again.drives.drives)
 
@@ -107,15 +107,15 @@ def test_a_bad_drive_costs_itself_alone(learned, tmp_path):
 
     def learn(*bad):
         drives = CarDrives("car", learned.drives.vehicle, (*learned.drives.drives, *bad))
-        one = CarTask(drives, folder, learned.stop)
-        return learn_car(one), result(one)
+        car_task = CarTask(drives, folder, learned.stop)
+        return learn_car(car_task), result(car_task)
 
     bad = (halfway, garbage, empty, tmp_path / "gone", book, columns)
-    done, found = learn(*bad)
+    done, outcome = learn(*bad)
     assert (done.failed, done.kept) == (len(bad), 3)
-    rows = [*found["unreadable"], *found["drives"]]
+    rows = [*outcome["unreadable"], *outcome["drives"]]
     assert len([row for row in rows if row["problem"]]) == len(bad)
-    assert found["precision"] == result(learned)["precision"]
+    assert outcome["precision"] == result(learned)["precision"]
     done, _ = learn(*bad[:2])
     assert done.learned == 0, "a bad drive does not keep the others from being done"
 
@@ -124,14 +124,14 @@ def test_a_drive_without_battery_is_no_evidence(task, drives):
     path = drives / "speed.csv"
     rows = [f"{i / 10},{5 + np.sin(i / 20)}," for i in range(150)]
     path.write_text("t_s,speed_mps,power_w\n" + "\n".join(rows))
-    one = task(path)
-    assert learn_car(one).failed == 0
-    assert not np.any(result(one)["precision"])
+    car_task = task(path)
+    assert learn_car(car_task).failed == 0
+    assert not np.any(result(car_task)["precision"])
 
 
 def test_it_stops_when_asked(task, drives):
-    one = task(drives / "c", drives / "a")
-    one.stop.touch()
+    car_task = task(drives / "c", drives / "a")
+    car_task.stop.touch()
     with pytest.raises(StoppedError):
-        learn_car(one)
-    assert not one.folder.exists()
+        learn_car(car_task)
+    assert not car_task.folder.exists()

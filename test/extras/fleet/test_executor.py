@@ -30,17 +30,19 @@ def dask():
 @pytest.fixture(params=["local", "dask"])
 def executor(request):
     if request.param == "local":
-        found = LocalExecutor(1)
+        made = LocalExecutor(1)
     else:
-        found = DaskExecutor(request.getfixturevalue("dask"))
-    yield found
-    found.close()
+        made = DaskExecutor(request.getfixturevalue("dask"))
+    yield made
+    made.close()
 
 
 def test_every_task_has_its_outcome(executor):
-    found = {one.task: one for one in executor.outcomes(math.sqrt, [4.0, -1.0, 9.0])}
-    assert found[4.0].result == 2.0 and found[9.0].result == 3.0
-    assert found[-1.0].result is None and "ValueError" in found[-1.0].problem
+    outcomes = {
+        outcome.task: outcome for outcome in executor.outcomes(math.sqrt, [4.0, -1.0, 9.0])
+    }
+    assert outcomes[4.0].result == 2.0 and outcomes[9.0].result == 3.0
+    assert outcomes[-1.0].result is None and "ValueError" in outcomes[-1.0].problem
 
 
 def test_few_tasks_are_held_at_a_time(executor):
@@ -56,10 +58,14 @@ def test_a_worker_that_dies_costs_its_own_task_alone():
     end, roots = partial(os._exit, 1), [partial(math.sqrt, x) for x in (4.0, 9.0, 16.0)]
     executor = LocalExecutor(2)
     call = operator.methodcaller("__call__")
-    found = list(executor.outcomes(call, [end, roots[0], end, *roots[1:]]))
+    outcomes = list(executor.outcomes(call, [end, roots[0], end, *roots[1:]]))
     executor.close()
-    assert [one.task for one in found if one.problem].count(end) == 2
-    assert sorted(one.result for one in found if one.problem is None) == [2.0, 3.0, 4.0]
+    assert [outcome.task for outcome in outcomes if outcome.problem].count(end) == 2
+    assert sorted(outcome.result for outcome in outcomes if outcome.problem is None) == [
+        2.0,
+        3.0,
+        4.0,
+    ]
 
 
 def test_what_does_not_answer_leaves_nothing_that_a_later_cluster_could_wait_for(monkeypatch):
@@ -96,5 +102,5 @@ def test_a_scheduler_that_wants_the_certificates_of_dasks_configuration(tmp_path
         ) as cluster,
     ):  # fmt: skip
         executor = DaskExecutor(cluster.scheduler_address)
-        assert [one.result for one in executor.outcomes(math.sqrt, [4.0])] == [2.0]
+        assert [outcome.result for outcome in executor.outcomes(math.sqrt, [4.0])] == [2.0]
         executor.close()

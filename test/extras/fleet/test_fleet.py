@@ -63,10 +63,10 @@ def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
     population = {row["name"]: row for row in read(out / "population.parquet")}
     assert len(population["mass"]["covariance"]) == 6
     assert population["mass_over_eta"]["cars"] > population["c_d"]["cars"]
-    found = json.loads((tmp_path / "found.json").read_text())
-    assert (found["stopped"], found["drives"], found["problems"]) == (False, 4, 1)
-    assert found["failed"][0]["what"].endswith("bad.mcap")
-    assert found["populations"]["nissan_leaf"]["mass"]["mean"] == population["mass"]["mean"]
+    document = json.loads((tmp_path / "found.json").read_text())
+    assert (document["stopped"], document["drives"], document["problems"]) == (False, 4, 1)
+    assert document["failed"][0]["what"].endswith("bad.mcap")
+    assert document["populations"]["nissan_leaf"]["mass"]["mean"] == population["mass"]["mean"]
     page = (out / "report.html").read_text()
     for text in ("ann", "nissan_leaf", "bad.mcap", "mass_over_eta", "evpinn fleet"):
         assert text in page

@@ -42,8 +42,8 @@ def test_a_top_folder_is_a_car(data):
 
 
 def test_folders_of_cars_may_be_given_themselves(data):
-    found = cars_by_folder([str(data / "data" / "bob"), str(data / "data" / "loose.csv")], LEAF)
-    assert names_of(found, data) == {"bob": ALL["bob"], "data": ALL["data"]}
+    cars = cars_by_folder([str(data / "data" / "bob"), str(data / "data" / "loose.csv")], LEAF)
+    assert names_of(cars, data) == {"bob": ALL["bob"], "data": ALL["data"]}
 
 
 def test_two_folders_of_one_name_are_not_mixed(data):
@@ -63,10 +63,10 @@ def test_links_of_folders_count_no_drive_twice(data):
     (top / "ann" / "circle.csv").symlink_to("circle.csv")
     (top / "ann" / "nowhere.csv").symlink_to("not_there.csv")
     broken = ["data/ann/circle.csv", "data/ann/nowhere.csv"]  # cost themselves alone, later
-    found = names_of(cars_by_folder([str(top)], LEAF), data)
-    everything = sorted(each for drives in found.values() for each in drives)
-    assert everything == sorted([*broken, *(each for drives in ALL.values() for each in drives)])
-    assert [each for each in found["ann"] if each not in broken] == ALL["ann"]
+    names = names_of(cars_by_folder([str(top)], LEAF), data)
+    everything = sorted(drive for drives in names.values() for drive in drives)
+    assert everything == sorted([*broken, *(drive for drives in ALL.values() for drive in drives)])
+    assert [drive for drive in names["ann"] if drive not in broken] == ALL["ann"]
 
 
 def test_a_link_keeps_the_name_that_tells_the_format(data):
@@ -74,8 +74,8 @@ def test_a_link_keeps_the_name_that_tells_the_format(data):
     (data / "store").mkdir()
     (data / "store" / "d3b07384").write_bytes(b"t_s\n")
     (data / "data" / "bob" / "third.csv").symlink_to("../../store/d3b07384")
-    found = names_of(cars_by_folder([str(data / "data")], LEAF), data)
-    assert found["bob"] == [*ALL["bob"], "data/bob/third.csv"]
+    names = names_of(cars_by_folder([str(data / "data")], LEAF), data)
+    assert names["bob"] == [*ALL["bob"], "data/bob/third.csv"]
 
 
 def test_a_drive_of_two_names_has_one_car(data):
@@ -100,10 +100,10 @@ def test_names_of_all_kinds_are_found(data, name, given):
         if not isinstance(name, str):
             return  # A manifest is UTF-8; such a drive is listed by its folder.
         (data / "cars.csv").write_text(f"drive,car,vehicle\ncarl/{name},carl,nissan_leaf\n")
-        found = cars_by_manifest(data / "cars.csv")
+        cars = cars_by_manifest(data / "cars.csv")
     else:
-        found = cars_by_folder([str(path if given == "file" else path.parent)], LEAF)
-    assert [(car.car, car.drives) for car in found] == [("carl", (path,))]
+        cars = cars_by_folder([str(path if given == "file" else path.parent)], LEAF)
+    assert [(car.car, car.drives) for car in cars] == [("carl", (path,))]
 
 
 def test_yaml(data):
@@ -113,10 +113,10 @@ def test_yaml(data):
         "  ann's: {vehicle: bmw_i3, drives: data/ann}\n"
         "  ../bob: {vehicle: nissan_leaf, drives: 'data/bob/*.mcap'}\n"
     )
-    found = cars_by_manifest(manifest)
-    assert names_of(found, data) == {"ann's": ALL["ann"], "../bob": ALL["bob"]}
-    assert [car.vehicle.key for car in found] == ["nissan_leaf", "bmw_i3"]
-    assert all("/" not in car.folder_name for car in found)
+    cars = cars_by_manifest(manifest)
+    assert names_of(cars, data) == {"ann's": ALL["ann"], "../bob": ALL["bob"]}
+    assert [car.vehicle.key for car in cars] == ["nissan_leaf", "bmw_i3"]
+    assert all("/" not in car.folder_name for car in cars)
 
 
 def test_csv(data):

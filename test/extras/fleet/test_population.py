@@ -54,24 +54,24 @@ def test_mean_and_spread_are_recovered_within_what_is_stated(count):
         spread = rng.uniform(0.05, 0.6, 6)
         population = Population(LEAF, list(cars(count, mean, spread, rng)))
         for name, parts in directions():
-            direction = np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES])
-            found = population.value(name)
+            direction = np.array([parts.get(parameter, 0.0) for parameter in PARAMETER_NAMES])
+            estimate = population.value(name)
             true = direction @ (START + SIGMA * mean)
-            means.append((found.mean - true) / found.mean_std)
+            means.append((estimate.mean - true) / estimate.mean_std)
             true_spread = np.linalg.norm(direction * SIGMA * spread)
-            spreads.append((found.spread - true_spread) / found.spread_std)
+            spreads.append((estimate.spread - true_spread) / estimate.spread_std)
     for z, least in ((np.array(means), 0.9), (np.array(spreads), 0.85)):
         assert least < np.mean(np.abs(z) < 1.96) < 0.999
         assert abs(z.mean()) < 0.5
 
 
 def test_without_evidence_the_vehicle_file_stays():
-    for found in ([], [NO_EVIDENCE] * 50):
-        priors = Population(LEAF, found).priors("test").priors
+    for evidence in ([], [NO_EVIDENCE] * 50):
+        priors = Population(LEAF, evidence).priors("test").priors
         for name, prior in LEAF.priors.items():
             assert priors[name].value == pytest.approx(prior.value, rel=1e-12)
             assert priors[name].std == pytest.approx(prior.std, rel=1e-12)
-            assert Population(LEAF, found).value(name).cars == pytest.approx(0.0, abs=1e-9)
+            assert Population(LEAF, evidence).value(name).cars == pytest.approx(0.0, abs=1e-9)
 
 
 def test_what_no_car_tells_stays_as_it_was():
@@ -88,8 +88,10 @@ def test_what_is_told_together_is_not_told_of_each():
     rng = np.random.default_rng(5)
     ratio = np.array([-SIGMA[0], 0.0, SIGMA[2], 0.0, 0.0, 0.0])
     ratio /= np.linalg.norm(ratio)
-    found = [Evidence(1e6 * np.outer(ratio, ratio), 1e6 * ratio * z) for z in rng.normal(size=60)]
-    population = Population(LEAF, found)
+    evidence = [
+        Evidence(1e6 * np.outer(ratio, ratio), 1e6 * ratio * z) for z in rng.normal(size=60)
+    ]
+    population = Population(LEAF, evidence)
     assert population.value("mass_over_eta").cars == pytest.approx(60.0, rel=0.01)
     mass = population.value("mass")
     assert mass.cars < 2.0 and mass.spread_std > 0.2 * mass.spread
@@ -99,20 +101,20 @@ def test_one_car_moves_the_next_but_half_way():
     """Mean and spread are each half of the file's variance: a car known exactly is one draw."""
     exact = Evidence(np.diag([0, 0, 0, 1e8, 0, 0]), np.array([0, 0, 0, 1e8, 0, 0]))
     population = Population(LEAF, [exact])
-    found = population.value("c_rr")
-    assert found.cars == pytest.approx(1.0, abs=1e-3)
-    assert 0.3 < (found.mean - START[3]) / SIGMA[3] < 0.7
-    assert 0.6 < found.new_car_std / SIGMA[3] < 1.0
+    estimate = population.value("c_rr")
+    assert estimate.cars == pytest.approx(1.0, abs=1e-3)
+    assert 0.3 < (estimate.mean - START[3]) / SIGMA[3] < 0.7
+    assert 0.6 < estimate.new_car_std / SIGMA[3] < 1.0
 
 
 def test_priors_are_a_vehicle_file(tmp_path):
     rng = np.random.default_rng(4)
     population = Population(LEAF, list(cars(10, np.zeros(6), np.full(6, 0.3), rng)))
-    found = population.priors("test")
+    priors = population.priors("test")
     path = tmp_path / "deeper" / "leaf.yaml"
-    write_vehicle(path, found)
+    write_vehicle(path, priors)
     again = load_vehicle(path)
-    assert again.priors == dict(found.priors)
+    assert again.priors == dict(priors.priors)
     assert again.can_profile == "nissan_leaf" and again.nominal_voltage == LEAF.nominal_voltage
 
 
@@ -128,12 +130,12 @@ def driven():
 def test_a_car_alone_is_in_its_population_what_it_says_of_itself(driven):
     """In kilograms and watts of the vehicle file, whatever its own prior had beside them."""
     source, car = driven.published(), driven.car
-    found = evidence_of(car.state, car.equation, car.driven)
-    population = Population(LEAF, [found])
+    evidence = evidence_of(car.state, car.equation, car.driven)
+    population = Population(LEAF, [evidence])
     for name, parts in (("mass_over_eta", COMBINATIONS["mass_over_eta"]), ("p_aux", {LINEAR: 1})):
-        direction = np.array([parts.get(each, 0.0) for each in PARAMETER_NAMES])
+        direction = np.array([parts.get(parameter, 0.0) for parameter in PARAMETER_NAMES])
         own = float(direction @ source.now.mean)
         own_std = math.sqrt(direction @ source.now.covariance @ direction)
-        mean, std = population.of_car(name, found)
+        mean, std = population.of_car(name, evidence)
         assert abs(mean - own) < 0.3 * own_std, name
         assert std == pytest.approx(own_std, rel=0.15), name

@@ -35,10 +35,10 @@ def test_log_is_read_with_its_acceleration(
     assert len(read.time) > 380
     problem = Problem(read, vehicle, random_split(len(read.time), 0), dtype=torch.float64)
     fit = problem.fit(problem.training, problem.training.power)
-    found = combinations(problem.values(fit.log_scale), vehicle.frontal_area, problem.form)
+    fitted = combinations(problem.values(fit.log_scale), vehicle.frontal_area, problem.form)
     truth = combinations(TRUE, vehicle.frontal_area, problem.form)
-    assert found["mass_over_eta"] == pytest.approx(truth["mass_over_eta"], rel=0.02)
-    assert found["mu"] == pytest.approx(truth["mu"], rel=0.02)
+    assert fitted["mass_over_eta"] == pytest.approx(truth["mass_over_eta"], rel=0.02)
+    assert fitted["mu"] == pytest.approx(truth["mu"], rel=0.02)
     assert all(np.isfinite(column).all() for column in read)
 
 

@@ -101,8 +101,8 @@ def test_interrupted_training_gives_the_same_numbers(trained, tmp_path):
     assert resumed.epoch == 25
     resumed.run_to(EPOCHS)
     assert resumed.losses == trained.losses
-    for one, other in zip(resumed.integrate(*drive()), trained.integrate(*drive()), strict=True):
-        assert (one == other).all()
+    for ours, other in zip(resumed.integrate(*drive()), trained.integrate(*drive()), strict=True):
+        assert (ours == other).all()
     again = training()
     again.load_state(saved)  # training did not write into what was saved
     again.run_to(EPOCHS)

@@ -31,7 +31,7 @@ def jacobian_of(network: PowerNetwork, inputs: torch.Tensor) -> tuple[torch.Tens
     """Output and Jacobian, a row of gradients for each sample."""
     output = network(inputs)
     weights = list(network.parameters())
-    rows = [torch.autograd.grad(each, weights, retain_graph=True) for each in output]
+    rows = [torch.autograd.grad(value, weights, retain_graph=True) for value in output]
     jacobian = torch.stack([torch.cat([part.ravel() for part in row]) for row in rows])
     return output.detach(), jacobian
 

@@ -49,9 +49,9 @@ def loss(learner: PaperLearner, drive, first, last) -> tuple[float, float]:
 def test_it_starts_where_the_paper_does():
     """Not at the priors of the vehicle file (eq. 24)."""
     car = load_vehicle("tesla_model_3_lr")
-    found = PaperLearner(car).parameters().parameters
-    assert tuple(found[name].value for name in LEARNED) == (0.7, 0.5, 1823.0, 0.0096, 0.23)
-    assert found["mass"].value != car.initial.mass
+    estimates = PaperLearner(car).parameters().parameters
+    assert tuple(estimates[name].value for name in LEARNED) == (0.7, 0.5, 1823.0, 0.0096, 0.23)
+    assert estimates["mass"].value != car.initial.mass
 
 
 def test_before_the_first_update_it_says_what_the_physics_says(vehicle):
@@ -67,9 +67,11 @@ def test_before_the_first_update_it_says_what_the_physics_says(vehicle):
         beta=vehicle.beta,
     )
     assert learner.predict(sample).power == pytest.approx(power + 200.0)
-    found = learner.parameters()
-    assert [found.parameters[n].value for n in PARAMETER_NAMES] == pytest.approx(vehicle.initial)
-    assert {p.trust for p in found.parameters.values()} == {Trust.UNESTIMATED}
+    estimates = learner.parameters()
+    assert [estimates.parameters[n].value for n in PARAMETER_NAMES] == pytest.approx(
+        vehicle.initial
+    )
+    assert {p.trust for p in estimates.parameters.values()} == {Trust.UNESTIMATED}
 
 
 @pytest.mark.parametrize("form", list(RegenForm))
@@ -99,35 +101,35 @@ def test_a_parked_car_that_draws_the_same_to_the_watt(vehicle):
     for k in range(MIN_SAMPLES):
         learner.observe(Sample(k * NANOSECONDS // 10, 0.0, 0.0, 0.0, 1.17, 0.0), 900.0)
     train(learner, 2)
-    found = learner.parameters()
-    assert found.parameters["p_aux"].value == 900.0
-    assert np.isfinite([p.std for p in found.parameters.values()]).all()
-    assert np.isfinite(found.identifiable_std).all()
+    estimates = learner.parameters()
+    assert estimates.parameters["p_aux"].value == 900.0
+    assert np.isfinite([p.std for p in estimates.parameters.values()]).all()
+    assert np.isfinite(estimates.identifiable_std).all()
 
 
 def test_what_is_published_is_within_its_limits(vehicle, synthetic):
     """A car that gives twice the power: eta is driven up; what is published stays possible."""
     drive = synthetic(TRUTH._replace(eta=1.0, p_aux=300.0))
     learner = train(teach(PaperLearner(vehicle), drive, 100, 200), 15)
-    found = learner.parameters().parameters
-    for name, estimate in found.items():
+    estimates = learner.parameters().parameters
+    for name, estimate in estimates.items():
         assert LIMITS[name].lower <= estimate.value <= LIMITS[name].upper
         assert estimate.std > 0 and 0 <= estimate.prior_share <= 1
-    assert found["eta"].value > vehicle.initial.eta
+    assert estimates["eta"].value > vehicle.initial.eta
 
 
 def test_sigma_is_told_by_data_and_prior(vehicle, synthetic):
     learner = train(teach(PaperLearner(vehicle), synthetic(TRUTH), 100, 400), 1)
-    found = learner.parameters()
+    estimates = learner.parameters()
     for name in LEARNED:
         prior = vehicle.priors[name]
-        estimate = found.parameters[name]
+        estimate = estimates.parameters[name]
         relative = estimate.std / estimate.value
         # What drifted off the prior without the data's support is error as well.
         drift = abs(math.log(estimate.value / prior.value))
         assert relative <= math.hypot(prior.std / prior.value, drift) * (1 + 1e-6)
         assert relative >= estimate.prior_share * drift
-    relative = found.identifiable_std.mass_over_eta / found.identifiable.mass_over_eta
+    relative = estimates.identifiable_std.mass_over_eta / estimates.identifiable.mass_over_eta
     assert relative < 0.5 * math.hypot(110 / 1823, 0.1 / 0.7)
 
 
@@ -161,11 +163,11 @@ def test_gauss_newton_comes_nearer_to_the_least_loss_and_finds_the_parameters(ve
         train(learner, 4)
         data, physics = loss(learner, drive, 300, 600)
         losses[optimizer] = data + PHYSICS_LOSS * physics
-        found = learner.parameters()
+        estimates = learner.parameters()
     assert losses[PaperOptimizer.GAUSS_NEWTON] < 0.1 * losses[PaperOptimizer.ADAM], losses
     # The car obeys eq. 21, so the window alone tells what it tells.
-    assert found.identifiable.mass_over_eta == pytest.approx(1960 / 0.85, rel=0.05)
-    assert found.identifiable.regeneration == pytest.approx(0.85 * 0.78, rel=0.1)
+    assert estimates.identifiable.mass_over_eta == pytest.approx(1960 / 0.85, rel=0.05)
+    assert estimates.identifiable.regeneration == pytest.approx(0.85 * 0.78, rel=0.1)
 
 
 def test_gauss_newton_gives_the_same_bits_and_survives_a_round_trip(vehicle, synthetic):

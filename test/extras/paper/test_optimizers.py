@@ -73,10 +73,10 @@ def test_ours_is_below_adam_after_as_many_epochs_and_finds_the_true_combinations
         final[name] = training.rows[-1].validation.total
     assert final[OptimizerName.GAUSS_NEWTON] < 0.2 * final[OptimizerName.ADAM]
     values = training.problem.values(training.optimizer.log_scale)
-    found = combinations(values, vehicle.frontal_area, RegenForm.RECOVERY)
+    fitted = combinations(values, vehicle.frontal_area, RegenForm.RECOVERY)
     truth = combinations(TRUE, vehicle.frontal_area, RegenForm.RECOVERY)
     for name in ("mass_over_eta", "mu", "c_rr"):
-        assert found[name] == pytest.approx(truth[name], rel=0.05)
+        assert fitted[name] == pytest.approx(truth[name], rel=0.05)
 
 
 def test_a_checkpoint_of_other_settings_is_none_and_a_broken_one_refused(tmp_path) -> None:

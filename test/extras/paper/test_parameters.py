@@ -42,30 +42,30 @@ def test_combinations_are_the_true_ones(
     form: RegenForm, make_log: Callable[..., DriveLog], vehicle: Vehicle
 ) -> None:
     problem, z, _ = fitted(make_log(form=form), vehicle, form)
-    found = combinations(problem.values(z), vehicle.frontal_area, form)
+    determined = combinations(problem.values(z), vehicle.frontal_area, form)
     truth = combinations(TRUE, vehicle.frontal_area, form)
-    assert found["mass_over_eta"] == pytest.approx(truth["mass_over_eta"], rel=0.01)
-    assert found["mu"] == pytest.approx(truth["mu"], rel=0.01)
-    assert found["c_rr"] == pytest.approx(truth["c_rr"], rel=0.05)
+    assert determined["mass_over_eta"] == pytest.approx(truth["mass_over_eta"], rel=0.01)
+    assert determined["mu"] == pytest.approx(truth["mu"], rel=0.01)
+    assert determined["c_rr"] == pytest.approx(truth["c_rr"], rel=0.05)
 
 
 def test_absolute_values_keep_their_prior(
     make_log: Callable[..., DriveLog], vehicle: Vehicle
 ) -> None:
     """eta, mass and C_d may slide together: the data leave much of their prior's variance."""
-    found = rows_of(make_log(), vehicle)
-    assert found["mass"].prior_share > 100 * found["mass_over_eta"].prior_share
-    assert found["mass"].std / found["mass"].value > 0.03
-    assert found["mass_over_eta"].determined
+    rows = rows_of(make_log(), vehicle)
+    assert rows["mass"].prior_share > 100 * rows["mass_over_eta"].prior_share
+    assert rows["mass"].std / rows["mass"].value > 0.03
+    assert rows["mass_over_eta"].determined
 
 
 def test_without_braking_mu_is_not_determined(
     make_log: Callable[..., DriveLog], vehicle: Vehicle
 ) -> None:
-    found = rows_of(make_log(np.linspace(1.0, 30.0, 400)), vehicle)
-    assert found["mu"].prior_share == pytest.approx(1.0)
-    assert not found["mu"].determined
-    assert found["mu"].value == pytest.approx(vehicle.priors["mu"].value, rel=1e-6)
+    rows = rows_of(make_log(np.linspace(1.0, 30.0, 400)), vehicle)
+    assert rows["mu"].prior_share == pytest.approx(1.0)
+    assert not rows["mu"].determined
+    assert rows["mu"].value == pytest.approx(vehicle.priors["mu"].value, rel=1e-6)
 
 
 def test_a_network_s_power_can_be_fitted_as_well(
@@ -76,11 +76,11 @@ def test_a_network_s_power_can_be_fitted_as_well(
     z = torch.tensor([0.1, 0.2, 0.08, -0.1, 0.02], dtype=torch.float64)
     power = problem.physics(problem.training.motion, z)
     fit = problem.fit(problem.training, power)
-    found, wanted = (
+    fitted, wanted = (
         combinations(problem.values(x), vehicle.frontal_area, problem.form)
         for x in (fit.log_scale, z)
     )
-    assert found == pytest.approx(wanted, rel=2e-3)
+    assert fitted == pytest.approx(wanted, rel=2e-3)
 
 
 def test_drift_along_the_unknown_direction_spares_the_combinations(

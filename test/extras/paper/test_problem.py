@@ -67,8 +67,8 @@ def test_loss_is_eq_22_in_normalised_units(problem: Problem, network: PowerNetwo
     )
     data_term = np.mean(((log.power - middle) / half - output) ** 2)
     physics_term = PHYSICS_LOSS * np.mean(((physics - middle) / half - output) ** 2)
-    found = problem.losses(problem.validation, network, Z)
-    assert found == pytest.approx((data_term + physics_term, data_term, physics_term), rel=1e-12)
+    losses = problem.losses(problem.validation, network, Z)
+    assert losses == pytest.approx((data_term + physics_term, data_term, physics_term), rel=1e-12)
 
 
 def test_initial_values_are_those_of_eq_24(problem: Problem) -> None:

@@ -57,14 +57,14 @@ def test_everything_the_issue_names_is_written(quick, drive: Path, tmp_path: Pat
         "baseline: line in time",
     ):
         assert title in text
-    found = json.loads((out / "results.json").read_text())
-    assert found["settings"]["epochs"] == 15
-    assert len(found["verdict"]) == 5
-    for each in found["verdict"]:  # it stands before the tables
-        line = f"{each['answer'].upper()}. {each['claim']}: {each['measured']}."
+    results = json.loads((out / "results.json").read_text())
+    assert results["settings"]["epochs"] == 15
+    assert len(results["verdict"]) == 5
+    for finding in results["verdict"]:  # it stands before the tables
+        line = f"{finding['answer'].upper()}. {finding['claim']}: {finding['measured']}."
         assert 0 <= text.index(line) < text.index("Table II:")
-    assert [row["epoch"] for row in found["power_losses"]["random"]][-1] == 15
-    assert set(found["parameters"]) == {"eta", "mu", "mass", "c_rr", "c_d"}
+    assert [row["epoch"] for row in results["power_losses"]["random"]][-1] == 15
+    assert set(results["parameters"]) == {"eta", "mu", "mass", "c_rr", "c_d"}
     page = (out / "report.html").read_text()
     assert "QUICK LOOK" in page and page.count("data:image/png;base64") == 8
     assert "http://" not in page and "https://" not in page

@@ -82,15 +82,15 @@ def test_vehicle_file_is_valid_and_holds_what_was_found(outcome: Outcome, tmp_pa
 
 @pytest.mark.parametrize("form", RegenForm)
 def test_an_impossible_eta_slides_back_without_changing_power(form: RegenForm) -> None:
-    found = Parameters(eta=1.25, mu=0.6, mass=1500.0, c_rr=0.01, c_d=0.3, p_aux=800.0)
-    slid = possible(found, form)
+    fitted = Parameters(eta=1.25, mu=0.6, mass=1500.0, c_rr=0.01, c_d=0.3, p_aux=800.0)
+    slid = possible(fitted, form)
     assert slid.eta == 1.0
     speed, acceleration = np.array([5.0, 20.0, 30.0]), np.array([1.0, -1.0, 0.0])
     powers = [
         battery_power(
             speed, acceleration, parameters, area=2.2, air_density=1.2, form=form, beta=-0.045
         )
-        for parameters in (found, slid)
+        for parameters in (fitted, slid)
     ]
     assert powers[0] == pytest.approx(powers[1])
 
@@ -111,11 +111,11 @@ def test_tables_say_what_the_results_say(outcome: Outcome) -> None:
         assert all(len(row) == len(table.columns) for row in table.rows)
     last = next(row for row in tables["Table II"].rows if row[0] == "30 V")
     assert last[1] == f"{outcome.power_rows[-1].validation.total:.4g}"
-    found = results_of(outcome)
-    assert found["power_losses"]["random"][-1]["validation"]["total"] == pytest.approx(
+    results = results_of(outcome)
+    assert results["power_losses"]["random"][-1]["validation"]["total"] == pytest.approx(
         float(last[1]), rel=1e-3
     )
-    baseline = next(s for s in found["scores"] if s["method"].startswith("baseline"))
+    baseline = next(s for s in results["scores"] if s["method"].startswith("baseline"))
     assert baseline["split"] == "random 20 %" and baseline["r2"] > 0.9
 
 
@@ -153,9 +153,9 @@ def test_what_a_poor_drive_does_not_tell_is_said(
     tmp_path: Path,
 ) -> None:
     settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=4, energy_epochs=2)
-    found = results_of(
+    results = results_of(
         Experiment(make_log(speed), vehicle, settings, tmp_path).run(lambda *_: None)
     )
-    json.dumps(found, allow_nan=False)
-    rows = found["combinations"]
+    json.dumps(results, allow_nan=False)
+    rows = results["combinations"]
     assert not any(rows[name]["determined"] for name in untold)

@@ -33,10 +33,10 @@ def test_eq_21_finds_the_truth(kind: DriveKind, vehicle: Vehicle, tmp_path: Path
     log, truth = driven(kind, vehicle, tmp_path / "drive")
     problem = Problem(log, vehicle, random_split(len(log.time), 0), dtype=torch.float64)
     z, covariance, _ = problem.fit(problem.training, problem.training.power)
-    found = combinations(problem.values(z), vehicle.frontal_area, problem.form)
+    fitted = combinations(problem.values(z), vehicle.frontal_area, problem.form)
     expected = combinations(truth, vehicle.frontal_area, problem.form)
     for name in ("mass_over_eta", "c_rr", "mu"):
-        assert found[name] == pytest.approx(expected[name], rel=0.02), name
+        assert fitted[name] == pytest.approx(expected[name], rel=0.02), name
     arguments = (vehicle, problem.values(z), covariance, problem.form)
     told = {row.name: row.prior_share for row in combination_rows(*arguments)}
     alone = {row.name: row.prior_share for row in parameter_rows(*arguments)}

@@ -38,10 +38,10 @@ def trained_to(outcome: Outcome, total: float, epochs: int) -> Outcome:
 def scored(outcome: Outcome, method: str = NETWORK, **score: float | None) -> Outcome:
     """An outcome with another score of a method on road not yet driven."""
     rows = [
-        each._replace(score=each.score._replace(**score))
-        if (each.method, each.split) == (method, CHRONOLOGICAL)
-        else each
-        for each in outcome.scores
+        method_score._replace(score=method_score.score._replace(**score))
+        if (method_score.method, method_score.split) == (method, CHRONOLOGICAL)
+        else method_score
+        for method_score in outcome.scores
     ]
     return replace(outcome, scores=rows)
 
@@ -54,10 +54,10 @@ def test_the_loss_is_compared_with_the_papers(
     outcome: Outcome, share: float, epochs: int, answer: ClaimAnswer
 ) -> None:
     """A training cut short that is not there yet has not failed."""
-    found = verdict(trained_to(outcome, share * ASKED, epochs))[FITS]
-    assert found.answer is answer
-    assert f"{share * ASKED:.4f}" in found.measured and f"{ASKED:.4f}" in found.measured
-    assert "not the paper's adam" in found.measured
+    finding = verdict(trained_to(outcome, share * ASKED, epochs))[FITS]
+    assert finding.answer is answer
+    assert f"{share * ASKED:.4f}" in finding.measured and f"{ASKED:.4f}" in finding.measured
+    assert "not the paper's adam" in finding.measured
 
 
 @pytest.mark.parametrize(
@@ -67,9 +67,9 @@ def test_power_of_road_not_yet_driven(
     outcome: Outcome, r2: float | None, answer: ClaimAnswer
 ) -> None:
     """Time as an input is named as the cause where holding it makes the difference."""
-    found = verdict(scored(scored(outcome, r2=r2), TIME_HELD, r2=-0.05))[POWER]
-    assert found.answer is answer
-    assert ("Time is one of its inputs" in found.measured) is (r2 == -370.0)
+    finding = verdict(scored(scored(outcome, r2=r2), TIME_HELD, r2=-0.05))[POWER]
+    assert finding.answer is answer
+    assert ("Time is one of its inputs" in finding.measured) is (r2 == -370.0)
 
 
 @pytest.mark.parametrize(
@@ -83,9 +83,9 @@ def test_energy_of_road_not_yet_driven(
 
 def test_parameters_that_the_data_determine(outcome: Outcome) -> None:
     """mass/eta of stop and go is known, mass alone never; with nothing known the claim fails."""
-    found = verdict(outcome)[PARAMETERS]
-    assert found.answer is PARTLY
-    known, _, guessed = found.measured.partition("; not determined: ")
+    finding = verdict(outcome)[PARAMETERS]
+    assert finding.answer is PARTLY
+    known, _, guessed = finding.measured.partition("; not determined: ")
     assert "mass/eta" in known and {"eta", "mass", "C_d"} <= set(guessed.split(".")[0].split(", "))
     assert "Table V" in guessed
 
