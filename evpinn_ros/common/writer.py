@@ -93,6 +93,18 @@ def write_file(path: Path, content: str | bytes) -> None:
         draft.write(content.encode() if isinstance(content, str) else content)
 
 
+def append_to(path: Path, content: str) -> None:
+    """Append text to a file at once: a kill leaves all of it or nothing.
+
+    It is not put on the disk: a loss of power may leave a part.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with resolved(path).open("ab", buffering=0) as file:
+        file.write(content.encode())
+
+
 def new_file(path: Path) -> BinaryIO:
     """A file to write that is not there yet.
 

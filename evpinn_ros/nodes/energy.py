@@ -162,6 +162,7 @@ class EnergyNode(GuardedNode):
         self.publish(output_messages(new_message, self.account.state))
         summary = self.account.tick()
         if summary is not None:
+            self.kept.file.append()  # before it is shown: after a kill no total is less
             self.publish(output_messages(new_message, summary))
 
     def _on_identifiable(self, message: Any) -> None:

@@ -12,11 +12,14 @@ from evpinn_ros.common.writer import claimed
 from evpinn_ros.core.estimation.state_file import (
     Half,
     StateClaim,
+    append_half,
     read_half,
     refused_names,
     set_aside,
     write_halves,
 )
+
+MOST_APPENDED = 120  # states behind one that was written whole; 3 kB each
 
 
 class Stateful(Protocol):
@@ -48,6 +51,7 @@ class StateFile:
         self._refused: tuple[int, int] | None = None  # which file that was
         self._readable = True
         self._claim: StateClaim | None = None
+        self._appendable = 0  # states that may follow the last that was written whole
         self.busy: str | None = None
 
     def why_unwritable(self) -> str | None:
@@ -118,8 +122,21 @@ class StateFile:
         except (OSError, ValueError) as error:
             self.problem = f"{self._path}: not written: {error}"
             return self.problem
-        self.problem = None
+        self._appendable, self.problem = MOST_APPENDED, None
         return None
+
+    def append(self) -> None:
+        """Append the state to the file, or now and then write it whole: a kill spares it."""
+        if self._path is None or self.problem is not None:
+            return  # `save` tries again, in its own time
+        if not self._appendable:
+            self.save()
+            return
+        try:
+            append_half(self._path, self._half, self._owner.export())
+            self._appendable -= 1
+        except (OSError, ValueError):
+            self.save()  # which says what is wrong
 
     def _refuse(self, problem: str) -> None:
         if self._path is not None:

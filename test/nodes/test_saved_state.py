@@ -9,12 +9,13 @@ from evpinn_ros.core.estimation.state_file import (
     REFUSED_KEPT,
     Half,
     account_path,
+    append_half,
     read_half,
     read_state,
     write_halves,
     write_state,
 )
-from evpinn_ros.nodes.saved_state import StateFile, state_path
+from evpinn_ros.nodes.saved_state import MOST_APPENDED, StateFile, state_path
 
 
 class Counter:
@@ -126,6 +127,39 @@ def test_files_of_earlier_versions_become_one_and_lose_nothing(tmp_path):
     assert read_state(account_path(path)) == account
     write_state(account_path(path), {**account, "count": 9})  # which is read no more
     assert read_half(path, Half.ENERGY) == ({"count": 3}, None)
+
+
+def test_wherever_a_line_is_torn_the_file_holds_this_state_or_the_one_before(tmp_path):
+    path, other = tmp_path / "car.json", {"count": 1}
+    write_halves(path, {Half.LEARNED: other})
+    for count in range(3):
+        append_half(path, Half.ENERGY, {"count": count})
+    content = path.read_bytes()
+    newest = len(content) - content.rindex(b"\n")
+    for cut in range(newest + 1):
+        for lost in (b"", b"\0" * cut):
+            path.write_bytes(content[: len(content) - cut] + lost)
+            assert read_state(path) == {"learned": other, "energy": {"count": 2 if not cut else 1}}
+    write_halves(path, {Half.LEARNED: {"count": 9}})
+    assert path.read_text() == '{"learned": {"count": 9}, "energy": {"count": 1}}'
+    lines = b'\n{"energy": 1}', b"\n[]\n{}", b"\nx\n" + content, b"\n{}"
+    for damaged in (*(content + line for line in lines), b"{}" + content, b'{"energy": {}} {}'):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="not a saved state"):
+            read_state(path)
+
+
+def test_a_state_is_appended_and_now_and_then_written_whole(tmp_path):
+    path = tmp_path / "car.json"
+    state_file = StateFile(path, Counter(), Half.ENERGY)
+    state_file.restore()
+    lines = []
+    for count in range(2 * MOST_APPENDED + 2):
+        state_file._owner.count = count
+        state_file.append()
+        lines.append(len(path.read_text().splitlines()))
+        assert read_state(path) == {"energy": {"count": count}}
+    assert lines == [*range(1, MOST_APPENDED + 2)] * 2
 
 
 def test_a_half_that_is_missing_is_reported(tmp_path):

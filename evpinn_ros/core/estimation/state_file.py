@@ -1,8 +1,10 @@
 """Knowledge of a car, kept between drives: one JSON file, written whole, checked when read.
 
 The file has two halves: `learned`, of the estimator, and `energy`, of the energy account. Each is
-written by its owner, perhaps another process, and leaves the other as it is. Files of earlier
-versions hold one half alone, the account in `car.energy.json` beside `car.json`; they are read.
+written by its owner, perhaps another process, and leaves the other as it is. Lines behind the
+JSON are newer states of a half, appended between two writes of the whole; the last may be torn.
+Files of earlier versions hold one half alone, the account in `car.energy.json` beside `car.json`;
+they are read.
 """
 
 from __future__ import annotations
@@ -21,7 +23,15 @@ import zlib
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import open_file, read_whole
-from evpinn_ros.common.writer import Held, claimed, replaced, resolved, sync, write_file
+from evpinn_ros.common.writer import (
+    Held,
+    append_to,
+    claimed,
+    replaced,
+    resolved,
+    sync,
+    write_file,
+)
 
 MAX_FILE_BYTES = 4_000_000  # mode paper saves 1 MB, hybrid less; empty lists take 30 times as much
 REFUSED_KEPT = 5  # files
@@ -119,6 +129,17 @@ def write_halves(path: Path, halves: Mapping[Half, State]) -> None:
         write_state(path, {**kept, **{half.value: state for half, state in halves.items()}})
 
 
+def append_half(path: Path, half: Half, state: State) -> None:
+    """Append the state of a half to a file that `write_halves` wrote; the newest counts.
+
+    Raises:
+        OSError: as of `write_halves`.
+        ValueError: the half holds a number that is not finite.
+    """
+    with claimed(path):
+        append_to(path, f"\n{json.dumps({half.value: state}, allow_nan=False)}")
+
+
 def read_half(path: Path, half: Half) -> tuple[State | None, str | None]:
     """One half of a state file.
 
@@ -160,15 +181,10 @@ def read_state(path: Path) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     try:
-        state = json.loads(text.decode("utf-8"), parse_constant=_refuse, parse_float=_finite)
+        return _with_appended(text.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not a saved state: {error}") from error
-    if not isinstance(state, dict) or (
-        KEYS & state.keys()
-        and not (state.keys() <= KEYS and all(isinstance(part, dict) for part in state.values()))
-    ):
-        raise InputError(f"{path}: not a saved state")
-    return state
+        reason = f": {error}" if str(error) else ""
+        raise InputError(f"{path}: not a saved state{reason}") from error
 
 
 def set_aside(path: Path, *, copied: bool = False) -> None:
@@ -193,6 +209,41 @@ def refused_names(path: Path) -> list[Path]:
     return [first, *(first.with_name(f"{first.name}.{n}") for n in range(2, REFUSED_KEPT + 1))]
 
 
+def _with_appended(text: str) -> dict[str, Any]:
+    """The JSON at the begin of a text, with the halves that lines behind it hold.
+
+    Raises:
+        ValueError: it is no state, or a line before the last is none.
+    """
+    content, end = _DECODER.raw_decode(text, len(text) - len(text.lstrip()))
+    behind = text[end:].rstrip("\0\n")  # NUL is what a loss of power leaves of bytes
+    if not _is_state(content):
+        raise ValueError
+    state: dict[str, Any] = content
+    if behind and not (behind.startswith("\n") and KEYS & state.keys()):
+        raise ValueError
+    lines = behind.splitlines()[1:]
+    for number, line in enumerate(lines, 1):
+        try:
+            appended = _DECODER.decode(line)
+        except ValueError:
+            if number < len(lines):
+                raise
+            break  # the power was lost while it was written
+        if not (_is_state(appended) and KEYS & appended.keys()):
+            raise ValueError
+        state.update(appended)
+    return state
+
+
+def _is_state(content: Any) -> bool:
+    """True for a mapping that, if it has a half, has halves alone."""
+    return isinstance(content, dict) and (
+        not KEYS & content.keys()
+        or (content.keys() <= KEYS and all(isinstance(part, dict) for part in content.values()))
+    )
+
+
 def _halves(content: State, asked: Half) -> dict[str, Any]:
     """The halves in a file; of an earlier version it has one, of which it says little."""
     if KEYS & content.keys():
@@ -210,3 +261,6 @@ def _finite(digits: str) -> float:
 
 def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is no number to be saved")
+
+
+_DECODER = json.JSONDecoder(parse_constant=_refuse, parse_float=_finite)

@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 
 from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.core.estimation.state_file import read_state
 from evpinn_ros.nodes.factory import message_class
 from test.conftest import ROOT
 from test.waiting import wait_until
@@ -260,7 +261,7 @@ def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
     seconds = 25.0  # two intervals are learned from
 
     def on_disk():
-        state = json.loads((tmp_path / "urban.json").read_text())
+        state = read_state(tmp_path / "urban.json")
         return [state["learned"], state["energy"]]
 
     def saved():

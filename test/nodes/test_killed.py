@@ -1,0 +1,49 @@
+"""The energy node is killed at any moment: what it has shown it never takes back."""
+
+from itertools import pairwise
+import random
+
+import pytest
+
+from evpinn_ros import topics
+from evpinn_ros.core.signals.readings import NANOSECONDS, SpeedReading
+from evpinn_ros.nodes.factory import new_message
+from evpinn_ros.topics.messages import read_named_vector
+from evpinn_ros.topics.readings import reading_message
+from test.nodes.plans import power
+from test.nodes.processes import await_line, node, started
+
+START = 1_700_000_000
+RATE = 10  # readings a second
+NEVER_FALL = ("lifetime_drawn", "lifetime_regenerated")
+
+
+@pytest.mark.parametrize(
+    "kills", [pytest.param(3, marks=pytest.mark.slow), pytest.param(50, marks=pytest.mark.nightly)]
+)
+def test_totals_never_fall_however_often_the_node_is_killed(bench, tmp_path, kills):
+    moments = random.Random(kills)
+    inputs = (topics.SPEED, topics.POWER_MEASURED, topics.POWER_SMOOTHED)
+    command = node("energy", *inputs, energy_file=str(tmp_path / "energy.json"))
+    totals = bench.hear(topics.ENERGY_TOTALS)
+    step = 0
+
+    def send():
+        nonlocal step
+        stamp, watts = START * NANOSECONDS + step * NANOSECONDS // RATE, moments.uniform(-2e4, 4e4)
+        bench.send(topics.SPEED, reading_message(new_message, SpeedReading(stamp, 20.0)))
+        bench.send(topics.POWER_MEASURED, power(stamp, watts))
+        bench.send(topics.POWER_SMOOTHED, power(stamp, watts))
+        step += 1
+
+    for _ in range(kills):
+        with started(*command) as process:
+            await_line(process, "waiting for power/smoothed")
+            several = len(totals) + moments.randrange(2, 10)
+            bench.pump(lambda several=several: len(totals) > several or send())
+            for _ in range(moments.randrange(5 * RATE)):
+                send()
+    shown = [read_named_vector(message).values for message in totals]
+    assert len(shown) > 2 * kills and shown[-1]["lifetime_drawn"] > 2e4 * kills
+    for name in NEVER_FALL:
+        assert all(a[name] <= b[name] for a, b in pairwise(shown)), name
