@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+import math
 from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units, kwh_digits
@@ -12,12 +13,13 @@ from evpinn_ros.core.estimation.breakdown import (
     UNEXPLAINED,
 )
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.core.estimation.terms import WHOLE, Part
+from evpinn_ros.core.estimation.terms import LOSSES, WHOLE, Part
 from evpinn_ros.replays.energy_metrics import MEANINGS
 
 NAMES = tuple(part.name.lower() for part in list(Part)[WHOLE])
 TOGETHER = " + "  # between the names of parts that are not separated
 LEFT_OUT = (MEANINGS["speed"], UNEXPLAINED)
+_LOSSES = {MEANINGS[part.name.lower()] for part in LOSSES}
 SHORT = {  # in a column of a table
     MEANINGS["air"]: "air",
     MEANINGS["brakes"]: "braking",
@@ -170,6 +172,11 @@ def breakdown_sentence(breakdown: Mapping[str, Any]) -> str:
         back = _amount(-slope["kwh"], slope["sigma_kwh"])
         sentences.append(f"The way down gave back {back}.")
     return " ".join(sentences)
+
+
+def least_of(name: str) -> float:
+    """Least energy of a part, or of some that are not separated: no loss is below zero."""
+    return 0.0 if set(name.split(TOGETHER)) <= _LOSSES else -math.inf
 
 
 def _took(name: str) -> str:

@@ -21,6 +21,7 @@ from evpinn_ros.report.breakdown_text import (
     breakdown_notes,
     breakdown_rows,
     breakdown_sentence,
+    least_of,
     shown,
 )
 from evpinn_ros.report.drive_charts import Chart
@@ -117,12 +118,14 @@ def breakdown_values(breakdown: Mapping[str, Any], units: Units) -> dict[str, An
 def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> IntervalRow:
     """A part: kWh, its interval of 90 % in words, energy over distance."""
     kwh, half = part["kwh"], GAUSSIAN_QUANTILE * part["sigma_kwh"]
+    least = least_of(name)
     value, low, high = (
-        f"{round(limit, digits) + 0.0:.{digits}f}" for limit in (kwh, kwh - half, kwh + half)
+        f"{round(limit, digits) + 0.0:.{digits}f}"
+        for limit in (kwh, max(kwh - half, least), kwh + half)
     )
     rate = part["kwh_per_100km"]
     per_distance = ""
     if rate is not None:
         shown_rate = rate * METRIC.rate_joules / units.rate_joules
         per_distance = f"; {shown_rate:.{1 if units is METRIC else 0}f} {units.rate}"
-    return IntervalRow(name, f"{value} kWh ({low} to {high}){per_distance}", kwh, half)
+    return IntervalRow(name, f"{value} kWh ({low} to {high}){per_distance}", kwh, half, least)

@@ -15,6 +15,7 @@ from evpinn_ros.core.energy.plan import Legs
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.estimation.terms import Part
 from evpinn_ros.replays.energy_metrics import MEANINGS
+from evpinn_ros.report.breakdown_text import least_of
 from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
 from evpinn_ros.report.intervals import IntervalRow, interval_rows
@@ -135,7 +136,13 @@ def _parts(planned: PlannedEnergy) -> list[dict[str, Any]]:
     rows.sort(key=lambda row: -row[1].value)
     return interval_rows(
         [
-            IntervalRow(name, _kwh(amount), amount.value, GAUSSIAN_QUANTILE * amount.sigma)
+            IntervalRow(
+                name,
+                _kwh(amount),
+                amount.value,
+                GAUSSIAN_QUANTILE * amount.sigma,
+                least_of(name),
+            )
             for name, amount in rows
         ]
     )

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 from typing import Any, NamedTuple
 
 
 class IntervalRow(NamedTuple):
-    """A row: its name, what stands beside it, the amount and half of its interval."""
+    """A row: its name, what stands beside it, the amount, half of its interval, and its least."""
 
     name: str
     text: str
     value: float
     half: float
+    least: float = -math.inf
+
+    @property
+    def low(self) -> float:
+        """Begin of its interval."""
+        return max(self.value - self.half, self.least)
 
 
 def interval_rows(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
@@ -20,7 +27,7 @@ def interval_rows(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
 
     The width holds every interval and zero, so that nothing is cut off.
     """
-    low = min([0.0, *(min(row.value, row.value - row.half) for row in rows)])
+    low = min([0.0, *(min(row.value, row.low) for row in rows)])
     high = max([0.0, *(row.value + row.half for row in rows)])
     width = max(high - low, 1e-12)
 
@@ -34,7 +41,7 @@ def interval_rows(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
             "zero": at(0.0),
             "left": at(min(row.value, 0.0)),
             "width": round(abs(at(row.value) - at(0.0)), 2),
-            "from_": at(row.value - row.half),
+            "from_": at(row.low),
             "to": at(row.value + row.half),
         }
         for row in rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -128,7 +129,7 @@ def drives_rows(
         for (name, _, metrics), of_drive in zip(drives, figures, strict=True)
     ]
     if len(rows) > 1:
-        total = Figures(*map(sum, zip(*figures, strict=True)))
+        total = Figures(*np.nansum(figures, axis=0).tolist())
         rows.append((f"all {len(rows)}", *_texts(total, units), _most(breakdown), "-",
                      signed_percent(_predicted(metrics for *_, metrics in drives))))  # fmt: skip
     return rows
@@ -148,7 +149,7 @@ class Figures(NamedTuple):
     Attributes:
         distance: m.
         duration: s.
-        joules: measured, where it was, else predicted.
+        joules: measured, where it was, else predicted; NaN where neither is known.
         known: distance over which that is, m.
     """
 
@@ -159,12 +160,12 @@ class Figures(NamedTuple):
 
 
 def _figures(drive: Drive, total: Counted, metrics: Mapping[str, Any]) -> Figures:
-    """Figures of a drive; of no energy at all 0 over 0 m."""
+    """Figures of a drive."""
     known, joules = total.known, total.energy
     if metrics["energy"]["measured_j"] is None:
         known, joules = total.distance, metrics["energy"]["predicted_j"]
     if joules is None:
-        known, joules = 0.0, 0.0
+        known, joules = 0.0, math.nan
     return Figures(total.distance, drive.duration, joules, known)
 
 
@@ -175,7 +176,7 @@ def _texts(figures: Figures, units: Units) -> tuple[str, str, str, str]:
     return (
         f"{distance / units.metres:.1f}",
         f"{duration / 60:.0f}",
-        "-" if not (joules or known) else f"{kwh:.{kwh_digits(kwh, 2)}f}",
+        "-" if math.isnan(joules) else f"{kwh:.{kwh_digits(kwh, 2)}f}",
         "-" if known < CONSUMPTION_METRES else units.consumption(joules, known),
     )
 

@@ -1,5 +1,7 @@
 """Where the energy went, for people: rows that add up, parts given together, plain sentences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from evpinn_ros.report.breakdown_text import (
     breakdown_sentence,
     shown,
 )
+from evpinn_ros.report.drive_energy import breakdown_values
 
 
 def breakdown(correlation: float = 0.0) -> Breakdown:
@@ -46,6 +49,17 @@ def test_what_cannot_be_told_apart_is_one_row_and_says_so():
     assert any("cannot separate" in line for line in breakdown_lines(found))
     apart = breakdown_metrics(breakdown(), "hybrid")
     assert not any("cannot separate" in line for line in breakdown_lines(apart))
+
+
+def test_no_interval_of_a_loss_begins_below_zero():
+    """Tyres are 0.5 +- 0.5 kWh; a net climb may be negative, and so its interval."""
+    energy, unsure = breakdown().energy.copy(), breakdown()
+    energy[Part.TYRES], energy[Part.AIR] = 0.5 * JOULES_PER_KWH, 4.5 * JOULES_PER_KWH
+    rows = breakdown_values(breakdown_metrics(replace(unsure, energy=energy), "hybrid"), METRIC)
+    texts = {row["name"]: row for row in rows["parts"]}
+    assert texts["tyres"]["text"].startswith("0.50 kWh (0.00 to 1.32)")
+    assert texts["net climb"]["text"].startswith("-0.50 kWh (-0.53 to -0.47)")
+    assert texts["tyres"]["from_"] == texts["tyres"]["zero"]
 
 
 def test_rows_in_other_units_are_the_same_energy():
