@@ -31,26 +31,29 @@ class EdgeEnergies:
     def __init__(self, index: pd.Index, edges: energy_edges.Edges) -> None:
         """Edges named by an index; `edge_energies` makes them."""
         self.table = pd.DataFrame({"energy_j": edges.energy, "sigma_j": edges.sigma}, index)
-        self._found = edges
+        self._edges = edges
 
     def route(self, edges: Iterable[Hashable]) -> Uncertain:
-        """Energy of a route, J, with its 1-sigma; errors of the car's model add up over the edges.
+        """Energy of a route, J, with its 1-sigma: what `forecast` says of its edges as a trip.
+
+        It is more than the sum of the table by the start from standing, cold if the car is, the
+        stop at the end, and changes of speed and slope between the edges.
 
         Args:
-            edges: labels of the edges in the index, in any order, each as often as it is driven.
+            edges: labels of the edges in the index, in the order in which they are driven.
 
         Raises:
-            InputError: there is no such edge.
+            InputError: there is no such edge, or they are no trip (`PlanError`).
         """
-        return self._found.route(self._places(edges))
+        return self._edges.route(self._places(edges))
 
     def difference(self, route: Iterable[Hashable], other: Iterable[Hashable]) -> Uncertain:
-        """Energy of one route minus that of another, J; errors that both share cancel.
+        """Energy of one route minus that of another, J; in its 1-sigma what both share cancels.
 
         Raises:
             InputError: there is no such edge.
         """
-        return self._found.difference(self._places(route), self._places(other))
+        return self._edges.difference(self._places(route), self._places(other))
 
     def _places(self, edges: Iterable[Hashable]) -> np.ndarray:
         labels = [*edges]
@@ -73,8 +76,9 @@ def edge_energies(
     """Energies of all edges of a road network at once, for a router.
 
     Each edge is driven at its mean speed; the energy for speeding up and braking that is usual on
-    such legs is added. Tyres and cabin are assumed to be warm. A downhill edge may return energy,
-    so a router needs the Bellman-Ford algorithm, or potentials.
+    such legs is added. In the table tyres and cabin are warm, and before and after an edge the car
+    goes on as on it. A downhill edge may return energy, so a router needs the Bellman-Ford
+    algorithm, or potentials.
 
     Example:
         >>> import evpinn_ros as ev

@@ -1,9 +1,10 @@
 """Energy of the edges of a road network, for a router: many legs at once.
 
-An edge is a leg at even speed plus what uneven speed takes on such legs; between edges the speed
-is taken to go on. Downhill an edge may give energy back: a router needs potentials or
-Bellman-Ford's algorithm. What is not known of the car is the same on every edge, so the energies
-of routes are added up by `Edges.route`, and compared by the sigma of their difference.
+An edge is a leg of a plan (`PowerModel.leg_rows`) of no trip: before and after it the car goes on
+as on it, warm. Downhill it may give energy back: a router needs potentials or Bellman-Ford's
+algorithm. A route is a trip: its energy is the forecast of its edges as legs, with its start, its
+end, and the changes of speed and slope in between. What is not known of the car is the same on
+every edge, so routes are compared by the sigma of their difference.
 """
 
 from __future__ import annotations
@@ -11,15 +12,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
+from typing import Any
 
 import numpy as np
 
 from evpinn_ros.core.energy.charge import Uncertain
-from evpinn_ros.core.energy.plan import Legs
-from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.plan import Legs, legs_of_trip
+from evpinn_ros.core.energy.power_model import PowerModel, Weather
 from evpinn_ros.core.estimation.journey import standing
-from evpinn_ros.core.estimation.states import SIZE, State
-from evpinn_ros.core.estimation.unevenness import OF_LEGS, per_leg
+from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.estimation.terms import WARM
+from evpinn_ros.core.estimation.unevenness import OF_LEGS, legs_of_speed
 
 JUDGED = 2000  # edges by which directions are chosen
 LEAST_SHARE = 1e-4  # of the variance of these; a direction with less is left out
@@ -37,12 +41,14 @@ class Edges:
         own: variance that is of an edge alone, J^2, shape (n,).
         uneven: 1-sigma of what a driver's habit makes of uneven speed, J, shape (n,): off in the
             same sense too.
+        trip: function that forecasts a trip over edges of these numbers, one or more, in order.
     """
 
     energy: np.ndarray
     directions: np.ndarray
     own: np.ndarray
     uneven: np.ndarray
+    trip: Callable[[np.ndarray], Uncertain]
 
     @property
     def sigma(self) -> np.ndarray:
@@ -50,24 +56,24 @@ class Edges:
         return np.asarray(np.sqrt((self.directions**2).sum(1) + self.own + self.uneven**2))
 
     def route(self, edges: Sequence[int] | np.ndarray) -> Uncertain:
-        """Energy of a route, J, and its 1-sigma; edges: their numbers, once for each time."""
-        return self._sum(np.bincount(np.asarray(edges), minlength=len(self.energy)))
+        """Energy of a route, J, and its 1-sigma; edges: their numbers in the order driven."""
+        numbers = np.asarray(edges, dtype=int)
+        return self.trip(numbers) if numbers.size else Uncertain(0.0, 0.0)
 
     def difference(
         self, one: Sequence[int] | np.ndarray, other: Sequence[int] | np.ndarray
     ) -> Uncertain:
         """Energy that one route takes more than another, J, with the 1-sigma of that.
 
-        What both share cancels: edges that both drive, and the car.
+        In the sigma what both share cancels: edges that both drive, and the car.
         """
-        count = len(self.energy)
-        times = [np.bincount(np.asarray(each), minlength=count) for each in (one, other)]
-        return self._sum(times[0] - times[1])
-
-    def _sum(self, times: np.ndarray) -> Uncertain:
+        count, routes = len(self.energy), [np.asarray(route, dtype=int) for route in (one, other)]
+        more, less = (np.bincount(route, minlength=count) for route in routes)
+        times = more - less
         variance = ((times @ self.directions) ** 2).sum() + np.abs(times) @ self.own
         variance += (times @ self.uneven) ** 2
-        return Uncertain(float(times @ self.energy), math.sqrt(variance))
+        energy = self.route(one).value - self.route(other).value
+        return Uncertain(energy, math.sqrt(variance))
 
 
 def edge_energies(
@@ -77,33 +83,46 @@ def edge_energies(
 
     Args:
         legs: of the network.
-        model: of the car; its tyres and cabin are taken as warm.
-        weather: on the way.
+        model: of the car.
+        weather: on the way; tyres and cabin are taken as warm but on routes.
         head_wind: against the car on every edge, m/s.
     """
     car, count = model.car, len(legs.length)
-    some = np.arange(count)[:: max(1, count // JUDGED)]
-    rows = _projected(model, weather, head_wind, np.eye(SIZE))(legs, some)[:, :-1]
+    warm = weather._replace(start=WARM)
+
+    def rows_of(part: Any) -> tuple[np.ndarray, np.ndarray]:
+        columns = (column[part] for column in (legs.duration, legs.length, legs.climb))
+        path = legs_of_speed(*columns, density=weather.air_density, wind=head_wind)
+        return model.leg_rows(path, warm, alone=True)
+
+    rows, _ = rows_of(np.arange(count)[:: max(1, count // JUDGED)])
     unknown = math.sqrt(car.trust) * _directions(rows, model.covariance)
-    onto = np.column_stack((car.mean, unknown))
-    projected = _projected(model, weather, head_wind, onto)
     energy, uneven = np.empty(count), np.empty(count)
     directions = np.empty((count, unknown.shape[1]), np.float32)  # memory is what takes time
     for begin in range(0, count, CHUNK):
         part = slice(begin, begin + CHUNK)
-        sums = projected(legs, part)
-        energy[part], directions[part], uneven[part] = sums[:, 0], sums[:, 1:-1], sums[:, -1]
+        rows, beyond = rows_of(part)
+        energy[part], directions[part] = rows @ car.mean, rows @ unknown
+        uneven[part] = np.abs(beyond @ car.mean)
     stood = standing(legs.duration, legs.length)
     own = model.noise(legs.duration, stood, legs.length**2 / legs.duration)
     own += car.load_variance * legs.duration**2
     own += car.growth * car.weight_over_eta**2 * legs.length * ~legs.height_known
-    uneven, share = np.abs(uneven), car.unevenness.share
+    share = car.unevenness.share
     by_chance = 0.5 * car.mean[State.MASS] * (legs.length / legs.duration) ** 2 * uneven
+
+    def trip(edges: np.ndarray) -> Uncertain:
+        climb = np.where(legs.height_known, legs.climb, math.nan)
+        columns = (column[edges] for column in (legs.length, legs.duration, climb))
+        driven = forecast_plan(legs_of_trip(*columns), model, weather, head_wind, along=False)
+        return Uncertain(float(driven.energy[-1]), float(driven.sigma[-1]))
+
     return Edges(
         energy=energy,
         directions=directions,
         own=car.trust * own + share**2 * OF_LEGS * by_chance,
         uneven=share * uneven,
+        trip=trip,
     )
 
 
@@ -114,24 +133,3 @@ def _directions(rows: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     felt = rows @ root
     size, turned = np.linalg.eigh(felt.T @ felt)
     return np.asarray(root @ turned[:, size > LEAST_SHARE * size.sum()])
-
-
-def _projected(
-    model: PowerModel, weather: Weather, head_wind: float, onto: np.ndarray
-) -> Callable[[Legs, slice | np.ndarray], np.ndarray]:
-    """Function of some edges that gives their rows times `onto`, shape (n, k + 1).
-
-    The last column is the energy of uneven speed in them, J.
-    """
-    car = model.car
-    even = model.projected(weather, onto)
-    uneven = car.unevenness.per_metre(car.equation, car.mean) @ np.column_stack((onto, car.mean))
-
-    def of_edges(legs: Legs, part: slice | np.ndarray) -> np.ndarray:
-        columns = legs.duration[part], legs.length[part], legs.climb[part]
-        steps = even_steps(*columns, head_wind)
-        sums = per_leg(steps, uneven)
-        sums[:, :-1] += even(steps)
-        return sums
-
-    return of_edges

@@ -24,7 +24,13 @@ from evpinn_ros.core.estimation.gaussian import Gaussian, at_least_zero, conditi
 from evpinn_ros.core.estimation.journey import standing, wandered
 from evpinn_ros.core.estimation.states import SIZE, State
 from evpinn_ros.core.estimation.terms import COUNT, LOSSES, WHOLE, Part
-from evpinn_ros.core.estimation.unevenness import Path, even_path, size_of, stops_of
+from evpinn_ros.core.estimation.unevenness import (
+    Path,
+    even_path,
+    legs_of_speed,
+    size_of,
+    stops_of,
+)
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import density_of_air
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -261,7 +267,7 @@ def forecast_plan(
         PlanError: the model gives no finite energy.
     """
     points = points_of(plan)
-    steady, coarse = is_steady(plan, steady), _is_coarse(points)
+    steady, coarse = is_steady(plan, steady), _is_coarse(plan)
     given_points: Any = slice(None)
     if coarse and steady and isinstance(plan, Plan):
         (plan, given_points), coarse = _straight(plan), False
@@ -335,11 +341,11 @@ def plan_parts(
         steady: True if its speeds are commanded.
     """
     points = points_of(plan)
-    if _is_coarse(points) and isinstance(plan, Plan):
+    if _is_coarse(plan) and isinstance(plan, Plan):
         points, _ = _straight(plan)
     wind = _wind(points, head_wind, wind_length)
     steps = _steps(points, wind)
-    if _is_coarse(points) and isinstance(plan, Legs):
+    if isinstance(plan, Legs):
         steps = Steps(*even_path(_path(points, weather.air_density, wind))[:5])
     rows = np.concatenate((model.parts(steps, weather), np.zeros((1, SIZE))))
     rows[Part.STANDING, State.LOAD] = forecast.end.row[State.LOAD]
@@ -362,9 +368,11 @@ def is_steady(plan: Plan | Legs, steady: bool | None) -> bool:
     return isinstance(plan, Plan) and plan.commanded if steady is None else steady
 
 
-def _is_coarse(points: Plan) -> bool:
-    """True for one trip whose points are so far apart that its speed varies between them."""
-    duration = np.diff(points.time)
+def _is_coarse(plan: Plan | Legs) -> bool:
+    """True for one trip whose speed varies between its points: for legs know their means alone."""
+    if isinstance(plan, Legs):
+        return True
+    duration = np.diff(plan.time)
     return duration.ndim == 1 and float(np.median(duration)) > COARSE
 
 
@@ -407,10 +415,8 @@ def _wind(points: Plan, head_wind: float, length: float) -> np.ndarray:
 
 def _path(points: Plan, density: float, wind: np.ndarray) -> Path:
     """Legs between points of one trip, shape (n - 1,); wind: against the car at each, m/s."""
-    duration, length = np.diff(points.time), np.diff(points.distance)
-    zero = np.zeros_like(duration)
-    climb = np.diff(points.elevation)
-    return Path(duration, length, zero, zero, climb, density + zero, (wind[1:] + wind[:-1]) / 2.0)
+    columns = (np.diff(column) for column in (points.time, points.distance, points.elevation))
+    return legs_of_speed(*columns, density=density, wind=(wind[1:] + wind[:-1]) / 2.0)
 
 
 def _steps(plan: Plan, wind: np.ndarray) -> Steps:

@@ -6,7 +6,6 @@ intervals of driving. So the forecast of a driven speed is the replay of it with
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 import math
@@ -14,12 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.arrays import like, namespace, whole, within, zeros
+from evpinn_ros.common.arrays import like, namespace, within, zeros
 from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.network_table import (
-    FORCES,
     looked_up,
-    places_of,
     table_of,
     units_of,
 )
@@ -29,7 +26,6 @@ from evpinn_ros.core.estimation.size import model_of_file
 from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import (
     EXPLAINED,
-    WARM,
     Warmth,
     Wheels,
     coldness,
@@ -109,7 +105,7 @@ class PowerModel:
         return equation.split(self.rows(steps, weather), wheels, cold, warmth.tyres)
 
     def leg_rows(
-        self, legs: Path, weather: Weather, even: bool = False
+        self, legs: Path, weather: Weather, *, even: bool = False, alone: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
         """Energy of legs whose mean speed alone is known, J per unit, shape (n, SIZE) each.
 
@@ -117,6 +113,7 @@ class PowerModel:
             legs: of one trip.
             weather: on the way.
             even: True for legs at even speed.
+            alone: True for legs of no trip, such as edges of a network.
 
         Returns:
             The whole, and the part of it that is expected of uneven speed.
@@ -124,7 +121,7 @@ class PowerModel:
         equation = self.car.equation
         conditions, warmth = self._surroundings(legs, weather)
         beyond = self.car.unevenness.of_legs(equation, self.car.mean, legs) * (not even)
-        rows = even_rows(equation, legs) + beyond
+        rows = even_rows(equation, legs, alone=alone) + beyond
         tyres = float(equation.mean[State.ROLLING]) * rows[:, State.ROLLING]
         rows[:, State.ROLLING_DRIVE] = tyres
         rows[:, State.ROLLING_COLD] = tyres * coldness(conditions.celsius)
@@ -181,35 +178,6 @@ class PowerModel:
         rows[:, WEIGHTS] = looked_up(wheels, steps.distance, self._table)
         rows[:, EXPLAINED] -= rows[:, PHYSICS] @ like(self.car.equation.explained, rows)
         return rows
-
-    def projected(self, weather: Weather, onto: np.ndarray) -> Callable[[Steps], np.ndarray]:
-        """Function of n steps, tyres and cabin warm, that gives their rows times `onto`, (n, k).
-
-        The network is by the table; the rows themselves would be five times as much to compute.
-
-        Args:
-            weather: on the way.
-            onto: combinations of the states, shape (SIZE, k).
-        """
-        equation, conditions = self.car.equation, self._conditions(weather)
-        network = (self._table @ onto[WEIGHTS]).reshape(-1, onto.shape[1])
-        loads, cold = self._loads(weather, conditions, WARM), coldness(conditions.celsius)
-        power = np.array(list(loads.values())) @ onto[list(loads)]
-        rest = onto.copy()
-        rest[PHYSICS] -= equation.explained @ onto[EXPLAINED]
-
-        def of_steps(steps: Steps) -> np.ndarray:
-            wheels = equation.of_steps(steps, conditions)
-            moving = equation.moving_columns(wheels, steps.duration, cold, WARM.tyres)
-            columns = np.stack([steps.duration, *moving.values()])
-            terms = columns.T @ np.stack([power, *rest[list(moving)]])
-            places = places_of(wheels)
-            node = whole(places.speed * FORCES + places.force)
-            for faster, stronger, share in places.shares(steps.distance):
-                terms += network[node + (faster * FORCES + stronger)] * share[:, None]
-            return np.asarray(terms)
-
-        return of_steps
 
     def predicted(
         self, rows: Any, elapsed: Any, noise: Any, unseen: Any, uneven: Any = 0.0

@@ -34,11 +34,11 @@ from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import Forecast
 from evpinn_ros.core.energy.plan import Plan
 from evpinn_ros.core.energy.plausible import Joules, Metres
-from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
+from evpinn_ros.core.energy.power_model import PowerModel, Weather
 from evpinn_ros.core.energy.trip import Stretch
 from evpinn_ros.core.energy.uncertainty import relaxed, walked
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES
+from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES, legs_of_speed
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MEMORY = 10e3  # m
@@ -107,9 +107,9 @@ def usual_cost(car: CarModel) -> float:
     metres = car.unevenness.metres[:, int(np.searchsorted(DURATIONS, USUAL_LEG))]
     if metres.sum() < LEAST_METRES:
         return math.nan
-    legs = even_steps(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, 0.0 * MIDDLES)
-    rows = PowerModel(car).rows(legs, Weather(car.equation.vehicle.air_density))
-    rows += car.unevenness.of_legs(car.equation, car.mean, legs)
+    density = car.equation.vehicle.air_density
+    legs = legs_of_speed(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, density=density)
+    rows, _ = PowerModel(car).leg_rows(legs, Weather(density), alone=True)
     cost = float(metres @ (rows @ car.mean / legs.distance) / metres.sum())
     return cost if math.isfinite(cost) and cost > 0.0 else math.nan
 

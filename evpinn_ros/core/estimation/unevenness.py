@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -109,9 +109,14 @@ class Unevenness:
 
     def of_legs(self, equation: Equation, mean: np.ndarray, legs: Path | Steps) -> np.ndarray:
         """Expected rows of n legs beyond those at even speed, J per unit, shape (n, SIZE)."""
-        return per_leg(legs, self.per_metre(equation, mean))
+        table = self._per_metre(equation, mean)
+        way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
+        rows = np.zeros((len(way), SIZE))
+        for speed, duration, share in _nodes(legs):
+            rows += table[speed, duration] * (share * way)[:, None]
+        return rows
 
-    def per_metre(self, equation: Equation, mean: np.ndarray) -> np.ndarray:
+    def _per_metre(self, equation: Equation, mean: np.ndarray) -> np.ndarray:
         """Expected rows per metre at each node of speed and duration, shape (*SHAPE, SIZE).
 
         A longer leg of one mean speed has more room for unevenness: where its energy would fall,
@@ -193,15 +198,6 @@ def size_of(energy: np.ndarray, stops: np.ndarray) -> np.ndarray:
     return np.sqrt(np.cumsum(energy) ** 2 + OF_LEGS * np.cumsum(energy * stops))
 
 
-def per_leg(legs: Path | Steps, table: np.ndarray) -> np.ndarray:
-    """Numbers of n legs, (n, k), from such per metre at each node, shape (*SHAPE, k)."""
-    way = np.abs(legs.distance) * np.minimum(legs.duration / DURATIONS[0], 1.0)
-    of_legs = np.zeros((len(way), table.shape[-1]))
-    for speed, duration, share in _nodes(legs):
-        of_legs += table[speed, duration] * (share * way)[:, None]
-    return of_legs
-
-
 def _add_drive(
     metres: np.ndarray, rows: np.ndarray, equation: Equation, drive: Path, driven: np.ndarray
 ) -> None:
@@ -238,8 +234,30 @@ def _carried(equation: Equation, legs: Path) -> np.ndarray:
     return rows
 
 
-def even_rows(equation: Equation, legs: Path) -> np.ndarray:
-    """Rows of legs at even speed without loads, J per unit, shape (n, SIZE)."""
+def legs_of_speed(
+    duration: np.ndarray,
+    distance: np.ndarray,
+    climb: Any = 0.0,
+    *,
+    density: float,
+    wind: Any = 0.0,
+) -> Path:
+    """Legs by duration, s, and distance, m, shape (n,); the rest is of all or of each."""
+    zero = np.zeros_like(duration)
+    return Path(duration, distance, zero, zero, climb + zero, density + zero, wind + zero)
+
+
+def even_rows(equation: Equation, legs: Path, *, alone: bool = False) -> np.ndarray:
+    """Rows of legs at even speed without loads, J per unit, shape (n, SIZE).
+
+    Args:
+        equation: of the car.
+        legs: of one trip.
+        alone: True for legs of no trip: before and after each, speed and slope go on.
+    """
+    if alone:
+        legs = legs._replace(air=_air(legs), kinetic=np.zeros_like(legs.duration))
+        return _moving(equation, legs)
     joined = even_path(legs)
     rows, half = _moving(equation, joined), 0.5 * legs.duration
     before, after = half / joined.duration[:-1], half / joined.duration[1:]
@@ -249,19 +267,22 @@ def even_rows(equation: Equation, legs: Path) -> np.ndarray:
 def even_path(legs: Path) -> Path:
     """Steps from the middle of each leg to that of the next, the first and last from standing."""
     half = Path._make((*(0.5 * column for column in legs[:5]), legs.density, legs.wind))
-    speed = np.abs(legs.distance) / legs.duration
-    flow = speed + half.wind
-    air = flow * np.abs(flow) * np.abs(half.distance)
-    ends = np.concatenate(([0.0], speed, [0.0]))
+    ends = np.concatenate(([0.0], np.abs(legs.distance) / legs.duration, [0.0]))
     return Path(
         _beside(half.duration),
         _beside(half.distance),
-        _beside(air),
+        _beside(_air(half)),
         np.diff(ends**2) / 2.0,
         _beside(half.climb),
         np.append(half.density, half.density[-1]),
-        np.zeros(len(speed) + 1),
+        np.zeros(len(ends) - 1),
     )
+
+
+def _air(legs: Path) -> np.ndarray:
+    """Integral of v^3 of legs at even speed, m^3/s^2, with the wind."""
+    flow = np.abs(legs.distance) / legs.duration + legs.wind
+    return np.asarray(flow * np.abs(flow) * np.abs(legs.distance))
 
 
 def _beside(half: np.ndarray) -> np.ndarray:

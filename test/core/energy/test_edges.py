@@ -1,30 +1,107 @@
-"""Sums and differences of edges: what two routes share cancels, what is each edge's adds up."""
+"""Edges, routes, forecasts and range are one function; what two routes share cancels."""
 
+from dataclasses import replace
+
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.core.energy.edges import Edges
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.edges import Edges, edge_energies
+from evpinn_ros.core.energy.forecast import PlanBasis, forecast_plan
+from evpinn_ros.core.energy.plan import PlanConditions, legs_of, legs_of_trip
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
+from evpinn_ros.core.energy.remaining import USUAL_LEG, usual_cost
+from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.estimation.terms import WARM
+from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES, Unevenness
+from evpinn_ros.core.vehicle.files import load_vehicle
+from test.core.energy.cars import FEW, taught
 
 EDGES = Edges(
     energy=np.array([100.0, 40.0, -10.0]),
     directions=np.array([[3.0], [4.0], [0.0]]),
     own=np.array([16.0, 9.0, 0.0]),
     uneven=np.array([0.0, 0.0, 2.0]),
+    trip=lambda edges: Uncertain(float(np.array([101.0, 41.0, -9.0])[edges].sum()), 7.0),
 )
+CARS = st.sampled_from(["bmw_i3", "nissan_leaf", "generic", "taught"])
+LEGS = st.lists(
+    st.tuples(st.floats(2.0, 900.0), st.floats(0.6, 36.0), st.floats(-0.08, 0.08)),
+    min_size=1,
+    max_size=12,
+)
+CONDITIONS = st.builds(
+    PlanConditions,
+    temperature=st.none() | st.floats(-20.0, 40.0),
+    heating=st.none() | st.floats(0.0, 5000.0),
+    head_wind=st.none() | st.floats(-10.0, 15.0),
+    payload=st.none() | st.floats(0.0, 400.0),
+    stood=st.none() | st.floats(0.0, 1e5),
+)
+
+
+def car(name: str) -> PowerModel:
+    return taught() if name == "taught" else vehicle_model(load_vehicle(name))
+
+
+@FEW
+@given(CARS, LEGS, CONDITIONS)
+def test_a_route_is_the_forecast_of_its_edges(name, rows, conditions):
+    duration, speed, slope = np.array(rows).T
+    length, climb = duration * speed, slope * duration * speed
+    basis = PlanBasis.of(car(name), conditions)
+    edges = edge_energies(
+        legs_of(length, duration, climb), basis.model, basis.weather, basis.head_wind
+    )
+    order = np.random.default_rng(len(rows)).integers(0, len(rows), 2 * len(rows))
+    route = edges.route(order)
+    trip = forecast_plan(legs_of_trip(length[order], duration[order], climb[order]), *basis)
+    assert route.value == pytest.approx(trip.energy[-1], rel=1e-9, abs=1e-6)
+    assert route.sigma == pytest.approx(trip.sigma[-1], rel=1e-9)
+
+
+@FEW
+@given(CARS, LEGS, CONDITIONS)
+def test_an_edge_is_a_leg_of_a_forecast_whose_neighbours_are_alike(name, rows, conditions):
+    """The second of three edges, with tyres and cabin warm; but for the load that fades."""
+    basis = PlanBasis.of(car(name), conditions)
+    weather = basis.weather._replace(start=WARM)
+    mean = basis.model.car.mean.copy()
+    mean[State.LOAD] = 0.0
+    model = PowerModel(replace(basis.model.car, mean=mean))
+    duration, speed, slope = np.array(rows).T
+    columns = duration * speed, duration, slope * duration * speed
+    edges = edge_energies(legs_of(*columns), model, weather, basis.head_wind)
+    for edge, leg in enumerate(zip(*columns, strict=True)):
+        legs = legs_of_trip(*(np.full(3, value) for value in leg))
+        energy = forecast_plan(legs, model, weather, basis.head_wind).energy
+        assert edges.energy[edge] == pytest.approx(energy[2] - energy[1], rel=1e-9, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ["bmw_i3", "taught"])
+def test_the_usual_cost_of_range_is_that_of_edges(name):
+    warm = replace(car(name).car, seconds=1e6)
+    metres = np.zeros((len(MIDDLES), len(DURATIONS)))
+    column = int(np.searchsorted(DURATIONS, USUAL_LEG))
+    metres[:, column] = 1000.0 * np.arange(1.0, len(MIDDLES) + 1.0)
+    driven = Unevenness(metres, np.zeros((*metres.shape, len(warm.mean))))
+    model = PowerModel(replace(warm, unevenness=driven))
+    legs = legs_of(MIDDLES * USUAL_LEG, np.full_like(MIDDLES, USUAL_LEG), np.zeros_like(MIDDLES))
+    density = warm.equation.vehicle.air_density
+    edges = edge_energies(legs, model, Weather(density))
+    cost = np.average(edges.energy / legs.length, weights=metres[:, column])
+    assert usual_cost(model.car) == pytest.approx(cost, rel=1e-9)
 
 
 def test_an_edge_has_what_is_its_own_and_what_all_share():
     assert EDGES.sigma == pytest.approx([5.0, 5.0, 2.0])
 
 
-def test_a_route_adds_shared_errors_by_size_and_own_ones_by_square():
-    found = EDGES.route([0, 1, 2])
-    assert found.value == 130.0
-    assert found.sigma == pytest.approx(np.sqrt((3.0 + 4.0) ** 2 + 16.0 + 9.0 + 2.0**2))
-
-
 def test_what_two_routes_share_cancels():
-    found = EDGES.difference([0, 1], [0, 2])
-    assert found.value == 50.0
-    assert found.sigma == pytest.approx(np.sqrt(4.0**2 + 9.0 + 2.0**2))
+    difference = EDGES.difference([0, 1], [0, 2])
+    assert difference.value == 50.0
+    assert difference.sigma == pytest.approx(np.sqrt(4.0**2 + 9.0 + 2.0**2))
     assert EDGES.difference([0, 1], [1, 0]) == (0.0, 0.0)
+    assert EDGES.route([]) == (0.0, 0.0)
