@@ -82,3 +82,14 @@ def test_a_breakdown_of_an_impossible_mass_is_no_answer(vehicle, readings):
     metrics = replayed(vehicle, small).metrics
     assert metrics["parameters"]["mass"]["state"] == "invalid"
     assert metrics["breakdown"]["unknown"] == INVALID
+
+
+def test_regeneration_of_a_battery_that_is_never_charged_is_not_learned(vehicle, readings, town):
+    """Its brakes do all, or its sensor shows no charging: neither tells of mu."""
+    one_way = (
+        replace(one, current=min(one.current, 0.0)) if isinstance(one, BatteryReading) else one
+        for one in readings
+    )
+    mu = replayed(vehicle, one_way).metrics["parameters"]["mu"]
+    assert mu["state"] == "unestimated" and mu["prior_share"] == 1.0
+    assert town.metrics["parameters"]["mu"]["prior_share"] < 0.8

@@ -74,6 +74,8 @@ def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
         value, std, limits = _value(name, index, source)
         bounds = _bounds(name, limits, combined, source.frontal_area)
         rests = combined[RESTS_ON[name]].share
+        if index == MU and not source.regenerates:
+            share, std = 1.0, max(std, value * math.sqrt(before))
         possible = _possible(name, value, hills_seen=source.hills_seen)
         possible = possible and (index == P_AUX or std <= MOST_UNSURE * value)  # which may be 0
         parameters[name] = ParameterEstimate(
@@ -172,6 +174,8 @@ def _combined(source: Published) -> dict[str, _Combined]:
         )
         std = math.sqrt(max(0.0, variance))
         share = variance / before if before > 0.0 else 1.0
+        if name == "regeneration" and not source.regenerates:
+            share = 1.0  # what the learned value says of it is that the equation has no such car
         if name in ("c_rr", "p_aux"):
             combinations[name] = _Combined(mean, std, share)
         else:

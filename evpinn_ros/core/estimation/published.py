@@ -39,6 +39,7 @@ NOISE_DENSITY = 2.7e5
 REFERENCE_SECONDS = 200.0
 SHARE_RANGE = (0.3, 3.0)  # of braking energy found over that of the prior; no car leaves it
 FIRST_METRES = 1000.0  # of a drive that are judged with the road of the drive before
+LEAST_RETURNED = 0.01  # of braking energy: a current that is a little off zero gives as much
 BRAKED_FLOOR = 5e4  # J: less braking is no base for a share
 # An efficiency is a map, and one number for it depends on the road: 1-sigma of the logarithm that
 # is left however much is learned. By likelihood of 72 simulated drives that no benchmark scores.
@@ -61,6 +62,8 @@ class Driven:
         load_known: whether the car reports its heating.
         unseen: share of the distance where no height was known; until a drive begins to move,
             that of the drive before.
+        returned: energy that went back into the battery, J, forgotten as `braked` is; None where
+            it was not looked at.
     """
 
     gram: Annotated[np.ndarray, Range(-1e30, 1e30, shape=(4, 4))]
@@ -70,11 +73,12 @@ class Driven:
     cold_tyres: Annotated[float, Range(0.0, 1e12)] = 0.0
     load_known: bool = False
     unseen: Annotated[float, Range(0.0, 1.0)] | None = None
+    returned: Annotated[float, Range(0.0, 1e15)] | None = None
 
     @classmethod
     def nowhere(cls) -> Driven:
         """No driving."""
-        return cls(np.zeros((4, 4)), np.zeros((4, len(BESIDE))), np.zeros(3))
+        return cls(np.zeros((4, 4)), np.zeros((4, len(BESIDE))), np.zeros(3), returned=0.0)
 
     def plus(self, done: PassedInterval) -> Driven:
         """With one more interval; of one with motor torque the way alone: its rows differ."""
@@ -87,6 +91,9 @@ class Driven:
         over = (terms / interval.steps.duration[:, None]).T
         braking = 1.0 - wheels.driving
         moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
+        returned = None
+        if self.returned is not None and not math.isnan(interval.returned):
+            returned = keep * self.returned + interval.returned
         return replace(
             now,
             gram=keep * self.gram + over @ terms,
@@ -94,6 +101,7 @@ class Driven:
             braked=keep * self.braked
             + np.array([float(braking @ energies) for energies in moved]),
             load_known=interval.conditions.load_known,
+            returned=returned,
         )
 
     def _farther(self, distance: float, tyres: float, unseen: float) -> Driven:
@@ -122,6 +130,11 @@ class Driven:
             return 1.0
         return float(np.clip(before / braked_energy, *SHARE_RANGE))
 
+    def regenerates(self, equation: Equation) -> bool:
+        """False where the car braked and next to nothing of it came back: mu is not seen."""
+        braked = -float(self.braked @ equation.mean[PHYSICS[:3]])
+        return self.returned is None or self.returned >= LEAST_RETURNED * braked
+
 
 def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarray:
     """Changes of the coefficients of eq. 21 that come nearest to energies, shape (4, k).
@@ -144,13 +157,15 @@ def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarr
 class Published(NamedTuple):
     """The six parameters, eta, mu, mass and C_d as logarithms, now and before any drive.
 
-    `frontal_area` is in m^2; `hills_seen` says if the heights of most of the road are known.
+    `frontal_area` is in m^2; `hills_seen` says if the heights of most of the road are known, and
+    `regenerates` if any energy came back, without which mu is not seen.
     """
 
     now: Gaussian
     prior: Gaussian
     frontal_area: float
     hills_seen: bool = True
+    regenerates: bool = True
 
 
 def published(state: CarState, equation: Equation, driven: Driven) -> Published:
@@ -169,7 +184,13 @@ def published(state: CarState, equation: Equation, driven: Driven) -> Published:
     for index, std in ((C_RR, climb), (C_D, climb / CLIMB_AS_DRAG)):
         own, widest = (float(gaussian.covariance[index, index]) for gaussian in (now, before))
         now.covariance[index, index] = max(own, min(own + std**2, widest))
-    return Published(now, before, equation.vehicle.frontal_area, hills_seen=share <= MOSTLY_UNSEEN)
+    return Published(
+        now,
+        before,
+        equation.vehicle.frontal_area,
+        hills_seen=share <= MOSTLY_UNSEEN,
+        regenerates=driven.regenerates(equation),
+    )
 
 
 def _prior(state: CarState, equation: Equation) -> Gaussian:

@@ -80,6 +80,7 @@ class Interval:
         energy: drawn from the battery, J, NaN where not measured.
         sampling_variance: of that, due to the rate of its readings, J^2.
         leaps: whether speed changed by more than tyres can: wheels slipped, or the signal failed.
+        returned: the part of `energy` that went back into the battery, positive J; NaN unknown.
     """
 
     start_ns: int
@@ -90,6 +91,7 @@ class Interval:
     energy: float
     sampling_variance: float
     leaps: bool = False
+    returned: float = math.nan
 
     @property
     def duration(self) -> float:
@@ -253,4 +255,5 @@ class IntervalBuilder:
             energy=measured.energy,
             sampling_variance=measured.variance,
             leaps=any(edge.leapt for edge in edges[1:]),
+            returned=measured.returned,
         )

@@ -22,13 +22,20 @@ NOMINAL_RATIO = 27.0  # rad/m: a gear of 9 and tyres that roll on 0.33 m
 
 
 class Energy(NamedTuple):
-    """Energy of an interval, J, and the variance due to sampling alone, J^2; NaN unmeasured."""
+    """Energy of an interval, NaN where it is not measured.
+
+    Attributes:
+        energy: J.
+        variance: due to sampling alone, J^2.
+        returned: the part of it that went back into the battery, positive J.
+    """
 
     energy: float
     variance: float
+    returned: float
 
 
-UNMEASURED = Energy(math.nan, math.nan)
+UNMEASURED = Energy(math.nan, math.nan, math.nan)
 
 
 class BatteryTrack:
@@ -108,7 +115,8 @@ class BatteryTrack:
         period = max(track.step_around(end_ns) for track in self._tracks)
         ends = (TIMING * period) ** 2 * float(power[0] ** 2 + power[-1] ** 2)
         coarse = self._power_std**2 * _square_of_runs(power, step) if self._power_std else 0.0
-        return Energy(_trapezoid(power, step), bridge + ends + coarse)
+        returned = _trapezoid(np.maximum(-power, 0.0), step)
+        return Energy(_trapezoid(power, step), bridge + ends + coarse, returned)
 
 
 class MotorTrack:
