@@ -53,8 +53,8 @@ _PADDING = 4
 _CONTAINER, _STORED, _DEFLATED = 10, 0, 2  # an object of objects, and how it is packed
 _METHOD = struct.Struct("<H14x")
 
-# It would say the same of each object of a damaged log; `LogFile.problem` says it once.
-logging.getLogger("can.io.blf").setLevel(logging.ERROR)
+# They would show lines of a damaged log on the terminal, unchanged and each of them.
+logging.getLogger("can.io").setLevel(logging.CRITICAL)
 
 
 class TwoCarsError(InputError):

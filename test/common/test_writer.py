@@ -260,7 +260,7 @@ def test_no_output_is_written_over_an_input_or_another(tmp_path):
     check_outputs([bag / "report.html", tmp_path / "new"], [drive, bag, tmp_path / "absent"])
 
 
-TRACE_ME, TO_SYSTEM_CALL = 0, 24  # of ptrace
+TRACE_ME, TO_SYSTEM_CALL, DIE_WITH_PARENT = 0, 24, 1  # of ptrace, and of prctl
 STOPS = 140  # a save has some 65 system calls, with a stop before and behind each
 
 
@@ -286,7 +286,9 @@ def traced_save(path, number):
         os.kill(os.getpid(), signal.SIGSTOP)
         return read_state(path)
 
-    assert ctypes.CDLL(None).ptrace(TRACE_ME, 0, None, None) == 0
+    kernel = ctypes.CDLL(None)
+    assert kernel.prctl(DIE_WITH_PARENT, signal.SIGKILL) == 0
+    assert kernel.ptrace(TRACE_ME, 0, None, None) == 0
     state_file.read_state = stop_and_read
     save(path, Half.LEARNED, number)
 

@@ -135,6 +135,27 @@ def parquet_files() -> list[bytes]:
     return files
 
 
+def json_lines() -> list[bytes]:
+    """A drive as lines of JSON."""
+    return [pl.read_csv(csv_drive()[0]).write_ndjson().encode()]
+
+
+def feather_files() -> list[bytes]:
+    """A drive as a Feather file."""
+    pl.read_csv(csv_drive()[0]).write_ipc(file := BytesIO(), compression="lz4")
+    return [file.getvalue()]
+
+
+def broker_messages() -> list[bytes]:
+    """Topics, payloads and flags of messages of a broker, with the seconds between them."""
+    base, rows = "ovms/me/CAR/metric/v/", []
+    for second in range(0, 40):
+        values = {"p/speed": 36 + second, "b/voltage": 350.5, "b/current": 20, "b/soc": 80}
+        values |= {"e/on": "yes", "p/altitude": 300, "e/temp": 12, "b/power": 7}
+        rows += [[base + name, str(value), second < 2, 1] for name, value in values.items()]
+    return as_json(rows)
+
+
 def plan_files() -> list[bytes]:
     """A track, and an answer of each route service; their content tells them apart."""
     point = '<trkpt lat="48.%d" lon="11"><ele>5</ele><time>2024-05-01T10:%d:00Z</time></trkpt>'

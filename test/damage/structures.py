@@ -7,11 +7,16 @@ does not parse as it should comes back cut or with a byte changed.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 import gzip
 from io import BytesIO
 import json
+from pathlib import Path
 from random import Random
+import re
+import sqlite3
 import struct
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 import zlib
@@ -36,7 +41,7 @@ CELLS = (
     *("", '"', '""', '"a', "nan", "inf", "-inf", "1e308", "-1e308", "1,5", "1.234,5", "9" * 400),
     *("0x10", "2025-02-30", "31.12.2024 23:59:60", "1700000000000", "1e18", "=1+1", "\x1b[2J"),
     *("km/h", "mph", "sep=;", "\ufeff", "\u221212", "\u0661\u0662", "\u00a01", "1\u202f000"),
-    *("TRUE", "-", "n/a"),
+    *("TRUE", "-", "n/a", "7FFFFFFFx", "-1", "0", "  ", "(", "base dec timestamps relative"),
 )
 
 LINES = (
@@ -125,21 +130,135 @@ def mutate_packed(data: bytes, chance: Random) -> bytes:
     """A gzip or zip file that is damaged inside its packing: its checksums are right."""
     try:
         if data[:2] == b"\x1f\x8b":
-            return gzip.compress(_flipped(gzip.decompress(data), chance), mtime=0)
+            return gzip.compress(flipped(gzip.decompress(data), chance), mtime=0)
         with ZipFile(BytesIO(data)) as whole:
             members = {name: whole.read(name) for name in whole.namelist()}
     except (OSError, EOFError, ValueError, RuntimeError, zlib.error, struct.error, BadZipFile):
         return _any(data, chance)
     if members:
         name = chance.choice(sorted(members))
-        members[name] = _flipped(members[name], chance)
+        members[name] = flipped(members[name], chance)
     with ZipFile(file := BytesIO(), "w", ZIP_DEFLATED) as whole:
         for name, content in members.items():
             whole.writestr(name, content)
     return file.getvalue()
 
 
-def _flipped(data: bytes, chance: Random) -> bytes:
+def mutate_text(data: bytes, chance: Random) -> bytes:
+    """Lines with other words, or in another order."""
+    lines = data.decode("utf-8", "surrogateescape").splitlines(keepends=True) or [""]
+    for _ in range(chance.randint(1, 4)):
+        at = chance.randrange(len(lines))
+        words = re.split(r"([\s,;:<>=/()|\[\]\"]+)", lines[at])
+        word = chance.randrange(len(words))
+        words[word : word + chance.randint(0, 2)] = [chance.choice((*CELLS, *words))]
+        changed = "".join(words)
+        some = chance.choice(([changed], [changed], [], [changed] * MOST_GROWTH, lines[at:]))
+        lines[at : at + chance.choice((0, 1, 1, 1, 5))] = some
+        lines = lines or [""]
+    return "".join(lines).encode("utf-8", "surrogateescape")
+
+
+def mutate_plan(data: bytes, chance: Random) -> bytes:
+    """A route of a service, or a track."""
+    return (mutate_text if data[:1] == b"<" else mutate_json)(data, chance)
+
+
+def mutate_mcap(data: bytes, chance: Random) -> bytes:
+    """An MCAP file with other records, those inside an unpacked chunk included."""
+    magic, chunk, head = 8, 6, 9  # bytes, opcode, bytes of opcode and length
+    records, at = [], magic
+    while at + head < len(data) - magic:
+        size = int.from_bytes(data[at + 1 : at + head], "little")
+        records.append((data[at], data[at + head : at + head + size]))
+        at += head + size
+    if not records:
+        return _any(data, chance)
+    place = chance.randrange(len(records))
+    opcode, body = records[place]
+    if opcode == chunk and chance.randrange(2):  # times, size, no checksum, compression
+        body = body[:24] + bytes(4) + flipped(body[28:], chance)
+    elif chance.randrange(2):
+        body = flipped(body, chance)
+    else:
+        opcode = chance.choice((opcode, chance.randrange(1, 16)))
+        records.insert(chance.randrange(len(records)), chance.choice(records))
+    records[place : place + chance.choice((0, 1, 1, 1))] = [(opcode, body)]
+    packed = (bytes((kind,)) + struct.pack("<Q", len(body)) + body for kind, body in records)
+    return data[:magic] + b"".join(packed) + data[:magic]
+
+
+def mutate_database(data: bytes, chance: Random) -> bytes:
+    """A sqlite3 file in which SQLite itself changed cells, rows or tables."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "drive.db3"
+        path.write_bytes(data)
+        with closing(sqlite3.connect(path)) as file:
+            try:
+                tables = [name for (name,) in file.execute("SELECT name FROM sqlite_master")]
+                table = chance.choice(tables)
+                columns = [row[1] for row in file.execute(f'PRAGMA table_info("{table}")')]
+                column = chance.choice(columns or ["rowid"])
+                value = chance.choice((*VALUES[:13], *CELLS, bytes(9), chance.randbytes(40)))
+                value = value if not isinstance(value, int) or abs(value) < 2**63 else str(value)
+                statement, values = chance.choice(
+                    (
+                        (f'UPDATE "{table}" SET "{column}" = ?', (value,)),
+                        (f'UPDATE "{table}" SET "{column}" = ? WHERE rowid % 3 = 1', (value,)),
+                        (f'INSERT OR REPLACE INTO "{table}" ("{column}") VALUES (?)', (value,)),
+                        (f'DELETE FROM "{table}" WHERE rowid % 2', ()),
+                        (f'ALTER TABLE "{table}" RENAME COLUMN "{column}" TO other', ()),
+                        (f'CREATE INDEX other ON "{table}" ("{column}")', ()),
+                        (f'CREATE VIEW other AS SELECT * FROM "{table}"', ()),
+                        (f'DROP TABLE "{table}"', ()),
+                    )
+                )
+                file.execute(statement, values)
+                file.commit()
+            except (sqlite3.Error, UnicodeEncodeError, IndexError):
+                return flipped(data, chance)
+        return path.read_bytes()
+
+
+def mutate_blf(data: bytes, chance: Random) -> bytes:
+    """A .blf with other objects: inside a container, which is packed again, or in its header."""
+    header, packed_at = int.from_bytes(data[4:8], "little"), 32
+    at = data.find(b"LOBJ", header)
+    if at < 0 or not chance.randrange(4):
+        return flipped(data, chance)
+    size = int.from_bytes(data[at + 8 : at + 12], "little")
+    try:
+        inside = zlib.decompress(data[at + packed_at : at + size])
+    except zlib.error:
+        return flipped(data, chance)
+    changed = flipped(inside, chance)
+    if objects := inside.split(b"LOBJ")[1:]:
+        place = chance.randrange(len(objects))
+        objects[place] = flipped(objects[place], chance)
+        objects.insert(chance.randrange(len(objects)), chance.choice(objects))
+        changed = chance.choice((changed, b"LOBJ" + b"LOBJ".join(objects)))
+    packed = zlib.compress(changed)
+    claimed = chance.choice((len(changed), len(changed), 0, 2**32 - 1))
+    head = struct.pack("<IIHHI", packed_at + len(packed), 10, 2, 0, 0)
+    whole = data[: at + 8] + head + struct.pack("<II", claimed, 0)
+    return whole + packed + bytes(len(packed) % 4) + data[at + size + size % 4 :]
+
+
+def mutate_mf4(data: bytes, chance: Random) -> bytes:
+    """An .mf4 whose blocks lead to others, have another size or other content."""
+    changed = bytearray(data)
+    blocks = [match.start() for match in re.finditer(rb"##[A-Z]{2}\0{4}", data)]
+    if not blocks:
+        return _any(data, chance)
+    block = chance.choice(blocks)
+    links = min(int.from_bytes(data[block + 16 : block + 24], "little"), 20)
+    number = chance.choice((*SIZES, *blocks, len(data)))
+    place = block + 8 * chance.choice((1, 2, *range(3, 3 + links)))
+    changed[place : place + 8] = struct.pack("<Q", number & (2**64 - 1))
+    return chance.choice((bytes(changed), bytes(changed), flipped(data, chance)))
+
+
+def flipped(data: bytes, chance: Random) -> bytes:
     """One to eight damages: a number at the end of its range, a part cut out or repeated."""
     for _ in range(chance.choice((1, 1, 2, 4, 8))):
         at = chance.randrange(len(data) + 1)

@@ -8,11 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
+import json
 from pathlib import Path
+from random import Random
+import re
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import can.io.mf4
 import numpy as np
+from paho.mqtt.client import MQTTMessage
 
 from evpinn_ros import topics
 from evpinn_ros.bags.convert import BagReadings
@@ -23,6 +28,7 @@ from evpinn_ros.bags.types import decode
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
@@ -35,7 +41,11 @@ from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.core.estimation.state_file import read_state
 from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.extras.bridges.bridge import BridgeSettings, MqttBridge
+from evpinn_ros.extras.bridges.broker import BrokerSettings, Connection
+from evpinn_ros.extras.bridges.layouts import Layout, read_layout
 from evpinn_ros.logs.bus_sources import open_can_log
 from evpinn_ros.logs.plans import read_plan
 from evpinn_ros.logs.sources import open_drive
@@ -48,9 +58,16 @@ from test.damage import seeds
 from test.damage.seeds import READINGS, VEHICLE
 from test.damage.structures import (
     Mutate,
+    flipped,
+    mutate_blf,
+    mutate_database,
     mutate_json,
+    mutate_mcap,
+    mutate_mf4,
     mutate_packed,
+    mutate_plan,
     mutate_table,
+    mutate_text,
     mutate_yaml,
 )
 
@@ -70,22 +87,24 @@ class Target:
     parse: Callable[[Path], object]  # reads the file; it may raise InputError and nothing else
     # makes what the parser needs in the folder of the file
     beside: Callable[[Path], object] = lambda folder: None
-    # damages an input and keeps its structure, where it has one to keep
-    mutate: Mutate | None = None
+    # damages an input, and keeps its structure where it has one to keep
+    mutate: Mutate = flipped
 
-    def run(self, folder: Path, data: bytes) -> None:
-        """Parse one input in a folder that was made ready by `beside`.
+    def attack(self, folder: Path, seeds: list[bytes], chance: Random) -> None:
+        """Parse an input that is damaged once to three times, in a folder made by `beside`.
 
         Raises:
             Exception: a bug was found.
         """
+        data = chance.choice(seeds if chance.randrange(30) else [chance.randbytes(200), b"\n"])
+        for _ in range(chance.randint(1, 3)):
+            data = (flipped if not chance.randrange(4) else self.mutate)(data, chance)
         path = folder / self.file_name
         path.write_bytes(data)
         try:
             self.parse(path)
         except InputError as error:
-            if "\n" in str(error) or not str(error):
-                raise AssertionError(f"not one line: {error!r}") from error
+            assert str(error) and "\n" not in str(error), f"not one line: {error!r}"
 
 
 def _bag(path: Path) -> None:
@@ -121,9 +140,62 @@ def _packed_beside(folder: Path) -> None:
     (folder / METADATA).write_text(_PACKED_METADATA)
 
 
-def _log(path: Path) -> None:
-    for _ in open_can_log(path).frames():
-        pass
+def read_log(path: Path) -> tuple[list[CanFrame], LogFile | None]:
+    """The frames of a log and its reader; what it promises holds whatever is in the file."""
+    frames: list[CanFrame] = []
+    try:
+        log = open_can_log(path)
+        log.seconds  # noqa: B018
+        for frame in log.frames():
+            frames.append(frame)
+    except InputError as error:
+        assert not frames, "a log that began well ends with its problem, not with an error"
+        assert str(path) in str(error) and "\n" not in str(error)
+        return [], None
+    assert log.count == len(frames) > 0
+    if log.problem is not None:
+        assert log.problem.startswith(str(path)) and "\n" not in log.problem
+        assert re.search(rf"\b{len(frames)} frames", log.problem)
+    for frame in frames:
+        assert type(frame) is CanFrame and type(frame.stamp_ns) is int
+        assert 0 <= frame.can_id < 2 ** (29 if frame.extended else 11)
+        assert type(frame.data) is bytes and len(frame.data) <= 64
+    return frames, log
+
+
+@cache
+def _layout() -> Layout:
+    return read_layout("ovms")
+
+
+def _broker(path: Path) -> None:
+    """Messages through the bridge; what it would publish is JSON, of topics that brokers take."""
+    try:
+        rows = json.loads(path.read_bytes().decode("utf-8", "replace"))
+    except (ValueError, RecursionError):
+        return
+    now_ns = [seeds.START]
+    given = BridgeSettings(_layout(), {}, _vehicle(), EstimatorSettings())
+    broker = BrokerSettings("localhost")
+    connection = Connection(broker, given.subscriptions, given.status_topic, lambda: now_ns[0])
+    bridge = MqttBridge(given, connection)
+    for row in rows if isinstance(rows, list) else ():
+        parts = [*(row if isinstance(row, list) else [row]), "", "", 0, 1][:4]
+        topic, payload = (str(part).encode("utf-8", "surrogatepass") for part in parts[:2])
+        message = MQTTMessage(topic=topic)
+        message.payload, message.retain = payload, bool(parts[2])
+        connection._on_message(None, None, message)
+        now_ns[0] += int(parts[3] == 1) * NANOSECONDS // 8
+        bridge.step(0.0)
+    bridge.close()
+    for topic, (payload, _) in connection._outbox.items():
+        assert not set(topic) & set("+#\0")
+        if payload[:1] == "{":
+            json.loads(payload, parse_constant=_not_json)
+
+
+def _not_json(constant: str) -> None:
+    raise AssertionError(constant)
 
 
 def _csv_drive(path: Path) -> None:
@@ -240,32 +312,41 @@ def _account_seed() -> list[bytes]:
 
 _settings = partial(Target, mutate=mutate_yaml)
 
+
+def _can_log(suffix: str, mutate: Mutate) -> Target:
+    name = f"drive{suffix}"
+    return Target(name, name, partial(seeds.can_log, suffix), read_log, mutate=mutate)
+
+
 TARGETS = (
-    Target("mcap", "drive.mcap", seeds.mcap_files, _bag),
-    Target("recover", "drive.mcap", seeds.mcap_files, _recovered),
-    Target("sqlite3", "drive.db3", seeds.database, _bag),
+    Target("mcap", "drive.mcap", seeds.mcap_files, _bag, mutate=mutate_mcap),
+    Target("recover", "drive.mcap", seeds.mcap_files, _recovered, mutate=mutate_mcap),
+    Target("sqlite3", "drive.db3", seeds.database, _bag, mutate=mutate_database),
     Target("packed", "drive.mcap.zstd", seeds.packed_file, _bag_folder, _packed_beside),
     _settings("metadata", METADATA, seeds.metadata, _bag_folder, _mcap_beside),
-    *(
-        Target(suffix.strip("."), f"drive{suffix}", partial(seeds.can_log, suffix), _log)
-        for suffix in (".log", ".asc", ".trc", ".csv", ".blf")
-    ),
-    Target("log.gz", "drive.log.gz", seeds.zipped_log, _log, mutate=mutate_packed),
+    *(_can_log(suffix, mutate_text) for suffix in (".log", ".asc", ".trc", ".csv")),
+    _can_log(".blf", mutate_blf),
+    *([_can_log(".mf4", mutate_mf4)] if can.io.mf4.asammdf else []),
+    Target("log.gz", "drive.log.gz", seeds.zipped_log, read_log, mutate=mutate_packed),
     Target("drive", "drive.csv", seeds.csv_drive, _csv_drive, mutate=mutate_table),
     Target("drive.gz", "drive.csv.gz", seeds.zipped_drive, _csv_drive, mutate=mutate_packed),
     Target("xlsx", "drive.xlsx", seeds.workbooks, _csv_drive, mutate=mutate_packed),
     Target("parquet", "drive.parquet", seeds.parquet_files, _csv_drive),
-    Target("route", "plan", seeds.plan_files, read_plan, mutate=mutate_json),
+    Target("feather", "drive.feather", seeds.feather_files, _csv_drive),
+    Target("jsonl", "drive.jsonl", seeds.json_lines, _csv_drive, mutate=mutate_text),
+    Target("route", "plan", seeds.plan_files, read_plan, mutate=mutate_plan),
     Target("legs", "plan.csv", seeds.plan_tables, read_plan, mutate=mutate_table),
-    Target("dbc", "input.dbc", _bundled("can/tesla_model_3.dbc"), _dbc, _profile_beside),
+    Target(
+        "dbc", "input.dbc", _bundled("can/tesla_model_3.dbc"), _dbc, _profile_beside, mutate_text
+    ),
     _settings("profile", "p.yaml", _bundled("can/*.yaml"), load_profile, _dbc_beside),
     _settings("vehicle", "car.yaml", _bundled("vehicles/*.yaml"), load_vehicle),
     _settings("params", "p.yaml", _bundled("*.param.yaml"), check_parameter_file),
-    Target(
-        "truth", TRUTH_FILE, seeds.truth, lambda path: read_truth(path.parent), mutate=mutate_yaml
-    ),
+    _settings("mapping", "m.yaml", _bundled("mqtt/*.yaml"), lambda path: read_layout(str(path))),
+    _settings("truth", TRUTH_FILE, seeds.truth, lambda path: read_truth(path.parent)),
     Target("state", "s.json", _estimator_seed, _estimator_state, mutate=mutate_json),
     Target("energy", "e.json", _account_seed, _energy_state, mutate=mutate_json),
+    Target("broker", "b.json", seeds.broker_messages, _broker, mutate=mutate_json),
     Target("message", "m", seeds.messages, partial(_refused, _reading)),
     Target("model", "m", seeds.model, partial(_refused, _model)),
     Target("plan", "m", seeds.plans, partial(_refused, _plan)),

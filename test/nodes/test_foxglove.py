@@ -246,6 +246,26 @@ def test_whatever_comes_to_the_door_it_stays_shut(request_bytes):
         assert answer == b"" or answer.startswith(b"HTTP/1.1 403 ")
 
 
+def test_whatever_a_viewer_sends_shows_nothing_and_others_are_served(caplog):
+    """What nobody understands would come to the terminal as it is, with its escapes."""
+    nonsense = (None, -1, 2**64, "\x1b[31m", [], {}, [{"id": 1, "channelId": "\x1b[2J\n"}])
+    names = ("subscribe", "unsubscribe", "advertise", "setParameters", "fetchAsset", "\x1b[2J\n")
+    keys = ("subscriptions", "channels", "parameters", "uri")
+    frames = [json.dumps(dict.fromkeys(keys, n) | {"op": op}) for op in names for n in nonsense]
+    offered = {"/a": "std_msgs/msg/Float64"}
+    with FoxgloveServer(LOOPBACK, 0, offered) as server, ExitStack() as stack:
+        for frame in (*frames, "[" * 5000, b"\0", bytes(range(256))):
+            with websockets.connect(server.address, subprotocols=["foxglove.sdk.v1"]) as guest:
+                guest.send(frame)
+        app = stack.enter_context(connected(server.address))
+        app.subscribe("/a")
+        wait_until(lambda: server.watched)
+        server.send("/a", offered["/a"], bytes(12), 5)
+        assert next(app.messages()).time_ns == 5
+        server.close()  # with a viewer, as Ctrl-C does
+    assert caplog.messages == []
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="127/8 is this computer on Linux alone")
 def test_no_page_can_guess_where_the_server_behind_the_door_is():
     with FoxgloveServer(LOOPBACK, 0, {}) as server, pytest.raises(OSError, match="refused"):

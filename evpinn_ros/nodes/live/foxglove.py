@@ -13,6 +13,7 @@ import asyncio
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from ipaddress import ip_address
+import logging
 from secrets import randbelow
 import socket
 import threading
@@ -32,6 +33,9 @@ MOST_CONNECTIONS = 32
 PIECE = 65_536
 END = b"\r\n\r\n"
 REFUSAL = b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Length: 0" + END
+
+# The SDK would show on the terminal, unchanged, what a client sends and nobody understands.
+logging.getLogger("foxglove").setLevel(logging.CRITICAL)
 
 
 class FoxgloveServer:
@@ -236,7 +240,9 @@ class OriginGate:
         try:
             if len(self._open) > MOST_CONNECTIONS:
                 return  # no answer: each would hold a file open, of which a process has a thousand
-            with suppress(OSError, EOFError, asyncio.LimitOverrunError, asyncio.TimeoutError):
+            # A cancelled task would be a traceback of asyncio, before Python 3.12.
+            ends = asyncio.LimitOverrunError, asyncio.TimeoutError, asyncio.CancelledError
+            with suppress(OSError, EOFError, *ends):
                 await self._pass_on(reader, writer)
         finally:
             self._open.discard(task)
