@@ -61,6 +61,20 @@ def test_the_index_has_every_page():
     assert sorted(named) == sorted(str(page.relative_to(docs)) for page in docs.glob("*/*.md"))
 
 
+def test_each_promise_names_its_attack():
+    """Of each row below Promises and Limits: a test, or a file of tests, that exists."""
+    page = (ROOT / "docs" / "explanation" / "security.md").read_text()
+    sections = re.findall(r"^## (?:Promises|Limits)$(.*?)(?=^## )", page, re.MULTILINE | re.DOTALL)
+    rows = re.findall(r"^\| (?!---)(.+) \|$", "".join(sections), re.MULTILINE)
+    tests = {path: path.read_text() for path in (ROOT / "test").rglob("test_*.py")}
+    names = set(re.findall(r"^(?:async )?def (test_\w+)", "".join(tests.values()), re.MULTILINE))
+    names |= {str(path.relative_to(ROOT)) for path in tests}
+    for row in rows:
+        attacks = re.findall(r"`([^`]+)`", row.rpartition(" | ")[2])
+        assert row.endswith("| attack") or (attacks and names.issuperset(attacks)), row
+    assert len(rows) > 50 and set(re.findall(r"`(test_\w+)`", page)) <= names
+
+
 def test_the_ros_guide_names_every_topic():
     guide = (ROOT / "docs" / "guides" / "ros.md").read_text()
     missing = [t.name for t in TOPICS if t.name not in guide and "estimate/" not in t.name]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+import errno
 import fcntl
 import os
 from pathlib import Path
@@ -46,7 +47,7 @@ def sync(path: Path) -> None:
 
 
 @contextmanager
-def replaced(path: Path) -> Iterator[BinaryIO]:
+def replaced(path: Path, *, private: bool = False) -> Iterator[BinaryIO]:
     """A draft that takes the place of a file when it is whole; of one that is not nothing stays.
 
     The draft is new and this process's own (`mkstemp`: O_EXCL, O_NOFOLLOW), on the disk before it
@@ -54,6 +55,7 @@ def replaced(path: Path) -> Iterator[BinaryIO]:
 
     Args:
         path: of the file.
+        private: whether a new file is for its owner alone.
 
     Yields:
         The draft, open; it stays open.
@@ -73,7 +75,7 @@ def replaced(path: Path) -> Iterator[BinaryIO]:
         with os.fdopen(handle, "w+b") as file:
             yield file
             file.flush()
-            os.fchmod(handle, _mode(target))
+            os.fchmod(handle, _mode(target, private))
             os.fsync(handle)
         draft.replace(target)
     except BaseException:
@@ -82,27 +84,32 @@ def replaced(path: Path) -> Iterator[BinaryIO]:
         raise
 
 
-def write_file(path: Path, content: str | bytes) -> None:
+def write_file(path: Path, content: str | bytes, *, private: bool = False) -> None:
     """Write a whole file as `replaced` does, in UTF-8, and its folder if need be.
 
     Raises:
         OSError: it cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced(path) as draft:
+    with replaced(path, private=private) as draft:
         draft.write(content.encode() if isinstance(content, str) else content)
 
 
 def append_to(path: Path, content: str) -> None:
-    """Append text to a file at once: a kill leaves all of it or nothing.
+    """Append text to a file that is there, at once: a kill or a full disk leaves all or nothing.
 
     It is not put on the disk: a loss of power may leave a part.
 
     Raises:
         OSError: it cannot be written.
     """
-    with resolved(path).open("ab", buffering=0) as file:
-        file.write(content.encode())
+    handle, text = os.open(resolved(path), os.O_WRONLY | os.O_APPEND), content.encode()
+    try:
+        if (written := os.write(handle, text)) < len(text):
+            os.ftruncate(handle, os.fstat(handle).st_size - written)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+    finally:
+        os.close(handle)
 
 
 def new_file(path: Path) -> BinaryIO:
@@ -159,7 +166,7 @@ class Held:
         """
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         while True:
-            handle = os.open(path, flags, 0o644)
+            handle = os.open(path, flags, 0o600)
             if not _locked(handle):
                 os.close(handle)
                 raise InputError(busy)
@@ -320,13 +327,15 @@ def _locked(handle: int) -> bool:
     return True
 
 
-def _mode(target: Path) -> int:
+def _mode(target: Path, private: bool) -> int:
     """Permissions of the file that is replaced; of a new one those that the person's umask leaves.
 
-    A draft of `mkstemp` is for its owner alone.
+    A draft of `mkstemp` is for its owner alone, as a private file stays.
     """
     with suppress(OSError):
         return target.stat().st_mode & 0o777
+    if private:
+        return 0o600
     mask = os.umask(0)
     os.umask(mask)
     return 0o666 & ~mask

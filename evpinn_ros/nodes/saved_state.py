@@ -141,7 +141,8 @@ class StateFile:
     def _refuse(self, problem: str) -> None:
         if self._path is not None:
             self._refused = _identity(self._path)
-            problem = f"{problem}; it will be kept as {refused_names(self._path)[0].name}"
+            if self._path.is_file():
+                problem += f"; it will be kept as {refused_names(self._path)[0].name}"
         self.problem = problem
 
     def _set_refused_aside(self, path: Path) -> None:

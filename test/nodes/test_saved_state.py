@@ -1,5 +1,6 @@
 """The state file beside its node: what is refused is kept."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -176,3 +177,14 @@ def test_the_home_of_nobody_is_one_line():
     assert state_path("") is None and state_path("~/car.json") == Path.home() / "car.json"
     with pytest.raises(InputError, match=r"~nobody_here/car.json: no home"):
         state_path("~nobody_here/car.json")
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo], ids=["folder", "pipe"])
+def test_what_is_no_file_stays_where_it_is(tmp_path, make):
+    """It was renamed as if it were a refused state: a folder, and for root /dev/null."""
+    make(path := tmp_path / "car.json")
+    state_file = StateFile(path, Counter(), Half.LEARNED)
+    state_file.restore()
+    assert str(path) in state_file.problem and "kept" not in state_file.problem
+    assert "no file" in state_file.save()
+    assert [each.name for each in tmp_path.iterdir()] == ["car.json"]

@@ -107,7 +107,7 @@ def write_state(path: Path, state: State) -> None:
         OSError: the file cannot be written.
         ValueError: the state holds a number that is not finite.
     """
-    write_file(path, json.dumps(state, allow_nan=False))
+    write_file(path, json.dumps(state, allow_nan=False), private=True)
     sync(path.resolve().parent)
 
 
@@ -191,7 +191,12 @@ def set_aside(path: Path, *, copied: bool = False) -> None:
     """Keep a file that cannot be used as `.refused`, the newest five of its name.
 
     It may be another car's. It is copied where one half alone is refused and the other goes on.
+
+    Raises:
+        OSError: it is a folder or a device, which stays.
     """
+    if not path.is_file():
+        raise OSError(0, "a folder or a device, no file", str(path))
     first, *_ = names = refused_names(path)
     for older, newer in pairwise(reversed(names)):
         if newer.exists():
@@ -199,7 +204,7 @@ def set_aside(path: Path, *, copied: bool = False) -> None:
     if not copied:
         path.replace(first)
         return
-    with open_file(path) as file, replaced(first) as draft:
+    with open_file(path) as file, replaced(first, private=True) as draft:
         shutil.copyfileobj(file, draft)
 
 

@@ -13,7 +13,15 @@ import pytest
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
-from evpinn_ros.core.estimation.state_file import MAX_FILE_BYTES, read_state, write_state
+from evpinn_ros.core.estimation.state_file import (
+    MAX_FILE_BYTES,
+    Half,
+    read_state,
+    refused_names,
+    set_aside,
+    write_halves,
+    write_state,
+)
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
@@ -210,6 +218,16 @@ def test_a_file_that_is_no_state(tmp_path, content, reason):
         read_state(path)
     text = str(refused.value)
     assert text.startswith(f"{path}: ") and reason in text and "\n" not in text
+
+
+def test_a_new_state_is_for_its_owner_alone(tmp_path):
+    path = tmp_path / "car.json"
+    for mode in (0o600, 0o640):
+        write_halves(path, {Half.LEARNED: {}})
+        assert path.stat().st_mode & 0o777 == mode
+        path.chmod(0o640)
+    set_aside(path, copied=True)
+    assert refused_names(path)[0].stat().st_mode & 0o777 == 0o600
 
 
 @pytest.mark.slow

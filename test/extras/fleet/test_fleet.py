@@ -1,5 +1,6 @@
 """`evpinn fleet` as a person meets it."""
 
+from contextlib import suppress
 import json
 import os
 from pathlib import Path
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 
 from evpinn_ros.cli.main import app
 from evpinn_ros.common.package_data import share_directory
+from evpinn_ros.common.writer import DRAFT
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.fleet import fleet as fleet_command
 from evpinn_ros.replays.simulation.drive import DriveKind
@@ -79,7 +81,20 @@ def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
     assert state["vehicle"] == "nissan_leaf", "as evpinn replay --state takes it"
 
 
-def test_an_interrupted_run_leaves_results_and_goes_on(recorded, tmp_path):
+def processes_of(group):
+    """Living processes of a group: a run and its workers (Linux)."""
+    living = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, _, of = path.read_text().rpartition(")")[2].split()[:3]
+            living += [path.parent.name] if int(of) == group and state != "Z" else []
+    return living
+
+
+@pytest.mark.parametrize(
+    "end", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.nightly)]
+)
+def test_an_interrupted_run_leaves_results_and_goes_on(recorded, tmp_path, end):
     data, out = tmp_path / "data", tmp_path / "out"
     shutil.copytree(recorded, data)
     write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 300.0, 9), data / "cy" / "long")
@@ -91,15 +106,25 @@ def test_an_interrupted_run_leaves_results_and_goes_on(recorded, tmp_path):
     )  # fmt: skip
     first = out / "cars" / "bob" / "result.json"
     wait_until(first.exists)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 1
-    assert "goes on from here" in errors and "Traceback" not in errors
-    assert [row["car"] for row in read(out / "cars.parquet")] == ["ann", "bob"]
+    if end == signal.SIGINT:
+        os.killpg(process.pid, end)  # as a terminal does: to the workers too
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 1
+        assert "goes on from here" in errors and "Traceback" not in errors
+        assert [row["car"] for row in read(out / "cars.parquet")] == ["ann", "bob"]
+    else:
+        process.kill()
+        process.communicate(timeout=60)
+        wait_until(lambda: not processes_of(process.pid))
     shutil.rmtree(data / "cy")
     again = run(*arguments)
     assert again.exit_code == 0, again.output
     assert "2 cars, 3 of 4 drives learned" in again.output
+    for car in ("ann", "bob"):
+        assert not [path.name for path in (out / "cars" / car).glob(f"{DRAFT}*")]
+    learn(data, tmp_path / "whole")
+    states = [folder / "cars" / "ann" / "state.json" for folder in (out, tmp_path / "whole")]
+    assert json.loads(states[0].read_text()) == json.loads(states[1].read_text())
 
 
 def test_two_runs_do_not_write_to_one_folder(recorded, tmp_path):
