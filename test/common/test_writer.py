@@ -6,6 +6,7 @@ import errno
 import os
 from pathlib import Path
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -331,6 +332,21 @@ def test_a_kill_at_each_system_call_of_a_save_loses_nothing_of_two_writers(tmp_p
         ended += whole
     assert 0 < ended < len(kills) / 2
     assert names(tmp_path) == ["car.json"]
+
+
+def test_what_does_not_fit_behind_a_file_is_not_appended(tmp_path):
+    """Half a line that another line follows would be a damaged state."""
+    (path := tmp_path / "car.json").write_text("{}")
+
+    def append_beyond_the_limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (5, 5))
+        with pytest.raises(OSError, match="No space"):
+            writer.append_to(path, "\n{}{}")
+
+    assert os.waitstatus_to_exitcode(os.waitpid(in_child(append_beyond_the_limit), 0)[1]) == 0
+    assert path.read_text() == "{}"
+    with pytest.raises(FileNotFoundError):
+        writer.append_to(tmp_path / "absent", "\n{}")
 
 
 def test_a_writer_that_waits_too_long_is_told(tmp_path, monkeypatch):
