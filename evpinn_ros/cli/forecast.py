@@ -152,6 +152,12 @@ def forecast(
         if row["uneven_j"] > LEAST_UNEVEN:
             kwh, whole = row["uneven_j"] / JOULES_PER_KWH, row["energy_j"] / JOULES_PER_KWH
             say(f"{name}: {kwh:.2f} of {whole:.2f} kWh: {UNEVEN}; --steady leaves it out.")
+    level: dict[str, list[str]] = {}
+    for planned, (name, *_) in zip(forecasts, texts, strict=True):
+        if (text := planned.no_heights) is not None:
+            level.setdefault(text, []).append(name)
+    for text, alike in level.items():
+        say(f"{', '.join(alike)}: {text}.")
     known = "by its vehicle file alone; --state FILE uses what earlier drives taught"
     say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
     expected = _expected(given, forecasts[0].basis.model.car.celsius)
@@ -217,6 +223,7 @@ def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:
         "energy_j": float(energies.energy[-1]),
         "sigma_j": float(energies.sigma[-1]),
         "uneven_j": planned.uneven,
+        "without_height_m": energies.end.unseen,
         "charge_pct": max(charge, 0.0),
         "charge_sigma_pct": charge_sigma,
         "empty_at_m": planned.empty_at,

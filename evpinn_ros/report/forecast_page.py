@@ -75,6 +75,8 @@ def _sentence(planned: PlannedEnergy) -> str:
     )
     if (uneven := planned.uneven / JOULES_PER_KWH) > LEAST_SHOWN:
         text += f" {uneven:.2f} kWh of it are for {UNEVEN}; --steady leaves them out."
+    if level := planned.no_heights:
+        text += f" {level[0].upper()}{level[1:]}."
     left, half = (100 * planned.charge[:, -1]).tolist()
     if not np.isfinite(left):
         return text

@@ -58,6 +58,11 @@ def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
     assert done.returncode == 0 and done.stderr == "", done.stderr
     document = json.loads((folder / "f.json").read_text())
     assert [round(row["distance_m"] / 100) for row in document] == [80, 162, 9, 80, 26]
+    level = [line for line in done.stdout.splitlines() if ": no heights" in line]
+    named = {name for line in level for name in line.partition(":")[0].split(", ")}
+    names = [str(plan).rpartition("/")[2].partition(".")[0] for plan in plans]
+    rows = zip(names, document, strict=True)
+    assert named == {name for name, row in rows if row["without_height_m"]} == {"legs", "urban"}
     conditions = {"temperature_c": -10.0, "head_wind": 5.0, "charge_pct": 60.0}
     for row in document:
         end = ev.forecast(folder / row["plan"], CAR, **conditions).iloc[-1]

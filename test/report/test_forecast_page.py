@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from evpinn_ros.api.plan import planned_energy, what_if
-from evpinn_ros.core.energy.forecast import plan_parts
+from evpinn_ros.core.energy.forecast import forecast_plan, plan_parts
 from evpinn_ros.core.energy.plan import (
+    Legs,
     PlanConditions,
     PlanError,
     legs_of_trip,
     plan_from_speed_profile,
 )
+from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.terms import WHOLE, Part
 from evpinn_ros.report.forecast_page import _sentence
 
@@ -50,6 +52,30 @@ def test_the_part_of_uneven_speed_is_what_steady_leaves_out(plan):
     assert planned.uneven == pytest.approx(less, rel=0.02) and less > 1e4
     assert abs(steady.uneven) < 0.02 * less
     assert planned.energies.time.tolist() == steady.energies.time.tolist()
+
+
+@pytest.mark.parametrize("plan", [FEW, COARSE])
+@pytest.mark.parametrize("given", ["all", "none", "some"])
+def test_a_plan_without_heights_says_so_and_is_less_sure(plan, given):
+    """On the page and in the command; where only a part of the way has heights, which."""
+    if isinstance(plan, Legs):
+        known = {"all": (True, True), "none": (False, False), "some": (True, False)}[given]
+        plan = replace(plan, height_known=np.array([known[0], known[0], known[1]]))
+    elif given == "all":
+        plan = replace(plan, elevation=0.01 * plan.distance)
+    planned = planned_energy(plan, "bmw_i3", COLD)
+    text = planned.no_heights
+    if given == "some" and isinstance(plan, Legs):
+        assert text.startswith("no heights for 7.0 of 7.6 km: a level road is expected")
+    else:
+        assert (text is None) == (given == "all")
+    assert ("level road" in _sentence(planned)) == (text is not None)
+    end = planned.energies.end
+    growth = planned.basis.model.car.growth * planned.basis.model.car.weight_over_eta**2
+    level = replace(planned.basis.model.car, growth=0.0)
+    sure = forecast_plan(plan, PowerModel(level), *planned.basis[1:]).sigma[-1]
+    more = planned.energies.sigma[-1] ** 2 - sure**2
+    assert more == pytest.approx(level.trust * growth * end.unseen, rel=1e-6, abs=1e-3)
 
 
 def test_faster_takes_more_and_less_time_and_colder_takes_more():

@@ -101,6 +101,7 @@ class Air(NamedTuple):
 
 UNKNOWN_AIR = Air()
 UNEVEN = "speeding up and braking between the points"
+SHORT_OF_HEIGHTS = 0.01  # of the way without heights, from here on worth saying
 
 
 class PlanBasis(NamedTuple):
@@ -167,6 +168,19 @@ class PlannedEnergy(NamedTuple):
         """The part of its energy that uneven speed between its points takes, J."""
         energies, _ = plan_parts(self.given, self.energies, *self.basis)
         return float(energies[-1])
+
+    @property
+    def no_heights(self) -> str | None:
+        """Sentence on the part of the way whose height is not known; None where all is."""
+        unseen, whole = self.energies.end.unseen, float(np.ptp(self.trip.distance))
+        if not unseen > SHORT_OF_HEIGHTS * whole:
+            return None
+        part = f" for {unseen / 1e3:.1f} of {whole / 1e3:.1f} km"
+        part = "" if unseen > (1.0 - SHORT_OF_HEIGHTS) * whole else part
+        return (
+            f"no heights{part}: a level road is expected, and the 1-sigma holds hills as this car "
+            "knows them"
+        )
 
     @property
     def empty_at(self) -> float | None:

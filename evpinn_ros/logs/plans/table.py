@@ -203,7 +203,7 @@ def _in_si(
         for what, (name, factor) in columns.items()
     }
     if "grade" in columns and math.isnan(columns["grade"][1]):
-        numbers["grade"] *= _grade_unit(numbers["grade"])
+        numbers["grade"] *= _grade_unit(columns["grade"][0], numbers["grade"])
     if len({len(column) for column in numbers.values()}) > 1:
         lengths = ", ".join(f"{name} {len(numbers[what])}" for what, (name, _) in columns.items())
         raise InputError(f"the columns have different numbers of rows: {lengths}")
@@ -233,10 +233,15 @@ def _leg_numbers(
     return length, duration, climb
 
 
-def _grade_unit(grade: np.ndarray) -> float:
-    """1 of fractions, 0.01 of percent, as no road and no trip is steeper than some."""
+def _grade_unit(name: str, grade: np.ndarray) -> float:
+    """1 of fractions, 0.01 of percent, by the steepest roads and trips; warns of what it took."""
     size = np.abs(grade[np.isfinite(grade)])
-    fractions = not size.size or (size.max() <= STEEPEST and size.mean() <= STEEPEST_MEAN)
+    if not size.any():
+        return 1.0
+    fractions = size.max() <= STEEPEST and size.mean() <= STEEPEST_MEAN
+    assumed, other = ("fractions", "percent") if fractions else ("percent", "fractions")
+    text = f"{name!r} is assumed to be in {assumed}, and could be in {other}"
+    warnings.warn(f"{text}; a header such as grade_percent says it", stacklevel=5)
     return 1.0 if fractions else 0.01
 
 

@@ -1,5 +1,7 @@
 """Tables of plans: speed over time, and legs by the names and units of their columns."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -83,11 +85,16 @@ def uphill(header, rows):
         ("distance_mi,speed_mph,grade", lambda t, g: (0.2 / 1.609344, 72 / 1.609344, g), False),
     ],
 )  # fmt: skip
-@pytest.mark.filterwarnings("ignore:columns of the plan")
 def test_grades_are_climbs(read, header, row, percent, grade):
-    """Fractions or percent, by their name or their size."""
+    """Fractions or percent, by their name or their size, which is said then."""
     rows = [row(10 * i, 100 * grade if percent else grade) for i in range(51)]
-    plan = read(uphill(header, rows))
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        plan = read(uphill(header, rows))
+    texts = [str(warning.message) for warning in warned]
+    said = "_pct" in header or "[%]" in header
+    unit = "percent" if percent else "fractions"
+    assert any(f"assumed to be in {unit}" in text for text in texts) == (not said)
     if isinstance(plan, Plan):
         length, climb = plan.distance[-1], np.ptp(plan.elevation) * np.sign(plan.elevation[-1])
     else:
