@@ -43,12 +43,15 @@ class Range(NamedTuple):
         most: the largest number.
         unknown: whether a number may be NaN, which is saved as null.
         shape: of an array; empty: a row of any length.
+        by_state: whether an array is saved as a row of any length: its states are named beside
+            it, for another version has others.
     """
 
     least: float
     most: float
     unknown: bool = False
     shape: tuple[int, ...] = ()
+    by_state: bool = False
 
     def __get_pydantic_core_schema__(self, source: Any, _: Any) -> Any:
         """Schema of pydantic: neither text nor truth values are numbers."""
@@ -59,7 +62,8 @@ class Range(NamedTuple):
             return schemas.int_schema(**limits)
         schema: Any = schemas.float_schema(allow_inf_nan=False, **limits)
         if source is np.ndarray:
-            for size in reversed(self.shape or (None,)):
+            shape = (None,) if self.by_state or not self.shape else self.shape
+            for size in reversed(shape):
                 schema = schemas.list_schema(schema, min_length=size, max_length=size)
             return schemas.no_info_after_validator_function(np.array, schema)
         if self.unknown:
@@ -115,10 +119,13 @@ def plain(value: Any) -> Any:
         return value.tolist()
     if is_dataclass(value) or hasattr(value, "_fields"):
         kind: Any = type(value)
-        values = {name: plain(getattr(value, name)) for name in declared(kind)}
+        values = {}
         for name, field in declared(kind).items():
-            if field.range is not None and field.range.unknown and math.isnan(values[name]):
-                values[name] = None
+            content, limits = getattr(value, name), field.range
+            if limits is not None and limits.by_state:
+                content = np.ravel(content)
+            lacks = limits is not None and limits.unknown and math.isnan(content)
+            values[name] = None if lacks else plain(content)
         return values if is_dataclass(value) else [*values.values()]
     if isinstance(value, tuple):
         return [plain(item) for item in value]

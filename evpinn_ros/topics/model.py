@@ -90,12 +90,13 @@ def _value(kind: Any, parts: dict[str, np.ndarray], prefix: str, **given: Any) -
     values = dict(given)
     for name, field in declared(kind).items():
         numbers = parts.get(prefix + name)
-        if name in given or (numbers is None and field.lackable and field.range):
+        if name in given:
             continue
         if is_dataclass(field.kind):
             values[name] = _value(field.kind, parts, f"{prefix}{name}.")
         elif numbers is None:
-            raise BadMessage("lengths_differ")
+            if not field.lackable:
+                raise BadMessage("lengths_differ")
         elif field.kind is np.ndarray and field.range is not None:
             if numbers.size != math.prod(shape := field.range.shape):
                 raise BadMessage("lengths_differ")

@@ -46,19 +46,18 @@ from evpinn_ros.core.estimation.learner import (
 )
 from evpinn_ros.core.estimation.parameter_set import TrustHysteresis, deviations, parameter_set
 from evpinn_ros.core.estimation.payload import PayloadDetector, SavedPayload, Stamp
+from evpinn_ros.core.estimation.posterior import CarState
 from evpinn_ros.core.estimation.published import Driven, evidence_of, published
 from evpinn_ros.core.estimation.rehearsal import Rehearsal, Rehearsals
 from evpinn_ros.core.estimation.saved_car import (
-    SavedState,
-    SavedUnevenness,
     saved_state,
-    saved_unevenness,
     state_of,
     unevenness_of,
 )
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import Warmth, equation_of
 from evpinn_ros.core.estimation.trim import MOST_TRIM_EVIDENCE, Persistence, Trim
+from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.signals.sample import Sample
@@ -82,8 +81,8 @@ class _CarPower(NamedTuple):
 class SavedPinn:
     """Everything learned of a car; `trim` is its evidence, `seen_ns` the newest stamp."""
 
-    car: SavedState
-    unevenness: SavedUnevenness
+    car: CarState
+    unevenness: Unevenness
     driven: Driven
     payload: SavedPayload
     grade: GradeDetector
@@ -260,7 +259,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """State to save."""
         return SavedPinn(
             car=saved_state(self._car.state),
-            unevenness=saved_unevenness(self._car.uneven()),
+            unevenness=self._car.uneven(),
             hills=self._car.hills.next_drive(),
             driven=self._car.driven,
             payload=self._car.payload.saved(),

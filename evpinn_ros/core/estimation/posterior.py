@@ -35,7 +35,7 @@ from evpinn_ros.core.estimation.journey import (
     unseen_of,
     wandered,
 )
-from evpinn_ros.core.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
+from evpinn_ros.core.estimation.states import LASTING, NAMES, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import Equation, Warmth, Wheels, climate_powers
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import TEMPERATURES
@@ -56,7 +56,6 @@ DRIVE_KEPT = 0.9  # of an offset of a drive that the next still has: the season,
 PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # that the prior of an offset counts as, and at most
 CLIMATE_NOISE, CLIMATE_TIME = 500.0, 600.0  # W and s: reported heating about its mean
 MOST_EVIDENCE = 1e15
-States: TypeAlias = Annotated[np.ndarray, Range(-(MOST**2), MOST**2)]  # saved in a row
 Seconds: TypeAlias = Annotated[float, Range(0.0, 1e9)]
 Celsius: TypeAlias = Annotated[float, Range(*TEMPERATURES)]
 BRAKING_SHARE = 0.2  # of braking energy that friction may take unseen by the motor, 1-sigma
@@ -80,13 +79,18 @@ class CarState:
         celsius: temperature outside, the last known, or None.
         known: whether a drive was learned from before this one.
         last_drive: s of the drive before.
+        names: of the states.
     """
 
-    mean: States
-    covariance: States
+    mean: Annotated[np.ndarray, Range(-(MOST**2), MOST**2, shape=(len(BANK), SIZE), by_state=True)]
+    covariance: Annotated[
+        np.ndarray, Range(-(MOST**2), MOST**2, shape=(len(BANK), SIZE, SIZE), by_state=True)
+    ]
     evidence: Annotated[np.ndarray, Range(-MOST_EVIDENCE, 0.0, shape=(len(BANK),))]
     scale: Annotated[np.ndarray, Range(LEAST_SCALE, MOST_SCALE, shape=(len(BANK), 3))]
-    offset_variance: States
+    offset_variance: Annotated[
+        np.ndarray, Range(-(MOST**2), MOST**2, shape=(len(OFFSETS),), by_state=True)
+    ]
     bands: Bands = field(default_factory=Bands)
     drives: Annotated[float, Range(PRIOR_DRIVES, DRIVES_KEPT)] = PRIOR_DRIVES
     intervals: Annotated[int, Range(0, 10**12)] = 0
@@ -95,6 +99,7 @@ class CarState:
     celsius: Celsius | None = None
     known: bool = False
     last_drive: Seconds = 0.0
+    names: tuple[str, ...] = NAMES
 
     @property
     def gaussian(self) -> Gaussian:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Annotated, Any
+from dataclasses import replace
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.gaussian import Gaussian, is_possible
 from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.states import LASTING, NAMES, OFFSETS, SIZE, known_names
@@ -17,26 +15,14 @@ from evpinn_ros.core.estimation.unevenness import MOST_SHARE, SHAPE, Unevenness,
 MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SavedState(CarState):
-    """A `CarState` of K hypotheses and n named states.
-
-    In place of arrays, mean has K n numbers, covariance K n n, and offset_variance n, zero but for
-    the offsets of a drive.
-    """
-
-    names: tuple[str, ...]
+def saved_state(state: CarState) -> CarState:
+    """A state to save: every state has a variance from drive to drive, zero but for `OFFSETS`."""
+    variance = np.zeros(SIZE)
+    variance[OFFSETS] = state.offset_variance
+    return replace(state, offset_variance=variance)
 
 
-def saved_state(state: CarState) -> SavedState:
-    """A state to save."""
-    offsets = np.zeros(SIZE)
-    offsets[OFFSETS] = state.offset_variance
-    rows = {"mean": state.mean.ravel(), "covariance": state.covariance.ravel()}
-    return SavedState(**_fields(state, offset_variance=offsets, **rows), names=NAMES)
-
-
-def state_of(saved: SavedState, equation: Equation) -> CarState:
+def state_of(saved: CarState, equation: Equation) -> CarState:
     """The state that was saved; a state that the file lacks is at its prior.
 
     Raises:
@@ -66,24 +52,11 @@ def state_of(saved: SavedState, equation: Equation) -> CarState:
     variance[ours] = saved.offset_variance[theirs]
     if variance[OFFSETS].min() < 0.0:
         raise ValueError("a variance of the state is negative")
-    arrays = {"mean": mean, "covariance": covariance, "offset_variance": variance[OFFSETS]}
-    return CarState(**_fields(saved, **arrays))
+    offsets = variance[OFFSETS]
+    return replace(saved, mean=mean, covariance=covariance, offset_variance=offsets, names=NAMES)
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SavedUnevenness(Unevenness):
-    """An `Unevenness` with the names of its states, its rows as numbers."""
-
-    rows: Annotated[np.ndarray, Range(-1e18, 1e18)]
-    names: tuple[str, ...]
-
-
-def saved_unevenness(unevenness: Unevenness) -> SavedUnevenness:
-    """Form that is saved."""
-    return SavedUnevenness(**_fields(unevenness, rows=unevenness.rows.ravel()), names=NAMES)
-
-
-def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
+def unevenness_of(saved: Unevenness, equation: Equation) -> Unevenness:
     """Unevenness that was saved; a state that the file lacks has that of simulated drives.
 
     Raises:
@@ -95,13 +68,7 @@ def unevenness_of(saved: SavedUnevenness, equation: Equation) -> Unevenness:
     if len(ours) < SIZE:
         rows += saved.metres[..., None] * prior_rows(equation)
     rows[..., ours] = np.reshape(saved.rows, (*SHAPE, len(saved.names)))[..., theirs]
-    unevenness = Unevenness(**_fields(saved, rows=rows))
+    unevenness = replace(saved, rows=rows, names=NAMES)
     if unevenness.share > MOST_SHARE:
         raise ValueError("the scatter of the unevenness is out of range")
     return unevenness
-
-
-def _fields(value: CarState | Unevenness, **others: np.ndarray) -> dict[str, Any]:
-    """All but the names of a value, some fields replaced by others."""
-    names = (field.name for field in fields(value) if field.name != "names")
-    return {name: getattr(value, name) for name in names} | others

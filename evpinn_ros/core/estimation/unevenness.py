@@ -24,7 +24,7 @@ import numpy as np
 
 from evpinn_ros.common.package_data import bundled_lines
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.core.estimation.states import SIZE, State
+from evpinn_ros.core.estimation.states import NAMES, SIZE, State
 from evpinn_ros.core.estimation.terms import Equation
 from evpinn_ros.core.signals.interval import Steps
 
@@ -90,12 +90,14 @@ class Unevenness:
         squares: sum over drives of squared energy by which they strayed from what was expected,
             over the squared size of that (`size_of`).
         drives: how many these are.
+        names: of the states.
     """
 
     metres: Annotated[np.ndarray, Range(0.0, 1e12, shape=SHAPE)]
-    rows: Annotated[np.ndarray, Range(-1e18, 1e18, shape=(*SHAPE, SIZE))]
+    rows: Annotated[np.ndarray, Range(-1e18, 1e18, shape=(*SHAPE, SIZE), by_state=True)]
     squares: Annotated[float, Range(0.0, MOST_SQUARES)] = PRIOR_SHARE**2 * PRIOR_DRIVES
     drives: Annotated[float, Range(1.0, MOST_DRIVES)] = PRIOR_DRIVES
+    names: tuple[str, ...] = NAMES
 
     @classmethod
     def none(cls) -> Unevenness:
