@@ -12,15 +12,16 @@ import pytest
 
 from evpinn_ros.common.saved_fields import plain, read
 from evpinn_ros.core.estimation.car import LearnedCar
+from evpinn_ros.core.estimation.payload import PayloadChange, SavedPayload
 from evpinn_ros.core.estimation.pinn import PinnLearner
 from evpinn_ros.core.estimation.posterior import CarState, initial_state, passed
-from evpinn_ros.core.estimation.saved_car import SavedState, saved_state, state_of
+from evpinn_ros.core.estimation.saved_car import saved_state, state_of
 from evpinn_ros.core.estimation.states import NAMES, OFFSETS, SIZE, State
 from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.estimation.unevenness import prior_rows
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
-from test.declared import plain_fields
+from test.declared import changes, plain_fields
 
 CAR = load_vehicle("bmw_i3")
 EQUATION = equation_of(CAR)
@@ -40,13 +41,18 @@ def town(intervals):
 
 
 @pytest.fixture(scope="module")
-def learned(town) -> CarState:
-    state = LearnedCar.new(EQUATION).after(town[:30]).begin_drive().after(town[30:]).state
+def learned_car(town) -> LearnedCar:
+    return LearnedCar.new(EQUATION).after(town[:30]).begin_drive().after(town[30:])
+
+
+@pytest.fixture(scope="module")
+def learned(learned_car) -> CarState:
+    state = learned_car.state
     assert state.last_drive > 0.0 and state.celsius is not None and state.known
     return state
 
 
-def with_states(saved: SavedState, order: list[int | None]) -> SavedState:
+def with_states(saved: CarState, order: list[int | None]) -> CarState:
     """A file with these of the states in this order; None is one that this version lacks.
 
     That one, as any state, has something in common with the others.
@@ -76,8 +82,45 @@ def assert_same(found: CarState, other: CarState) -> None:
 @given(plain_fields(CarState))
 def test_every_field_survives_the_file(learned, values):
     state = replace(learned, **values)
-    saved = read(SavedState, json.loads(json.dumps(plain(saved_state(state)))))
+    saved = read(CarState, json.loads(json.dumps(plain(saved_state(state)))))
     assert_same(state_of(saved, EQUATION), state)
+
+
+# Of the drive, of an update under way and of this process: a restart begins them anew.
+OF_THE_PROCESS = (
+    *("equation", "dropout", "end_ns", "ended", "gated", "known_ns", "number", "parts"),
+    *("rehearsals", "steps", "stretches"),
+    *("payload.trials", "payload.given_up", "payload.taken"),
+)
+OF_A_DRIVE = {f"payload.{name}" for name in ("found", "last_ns", "standing", "withdrawn")}
+
+
+def test_every_field_of_a_learned_car_is_saved_or_ends_with_the_process(learned_car):
+    learner = PinnLearner(CAR)
+
+    def saved(car):
+        learner._car = car
+        return repr(learner.export())
+
+    stop = {"before": 7.7, "mass": 2000.0, "change": 0.07}
+    change = read(PayloadChange, {"stamp_ns": 1, "delta_mass": 150.0, "std": 30.0})
+    watched = read(SavedPayload, {"chance": {}, "change": None, "found": {"stamp_ns": 1, **stop}})
+    payload = replace(learned_car.payload, change=change, watched=watched.found)
+    learned_car = replace(learned_car, payload=payload)
+    before = saved(learned_car)
+    kept = changes(learned_car, but=OF_THE_PROCESS)
+    assert {path for path, car in kept if saved(car) == before} == OF_A_DRIVE
+
+
+def test_every_field_of_a_learned_car_counts_in_predictions_or_is_of_learning(learned):
+    """A field that `CarModel` forgets is a forecast that differs from the command's."""
+
+    def model(state):
+        return repr(plain(replace(state.model(EQUATION), equation=None)))
+
+    unused = {path for path, state in changes(learned) if model(state) == model(learned)}
+    expected = {"offset_variance", "drives", "names", "bands.drive.cases", "bands.drive.squares"}
+    assert unused == {*expected, "known", "intervals"}  # of a drive in which was learned already
 
 
 @settings(max_examples=10, deadline=None)
