@@ -130,7 +130,9 @@ def forecasts(
     ways = {"forecast": (model, weather)}
     if loaded.heating is not None:
         ways["loads given"] = model, loaded
-    ways["even speed"] = replace(model, unevenness=_even()), weather
+    none = Unevenness.none()
+    even = replace(none, metres=none.metres + 1e15, squares=0.0)  # it always drove evenly
+    ways["even speed"] = replace(model, unevenness=even), weather
     for resolution in RESOLUTIONS:
         try:
             plan = plan_of(done, resolution)
@@ -165,12 +167,6 @@ def _mean(done: list[Interval], name: str) -> float:
     """Mean of a condition over time."""
     values = [getattr(interval.conditions, name) for interval in done]
     return float(np.average(values, weights=[interval.duration for interval in done]))
-
-
-def _even() -> Unevenness:
-    """Knows of no unevenness, as if it had driven for ever at even speed."""
-    none = Unevenness.none()
-    return replace(none, metres=none.metres + 1e15, squares=0.0)
 
 
 def _by_distance(

@@ -106,22 +106,6 @@ def test_what_depends_on_time_is_found(source: str) -> None:
     assert violations(source)
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        "begin = time.monotonic()",
-        "assert clock.now() == 3.0",
-        'assert ", ".join(names) == "a, b"',
-        "process.communicate(timeout=60)",
-        "thread.join()",
-        "settings(deadline=None)",
-        "assert frame.index.is_monotonic_increasing",
-    ],
-)
-def test_what_does_not_is_not(source: str) -> None:
-    assert not violations(source)
-
-
 def test_waiting_ends_with_the_condition() -> None:
     values = iter([0, [], None, "text"])
     assert wait_until(lambda: next(values), meanwhile=lambda: None) == "text"

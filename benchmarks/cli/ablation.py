@@ -14,16 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from benchmarks.cli.output import (
-    TABLE_WIDTH,
-    DataArgument,
-    JobsOption,
-    cars_option,
-    chosen_cars,
-    in_parallel,
-    json_at_the_end,
-    table_of,
-)
+from benchmarks.cli import output
 from benchmarks.variants import (
     SCORE_COLUMNS,
     SEEDS,
@@ -141,24 +132,24 @@ VARIANTS = (
 
 
 def ablation(
-    data: DataArgument,
-    cars: Annotated[str, cars_option(CARS)] = "",
+    data: output.DataArgument,
+    cars: Annotated[str, output.cars_option(CARS)] = "",
     seeds: Annotated[int, typer.Option(min=1, help="Networks whose scores are averaged.")] = len(
         SEEDS
     ),
-    jobs: JobsOption = 2,
+    jobs: output.JobsOption = 2,
     json_file: JsonOption = None,
 ) -> None:
     """Leave out each part of the core in turn, and score drives.
 
     Example: evpinn bench ablation $DATA --cars i3,e208
     """
-    keys = chosen_cars(data, cars, CARS)
+    keys = output.chosen_cars(data, cars, CARS)
     rows: list[VariantRow] = []
-    with json_at_the_end(json_file, lambda: list(map(asdict, rows))):
+    with output.json_at_the_end(json_file, lambda: list(map(asdict, rows))):
         read = [read_car(data, key) for key in keys]
         tasks = [(variant, car, range(seeds)) for car in read for variant in VARIANTS]
-        for row in in_parallel("variants", jobs, score, tasks):
+        for row in output.in_parallel("variants", jobs, score, tasks):
             rows.append(row)
     for key in keys:
         _show([row for row in rows if row.car == key])
@@ -168,5 +159,5 @@ def _show(rows: list[VariantRow]) -> None:
     whole = rows[0]
     lost = ["", *("{:+.2f} +- {:.2f}".format(*whole.gain(row)) for row in rows[1:])]
     columns = ("left out", "{0.variant}"), *SCORE_COLUMNS, ("lost likelihood", "{1}")
-    table = table_of(whole.car, list(zip(rows, lost, strict=True)), columns)
-    show(table, at_least=TABLE_WIDTH)
+    table = output.table_of(whole.car, list(zip(rows, lost, strict=True)), columns)
+    show(table, at_least=output.TABLE_WIDTH)

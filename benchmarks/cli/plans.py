@@ -5,16 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from benchmarks.cli.output import (
-    TABLE_WIDTH,
-    DataArgument,
-    JobsOption,
-    cars_option,
-    chosen_cars,
-    in_parallel,
-    json_at_the_end,
-    table_of,
-)
+from benchmarks.cli import output
 from benchmarks.empty import EMPTY_COLUMNS, empty_scores
 from benchmarks.plans import CARS, PLAN_COLUMNS, plan_scores
 from evpinn_ros.cli.console import show
@@ -22,9 +13,9 @@ from evpinn_ros.cli.options import MetricsOption
 
 
 def plans(
-    data: DataArgument,
-    cars: Annotated[str, cars_option(CARS)] = "",
-    jobs: JobsOption = 2,
+    data: output.DataArgument,
+    cars: Annotated[str, output.cars_option(CARS)] = "",
+    jobs: output.JobsOption = 2,
     metrics: MetricsOption = None,
 ) -> None:
     """Forecast recorded trips as plans of several resolutions, and score that.
@@ -34,13 +25,16 @@ def plans(
 
     Example: evpinn bench plans $DATA --cars i3,changchun
     """
-    tasks = [(data, key) for key in chosen_cars(data, cars, CARS)]
+    tasks = [(data, key) for key in output.chosen_cars(data, cars, CARS)]
     rows: list[Any] = []
     roads: list[Any] = []
-    with json_at_the_end(metrics, lambda: [asdict(row) for row in (*rows, *roads)]):
-        for car_scores in in_parallel("plans of cars", jobs, plan_scores, tasks):
+    with output.json_at_the_end(metrics, lambda: [asdict(row) for row in (*rows, *roads)]):
+        for car_scores in output.in_parallel("plans of cars", jobs, plan_scores, tasks):
             rows += car_scores
-        for more in in_parallel("distance to empty of cars", jobs, empty_scores, tasks):
+        for more in output.in_parallel("distance to empty of cars", jobs, empty_scores, tasks):
             roads += more
-    show(table_of("Plans", rows, PLAN_COLUMNS, left=3), at_least=TABLE_WIDTH)
-    show(table_of("Distance to empty", roads, EMPTY_COLUMNS, left=1), at_least=TABLE_WIDTH)
+    show(output.table_of("Plans", rows, PLAN_COLUMNS, left=3), at_least=output.TABLE_WIDTH)
+    show(
+        output.table_of("Distance to empty", roads, EMPTY_COLUMNS, left=1),
+        at_least=output.TABLE_WIDTH,
+    )

@@ -13,16 +13,7 @@ from dataclasses import asdict
 from statistics import fmean
 from typing import Annotated, Any, NamedTuple
 
-from benchmarks.cli.output import (
-    TABLE_WIDTH,
-    DataArgument,
-    JobsOption,
-    cars_option,
-    chosen_cars,
-    in_parallel,
-    json_at_the_end,
-    table_of,
-)
+from benchmarks.cli import output
 from benchmarks.variants import SCORE_COLUMNS, ConstantPlace, Variant, VariantRow, read_car, score
 from evpinn_ros.cli.console import show
 from evpinn_ros.cli.options import MetricsOption
@@ -141,9 +132,9 @@ def _text(value: Any) -> str:
 
 
 def settings(
-    data: DataArgument,
-    cars: Annotated[str, cars_option(CARS)] = "",
-    jobs: JobsOption = 2,
+    data: output.DataArgument,
+    cars: Annotated[str, output.cars_option(CARS)] = "",
+    jobs: output.JobsOption = 2,
     metrics: MetricsOption = None,
 ) -> None:
     """Score each car with constants that the other cars chose.
@@ -153,21 +144,23 @@ def settings(
 
     Example: evpinn bench settings $DATA --cars model3,e208,leaf2013
     """
-    keys = chosen_cars(data, cars, CARS)
+    keys = output.chosen_cars(data, cars, CARS)
     lonely = [key for key in keys if not others(key, keys)]
     if lonely:
         raise InputError(f"--cars: {lonely[0]} needs another car, which chooses for it")
     scores: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     finals: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     chosen: dict[str, list[Variant]] = {}
-    with json_at_the_end(metrics, lambda: _found(scores, chosen, finals)):
-        recorded = list(in_parallel("cars read", jobs, read_car, [(data, key) for key in keys]))
+    with output.json_at_the_end(metrics, lambda: _found(scores, chosen, finals)):
+        recorded = list(
+            output.in_parallel("cars read", jobs, read_car, [(data, key) for key in keys])
+        )
         tasks = [(variant, car) for car in recorded for variant in alternatives()]
-        for row in in_parallel("alternatives on cars", jobs, score, tasks):
+        for row in output.in_parallel("alternatives on cars", jobs, score, tasks):
             scores[row.car][row.variant] = row
         chosen |= {key: final_variants(scores, key) for key in keys}
         tasks = [(variant, car) for car in recorded for variant in chosen[car.key]]
-        for row in in_parallel("chosen constants", jobs, score, tasks):
+        for row in output.in_parallel("chosen constants", jobs, score, tasks):
             finals[row.car][row.variant] = row
         _show_alternatives(scores)
         _show_chosen(chosen, finals)
@@ -196,7 +189,7 @@ def _show_alternatives(scores: Scores) -> None:
             for judges in (*([key] for key in scores), list(scores))
         ]
         table.add_row(variant.name, *(f"{gain:+.2f}" for gain in gains))
-    show(table, at_least=TABLE_WIDTH)
+    show(table, at_least=output.TABLE_WIDTH)
 
 
 def _show_chosen(chosen: Mapping[str, Sequence[Variant]], finals: Scores) -> None:
@@ -213,4 +206,4 @@ def _show_chosen(chosen: Mapping[str, Sequence[Variant]], finals: Scores) -> Non
     )
     rows = [(finals[key][name], text) for (key, name), text in changes.items()]
     title = "Scored with constants chosen without the car, and others beside"
-    show(table_of(title, rows, columns, left=3), at_least=TABLE_WIDTH)
+    show(output.table_of(title, rows, columns, left=3), at_least=output.TABLE_WIDTH)

@@ -12,7 +12,6 @@ from benchmarks.cli.output import AltitudeOption, GradeOption, json_at_the_end, 
 from benchmarks.truth import (
     VEHICLES,
     TruthCheck,
-    TruthSummary,
     compare,
     summaries,
 )
@@ -69,14 +68,11 @@ def _compare(figures: dict[str, Any], compared: Iterable[TruthCheck], drives: in
                 progress(check.seed - FIRST_SEED)
     finally:  # and the drives so far
         if checks:
-            _show(figures, summaries(checks))
+            rows = summaries(checks)
+            figures["summaries"] = [asdict(row) for row in rows]
+            show(table_of("", rows, COLUMNS))
             figures["unobservable"] = _unobservable(checks)
             say(figures["unobservable"])
-
-
-def _show(figures: dict[str, Any], rows: list[TruthSummary]) -> None:
-    figures["summaries"] = [asdict(row) for row in rows]
-    show(table_of("", rows, COLUMNS))
 
 
 def _unobservable(checks: Sequence[TruthCheck]) -> str:

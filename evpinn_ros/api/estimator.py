@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import math
 import os
 from pathlib import Path
@@ -147,19 +146,17 @@ class Estimator:
             (loads, (heating_w, aircon_w)),
         ]
         readings = [reading for reading, values in given if not all(map(math.isnan, values))]
+        outputs = (output for reading in readings for output in self._chain.add_reading(reading))
         predictions = [
-            prediction for reading in readings for prediction in self._predictions(reading)
+            output
+            for output in outputs
+            if isinstance(output, PowerEstimate) and output.kind is PowerKind.PREDICTED
         ]
         if not predictions:
             return None
         energy = self._chain.account.state
         power = predictions[-1]
         return Estimate(t_s, power.power, power.sigma, energy.consumed, energy.consumed_sigma)
-
-    def _predictions(self, reading: Reading) -> Iterator[PowerEstimate]:
-        for output in self._chain.add_reading(reading):
-            if isinstance(output, PowerEstimate) and output.kind is PowerKind.PREDICTED:
-                yield output
 
     def begin_next_drive(self) -> None:
         """Begin a new drive: time and energy start anew, and what was learned is kept."""

@@ -81,7 +81,7 @@ class ControlUnit:
             rxfn=lambda _timeout: self._inbox.popleft() if self._inbox else None,
             txfn=self._transmit,
             address=_isotp_address(address),
-            error_handler=self._count_garbled,
+            error_handler=lambda _: self.counters.update(garbled=1),
             params=LINK_OPTIONS,
         )
 
@@ -159,9 +159,6 @@ class ControlUnit:
             # Each driver has its own way to fail; the bus reader finds out whether it is lost.
             self.counters["send_errors"] += 1
             self._sent = True
-
-    def _count_garbled(self, _error: Exception) -> None:
-        self.counters["garbled"] += 1
 
     def _read(self, payload: bytes, now_s: float) -> Answer | None:
         if payload[0] == NEGATIVE:

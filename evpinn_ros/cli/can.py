@@ -12,13 +12,14 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.can.bus import BusReader
-from evpinn_ros.can.inspection import BusReport, Inspection
+from evpinn_ros.can.fit import MessageFit
+from evpinn_ros.can.inspection import BusReport, IdStatus, Inspection, ProfileReport
 from evpinn_ros.can.profile import bundled_profiles, load_profile
-from evpinn_ros.cli.can_tables import as_json, show_report
-from evpinn_ros.cli.console import note, progress_bar, show_json
+from evpinn_ros.cli.console import note, progress_bar, say, show, show_json
 from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
 from evpinn_ros.cli.options import Elm327Option, JsonTextOption, complete_profile, elm327_bus
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.core.signals.progress import reported
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.logs.bus_sources import open_can_log
@@ -113,7 +114,11 @@ def inspect(
         interface = interface or "socketcan"
         reader = BusReader(interface, str(channel), inspection.add_frame, time.time_ns, **options)
         name, end_ns, problem = f"{interface} {channel}", *_listen(reader, seconds or LISTEN)
-    _print(name, inspection.report(end_ns), bitrate or BITRATE, as_json_text)
+    bus = inspection.report(end_ns)
+    if as_json_text:
+        show_json({"source": name, "bitrate": bitrate or BITRATE, **as_json(bus)})
+    else:
+        show_report(name, bus, bitrate or BITRATE)
     if problem is not None:
         raise InputError(problem)
 
@@ -161,9 +166,174 @@ def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
     return end_ns, status.problem
 
 
-def _print(name: str, report: BusReport, bitrate: int, as_json_text: bool) -> None:
-    if as_json_text:
-        document: dict[str, Any] = {"source": name, "bitrate": bitrate, **as_json(report)}
-        show_json(document)
-    else:
-        show_report(name, report, bitrate)
+PEOPLE: dict[str, tuple[str, float, int]] = {
+    "speed": ("km/h", 3.6, 1),
+    "voltage": ("V", 1.0, 1),
+    "current": ("A", 1.0, 1),
+    "state_of_charge": ("%", 100.0, 1),
+    "motor_torque": ("N m", 1.0, 0),
+    "motor_speed": ("rpm", 60 / (2 * math.pi), 0),
+}
+"""Unit for people, how many of it are one in SI, and decimals."""
+
+
+def show_report(name: str, report: BusReport, bitrate: int) -> None:
+    """Print the tables."""
+    best = report.best
+    show(_id_table(report.ids, best))
+    show(_profile_table(report.profiles))
+    if best is not None:
+        show(_value_table(best))
+    for line in (*_summary(name, report, bitrate), *_verdict(best)):
+        say(line)
+
+
+def as_json(report: BusReport) -> dict[str, Any]:
+    """The report as plain values in SI units; null where unknown."""
+    best = report.best
+    low, high = report.load
+    return {
+        "duration_s": _plain(report.duration),
+        "frames": report.frames,
+        "frames_of_uncounted_ids": report.uncounted,
+        "bus_load": {"least": _plain(low), "most": _plain(high)},
+        "ids": [_id_json(traffic) for traffic in report.ids],
+        "best": best.fit.profile if best is not None else None,
+        "profiles": [_profile_json(profile) for profile in report.profiles],
+    }
+
+
+def verdict(profile: ProfileReport) -> str:
+    """One of `fits`, `contradicted`, `does not fit`, `not seen`, `must ask`."""
+    if profile.contradicted is not None:
+        return "contradicted"
+    if not profile.fit.frames:
+        return "must ask" if profile.asks else "not seen"
+    return "fits" if profile.fit.holds else "does not fit"
+
+
+def _id_table(ids: tuple[IdStatus, ...], best: ProfileReport | None) -> PlainTable:
+    numbers = ("frames", "Hz", "period ms", "jitter ms", "age s", "bytes")
+    table = PlainTable("Ids", ("id", *numbers, "read as"), words=("read as",))
+    read: dict[int, list[str]] = {}
+    for message in best.fit.messages if best is not None else ():
+        read.setdefault(message.can_id, []).append(message.quantity)
+    for traffic in ids:
+        table.add_row(
+            f"{traffic.can_id:08X}" if traffic.extended else f"{traffic.can_id:03X}",
+            str(traffic.count),
+            _text(traffic.rate, 1),
+            _text(1e3 * traffic.period, 1),
+            _text(1e3 * traffic.jitter, 1),
+            _text(traffic.age, 1),
+            ", ".join(map(str, sorted(traffic.lengths))),
+            ", ".join(read.get(traffic.can_id, ())),
+        )
+    return table
+
+
+def _profile_table(profiles: tuple[ProfileReport, ...]) -> PlainTable:
+    columns = ("profile", "score", "verdict", "why")
+    table = PlainTable("Profiles, best first", columns, words=("verdict", "why"))
+    for profile in profiles:
+        why = "; ".join(map(str, profile.fit.messages)) if profile.fit.frames else ""
+        score = f"{100 * profile.fit.score:.0f} %"
+        table.add_row(profile.fit.profile, score, verdict(profile), why)
+    return table
+
+
+def _value_table(best: ProfileReport) -> PlainTable:
+    columns = ("signal", "readings", "newest", "lowest", "highest", "")
+    table = PlainTable(f"Values as {best.fit.profile} reads them", columns, words=("",))
+    for name, signal in best.values.items():
+        unit, factor, decimals = PEOPLE[name]
+        numbers = (signal.newest, signal.lowest, signal.highest)
+        texts = [_text(factor * number, decimals) for number in numbers]
+        table.add_row(name.replace("_", " "), str(signal.count), *texts, unit)
+    return table
+
+
+def _summary(name: str, report: BusReport, bitrate: int) -> list[str]:
+    low, high = (_text(100 * share, 1) for share in report.load)
+    lines = [
+        f"{name}: {report.frames} frames of {len(report.ids)} ids in {report.duration:.1f} s",
+        f"Bus load: {low} to {high} % of {bitrate / 1000:g} kbit/s, by how many bits are stuffed",
+    ]
+    if report.uncounted:
+        lines.append(f"{report.uncounted} frames of further ids were not looked at")
+    return lines
+
+
+def _verdict(best: ProfileReport | None) -> list[str]:
+    if best is None:
+        return [
+            "No profile fits this traffic. Cars that must be asked are not known by listening: "
+            "docs/explanation/can.md, asking the car"
+        ]
+    lines = [f"Fits: {best.fit.profile}"]
+    dropped = ", ".join(f"{count} {reason}" for reason, count in sorted(best.dropped.items()))
+    if dropped:
+        lines.append(f"Dropped: {dropped}")
+    if "current" not in best.values:
+        return lines
+    sign = best.sign or (
+        "agrees with acceleration and charging"
+        if best.sign_decided
+        else "too little driving to judge"
+    )
+    return [*lines, f"Sign of the current: {sign}"]
+
+
+def _id_json(traffic: IdStatus) -> dict[str, Any]:
+    return {
+        "id": f"0x{traffic.can_id:X}",
+        "extended": traffic.extended,
+        "frames": traffic.count,
+        "rate_hz": _plain(traffic.rate),
+        "period_s": _plain(traffic.period),
+        "jitter_s": _plain(traffic.jitter),
+        "age_s": _plain(traffic.age),
+        "lengths": {str(length): count for length, count in sorted(traffic.lengths.items())},
+    }
+
+
+def _profile_json(profile: ProfileReport) -> dict[str, Any]:
+    return {
+        "profile": profile.fit.profile,
+        "name": profile.fit.name,
+        "score": _plain(profile.fit.score),
+        "proven": profile.fit.proven,
+        "verdict": verdict(profile),
+        "contradicted": profile.contradicted,
+        "messages": [_message_json(message) for message in profile.fit.messages],
+        "values": {
+            name: {
+                "count": signal.count,
+                "newest": _plain(signal.newest),
+                "lowest": _plain(signal.lowest),
+                "highest": _plain(signal.highest),
+            }
+            for name, signal in profile.values.items()
+        },
+        "dropped": dict(profile.dropped),
+        "current_sign": {"told": profile.sign_decided, "suspicion": profile.sign},
+    }
+
+
+def _message_json(message: MessageFit) -> dict[str, Any]:
+    return {
+        "quantity": message.quantity,
+        "id": f"0x{message.can_id:X}",
+        "frames": message.frames,
+        "good": message.good,
+        "bad": dict(message.bad),
+        "has_checksum": message.has_checksum,
+    }
+
+
+def _plain(number: float) -> float | None:
+    return float(f"{number:.6g}") if math.isfinite(number) else None
+
+
+def _text(number: float, decimals: int) -> str:
+    return f"{number:.{decimals}f}" if math.isfinite(number) else "-"

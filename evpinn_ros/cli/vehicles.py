@@ -52,7 +52,9 @@ def search(
     if as_json_text:
         show_json(lines)
         return
-    rows = [[_cell(value) for value in line.values()] for line in lines]
+    rows = [
+        [f"{v:.4g}" if isinstance(v, float) else v or "" for v in line.values()] for line in lines
+    ]
     table = PlainTable("Vehicles", list(lines[0]), rows, words=("can_profile", "from"))
     show(table, at_least=120)
 
@@ -95,7 +97,3 @@ def _origin(key: str) -> str:
     if key in certified_cars():
         return "certified"
     return "rated" if key in rated_cars() else "file"
-
-
-def _cell(value: str | float | None) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else value or ""

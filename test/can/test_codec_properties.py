@@ -14,7 +14,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.inspection import Inspection
-from evpinn_ros.cli.can_tables import as_json
+from evpinn_ros.cli.can import as_json
 from evpinn_ros.core.signals.readings import BatteryReading, MotorReading, SpeedReading
 from test.can.conftest import PROFILES
 

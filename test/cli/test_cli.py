@@ -117,12 +117,6 @@ def test_state_is_taken_up_and_another_car_refuses_it(evpinn, folder):
     assert_fails_in_one_line(other, "kept.json", "nissan_leaf")
 
 
-def test_convert_on_a_full_disk_is_one_line(on_a_full_disk, folder):
-    arguments = ("convert", "drive.log", "small", "--vehicle", "tesla_model_3_lr")
-    done = on_a_full_disk(4, *arguments, cwd=folder)
-    assert_fails_in_one_line(done, "small: File too large; the bag is cut there")
-
-
 def test_no_battery_is_said_and_predictions_go_on(evpinn, folder):
     done = evpinn("replay", "speed.csv", "--metrics", "speed.json", cwd=folder)
     assert done.returncode == 0

@@ -99,12 +99,6 @@ def test_a_missing_package_of_no_extra_is_no_wrong_input():
         import no_such_package  # noqa: F401
 
 
-def test_an_import_that_is_there_changes_nothing():
-    with optional_imports():
-        import json as imported
-    assert imported is json
-
-
 def test_ros_may_also_be_sourced():
     said = r"^rclpy is not installed: source a ROS 2, or pip install 'evpinn_ros\[ros\]'$"
     with pytest.raises(InputError, match=said), optional_imports():

@@ -140,7 +140,11 @@ class Layout:
             if match is not None:
                 levels = {"car": "car", "user": "", **match.groupdict()}
                 parsed = self._parsed(levels["car"], payload, rules)
-                return parsed._replace(user=levels["user"]) if _is_name(parsed.car) else None
+                return (
+                    parsed._replace(user=levels["user"])
+                    if CAR_NAME.fullmatch(parsed.car)
+                    else None
+                )
         return None
 
     def _parsed(self, car: str, payload: bytes, rules: Mapping[str, Rule]) -> Parsed:
@@ -153,10 +157,6 @@ class Layout:
         values = [(rule.quantity, rule.value(fields.get(name))) for name, rule in rules.items()]
         known = {quantity: value for quantity, value in values if not math.isnan(value.value)}
         return Parsed(car, known, _stamp_ns(fields.get(self._stamp)))
-
-
-def _is_name(car: str) -> bool:
-    return CAR_NAME.fullmatch(car) is not None
 
 
 def _expression(topic: str) -> re.Pattern[str]:

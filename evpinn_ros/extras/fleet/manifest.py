@@ -98,7 +98,8 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
             first = models[line.car]
             raise InputError(f"{line.where}: car '{line.car}' is a {line.vehicle} and a {first}")
         if line.vehicle not in vehicles:
-            vehicles[line.vehicle] = _vehicle(line, path.parent)
+            with as_input_error(line.where, InputError):
+                vehicles[line.vehicle] = load_model(line.vehicle, path.parent)
         for matched in _matching(line.pattern, path.parent, line.where):
             for drive in _recordings(matched):
                 real = os.path.realpath(drive)  # links may lead to one drive by two names
@@ -161,11 +162,6 @@ def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:
     if not paths:
         raise InputError(f"{where or path}: {pattern}: nothing there")
     return [path.resolve() for path in paths]
-
-
-def _vehicle(line: _Line, base: Path) -> Vehicle:
-    with as_input_error(line.where, InputError):
-        return load_model(line.vehicle, base)
 
 
 def _yaml_lines(path: Path) -> Iterator[_Line]:

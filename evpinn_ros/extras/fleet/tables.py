@@ -126,7 +126,8 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
             vehicles[car.vehicle.key] = car.vehicle
             summary.points[car.vehicle.key] += filter(None, map(point_of, rows))
             if row["in_population"]:
-                evidence_of_model[car.vehicle.key].append(_evidence(result))
+                learned = Evidence(np.array(result["precision"]), np.array(result["information"]))
+                evidence_of_model[car.vehicle.key].append(learned)
                 if len(summary.known[car.vehicle.key]) < CHARTED:
                     summary.known[car.vehicle.key][car.car] = evidence_of_model[car.vehicle.key][
                         -1
@@ -187,10 +188,6 @@ def _count(summary: FleetSummary, car: dict[str, Any], rows: Sequence[dict[str, 
     summary.counts.update(cars=1, drives=len(rows), learned=car["learned"], problems=len(problems))
     summary.cars.extend([car][: max(0, SHOWN - len(summary.cars))])
     summary.problems.extend(problems[: max(0, SHOWN - len(summary.problems))])
-
-
-def _evidence(result: Mapping[str, Any]) -> Evidence:
-    return Evidence(np.array(result["precision"]), np.array(result["information"]))
 
 
 @contextmanager

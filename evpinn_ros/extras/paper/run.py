@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -35,8 +35,9 @@ from evpinn_ros.extras.paper.experiment import (
 )
 from evpinn_ros.extras.paper.optimizer_name import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.extras.paper.page import write_reproduction
-from evpinn_ros.extras.paper.results import results_of
+from evpinn_ros.extras.paper.published import LossRow
 from evpinn_ros.extras.paper.saved import write_estimator_state, write_vehicle_file
+from evpinn_ros.extras.paper.scores import TableFiveRow
 from evpinn_ros.extras.paper.tables import ResultTable, all_tables
 from evpinn_ros.extras.paper.verdict import CRITERIA, verdict
 from evpinn_ros.logs.read_options import ReadOptions
@@ -198,3 +199,56 @@ def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str)
         (vehicle, f"vehicle file with what was found: --vehicle {vehicle}"),
     ):
         note(f"{path}: {use}")
+
+
+def results_of(outcome: Outcome) -> dict[str, Any]:
+    """Everything measured, in a form `json` writes."""
+    settings = outcome.settings
+    problem = outcome.training.problem
+    return {
+        "vehicle": outcome.vehicle.key,
+        "settings": {
+            "optimizer": settings.optimizer.value,
+            "epochs": settings.epochs,
+            "energy_epochs": settings.energy_epochs,
+            "seed": settings.seed,
+            "device": settings.device,
+            "regen_form": settings.form.value,
+        },
+        "verdict": [
+            {**finding._asdict(), "answer": finding.answer.value} for finding in verdict(outcome)
+        ],
+        "samples": len(outcome.log.time),
+        "duration_s": float(outcome.log.time[-1]),
+        "normalisation": {
+            "power_middle_w": problem.scale.middle,
+            "power_half_range_w": problem.scale.half_range,
+            "p_aux_w": problem.p_aux,
+        },
+        "power_losses": {
+            "random": [_loss_row(row) for row in outcome.power_rows],
+            "chronological": [_loss_row(row) for row in outcome.chronological.rows],
+        },
+        "energy_losses": [row._asdict() for row in outcome.energy_rows],
+        "parameters": {row.name: _parameter(row) for row in outcome.parameters},
+        "combinations": {row.name: _parameter(row) for row in outcome.combinations},
+        "least_squares_parameters": outcome.regression._asdict(),
+        "scores": [
+            {"method": s.method, "split": s.split, **s.score._asdict()} for s in outcome.scores
+        ],
+        "energy_j": {
+            name: float(joules[-1]) for name, joules in outcome.energies._asdict().items()
+        },
+    }
+
+
+def _loss_row(row: LossRow) -> dict[str, Any]:
+    return {
+        "epoch": row.epoch,
+        "training": row.training._asdict(),
+        "validation": row.validation._asdict(),
+    }
+
+
+def _parameter(row: TableFiveRow) -> dict[str, Any]:
+    return {name: value for name, value in row._asdict().items() if name != "name"}

@@ -147,7 +147,7 @@ def _finding_rows(
     """Findings under `FINDING_COLUMNS`, beside the paper's values and those of a fit."""
     return [
         [
-            _title(row.name),
+            TITLES.get(row.name, row.name),
             _number(row.name, row.initial),
             f"{_number(row.name, row.value)} \u00b1 {_number(row.name, row.std)}",
             f"{100 * (row.value - row.initial) / row.initial:+.1f} %",
@@ -251,10 +251,6 @@ def _losses(losses: Losses | None) -> list[str]:
 
 def _four(values: Parameters) -> list[str]:
     return [_number(name, getattr(values, name)) for name in FOUR]
-
-
-def _title(name: str) -> str:
-    return TITLES.get(name, name)
 
 
 def _number(name: str, value: float) -> str:

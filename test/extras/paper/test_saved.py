@@ -20,7 +20,7 @@ from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.experiment import Experiment, Outcome, Settings
 from evpinn_ros.extras.paper.learner import POWER_SCALE, SPEED_SCALE, WINDOW
 from evpinn_ros.extras.paper.optimizers import OptimizerName
-from evpinn_ros.extras.paper.results import results_of
+from evpinn_ros.extras.paper.run import results_of
 from evpinn_ros.extras.paper.saved import (
     possible,
     window_network,
