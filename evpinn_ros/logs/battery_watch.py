@@ -27,6 +27,7 @@ WRONG_SIGN = (
     "the car speeds up while its battery is charged: the sign of the current is probably wrong, "
     "and with it every energy; it is negative while the battery discharges"
 )
+MOST_KEPT = 30_000  # readings of each signal, by which the sign is judged: 50 min at 10 Hz
 
 
 class BatteryWatch:
@@ -41,6 +42,7 @@ class BatteryWatch:
         self._speed: list[tuple[int, float]] = []
         self._voltage: list[tuple[int, float]] = []
         self._current: list[tuple[int, float]] = []
+        self._flows_back, self._zero_ns = False, 0
 
     def on(self, readings: Iterable[Reading]) -> Iterator[Reading]:
         """The readings, without a current that never changes.
@@ -62,7 +64,7 @@ class BatteryWatch:
                 yield reading
             else:
                 waiting.append(reading)
-        speed = _signal(self._speed)
+        speed = _signal(self._speed, self._zero_ns)
         if waiting and not changes and self._drives(speed):
             never = f"battery current: always {first + 0.0:g} A while the car speeds up and slows"
             self.notes = (f"{never} down, so it is not measured",)
@@ -74,29 +76,36 @@ class BatteryWatch:
     def _take(self, reading: Reading) -> None:
         if why_impossible(reading) is not None:
             return
+        self._zero_ns = self._zero_ns or reading.stamp_ns
         if isinstance(reading, SpeedReading):
-            self._speed.append((reading.stamp_ns, reading.speed))
+            _keep(self._speed, reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading):
-            self._voltage.append((reading.stamp_ns, reading.voltage))
-            self._current.append((reading.stamp_ns, reading.current))
+            self._flows_back |= reading.current > 0.0
+            _keep(self._voltage, reading.stamp_ns, reading.voltage)
+            _keep(self._current, reading.stamp_ns, reading.current)
 
     def _drives(self, speed: Signal) -> bool:
         changes = np.abs(accelerations(speed)[1]) > EVENT
         return len(self._current) >= LEAST_EVENTS <= int(changes.sum())
 
     def _doubts(self, speed: Signal) -> Iterator[str]:
-        current = _signal(self._current)
-        voltage = at_times(_signal(self._voltage), current.time)
+        current = _signal(self._current, self._zero_ns)
+        voltage = at_times(_signal(self._voltage, self._zero_ns), current.time)
         drawn = Signal(current.time, drawn_power(voltage, current.value))
         if pull(speed, drawn) < 0.0:
             yield WRONG_SIGN
-        elif self._drives(speed):
+        elif self._drives(speed) and not self._flows_back:
             yield from never_back(drawn)
 
 
-def _signal(rows: list[tuple[int, float]]) -> Signal:
-    """Rows of stamp, ns, and value."""
-    zero_ns = rows[0][0] if rows else 0
+def _keep(rows: list[tuple[int, float]], stamp_ns: int, value: float) -> None:
+    """Append to a signal, unless enough is known of it."""
+    if len(rows) < MOST_KEPT:
+        rows.append((stamp_ns, value))
+
+
+def _signal(rows: list[tuple[int, float]], zero_ns: int) -> Signal:
+    """Rows of stamp, ns, and value, with time in s since a stamp."""
     time = np.array([stamp_ns - zero_ns for stamp_ns, _ in rows], float) / NANOSECONDS
     return Signal(time, np.array([value for _, value in rows], float))
 
