@@ -149,7 +149,7 @@ def feather_files() -> list[bytes]:
 def broker_messages() -> list[bytes]:
     """Topics, payloads and flags of messages of a broker, with the seconds between them."""
     base, rows = "ovms/me/CAR/metric/v/", []
-    for second in range(0, 40):
+    for second in range(15):
         values = {"p/speed": 36 + second, "b/voltage": 350.5, "b/current": 20, "b/soc": 80}
         values |= {"e/on": "yes", "p/altitude": 300, "e/temp": 12, "b/power": 7}
         rows += [[base + name, str(value), second < 2, 1] for name, value in values.items()]

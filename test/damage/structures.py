@@ -153,7 +153,8 @@ def mutate_text(data: bytes, chance: Random) -> bytes:
         word = chance.randrange(len(words))
         words[word : word + chance.randint(0, 2)] = [chance.choice((*CELLS, *words))]
         changed = "".join(words)
-        some = chance.choice(([changed], [changed], [], [changed] * MOST_GROWTH, lines[at:]))
+        repeated = [changed] * (MOST_GROWTH if len(changed) < MOST_GROWTH**2 else 2)
+        some = chance.choice(([changed], [changed], [], repeated, lines[at:]))
         lines[at : at + chance.choice((0, 1, 1, 1, 5))] = some
         lines = lines or [""]
     return "".join(lines).encode("utf-8", "surrogateescape")

@@ -77,6 +77,9 @@ _PACKED_METADATA = """rosbag2_bagfile_information:
 """
 
 
+LARGEST = 1_000_000  # bytes of an input: parts repeated of parts repeated have no end
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """One parser."""
@@ -99,6 +102,7 @@ class Target:
         data = chance.choice(seeds if chance.randrange(30) else [chance.randbytes(200), b"\n"])
         for _ in range(chance.randint(1, 3)):
             data = (flipped if not chance.randrange(4) else self.mutate)(data, chance)
+            data = data[:LARGEST]
         path = folder / self.file_name
         path.write_bytes(data)
         try:
