@@ -85,12 +85,12 @@ def learned(vehicle: Vehicle, drives: Sequence[Sequence[Interval]]) -> Breakdown
 def _checks(
     car: UnseenCar, kind: str, seed: int, drives: Sequence[Sequence[Interval]]
 ) -> Iterator[PartCheck]:
-    flat = [[without_height(each) for each in intervals] for intervals in drives]
-    pair = [learned(car.vehicle, each) for each in (drives, flat)]
+    flat = [[without_height(interval) for interval in intervals] for intervals in drives]
+    pair = [learned(car.vehicle, side) for side in (drives, flat)]
     if len(drives) == 1:
-        true, without = (each.of(0) for each in pair)
+        true, without = (breakdowns.of(0) for breakdowns in pair)
     else:
-        true, without = (each.difference(1, 0) for each in pair)
+        true, without = (breakdowns.difference(1, 0) for breakdowns in pair)
     if true is None or without is None:
         return
     for part in list(Part)[WHOLE]:

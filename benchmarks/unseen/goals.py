@@ -71,15 +71,15 @@ def figures(
         inside = _known(_value(scores, part, "inside_90_percent") for scores in cars.values())
         if inside:
             low, high = INSIDE
-            held = sum(low <= each <= high for each in inside)
+            held = sum(low <= percent <= high for percent in inside)
             measured = f"{min(inside):.0f} to {max(inside):.0f}, {held} of {len(inside)} cars"
             yield f"in 90 %, {name}", measured, f"{low:g} to {high:g}"
     simulators = {k: v for k, v in cars.items() if k.startswith(("sumo", "fastsim"))}
     for name, goal in BIASES.items():
         biases = [
-            abs(each["truth"][name]["bias_percent"])
-            for each in simulators.values()
-            if name in each.get("truth", {})
+            abs(methods["truth"][name]["bias_percent"])
+            for methods in simulators.values()
+            if name in methods.get("truth", {})
         ]
         if biases:
             title = f"{name}: size of the bias, SUMO and FASTSim"

@@ -50,8 +50,8 @@ class WeakFormLeastSquares:
         prior = identifiable(vehicle.initial, vehicle.frontal_area)
         mass, rolling = prior.mass_over_eta, prior.c_rr * prior.mass_over_eta
         back = prior.regeneration
-        share = {name: each.std / each.value for name, each in vehicle.priors.items()}
-        by_eta = {name: math.hypot(each, share["eta"]) for name, each in share.items()}
+        share = {name: p.std / p.value for name, p in vehicle.priors.items()}
+        by_eta = {name: math.hypot(std, share["eta"]) for name, std in share.items()}
         table = (
             (prior.drag_area_over_eta, prior.drag_area_over_eta * by_eta["c_d"]),
             (rolling, rolling * math.hypot(by_eta["mass"], share["c_rr"])),
@@ -63,7 +63,7 @@ class WeakFormLeastSquares:
             DRIVELINE,
             REPORTED,
             COLD_LOAD,
-            tuple(rolling * each for each in COLD_ROLLING),
+            tuple(rolling * cold for cold in COLD_ROLLING),
             (0.0, DRIVE_LOAD),
             (0.0, DRIVE_ROLLING * rolling),
         )

@@ -36,11 +36,11 @@ GIVEN = {
 def learned_half(path: Path, vehicle: str) -> tuple[CarModel, list[Interval]]:
     """A car that learned the first half of a drive, and the measured intervals of the rest."""
     car = load_car("", f"{path}={vehicle}")
-    intervals = max((list(intervals_of(car, each)) for each in car.drives), key=len)
+    intervals = max((list(intervals_of(car, drive)) for drive in car.drives), key=len)
     middle = len(intervals) // 2
     learned = LearnedCar.new(equation_of(car.vehicle)).after(intervals[:middle])
     model = replace(learned.state.model(learned.equation), unevenness=learned.uneven())
-    return model, [each for each in intervals[middle:] if not math.isnan(each.energy)]
+    return model, [interval for interval in intervals[middle:] if not math.isnan(interval.energy)]
 
 
 def as_planned(done: list[Interval]) -> list[Interval]:

@@ -182,10 +182,8 @@ def test_motor_power_explains_battery_power(profile, log, gear, lag, alike, driv
     readings = [reading for frame in frames(path) for reading in decoder.decode(frame)]
 
     def rows(kind, *names):
-        found = [each for each in readings if isinstance(each, kind)]
-        return np.array(
-            [[each.stamp_ns / 1e9, *(getattr(each, n) for n in names)] for each in found]
-        )
+        of_kind = [reading for reading in readings if isinstance(reading, kind)]
+        return np.array([[r.stamp_ns / 1e9, *(getattr(r, n) for n in names)] for r in of_kind])
 
     motor, battery = rows(MotorReading, "torque", "speed"), rows(BatteryReading, "power")
     speed = rows(SpeedReading, "speed")

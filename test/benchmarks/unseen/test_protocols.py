@@ -71,21 +71,21 @@ def test_a_later_battery_changes_nothing_that_is_predicted(car, vehicle):
     other = UnseenDrive(
         "tripled",
         tuple(
-            BatteryReading(each.stamp_ns, each.voltage, 3 * each.current)
-            if isinstance(each, BatteryReading) and each.stamp_ns > cut_ns
-            else each
-            for each in drive.readings
+            BatteryReading(reading.stamp_ns, reading.voltage, 3 * reading.current)
+            if isinstance(reading, BatteryReading) and reading.stamp_ns > cut_ns
+            else reading
+            for reading in drive.readings
         ),
     )
-    index = next(i for i, each in enumerate(drive.readings) if each.stamp_ns > cut_ns)
+    index = next(i for i, reading in enumerate(drive.readings) if reading.stamp_ns > cut_ns)
     for reading in drive.readings[:index]:
         rows.extend(method.add_reading(reading))
     span = DrivePart(60.0, 130.0)
-    one, two = (
-        predicted(copy.deepcopy(method), each, index, span, rows[-1:]) for each in (drive, other)
+    true, tripled = (
+        predicted(copy.deepcopy(method), told, index, span, rows[-1:]) for told in (drive, other)
     )
-    assert np.array_equal(one.power.value, two.power.value)
-    assert len(one.power.value) > 325
+    assert np.array_equal(true.power.value, tripled.power.value)
+    assert len(true.power.value) > 325
 
 
 def test_a_perfect_method_has_no_error(car, true_power):
