@@ -10,7 +10,7 @@ arrival; how they are cut changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 import math
@@ -24,11 +24,12 @@ from evpinn_ros.core.energy.dropout import LEAST_DROPOUT, Bridge, Dropout
 from evpinn_ros.core.energy.plausible import ROUNDING, Joules, Seconds, Sigma
 from evpinn_ros.core.energy.quadrature import MAX_GAP, Course, EnergyIntegral, SavedIntegral
 from evpinn_ros.core.energy.rknn import STEP_LIMIT, Rknn
-from evpinn_ros.core.energy.uncertainty import LASTING_SHARE, CorrelatedError
+from evpinn_ros.core.energy.uncertainty import LASTING_SHARE, CorrelatedError, sampled
 from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 BATCH = 4000  # steps that the network takes at once
+LATEST_NS = 15 * NANOSECONDS  # by which a word of the battery may be late, and still say when
 
 
 class Integrator(str, Enum):
@@ -209,7 +210,9 @@ class MeterCourse:
         since_ns: the last word of the battery, 0 before any, shape (m + 1,).
         first_ns: stamp of the first prediction, which stands in for that, shape (n + 1,).
         heard: whether the battery has spoken, shape (m + 1,).
-        anchors: `parts` and variance when it last spoke, shape (m + 1, 5).
+        anchors: `parts` and variance at that stamp, as known then, shape (m + 1, 5).
+        late_ns: stamps of the latest predictions, for a battery whose word comes late.
+        late: `parts` and variance at them, shape (k, 5).
         dropouts: all that ended (columns of `Dropouts`), shape (m + 1, 7).
         ended: the dropouts that ended in this block, with their places in the order of arrival.
         dropped: samples dropped before the block.
@@ -229,6 +232,8 @@ class MeterCourse:
     first_ns: np.ndarray
     heard: np.ndarray
     anchors: np.ndarray
+    late_ns: np.ndarray
+    late: np.ndarray
     dropouts: np.ndarray
     ended: tuple[tuple[int, Dropout], ...]
     dropped: int
@@ -276,20 +281,25 @@ class MeterCourse:
         silent: np.ndarray = late | ~self.heard[at.measured]
         return silent
 
+    def predicted_at(self, at: np.ndarray) -> np.ndarray:
+        """`parts` and variance after so many predictions, shape (k, 5)."""
+        return np.column_stack((self.parts[at], self.variances[0][at]))
+
     def bridges(
-        self, at: Counts, seconds: np.ndarray
+        self, at: Counts, seconds: np.ndarray, until: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bridge since the battery last spoke, its short 1-sigma and its 1-sigma, J.
+
+        Until a moment with these parts and variance, shape (k, 5).
 
         In so many seconds as `LEAST_DROPOUT` the energy that the estimator tells counts, before
         that the integral of its powers.
         """
         anchors, told = self.anchors[at.measured], self.told[at.predicted]
-        bridge = self.parts[at.predicted] - anchors[:, :4]
+        bridge = until[:, :4] - anchors[:, :4]
         by_estimator = np.isfinite(told[:, 0]) & (seconds >= LEAST_DROPOUT)
         bridge[:, 0] = np.where(by_estimator, told[:, 0], bridge[:, 0])
-        walked = self.variances[0][at.predicted] - anchors[:, 4]
-        guessed = np.sqrt(np.maximum(walked, 0.0))
+        guessed = np.sqrt(np.maximum(until[:, 4] - anchors[:, 4], 0.0))
         is_told = np.isfinite(told[:, 1])
         short = np.where(is_told, told[:, 1], guessed)
         lasting = np.hypot(guessed, LASTING_SHARE * bridge[:, 2])
@@ -300,10 +310,12 @@ class MeterCourse:
         stamp_ns = self.newest(at)
         silent = self.silent(at, stamp_ns)
         seconds = self.silent_s(at, stamp_ns)
-        bridge, short, sigma = self.bridges(at, seconds)
+        bridge, short, sigma = self.bridges(at, seconds, self.predicted_at(at.predicted))
         variance = sigma**2
-        present = np.column_stack((bridge, variance, variance - short**2, seconds))
-        return self.dropouts[at.measured] + np.where(silent[:, None], present, 0.0), silent
+        unmeasured_s = np.where(silent, seconds, 0.0)  # a slow battery will tell of this time
+        present = np.column_stack((bridge, variance, variance - short**2, unmeasured_s))
+        open_step = silent | (seconds > MAX_GAP)
+        return self.dropouts[at.measured] + np.where(open_step[:, None], present, 0.0), silent
 
     def consumed(self, at: Counts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Net energy, J, its variance, J^2, and time without the battery, s, shape (k,) each."""
@@ -419,6 +431,8 @@ class EnergyMeter(Saveable[SavedMeter]):
             first_ns=nothing,
             heard=np.zeros(1, dtype=bool),
             anchors=np.array([[*parts, variance]]),
+            late_ns=nothing,
+            late=np.array([[*parts, variance]]),
             dropouts=np.array([[*dropouts, saved.unmeasured_s]]),
             ended=(),
             dropped=self._predicted.dropped + self._measured.dropped,
@@ -437,14 +451,18 @@ class EnergyMeter(Saveable[SavedMeter]):
         parts = np.column_stack((energy, ours.regenerated, gross, ours.covered_s))[ours.used]
         variances = (
             _variances(self._errors[0], ours, predicted.sigma),
-            _variances(self._errors[1], theirs, measured.sigma),
+            _variances(self._errors[1], theirs, measured.sigma, sampled),
         )
         # Places of the measurements that are used, and how many predictions came before each.
         places = np.flatnonzero(np.diff(theirs.used))
         passed = np.searchsorted(predicted.order, measured.order[places], side="left")
-        anchors = np.vstack(
-            (last.anchors[-1:], np.column_stack((parts[passed], variances[0][passed])))
-        )
+        rows = np.column_stack((parts, variances[0]))
+        predictions = np.flatnonzero(np.diff(ours.used)) + 1
+        late_ns = np.append(last.late_ns, ours.stamps)
+        late = np.vstack((last.late, rows[predictions]))
+        arrived = len(last.late_ns) + ours.used[passed]
+        anchors = np.vstack((last.anchors[-1:], _at(theirs.stamps, late_ns, late, arrived)))
+        kept = np.searchsorted(late_ns, late_ns[-1] - LATEST_NS)
         since_ns = np.append(last.since_ns[-1], theirs.stamps)
         first_ns = last.first_ns[-1] or int(predicted.stamp_ns[:1].sum())
         course = MeterCourse(
@@ -470,6 +488,8 @@ class EnergyMeter(Saveable[SavedMeter]):
             first_ns=np.append(last.first_ns[-1], np.full(len(predicted.order), first_ns)),
             heard=last.heard[-1] | (theirs.used > 0),
             anchors=anchors[theirs.used],
+            late_ns=late_ns[kept:],
+            late=late[kept:],
             dropouts=np.repeat(last.dropouts[-1:], len(measured.order) + 1, axis=0),
             ended=(),
             dropped=dropped,
@@ -517,13 +537,37 @@ class EnergyMeter(Saveable[SavedMeter]):
         )
 
 
-def _variances(error: CorrelatedError, course: Course, sigmas: np.ndarray) -> np.ndarray:
-    """Variance of an integral after each sample of a block, J^2, shape (n + 1,)."""
+def _variances(
+    error: CorrelatedError,
+    course: Course,
+    sigmas: np.ndarray,
+    besides: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> np.ndarray:
+    """Variance of an integral after each sample of a block, J^2, shape (n + 1,).
+
+    `besides` gives what is added for steps, s, and rises of power, W.
+    """
     used = sigmas[np.flatnonzero(np.diff(course.used))]
-    variances = error.integrate(used[course.joined], course.steps[course.joined])
+    joined, steps = course.joined, course.steps[course.joined]
+    rises = (course.end - course.begin)[joined]
+    variances = error.integrate(used[joined], steps, besides and besides(steps, rises))
     steps = np.append(0, np.cumsum(course.joined))
     after: np.ndarray = variances[steps[course.used]]
     return after
+
+
+def _at(
+    stamps: np.ndarray, series_ns: np.ndarray, series: np.ndarray, arrived: np.ndarray
+) -> np.ndarray:
+    """A series at stamps, each known as far as it had arrived then; its ends hold beyond them."""
+    after = np.minimum(np.searchsorted(series_ns, stamps, side="right"), arrived)
+    rows: np.ndarray = series[np.maximum(after - 1, 0)]
+    late = np.flatnonzero((after > 0) & (after < arrived))
+    if len(late):
+        begin_ns = series_ns[after[late] - 1]
+        share = (stamps[late] - begin_ns) / (series_ns[after[late]] - begin_ns)
+        rows[late] += share[:, None] * (series[after[late]] - rows[late])
+    return rows
 
 
 def _with_ended(course: MeterCourse, at: Counts, stamps: np.ndarray) -> MeterCourse:
@@ -531,7 +575,7 @@ def _with_ended(course: MeterCourse, at: Counts, stamps: np.ndarray) -> MeterCou
     if not len(stamps):
         return course
     seconds = course.silent_s(at, stamps)
-    bridges, short, sigma = course.bridges(at, seconds)
+    bridges, short, sigma = course.bridges(at, seconds, course.anchors[at.measured + 1])
     columns = np.column_stack((bridges, sigma**2, sigma**2 - short**2, seconds))
     added = np.zeros_like(course.dropouts)
     added[at.measured + 1] = columns

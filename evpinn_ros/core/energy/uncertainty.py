@@ -14,6 +14,8 @@ That is the error of minutes. What the car does differently from what was learne
 cold battery) lasts: once the battery is silent nothing corrects it, and the error of energy grows
 with the gross energy, drawn and regenerated together, not with its root. The hybrid learner states
 the sigma of a dropout itself; `LASTING_SHARE` stands in for one that does not (`mode: paper`).
+
+What a sensor samples is not what lies between its samples: see `sampled`.
 """
 
 from __future__ import annotations
@@ -30,6 +32,9 @@ from evpinn_ros.common.arrays import namespace
 CORRELATION_TIME = 5.0  # s
 # Twelve BMW i3 trips, each without its battery after learning on those before.
 LASTING_SHARE = 0.06
+# Two drives of a Model 3 and two of an i3, thinned to 1 .. 10 s: of 76 totals by trapezoids none
+# was off by more than 1.8 sigma, and by 0.9 as root mean square at 5 s.
+POWER_MEMORY = 2.5  # s after which power in traffic is another
 
 
 def relaxed(elapsed: Any, memory: float) -> Any:
@@ -40,6 +45,19 @@ def relaxed(elapsed: Any, memory: float) -> Any:
 def walked(elapsed: Any, memory: float) -> Any:
     """Variance of the integral of u, s^2, over the time elapsed; tau, s, is `memory`."""
     return 2 * memory * (elapsed - relaxed(elapsed, memory))
+
+
+def sampled(steps: np.ndarray, rises: np.ndarray) -> np.ndarray:
+    """Variance, J^2, of the energy of steps, s, in which samples of power rise by so much, W.
+
+    Power itself is taken for a Gauss-Markov process here; its size follows from the rises. Of
+    short steps this is the variance of a Brownian bridge, rise^2 step^2 / 12, of long ones, whose
+    samples have nothing to do with each other, six times as much.
+    """
+    half = steps / (2.0 * POWER_MEMORY)
+    share = (1.0 / np.tanh(half) - 1.0 / half) / (-2.0 * np.expm1(-2.0 * half))
+    variances: np.ndarray = share * (rises * steps) ** 2
+    return variances
 
 
 class CorrelatedError:
@@ -59,19 +77,22 @@ class CorrelatedError:
         """1-sigma of the energy, J."""
         return math.sqrt(self._variance)
 
-    def integrate(self, sigmas: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    def integrate(
+        self, sigmas: np.ndarray, steps: np.ndarray, besides: np.ndarray | None = None
+    ) -> np.ndarray:
         """Integrate over steps, s, each with a 1-sigma of power, W, constant in it; shape (n,).
 
+        `besides` are variances of the energy of steps, J^2, that have nothing to do with that.
         Gives the variance of the energy, J^2, before and after each, shape (n + 1,).
         """
         tau = CORRELATION_TIME
         forgotten = relaxed(steps, tau) / tau  # 1 - exp(-dt / tau)
         own = np.maximum(sigmas * tau * (steps - tau * forgotten), 0.0)
+        extra = np.zeros(len(steps)) if besides is None else besides
         variances = [self._variance]
-        for sigma, share, alone in zip(
-            sigmas.tolist(), forgotten.tolist(), own.tolist(), strict=True
-        ):
-            self._variance += 2 * sigma * (self._covariance * tau * share + alone)
+        columns = sigmas, forgotten, own, extra
+        for sigma, share, alone, beside in zip(*(c.tolist() for c in columns), strict=True):
+            self._variance += 2 * sigma * (self._covariance * tau * share + alone) + beside
             self._covariance += (sigma * tau - self._covariance) * share
             variances.append(self._variance)
         return np.array(variances)

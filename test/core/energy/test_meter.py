@@ -1,10 +1,13 @@
 import json
 import math
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
 from evpinn_ros.core.energy.meter import NOTHING, EnergyMeter, Integrator, PowerBlock
+from evpinn_ros.core.energy.quadrature import MAX_GAP
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.energy.uncertainty import LASTING_SHARE
 
@@ -87,6 +90,29 @@ def test_silence_is_declared_after_the_timeout():
     assert late.state.measuring
     late.add_predicted(START + 12_100_000_000, 11e3, 1e3)
     assert not late.state.measuring
+
+
+@settings(max_examples=20)
+@given(late=st.integers(0, 120), slow=st.integers(1, 100), cuts=st.integers(1, 50))
+def test_a_battery_that_is_late_or_slow_is_counted_as_one_that_is_not(late, slow, cuts):
+    """Ticks of 0.1 s; what is predicted is true, so each moment has one energy, known then."""
+    powers = 10e3 + 5e3 * np.sin(np.arange(600) / 30.0)
+    stamps, unknown = START + np.arange(600) * 100_000_000, np.full(600, math.nan)
+    heard = np.arange(0, 600 - late, slow)
+    arrival = np.argsort(np.concatenate((2 * np.arange(600), 2 * (heard + late) + 1)))
+    metered = meter()
+    for places in np.array_split(np.arange(len(arrival)), cuts):
+        rows = arrival[places]
+        predicted, told = rows[rows < 600], heard[rows[rows >= 600] - 600]
+        blocks = (
+            PowerBlock(order, stamps[at], powers[at], np.full(len(at), 1.0), *unknown[[at, at]])
+            for order, at in ((places[rows < 600], predicted), (places[rows >= 600], told))
+        )
+        course = metered.add(*blocks)
+        states = course.states(course.at_predictions())
+        truth = np.append(0.0, np.cumsum(powers[1:] + powers[:-1]) / 2 * 0.1)[predicted]
+        held = 15e3 * MAX_GAP  # since the last word of the battery
+        assert (abs(states.consumed - truth) < held + 3 * np.sqrt(states.variance)).all()
 
 
 def test_a_battery_that_returns_is_bridged_by_the_prediction():

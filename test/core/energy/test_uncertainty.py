@@ -7,7 +7,9 @@ import pytest
 
 from evpinn_ros.core.energy.uncertainty import (
     CORRELATION_TIME,
+    POWER_MEMORY,
     CorrelatedError,
+    sampled,
     walked,
 )
 
@@ -35,3 +37,23 @@ def test_against_simulated_errors():
         error.integrate(np.array([now]), np.array([dt]))
         u = after
     assert error.sigma == pytest.approx(energy.std(), rel=0.05)
+
+
+@pytest.mark.parametrize("step", [0.1, 1.0, 5.0, 20.0])
+def test_what_lies_between_samples_is_as_uncertain_as_it_says(step):
+    """Power forgets itself in 2.5 s; its totals by trapezoids are off by their 1-sigma."""
+    random = np.random.default_rng(3)
+    fine, steps, count = 200, 40, 300
+    keep = math.exp(-step / fine / POWER_MEMORY)
+    power = np.empty((count, fine * steps + 1))
+    power[:, 0] = random.normal(size=count)
+    for column in range(fine * steps):
+        noise = random.normal(size=count)
+        power[:, column + 1] = keep * power[:, column] + math.sqrt(1 - keep**2) * noise
+    samples = power[:, ::fine]
+    truth, ours = (
+        np.sum(values[:, 1:] + values[:, :-1], axis=1) / 2 * width
+        for values, width in ((power, step / fine), (samples, step))
+    )
+    sigma = np.sqrt(sampled(np.full((count, steps), step), np.diff(samples)).sum(axis=1))
+    assert np.sqrt(np.mean(((ours - truth) / sigma) ** 2)) == pytest.approx(1.0, abs=0.12)
