@@ -35,7 +35,7 @@ from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.meter import EnergyMeter
-from evpinn_ros.core.energy.plan import plan_from_speed_profile
+from evpinn_ros.core.energy.plan import Plan, plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel, Weather
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
@@ -207,6 +207,14 @@ def _csv_drive(path: Path) -> None:
         float(reading.stamp_ns)
 
 
+def _plan_file(path: Path) -> None:
+    """A plan is finite and takes time, or is refused."""
+    plan = read_plan(path)
+    steps = np.diff(plan.time) if isinstance(plan, Plan) else plan.duration
+    length = plan.distance if isinstance(plan, Plan) else plan.length
+    assert np.isfinite(length).all() and (steps > 0.0).all()
+
+
 def _dbc(path: Path) -> None:
     load_profile(path.with_name("profile.yaml"))
 
@@ -338,8 +346,8 @@ TARGETS = (
     Target("parquet", "drive.parquet", seeds.parquet_files, _csv_drive),
     Target("feather", "drive.feather", seeds.feather_files, _csv_drive),
     Target("jsonl", "drive.jsonl", seeds.json_lines, _csv_drive, mutate=mutate_text),
-    Target("route", "plan", seeds.plan_files, read_plan, mutate=mutate_plan),
-    Target("legs", "plan.csv", seeds.plan_tables, read_plan, mutate=mutate_table),
+    Target("route", "plan", seeds.plan_files, _plan_file, mutate=mutate_plan),
+    Target("legs", "plan.csv", seeds.plan_tables, _plan_file, mutate=mutate_table),
     Target(
         "dbc", "input.dbc", _bundled("can/tesla_model_3.dbc"), _dbc, _profile_beside, mutate_text
     ),

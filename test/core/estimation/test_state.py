@@ -247,14 +247,3 @@ def test_a_place_that_is_no_file(tmp_path):
     for path in (tmp_path, tmp_path / "file" / "state.json", tmp_path / "a\0b"):
         with pytest.raises(InputError, match=r"state|read"):
             read_state(path)
-
-
-@given(st.binary(max_size=60))
-@settings(deadline=None)
-def test_whatever_a_file_holds(tmp_path_factory, content):
-    path = tmp_path_factory.getbasetemp() / "any_state.json"
-    path.write_bytes(content)
-    try:
-        assert isinstance(read_state(path), dict)
-    except InputError as error:
-        assert str(error).startswith(str(path))

@@ -1,7 +1,5 @@
 from pathlib import Path
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.vehicle.files import (
     CONSTANTS,
     OPTIONAL_CONSTANTS,
-    Vehicle,
     limits_of,
     load_vehicle,
     vehicle_names,
@@ -190,33 +187,6 @@ def test_unknown_names_and_missing_files(tmp_path):
 def test_odd_names_are_refused_too(name):
     with pytest.raises(InputError):
         load_vehicle(name)
-
-
-def refused_or_read(path: Path) -> None:
-    try:
-        assert isinstance(load_vehicle(path), Vehicle)
-    except InputError as error:
-        assert str(error).startswith(str(path)) and "\n" not in str(error)
-
-
-@given(st.one_of(st.binary(max_size=300), st.text(max_size=300).map(lambda t: t.encode("utf8"))))
-@settings(max_examples=50, deadline=None)
-def test_whatever_a_file_holds(tmp_path_factory, content):
-    path = tmp_path_factory.getbasetemp() / "anything.yaml"
-    path.write_bytes(content)
-    refused_or_read(path)
-
-
-@given(
-    st.integers(0, len(GOOD)),
-    st.integers(0, 40),
-    st.one_of(st.text(max_size=12), st.text("{}[]:-,&*!|>'\"%@`\\?# \n\tUux0F~", max_size=12)),
-)
-@settings(max_examples=100, deadline=None)
-def test_whatever_is_done_to_a_good_file(tmp_path_factory, start, length, new):
-    path = tmp_path_factory.getbasetemp() / "damaged.yaml"
-    path.write_bytes((GOOD[:start] + new + GOOD[start + length :]).encode("utf8"))
-    refused_or_read(path)
 
 
 @pytest.mark.parametrize("said, meant", [("nissan_leaf", "nissan_leaf"), ("my.yaml", None)])

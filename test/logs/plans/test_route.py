@@ -2,22 +2,17 @@
 
 from contextlib import suppress
 from copy import deepcopy
-import json
-from random import Random
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import PlanError
 from evpinn_ros.core.energy.power_model import Weather, vehicle_model
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.logs.plans import read_plan
 from evpinn_ros.logs.plans.route import decode_polyline
-from test.damage.structures import mutate_json
 from test.logs.plans import samples
 
 CLIMBS = np.diff(samples.HEIGHTS)
@@ -149,18 +144,6 @@ def test_what_is_no_route_is_refused_with_the_reason(read, answer, reason):
     with pytest.raises(PlanError, match=reason) as error:
         read(answer, "route.json")
     assert "route.json: " in str(error.value) and "\n" not in str(error.value)
-
-
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(kind=st.sampled_from(sorted(ANSWERS)), seed=st.integers(0, 10**6))
-def test_a_damaged_answer_is_legs_or_an_input_error(tmp_path, kind, seed):
-    path = tmp_path / "route.json"
-    path.write_bytes(mutate_json(json.dumps(ANSWERS[kind][0]).encode(), Random(seed)))
-    with suppress(InputError):
-        legs = read_plan(path)
-        assert np.isfinite(legs.length).all() and (legs.duration > 0).all()
 
 
 def test_a_polyline_is_that_of_its_documentation():

@@ -1,16 +1,11 @@
 """GPX and GeoJSON: places with times or speeds become legs, others are refused."""
 
-from contextlib import suppress
 import math
 
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.plan import PlanError
-from evpinn_ros.logs.plans import read_plan
 from evpinn_ros.logs.plans.way import way_length
 
 DEGREE = math.radians(1.0) * 6_371_008.8  # m of a meridian
@@ -160,18 +155,3 @@ def test_what_is_no_track_is_refused_with_the_reason(read, track, reason):
 def test_a_degree_is_as_long_as_on_earth():
     along = way_length(np.array([0.0, 1.0, 1.0]), np.array([60.0, 60.0, 61.0]))
     assert np.diff(along) == pytest.approx([DEGREE / 2, DEGREE], rel=1e-4)
-
-
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(st.data())
-def test_damaged_gpx_is_legs_or_an_input_error(tmp_path, data):
-    content = bytearray(gpx(speeds=[1.0] * 5).encode())
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, len(content)))
-        content[at : at + data.draw(st.integers(0, 30))] = data.draw(st.binary(max_size=6))
-    path = tmp_path / "track.gpx"
-    path.write_bytes(content)
-    with suppress(InputError):
-        read_plan(path)
