@@ -107,6 +107,23 @@ def baseline_scores(drive: Drive, span: Span) -> dict[str, float | None]:
     }
 
 
+def held_scores(drive: Drive, span: Span) -> dict[float, float]:
+    """RMSE, W, of measured power held for so many seconds, by `BATTERY_AGES` up to 10 s.
+
+    The first is one step of the readings, as `last_value` of `baseline_scores`.
+    """
+    rows = drive.measured[span.holds(drive.measured[:, 0])]
+    if len(rows) < 10:
+        return {}
+    step = float(np.median(np.diff(rows[:, 0])))
+    scores = {}
+    for age in (step, *(age for age in BATTERY_AGES if 2.0 * step < age <= 10.0)):
+        held, known = known_at(drive.measured, rows[:, 0] - age)
+        if known.any():
+            scores[age] = float(np.sqrt(np.mean((held - rows[:, 1])[known] ** 2)))
+    return scores
+
+
 def speed_floor(drive: Drive, span: Span) -> float | None:
     """Least RMSE, W, of any fixed function of speed alone, chosen with hindsight; None if unknown.
 

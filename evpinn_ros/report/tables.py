@@ -7,9 +7,10 @@ from typing import Any
 
 from evpinn_ros.core.vehicle.parameters import QUANTITIES, Parameters
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.scoring import Span, baseline_scores
+from evpinn_ros.replays.scoring import Span, baseline_scores, held_scores
 
 SCORE_COLUMNS = ("what", "RMSE", "MAE", "R2", "in 90 % band")
+BLANK = ("", "", "")  # of a row that has an RMSE alone
 
 
 def parameter_columns(truth: Parameters | None) -> tuple[str, ...]:
@@ -39,7 +40,7 @@ def score_rows(drive: Drive, metrics: Mapping[str, Any], warm_up: float) -> list
     title = "power/smoothed" if lag is None else f"power/smoothed ({lag:.1f} s later)"
     rows = [
         (title, *_scores(metrics["power"])),
-        ("power/predicted (at once)", *_scores(metrics["power_now"])),
+        ("power/predicted (without battery)", *_scores(metrics["power_now"])),
     ]
     withheld = metrics.get("withheld")
     if withheld is not None:
@@ -48,12 +49,18 @@ def score_rows(drive: Drive, metrics: Mapping[str, Any], warm_up: float) -> list
         rows.append((f"{title}, at once", *_scores(withheld["power_now"])))
     if metrics["power"].get("floor_w") is not None:
         floor = watts(metrics["power"]["floor_w"])
-        rows.append(("floor: best function of speed, in hindsight", floor, "", "", ""))
-    baselines = baseline_scores(drive, Span(warm_up, drive.duration))
-    rows.append(("baseline: last value held", watts(baselines["last_value"]), "", "", ""))
-    rows.append(
-        ("baseline: random split, interpolated", watts(baselines["interpolation"]), "", "", "")
-    )
+        rows.append(("floor: best function of speed, in hindsight", floor, *BLANK))
+    for age, score in metrics.get("by_battery_age", {}).items():
+        if score["rmse_w"] is not None and float(age) >= 1.0:
+            rows.append(
+                (f"  battery silent for {age} s, smoothed", watts(score["rmse_w"]), *BLANK)
+            )
+    span = Span(warm_up, drive.duration)
+    baselines = baseline_scores(drive, span)
+    for age, rmse in held_scores(drive, span).items():
+        rows.append((f"baseline: last value held {round(age, 1):g} s", watts(rmse), *BLANK))
+    split = watts(baselines["interpolation"])
+    rows.append(("baseline: random split, interpolated", split, *BLANK))
     return rows
 
 

@@ -10,6 +10,7 @@ from evpinn_ros.replays.scoring import (
     Span,
     baseline_scores,
     energy_score,
+    held_scores,
     measured_at,
     power_score,
     speed_floor,
@@ -108,3 +109,12 @@ def test_the_floor_is_what_no_function_of_speed_explains():
     # Power that speed determines leaves what it varies by within a bin.
     alone = replace(found, measured=np.stack((found.measured[:, 0], power - rest), axis=1))
     assert speed_floor(alone, WHOLE) < 350.0
+
+
+def test_a_held_value_is_scored_by_its_age():
+    time = np.arange(0.0, 300.0, 0.1)
+    for step, ages in ((1, [0.1, 1.0, 10.0]), (50, [5.0])):
+        rows = np.column_stack((time, 1e3 * time))[::step]
+        scores = held_scores(replace(drive([], []), measured=rows), Span(100.0, 300.0))
+        assert list(scores) == pytest.approx(ages)
+        assert list(scores.values()) == pytest.approx([1e3 * age for age in ages])

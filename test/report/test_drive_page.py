@@ -95,7 +95,7 @@ def test_the_whole_story_is_told(reported, tmp_path):
     assert "<code>evpinn replay out/town</code>" in found.text
     assert set(found.plots) == set(found.data[0]["charts"]) and len(found.plots) == 18
     for text in (
-        "baseline: last value held",
+        "baseline: last value held 0.1 s",
         "baseline: random split",
         "unestimated",
         "battery dropout",
