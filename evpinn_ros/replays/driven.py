@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 from typing import NamedTuple
 
@@ -12,7 +13,10 @@ from evpinn_ros.core.energy.quadrature import MAX_GAP, joined
 from evpinn_ros.core.estimation.learner import CHARGING_POWER
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.lone_readings import lone_speeds
 from evpinn_ros.replays.scoring import Span, known_at
+
+LEAST_CHANGE = 0.005  # of distance or energy, by lone readings
 
 
 class DrivenSteps(NamedTuple):
@@ -66,6 +70,24 @@ def counted(drive: Drive) -> Counted:
         measured=float(steps.seconds.sum()),
         charged=-float(steps.energy[charging].sum()),
     )
+
+
+def without_lone(drive: Drive) -> tuple[Counted, int] | None:
+    """What a drive amounts to without the readings that leap alone, and how many these are.
+
+    None where that changes distance and energy by less than `LEAST_CHANGE`.
+    """
+    rows = rising(drive.speed)
+    lone_speed = lone_speeds(*rows.T)
+    lone = drive.lone if len(drive.lone) == len(drive.measured) else np.zeros(0, dtype=bool)
+    if not (lone_speed.any() or lone.any()):
+        return None
+    measured = drive.measured[~lone] if len(lone) else drive.measured
+    total = counted(drive)
+    kept = counted(replace(drive, speed=rows[~lone_speed], measured=measured))
+    pairs = ((total.distance, kept.distance), (total.energy, kept.energy))
+    changed = any(abs(after - before) > LEAST_CHANGE * abs(before) for before, after in pairs)
+    return (kept, int(lone_speed.sum() + lone.sum())) if changed else None
 
 
 def travelled(drive: Drive) -> DrivenSteps:

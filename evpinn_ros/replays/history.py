@@ -31,6 +31,7 @@ from evpinn_ros.core.signals.time_jump import Jump
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.replays.chain import ChainOutput
+from evpinn_ros.replays.lone_readings import lone_battery
 
 FIRST_STAMP_NS = 631_152_000 * NANOSECONDS  # 1990: a log that begins before counts from its zero
 JUMP_GAP = 60 * NANOSECONDS  # between the times before and after a jump: nothing is joined across
@@ -109,6 +110,7 @@ class Drive:
         model: the car as known at the end, None where nothing gives one.
         jumps: time, and s by which it went back there, shape (n, 2).
         breakdown: kWh and 1-sigma by part, as last published; empty without `add_breakdown`.
+        lone: which of `measured` leap away from those beside them, shape (n,); or empty.
     """
 
     duration: float
@@ -133,6 +135,7 @@ class Drive:
     model: CarModel | None = None
     jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     breakdown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    lone: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     @property
     def dated(self) -> bool:
@@ -267,22 +270,25 @@ class History:
         """Time of the newest reading that was taken, s since the first one."""
         return 0.0 if self._start_ns is None else (self._last_ns - self._start_ns) / NANOSECONDS
 
-    def _measured(self) -> np.ndarray:
-        """Power at each reading of the current, the voltage interpolated, shape (n, 2)."""
+    def _measured(self) -> tuple[np.ndarray, np.ndarray]:
+        """Power at each reading of the current, the voltage interpolated; and which are lone."""
         voltage, current = (_in_order(c.values()) for c in (self._voltage, self._current))
         if not (len(voltage) and len(current)):
-            return np.empty((0, 2))
-        time = current[:, 0]
-        power = drawn_power(np.interp(time, *voltage.T), current[:, 1])
-        return np.column_stack((time, power))
+            return np.empty((0, 2)), np.empty(0, dtype=bool)
+        time, amperes = current.T
+        volts = np.interp(time, *voltage.T)
+        measured = np.column_stack((time, drawn_power(volts, amperes)))
+        return measured, lone_battery(volts, amperes)
 
     def drive(self, model: CarModel | None = None) -> Drive:
         """The series so far, with the car as it is known now."""
         plain: dict[str, Any] = {name: rows.values() for name, rows in self._series.items()}
+        measured, lone = self._measured()
         return Drive(
             **plain,
             duration=self.now,
-            measured=self._measured(),
+            measured=measured,
+            lone=lone,
             smoothed=PowerSeries(*self._power[PowerKind.SMOOTHED].values().T),
             newest=PowerSeries(*self._power[PowerKind.PREDICTED].values().T),
             parameters={name: rows.values() for name, rows in self._parameters.items()},

@@ -35,6 +35,7 @@ from evpinn_ros.report.owner_text import (
     NEARLY_WHOLE,
     drives_columns,
     drives_rows,
+    lone_note,
     owner_notes,
     part_text,
 )
@@ -177,7 +178,11 @@ def _drive(
     values = {
         "name": name,
         "about": f"{reported.vehicle.name}, {_date(drive)}",
-        "doubts": [*owner_notes(reported.vehicle, drive, metrics), *drive.reading_notes],
+        "doubts": [
+            *filter(None, [lone_note(drive, units)]),
+            *owner_notes(reported.vehicle, drive, metrics),
+            *drive.reading_notes,
+        ],
         "record": _record(metrics),
         "breakdown": breakdown_values(metrics["breakdown"], units),
         "tiles": list(drive_tiles(drive, units)),

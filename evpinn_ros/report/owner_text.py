@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, kwh_digits
+from evpinn_ros.common.units import counted as counted_text
 from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES
 from evpinn_ros.core.signals.road import HEATED_BELOW
 from evpinn_ros.core.vehicle.files import Vehicle
-from evpinn_ros.replays.driven import Counted, counted
+from evpinn_ros.replays.driven import Counted, counted, without_lone
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.vehicle_fit import vehicle_doubt
 from evpinn_ros.report.breakdown_text import (
@@ -54,8 +55,23 @@ def owner_line(drive: Drive, metrics: Mapping[str, Any], units: Units = METRIC) 
         per_distance += f" over the {total.known / units.metres:.1f} {units.distance} measured"
     time, charged = duration_text(drive.duration), total.charged / JOULES_PER_KWH
     line = f"{far} {units.distance} in {time}: {kwh} kWh {how}{per_distance}."
+    line += f" {lone}" if (lone := lone_note(drive, units)) else ""
     plugged = f" Charged while it stood: {charged:.2f} kWh, not included above."
     return line + (plugged if total.charged >= LEAST_CHARGED else "")
+
+
+def lone_note(drive: Drive, units: Units = METRIC) -> str | None:
+    """Sentence on readings that leap alone, where they change the totals; None else."""
+    found = without_lone(drive)
+    if found is None:
+        return None
+    kept, number = found
+    kwh = "" if math.isnan(kept.energy) else f" and {kept.energy / JOULES_PER_KWH:.2f} kWh"
+    readings = counted_text(number, "reading")
+    return (
+        f"Doubt that: {readings} leap away and back alone; without them it is "
+        f"{kept.distance / units.metres:.1f} {units.distance}{kwh}."
+    )
 
 
 def part_text(seconds: float, whole: float) -> str:

@@ -15,7 +15,7 @@ from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.admission import Admission, CarLimits
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.replays.driven import counted
+from evpinn_ros.replays.driven import counted, without_lone
 from evpinn_ros.replays.history import History
 from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.report.owner_text import owner_line, part_text
@@ -50,9 +50,14 @@ def drive_of(rows, vehicle):
 
 
 WRONG = (
-    [255 / 3.6, 163.83 / 3.6, 6553.5 / 3.6, 655.35 / 3.6, 9e11, math.nan, 0.0, 1.7e308],
-    [6553.5, 655.35, 3276.7, 1638.3, 255.0, 0.0, math.nan, 3500.0],
-    [6553.5, 3276.7, -3276.8, 1638.3, 655.35, -327.68, math.nan, 1e9],
+    st.sampled_from(
+        [255 / 3.6, 163.83 / 3.6, 6553.5 / 3.6, 655.35 / 3.6, 9e11, math.nan, 0.0, 1.7e308]
+    )
+    | st.floats(0.0, 70.0),
+    st.sampled_from([6553.5, 655.35, 3276.7, 1638.3, 255.0, 0.0, math.nan, 3500.0])
+    | st.floats(0.0, 800.0),
+    st.sampled_from([6553.5, 3276.7, -3276.8, 1638.3, 655.35, -327.68, math.nan, 1e9, 0.0])
+    | st.floats(-500.0, 500.0),
 )
 
 
@@ -66,15 +71,35 @@ def test_faults_in_some_rows_change_no_total(rows, vehicle, data):
     sound = counted(drive_of(rows, vehicle))
     faulty = rows.copy()
     columns = data.draw(st.sets(st.integers(0, 2), min_size=1))
-    where = data.draw(st.sets(st.integers(5, SECONDS - 2), min_size=1, max_size=SECONDS // 20))
-    for row in where:
+    places = st.integers(5, SECONDS - 2)
+    for row in data.draw(st.sets(places, min_size=1, max_size=SECONDS // 20)):
         for column in columns:
-            faulty[row, column] = data.draw(st.sampled_from(WRONG[column]))
+            faulty[row, column] = data.draw(WRONG[column])
     drive = drive_of(faulty, vehicle)
-    found = counted(drive)
-    missing = "that could be read" in owner_line(drive, PREDICTED)
-    assert missing or found.energy == pytest.approx(sound.energy, rel=0.01)
-    assert missing or found.distance == pytest.approx(sound.distance, rel=0.01)
+    faulty_total, line = counted(drive), owner_line(drive, PREDICTED)
+    missing = "that could be read" in line or "leap away and back alone" in line
+    assert missing or faulty_total.energy == pytest.approx(sound.energy, rel=0.01)
+    assert missing or faulty_total.distance == pytest.approx(sound.distance, rel=0.01)
+
+
+@pytest.mark.parametrize("column", [0, 1, 2])
+@pytest.mark.parametrize("zeros", [True, False], ids=["zeros", "jumps"])
+@pytest.mark.parametrize("seed", range(4))
+def test_lone_readings_that_a_car_could_have_are_told_with_the_totals_without_them(
+    rows, vehicle, column, zeros, seed
+):
+    """5 % of a signal is 0, or leaps within what the car can do: by up to 12 % of the energy."""
+    random, faulty = np.random.default_rng(seed), rows.copy()
+    where = random.choice(np.arange(5, SECONDS - 2), SECONDS // 20, replace=False)
+    least, most = ((0.0, 60.0), (200.0, 700.0), (-400.0, 400.0))[column]
+    faulty[where, column] = 0.0 if zeros else random.uniform(least, most, len(where))
+    sound, drive = counted(drive_of(rows, vehicle)), drive_of(faulty, vehicle)
+    total, without = counted(drive), without_lone(drive)
+    kept = total if without is None else without[0]
+    assert kept.energy == pytest.approx(sound.energy, rel=0.01)
+    assert kept.distance == pytest.approx(sound.distance, rel=0.01)
+    assert ("leap away and back alone" in owner_line(drive, PREDICTED)) == (without is not None)
+    assert without_lone(drive_of(rows, vehicle)) is None
 
 
 def test_volts_ten_times_too_large_are_no_energy(rows, vehicle):
