@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from evpinn_ros.common.saved_fields import figures
+from evpinn_ros.core.estimation.breakdown import Amount
 from evpinn_ros.core.estimation.estimate import FIGURES
 from evpinn_ros.replays.scoring import GAP_STEPS, MAX_MEASURED_STEP
 
@@ -44,13 +46,8 @@ _ENERGY = (
     ("error_percent", "%", "of `predicted_j`, of the size of `measured_j`; positive: too much"),
     ("rknn_error_percent", "%", "of `rknn_j`, of the size of `measured_j`; positive: too much"),
 )
-_PARAMETER = tuple((name, "", meaning) for name, meaning in FIGURES.items())
-_AMOUNT = (
-    ("kwh", "kWh", "energy of this part of the drive; see the guide to replays for the parts"),
-    ("sigma_kwh", "kWh", "its 1-sigma"),
-    ("kwh_per_100km", "kWh/100 km", "the same over distance, null below 100 m"),
-    ("share", "", "of the measured energy, null where that is not above 0"),
-)
+_PARAMETER = tuple((name, *figure) for name, figure in FIGURES.items())
+_AMOUNT = tuple((name, *figure) for name, figure in figures(Amount).items())
 
 
 def _under(prefix: str, rows: tuple[tuple[str, str, str], ...]) -> tuple[Metric, ...]:

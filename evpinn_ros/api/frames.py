@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.saved_fields import figures
+from evpinn_ros.core.estimation.breakdown import Amount
 from evpinn_ros.core.estimation.estimate import FIGURES
 
 with optional_imports():
     import pandas as pd
-
-
-AMOUNT_COLUMNS = ("kwh", "sigma_kwh", "kwh_per_100km", "share")
 
 
 def parameter_frame(parameters: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
@@ -23,7 +22,7 @@ def parameter_frame(parameters: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame
 def breakdown_frame(breakdown: Mapping[str, Any]) -> pd.DataFrame:
     """The metrics under `breakdown`, one row for each part."""
     parts = {name: part for name, part in breakdown.items() if isinstance(part, dict)}
-    return _rows(parts, "part", AMOUNT_COLUMNS)
+    return _rows(parts, "part", tuple(figures(Amount)))
 
 
 def _rows(

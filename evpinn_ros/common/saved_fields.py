@@ -74,6 +74,18 @@ class Range(NamedTuple):
         return schema
 
 
+class Figure(NamedTuple):
+    """What is declared of a field that files, tables and pages show, beside its type.
+
+    Attributes:
+        unit: empty for text and plain numbers.
+        meaning: one sentence for people.
+    """
+
+    unit: str
+    meaning: str
+
+
 class StateError(InputError, ValueError):
     """A saved state is not what is declared; the text names the place."""
 
@@ -190,6 +202,17 @@ def declared(kind: Any) -> dict[str, Declared]:
         )
         fields_by_name[name] = Declared(bare, notes[0] if notes else None, optional, has)
     return fields_by_name
+
+
+def figures(kind: Any) -> dict[str, Figure]:
+    """Fields of a dataclass that are shown, in their order."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {
+        name: note
+        for name, hint in hints.items()
+        for note in getattr(hint, "__metadata__", ())
+        if isinstance(note, Figure)
+    }
 
 
 def is_within(value: Any) -> bool:

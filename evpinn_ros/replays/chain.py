@@ -100,7 +100,7 @@ class Chain:
                 outputs.append(output)
                 if self._add(output) and counted:
                     self._know_usual()
-                    outputs += self.account.count()
+                    outputs += self.account.count().rows()
                     outputs += filter(None, [self.account.tick()])
             yield outputs
         self._know_usual()

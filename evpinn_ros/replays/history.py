@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.core.energy.account import AccountSummary
-from evpinn_ros.core.energy.meter import EnergyState, EnergyStates
+from evpinn_ros.core.energy.meter import EnergyState
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import TRACKED, ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.learner import LearnerReport
@@ -234,13 +234,13 @@ class History:
                 )
                 rows.add(time, value, std)
 
-    def add_states(self, states: EnergyStates) -> None:
+    def add_states(self, states: EnergyState) -> None:
         """Take what the account counted, at each prediction."""
         rows = zip(
             states.stamp_ns.tolist(),
-            states.predicted.tolist(),
-            states.rknn.tolist(),
-            states.predicted_sigma.tolist(),
+            states.predicted.energy.tolist(),
+            states.rknn.energy.tolist(),
+            states.predicted.sigma.tolist(),
             strict=True,
         )
         for stamp_ns, *energies in rows:

@@ -26,7 +26,6 @@ from evpinn_ros.core.energy.meter import (
     NOTHING,
     EnergyMeter,
     EnergyState,
-    EnergyStates,
     MeterCourse,
     PowerBlock,
     SavedMeter,
@@ -314,8 +313,8 @@ class EnergyAccount(Saveable[SavedAccount]):
         """Take a state of charge, 0..1; NaN says nothing."""
         self._arrived.add(_Kind.BATTERY, stamp_ns, (math.nan, math.nan, charge))
 
-    def count(self) -> EnergyStates:
-        """Count what has arrived; gives the state at each prediction of it."""
+    def count(self) -> EnergyState:
+        """Count what has arrived; gives the states at each prediction of it."""
         if not self._arrived:
             return NO_STATES
         arrived, self._arrived = self._arrived, _Arrived()
@@ -332,19 +331,21 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self._corrected(course.states(course.at_predictions()), predicted, corrections)
 
     def _corrected(
-        self, states: EnergyStates, predicted: PowerBlock, later: Sequence[_Correction]
-    ) -> EnergyStates:
+        self, states: EnergyState, predicted: PowerBlock, later: Sequence[_Correction]
+    ) -> EnergyState:
         """States with what reconciling had added by then."""
-        energy = np.full(len(states), self._correction.energy)
-        variance = np.full(len(states), self._correction.variance)
+        energy = np.full(len(states.stamp_ns), self._correction.energy)
+        variance = np.full(len(states.stamp_ns), self._correction.variance)
         for order, correction in later:
             before = predicted.order < order
             energy[before] -= correction.energy
             variance[before] -= correction.variance
+        sigma = np.sqrt(np.maximum(states.consumed_sigma**2 - variance, 0.0))
         return replace(
             states,
             consumed=states.consumed + energy,
-            variance=np.fmax(states.variance - variance, 0.0) + 0.0 * states.variance,
+            consumed_sigma=sigma,
+            regenerated=states.regenerated._replace(sigma=sigma),
         )
 
     def _charged(
@@ -414,7 +415,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         """The meter's, with what reconciling added."""
         self.count()
         course = self.meter.course
-        return self._corrected(course.states(course.end), NOTHING, ())[0]
+        return next(self._corrected(course.states(course.end), NOTHING, ()).rows())
 
     @property
     def measuring(self) -> bool:

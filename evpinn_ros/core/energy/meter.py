@@ -10,11 +10,12 @@ arrival; how they are cut changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
+from itertools import starmap
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -39,17 +40,20 @@ class Integrator(str, Enum):
     TRAPEZOID = "trapezoid"
 
 
+Number: TypeAlias = Any  # or, of n states, an array of shape (n,)
+
+
 class Flow(NamedTuple):
     """Energy since reset, J, its present power, W, and its 1-sigma, J; NaN where unknown."""
 
-    energy: float
-    power: float
-    sigma: float
+    energy: Number
+    power: Number
+    sigma: Number
 
 
 @dataclass(frozen=True, slots=True)
 class EnergyState:
-    """State of the meter at one moment. Drawn energy is positive.
+    """State of the meter at one moment, or at n of them. Drawn energy is positive.
 
     Attributes:
         stamp_ns: newest stamp counted, 0 before the first.
@@ -69,18 +73,33 @@ class EnergyState:
         measuring: False while the state is `predicting`.
     """
 
-    stamp_ns: int
+    stamp_ns: Number
     measured: Flow
     predicted: Flow
     rknn: Flow
     regenerated: Flow
-    consumed: float
-    consumed_sigma: float
-    gaps: int
-    dropped: int
-    unmeasured_s: float
-    unknown_s: float
-    measuring: bool
+    consumed: Number
+    consumed_sigma: Number
+    gaps: Number
+    dropped: Number
+    unmeasured_s: Number
+    unknown_s: Number
+    measuring: Number
+
+    def rows(self) -> Iterator[EnergyState]:
+        """The n states one by one."""
+        contents = (getattr(self, column.name) for column in fields(self))
+        columns: Iterator[Iterable[Any]] = (
+            map(Flow, *(part.tolist() for part in content))
+            if isinstance(content, Flow)
+            else content.tolist()
+            for content in contents
+        )
+        return starmap(EnergyState, zip(*columns, strict=True))
+
+
+NO_ROWS = np.empty(0)
+NO_STATES = EnergyState(NO_ROWS, *(Flow(NO_ROWS, NO_ROWS, NO_ROWS),) * 4, *(NO_ROWS,) * 7)
 
 
 class Counts(NamedTuple):
@@ -88,57 +107,6 @@ class Counts(NamedTuple):
 
     predicted: np.ndarray
     measured: np.ndarray
-
-
-@dataclass(frozen=True, slots=True)
-class EnergyStates:
-    """`EnergyState` at n moments, in columns of shape (n,); `variance` is that of `consumed`."""
-
-    stamp_ns: np.ndarray
-    measured: np.ndarray
-    measured_power: np.ndarray
-    measured_sigma: np.ndarray
-    predicted: np.ndarray
-    predicted_power: np.ndarray
-    predicted_sigma: np.ndarray
-    rknn: np.ndarray
-    rknn_power: np.ndarray
-    regenerated: np.ndarray
-    regenerated_power: np.ndarray
-    consumed: np.ndarray
-    variance: np.ndarray
-    gaps: np.ndarray
-    dropped: np.ndarray
-    unmeasured_s: np.ndarray
-    unknown_s: np.ndarray
-    measuring: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.stamp_ns)
-
-    def __getitem__(self, index: int) -> EnergyState:
-        row = {field.name: getattr(self, field.name)[index].item() for field in fields(self)}
-        sigma, of_predicted = math.sqrt(row["variance"]), row["predicted_sigma"]
-        return EnergyState(
-            stamp_ns=row["stamp_ns"],
-            measured=Flow(row["measured"], row["measured_power"], row["measured_sigma"]),
-            predicted=Flow(row["predicted"], row["predicted_power"], of_predicted),
-            rknn=Flow(row["rknn"], row["rknn_power"], of_predicted),
-            regenerated=Flow(row["regenerated"], row["regenerated_power"], sigma),
-            consumed=row["consumed"],
-            consumed_sigma=sigma,
-            gaps=row["gaps"],
-            dropped=row["dropped"],
-            unmeasured_s=row["unmeasured_s"],
-            unknown_s=row["unknown_s"],
-            measuring=row["measuring"],
-        )
-
-    def __iter__(self) -> Iterator[EnergyState]:
-        return (self[index] for index in range(len(self)))
-
-
-NO_STATES = EnergyStates(*np.empty((len(fields(EnergyStates)), 0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,7 +298,7 @@ class MeterCourse:
         regenerated = integral.regenerated[used]
         return integral.drawn[used] - regenerated, regenerated
 
-    def states(self, at: Counts) -> EnergyStates:
+    def states(self, at: Counts) -> EnergyState:
         """States at places of the block."""
         now, silent = self.until_now(at)
         measured, regenerated = self._measured(at)
@@ -341,20 +309,19 @@ class MeterCourse:
         used = [integral.used[counts] for integral, counts in zip(self.integrals, at, strict=True)]
         gaps = sum(integral.gaps[row] for integral, row in zip(self.integrals, used, strict=True))
         rknn, rknn_power = self.rknn[at.predicted].T
-        return EnergyStates(
+        braking = np.where(np.isnan(power), power, np.maximum(-power, 0.0))
+        of_measured = self.variances[1][at.measured]
+        of_predicted = np.sqrt(self.variances[0][at.predicted] + now[:, 5])
+        sigma = np.sqrt(np.maximum(of_measured + now[:, 4], 0.0))
+        measured_power = np.where(silent, math.nan, measured_power)
+        return EnergyState(
             stamp_ns=self.newest(at),
-            measured=measured,
-            measured_power=np.where(silent, math.nan, measured_power),
-            measured_sigma=np.sqrt(self.variances[1][at.measured]),
-            predicted=self.plain[at.predicted],
-            predicted_power=predicted_power,
-            predicted_sigma=np.sqrt(self.variances[0][at.predicted] + now[:, 5]),
-            rknn=rknn,
-            rknn_power=rknn_power,
-            regenerated=regenerated + now[:, 1],
-            regenerated_power=np.where(np.isnan(power), power, np.maximum(-power, 0.0)),
+            measured=Flow(measured, measured_power, np.sqrt(of_measured)),
+            predicted=Flow(self.plain[at.predicted], predicted_power, of_predicted),
+            rknn=Flow(rknn, rknn_power, of_predicted),
+            regenerated=Flow(regenerated + now[:, 1], braking, sigma),
             consumed=measured + now[:, 0],
-            variance=self.variances[1][at.measured] + now[:, 4],
+            consumed_sigma=sigma,
             gaps=gaps.astype(np.int64),
             dropped=self.dropped + sum(at) - sum(used),
             unmeasured_s=now[:, 6],
@@ -519,7 +486,7 @@ class EnergyMeter(Saveable[SavedMeter]):
     @property
     def state(self) -> EnergyState:
         """The state now."""
-        return self.course.states(self.course.end)[0]
+        return next(self.course.states(self.course.end).rows())
 
     def saved(self) -> SavedMeter:
         """State to save, the present dropout counted in it."""

@@ -17,9 +17,11 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import combinations
 import math
+from typing import Annotated
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Figure
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.core.estimation.gaussian import Gaussian, at_least_zero
 from evpinn_ros.core.estimation.journey import unseen_of
@@ -67,12 +69,19 @@ KNOWN_SHARE = 0.02  # of what went in and out: a part less unsure than that is k
 
 @dataclass(frozen=True, slots=True)
 class Amount:
-    """An energy: kWh, 1-sigma, kWh/100 km (None over no distance), share (None of nothing)."""
+    """An energy."""
 
-    kwh: float
-    sigma_kwh: float
-    kwh_per_100km: float | None
-    share: float | None
+    kwh: Annotated[
+        float,
+        Figure("kWh", "energy of this part of the drive; see the guide to replays for the parts"),
+    ]
+    sigma_kwh: Annotated[float, Figure("kWh", "its 1-sigma")]
+    kwh_per_100km: Annotated[
+        float | None, Figure("kWh/100 km", "the same over distance, null below 100 m")
+    ]
+    share: Annotated[
+        float | None, Figure("", "of the measured energy, null where that is not above 0")
+    ]
 
 
 @dataclass(frozen=True, slots=True)

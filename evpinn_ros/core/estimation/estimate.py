@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 import math
-from typing import Any
+from typing import Annotated, Any
 
+from evpinn_ros.common.saved_fields import Figure, figures
 from evpinn_ros.core.vehicle.identifiable import Identifiable
 
 
@@ -27,15 +28,6 @@ class Trust(str, Enum):
     INVALID = "invalid"
 
 
-FIGURES = {
-    "value": "live value at the end: 1, 1, kg, 1, 1, W",
-    "std": "its 1-sigma",
-    "prior_share": "share of the prior in it: 0 all data, 1 all prior",
-    "lower": "bound from the combinations and eta, mu <= 1; while unknown, its limit",
-    "upper": "bound as `lower`",
-    "state": f"{', '.join(f'`{trust.value}`' for trust in [*Trust][:-1])} or `invalid`",
-}
-"""What files, tables and frames have of a parameter, with the meaning of each."""
 TRACKED = ("value", "std", "prior_share")  # of these, over time
 
 
@@ -50,11 +42,14 @@ class ParameterEstimate:
             such a one, or the heights are unknown that it needs.
     """
 
-    value: float
-    std: float
-    prior_share: float
-    lower: float
-    upper: float
+    value: Annotated[float, Figure("", "live value at the end: 1, 1, kg, 1, 1, W")]
+    std: Annotated[float, Figure("", "its 1-sigma")]
+    prior_share: Annotated[float, Figure("", "share of the prior in it: 0 all data, 1 all prior")]
+    lower: Annotated[
+        float,
+        Figure("", "bound from the combinations and eta, mu <= 1; while unknown, its limit"),
+    ]
+    upper: Annotated[float, Figure("", "bound as `lower`")]
     trust: Trust
     progress: float = 0.0
     possible: bool = True
@@ -67,6 +62,12 @@ class ParameterEstimate:
     def figures(self) -> dict[str, Any]:
         """`FIGURES` of it."""
         return {name: getattr(self, name) for name in FIGURES}
+
+
+FIGURES = figures(ParameterEstimate) | {
+    "state": Figure("", f"{', '.join(f'`{trust.value}`' for trust in [*Trust][:-1])} or `invalid`")
+}
+"""What files, tables and frames have of a parameter."""
 
 
 @dataclass(frozen=True, slots=True)

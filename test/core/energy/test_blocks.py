@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.energy.account import EnergyAccount
-from evpinn_ros.core.energy.meter import EnergyMeter, EnergyStates
+from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.signals.readings import BatteryReading
 
@@ -62,8 +62,8 @@ def counted(calls, cut):
             left = next(cut)
     blocks.append(account.count())
     columns = {
-        each.name: np.concatenate([getattr(block, each.name) for block in blocks])
-        for each in fields(EnergyStates)
+        each.name: np.concatenate([getattr(block, each.name) for block in blocks], axis=-1)
+        for each in fields(EnergyState)
     }
     return columns, account
 

@@ -112,7 +112,7 @@ def test_a_battery_that_is_late_or_slow_is_counted_as_one_that_is_not(late, slow
         states = course.states(course.at_predictions())
         truth = np.append(0.0, np.cumsum(powers[1:] + powers[:-1]) / 2 * 0.1)[predicted]
         held = 15e3 * MAX_GAP  # since the last word of the battery
-        assert (abs(states.consumed - truth) < held + 3 * np.sqrt(states.variance)).all()
+        assert (abs(states.consumed - truth) < held + 3 * states.consumed_sigma).all()
 
 
 def test_a_battery_that_returns_is_bridged_by_the_prediction():
