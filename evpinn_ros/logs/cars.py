@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from itertools import takewhile
 import re
 
 from evpinn_ros.common.errors import SAY_CAR, InputError, near_names
@@ -46,8 +47,9 @@ class CarTable:
 
     def rows(self) -> Iterator[Row]:
         """The rows above the data, then those of the car."""
-        for number, row in self._table.rows():
-            if number <= self._head.row or _car_of(row, self._place) == self._car:
+        yield from takewhile(lambda row: row[0] <= self._head.row, self._table.rows())
+        for number, row in data_rows(self._table, self._head):  # below further headers too
+            if _car_of(row, self._place) == self._car:
                 yield number, row
 
     def last_row(self) -> list[str]:

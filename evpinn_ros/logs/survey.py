@@ -277,7 +277,9 @@ def _is_header(row: Sequence[str], head: Head) -> bool:
     names = {cell.strip().strip("\ufeff") for cell in row}
     if len(names.intersection(head.written)) >= min(2, len(head.written)):
         return True
-    return not any(map(str.isdigit, row[0])) and names_some(row)
+    if any(map(str.isdigit, row[0])) or long_form(head) is not None:
+        return False  # in a long one names stand in each row
+    return names_some(row)
 
 
 def _places_below(row: Sequence[str], head: Head, number: int) -> list[int | None] | None:
@@ -329,9 +331,7 @@ class LongTable:
         yield self._head.row, self._names
         width = len(self._names)
         self._narrow = 0
-        for number, row in self._table.rows():
-            if number <= self._head.row:
-                continue
+        for number, row in data_rows(self._table, self._head):
             if len(row) <= self._last:
                 self._narrow += 1
                 continue
@@ -351,8 +351,8 @@ class LongTable:
 
     def _find(self) -> None:
         seen: set[tuple[str, str]] = set()
-        for number, row in until_broken(self._table.rows()):
-            if number <= self._head.row or len(row) <= self._last:
+        for _, row in until_broken(data_rows(self._table, self._head)):
+            if len(row) <= self._last:
                 continue
             key = row[self._name], self._unit_of(row)
             if key in seen or len(seen) >= MOST_SIGNALS:

@@ -403,7 +403,10 @@ class TableDrive(Source):
             turning = self._signal(Column("time", "", place=self._engine), times)
             self._engine = self._engine if is_engine(turning, signals["speed"]) else None
         self._held = held_columns(signals) & used.keys()
-        self._contradictions = tuple(contradictions({**used, **beside}, signals))
+        measured = {name: used[name] for name in used.keys() - (self._silent.keys() - {"speed"})}
+        if {"voltage", "current"} <= measured.keys():
+            measured |= beside
+        self._contradictions = tuple(contradictions(measured, signals))
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))
 
     def _signal(self, column: Column, times: NDArray[np.float64]) -> Signal:

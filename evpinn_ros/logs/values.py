@@ -56,7 +56,7 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
     """The columns, each with a unit and a sign."""
     decided = dict(columns)
     for name, decide in _BY_VALUES.items():  # the speed's needs the units of these
-        if name in decided and not decided[name].has_unit:
+        if name in decided and (not decided[name].has_unit or decided[name].could_be):
             decided[name] = decide(decided[name], cells[name].known)
     for name in SIGNED:
         if name in decided and (span := wrapped_at(cells[name].known)):
@@ -230,7 +230,9 @@ def _charge_unit(column: Column, known: FloatArray) -> Column:
 def _temperature_unit(column: Column, known: FloatArray) -> Column:
     middle = float(np.median(known)) if known.size else 0.0
     if middle > HOTTEST:
-        return column.in_unit("f", f"its median of {middle:.3g} is too hot for °C")
+        return column.in_unit("f", f"its median of {middle:.3g} is too hot for °C").guessed(())
+    if column.could_be:  # as its app's setting may be
+        return column
     return column.in_unit("c", f"as its median is {middle:.3g}").guessed(("f",))
 
 

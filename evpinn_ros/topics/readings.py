@@ -43,6 +43,7 @@ UNIT_TOLERANCE = 0.02  # of |q|^2: float32 drivers and rounded logs pass, an uns
 STATUS_FIX, COVARIANCE_UNKNOWN = 0, 0
 SUPPLY_UNKNOWN, SUPPLY_DISCHARGING = 0, 2
 FLOAT32_MAX = 3.4028234663852886e38
+OVERFULL = 1.5  # a charge up to which a scale of 0..1 may go
 NOT_PROVIDED = -1.0  # first element of a covariance: the quantity was not measured
 
 
@@ -283,9 +284,10 @@ def battery_reading(message: Any) -> BatteryReading:
 
 
 class ChargeScale:
-    """Scale of the state of charge of one publisher: 0..1, or 0..100 once it is beyond 1.
+    """Scale of the state of charge of one publisher: 0..1, or 0..100 once it is far beyond 1.
 
     It is decided once: a percentage that counts to 100 would read 1 % as full when nearly empty.
+    What is a little beyond 1 before is unknown: an overfull battery, or one that is nearly empty.
     """
 
     def __init__(self) -> None:
@@ -295,9 +297,10 @@ class ChargeScale:
         """A reading whose state of charge is 0..1, or NaN."""
         if not isinstance(reading, BatteryReading) or math.isnan(reading.state_of_charge):
             return reading
-        if reading.state_of_charge > 1.0:
+        if reading.state_of_charge > OVERFULL:
             self._full = 100.0
-        return replace(reading, state_of_charge=reading.state_of_charge / self._full)
+        charge = reading.state_of_charge / self._full
+        return replace(reading, state_of_charge=charge if charge <= 1.0 else math.nan)
 
 
 def altitude_reading(message: Any) -> AltitudeReading:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from exports import date, measured, opened, simulated, table
+from exports import Drive, date, measured, opened, simulated, table
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.logs.sources import open_drive
@@ -21,6 +21,37 @@ PLAIN = "time,Speed (km/h),HV Battery Voltage (V),HV Battery Current (A)"
 
 def plain(t, v, u, i, *_):
     return f"{date(t)},{3.6 * v:.2f},{u:.2f},{i:.2f}"
+
+
+def written(header: str, line: str, drive: Drive = DRIVE) -> str:
+    """A table of lines in which quantities stand by their units."""
+    return table(
+        header,
+        drive,
+        lambda t, v, u, i, far, soc: line.format(
+            t=t, date=date(t), mps=v, kmh=3.6 * v, mph=v / 0.44704, volts=u, amps=i, watts=u * i,
+            kw=u * i / 1000, km=far / 1000, miles=far / 1609.344, soc=soc, epoch=1709622489 + t,
+            minutes=(t + 1000) / 60, minute=int(t + 17) // 60,
+        ),
+    )  # fmt: skip
+
+
+MILES = (
+    "timestamp,speed,odometer,soc,elevation,power,shift_state",
+    "{epoch:.0f}000,{mph:.1f},{miles:.2f},{soc:.0f},1,{kw:.2f},D",
+)
+MINUTES = (
+    "Voltage,Current,Velocity,Elapsed minutes",
+    "{volts:.3f},{amps:.3f},{mps:.3f},{minutes:.6f}",
+)
+STAMPS_OF_A_MINUTE = (
+    "Time_Stamp,vehicle_speed,Odometer,DC_Link_Voltage,DC_Link_Current",
+    "12/17/2024 10:{minute:02d},{kmh:.1f},{km:.1f},{volts:.2f},{amps:.2f}",
+)
+LEAFSPY = (
+    "Date/Time,Speed,Gids,Pack Volts,Pack Amps,Odo(km),epoch time, Speed1, Speed2",
+    "{date},{mph:.2f},400,{volts:.2f},{amps:.3f},{km:.2f},{epoch:.0f},0,0",
+)
 
 
 def decimal_comma():
@@ -45,35 +76,6 @@ def second_header():
     return "\n".join([*lines[:450], turned[0], *turned[450:]])
 
 
-def miles():
-    header = "timestamp,speed,odometer,soc,elevation,power,shift_state"
-    return table(
-        header,
-        DRIVE,
-        lambda t, v, u, i, far, soc: (
-            f"{1709622489000 + 1000 * t:.0f},{v / 0.44704:.1f},{far / 1609.344:.2f},{soc:.0f},1,"
-            f"{u * i / 1000:.2f},D"
-        ),
-    )
-
-
-def minutes():
-    header = "Voltage,Current,Velocity,Elapsed minutes"
-    return table(
-        header, LIGHT, lambda t, v, u, i, *_: f"{u:.3f},{i:.3f},{v:.3f},{(t + 1000) / 60:.6f}"
-    )
-
-
-def stamps_of_a_minute():
-    return table(
-        "Time_Stamp,vehicle_speed,Odometer,DC_Link_Voltage,DC_Link_Current",
-        DRIVE,
-        lambda t, v, u, i, far, _: (
-            f"12/17/2024 10:{int(t + 17) // 60:02d},{3.6 * v:.1f},{far / 1000:.1f},{u:.2f},{i:.2f}"
-        ),
-    )
-
-
 def dst(first: str, hours: int, at: int = 480) -> str:
     """The clock of a local time that is set by so many hours on a minute of the drive."""
     lines = table(PLAIN, DRIVE, plain).splitlines()
@@ -87,24 +89,10 @@ def dst(first: str, hours: int, at: int = 480) -> str:
     return "\n".join([lines[0], *(line(k, text) for k, text in enumerate(lines[1:]))])
 
 
-def leafspy():
-    header = "Date/Time,Speed,Gids,Pack Volts,Pack Amps,Odo(km),epoch time, Speed1, Speed2"
-    return table(
-        header,
-        DRIVE,
-        lambda t, v, u, i, far, _: (
-            f"{date(t)},{v / 0.44704:.2f},400,{u:.2f},{i:.3f},{far / 1000:.2f},"
-            f"{1751256576 + t:.0f},0,0"
-        ),
-    )
-
-
 def repeated_with_power():
     """Rows three times, with power beside voltage and current."""
-    header = "time,speed_kmh,voltage,current,power"
-    text = table(
-        header, DRIVE, lambda t, v, u, i, *_: f"{t:.1f},{3.6 * v:.2f},{u:.2f},{i:.2f},{u * i:.1f}"
-    )
+    line = "{t:.1f},{kmh:.2f},{volts:.2f},{amps:.2f},{watts:.1f}"
+    text = written("time,speed_kmh,voltage,current,power", line)
     lines = text.splitlines()
     return "\n".join([lines[0], *(line for line in lines[1:] for _ in range(3))])
 
@@ -113,11 +101,14 @@ RIGHT: dict[str, tuple[Callable[[], str], str]] = {
     "decimal comma as separator": (decimal_comma, ""),
     "thousands": (thousands, ""),
     "second header": (second_header, ""),
-    "mph and miles": (miles, "'speed' is assumed to be in mph, and could be in km/h"),
-    "stamps of a minute": (stamps_of_a_minute, "stamps are 60 s apart"),
+    "mph and miles": (
+        lambda: written(*MILES),
+        "'speed' is assumed to be in mph, and could be in km/h",
+    ),
+    "stamps of a minute": (lambda: written(*STAMPS_OF_A_MINUTE), "stamps are 60 s apart"),
     "autumn": (lambda: dst("2024-10-27 02", -1), ""),
     "spring": (lambda: dst("2024-03-31 01", 1), ""),
-    "LeafSpy without Speed2": (leafspy, ""),
+    "LeafSpy without Speed2": (lambda: written(*LEAFSPY), ""),
     "rows repeated": (repeated_with_power, ""),
 }
 
@@ -133,7 +124,7 @@ def test_way_and_energy_are_right(tmp_path, case):
 
 
 def test_a_light_vehicle_in_metres_a_second_and_minutes(tmp_path):
-    source = opened(tmp_path, minutes())
+    source = opened(tmp_path, written(*MINUTES, LIGHT))
     distance, energy = measured(source)
     assert distance == pytest.approx(LIGHT.distance, rel=0.01)
     assert energy == pytest.approx(LIGHT.energy, rel=0.01)
@@ -147,6 +138,7 @@ def test_a_current_that_never_changes_is_not_measured(tmp_path, header, current)
     source = opened(tmp_path, text)
     assert math.isnan(measured(source)[1])
     assert f"current is always {current} while the car speeds up" in " ".join(source.notes)
+    assert not any("flows back" in note for note in source.notes)
 
 
 def test_the_voltage_of_12_volts_is_not_that_of_the_traction_battery(tmp_path):
@@ -202,6 +194,55 @@ def test_two_cars_are_refused(tmp_path, name):
         opened(tmp_path, "\n".join(lines))
     numbered = table(f"{name},{PLAIN}", DRIVE, lambda t, *v: f"{t:.0f},{plain(t, *v)}")
     assert measured(opened(tmp_path, numbered))[0] == pytest.approx(DRIVE.distance, rel=0.01)
+
+
+@pytest.mark.parametrize("form", ["wide", "long"])
+def test_a_second_header_is_followed_in_the_rows_of_a_car(tmp_path, form):
+    """It has another order, that of the column that names the car too."""
+    names = f"car,{PLAIN}".split(",")
+    cars = {"A7": DRIVE, "B2": simulated(seed=1)}
+    rows = []
+    for car, drive in cars.items():
+        lines = table("", drive, lambda *v, car=car: f"{car},{plain(*v)}").splitlines()[1:]
+        rows.append([line.split(",") for line in lines])
+    if form == "long":
+        signals = names[2:]
+        rows = [
+            [
+                [car, time, name, value]
+                for car, time, *values in of_car
+                for name, value in zip(signals, values, strict=True)
+            ]
+            for of_car in rows
+        ]
+        names = ["car", "time", "name", "value"]
+    blocks = []
+    for half, turn in ((0, 0), (1, 2)):
+        order = [*range(turn, len(names)), *range(turn)]
+        parts = [row for of_car in rows for row in of_car[half::2]]
+        blocks += [[row[at] for at in order] for row in [names, *parts]]
+    text = "\n".join(map(",".join, blocks))
+    for car, drive in cars.items():
+        source = opened(tmp_path, text, car=car)
+        expected = (drive.distance, drive.energy)
+        assert measured(source) == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("ambient", "celsius", "basis"), [(59, 15.0, "measured"), (20, -6.7, "assumed")]
+)
+def test_leafspy_has_an_ambient_temperature_of_a_unit_that_is_set(
+    tmp_path, ambient, celsius, basis
+):
+    header, line = LEAFSPY
+    source = opened(tmp_path, written(f"{header},Ambient", f"{line},{ambient}"))
+    (rule,) = (rule for rule in source.rules if rule.quantity == "ambient")
+    assert rule.basis == basis and rule.factor * ambient + rule.offset == pytest.approx(
+        celsius, abs=0.1
+    )
+    assert ("'Ambient' is assumed to be in f, and could be in c" in " ".join(source.notes)) == (
+        basis == "assumed"
+    )
 
 
 def with_engine(turns):

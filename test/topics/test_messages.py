@@ -261,6 +261,8 @@ def charges(*percentages) -> list[float]:
 def test_whether_a_percentage_counts_to_one_or_to_hundred_is_decided_once():
     assert charges(87.0, 2.0, 1.0, 0.5) == pytest.approx([0.87, 0.02, 0.01, 0.005])
     assert charges(1.0, 0.9, 0.0) == [1.0, 0.9, 0.0]
+    full, *later = charges(1.02, 1.0, 0.9)
+    assert math.isnan(full) and later == [1.0, 0.9], "an overfull battery is none at 1 %"
     assert all(map(math.isnan, charges(-1.0, 101.0, math.nan)))
 
 
