@@ -1,0 +1,100 @@
+"""The example for Nav2's route server: the costs in its graph lead along the least energy."""
+
+import heapq
+import itertools
+import json
+import subprocess
+import sys
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import pytest
+
+from test.conftest import ROOT, load_example
+
+EXAMPLE = load_example("routes/nav2_energy_costs.py")
+SIDE = 4  # nodes of a grid
+
+
+def grid(heights, speeds):
+    """A graph as Nav2 reads it, of streets in both directions."""
+    nodes = list(itertools.product(range(SIDE), repeat=2))
+    number = {node: index for index, node in enumerate(nodes)}
+    points = [[100.0 * x, 100.0 * y, heights[number[x, y]]] for x, y in nodes]
+    pairs = [
+        (number[node], number[beside])
+        for node in nodes
+        for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1))
+        if (beside := (node[0] + dx, node[1] + dy)) in number
+    ]
+    features = [
+        {"type": "Feature", "properties": {"id": index, "frame": "map"},
+         "geometry": {"type": "Point", "coordinates": point}}
+        for index, point in enumerate(points)
+    ] + [
+        {"type": "Feature",
+         "properties": {"id": 1000 + index, "startid": begin, "endid": end,
+                        "metadata": {"abs_speed_limit": speeds[index % len(speeds)]}},
+         "geometry": {"type": "MultiLineString", "coordinates": [[points[begin], points[end]]]}}
+        for index, (begin, end) in enumerate(pairs)
+    ]  # fmt: skip
+    return {"type": "FeatureCollection", "features": features}
+
+
+def edges_of(graph):
+    shapes = ((each["geometry"]["type"], each["properties"]) for each in graph["features"])
+    return [properties for shape, properties in shapes if shape != "Point"]
+
+
+def dijkstra(edges, start, end):
+    """Nav2's search: edges of the cheapest route."""
+    queue, closed, order = [(0.0, 0, start, [])], set(), itertools.count(1)
+    while queue:
+        cost, _, node, route = heapq.heappop(queue)
+        if node == end:
+            return route
+        if node not in closed:
+            closed.add(node)
+            for edge in (edge for edge in edges if edge["startid"] == node):
+                after = cost + edge["cost"], next(order), edge["endid"], [*route, edge]
+                heapq.heappush(queue, after)
+    raise AssertionError("no route")
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    heights=st.lists(st.floats(0.0, 8.0), min_size=SIDE**2, max_size=SIDE**2),
+    speeds=st.lists(st.floats(4.0, 14.0), min_size=1, max_size=7),
+)
+def test_no_route_takes_less_than_the_one_that_costs_least(heights, speeds):
+    graph = EXAMPLE.with_costs(grid(heights, speeds), "bmw_i3", 8.0)
+    edges = edges_of(graph)
+    assert all(edge["cost"] > 0.0 and edge["overridable"] is False for edge in edges)
+    table = {"length_m": [], "speed_kmh": [], "climb_m": []}
+    points = [each["geometry"]["coordinates"] for each in graph["features"][: SIDE**2]]
+    for edge in edges:
+        begin, end = points[edge["startid"]], points[edge["endid"]]
+        table["length_m"].append(EXAMPLE.math.dist(begin, end))
+        table["speed_kmh"].append(3.6 * edge["metadata"]["abs_speed_limit"])
+        table["climb_m"].append(end[2] - begin[2])
+    energies = EXAMPLE.ev.edge_energies(table, "bmw_i3").table.energy_j.tolist()
+    energy = {edge["id"]: value for edge, value in zip(edges, energies, strict=True)}
+    least = {node: float("inf") for node in range(SIDE**2)} | {0: 0.0}
+    for _ in least:
+        for edge in edges:
+            reached = least[edge["startid"]] + energy[edge["id"]]
+            least[edge["endid"]] = min(least[edge["endid"]], reached)
+    route = dijkstra(edges, 0, SIDE**2 - 1)
+    rounded = EXAMPLE.LEAST * EXAMPLE.KWH * len(edges)
+    taken = sum(energy[edge["id"]] for edge in route)
+    assert taken == pytest.approx(least[SIDE**2 - 1], abs=rounded)
+
+
+def test_the_command_writes_a_graph(tmp_path):
+    graph, out = tmp_path / "graph.geojson", tmp_path / "energy.geojson"
+    hill = [20.0 * (node == 5) for node in range(SIDE**2)]
+    graph.write_text(json.dumps(grid(hill, [8.0])))
+    command = [sys.executable, EXAMPLE.__file__, graph, out, "--car", "bmw_i3"]
+    subprocess.run([*map(str, command)], check=True, cwd=ROOT)
+    route = dijkstra(edges_of(json.loads(out.read_text())), 1, 9)
+    assert 5 not in [edge["endid"] for edge in route], "over the hill is the shortest way"
