@@ -95,7 +95,7 @@ class BatteryWatch:
         if pull(speed, drawn) < 0.0:
             yield WRONG_SIGN
         elif self._drives(speed) and not self._flows_back:
-            yield from never_back(drawn)
+            yield from never_back(drawn, speed)
 
 
 def _keep(rows: list[tuple[int, float]], stamp_ns: int, value: float) -> None:

@@ -40,8 +40,10 @@ HIGHEST, HEAVIEST = 2000.0, 5000.0  # V, A: of no battery of a vehicle
 HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
 LOADS = ("heating", "aircon", "auxiliary")
 ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
+RISES = 0.7  # correlation of power with braking from which on it is that of braking
 SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
 RESOLUTIONS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.02, 0.01, 0.001)  # of a bus
+SPANS = sorted(step * 2.0**bits for step in RESOLUTIONS for bits in (16, 32))
 LEAST_WRAPPED = 5  # readings
 NOT_TRACTION = 40.0  # V: below, a battery that does not sag under the current is not what drives
 GEARED = 0.98  # correlation of speed and motor speed
@@ -171,13 +173,10 @@ def wrapped_at(known: FloatArray) -> float:
     """
     if not known.size or known.min() < 0:
         return 0.0
-    for bits in (16, 32):
-        for resolution in RESOLUTIONS:
-            span = resolution * 2.0**bits
-            middle = (known > 0.25 * span) & (known < 0.75 * span)
-            if ((known >= 0.75 * span) & (known <= span)).sum() >= LEAST_WRAPPED:
-                return span if not middle.any() and known.max() <= span else 0.0
-    return 0.0
+    span = next((span for span in SPANS if known.max() <= span), 0.0)
+    middle = (known > 0.25 * span) & (known < 0.75 * span)
+    upper = known >= 0.75 * span
+    return span if upper.sum() >= LEAST_WRAPPED and not middle.any() else 0.0
 
 
 def unwrapped(signal: Signal, span: float) -> Signal:
@@ -298,7 +297,7 @@ def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> I
             yield from _compared(used["power"], signals["power"], drawn)
     if drawn is None:
         return
-    yield from never_back(drawn)
+    yield from never_back(drawn, signals["speed"])
     if pull(signals["speed"], drawn) < 0.0:
         column = used["current" if "current" in used else "power"]
         unit = column.unit.lstrip("-") or next(iter(QUANTITIES[column.quantity].units))
@@ -309,13 +308,30 @@ def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> I
         )
 
 
-def never_back(drawn: Signal) -> Iterator[str]:
-    """Sentence on a battery that is never charged, power drawn in W: it does not show braking."""
-    if drawn.known.size >= LEAST_EVENTS and drawn.known.min() >= 0.0:
+def never_back(drawn: Signal, speed: Signal) -> Iterator[str]:
+    """Sentence on a battery that is never charged, SI: it does not show braking, or no sign."""
+    if drawn.known.size < LEAST_EVENTS or drawn.known.min() < 0.0:
+        return
+    if _rises_while_braking(drawn, speed):
+        yield (
+            "the battery gives the more the harder the car brakes: its current has lost the sign "
+            "of what is brought back, and every energy is too large"
+        )
+    else:
         yield (
             "no current ever flows back into the battery, so nothing is known of its "
             "regeneration (mu)"
         )
+
+
+def _rises_while_braking(drawn: Signal, speed: Signal) -> bool:
+    times, change = accelerations(speed)
+    power, kinetic = at_times(drawn, times), change * at_times(speed, times)
+    braking = (change < -EVENT) & np.isfinite(power) & np.isfinite(kinetic)
+    given, taken = kinetic[braking], power[braking]
+    if given.size < LEAST_EVENTS or not np.ptp(given) or not np.ptp(taken):
+        return False
+    return float(np.corrcoef(given, taken)[0, 1]) < -RISES
 
 
 def _in_si(signal: Signal, column: Column) -> Signal:

@@ -22,6 +22,7 @@ CHANGES = {
     "right": lambda reading: reading,
     "zero": lambda reading: replace(reading, current=0.0),
     "turned": lambda reading: replace(reading, current=-reading.current),
+    "unsigned": lambda reading: replace(reading, current=-abs(reading.current)),
     "one way": lambda reading: replace(reading, current=min(reading.current, 0.0)),
 }
 
@@ -37,6 +38,7 @@ def readings():
         ("right", None),
         ("zero", "battery current: always 0 A while the car speeds up"),
         ("turned", WRONG_SIGN),
+        ("unsigned", "the battery gives the more the harder the car brakes"),
         ("one way", "no current ever flows back into the battery"),
     ],
 )

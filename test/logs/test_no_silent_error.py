@@ -31,7 +31,7 @@ def written(header: str, line: str, drive: Drive = DRIVE) -> str:
         lambda t, v, u, i, far, soc: line.format(
             t=t, date=date(t), mps=v, kmh=3.6 * v, mph=v / 0.44704, volts=u, amps=i, watts=u * i,
             kw=u * i / 1000, km=far / 1000, miles=far / 1609.344, soc=soc, epoch=1709622489 + t,
-            minutes=(t + 1000) / 60, minute=int(t + 17) // 60,
+            minutes=(t + 1000) / 60, minute=int(t + 17) // 60, size=abs(i), one_way=max(i, 0.0),
         ),
     )  # fmt: skip
 
@@ -151,13 +151,24 @@ def test_the_voltage_of_12_volts_is_not_that_of_the_traction_battery(tmp_path):
     assert "voltage is about 13.8 V whatever the current" in " ".join(source.notes)
 
 
-def test_an_unsigned_current_is_signed(tmp_path):
+@pytest.mark.parametrize("unit", [0.1, 0.05, 0.02, 0.01])
+@pytest.mark.parametrize("bits", [16, 32])
+def test_an_unsigned_current_is_signed(tmp_path, unit, bits):
+    span = unit * 2**bits
     text = table(
-        PLAIN, DRIVE, lambda t, v, u, i, *_: f"{date(t)},{3.6 * v:.2f},{u:.2f},{i % 6553.6:.1f}"
+        PLAIN, DRIVE, lambda t, v, u, i, *_: f"{date(t)},{3.6 * v:.2f},{u:.2f},{i % span:.3f}"
     )
     source = opened(tmp_path, text)
     assert measured(source)[1] == pytest.approx(DRIVE.energy, rel=0.01)
-    assert "numbers above 3276.8 are negative ones" in " ".join(source.notes)
+    assert f"numbers above {span / 2:g} are negative ones" in " ".join(source.notes)
+
+
+def test_a_current_without_its_sign_is_told(tmp_path):
+    line = "{date},{kmh:.2f},{volts:.2f},"
+    text = written(PLAIN, line + "{size:.2f}")
+    assert "has lost the sign" in " ".join(opened(tmp_path, text).notes)
+    text = written(PLAIN, line + "{one_way:.2f}")
+    assert "no current ever flows back" in " ".join(opened(tmp_path, text).notes)
 
 
 DECOYS = ("DC-DC {}", "{} RMS", "{} Offset", "{} Error", "Previous {}", "12V {}", "Charger {}")
