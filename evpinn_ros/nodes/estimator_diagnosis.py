@@ -27,6 +27,7 @@ STUCK = {
     SPEED_STUCK: "vehicle/speed is stuck at one value: nothing is learned",
     BATTERY_STUCK: "battery/state is stuck at one value: it is not used, nothing is learned",
 }
+LATE = "{} is stamped {:.1f} s later than {}: correct the stamps at their source"
 RECENT = 60  # updates whose median duration is shown
 
 
@@ -49,6 +50,7 @@ def estimator_status(status: EstimatorStatus, condition: Condition) -> Status:
         **flat("seen", status.seen),
         **flat("in_90_band", bands),
         **_detections(status.report),
+        **_lag(status),
     }
     level, text = _estimator_verdict(status, condition)
     if text.startswith(NO_SPEED):
@@ -85,6 +87,10 @@ def _estimator_verdict(status: EstimatorStatus, condition: Condition) -> tuple[L
         return Level.WARN, "accelerating charges the battery: is the sign of current wrong?"
     if status.report.suspicion == GRADE_SIGN:
         return Level.WARN, "climbing gives power back: is the sign of grade or pitch wrong?"
+    if status.lag is not None and status.lag.large:
+        signals = ("vehicle/speed", "battery/state")
+        late, early = signals if status.lag.seconds > 0.0 else reversed(signals)
+        return Level.WARN, LATE.format(late, abs(status.lag.seconds), early)
     if status.activity is Activity.PREDICTING:
         return Level.WARN, "predicting from speed alone: battery/state is silent"
     if status.activity is Activity.PAUSED:
@@ -107,6 +113,14 @@ def _detections(report: LearnerReport) -> dict[str, object]:
         values["payload_change_kg"] = rounded(change.delta_mass)
         values["payload_change_std_kg"] = rounded(change.std)
     return values
+
+
+def _lag(status: EstimatorStatus) -> dict[str, object]:
+    """Lag of speed to battery, and what of it is taken out."""
+    if status.lag is None:
+        return {"lag_s": "unknown"}
+    values = {"lag_s": status.lag.seconds, "lag_std_s": status.lag.sigma}
+    return {name: rounded(value) for name, value in (values | {"shift_s": status.shift}).items()}
 
 
 def _milliseconds(durations: tuple[float, ...]) -> object:

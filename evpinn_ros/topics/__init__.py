@@ -224,6 +224,12 @@ PARAMETER_SCALARS = tuple(
         ("c_d", "drag coefficient", "1"),
     )
 )
+LAG = Topic(
+    "estimate/lag",
+    "estimator",
+    "`lag` by which the speed is stamped later than the battery, and its 1-sigma, once known",
+    "s",
+)
 MODEL = Topic(
     "estimate/model",
     "estimator",

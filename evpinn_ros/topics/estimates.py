@@ -42,7 +42,7 @@ POWER_TOPICS = {
     PowerKind.SMOOTHED: topics.POWER_SMOOTHED,
 }
 POWER_KINDS = {topic: kind for kind, topic in POWER_TOPICS.items()}
-POWER = "power"
+POWER, LAG = "power", "lag"
 FLOWS = ("measured", "predicted", "rknn", "regenerated")
 UNMEASURED_ENERGY = "unmeasured_energy"  # J, predicted since the battery was last measured
 JOULES_PER_METRE = 3.6  # in a Wh/km
@@ -91,6 +91,11 @@ def _parameter_messages(
     )
     if parameter_set.reliable:
         yield topics.RELIABLE, live
+    if (lag := parameter_set.lag) is not None:
+        yield (
+            topics.LAG,
+            _vector(new, parameter_set.stamp_ns, {LAG: Uncertain(lag.seconds, lag.sigma)}),
+        )
     for topic in topics.PARAMETER_SCALARS:
         name = topic.name.rpartition("/")[2]
         yield topic, scalar(new, parameter_set.parameters[name].value)

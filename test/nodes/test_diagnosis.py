@@ -16,6 +16,7 @@ from evpinn_ros.core.energy.meter import EnergyMeter
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.estimation.estimate import Trust
 from evpinn_ros.core.estimation.estimator import Activity, EstimatorStatus
+from evpinn_ros.core.estimation.lag import Lag
 from evpinn_ros.core.estimation.learner import LearnerReport
 from evpinn_ros.core.estimation.payload import PayloadChange
 from evpinn_ros.core.signals.detector import BATTERY_STUCK, SPEED_STUCK
@@ -73,6 +74,9 @@ def test_learning_is_well_and_shows_its_counters():
         ({"stuck": SPEED_STUCK}, 0.1, Level.WARN, "vehicle/speed is stuck at one value"),
         ({"stuck": BATTERY_STUCK}, 0.1, Level.WARN, "battery/state is stuck at one value"),
         ({"report": LearnerReport(suspicion="grade_sign")}, 0.1, Level.WARN, "sign of grade"),
+        ({"lag": Lag(0.9, 0.05)}, 0.1, Level.WARN, "vehicle/speed is stamped 0.9 s later than"),
+        ({"lag": Lag(-0.9, 0.05)}, 0.1, Level.WARN, "battery/state is stamped 0.9 s later than"),
+        ({"lag": Lag(0.9, 0.5)}, 0.1, Level.OK, "learning"),  # not known well
     ],
 )
 def test_states_of_the_estimator(change, age, level, text):

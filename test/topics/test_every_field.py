@@ -19,6 +19,7 @@ from evpinn_ros.core.estimation.estimate import (
     PowerKind,
     Trust,
 )
+from evpinn_ros.core.estimation.lag import Lag
 from evpinn_ros.core.estimation.terms import COUNT
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
@@ -49,6 +50,7 @@ PARAMETERS = ParameterSet(
     identifiable_std=Identifiable(50.0, 0.1, 0.001, 0.1, 40.0),
     reliable=False,
     identifiable_trust=dict.fromkeys(IDENTIFIABLE_NAMES, Trust.ESTIMATING),
+    lag=Lag(1.0, 0.02),
 )
 STATE = EnergyState(
     stamp_ns=NOW,
@@ -106,15 +108,18 @@ FORMS = {
     "parameters, messages": (
         PARAMETERS,
         output_bytes,
-        # `/diagnostics` has these.
-        {"parameters.trust", "parameters.progress", "parameters.possible", "identifiable_trust"},
+        # `/diagnostics` has these, and the shift for the shortest lag that is applied.
+        {
+            *("parameters.trust", "parameters.progress", "parameters.possible"),
+            *("identifiable_trust", "lag.least"),
+        },
     ),
     "parameters, metrics": (
         PARAMETERS,
         figures,
         {
             *("stamp_ns", "reliable", "parameters.progress", "parameters.possible"),
-            "identifiable_trust",
+            *("identifiable_trust", "lag.seconds", "lag.sigma", "lag.least"),
             *(f"identifiable.{name}" for name in IDENTIFIABLE_NAMES),
             *(f"identifiable_std.{name}" for name in IDENTIFIABLE_NAMES),
         },

@@ -9,6 +9,7 @@ import math
 from typing import Annotated, Any
 
 from evpinn_ros.common.saved_fields import Figure, figures
+from evpinn_ros.core.estimation.lag import Lag
 from evpinn_ros.core.vehicle.identifiable import Identifiable
 
 
@@ -81,6 +82,7 @@ class ParameterSet:
         identifiable_std: its 1-sigma.
         reliable: whether every validity check is passed.
         identifiable_trust: how far each combination can be trusted.
+        lag: by which speed is stamped later than the battery, None while unknown.
     """
 
     stamp_ns: int
@@ -89,10 +91,19 @@ class ParameterSet:
     identifiable_std: Identifiable
     reliable: bool
     identifiable_trust: Mapping[str, Trust] = field(default_factory=dict)
+    lag: Lag | None = None
 
     def stale(self) -> ParameterSet:
         """Parameters whose trust says that nothing was measured for long."""
-        fades = {Trust.VALID: Trust.STALE}
+        return self._faded(Trust.STALE)
+
+    def doubted(self) -> ParameterSet:
+        """Parameters of which none is valid, for signals of different moments were joined."""
+        return self._faded(Trust.ESTIMATING)
+
+    def _faded(self, trust: Trust) -> ParameterSet:
+        """Parameters that have this trust where they were valid."""
+        fades = {Trust.VALID: trust}
         return replace(
             self,
             parameters={

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
@@ -22,6 +23,7 @@ from evpinn_ros.core.estimation.calibration import BandCalibration, SavedBands
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
 from evpinn_ros.core.estimation.evidence import Evidence
+from evpinn_ros.core.estimation.lag import Alignment, Lag
 from evpinn_ros.core.estimation.learner import (
     STATE_VERSION,
     Learner,
@@ -50,6 +52,7 @@ from evpinn_ros.core.vehicle.physics import RegenForm
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
 BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # dropout after which power is only predicted
 STALE_AFTER_NS = 300 * NANOSECONDS  # dropout after which parameters count as stale
+READINGS_KEPT = 40_000  # at most, of a drive whose lag is not known yet
 
 Output: TypeAlias = PowerEstimate | ParameterSet
 
@@ -130,6 +133,8 @@ class EstimatorStatus:
         newest_ns: stamp of the newest speed, None before the first.
         unknown: optional inputs without data (see `Road.unknown`).
         stuck: name of the signal that repeats one value (see `signals.stuck`), or None.
+        lag: of speed to battery, None while unknown.
+        shift: of the battery's stamps that takes it out, s.
     """
 
     activity: Activity
@@ -147,11 +152,13 @@ class EstimatorStatus:
     seen: Mapping[str, int] = field(default_factory=dict)
     band_coverage: Mapping[str, float] = field(default_factory=dict)
     stuck: str | None = None
+    lag: Lag | None = None
+    shift: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class SavedEstimator:
-    """State of a car: that of the learner of its mode, and the bands."""
+    """State of a car: that of the learner of its mode, the bands, and the lag of its speed."""
 
     SAME = ("version", "vehicle", "mode")
 
@@ -160,6 +167,7 @@ class SavedEstimator:
     mode: str
     learner: Any
     bands: SavedBands
+    lag: Lag | None = None
 
 
 class _Clock(NamedTuple):
@@ -176,16 +184,32 @@ class _Clock(NamedTuple):
         return self.newest_ns - self.battery_ns > duration_ns
 
 
+class _Aligned(NamedTuple):
+    """A reading by the clock of speed, and its own stamp."""
+
+    reading: Reading
+    stamp_ns: int
+
+
 class _Arrival(NamedTuple):
     """A reading that came: the events it completed, and what was known then.
 
     `tick` is the clock where a second of stamps is over, else None.
     """
 
+    stamp_ns: int
     events: list[StreamEvent]
     stuck: StuckDetector
     measured: PowerEstimate | None
     tick: _Clock | None
+
+
+class _Learned(NamedTuple):
+    """What is learned of a drive's readings."""
+
+    learner: Learner
+    bands: dict[PowerKind, BandCalibration]
+    seen: OperatingRange
 
 
 class OnlineEstimator(Saveable[SavedEstimator]):
@@ -212,6 +236,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         )
         self._bands = {k: BandCalibration() for k in (PowerKind.PREDICTED, PowerKind.SMOOTHED)}
         self._seen = OperatingRange()
+        self._alignment = Alignment()
         self._begin_time()
 
     def handle_time_jump(self) -> None:
@@ -219,6 +244,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._worker.cancel()
         self._stream.reset()
         self._learner.forget_window()
+        self._alignment.begin_stretch()
         self._begin_time()
 
     def finish(self) -> ParameterSet:
@@ -233,6 +259,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Begin another drive of this car; the same holds for the stamps."""
         self.finish()
         self.handle_time_jump()
+        self._alignment = self._alignment.next_drive()
         self._learner.end_drive()
 
     def clear_counters(self) -> None:
@@ -251,6 +278,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._predictions: dict[PowerKind, deque[tuple[Sample, PowerPrediction]]] = {
             kind: deque(maxlen=2000) for kind in self._bands
         }
+        # Readings of a drive whose lag is not known yet, and what was known before them.
+        self._recent: list[Reading] | None = []
+        self._before: _Learned | None = None
 
     def add_reading(self, reading: Reading) -> Iterator[Output]:
         """Take one reading: a block of one."""
@@ -262,12 +292,56 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         How readings are cut into blocks changes no output. What was learned, at any moment, is
         what the output given last rests on.
         """
+        block: list[_Aligned] = []
+        for reading in map(self._similarity.reading, readings):
+            if self._align(reading):
+                yield from self._add_aligned(block)
+                block = []
+                self._learn_anew()
+            block.append(_Aligned(self._alignment.aligned(reading), reading.stamp_ns))
+        yield from self._add_aligned(block)
+
+    def _align(self, reading: Reading) -> bool:
+        """Learn the lag from a reading; True if all before it shall be learned anew."""
+        if self._settings.mode is Mode.PAPER:
+            return False
+        anew = self._alignment.add_reading(reading)
+        if self._recent is None or anew:
+            return anew and self._before is not None
+        if self._alignment.settled or len(self._recent) == READINGS_KEPT:
+            self._recent = self._before = None
+            return False
+        if not self._recent:
+            self._before = deepcopy(_Learned(self._learner, self._bands, self._seen))
+        self._recent.append(reading)
+        return False
+
+    def _learn_anew(self) -> None:
+        """Learn the drive so far by the lag that is known now; its outputs were given before."""
+        recent, before = self._recent or [], self._before
+        if before is None:
+            return
+        self._worker.cancel()
+        worker, self._worker = self._worker, InlineWorker(lambda: 0.0)
+        dropped, self._stream.dropped = self._stream.dropped, Counter()
+        self._stream.reset()
+        self._learner, self._bands, self._seen = before
+        self._begin_time()
+        self._recent = None
+        block = [_Aligned(self._alignment.aligned(r), r.stamp_ns) for r in recent]
+        for outputs in self._add_aligned(block):
+            deque(outputs, maxlen=0)
+        if self._waiting:
+            self._collect()
+        self._worker, self._stream.dropped = worker, dropped
+
+    def _add_aligned(self, block: Sequence[_Aligned]) -> Iterator[Iterator[Output]]:
+        """Take readings of the similar car by one clock; give the outputs of each, in order."""
         arrivals: list[_Arrival] = []
-        similar = [self._similarity.reading(reading) for reading in readings]
-        self._stream.look_ahead(similar)
+        self._stream.look_ahead(aligned.reading for aligned in block)
         learns, news = self._learner.learns, False
-        for reading in similar:
-            arrival = self._arrive(reading)
+        for aligned in block:
+            arrival = self._arrive(*aligned)
             arrivals.append(arrival)
             news = news or any(isinstance(event, learns) for event in arrival.events)
             # An update may begin or end now, and what follows is predicted with its result.
@@ -276,8 +350,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
                 arrivals, news = [], False
         yield from self._act(arrivals)
 
-    def _arrive(self, reading: Reading) -> _Arrival:
-        """Take a reading of the similar car into the stream."""
+    def _arrive(self, reading: Reading, measured_ns: int) -> _Arrival:
+        """Take a reading of the similar car into the stream; its own stamp is `measured_ns`."""
         events = self._stream.add_reading(reading)
         taken = self._stream.taken
         if taken:
@@ -286,9 +360,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         if isinstance(reading, BatteryReading) and taken and self._stuck.detected != BATTERY_STUCK:
             power = self._stream.measured_power(reading)
             sigma = sensor_sigma(power, reading.power_std)
-            measured = PowerEstimate(PowerKind.MEASURED, reading.stamp_ns, power, sigma)
+            measured = PowerEstimate(PowerKind.MEASURED, measured_ns, power, sigma)
         tick = self._clock if isinstance(reading, SpeedReading) and self._ticks() else None
-        return _Arrival(events, self._stuck, measured, tick)
+        return _Arrival(reading.stamp_ns, events, self._stuck, measured, tick)
 
     def _act(self, arrivals: list[_Arrival]) -> Iterator[Iterator[Output]]:
         """Predict and learn; give the outputs of each arrival."""
@@ -303,7 +377,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     def _outputs(self, arrival: _Arrival) -> Iterator[Output]:
         """Outputs of the similar car after one of its readings."""
         if (measured := arrival.measured) is not None and not math.isnan(measured.power):
-            self._learner.battery_measured(measured.stamp_ns)
+            self._learner.battery_measured(arrival.stamp_ns)
             yield measured
         for event in arrival.events:
             yield from self._handle(event, arrival.stuck)
@@ -316,7 +390,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def _parameters(self, clock: _Clock) -> ParameterSet:
         """Parameters of the similar car."""
-        parameters = self._learner.parameters()
+        parameters = replace(self._learner.parameters(), lag=self._alignment.lag)
+        if self._alignment.doubtful:
+            parameters = parameters.doubted()
         return parameters.stale() if clock.silent_for(STALE_AFTER_NS) else parameters
 
     def model(self) -> CarModel | None:
@@ -371,13 +447,16 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             seen=self._seen.counts(),
             band_coverage={kind.value: band.coverage for kind, band in self._bands.items()},
             stuck=self._stuck.detected,
+            lag=self._alignment.lag,
+            shift=self._alignment.shift_ns / NANOSECONDS,
         )
 
     def saved(self) -> SavedEstimator:
         """State to save."""
         bands = SavedBands(*(band.saved() for band in self._bands.values()))
         key, mode = self._vehicle.key, self._settings.mode.value
-        return SavedEstimator(STATE_VERSION, key, mode, self._learner.saved(), bands)
+        lag = self._alignment.saved
+        return SavedEstimator(STATE_VERSION, key, mode, self._learner.saved(), bands, lag)
 
     def take(self, saved: SavedEstimator) -> None:
         """Go on from a saved state; when that raises nothing is changed."""
@@ -385,7 +464,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         learner.gated = self._learner.gated
         learner.restore(saved.learner)
         self.handle_time_jump()
-        self._learner = learner
+        self._learner, self._alignment = learner, Alignment(saved.lag)
         self._bands[PowerKind.PREDICTED].take(saved.bands.predicted)
         self._bands[PowerKind.SMOOTHED].take(saved.bands.smoothed)
 
@@ -475,7 +554,10 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     @property
     def _clock(self) -> _Clock:
         stream = self._stream
-        return _Clock(stream.newest_ns, stream.battery_ns, stream.battery_gap_ns)
+        battery_ns = stream.battery_ns
+        if battery_ns is not None:
+            battery_ns -= self._alignment.shift_ns
+        return _Clock(stream.newest_ns, battery_ns, stream.battery_gap_ns)
 
     def _activity(self, clock: _Clock) -> Activity:
         if clock.newest_ns is None:

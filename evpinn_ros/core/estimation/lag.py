@@ -1,0 +1,368 @@
+"""Lag between the clocks of speed and battery, learned from a drive.
+
+The power of a block of driving is regressed on what eq. 21 makes of speed, shifted by each lag up
+to `MOST` steps; the share that this explains, the square of their normalised cross-correlation,
+is greatest at the lag (openpilot's `lagd` learns the lag of steering so). Blocks are pooled, so no
+parameter of the car is needed, and their scatter, by a jackknife, gives the 1-sigma.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    drawn_power,
+)
+
+STEP = 0.1  # s between lags, whose optimum a parabola refines, and of the grid of a block
+STEPS_A_READING = 20  # of a signal that is polled slowly, whose lag may be longer
+MOST = 50  # steps, the longest lag that is looked for
+BLOCK = 300  # steps of power in a block
+SMOOTH = 0.5  # s over which both are averaged alike, or one step between readings of a slow one
+TERMS = 4  # of speed: speeding up, slowing down, rolling, drag
+ACCELERATION = 0.3  # m/s^2, that counts as speeding up or slowing down
+DRIVEN = 0.1  # least share of such times in a block
+LEAST_BLOCKS = 5  # from which a lag is learned,
+LEAST_POLLED = 10  # and from which it is known where signals are slow
+BLOCKS_KEPT = 60
+SHIFTS = np.arange(-MOST, MOST + 1)
+SCALE = np.array([10.0, 10.0, 10.0, 1000.0])[:, None]  # of the terms, so that all are near 1
+GAP, GAP_STEPS = 2.5, 6.0  # s, and usual steps, across which readings are joined
+LONGEST = 60.0  # s, of a saved lag
+
+LEAST_READINGS = 6  # of a block
+KNOWN, KNOWN_SHARE = 0.1, 0.1  # s, and of `smooth`: 1-sigma of a lag that is known
+SIGMAS = 3.0  # that a lag is away from zero where it is applied
+# Of the time that both are averaged over, shortest lag that is applied: 0.2 s at 10 Hz. Recorded
+# cars whose lag is below have nothing to gain, and that of a polled log is not known better.
+LEAST_SHARE = 0.4
+LARGE = 0.5  # s, beyond which the lag is a fault to be mended, and parameters wait for it
+FURTHEST = -2.0, 5.0  # s: a battery that comes later than that is taken for a dropout
+SLEW = 0.005  # s of shift in a second of stamps: energies stay right to half a percent
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """Time by which speed is stamped later than the battery, and its 1-sigma, s.
+
+    `least` is the shortest lag that is applied, s: of a polled log it is longer.
+    """
+
+    seconds: Annotated[float, Range(-LONGEST, LONGEST)]
+    sigma: Annotated[float, Range(0.0, LONGEST)]
+    least: Annotated[float, Range(0.0, LONGEST)] = LEAST_SHARE * SMOOTH
+
+    @property
+    def matters(self) -> bool:
+        """True if it is long enough to be applied, and surely not zero."""
+        return abs(self.seconds) > max(self.least, SIGMAS * self.sigma)
+
+    @property
+    def large(self) -> bool:
+        """True if it surely is a fault that shall be mended where the stamps are made."""
+        return abs(self.seconds) > max(LARGE, self.least) + SIGMAS * self.sigma
+
+    def less(self, shift: float) -> Lag:
+        """What a shift, s, leaves of it."""
+        return replace(self, seconds=self.seconds - shift)
+
+
+class LagBlock(NamedTuple):
+    """Sums over a block at each of `SHIFTS`, about their means.
+
+    Terms by terms, shape (n, TERMS, TERMS), terms by power, (n, TERMS), and power by itself.
+    """
+
+    terms: np.ndarray
+    cross: np.ndarray
+    power: float
+
+
+def lag_block(
+    speed: np.ndarray, power: np.ndarray, start: float, step: float = STEP, smooth: float = SMOOTH
+) -> LagBlock | None:
+    """Sums of the block that begins at a moment, s; None where the car does not speed up or slow.
+
+    Args:
+        speed: rows of time, s, and speed, m/s, from `MOST` steps before it to as many after.
+        power: rows of time, s, and power, W, of the block.
+        start: begin of the block.
+        step: of its grid, s.
+        smooth: s, over which both are averaged alike.
+    """
+    edges = start + step * np.arange(-MOST, BLOCK + MOST + 1)
+    mean = _averaged(speed, edges, smooth)
+    if np.mean(np.abs(np.diff(mean)) > ACCELERATION * step) < DRIVEN:
+        return None
+    kinetic = np.diff(mean**2) / (2.0 * step)
+    middle = (mean[1:] + mean[:-1]) / 2.0
+    terms = np.stack((np.maximum(kinetic, 0.0), np.minimum(kinetic, 0.0), middle, middle**3))
+    drawn = _averaged(power, start + step * (np.arange(BLOCK) + 0.5), smooth + step)
+    drawn = drawn - drawn.mean()
+    shifted = np.lib.stride_tricks.sliding_window_view(terms / SCALE, BLOCK, axis=1)
+    shifted = shifted.transpose(1, 0, 2)
+    shifted = shifted - shifted.mean(axis=2, keepdims=True)
+    return LagBlock(shifted @ shifted.transpose(0, 2, 1), shifted @ drawn, float(drawn @ drawn))
+
+
+def lag_of(blocks: Sequence[LagBlock], step: float = STEP) -> Lag | None:
+    """The lag that blocks of a grid show together; None while they are few or show none."""
+    count = len(blocks)
+    if count < LEAST_BLOCKS:
+        return None
+    parts = [np.array(column) for column in zip(*blocks, strict=True)]
+    whole = [part.sum(axis=0) for part in parts]
+    (best,) = _optima(*(total[None] for total in whole))
+    without = _optima(*(total - part for total, part in zip(whole, parts, strict=True)))
+    sigma = step * math.sqrt((count - 1) * float(np.var(without)))
+    if not math.isfinite(best + sigma):
+        return None
+    return Lag(step * float(best), min(sigma, LONGEST))
+
+
+def _optima(terms: np.ndarray, cross: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """Shifts at the greatest explained share of m sums; NaN where it is at the end of `SHIFTS`."""
+    ridge = 1e-6 * np.trace(terms, axis1=2, axis2=3)[..., None, None] * np.eye(TERMS)
+    fitted = np.linalg.solve(terms + ridge, cross[..., None])[..., 0]
+    explained = (fitted * cross).sum(axis=2) / np.maximum(power, 1e-9)[:, None]
+    best = explained.argmax(axis=1)
+    place = np.clip(best, 1, len(SHIFTS) - 2)
+    before, at, after = (explained[np.arange(len(place)), place + side] for side in (-1, 0, 1))
+    curved = before - 2.0 * at + after
+    offset = np.divide(before - after, 2.0 * curved, out=np.zeros_like(at), where=curved < 0.0)
+    return np.where(best == place, SHIFTS[place] + offset, np.nan)
+
+
+def _averaged(signal: np.ndarray, moments: np.ndarray, width: float) -> np.ndarray:
+    """Means of a signal, linear between its rows, over a width, s, around moments."""
+    time, value = signal.T
+    integral = np.append(0.0, np.cumsum(np.diff(time) * (value[1:] + value[:-1]) / 2.0))
+    after, before = (
+        np.interp(moments + side * width / 2.0, time, integral) for side in (1.0, -1.0)
+    )
+    return np.asarray((after - before) / width)
+
+
+class _Signal:
+    """The latest readings of a signal: s since a moment, and values."""
+
+    def __init__(self) -> None:
+        self.time: list[float] = []
+        self.values: list[float] = []
+
+    def add(self, seconds: float, value: float) -> None:
+        """Take a reading, unless it is NaN."""
+        if not math.isnan(value):
+            self.time.append(seconds)
+            self.values.append(value)
+
+    def forget(self, before: float) -> None:
+        """Forget all readings before a moment but the last."""
+        last = max(0, int(np.searchsorted(self.time, before)) - 1)
+        del self.time[:last], self.values[:last]
+
+    @property
+    def period(self) -> float:
+        """Usual step, s; NaN of few readings."""
+        few = len(self.time) < LEAST_READINGS
+        return math.nan if few else float(np.median(np.diff(np.unique(self.time))))
+
+    def rows(self, begin: float, end: float) -> np.ndarray | None:
+        """Rows of time and value around a span; None where there is a gap."""
+        time, order = np.unique(self.time, return_index=True)
+        first = np.searchsorted(time, begin, side="right") - 1
+        last = np.searchsorted(time, end) + 1
+        if first < 0 or last > len(time):
+            return None
+        if np.diff(time[first:last]).max() > max(GAP, GAP_STEPS * self.period):
+            return None
+        return np.column_stack((time, np.array(self.values)[order]))[first:last]
+
+
+class LagLearner:
+    """Lag of speed to battery, from readings of a drive in the order they come.
+
+    Attributes:
+        lag: as it is now, None before the first.
+    """
+
+    def __init__(self) -> None:
+        """Start without a lag."""
+        self.lag: Lag | None = None
+        self._step, self._smooth = STEP, SMOOTH
+        self._blocks: deque[LagBlock] = deque(maxlen=BLOCKS_KEPT)
+        self.begin_stretch()
+
+    def begin_stretch(self) -> None:
+        """Join nothing to the readings before; what was learned is kept."""
+        self._speed, self._voltage, self._current = _Signal(), _Signal(), _Signal()
+        self._zero_ns: int | None = None
+        self._start = 0.0  # s, from which the next block needs speed
+        self._due = 0.0  # s, when it is complete
+
+    @property
+    def gap(self) -> float:
+        """Seconds without the battery that are a dropout."""
+        return max(GAP, GAP_STEPS * self._smooth)
+
+    @property
+    def known(self) -> bool:
+        """True if the lag is known well enough to rely on."""
+        if self.lag is None or (self._smooth > SMOOTH and len(self._blocks) < LEAST_POLLED):
+            return False
+        return self.lag.sigma <= max(KNOWN, KNOWN_SHARE * self._smooth)
+
+    def add_reading(self, reading: Reading) -> None:
+        """Take a reading, with which a block may be complete."""
+        if isinstance(reading, BatteryReading) and self._zero_ns is not None:
+            seconds = (reading.stamp_ns - self._zero_ns) / NANOSECONDS
+            if seconds < self._due + LONGEST:  # else the car is parked
+                self._voltage.add(seconds, reading.voltage)
+                self._current.add(seconds, reading.current)
+        elif isinstance(reading, SpeedReading):
+            self._add_speed(reading)
+
+    def _add_speed(self, reading: SpeedReading) -> None:
+        if self._zero_ns is not None and self._seconds(reading) > self._due + LONGEST:
+            self.begin_stretch()
+        if self._zero_ns is None:
+            self._zero_ns = reading.stamp_ns
+            self._begin_block(0.0)
+        seconds = self._seconds(reading)
+        self._speed.add(seconds, reading.speed)
+        if seconds >= self._due:
+            self._end_block()
+
+    def _seconds(self, reading: Reading) -> float:
+        return (reading.stamp_ns - (self._zero_ns or 0)) / NANOSECONDS
+
+    def _begin_block(self, start: float) -> None:
+        self._start = start
+        reach = MOST * self._step + self._smooth
+        self._due = start + BLOCK * self._step + 2.0 * reach + GAP
+        for signal in (self._speed, self._voltage, self._current):
+            signal.forget(start)
+
+    def _end_block(self) -> None:
+        period = max(self._speed.period, self._current.period)
+        smooth = max(SMOOTH, period)
+        if math.isfinite(period) and not 0.5 < smooth / self._smooth < 2.0:
+            # Signals of another rate, as those of a polled log are known to be now.
+            self._smooth, self._step = smooth, max(STEP, round(period / STEPS_A_READING, 2))
+            self.lag = None
+            self._blocks.clear()
+            self._begin_block(self._start)
+            return
+        block = self._block() if math.isfinite(period) else None
+        self._begin_block(self._start + BLOCK * self._step)
+        if block is not None:
+            self._blocks.append(block)
+            lag = lag_of(self._blocks, self._step)
+            if lag is not None:
+                self.lag = replace(lag, least=LEAST_SHARE * self._smooth)
+
+    def _block(self) -> LagBlock | None:
+        """The block that is complete; None where it has gaps or tells nothing."""
+        smooth, length = self._smooth, BLOCK * self._step
+        start = self._start + MOST * self._step + smooth
+        end = start + length
+        speed = self._speed.rows(self._start, end + start - self._start)
+        current = self._current.rows(start - smooth, end + smooth)
+        voltage = self._voltage.rows(start - smooth, end + smooth)
+        if speed is None or current is None or voltage is None:
+            return None
+        volts = np.interp(current[:, 0], voltage[:, 0], voltage[:, 1])
+        power = np.column_stack((current[:, 0], drawn_power(volts, current[:, 1])))
+        return lag_block(speed, power, start, self._step, smooth)
+
+
+class Alignment:
+    """Shift of the battery's stamps to the clock of speed, by the lag that is learned.
+
+    It moves slowly, and never within a dropout. Only when the lag of a drive is first known, and
+    the shift is far from it, it jumps; then the drive so far shall be learned anew.
+
+    Attributes:
+        shift_ns: added to the stamps of the battery.
+    """
+
+    def __init__(self, saved: Lag | None = None) -> None:
+        """Start with the lag that earlier drives showed."""
+        self._learner, self._saved = LagLearner(), saved
+        self._battery_ns: int | None = None
+        self._settled = False
+        self.shift_ns = int(self._target * NANOSECONDS)
+
+    def begin_stretch(self) -> None:
+        """Join nothing to the readings before; what was learned is kept."""
+        self._learner.begin_stretch()
+        self._battery_ns = None
+
+    def next_drive(self) -> Alignment:
+        """The alignment of another drive, perhaps recorded by another logger."""
+        return Alignment(self.saved)
+
+    @property
+    def saved(self) -> Lag | None:
+        """The lag that is known, of this drive or of one before."""
+        return self._learner.lag if self._learner.known else self._saved
+
+    @property
+    def lag(self) -> Lag | None:
+        """The lag as far as it is known."""
+        return self.saved or self._learner.lag
+
+    @property
+    def doubtful(self) -> bool:
+        """True if the lag is surely large, and not taken out."""
+        lag = self._learner.lag or self._saved
+        return lag is not None and lag.less(self.shift_ns / NANOSECONDS).large
+
+    @property
+    def _target(self) -> float:
+        """Shift that is right by what is known, s."""
+        lag = self.saved
+        if lag is None or not lag.matters:
+            return 0.0
+        return min(max(lag.seconds, FURTHEST[0]), FURTHEST[1])
+
+    def add_reading(self, reading: Reading) -> bool:
+        """Take a reading; True if the shift jumped, and what was before shall be learned anew."""
+        self._learner.add_reading(reading)
+        if isinstance(reading, BatteryReading):
+            before_ns, self._battery_ns = self._battery_ns, reading.stamp_ns
+            passed = (reading.stamp_ns - (before_ns or 0)) / NANOSECONDS
+            if 0.0 < passed <= self._learner.gap:
+                return self._move(passed)
+        return False
+
+    def _move(self, passed: float) -> bool:
+        """Let the shift follow the lag for some seconds; True if it jumped."""
+        away = self._target - self.shift_ns / NANOSECONDS
+        first, self._settled = not self._settled, self._settled or self._learner.known
+        jumps = first and self._settled and abs(away) > LEAST_SHARE * SMOOTH
+        step = away if jumps else min(max(away, -SLEW * passed), SLEW * passed)
+        self.shift_ns += round(step * NANOSECONDS)
+        return jumps
+
+    @property
+    def settled(self) -> bool:
+        """True once the lag of this drive is known: nothing will be learned anew."""
+        return self._settled
+
+    def aligned(self, reading: Reading) -> Reading:
+        """A reading by the clock of speed."""
+        if not self.shift_ns or not isinstance(reading, BatteryReading):
+            return reading
+        return replace(reading, stamp_ns=reading.stamp_ns + self.shift_ns)
