@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 import re
 from typing import NamedTuple
@@ -35,35 +36,22 @@ def is_missing(cell: str) -> bool:
     return cell.strip().lower() in MISSING
 
 
-def style_of(cells: Iterable[str], fallback: Style | None = None) -> Style | None:
-    """The style that the cells of a column show; `fallback` where none is certain.
+def style_of(cells: Iterable[str]) -> Style | None:
+    """The style that the cells of a column show; None where none is certain.
 
-    `12,5` shows a decimal comma and `1,234,567` one between thousands. `12,345` beside `950` is
-    twelve thousand: a column of three decimals would have them in every cell.
+    `12,5` shows a decimal comma and `1,234,567` one between thousands; `12,345` shows neither.
     """
-    votes = {POINT: 0, COMMA: 0}
-    grouped: set[str] = set()
-    plain = 0
-    for raw in cells:
-        cell = raw.strip()
-        if "," not in cell and "." not in cell:
-            plain += cell.lstrip("+-").isdigit()
-            continue
-        certain = _certain(cell)
-        if certain is not None:
-            votes[certain] += 1
-        elif match := _GROUPS.fullmatch(cell):
-            grouped.add(match[1])
-    if votes[POINT] != votes[COMMA]:
-        return max(votes, key=lambda style: votes[style])
-    if fallback is None and plain and grouped == {","}:
-        return POINT
-    return fallback
+    votes = Counter(filter(None, map(_certain, map(str.strip, cells))))
+    if votes[POINT] == votes[COMMA]:
+        return None
+    return max(votes, key=lambda style: votes[style])
 
 
 def _certain(cell: str) -> Style | None:
     """The style of a cell that can be read in one way alone."""
     point, comma = cell.rfind("."), cell.rfind(",")
+    if point < 0 and comma < 0:
+        return None
     if point >= 0 and comma >= 0:
         return POINT if point > comma else COMMA
     sign = "." if point >= 0 else ","

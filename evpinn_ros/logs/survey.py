@@ -179,10 +179,7 @@ class Survey:
         styles = {place: style_of(cells) for place, cells in self.cells.items()}
         given = Counter(style for style in styles.values() if style is not None)
         common = given.most_common(1)[0][0] if given else POINT
-        return {
-            place: style or style_of(self.cells[place], common) or common
-            for place, style in styles.items()
-        }
+        return {place: style or common for place, style in styles.items()}
 
     @property
     def is_wider(self) -> bool:

@@ -76,6 +76,18 @@ def second_header():
     return "\n".join([*lines[:450], turned[0], *turned[450:]])
 
 
+def three_decimals_and_a_torn_row():
+    """A cell that the tear left whole is none of thousands: the commas of others are decimal."""
+    lines = table(
+        PLAIN,
+        DRIVE,
+        lambda t, v, u, i, *_: f"{date(t)};{3.6 * v:.3f};{u:.3f};{i:.3f}".replace(".", ","),
+    ).splitlines()
+    lines[0] = PLAIN.replace(",", ";")
+    lines[300] = ";".join([*lines[300].split(";")[:2], "360"])
+    return "\n".join(lines)
+
+
 def dst(first: str, hours: int, at: int = 480) -> str:
     """The clock of a local time that is set by so many hours on a minute of the drive."""
     lines = table(PLAIN, DRIVE, plain).splitlines()
@@ -106,6 +118,7 @@ RIGHT: dict[str, tuple[Callable[[], str], str]] = {
         "'speed' is assumed to be in mph, and could be in km/h",
     ),
     "stamps of a minute": (lambda: written(*STAMPS_OF_A_MINUTE), "stamps are 60 s apart"),
+    "three decimals and a torn row": (three_decimals_and_a_torn_row, ""),
     "autumn": (lambda: dst("2024-10-27 02", -1), ""),
     "spring": (lambda: dst("2024-03-31 01", 1), ""),
     "LeafSpy without Speed2": (lambda: written(*LEAFSPY), ""),
