@@ -250,6 +250,8 @@ def joined_cells(cells: Sequence[Sequence[str]]) -> pl.Series:
 def parsed_times(text: pl.Series, formats: str) -> NDArray[np.int64]:
     """Times of cells by one format, ns since 1970 or midnight; `NONE` where it does not fit."""
     if not DAY_OF_FORMAT.search(formats):
+        if formats.startswith("%M"):
+            text, formats = "0:" + text, f"%H:{formats}"
         parsed = text.str.to_time(formats, strict=False).to_physical()
     elif not CLOCK_OF_FORMAT.search(formats):
         days = text.str.to_date(formats, strict=False).to_physical().cast(pl.Int64)

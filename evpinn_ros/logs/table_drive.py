@@ -195,8 +195,15 @@ class TableDrive(Source):
         if self._held:
             names = " and ".join(sorted(self._held))
             notes.append(f"{names}: cells that repeat the last value are not used")
-        if self.clock.spread is not None:
-            every = self.clock.spread.resolution_ns / NANOSECONDS
+        as_written, spread = self.clock.as_written, self.clock.spread
+        if self.clock.formats == "%H:%M" and not as_written and spread is None:
+            name = self._head.names[self.clock.columns[0]]
+            notes.append(
+                f"time: {name!r} is assumed to be hours and minutes, and could be minutes and "
+                f"seconds; --column 'time={name}:%M:%S'"
+            )
+        if spread is not None:
+            every = spread.resolution_ns / NANOSECONDS
             notes.append(f"time: stamps are {every:g} s apart; rows are spread evenly within them")
         notes += [f"{name} is {why}, so it is not used" for name, why in self._silent.items()]
         if self._at_nominal_voltage:

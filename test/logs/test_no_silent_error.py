@@ -136,6 +136,17 @@ def test_way_and_energy_are_right(tmp_path, case):
     assert note in " ".join(source.notes) and not (note == "" and "assumed to be" in note)
 
 
+def test_minutes_and_seconds_can_be_given_where_hours_and_minutes_are_assumed(tmp_path):
+    text = table(
+        PLAIN, DRIVE, lambda t, *v: plain(t, *v).replace(date(t), date(t)[14:].lstrip("0"))
+    )
+    notes = " ".join(opened(tmp_path, text).notes)
+    assert "--column 'time=time:%M:%S'" in notes
+    source = opened(tmp_path, text, columns=["time=time:%M:%S"])
+    assert measured(source)[0] == pytest.approx(DRIVE.distance, rel=0.01)
+    assert "assumed" not in " ".join(source.notes)
+
+
 def test_a_light_vehicle_in_metres_a_second_and_minutes(tmp_path):
     source = opened(tmp_path, written(*MINUTES, LIGHT))
     distance, energy = measured(source)
