@@ -12,15 +12,13 @@ from evpinn_ros.bags.names import is_bag
 from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.progress import reported
-from evpinn_ros.core.vehicle.files import load_vehicle, vehicle_names
+from evpinn_ros.core.vehicle.files import GENERIC, load_vehicle, vehicle_names
 from evpinn_ros.logs.column import Column
 from evpinn_ros.logs.data_coverage import DataCoverage, ReadingFlow, data_coverage
 from evpinn_ros.logs.formats import is_drive_table, suffix_of, unknown_kind
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.sources import open_source
-
-GENERIC = "generic"
 
 Bar = Callable[[float | None], AbstractContextManager[Callable[[float], None] | None]]
 

@@ -11,14 +11,13 @@ import math
 
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.core.vehicle.certified import certified_cars
-from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.files import GENERIC, Vehicle, load_vehicle
 from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.core.vehicle.rated import rated_cars
 from evpinn_ros.replays.driven import charged, measured_steps
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import WARM_UP
 
-GENERIC = "generic"
 DOUBTFUL = 3.0  # sigmas from what the vehicle file expects
 LEAST_DISCHARGE = 0.1  # of the battery, from here on its size shows
 LEAST_MEASURED = 0.95  # of the drive with battery measured, that the energy is of
@@ -40,6 +39,19 @@ def vehicle_doubt(vehicle: Vehicle, drive: Drive) -> str | None:
     rivals = ", ".join(_rivals(drive))
     advice = f"--vehicle {GENERIC}{rivals and f', or one of {rivals}'}"
     return f"This log does not look like a {vehicle.name}: {' and '.join(reasons)}. Try {advice}."
+
+
+def size_note(vehicle: Vehicle, drive: Drive) -> str | None:
+    """Sentence on the size that a drive was learned as; None where it is that of the file."""
+    learned_as = vehicle if drive.model is None else drive.model.equation.vehicle
+    if learned_as.relative_size == vehicle.relative_size:
+        return None
+    mass = float(f"{learned_as.initial.mass:.2g}")
+    return (
+        f"Learned as a vehicle of about {mass:.0f} kg, from wide priors of that size: its energy, "
+        "accelerations and voltage are not those of a passenger car, and no vehicle was given "
+        "(--vehicle)."
+    )
 
 
 def _mass_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:

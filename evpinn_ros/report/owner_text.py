@@ -15,7 +15,7 @@ from evpinn_ros.core.signals.road import HEATED_BELOW
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.driven import Counted, counted, without_lone
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.vehicle_fit import vehicle_doubt
+from evpinn_ros.replays.vehicle_fit import size_note, vehicle_doubt
 from evpinn_ros.report.breakdown_text import (
     CONTRADICTED,
     SHORT,
@@ -84,6 +84,7 @@ def part_text(seconds: float, whole: float) -> str:
 def owner_notes(vehicle: Vehicle, drive: Drive, metrics: Mapping[str, Any]) -> list[str]:
     """Sentences on what to doubt in a drive and its metrics."""
     notes = (
+        size_note(vehicle, drive),
         vehicle_doubt(vehicle, drive),
         sparse_note(drive),
         heating_note(drive, metrics["breakdown"]),

@@ -1,7 +1,7 @@
 """The car that predicts power, as a message: `estimate/model`.
 
 It holds the fields of `CarModel` as they are declared; a new one needs no line here. In place of
-the equation stands the seed of its network: the rest is in the vehicle file.
+the equation stand the seed of its network and the size: the rest is in the vehicle file.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from evpinn_ros.common.saved_fields import declared
 from evpinn_ros.core.energy.plausible import car_is_possible
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.terms import equation_of
-from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.files import CONSTANTS, Vehicle
 from evpinn_ros.topics.messages import BadMessage, NewMessage, finite
 
 MODEL_VERSION = 4  # of what `estimate/model` holds
 MOST_NUMBERS = 100_000  # of a model: twenty times what an estimator sends
 MOST_SEED = 2**53  # a seed is a number of the message
-SEED = "seed"
+SEED, RELATIVE_SIZE = "seed", "relative_size"
 
 
 def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
@@ -32,7 +32,8 @@ def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
     Its first dimension is labelled `vehicle/version` and spans all; one more for each field names
     it and tells its size, which is 0 where it is None.
     """
-    parts = {SEED: np.array([float(car.equation.seed)])} | _parts(car)
+    equation = {SEED: car.equation.seed, RELATIVE_SIZE: car.equation.vehicle.relative_size}
+    parts = {name: np.array([float(value)]) for name, value in equation.items()} | _parts(car)
     data = [finite(number) for number in np.concatenate(list(parts.values())).tolist()]
     sizes = {f"{vehicle}/{MODEL_VERSION}": len(data)}
     sizes |= {name: part.size for name, part in parts.items()}
@@ -66,6 +67,10 @@ def read_model(message: Any, vehicle: Vehicle) -> CarModel:
     seed = float(_number(parts.get(SEED, data)))
     if not 0.0 <= seed <= MOST_SEED or not math.isclose(seed, int(seed)):
         raise BadMessage("out_of_range")
+    size = float(_number(parts.get(RELATIVE_SIZE, np.array([vehicle.relative_size]))))
+    if not CONSTANTS[RELATIVE_SIZE].lower <= size <= CONSTANTS[RELATIVE_SIZE].upper:
+        raise BadMessage("out_of_range")
+    vehicle = vehicle.of_size(size)
     car: CarModel = _value(CarModel, parts, "", equation=equation_of(vehicle, int(seed)))
     if not car_is_possible(car):
         raise BadMessage("out_of_range")

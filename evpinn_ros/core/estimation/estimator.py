@@ -10,14 +10,15 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
-from evpinn_ros.common.saved_fields import Saveable
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.estimation.breakdown import Breakdown, Breakdowns, EndedDrive
 from evpinn_ros.core.estimation.calibration import BandCalibration, SavedBands
 from evpinn_ros.core.estimation.car_model import CarModel
@@ -33,6 +34,7 @@ from evpinn_ros.core.estimation.learner import (
 )
 from evpinn_ros.core.estimation.operating_range import OperatingRange
 from evpinn_ros.core.estimation.size import Similarity
+from evpinn_ros.core.estimation.sizing import Sizing
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.detector import BATTERY_STUCK
 from evpinn_ros.core.signals.interval import Interval
@@ -46,7 +48,7 @@ from evpinn_ros.core.signals.readings import (
 from evpinn_ros.core.signals.sample import MeasuredSample, Sample, StreamEvent
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.stuck import StuckDetector
-from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.files import CONSTANTS, GENERIC, Vehicle
 from evpinn_ros.core.vehicle.physics import RegenForm
 
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
@@ -158,7 +160,7 @@ class EstimatorStatus:
 
 @dataclass(frozen=True, slots=True)
 class SavedEstimator:
-    """State of a car: that of the learner of its mode, the bands, and the lag of its speed."""
+    """State of a car: that of its learner, the bands, its lag, its size where it was learned."""
 
     SAME = ("version", "vehicle", "mode")
 
@@ -168,6 +170,7 @@ class SavedEstimator:
     learner: Any
     bands: SavedBands
     lag: Lag | None = None
+    size: Annotated[float, Range(*CONSTANTS["relative_size"][:2])] | None = None
 
 
 class _Clock(NamedTuple):
@@ -219,8 +222,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self, vehicle: Vehicle, settings: EstimatorSettings, worker: InlineWorker
     ) -> None:
         """Start from the vehicle's priors; the worker computes the updates."""
-        self._vehicle, self._settings, self._worker = vehicle, settings, worker
-        self._similarity = Similarity(vehicle)
+        self._file, self._settings, self._worker = vehicle, settings, worker
         self._accepted = 0
         self._updates = 0
         self._rejected: Counter[str] = Counter()
@@ -229,7 +231,19 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def reset(self) -> None:
         """Forget all that was learned; counters are kept."""
+        sizes = self._file.key == GENERIC and self._settings.mode is Mode.HYBRID
+        self._sizing = Sizing() if sizes else None
+        self._be(self._file)
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """What it is learned as: the vehicle file, or a vehicle of another size."""
+        return self._vehicle
+
+    def _be(self, vehicle: Vehicle) -> None:
+        """Know this vehicle alone."""
         self._worker.cancel()
+        self._vehicle, self._similarity = vehicle, Similarity(vehicle)
         self._learner = self._settings.new_learner(self._similarity.car)
         self._stream = SampleStream(
             self._settings.stream, self._vehicle.air_density, self._vehicle.motor_ratio
@@ -245,10 +259,12 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._stream.reset()
         self._learner.forget_window()
         self._alignment.begin_stretch()
+        self._sizing = None  # the rest of the drive was learned as the vehicle that it is now
         self._begin_time()
 
     def finish(self) -> ParameterSet:
         """Learn what waits for more of a drive that is over; gives the parameters then."""
+        self._find_size()
         for interval in self._stream.finish():
             deque(self._handle(interval, self._stuck), maxlen=0)
         deque(self._tick(self._clock), maxlen=0)  # takes the update before and begins the last
@@ -292,6 +308,33 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         How readings are cut into blocks changes no output. What was learned, at any moment, is
         what the output given last rests on.
         """
+        block: list[Reading] = []
+        for reading in readings:
+            if self._sizing is not None and self._sizing.is_due(reading):
+                yield from self._add(block)
+                block = []
+                self._find_size()
+            block.append(reading)
+        yield from self._add(block)
+
+    def _find_size(self) -> None:
+        """Learn this drive anew once its vehicle is seen to be of another size than the file's."""
+        if self._sizing is None:
+            return
+        size, readings = self._sizing.look(), self._sizing.readings
+        if self._sizing.over:
+            self._sizing = None
+        if size is not None:
+            self._be(self._file.of_size(size.value))
+            self._updates = self._accepted = 0
+            self._rejected.clear()
+            with self._updates_at_once():
+                deque(self._add(readings), maxlen=0)
+
+    def _add(self, readings: Sequence[Reading]) -> Iterator[Iterator[Output]]:
+        """Take readings of a vehicle whose size is not looked for among them."""
+        if self._sizing is not None and self.enabled:
+            self._sizing.readings += readings
         block: list[_Aligned] = []
         for reading in map(self._similarity.reading, readings):
             if self._align(reading):
@@ -322,18 +365,26 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         if before is None:
             return
         self._worker.cancel()
-        worker, self._worker = self._worker, InlineWorker(lambda: 0.0)
         dropped, self._stream.dropped = self._stream.dropped, Counter()
         self._stream.reset()
         self._learner, self._bands, self._seen = before
         self._begin_time()
         self._recent = None
         block = [_Aligned(self._alignment.aligned(r), r.stamp_ns) for r in recent]
-        for outputs in self._add_aligned(block):
-            deque(outputs, maxlen=0)
-        if self._waiting:
-            self._collect()
-        self._worker, self._stream.dropped = worker, dropped
+        with self._updates_at_once():
+            deque(self._add_aligned(block), maxlen=0)
+        self._stream.dropped = dropped
+
+    @contextmanager
+    def _updates_at_once(self) -> Iterator[None]:
+        """Compute each update when it is asked for: what is learned anew is not live."""
+        worker, self._worker = self._worker, InlineWorker(lambda: 0.0)
+        try:
+            yield
+            if self._waiting:
+                self._collect()
+        finally:
+            self._worker = worker
 
     def _add_aligned(self, block: Sequence[_Aligned]) -> Iterator[Iterator[Output]]:
         """Take readings of the similar car by one clock; give the outputs of each, in order."""
@@ -456,15 +507,18 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         bands = SavedBands(*(band.saved() for band in self._bands.values()))
         key, mode = self._vehicle.key, self._settings.mode.value
         lag = self._alignment.saved
-        return SavedEstimator(STATE_VERSION, key, mode, self._learner.saved(), bands, lag)
+        size = None if self._vehicle is self._file else self._vehicle.relative_size
+        return SavedEstimator(STATE_VERSION, key, mode, self._learner.saved(), bands, lag, size)
 
     def take(self, saved: SavedEstimator) -> None:
         """Go on from a saved state; when that raises nothing is changed."""
-        learner = self._settings.new_learner(self._similarity.car)
+        vehicle = self._file if saved.size is None else self._file.of_size(saved.size)
+        learner = self._settings.new_learner(Similarity(vehicle).car)
         learner.gated = self._learner.gated
         learner.restore(saved.learner)
         self.handle_time_jump()
         self._learner, self._alignment = learner, Alignment(saved.lag)
+        self._vehicle, self._similarity = vehicle, Similarity(vehicle)
         self._bands[PowerKind.PREDICTED].take(saved.bands.predicted)
         self._bands[PowerKind.SMOOTHED].take(saved.bands.smoothed)
 

@@ -26,6 +26,8 @@ from evpinn_ros.core.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits, 
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.core.vehicle.rated import rated_cars
 
+GENERIC = "generic"  # a passenger car of which no more is known; its size is learned
+
 
 class Constant(NamedTuple):
     """A quantity of the vehicle file that is not learned."""
@@ -56,6 +58,15 @@ OPTIONAL_CONSTANTS = {
 EXTENSIVE = ("mass", "p_aux")  # parameters that go with the size of a vehicle
 LEAST_EIGENVALUE = 1e-3  # of correlations: with less, one is certain by the others
 FEW, LIKENESS = 8, 0.6  # names that an error lists, and how like they must be
+# Value and 1-sigma of what does not go with size, of vehicles smaller and larger than a car: small
+# drives lose more and brake less by the motor; tyres and bodies are of all kinds. What has neither
+# cabin nor heating draws what a computer or some lights do; in a truck or bus loads are larger.
+SMALL = {"eta": (0.78, 0.12), "mu": (0.5, 0.3), "c_rr": (0.012, 0.007), "c_d": (0.5, 0.25),
+         "p_aux": (50.0, 60.0)}  # fmt: skip
+LARGE = {"eta": (0.86, 0.08), "mu": (0.7, 0.2), "c_rr": (0.0075, 0.003), "c_d": (0.6, 0.2),
+         "p_aux": (2000.0, 2000.0)}  # fmt: skip
+MASS_SHARE = 0.4  # 1-sigma of the mass of a vehicle whose size was learned
+AREA_POWER = 2.0 / 3.0  # areas grow with the square of a length, masses with its cube
 SLOWEST_TRAFFIC = 2.0  # m/s, of cars on roads; what drives slower is a robot, on floors and paths
 LEAST_FACTOR = 1e-3  # all but p_aux is learned as a logarithm, which zero has not
 
@@ -135,6 +146,28 @@ class Vehicle:
             battery_capacity=self.battery_capacity / self.relative_size,
             priors=self._similar(self.priors),
             paper_start=self._similar(self.paper_start),
+        )
+
+    def of_size(self, size: float) -> Vehicle:
+        """A vehicle of which the size is known alone, in place of this passenger car.
+
+        Its priors are wide: it may be a robot, a three-wheeler, a truck or a bus.
+        """
+        if size == self.relative_size:
+            return self
+        source = f"any vehicle of {100 * size:.3g} % of a passenger car"
+        priors = {
+            name: Prior(*values, source) for name, values in (SMALL if size < 1 else LARGE).items()
+        }
+        mass = size * self.priors["mass"].value
+        priors["mass"] = Prior(mass, MASS_SHARE * mass, source)
+        return replace(
+            self,
+            relative_size=size,
+            frontal_area=size**AREA_POWER * self.frontal_area,
+            priors={name: priors[name] for name in PARAMETER_NAMES},
+            correlations={},
+            paper_start={},
         )
 
     def _similar(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
@@ -261,7 +294,7 @@ def _some(names: Sequence[str]) -> str:
 
 @cache
 def _generic() -> Vehicle:
-    return _parse(_file("generic"))
+    return _parse(_file(GENERIC))
 
 
 def _rated(key: str) -> Vehicle:

@@ -1,0 +1,238 @@
+"""The size of a vehicle of which no file tells it, by its first minutes of motion.
+
+`generic` is a passenger car of two tonnes. Battery energy of intervals of ten seconds is linear in
+kinetic energy gained and lost, distance, the cube of the speed and time, and each coefficient goes
+with the size of the vehicle (`estimation.size`). So a Gaussian prior of the coefficients of a
+vehicle of each size has a likelihood, as has that of the passenger car. Only where the data are
+beyond what that car with its sigmas allows, a vehicle of another size takes its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    drawn_power,
+)
+from evpinn_ros.core.vehicle.files import AREA_POWER
+from evpinn_ros.core.vehicle.physics import GRAVITY, STANDSTILL_SPEED
+
+CAR_MASS = 2040.0  # kg, of `generic`, whose size is 1
+MASSES = (20.0, 20_000.0)  # kg, of what has wheels and a battery
+SIZES = np.geomspace(MASSES[0] / CAR_MASS, MASSES[1] / CAR_MASS, 139)  # 5 % apart
+INTERVAL = 10  # s
+LONGEST_GAP = 6.0  # s between readings
+LONGEST_DRIVE = 100_000  # s, beyond which stamps are wrong
+LEAST_INTERVALS = 18
+CAR_INTERVALS = 36  # after which a passenger car is believed to be one
+MOST_INTERVALS, MOST_READINGS = 180, 300_000  # after which nothing more is asked
+FIRST_LOOK_NS, LATER_LOOK = 240 * NANOSECONDS, 1.2  # into a drive; the next over that
+LIKELY = math.log(1e3)  # odds of another size, from which on it is taken
+# From the car. Nearer ones (vans, city cars, three-wheelers of 800 kg) are within reach of its
+# priors: carried drives of such a three-wheeler gained nothing by another size.
+FAR = math.log(3.0)
+SURE = 0.36  # 1-sigma of the logarithm
+ALIKE = 4.0  # neighbouring intervals of which one counts: their errors are alike
+NOISE_FLOOR = 0.05  # of the root mean square energy of an interval
+# Terms: kinetic energy gained, lost, weight times distance, drag, time. Of a car of two tonnes,
+# priors of `generic` with eta 0.88; the second is energy given back.
+CAR = np.array([2318.0, -1400.0, 18.0, 0.90, 500.0])
+CAR_SHARE = np.array([0.28, 0.5, 0.4, 0.35, 6.0])  # 3 kW of heating, say
+ANY_SHARE = np.array([0.4, 1.0, 0.8, 0.8, 1.5])  # of robots, three-wheelers, trucks and buses
+DRAG = 3
+VOLTAGE, VOLTAGE_POWER, VOLTAGE_STD, CAR_VOLTAGE_STD = 360.0, 0.5, 0.6, 0.3  # std of logarithms
+
+
+class Size(NamedTuple):
+    """Size of a vehicle over that of a passenger car.
+
+    Attributes:
+        value: mass over `CAR_MASS`.
+        std: 1-sigma of its logarithm.
+        log_odds: against a passenger car of unknown mass.
+    """
+
+    value: float
+    std: float
+    log_odds: float
+
+    @property
+    def is_another(self) -> bool:
+        """True if no passenger car is of this size."""
+        far = abs(math.log(self.value)) > FAR
+        return far and self.log_odds > LIKELY and self.std < SURE
+
+
+class Intervals(NamedTuple):
+    """Intervals of a drive.
+
+    Attributes:
+        rows: terms, shape (n, 5).
+        energy: of the battery, J, shape (n,).
+        volts: median voltage, NaN without.
+    """
+
+    rows: np.ndarray
+    energy: np.ndarray
+    volts: float
+
+
+class Sizing:
+    """Looks for the size of a vehicle during its first drive.
+
+    Attributes:
+        readings: of the drive so far.
+        over: True once nothing more is asked.
+    """
+
+    def __init__(self) -> None:
+        self.readings: list[Reading] = []
+        self.over = False
+        self._begin_ns: int | None = None
+        self._look_ns = 0
+
+    def is_due(self, reading: Reading) -> bool:
+        """True if the time has come to `look` before this reading."""
+        if self._begin_ns is None:
+            self._begin_ns, self._look_ns = reading.stamp_ns, reading.stamp_ns + FIRST_LOOK_NS
+        if reading.stamp_ns < self._look_ns:
+            return False
+        passed_ns = reading.stamp_ns - self._begin_ns
+        self._look_ns = self._begin_ns + int(LATER_LOOK * passed_ns)
+        return True
+
+    def look(self) -> Size | None:
+        """A size that is no passenger car's; None while none is known."""
+        intervals = _intervals(self.readings)
+        size, count = size_of(intervals), len(intervals.energy)
+        is_car = size is not None and size.log_odds < 0.0 and count >= CAR_INTERVALS
+        is_another = size is not None and size.is_another
+        spent = count > MOST_INTERVALS or len(self.readings) > MOST_READINGS
+        self.over = is_another or is_car or spent
+        return size if is_another else None
+
+
+def size_of(intervals: Intervals) -> Size | None:
+    """Size of a vehicle by a drive; None while that does not tell it."""
+    rows, energy, volts = intervals
+    if len(energy) < LEAST_INTERVALS:
+        return None
+    solution = np.linalg.lstsq(rows, energy, rcond=None)[0]
+    residual = energy - rows @ solution
+    spread = 1.4826 * np.median(np.abs(residual)) * math.sqrt(len(energy) / (len(energy) - 5))
+    noise = ALIKE * (spread**2 + NOISE_FLOOR**2 * np.mean(energy**2))
+    inside = np.abs(residual) < 4.0 * math.sqrt(noise)
+    data = rows[inside].T @ rows[inside] / noise, rows[inside].T @ energy[inside] / noise
+    log_volts = math.log(volts / VOLTAGE)
+    scores = np.array(
+        [
+            _evidence(*data, size * _shaped(size), ANY_SHARE)
+            + _normal(log_volts, VOLTAGE_POWER * math.log(size), VOLTAGE_STD)
+            for size in SIZES
+        ]
+    )
+    car = _evidence(*data, CAR, CAR_SHARE) + _normal(log_volts, 0.0, CAR_VOLTAGE_STD)
+    weights = np.exp(scores - scores.max())
+    weights /= weights.sum()
+    mean = float(weights @ np.log(SIZES))
+    std = math.sqrt(float(weights @ (np.log(SIZES) - mean) ** 2))
+    log_odds = float(scores.max() + math.log(np.mean(np.exp(scores - scores.max())))) - car
+    return Size(math.exp(mean), std, log_odds)
+
+
+def _shaped(size: float) -> np.ndarray:
+    """Coefficients over the size."""
+    coefficients = CAR.copy()
+    coefficients[DRAG] *= size ** (AREA_POWER - 1.0)
+    return coefficients
+
+
+def _evidence(
+    information: np.ndarray, product: np.ndarray, mean: np.ndarray, share: np.ndarray
+) -> float:
+    """Logarithm of the likelihood of energies, but for what all priors have in common.
+
+    `information` is X'X over the variance of the noise, `product` X'y over it.
+    """
+    scale = np.abs(mean) * share
+    precision = np.eye(len(mean)) + scale[:, None] * information * scale
+    away = scale * (product - information @ mean)
+    gain = float(away @ np.linalg.solve(precision, away))
+    fit = float(mean @ information @ mean - 2.0 * mean @ product)
+    return 0.5 * (gain - fit - float(np.linalg.slogdet(precision)[1]))
+
+
+def _normal(value: float, mean: float, std: float) -> float:
+    return -0.5 * ((value - mean) / std) ** 2 - math.log(std)
+
+
+def _intervals(readings: Sequence[Reading]) -> Intervals:
+    nothing = Intervals(np.empty((0, 5)), np.empty(0), math.nan)
+    speed = np.array([(r.stamp_ns, abs(r.speed)) for r in readings if isinstance(r, SpeedReading)])
+    battery = [
+        (r.stamp_ns, r.voltage, r.current) for r in readings if isinstance(r, BatteryReading)
+    ]
+    if not battery:
+        return nothing
+    stamps, voltage, current = np.array(battery).T
+    volts = np.flatnonzero(np.isfinite(voltage))
+    use = np.isfinite(current)
+    if min(len(speed), len(volts), int(np.count_nonzero(use))) < 2:
+        return nothing
+    paired = np.interp(stamps[use], stamps[volts], voltage[volts])  # each may come by itself
+    power = np.column_stack((stamps[use], drawn_power(paired, current[use])))
+    height = [(r.stamp_ns, r.altitude) for r in readings if isinstance(r, AltitudeReading)]
+    begin_ns = max(speed[0, 0], power[0, 0])
+    speed, power = _seconds(speed, begin_ns), _seconds(power, begin_ns)
+    count = int((min(speed[-1, 0], power[-1, 0]) - 1.0) // INTERVAL)
+    if not 0 < count * INTERVAL < LONGEST_DRIVE:
+        return nothing
+    second = np.arange(count * INTERVAL + 1.0)
+    drawn = np.diff(_integral(power, second[::INTERVAL]))
+    way = _integral(speed, np.concatenate((second - 0.5, second[-1:] + 0.5)))
+    at = np.abs(np.diff(way))  # m/s, mean of the second around
+    step = (at[1:] + at[:-1]) / 2.0
+    gain = np.diff(at**2) / 2.0
+    if len(height) > 1:
+        levels = _seconds(np.array(height), begin_ns)
+        climb = np.diff(np.interp(second[::INTERVAL], *levels.T))
+        gain = gain + GRAVITY * np.repeat(climb / INTERVAL, INTERVAL)
+    columns = (np.maximum(gain, 0.0), np.maximum(-gain, 0.0), GRAVITY * step, 0.6 * step**3,
+               np.ones_like(step))  # fmt: skip
+    rows = np.stack([column.reshape(count, INTERVAL).sum(axis=1) for column in columns], axis=1)
+    moved = step.reshape(count, INTERVAL).sum(axis=1) > STANDSTILL_SPEED * INTERVAL
+    use = moved & _whole(speed[:, 0], second) & _whole(power[:, 0], second)
+    return Intervals(rows[use], drawn[use], float(np.median(paired)))
+
+
+def _seconds(series: np.ndarray, begin_ns: float) -> np.ndarray:
+    """A series by its time, s since the begin, in order."""
+    ordered = series[np.argsort(series[:, 0], kind="stable")].astype(float)
+    ordered[:, 0] = (ordered[:, 0] - begin_ns) / NANOSECONDS
+    return ordered
+
+
+def _integral(series: np.ndarray, at: np.ndarray) -> np.ndarray:
+    time, value = series.T
+    whole = np.concatenate(([0.0], np.cumsum(np.diff(time) * (value[1:] + value[:-1]) / 2.0)))
+    return np.asarray(np.interp(at, time, whole))
+
+
+def _whole(time: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Which intervals have no gap between readings."""
+    gaps = np.flatnonzero(np.diff(time) > LONGEST_GAP)
+    count = (len(second) - 1) // INTERVAL
+    whole = np.ones(count, dtype=bool)
+    for gap in gaps:
+        first, last = np.clip(time[gap : gap + 2] // INTERVAL, 0, count).astype(int)
+        whole[first : last + 1] = False
+    return whole
