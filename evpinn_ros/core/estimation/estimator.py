@@ -24,7 +24,7 @@ from evpinn_ros.core.estimation.calibration import BandCalibration, SavedBands
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
 from evpinn_ros.core.estimation.evidence import Evidence
-from evpinn_ros.core.estimation.lag import Alignment, Lag
+from evpinn_ros.core.estimation.lag import AlignedBy, Alignment, Lag
 from evpinn_ros.core.estimation.learner import (
     STATE_VERSION,
     Learner,
@@ -174,11 +174,15 @@ class SavedEstimator:
 
 
 class _Clock(NamedTuple):
-    """Stamps of the newest speed and battery reading, and the gap that is a dropout, ns."""
+    """Stamps of the newest speed and battery reading, and the gap that is a dropout, ns.
+
+    `by` is the alignment of the two.
+    """
 
     newest_ns: int | None
     battery_ns: int | None
     battery_gap_ns: int
+    by: AlignedBy
 
     def silent_for(self, duration_ns: int) -> bool:
         """True if the battery has dropped out for this long, by stamps."""
@@ -188,10 +192,11 @@ class _Clock(NamedTuple):
 
 
 class _Aligned(NamedTuple):
-    """A reading by the clock of speed, and its own stamp."""
+    """A reading by the clock of speed, its own stamp, and the alignment then."""
 
     reading: Reading
     stamp_ns: int
+    by: AlignedBy
 
 
 class _Arrival(NamedTuple):
@@ -341,7 +346,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
                 yield from self._add_aligned(block)
                 block = []
                 self._learn_anew()
-            block.append(_Aligned(self._alignment.aligned(reading), reading.stamp_ns))
+            block.append(self._aligned(reading))
         yield from self._add_aligned(block)
 
     def _align(self, reading: Reading) -> bool:
@@ -359,6 +364,10 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._recent.append(reading)
         return False
 
+    def _aligned(self, reading: Reading) -> _Aligned:
+        alignment = self._alignment
+        return _Aligned(alignment.aligned(reading), reading.stamp_ns, alignment.now)
+
     def _learn_anew(self) -> None:
         """Learn the drive so far by the lag that is known now; its outputs were given before."""
         recent, before = self._recent or [], self._before
@@ -370,7 +379,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._learner, self._bands, self._seen = before
         self._begin_time()
         self._recent = None
-        block = [_Aligned(self._alignment.aligned(r), r.stamp_ns) for r in recent]
+        block = list(map(self._aligned, recent))
         with self._updates_at_once():
             deque(self._add_aligned(block), maxlen=0)
         self._stream.dropped = dropped
@@ -401,7 +410,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
                 arrivals, news = [], False
         yield from self._act(arrivals)
 
-    def _arrive(self, reading: Reading, measured_ns: int) -> _Arrival:
+    def _arrive(self, reading: Reading, measured_ns: int, by: AlignedBy) -> _Arrival:
         """Take a reading of the similar car into the stream; its own stamp is `measured_ns`."""
         events = self._stream.add_reading(reading)
         taken = self._stream.taken
@@ -412,7 +421,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             power = self._stream.measured_power(reading)
             sigma = sensor_sigma(power, reading.power_std)
             measured = PowerEstimate(PowerKind.MEASURED, measured_ns, power, sigma)
-        tick = self._clock if isinstance(reading, SpeedReading) and self._ticks() else None
+        ticks = isinstance(reading, SpeedReading) and self._ticks()
+        tick = self._clock_by(by) if ticks else None
         return _Arrival(reading.stamp_ns, events, self._stuck, measured, tick)
 
     def _act(self, arrivals: list[_Arrival]) -> Iterator[Iterator[Output]]:
@@ -441,8 +451,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def _parameters(self, clock: _Clock) -> ParameterSet:
         """Parameters of the similar car."""
-        parameters = replace(self._learner.parameters(), lag=self._alignment.lag)
-        if self._alignment.doubtful:
+        parameters = replace(self._learner.parameters(), lag=clock.by.lag)
+        if clock.by.doubtful:
             parameters = parameters.doubted()
         return parameters.stale() if clock.silent_for(STALE_AFTER_NS) else parameters
 
@@ -607,11 +617,14 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     @property
     def _clock(self) -> _Clock:
+        return self._clock_by(self._alignment.now)
+
+    def _clock_by(self, by: AlignedBy) -> _Clock:
         stream = self._stream
         battery_ns = stream.battery_ns
         if battery_ns is not None:
-            battery_ns -= self._alignment.shift_ns
-        return _Clock(stream.newest_ns, battery_ns, stream.battery_gap_ns)
+            battery_ns -= by.shift_ns
+        return _Clock(stream.newest_ns, battery_ns, stream.battery_gap_ns, by)
 
     def _activity(self, clock: _Clock) -> Activity:
         if clock.newest_ns is None:

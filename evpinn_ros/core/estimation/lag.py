@@ -287,6 +287,14 @@ class LagLearner:
         return lag_block(speed, power, start, self._step, smooth)
 
 
+class AlignedBy(NamedTuple):
+    """An alignment at one moment: its lag and shift, and whether a large lag is left."""
+
+    lag: Lag | None
+    shift_ns: int
+    doubtful: bool
+
+
 class Alignment:
     """Shift of the battery's stamps to the clock of speed, by the lag that is learned.
 
@@ -324,10 +332,11 @@ class Alignment:
         return self.saved or self._learner.lag
 
     @property
-    def doubtful(self) -> bool:
-        """True if the lag is surely large, and not taken out."""
+    def now(self) -> AlignedBy:
+        """The lag, the shift, and whether the lag is surely large and not taken out."""
         lag = self._learner.lag or self._saved
-        return lag is not None and lag.less(self.shift_ns / NANOSECONDS).large
+        doubtful = lag is not None and lag.less(self.shift_ns / NANOSECONDS).large
+        return AlignedBy(self.lag, self.shift_ns, doubtful)
 
     @property
     def _target(self) -> float:
