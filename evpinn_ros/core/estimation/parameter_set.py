@@ -80,7 +80,7 @@ def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
         possible = possible and (index == P_AUX or std <= MOST_UNSURE * value)  # which may be 0
         parameters[name] = ParameterEstimate(
             value=float(np.clip(value, bounds.lower, bounds.upper)),
-            std=std,
+            std=min(std, LIMITS[name].upper - LIMITS[name].lower),  # which any value lies within
             prior_share=share,
             lower=bounds.lower,
             upper=bounds.upper,

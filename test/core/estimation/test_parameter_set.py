@@ -122,6 +122,17 @@ def test_an_efficiency_at_its_bound_is_published_as_an_interval(prior):
     assert found.lower >= np.quantile(draws, 0.025) - 0.005
 
 
+@pytest.mark.parametrize("name", PARAMETER_NAMES)
+def test_no_sigma_is_wider_than_the_values_that_there_are(prior, name):
+    """`c_rr 0.10000, 1-sigma 72580` was of a log that no car could have made."""
+    index = PARAMETER_NAMES.index(name)
+    covariance = prior.now.covariance.copy()
+    covariance[index, index] = 1e12
+    unsure = parameter_set(0, prior._replace(now=prior.now._replace(covariance=covariance)))
+    lower, upper = LIMITS[name]
+    assert 0.0 <= unsure.parameters[name].std <= upper - lower
+
+
 def test_values_lie_within_bounds_and_bounds_within_limits(prior):
     for share in (1.0, 0.5, 0.01):
         for name, found in parameter_set(0, learned(prior, share)).parameters.items():
