@@ -22,6 +22,12 @@ parameters, record = sys.argv[1:]
 raise SystemExit(run(json.loads(parameters), record=Path(record)))
 """
 EVPINN = (sys.executable, "-m", "evpinn_ros")
+# What a node says that has saved and that Fast DDS holds while it leaves (its issue 6502, see
+# docs/project/compatibility.md): it ends with 1 after 8 s. A hang elsewhere is a fault of ours.
+HELD = re.compile(
+    r"Timeout \(0:00:08\)!\n(?:\[[\w-]+\] )?Thread [^\n]*\n"
+    r"(?:\[[\w-]+\] )?  File \"[^\"\n]*/rclpy/publisher\.py\", line \d+ in destroy"
+)
 
 
 @contextmanager
@@ -40,7 +46,8 @@ def stopped(process: subprocess.Popen[str], by: signal.Signals = signal.SIGINT) 
     """What a process still writes, to stdout and stderr, that must end well by a signal."""
     process.send_signal(by)
     out, said = process.communicate(timeout=HANG_S)
-    assert process.returncode == 0 and "Traceback" not in said, said
+    assert process.returncode == int(bool(HELD.search(said))), said
+    assert "Traceback" not in said, said
     return out, said
 
 
