@@ -87,7 +87,8 @@ def replay(
         car=car,
         elevation=elevation,
     ) as (car_replay, source):
-        return _result(car_replay, source)
+        ((whole,), _) = split(source, whole=True)
+        return _result(car_replay, whole)
 
 
 def replay_trips(

@@ -33,7 +33,7 @@ from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.logs.formats import files_of
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.source import Source
-from evpinn_ros.logs.trips import is_one_trip, joined, split
+from evpinn_ros.logs.trips import joined, split
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.run import (
     WARM_UP,
@@ -189,11 +189,8 @@ def _opened(
     if len(drives) < len(logs):
         note(f"{len(logs)} files make {len(drives)} logs: some continue the file before them")
     for log in drives:
-        if whole or is_one_trip(log):
-            sources.append(log)
-            continue
         try:
-            trips, charged = split(log)
+            trips, charged = split(log, whole=whole)
         except InputError as error:
             unreadable.append(str(error))
             continue

@@ -157,15 +157,10 @@ class TripSource(Source):
             self.dropped.update(self._log.dropped)
 
 
-def is_one_trip(log: Source) -> bool:
-    """True if a bag or a CAN log is too short for a pause between trips, not so a table."""
-    return not log.rules and (log.seconds or math.inf) <= LONGEST_PAUSE
-
-
-def split(log: Source) -> tuple[Sequence[Source], float]:
+def split(log: Source, *, whole: bool = False) -> tuple[Sequence[Source], float]:
     """The trips of a log as sources, and the energy it was charged with between them, J.
 
-    A log of one trip is given as it is.
+    A log of one trip is given as it is, as is any that shall stay `whole`.
 
     Raises:
         InputError: it cannot be read, or the car stood in all of it and was charged.
@@ -174,7 +169,7 @@ def split(log: Source) -> tuple[Sequence[Source], float]:
     if trips.charged and trips.distance < MANOEUVRE:
         kwh = trips.charged / JOULES_PER_KWH
         raise InputError(f"{log.path}: no drive: the car stood and was charged with {kwh:.2f} kWh")
-    if len(trips.trips) < 2:
+    if whole or len(trips.trips) < 2:
         return [log], 0.0
     count = len(trips.trips)
     return [TripSource(log, 1 + i, trips.trips) for i in range(count)], trips.charged

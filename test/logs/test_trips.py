@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import evpinn_ros as ev
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.logs.sources import open_drive
@@ -87,5 +88,9 @@ def test_a_file_that_begins_before_the_last_one_ended_is_another_drive(tmp_path:
 def test_a_log_of_charging_alone_is_no_drive(tmp_path: Path) -> None:
     path = tmp_path / "home.csv"
     path.write_text(HEADER + rows(0, 60, 0.0, 1.0) + rows(60, 3600, 0.0, -10.0))
-    with pytest.raises(InputError, match=r"home\.csv: no drive: .* charged with 3\.49 kWh"):
-        split(open_drive(path))
+    why = r"home\.csv: no drive: .* charged with 3\.49 kWh"
+    for whole in (False, True):
+        with pytest.raises(InputError, match=why):
+            split(open_drive(path), whole=whole)
+    with pytest.raises(InputError, match=why):
+        ev.replay(path, vehicle="bmw_i3")
