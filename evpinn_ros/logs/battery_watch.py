@@ -1,7 +1,7 @@
 """What the values of a bag or a CAN log say against its battery, as `values` does for tables.
 
-Units and signs of both are stated, so none is guessed. But robots send a current of 0 all the
-time, and some drivers the sign of a charger.
+Units and signs of both are stated, so none is guessed. But some robots always send 0 A, and some
+device drivers send the current with the sign of a charger.
 """
 
 from __future__ import annotations
@@ -20,13 +20,10 @@ from evpinn_ros.core.signals.readings import (
     drawn_power,
     why_impossible,
 )
-from evpinn_ros.logs.signal import EVENT, LEAST_EVENTS, Signal, accelerations, at_times, pull
-from evpinn_ros.logs.values import never_back
+from evpinn_ros.logs.signal import LEAST_EVENTS, Signal, at_times, pull, speeds_up_and_down
+from evpinn_ros.logs.values import always, never_back, wrong_sign
 
-WRONG_SIGN = (
-    "the car speeds up while its battery is charged: the sign of the current is probably wrong, "
-    "and with it every energy; it is negative while the battery discharges"
-)
+STATED = "it is negative while the battery discharges, and every energy has the other sign"
 MOST_KEPT = 30_000  # readings of each signal, by which the sign is judged: 50 min at 10 Hz
 
 
@@ -66,8 +63,7 @@ class BatteryWatch:
                 waiting.append(reading)
         speed = _signal(self._speed, self._zero_ns)
         if waiting and not changes and self._drives(speed):
-            never = f"battery current: always {first + 0.0:g} A while the car speeds up and slows"
-            self.notes = (f"{never} down, so it is not measured",)
+            self.notes = (f"battery current: {always(first)}, so it is not measured",)
             waiting = list(map(_without_current, waiting))
         elif changes:
             self.notes = tuple(self._doubts(speed))
@@ -85,15 +81,14 @@ class BatteryWatch:
             _keep(self._current, reading.stamp_ns, reading.current)
 
     def _drives(self, speed: Signal) -> bool:
-        changes = np.abs(accelerations(speed)[1]) > EVENT
-        return len(self._current) >= LEAST_EVENTS <= int(changes.sum())
+        return len(self._current) >= LEAST_EVENTS and speeds_up_and_down(speed)
 
     def _doubts(self, speed: Signal) -> Iterator[str]:
         current = _signal(self._current, self._zero_ns)
         voltage = at_times(_signal(self._voltage, self._zero_ns), current.time)
         drawn = Signal(current.time, drawn_power(voltage, current.value))
         if pull(speed, drawn) < 0.0:
-            yield WRONG_SIGN
+            yield wrong_sign("the current", STATED)
         elif self._drives(speed) and not self._flows_back:
             yield from never_back(drawn, speed)
 

@@ -70,6 +70,12 @@ def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
     return 0.5 * (time[stride:] + time[:-stride])[near], change
 
 
+def speeds_up_and_down(speed: Signal, factor: float = 1.0) -> bool:
+    """True if a car does so often enough that its battery has to show it; the factor makes m/s."""
+    change = np.abs(accelerations(speed)[1]) * factor
+    return int((change > EVENT).sum()) >= LEAST_EVENTS
+
+
 def at_times(signal: Signal, times: FloatArray) -> FloatArray:
     """The signal at other times by interpolation; NaN within a gap of its own."""
     time, value = signal.points()

@@ -26,6 +26,7 @@ from evpinn_ros.logs.signal import (
     accelerations,
     at_times,
     pull,
+    speeds_up_and_down,
 )
 from evpinn_ros.logs.speed_unit import with_speed_unit
 
@@ -101,14 +102,18 @@ def unmeasured(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
             silent["speed"] = "always 0 while the odometer counts up"
     if why := _of_12_volts(columns, cells):
         silent["voltage"] = why
-    change = np.abs(accelerations(cells["speed"])[1]) * columns["speed"].factor
-    if (change > EVENT).sum() < LEAST_EVENTS:
+    if not speeds_up_and_down(cells["speed"], columns["speed"].factor):
         return silent
     for name in SIGNED:
         values = cells[name].known if name in columns else np.empty(0)
         if values.size >= LEAST_EVENTS and not np.ptp(values):
-            silent[name] = f"always {values[0]:g} while the car speeds up and slows down"
+            silent[name] = always(values[0])
     return silent
+
+
+def always(value: float) -> str:
+    """What is said of a current or power that never changes."""
+    return f"always {value + 0.0:g} while the car speeds up and slows down"
 
 
 def _of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> str:
@@ -302,10 +307,16 @@ def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> I
         column = used["current" if "current" in used else "power"]
         unit = column.unit.lstrip("-") or next(iter(QUANTITIES[column.quantity].units))
         turned = unit if column.unit.startswith("-") else f"-{unit}"
-        yield (
-            f"the car speeds up while its battery is charged: the sign of {column.name!r} is "
-            f"probably wrong; --column '{column.quantity}={column.name}:{turned}' turns it"
-        )
+        remedy = f"--column '{column.quantity}={column.name}:{turned}' turns it"
+        yield wrong_sign(repr(column.name), remedy)
+
+
+def wrong_sign(of: str, remedy: str) -> str:
+    """Sentence on a current or power that contradicts the car's acceleration."""
+    return (
+        f"the car speeds up while its battery is charged: the sign of {of} is probably wrong; "
+        f"{remedy}"
+    )
 
 
 def never_back(drawn: Signal, speed: Signal) -> Iterator[str]:
@@ -314,8 +325,8 @@ def never_back(drawn: Signal, speed: Signal) -> Iterator[str]:
         return
     if _rises_while_braking(drawn, speed):
         yield (
-            "the battery gives the more the harder the car brakes: its current has lost the sign "
-            "of what is brought back, and every energy is too large"
+            "the harder the car brakes, the more the battery seems to give: the current has lost "
+            "its sign, so every energy is too large"
         )
     else:
         yield (

@@ -13,7 +13,6 @@ from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.logs.battery_watch import WRONG_SIGN
 from evpinn_ros.logs.sources import open_source
 from test.conftest import ROOT
 
@@ -36,9 +35,9 @@ def readings():
     ("change", "note"),
     [
         ("right", None),
-        ("zero", "battery current: always 0 A while the car speeds up"),
-        ("turned", WRONG_SIGN),
-        ("unsigned", "the battery gives the more the harder the car brakes"),
+        ("zero", "battery current: always 0 while the car speeds up"),
+        ("turned", "the car speeds up while its battery is charged: the sign of the current"),
+        ("unsigned", "the harder the car brakes, the more the battery seems to give"),
         ("one way", "no current ever flows back into the battery"),
     ],
 )

@@ -190,7 +190,7 @@ def test_an_unsigned_current_is_signed(tmp_path, unit, bits):
 def test_a_current_without_its_sign_is_told(tmp_path):
     line = "{date},{kmh:.2f},{volts:.2f},"
     text = written(PLAIN, line + "{size:.2f}")
-    assert "has lost the sign" in " ".join(opened(tmp_path, text).notes)
+    assert "has lost its sign" in " ".join(opened(tmp_path, text).notes)
     text = written(PLAIN, line + "{one_way:.2f}")
     assert "no current ever flows back" in " ".join(opened(tmp_path, text).notes)
 
