@@ -78,6 +78,8 @@ def uphill(header, rows):
     [
         ("t_s,speed_mps,grade", lambda t, g: (t, 20, g), False),
         ("t_s,speed_mps,grade", lambda t, g: (t, 20, g), True),
+        ("t_s,speed_mps,grade_fraction", lambda t, g: (t, 20, g), False),
+        ("t_s,speed_mps,grade_percent", lambda t, g: (t, 20, g), True),
         ("cycSecs,cycMps,cycGrade,cycRoadType", lambda t, g: (t, 20, g, 0), False),
         ("time [min],Speed (mph),distance_mi,Slope [%]",
          lambda t, g: (t / 60, 20 / 0.44704, 20 * t / 1609.344, g), True),
@@ -92,7 +94,7 @@ def test_grades_are_climbs(read, header, row, percent, grade):
         warnings.simplefilter("always")
         plan = read(uphill(header, rows))
     texts = [str(warning.message) for warning in warned]
-    said = "_pct" in header or "[%]" in header
+    said = any(unit in header for unit in ("_pct", "[%]", "_percent", "_fraction"))
     unit = "percent" if percent else "fractions"
     assert any(f"assumed to be in {unit}" in text for text in texts) == (not said)
     if isinstance(plan, Plan):
