@@ -62,6 +62,6 @@ def test_nothing_that_takes_time_is_imported_before_signals_are_heard(loads_with
 def test_too_little_address_space_is_one_line(command, megabytes):
     """Polars and BLAS abort in the middle of an import, or end in a NameError."""
     limited = ["bash", "-c", f'ulimit -v {megabytes}000; exec "$@"', "", sys.executable, *command]
-    done = subprocess.run(limited, cwd=ROOT, capture_output=True, text=True, timeout=HANG_S)
-    assert done.returncode == 1 and done.stdout == ""
-    assert re.fullmatch(r"evpinn: \d+ MB of address space .* reserve 1500 MB\n", done.stderr)
+    ended = subprocess.run(limited, cwd=ROOT, capture_output=True, text=True, timeout=HANG_S)
+    assert ended.returncode == 1 and ended.stdout == ""
+    assert re.fullmatch(r"evpinn: \d+ MB of address space .* reserve 1500 MB\n", ended.stderr)

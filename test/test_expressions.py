@@ -243,5 +243,7 @@ def expressions():
 
 def test_no_expression_takes_the_square_of_its_text():
     assert len(expressions()) > 50
-    found = {(file, name) for file, name, *use in expressions() if square(use[0], use[2], use[1])}
-    assert found == CUT
+    squares = {
+        (file, name) for file, name, *use in expressions() if square(use[0], use[2], use[1])
+    }
+    assert squares == CUT

@@ -118,9 +118,9 @@ def held_scores(drive: Drive, span: Span) -> dict[float, float]:
     step = float(np.median(np.diff(rows[:, 0])))
     scores = {}
     for age in (step, *(age for age in BATTERY_AGES if 2.0 * step < age <= 10.0)):
-        held, known = known_at(drive.measured, rows[:, 0] - age)
-        if known.any():
-            scores[age] = float(np.sqrt(np.mean((held - rows[:, 1])[known] ** 2)))
+        held, joined = known_at(drive.measured, rows[:, 0] - age)
+        if joined.any():
+            scores[age] = float(np.sqrt(np.mean((held - rows[:, 1])[joined] ** 2)))
     return scores
 
 

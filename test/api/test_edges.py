@@ -29,10 +29,10 @@ def test_a_row_an_edge_downhill_gives_back():
 def test_a_route_is_the_forecast_of_its_edges():
     route = [("a", "b"), ("b", "c"), ("a", "c")]
     for conditions in ({}, {"temperature_c": -5.0, "head_wind": 4.0, "payload_kg": 90.0}):
-        found = ev.edge_energies(EDGES, "bmw_i3", **conditions)
+        network = ev.edge_energies(EDGES, "bmw_i3", **conditions)
         trip = ev.forecast(EDGES.loc[route], "bmw_i3", **conditions)
-        assert found.route(route).value == pytest.approx(trip.energy_j.iloc[-1], rel=1e-9)
-        assert found.route(route).sigma == pytest.approx(trip.sigma_j.iloc[-1], rel=1e-9)
+        assert network.route(route).value == pytest.approx(trip.energy_j.iloc[-1], rel=1e-9)
+        assert network.route(route).sigma == pytest.approx(trip.sigma_j.iloc[-1], rel=1e-9)
 
 
 def test_what_two_routes_share_cancels():

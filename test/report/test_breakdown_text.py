@@ -91,8 +91,8 @@ def test_the_sentence_begins_with_the_part_that_the_table_leads_with():
     ],
 )
 def test_no_breakdown_is_null_with_the_reason(mode, mass, why):
-    found = breakdown_metrics(None, mode, mass)
-    assert found["unknown"] == why
-    assert all(found[name]["kwh"] is None for name in NAMES)
-    assert breakdown_rows(found) == []
-    assert why in breakdown_lines(found)[0]
+    nothing = breakdown_metrics(None, mode, mass)
+    assert nothing["unknown"] == why
+    assert all(nothing[name]["kwh"] is None for name in NAMES)
+    assert breakdown_rows(nothing) == []
+    assert why in breakdown_lines(nothing)[0]

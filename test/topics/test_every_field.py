@@ -166,11 +166,11 @@ def test_every_field_has_a_place(name):
 def test_what_is_read_from_messages_is_what_was_sent():
     sent = dict(estimates.output_messages(new_message, POWER))
     assert estimates.read_power(POWER_SMOOTHED, sent[POWER_SMOOTHED]) == POWER
-    found = estimates.read_energy(
+    heard = estimates.read_energy(
         dict(estimates.output_messages(new_message, STATE))[ENERGY_STATE]
     )
     names = {"stamp_ns", "measured", "predicted", "rknn", "regenerated", "measuring"}
-    assert all(getattr(found, name) == getattr(STATE, name) for name in names)
+    assert all(getattr(heard, name) == getattr(STATE, name) for name in names)
     by_topic = {
         topic.name: message
         for topic, message in estimates.output_messages(new_message, PARAMETERS)

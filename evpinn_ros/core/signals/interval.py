@@ -219,10 +219,10 @@ class IntervalBuilder:
     def _split(self, edges: list[_Edge]) -> Iterator[Interval]:
         """The interval between edges, or two of it where the battery drops out or comes back."""
         stamps = [edge.stamp_ns for edge in edges]
-        known = self._battery.covered(stamps).tolist()
+        measured = self._battery.covered(stamps).tolist()
         first = 0
         for last in range(1, len(edges)):
-            if last == len(edges) - 1 or known[last] != known[last - 1]:
+            if last == len(edges) - 1 or measured[last] != measured[last - 1]:
                 yield self._interval(edges[first : last + 1])
                 first = last
 

@@ -113,8 +113,8 @@ class SignalTrack:
         gaps = np.append(0, np.cumsum(np.diff(stamps) > self.cadence.gap_ns))
         first = np.searchsorted(stamps, moments[:-1], side="right") - 1
         last = np.searchsorted(stamps, moments[1:])
-        known = (first >= 0) & (last < len(stamps))
-        return np.asarray(known & (gaps[np.minimum(last, len(gaps) - 1)] == gaps[first]))
+        inside = (first >= 0) & (last < len(stamps))
+        return np.asarray(inside & (gaps[np.minimum(last, len(gaps) - 1)] == gaps[first]))
 
     def between(self, moments: Sequence[int]) -> np.ndarray:
         """Values at n moments in order, linear between readings on both sides, shape (n,)."""

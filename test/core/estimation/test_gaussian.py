@@ -110,6 +110,6 @@ def test_a_known_sum_stays_when_a_part_of_it_cannot_be_negative(seed):
     rng = np.random.default_rng(seed)
     state, ones = Gaussian(rng.standard_normal(SIZE), covariances(rng, 1)[0]), np.ones(SIZE)
     exactly = np.zeros(())
-    known = condition(state, innovate(state, ones, exactly, exactly), exactly)
-    likeliest = at_least_zero(known, range(SIZE - 1))
+    of_sum = condition(state, innovate(state, ones, exactly, exactly), exactly)
+    likeliest = at_least_zero(of_sum, range(SIZE - 1))
     assert likeliest.sum() == pytest.approx(state.mean.sum(), abs=1e-8)
