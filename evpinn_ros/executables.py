@@ -52,7 +52,7 @@ def _check_address_space() -> None:
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < ADDRESS_SPACE:
         sys.exit(
-            f"evpinn: {limit / 1e6:.0f} MB of address space (`ulimit -v`) are too few: "
+            f"evpinn: {limit / 1e6:.0f} MB of address space (`ulimit -v`) is too little: "
             f"libraries reserve {ADDRESS_SPACE / 1e6:.0f} MB"
         )
 

@@ -257,7 +257,7 @@ def _summary(name: str, report: BusReport, bitrate: int) -> list[str]:
     low, high = (_text(100 * share, 1) for share in report.load)
     lines = [
         f"{name}: {report.frames} frames of {len(report.ids)} ids in {report.duration:.1f} s",
-        f"Bus load: {low} to {high} % of {bitrate / 1000:g} kbit/s, by how many bits are stuffed",
+        f"Bus load: {low} to {high} % of {bitrate / 1000:g} kbit/s, depending on bit stuffing",
     ]
     if report.uncounted:
         lines.append(f"{report.uncounted} frames of further ids were not looked at")
@@ -267,8 +267,8 @@ def _summary(name: str, report: BusReport, bitrate: int) -> list[str]:
 def _verdict(best: ProfileReport | None) -> list[str]:
     if best is None:
         return [
-            "No profile fits this traffic. Cars that must be asked are not known by listening: "
-            "docs/explanation/can.md, asking the car"
+            "No profile fits this traffic. Listening cannot identify a car that answers requests "
+            "alone: docs/explanation/can.md, asking the car"
         ]
     lines = [f"Fits: {best.fit.profile}"]
     dropped = ", ".join(f"{count} {reason}" for reason, count in sorted(best.dropped.items()))

@@ -151,7 +151,8 @@ def forecast(
     for row, (name, *_) in zip(rows, texts, strict=True):
         if row["uneven_j"] > LEAST_UNEVEN:
             kwh, whole = row["uneven_j"] / JOULES_PER_KWH, row["energy_j"] / JOULES_PER_KWH
-            say(f"{name}: {kwh:.2f} of {whole:.2f} kWh: {UNEVEN}; --steady leaves it out.")
+            part = f"{kwh:.2f} of the {whole:.2f} kWh is for {UNEVEN}"
+            say(f"{name}: {part}; --steady leaves it out.")
     level: dict[str, list[str]] = {}
     for planned, (name, *_) in zip(forecasts, texts, strict=True):
         if (text := planned.no_heights) is not None:

@@ -199,8 +199,8 @@ class TableDrive(Source):
         if self.clock.formats == "%H:%M" and not as_written and spread is None:
             name = self._head.names[self.clock.columns[0]]
             notes.append(
-                f"time: {name!r} is assumed to be hours and minutes, and could be minutes and "
-                f"seconds; --column 'time={name}:%M:%S'"
+                f"time: {name!r} is assumed to be hours and minutes; if it is minutes and "
+                f"seconds, use --column 'time={name}:%M:%S'"
             )
         if spread is not None:
             every = spread.resolution_ns / NANOSECONDS

@@ -34,8 +34,8 @@ NOTHING = (
 
 
 INVALID = (
-    "unknown, because the mass learned is invalid: signals contradict each other, or the vehicle "
-    "is another one"
+    "unknown, because the learned mass is invalid: signals contradict each other, or --vehicle "
+    "is wrong"
 )
 
 

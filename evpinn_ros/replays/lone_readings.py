@@ -1,7 +1,7 @@
 """Readings that leap away from those on both sides and back, as neither a car nor a battery does.
 
-A current that leaps makes the voltage sag; of a reading that is wrong one leaps without the other.
-Within what the car can do such a reading is admitted, for only those that follow it tell.
+A real leap of the current makes the voltage sag; in a wrong reading one of the two leaps alone. A
+leap that the car could make is admitted, for only later readings show that it was wrong.
 """
 
 from __future__ import annotations

@@ -48,9 +48,8 @@ def size_note(vehicle: Vehicle, drive: Drive) -> str | None:
         return None
     mass = float(f"{learned_as.initial.mass:.2g}")
     return (
-        f"Learned as a vehicle of about {mass:.0f} kg, from wide priors of that size: its energy, "
-        "accelerations and voltage are not those of a passenger car, and no vehicle was given "
-        "(--vehicle)."
+        f"Learned as a vehicle of about {mass:.0f} kg, from wide priors: no --vehicle was given, "
+        "and energy, accelerations and voltage are not those of a passenger car."
     )
 
 

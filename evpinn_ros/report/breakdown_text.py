@@ -104,7 +104,7 @@ def breakdown_notes(breakdown: Mapping[str, Any], units: Units = METRIC) -> list
         amount = _amount(left["kwh"], left["sigma_kwh"])
         lines.append(
             f"Unexplained: {amount}. The model of the car does not account for it, so "
-            "doubt its parts: a signal may be wrong, or the vehicle may be another."
+            "doubt its parts: a signal or --vehicle may be wrong."
         )
     if breakdown["without_height_m"] > MOSTLY_UNSEEN * breakdown["distance_m"]:
         lines.append(

@@ -62,14 +62,14 @@ def owner_line(drive: Drive, metrics: Mapping[str, Any], units: Units = METRIC) 
 
 def lone_note(drive: Drive, units: Units = METRIC) -> str | None:
     """Sentence on readings that leap alone, where they change the totals; None else."""
-    found = without_lone(drive)
-    if found is None:
+    without = without_lone(drive)
+    if without is None:
         return None
-    kept, number = found
+    kept, number = without
     kwh = "" if math.isnan(kept.energy) else f" and {kept.energy / JOULES_PER_KWH:.2f} kWh"
     readings = counted_text(number, "reading")
     return (
-        f"Doubt that: {readings} leap away and back alone; without them it is "
+        f"Doubtful: without {readings} that leapt away and back, the totals are "
         f"{kept.distance / units.metres:.1f} {units.distance}{kwh}."
     )
 
@@ -167,34 +167,34 @@ class Figures(NamedTuple):
         distance: m.
         duration: s.
         joules: measured, where it was, else predicted; NaN where neither is known.
-        known: distance over which that is, m.
+        metres: distance over which that is, m.
     """
 
     distance: float
     duration: float
     joules: float
-    known: float
+    metres: float
 
 
 def _figures(drive: Drive, total: Counted, metrics: Mapping[str, Any]) -> Figures:
     """Figures of a drive."""
-    known, joules = total.known, total.energy
+    metres, joules = total.known, total.energy
     if metrics["energy"]["measured_j"] is None:
-        known, joules = total.distance, metrics["energy"]["predicted_j"]
+        metres, joules = total.distance, metrics["energy"]["predicted_j"]
     if joules is None:
-        known, joules = 0.0, math.nan
-    return Figures(total.distance, drive.duration, joules, known)
+        metres, joules = 0.0, math.nan
+    return Figures(total.distance, drive.duration, joules, metres)
 
 
 def _texts(figures: Figures, units: Units) -> tuple[str, str, str, str]:
     """Distance, minutes, kWh, and energy over distance."""
-    distance, duration, joules, known = figures
+    distance, duration, joules, metres = figures
     kwh = joules / JOULES_PER_KWH
     return (
         f"{distance / units.metres:.1f}",
         f"{duration / 60:.0f}",
         "-" if math.isnan(joules) else f"{kwh:.{kwh_digits(kwh, 2)}f}",
-        "-" if known < CONSUMPTION_METRES else units.consumption(joules, known),
+        "-" if metres < CONSUMPTION_METRES else units.consumption(joules, metres),
     )
 
 

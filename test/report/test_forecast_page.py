@@ -66,7 +66,7 @@ def test_a_plan_without_heights_says_so_and_is_less_sure(plan, given):
     planned = planned_energy(plan, "bmw_i3", COLD)
     text = planned.no_heights
     if given == "some" and isinstance(plan, Legs):
-        assert text.startswith("no heights for 7.0 of 7.6 km: a level road is expected")
+        assert text.startswith("no heights for 7.0 of 7.6 km: a level road is assumed")
     else:
         assert (text is None) == (given == "all")
     assert ("level road" in _sentence(planned)) == (text is not None)

@@ -1,7 +1,7 @@
 """Energy of the edges of a road network, for a router: many legs at once.
 
-An edge is a leg of a plan (`PowerModel.leg_rows`) of no trip: before and after it the car goes on
-as on it, warm. Downhill it may give energy back: a router needs potentials or Bellman-Ford's
+An edge is a leg (`PowerModel.leg_rows`) that belongs to no trip: a warm car enters and leaves it
+as it drives on it. Downhill it may give energy back: a router needs potentials or Bellman-Ford's
 algorithm. A route is a trip: its energy is the forecast of its edges as legs, with its start, its
 end, and the changes of speed and slope in between. What is not known of the car is the same on
 every edge, so routes are compared by the sigma of their difference.
@@ -65,7 +65,7 @@ class Edges:
     ) -> Uncertain:
         """Energy that one route takes more than another, J, with the 1-sigma of that.
 
-        In the sigma what both share cancels: edges that both drive, and the car.
+        What the routes share (common edges, the unknowns of the car) cancels in the sigma.
         """
         count, routes = len(self.energy), [np.asarray(route, dtype=int) for route in (one, other)]
         more, less = (np.bincount(route, minlength=count) for route in routes)
@@ -84,7 +84,7 @@ def edge_energies(
     Args:
         legs: of the network.
         model: of the car.
-        weather: on the way; tyres and cabin are taken as warm but on routes.
+        weather: on the way; tyres and cabin count as warm, except in routes.
         head_wind: against the car on every edge, m/s.
     """
     car, count = model.car, len(legs.length)

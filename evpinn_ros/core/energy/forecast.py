@@ -178,8 +178,8 @@ class PlannedEnergy(NamedTuple):
         part = f" for {unseen / 1e3:.1f} of {whole / 1e3:.1f} km"
         part = "" if unseen > (1.0 - SHORT_OF_HEIGHTS) * whole else part
         return (
-            f"no heights{part}: a level road is expected, and the 1-sigma holds hills as this car "
-            "knows them"
+            f"no heights{part}: a level road is assumed; the 1-sigma allows for hills like those "
+            "of earlier drives"
         )
 
     @property

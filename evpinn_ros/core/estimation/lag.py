@@ -1,8 +1,8 @@
 """Lag between the clocks of speed and battery, learned from a drive.
 
-The power of a block of driving is regressed on what eq. 21 makes of speed, shifted by each lag up
-to `MOST` steps; the share that this explains, the square of their normalised cross-correlation,
-is greatest at the lag (openpilot's `lagd` learns the lag of steering so). Blocks are pooled, so no
+For each lag up to `MOST` steps, the power of a block of driving is regressed on the speed terms of
+eq. 21, shifted by that lag. The lag with the largest explained share (the squared normalised
+cross-correlation) is taken, as openpilot's `lagd` does for steering. Blocks are pooled, so no
 parameter of the car is needed, and their scatter, by a jackknife, gives the 1-sigma.
 """
 
@@ -70,7 +70,7 @@ class Lag:
 
     @property
     def large(self) -> bool:
-        """True if it surely is a fault that shall be mended where the stamps are made."""
+        """True if it surely is a fault, to be corrected where the stamps are made."""
         return abs(self.seconds) > max(LARGE, self.least) + SIGMAS * self.sigma
 
     def less(self, shift: float) -> Lag:
@@ -298,8 +298,8 @@ class AlignedBy(NamedTuple):
 class Alignment:
     """Shift of the battery's stamps to the clock of speed, by the lag that is learned.
 
-    It moves slowly, and never within a dropout. Only when the lag of a drive is first known, and
-    the shift is far from it, it jumps; then the drive so far shall be learned anew.
+    It moves slowly, and never within a dropout. It jumps once at most, when the lag of a drive
+    becomes known and the shift is far from it; the drive so far must then be learned anew.
 
     Attributes:
         shift_ns: added to the stamps of the battery.

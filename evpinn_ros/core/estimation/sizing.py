@@ -1,4 +1,4 @@
-"""The size of a vehicle of which no file tells it, by its first minutes of motion.
+"""Size of a vehicle without a vehicle file, by its first minutes of motion.
 
 `generic` is a passenger car of two tonnes. Battery energy of intervals of ten seconds is linear in
 kinetic energy gained and lost, distance, the cube of the speed and time, and each coefficient goes

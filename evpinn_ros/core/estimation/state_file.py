@@ -196,7 +196,7 @@ def set_aside(path: Path, *, copied: bool = False) -> None:
         OSError: it is a folder or a device, which stays.
     """
     if not path.is_file():
-        raise OSError(0, "a folder or a device, no file", str(path))
+        raise OSError(0, "a folder or a device, not a file", str(path))
     first, *_ = names = refused_names(path)
     for older, newer in pairwise(reversed(names)):
         if newer.exists():

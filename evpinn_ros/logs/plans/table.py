@@ -240,8 +240,8 @@ def _grade_unit(name: str, grade: np.ndarray) -> float:
         return 1.0
     fractions = size.max() <= STEEPEST and size.mean() <= STEEPEST_MEAN
     assumed, other = ("fractions", "percent") if fractions else ("percent", "fractions")
-    text = f"{name!r} is assumed to be in {assumed}, and could be in {other}"
-    warnings.warn(f"{text}; a header such as grade_percent says it", stacklevel=5)
+    text = f"{name!r} is assumed to be in {assumed}; if it is in {other}, name the column"
+    warnings.warn(f"{text} {'grade_percent' if fractions else 'grade_fraction'}", stacklevel=5)
     return 1.0 if fractions else 0.01
 
 
