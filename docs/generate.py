@@ -60,9 +60,7 @@ disk too. For scripts:
 
 | | |
 |---|---|
-| `--json` of `info`, `recover`, `can inspect`, `vehicles search`, `watch` | JSON instead \
-of tables, on stdout |
-| `--json FILE` of every `bench`, of `demo`, `fleet`, `replay` (also `--metrics`) | JSON beside \
+| `--json FILE` of every command that has results (of `replay` also `--metrics`) | JSON beside \
 the tables; with `-` JSON on stdout, and tables on stderr |
 | `reproduce` | `results.json` in its folder |
 | `simulate` | `truth.yaml` in the bag |

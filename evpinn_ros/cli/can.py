@@ -15,9 +15,9 @@ from evpinn_ros.can.bus import BusReader
 from evpinn_ros.can.fit import MessageFit
 from evpinn_ros.can.inspection import BusReport, IdStatus, Inspection, ProfileReport
 from evpinn_ros.can.profile import bundled_profiles, load_profile
-from evpinn_ros.cli.console import note, progress_bar, say, show, show_json
+from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
-from evpinn_ros.cli.options import Elm327Option, JsonTextOption, complete_profile, elm327_bus
+from evpinn_ros.cli.options import Elm327Option, JsonOption, complete_profile, elm327_bus
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.core.signals.progress import reported
@@ -86,7 +86,7 @@ def inspect(
             autocompletion=complete_profile,
         ),
     ] = None,
-    as_json_text: JsonTextOption = False,
+    json_file: JsonOption = None,
 ) -> None:
     """Show what is on a CAN bus, and which profile fits, without sending.
 
@@ -115,10 +115,9 @@ def inspect(
         reader = BusReader(interface, str(channel), inspection.add_frame, time.time_ns, **options)
         name, end_ns, problem = f"{interface} {channel}", *_listen(reader, seconds or LISTEN)
     bus = inspection.report(end_ns)
-    if as_json_text:
-        show_json({"source": name, "bitrate": bitrate or BITRATE, **as_json(bus)})
-    else:
-        show_report(name, bus, bitrate or BITRATE)
+    show_report(name, bus, bitrate or BITRATE)
+    if json_file is not None:
+        write_json(json_file, {"source": name, "bitrate": bitrate or BITRATE, **as_json(bus)})
     if problem is not None:
         raise InputError(problem)
 

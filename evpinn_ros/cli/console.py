@@ -72,18 +72,15 @@ def moment(stamp_ns: int, timespec: str = "seconds") -> str:
     return instant.isoformat(sep=" ", timespec=timespec).removesuffix("+00:00")
 
 
-def show_json(document: Any) -> None:
-    """Results for scripts, on stdout; null where a number is not finite."""
-    print(json_text(document, indent=2), flush=True)
-
-
 def tables_beside(json_file: Path | None) -> None:
     """Leave stdout to the JSON where that goes there: what is for people goes to stderr."""
     results.stderr = json_file is not None and str(json_file) == STDOUT
 
 
 def write_json(path: Path, document: Any) -> None:
-    """Write results for scripts, to stdout or a file, the folder too if need be.
+    """Write results for scripts to stdout or a file, whose folder is made if need be.
+
+    A number that is not finite becomes null.
 
     Raises:
         InputError: it cannot be written.

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
-from evpinn_ros.cli.console import moment, note, progress_bar, say, show, show_json
-from evpinn_ros.cli.options import CarOption, ColumnOption, JsonTextOption
+from evpinn_ros.cli.console import moment, note, progress_bar, say, show, write_json
+from evpinn_ros.cli.options import CarOption, ColumnOption, JsonOption
 from evpinn_ros.cli.table_columns import choice, shorter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
@@ -35,7 +35,7 @@ def info(
     ],
     column: ColumnOption = None,
     car: CarOption = None,
-    as_json_text: JsonTextOption = False,
+    json_file: JsonOption = None,
 ) -> None:
     """Show what recordings contain, and which part of them the estimator can use.
 
@@ -51,10 +51,9 @@ def info(
             problems += 1
             note(f"evpinn: {error}")
             continue
-        if not as_json_text:
-            _show(recordings[-1])
-    if as_json_text:
-        show_json([_as_json(recording) for recording in recordings])
+        _show(recordings[-1])
+    if json_file is not None:
+        write_json(json_file, [_as_json(recording) for recording in recordings])
     if problems:
         raise typer.Exit(1)
 

@@ -30,7 +30,15 @@ def complete_profile(incomplete: str) -> list[str]:
     return [name for name in profile_names() if name.startswith(incomplete)]
 
 
-def _tables_beside_json(path: Path | None) -> Path | None:
+def _check_json_file(path: Path | None) -> Path | None:
+    """Returns where JSON goes; tables go to stderr when that is stdout.
+
+    Raises:
+        typer.BadParameter: the file exists and is no JSON: `--json` without its path would take
+            the next argument, an input, for it.
+    """
+    if path is not None and path.is_file() and path.suffix not in ("", *JSON_SUFFIXES):
+        raise typer.BadParameter(f"{path} exists and is not a .json file; - is stdout")
     tables_beside(path)
     return path
 
@@ -93,14 +101,14 @@ Elm327Option = Annotated[
         help="Use an ELM327 or OBDLink, at this serial port or tcp:HOST:PORT.",
     ),
 ]
-_JSON_HELP = f"As JSON; {STDOUT} for stdout."
+_JSON_HELP = f"Write the results to this JSON file; {STDOUT} for stdout."
+JSON_SUFFIXES = (".json", ".jsonl")
 JsonOption = Annotated[
-    Path | None, typer.Option("--json", help=_JSON_HELP, callback=_tables_beside_json)
+    Path | None, typer.Option("--json", help=_JSON_HELP, callback=_check_json_file)
 ]
-JsonTextOption = Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")]
 MetricsOption = Annotated[
     Path | None,
-    typer.Option("--metrics", "--json", help=_JSON_HELP, callback=_tables_beside_json),
+    typer.Option("--metrics", "--json", help=_JSON_HELP, callback=_check_json_file),
 ]
 OriginOption = Annotated[
     list[str] | None,

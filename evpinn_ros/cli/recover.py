@@ -13,8 +13,8 @@ import typer
 from evpinn_ros.bags.mcap_records import Loss
 from evpinn_ros.bags.recover import RecoveredFile, broken_files
 from evpinn_ros.bags.recover import recover as recover_bag
-from evpinn_ros.cli.console import bytes_bar, moment, note, say, show_json, writing
-from evpinn_ros.cli.options import JsonTextOption
+from evpinn_ros.cli.console import bytes_bar, moment, note, say, write_json, writing
+from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MOST_LINES = 20  # of losses on the terminal; --json has them all
@@ -24,7 +24,7 @@ _time = partial(moment, timespec="milliseconds")
 def recover(
     broken: Annotated[Path, typer.Argument(help="Broken MCAP file, or folder of a rosbag2 bag.")],
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
-    as_json_text: JsonTextOption = False,
+    json_file: JsonOption = None,
 ) -> None:
     """Save what is left in a broken bag, and report what was lost.
 
@@ -38,14 +38,12 @@ def recover(
     total = sum(path.stat().st_size for path in broken_files(broken))
     with writing(out), bytes_bar(broken.name, total) as progress:
         files = recover_bag(broken, out, progress)
-    if as_json_text:
-        document = {"bag": str(out), "files": [_as_json(file) for file in files]}
-        show_json(document)
-    else:
-        for file in files:
-            for line in _lines(file):
-                say(line)
-        say(str(out))
+    for file in files:
+        for line in _lines(file):
+            say(line)
+    say(str(out))
+    if json_file is not None:
+        write_json(json_file, {"bag": str(out), "files": [_as_json(file) for file in files]})
     if unread := [file.problem for file in files if file.problem is not None]:
         for problem in unread:
             note(f"evpinn: {problem}")

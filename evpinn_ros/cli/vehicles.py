@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.cli.console import say, show, show_json
+from evpinn_ros.cli.console import say, show, write_json
 from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
-from evpinn_ros.cli.options import complete_vehicle
+from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.core.vehicle.certified import certified_cars
@@ -36,7 +36,7 @@ def every(context: typer.Context) -> None:
 @vehicles.command(cls=ReadableCommand)
 def search(
     words: Annotated[list[str], typer.Argument(help="Words that the name must have.")],
-    as_json_text: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
+    json_file: JsonOption = None,
 ) -> None:
     """List the cars whose names have these words.
 
@@ -49,14 +49,13 @@ def search(
             "another car use --vehicle generic, or see docs/guides/add_your_car.md"
         )
     lines = [_line(vehicle) for vehicle in cars]
-    if as_json_text:
-        show_json(lines)
-        return
     rows = [
         [f"{v:.4g}" if isinstance(v, float) else v or "" for v in line.values()] for line in lines
     ]
     table = PlainTable("Vehicles", list(lines[0]), rows, words=("can_profile", "from"))
     show(table, at_least=120)
+    if json_file is not None:
+        write_json(json_file, lines)
 
 
 @vehicles.command("show", cls=ReadableCommand)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.topics import NAMESPACE
 
 
@@ -14,19 +15,18 @@ def watch(
     plain: Annotated[
         bool, typer.Option("--plain", help="Print one line a second in place of the view.")
     ] = False,
-    for_scripts: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object a second, each on one line.")
-    ] = False,
+    json_file: JsonOption = None,
 ) -> None:
     """Show what a running system knows: parameters, power, energy, what is missing.
 
     Receives the topics of nodes started by `evpinn run` or a launch file, on this machine or, with
     the same ROS_DOMAIN_ID, another; publishes nothing, and ends with Ctrl-C. Without a terminal:
-    a line a second.
+    a line a second. --json writes one object a second, each on one
+    line; to stdout without the view.
 
     Example: evpinn watch --namespace /ev
     """
     # Imported here: all other commands work where no ROS is.
     from evpinn_ros.nodes.live.view import watch as watch_nodes
 
-    watch_nodes(namespace, plain=plain, for_scripts=for_scripts)
+    watch_nodes(namespace, plain=plain, json_file=json_file)

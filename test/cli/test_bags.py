@@ -99,7 +99,7 @@ def test_start_duration_and_loop(evpinn, folder):
 
 
 def test_info_of_everything_and_of_one_that_is_bad(evpinn, folder):
-    done = evpinn("info", URBAN, "nowhere", "my.csv", "broken.mcap", "--json", cwd=folder)
+    done = evpinn("info", URBAN, "nowhere", "my.csv", "broken.mcap", "--json", "-", cwd=folder)
     assert done.returncode == 1 and "nowhere: no such file" in done.stderr
     bag, table, broken = json.loads(done.stdout)
     assert bag["usable"]["seconds"] == pytest.approx(360, abs=1)
@@ -123,7 +123,7 @@ def test_recover_then_replay(evpinn, folder):
     assert all(map(progress.fullmatch, replayed.stderr.splitlines()))
     again = evpinn("recover", "broken.mcap", "saved", cwd=folder)
     assert_fails_in_one_line(again, "saved", "in use")
-    report = json.loads(evpinn("recover", "broken.mcap", "two", "--json", cwd=folder).stdout)
+    report = json.loads(evpinn("recover", "broken.mcap", "two", "--json", "-", cwd=folder).stdout)
     (file,) = report["files"]
     assert file["messages"] == count and len(file["losses"]) >= 2
 
@@ -133,5 +133,5 @@ def test_a_bag_of_several_files_is_replayed(evpinn, folder):
         for connection, log_time_ns, data in reader.messages():
             writer.write_raw(connection.topic, connection.msgtype, bytes(data), log_time_ns)
     assert len(list((folder / "split").glob("*.mcap"))) == 18
-    document = json.loads(evpinn("info", "split", URBAN, "--json", cwd=folder).stdout)
+    document = json.loads(evpinn("info", "split", URBAN, "--json", "-", cwd=folder).stdout)
     assert document[0]["topics"] == document[1]["topics"]

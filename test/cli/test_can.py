@@ -63,7 +63,7 @@ def test_a_log_for_people(evpinn, folder):
 
 
 def test_a_log_for_scripts(evpinn, folder):
-    done = evpinn("can", "inspect", "tesla_model_3.log", "--json", "--seconds", 2, cwd=folder)
+    done = evpinn("can", "inspect", "tesla_model_3.log", "--json", "-", "--seconds", 2, cwd=folder)
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert document["best"] == "tesla_model_3" == document["profiles"][0]["profile"]
@@ -89,7 +89,7 @@ def test_a_profile_of_ones_own_is_ranked(evpinn, folder):
     own = (folder / "my_car.yaml").read_text().replace("tesla_model_3.dbc", "my_car.dbc")
     (folder / "my_car.yaml").write_text(own)
     done = evpinn(
-        *("can", "inspect", "tesla_model_3.log", "--json", "--can-profile", "my_car.yaml"),
+        *("can", "inspect", "tesla_model_3.log", "--json", "-", "--can-profile", "my_car.yaml"),
         cwd=folder,
     )
     profiles = json.loads(done.stdout)["profiles"]
@@ -130,7 +130,7 @@ def test_a_live_bus(folder, monkeypatch):
     clock = SimpleNamespace(monotonic=lambda: len(taken) / 100, sleep=send, time_ns=time.time_ns)
     monkeypatch.setattr(can_command, "time", clock)
     with bus:
-        command = ["can", "inspect", *options, *more, "--seconds", "4", "--json"]
+        command = ["can", "inspect", *options, *more, "--seconds", "4", "--json", "-"]
         done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)

@@ -212,7 +212,7 @@ def test_parameter_file_reaches_the_cores(evpinn, folder):
 
 
 def test_vehicles_are_listed_found_and_shown(evpinn, folder):
-    done = evpinn("vehicles", "search", "model", "3", "--json", cwd=folder)
+    done = evpinn("vehicles", "search", "model", "3", "--json", "-", cwd=folder)
     by_name = {line["vehicle"]: line for line in json.loads(done.stdout)}
     assert by_name["tesla_model_3_lr"]["from"] == "file"
     assert by_name["tesla_model_3_rwd_2022"]["from"] == "certified"

@@ -1,6 +1,7 @@
 """Help of every command: an example that the command line takes, one meaning, whole lines."""
 
 from collections.abc import Iterator
+from pathlib import Path
 import re
 import shlex
 
@@ -12,8 +13,6 @@ from evpinn_ros.cli.main import app
 from evpinn_ros.cli.options import complete_profile, complete_vehicle
 
 ROOT = typer.main.get_command(app)
-LOOKS = ("can inspect", "info", "recover", "vehicles search", "watch")
-FLAG_FOR_STDOUT = {f"evpinn {name}" for name in LOOKS}
 
 
 def commands(command=ROOT, path: str = "evpinn") -> Iterator[tuple[str, object]]:
@@ -73,12 +72,17 @@ def test_names_complete_wherever_they_are_asked_for(path: str) -> None:
 
 
 @pytest.mark.parametrize("path", COMMANDS)
-def test_json_means_one_of_two_things(path: str) -> None:
-    """A flag that prints it where a command looks at something; else a file, or - for stdout."""
+def test_json_is_a_file_or_stdout_and_never_an_input(path: str, tmp_path: Path) -> None:
+    """`--json drive.csv` is the slip of who forgot the file's name: the drive stays."""
+    (tmp_path / "drive.csv").write_text("t_s,speed_mps\n")
     for parameter in COMMANDS[path].params:
         if "--json" in parameter.opts:
-            assert parameter.is_flag == (path in FLAG_FOR_STDOUT)
-            assert parameter.is_flag or "- for stdout" in parameter.help
+            context = COMMANDS[path].make_context(path, [], resilient_parsing=True)
+            for given in ("-", str(tmp_path / "new.json")):
+                assert parameter.process_value(context, given) == Path(given)
+            context.resilient_parsing = False
+            with pytest.raises(typer.BadParameter, match=r"not a \.json file"):
+                parameter.process_value(context, str(tmp_path / "drive.csv"))
 
 
 @pytest.mark.parametrize("width", [80, 100])

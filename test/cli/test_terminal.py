@@ -11,7 +11,7 @@ import sys
 from mcap.writer import Writer
 import pytest
 
-from evpinn_ros.cli.console import show_json
+from evpinn_ros.cli.console import write_json
 
 ROOT = Path(__file__).parents[2]
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\r\b\x9b1m\u202e"
@@ -72,24 +72,26 @@ def test_foreign_names_in_errors_and_recovery(evpinn, hostile, tmp_path):
 
 
 def test_json_of_monstrous_numbers_has_nulls(tmp_path, capsys):
-    show_json([{"distance": math.inf, "pair": (math.nan, 1.0)}])
+    write_json(Path("-"), [{"distance": math.inf, "pair": (math.nan, 1.0)}])
     assert json.loads(capsys.readouterr().out) == [{"distance": None, "pair": [None, 1.0]}]
     with (tmp_path / "huge.csv").open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(("t_s", "speed_mps", "voltage_v", "current_a"))
         rows.writerows((second, 1e308, 1e308, 1e308) for second in range(100))
-    done = process("info", "--json", tmp_path / "huge.csv")
+    done = process("info", "--json", "-", tmp_path / "huge.csv")
     assert b"Traceback" not in done.stderr and isinstance(json.loads(done.stdout), list)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has this device alone")
-@pytest.mark.parametrize("arguments", [("info",), ("info", "--json"), ("--help",)])
+@pytest.mark.parametrize("arguments", [("info",), ("info", "--json", "-"), ("--help",)])
 def test_a_full_device_is_said_in_one_line(arguments):
     bag = () if "--help" in arguments else (ROOT / "bags" / "urban",)
     with Path("/dev/full").open("wb") as full:
         done = process(*arguments, *bag, out=full)
     assert done.returncode == 1
-    assert done.stderr.decode().splitlines() == ["evpinn: the output: No space left on device"]
+    *tables, error = done.stderr.decode().splitlines()
+    assert error == "evpinn: the output: No space left on device"
+    assert "--json" in arguments or not tables
 
 
 def test_a_terminal_without_all_letters_gets_those_that_it_has(hostile):

@@ -179,7 +179,7 @@ def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
 
 @pytest.mark.nightly
 def test_watch_gives_scripts_a_json_object_a_line_until_stopped(bench, urban):
-    with started(*EVPINN, "watch", "--json") as running:
+    with started(*EVPINN, "watch", "--json", "-") as running:
         message = next(message for topic, _, message in urban(1.0) if topic == topics.SPEED)
         bench.publisher(topics.SPEED)
         found, before = {"speed_mps": None}, time.time()
@@ -193,7 +193,7 @@ def test_watch_gives_scripts_a_json_object_a_line_until_stopped(bench, urban):
 
 def test_watch_without_nodes_says_so_in_a_pipe():
     environment = {**os.environ, "ROS_DOMAIN_ID": "85"}  # where no test of ours has nodes
-    with started(*EVPINN, "watch", "--json", env=environment) as running:
+    with started(*EVPINN, "watch", "--json", "-", env=environment) as running:
         assert NOTHING in running.stdout.readline()
         running.send_signal(signal.SIGINT)
         assert running.communicate(timeout=HANG_S)[1] == f"evpinn: {NOTHING}\n"

@@ -303,7 +303,7 @@ def _cell(text: str, width: int, *, right: bool = False) -> str:
 
 
 def as_json(data: LiveData, now: float) -> dict[str, Any]:
-    """State of the system for scripts, ready for `json_text`: `evpinn watch --json`.
+    """State of the system for scripts, ready for `json_text`: `evpinn watch --json FILE`.
 
     SI units; None or NaN where nothing is known. The current keeps the sign of `battery/state`;
     power and energy are positive when drawn from the battery.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from io import TextIOWrapper
 import multiprocessing
 import os
+from pathlib import Path
 import signal
 import sys
 import tempfile
@@ -77,13 +78,16 @@ class LiveListener(Node):
         """There is no executor."""
 
 
-def watch(namespace: str = NAMESPACE, *, plain: bool = False, for_scripts: bool = False) -> None:
+def watch(
+    namespace: str = NAMESPACE, *, plain: bool = False, json_file: Path | None = None
+) -> None:
     """Show a running system until SIGINT or SIGTERM, or until the parent process has gone.
 
     Args:
         namespace: of its topics.
         plain: lines also on a terminal.
-        for_scripts: these lines as JSON.
+        json_file: receives one JSON object a second, each on one line; `-` is stdout, without
+            the view.
 
     Raises:
         InputError: the namespace is none, or ROS does not start.
@@ -106,14 +110,21 @@ def watch(namespace: str = NAMESPACE, *, plain: bool = False, for_scripts: bool 
     console = Console(highlight=False)
     # rich alone would take a pipe for a terminal where FORCE_COLOR is set.
     drawn = console.is_terminal and sys.stdout.isatty() and not console.is_dumb_terminal
+    to_stdout = str(json_file) == "-"
     try:
-        if for_scripts:
-            _follow(listener, PLAIN_PERIOD, _print_json)
-        elif plain or not drawn:
-            _follow(listener, PLAIN_PERIOD, _plain(sys.stdout))
-        else:
-            with Live(console=console, screen=True, auto_refresh=False) as live:
-                _follow(listener, PERIOD, partial(_picture, live))
+        with ExitStack() as stack:
+            shows: list[tuple[float, Show]] = []
+            if json_file is not None:
+                out = sys.stdout if to_stdout else stack.enter_context(json_file.open("w"))
+                shows.append((PLAIN_PERIOD, partial(_write_json, out)))
+            if to_stdout:
+                pass
+            elif plain or not drawn:
+                shows.append((PLAIN_PERIOD, _plain(sys.stdout)))
+            else:
+                live = Live(console=console, screen=True, auto_refresh=False)
+                shows.append((PERIOD, partial(_picture, stack.enter_context(live))))
+            _follow(listener, shows)
     except RuntimeError:
         if rclpy.ok():
             raise
@@ -153,20 +164,22 @@ def _plain(out: TextIO) -> Show:
     return show
 
 
-def _print_json(data: LiveData, now: float) -> None:
-    print(json_text({"time_s": time.time(), **as_json(data, now)}), flush=True)
+def _write_json(out: TextIO, data: LiveData, now: float) -> None:
+    print(json_text({"time_s": time.time(), **as_json(data, now)}), file=out, flush=True)
 
 
-def _follow(listener: LiveListener, period: float, show: Show) -> None:
+def _follow(listener: LiveListener, shows: Sequence[tuple[float, Show]]) -> None:
+    """Show the data in every way, each with its period in seconds."""
     parent = multiprocessing.parent_process()
-    due = time.monotonic()
+    due = [time.monotonic()] * len(shows)
     while rclpy.ok() and (parent is None or parent.is_alive()):
         listener.take_all()
         now = time.monotonic()
-        if now >= due:
-            show(listener.data, now)
-            due = max(due + period, now)
-        time.sleep(min(max(due - time.monotonic(), 0.0), PERIOD))
+        for index, (period, show) in enumerate(shows):
+            if now >= due[index]:
+                show(listener.data, now)
+                due[index] = max(due[index] + period, now)
+        time.sleep(min(max(min(due) - time.monotonic(), 0.0), PERIOD))
 
 
 @contextmanager
