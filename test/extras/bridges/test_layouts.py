@@ -1,6 +1,5 @@
 """Topics of TeslaMate, OVMS and mapping files: quantities, units, signs."""
 
-import math
 from pathlib import Path
 
 import pytest
@@ -24,19 +23,6 @@ def test_teslamate_has_km_per_h_and_whole_kw_positive_when_drawn() -> None:
     assert charge == ("1", Measurand.CHARGE, 0.85)
 
 
-@pytest.mark.parametrize(("gear", "stands"), [("P", 1), ("", 1), ("D", 0), ("R", 0), ("N", 0)])
-def test_a_parked_tesla_has_gear_p_or_none(gear: str, stands: int) -> None:
-    parsed = only(read_layout("teslamate"), "teslamate/cars/1/shift_state", gear)
-    assert parsed == ("1", Measurand.STANDING, stands)
-
-
-def test_a_namespace_of_teslamate_stands_before_cars() -> None:
-    layout = read_layout("teslamate", "home")
-    assert layout.subscriptions == ("teslamate/home/cars/+/+",)
-    assert only(layout, "teslamate/home/cars/1/speed", "36")[2] == 10.0
-    assert layout.parse("teslamate/cars/1/speed", b"36") is None
-
-
 def test_ovms_counts_current_positive_out_of_the_battery() -> None:
     """`BatteryState.current` is negative then."""
     layout, base = read_layout("ovms"), "ovms/me/CAR/metric"
@@ -44,23 +30,6 @@ def test_ovms_counts_current_positive_out_of_the_battery() -> None:
     assert only(layout, f"{base}/v/b/power", "1.5") == ("CAR", Measurand.POWER, 1500.0)
     assert only(layout, f"{base}/v/p/speed", "72") == ("CAR", Measurand.SPEED, 20.0)
     assert only(layout, f"{base}/v/e/on", "no") == ("CAR", Measurand.ASLEEP, 1.0)
-
-
-def test_ovms_has_a_prefix_of_its_owner() -> None:
-    layout = read_layout("ovms", "garage/leaf/")
-    assert "garage/leaf/metric/v/p/#" in layout.subscriptions
-    assert only(layout, "garage/leaf/metric/v/p/speed", "72") == ("car", Measurand.SPEED, 20.0)
-    assert layout.parse("ovms/me/CAR/metric/v/p/speed", b"72") is None
-    layout = read_layout("ovms", "{car}/ovms/")
-    assert "+/ovms/metric/v/e/on" in layout.subscriptions
-    assert only(layout, "LEAF/ovms/metric/v/b/soc", "50") == ("LEAF", Measurand.CHARGE, 0.5)
-
-
-def test_rounded_numbers_have_their_step() -> None:
-    parsed = read_layout("teslamate").parse("teslamate/cars/1/power", b"12")
-    assert parsed.values[Measurand.POWER].step == 1000.0
-    parsed = read_layout("ovms").parse("ovms/me/CAR/metric/v/b/power", b"12")
-    assert math.isnan(parsed.values[Measurand.POWER].step)
 
 
 def test_what_is_no_number_has_no_value_but_shows_that_the_car_sends() -> None:

@@ -93,15 +93,6 @@ def test_power_while_charging_is_not_driving(tesla: Tesla) -> None:
     assert all(not isinstance(r, SpeedReading) for r in readings), "that of before is not held"
 
 
-def test_ovms_gives_voltage_and_current_as_they_are() -> None:
-    snapshots, base = Snapshots(360.0, on_change=True), "ovms/me/CAR/metric/v"
-    for name, value in (("p/speed", "36"), ("b/voltage", "400"), ("b/current", "25")):
-        parsed = read_layout("ovms").parse(f"{base}/{name}", value.encode())
-        snapshots.add(parsed, SECOND, retained=False)
-    battery, _ = snapshots.flush(2 * SECOND)
-    assert (battery.voltage, battery.current, battery.power) == (400.0, -25.0, 10_000.0)
-
-
 @pytest.mark.parametrize(("ahead_s", "used"), [(3600, True), (1e8, False), (8e9, False)])
 def test_a_stamp_of_a_day_that_has_not_come_is_that_of_arrival(ahead_s: float, used: bool) -> None:
     """One of the year 2283 would be the newest for ever, and more ns than 64 bits hold."""

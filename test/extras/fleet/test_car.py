@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
-from evpinn_ros.core.estimation.state_file import read_state
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.extras.fleet import car as car_module
-from evpinn_ros.extras.fleet.car import RESULT_FILE, STATE_FILE, CarTask, StoppedError, learn_car
+from evpinn_ros.extras.fleet.car import RESULT_FILE, STATE_FILE, CarTask, learn_car
 from evpinn_ros.extras.fleet.manifest import CarDrives
 from evpinn_ros.logs.sources import open_source
 from evpinn_ros.replays.chain import Chain
@@ -54,13 +53,6 @@ def test_drives_are_learned_in_order_of_time(learned):
     assert names(learned) == ["c", "a", "b"]
     shares = [row["mass_prior_share"] for row in result(learned)["drives"]]
     assert shares[0] > shares[1] > shares[2], "what was learned is carried on"
-
-
-def test_a_run_that_was_stopped_goes_on_to_the_same_numbers(learned, tmp_path):
-    whole = replace(learned, folder=tmp_path / "whole")
-    assert learn_car(whole).learned == 3
-    assert result(whole) == result(learned)
-    assert read_state(whole.folder / STATE_FILE) == read_state(learned.folder / STATE_FILE)
 
 
 def test_what_is_done_is_not_done_again(learned, monkeypatch):
@@ -127,11 +119,3 @@ def test_a_drive_without_battery_is_no_evidence(task, drives):
     car_task = task(path)
     assert learn_car(car_task).failed == 0
     assert not np.any(result(car_task)["precision"])
-
-
-def test_it_stops_when_asked(task, drives):
-    car_task = task(drives / "c", drives / "a")
-    car_task.stop.touch()
-    with pytest.raises(StoppedError):
-        learn_car(car_task)
-    assert not car_task.folder.exists()

@@ -1,7 +1,6 @@
 """Where tasks run: real processes, and a real Dask cluster of one worker."""
 
 from functools import partial
-from itertools import count
 import math
 import operator
 import os
@@ -43,15 +42,6 @@ def test_every_task_has_its_outcome(executor):
     }
     assert outcomes[4.0].result == 2.0 and outcomes[9.0].result == 3.0
     assert outcomes[-1.0].result is None and "ValueError" in outcomes[-1.0].problem
-
-
-def test_few_tasks_are_held_at_a_time(executor):
-    taken = []
-    endless = (taken.append(i) or float(i) for i in count())
-    outcomes = executor.outcomes(math.sqrt, endless)
-    for _ in range(20):
-        next(outcomes)
-    assert len(taken) < 30
 
 
 def test_a_worker_that_dies_costs_its_own_task_alone():

@@ -74,15 +74,6 @@ def test_without_evidence_the_vehicle_file_stays():
             assert Population(LEAF, evidence).value(name).cars == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_no_car_tells_stays_as_it_was():
-    rng = np.random.default_rng(2)
-    population = Population(LEAF, list(cars(200, np.full(6, 0.2), np.full(6, 0.2), rng)))
-    scaled = population.covariance() / np.outer(SIGMA, SIGMA)
-    assert UNTOLD @ scaled @ UNTOLD == pytest.approx(0.5, rel=1e-3)
-    wheel, combined = population.value("mass"), population.value("mass_over_eta")
-    assert combined.cars > 5 * wheel.cars
-
-
 def test_what_is_told_together_is_not_told_of_each():
     """Mass over eta of 60 cars, exactly: of how much cars differ in mass that says little."""
     rng = np.random.default_rng(5)
@@ -95,16 +86,6 @@ def test_what_is_told_together_is_not_told_of_each():
     assert population.value("mass_over_eta").cars == pytest.approx(60.0, rel=0.01)
     mass = population.value("mass")
     assert mass.cars < 2.0 and mass.spread_std > 0.2 * mass.spread
-
-
-def test_one_car_moves_the_next_but_half_way():
-    """Mean and spread are each half of the file's variance: a car known exactly is one draw."""
-    exact = Evidence(np.diag([0, 0, 0, 1e8, 0, 0]), np.array([0, 0, 0, 1e8, 0, 0]))
-    population = Population(LEAF, [exact])
-    estimate = population.value("c_rr")
-    assert estimate.cars == pytest.approx(1.0, abs=1e-3)
-    assert 0.3 < (estimate.mean - START[3]) / SIGMA[3] < 0.7
-    assert 0.6 < estimate.new_car_std / SIGMA[3] < 1.0
 
 
 def test_priors_are_a_vehicle_file(tmp_path):

@@ -1,11 +1,7 @@
-from hypothesis import given
-from hypothesis import strategies as st
 import numpy as np
 import pytest
-from scipy.integrate import simpson, trapezoid
 import torch
 
-from evpinn_ros.core.energy.rknn import energy_step, slopes
 from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.extras.paper.energy_network import (
     MAX_GAP,
@@ -36,35 +32,7 @@ def trained():
 # The quadrature that the networks are to learn
 
 
-def identity(power, energy=0.0):
-    return power
-
-
-powers = st.floats(-3e5, 3e5)
-
-
-@given(powers, powers, powers, st.floats(0.01, 2.5), st.floats(-1e9, 1e9))
-def test_runge_kutta_of_the_power_itself_is_simpson_whatever_the_energy(start, mid, end, dt, e):
-    step = energy_step(slopes([identity] * 4, start, mid, end, dt, e), dt)
-    assert step == pytest.approx(simpson([start, mid, end], dx=dt / 2), rel=1e-12, abs=1e-6)
-
-
-@given(powers, powers, st.floats(0.01, 2.5))
-def test_with_a_linear_middle_it_is_the_quadrature_of_the_meter(start, end, dt):
-    step = energy_step(slopes([identity] * 4, start, (start + end) / 2, end, dt), dt)
-    assert step == pytest.approx((start + end) / 2 * dt, rel=1e-12, abs=1e-6)
-
-
 # Steps
-
-
-def test_steps_hold_the_series_and_its_integral():
-    time, power = drive()
-    data = step_data(time, power)
-    assert data.power_next[:-1] == pytest.approx(data.power[1:])
-    assert data.power_mid == pytest.approx((power[:-1] + power[1:]) / 2)
-    assert data.energy[0] == 0
-    assert data.energy[-1] + data.step_energy[-1] == pytest.approx(trapezoid(power, time))
 
 
 def test_steps_across_gaps_and_beside_unknown_power_are_left_out():

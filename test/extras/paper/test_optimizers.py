@@ -9,7 +9,6 @@ import torch
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.physics import RegenForm
-from evpinn_ros.extras.paper import optimizers
 from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.experiment import PowerTraining
@@ -48,19 +47,6 @@ def test_resumed_training_gives_the_same_numbers(
     second.run_to(12)
     assert second.rows == whole.rows
     assert torch.equal(second.optimizer.network.vector(), whole.optimizer.network.vector())
-
-
-def test_lbfgs_takes_over_and_can_be_resumed(
-    begin: Callable[..., PowerTraining], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(optimizers, "ADAM_EPOCHS_BEFORE_LBFGS", 5)
-    training = begin(OptimizerName.ADAM_LBFGS, 30)
-    training.run_to(15)
-    resumed = begin(OptimizerName.ADAM_LBFGS, 30)
-    resumed.load_state(training.state())
-    resumed.run_to(30)
-    totals = {row.epoch: row.training.total for row in resumed.rows}
-    assert totals[30] < totals[5]
 
 
 def test_ours_is_below_adam_after_as_many_epochs_and_finds_the_true_combinations(

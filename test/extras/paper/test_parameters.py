@@ -59,30 +59,6 @@ def test_absolute_values_keep_their_prior(
     assert rows["mass_over_eta"].determined
 
 
-def test_without_braking_mu_is_not_determined(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
-    rows = rows_of(make_log(np.linspace(1.0, 30.0, 400)), vehicle)
-    assert rows["mu"].prior_share == pytest.approx(1.0)
-    assert not rows["mu"].determined
-    assert rows["mu"].value == pytest.approx(vehicle.priors["mu"].value, rel=1e-6)
-
-
-def test_a_network_s_power_can_be_fitted_as_well(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
-    log = make_log(noise=0.0)
-    problem = Problem(log, vehicle, random_split(len(log.time), 0), dtype=torch.float64)
-    z = torch.tensor([0.1, 0.2, 0.08, -0.1, 0.02], dtype=torch.float64)
-    power = problem.physics(problem.training.motion, z)
-    fit = problem.fit(problem.training, power)
-    fitted, wanted = (
-        combinations(problem.values(x), vehicle.frontal_area, problem.form)
-        for x in (fit.log_scale, z)
-    )
-    assert fitted == pytest.approx(wanted, rel=2e-3)
-
-
 def test_drift_along_the_unknown_direction_spares_the_combinations(
     make_log: Callable[..., DriveLog], vehicle: Vehicle
 ) -> None:

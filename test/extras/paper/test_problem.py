@@ -2,20 +2,17 @@
 
 from collections.abc import Callable
 
-from hypothesis import given
-from hypothesis import strategies as st
 import numpy as np
 import pytest
 import torch
 
 from evpinn_ros.common.arrays import chosen_rows
-from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.network import PHYSICS_LOSS, PowerNetwork
 from evpinn_ros.extras.paper.problem import (
     Problem,
-    chronological_split,
     random_split,
 )
 
@@ -32,20 +29,6 @@ def problem(make_log: Callable[..., DriveLog], vehicle: Vehicle) -> Problem:
 @pytest.fixture
 def network() -> PowerNetwork:
     return PowerNetwork(WIDTHS, seed=2, dtype=torch.float64)
-
-
-@given(samples=st.integers(100, 5000), seed=st.integers(0, 9))
-def test_random_split_uses_every_sample_once(samples: int, seed: int) -> None:
-    split = random_split(samples, seed)
-    both = np.concatenate((split.training, split.validation))
-    assert np.array_equal(np.sort(both), np.arange(samples))
-    assert len(split.validation) == round(0.2 * samples)
-
-
-def test_chronological_split_validates_on_the_future_alone() -> None:
-    split = chronological_split(1000)
-    assert split.training.max() < split.validation.min()
-    assert len(split.validation) == 200
 
 
 def test_loss_is_eq_22_in_normalised_units(problem: Problem, network: PowerNetwork) -> None:
@@ -71,13 +54,6 @@ def test_loss_is_eq_22_in_normalised_units(problem: Problem, network: PowerNetwo
     assert losses == pytest.approx((data_term + physics_term, data_term, physics_term), rel=1e-12)
 
 
-def test_initial_values_are_those_of_eq_24(problem: Problem) -> None:
-    problem = Problem(problem.log, load_vehicle("tesla_model_3_lr"), problem.split)
-    values = problem.values(torch.zeros(5, dtype=torch.float64))
-    assert values[:5] == pytest.approx((0.7, 0.5, 1823.0, 0.0096, 0.23))
-    assert problem.p_aux == pytest.approx(900.0, abs=60.0)  # the median at standstill
-
-
 def test_gradients_of_weights_equal_autograd(problem: Problem, network: PowerNetwork) -> None:
     """d loss / dw by the analytic Jacobian against back-propagation, to 1e-6 (here 1e-9)."""
     samples = problem.training
@@ -94,19 +70,3 @@ def test_gradients_of_weights_equal_autograd(problem: Problem, network: PowerNet
         pull += PHYSICS_LOSS * (output - problem.physics(samples.motion, Z))
         analytic = 2.0 * jacobian.T @ pull / len(samples)
     assert torch.allclose(analytic, automatic, rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("form", RegenForm)
-def test_gradients_of_parameters_equal_autograd(
-    form: RegenForm, make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
-    """Forward-mode rows of the physics, as `paper.log_parameters` has them, against reverse."""
-    log = make_log()
-    split = random_split(len(log.time), 0)
-    problem = Problem(log, vehicle, split, form=form, dtype=torch.float64)
-    motion = problem.training.motion
-    rows = torch.func.jacfwd(lambda z: problem.physics(motion, z))(Z)
-    z = Z.clone().requires_grad_()
-    for index in (0, 57, 200):
-        (expected,) = torch.autograd.grad(problem.physics(motion, z)[index], z)
-        assert torch.allclose(rows[index], expected, rtol=1e-9, atol=1e-14)

@@ -7,27 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
 from evpinn_ros.core.estimation.state_file import read_state
 from evpinn_ros.core.estimation.worker import InlineWorker
-from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.experiment import Experiment, Outcome, Settings
-from evpinn_ros.extras.paper.learner import POWER_SCALE, SPEED_SCALE, WINDOW
 from evpinn_ros.extras.paper.optimizers import OptimizerName
 from evpinn_ros.extras.paper.run import results_of
 from evpinn_ros.extras.paper.saved import (
     possible,
-    window_network,
     write_estimator_state,
     write_vehicle_file,
 )
-from evpinn_ros.extras.paper.tables import all_tables
 
 
 @pytest.fixture(scope="module", params=list(OptimizerName))
@@ -35,36 +30,6 @@ def outcome(
     request: pytest.FixtureRequest, reproduced: Callable[[OptimizerName], Outcome]
 ) -> Outcome:
     return reproduced(request.param)
-
-
-def test_window_network_is_the_same_function(outcome: Outcome) -> None:
-    """Time now counts back from the end of the log, in windows."""
-    problem, network = outcome.training.problem, outcome.training.optimizer.network
-    log = outcome.log
-    age = log.time[-1] - log.time
-    inputs = np.stack((log.speed / SPEED_SCALE, -age / WINDOW), axis=1)
-    with torch.no_grad():
-        output = window_network(problem, network)(torch.tensor(inputs, dtype=torch.float32))
-    expected = problem.predicted_power(network, log)
-    assert output.numpy() * POWER_SCALE == pytest.approx(expected, rel=1e-3, abs=20.0)
-
-
-def test_estimator_starts_from_the_state(outcome: Outcome, tmp_path: Path) -> None:
-    path = tmp_path / "state.json"
-    write_estimator_state(path, outcome)
-    settings = EstimatorSettings(mode=Mode.PAPER, regen_form=outcome.settings.form)
-    estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
-    estimator.restore(read_state(path))
-    outputs = [
-        output
-        for index in range(20)
-        for output in estimator.add_reading(
-            SpeedReading((1000 + index) * 100_000_000, 10.0, float("nan"))
-        )
-    ]
-    assert outputs
-    assert all(np.isfinite(getattr(o, "power", 0.0)) for o in outputs)
-    assert estimator.export()["learner"]["fresh"] is False
 
 
 def test_vehicle_file_is_valid_and_holds_what_was_found(outcome: Outcome, tmp_path: Path) -> None:
@@ -102,21 +67,6 @@ def test_state_of_another_reading_of_eq_21_is_refused(outcome: Outcome, tmp_path
     estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
     with pytest.raises(ValueError, match="regen_form 'recovery', not for regen_form 'printed'"):
         estimator.restore(read_state(path))
-
-
-def test_tables_say_what_the_results_say(outcome: Outcome) -> None:
-    tables = {table.title.split(":")[0]: table for table in all_tables(outcome)}
-    assert {"Table II", "Table IV", "Table V", "Table VI"} <= set(tables)
-    for table in tables.values():
-        assert all(len(row) == len(table.columns) for row in table.rows)
-    last = next(row for row in tables["Table II"].rows if row[0] == "30 V")
-    assert last[1] == f"{outcome.power_rows[-1].validation.total:.4g}"
-    results = results_of(outcome)
-    assert results["power_losses"]["random"][-1]["validation"]["total"] == pytest.approx(
-        float(last[1]), rel=1e-3
-    )
-    baseline = next(s for s in results["scores"] if s["method"].startswith("baseline"))
-    assert baseline["split"] == "random 20 %" and baseline["r2"] > 0.9
 
 
 def test_finished_trainings_are_not_run_again(

@@ -44,19 +44,3 @@ def test_eq_21_finds_the_truth(kind: DriveKind, vehicle: Vehicle, tmp_path: Path
     assert min(alone[name] for name in ("mass", "c_d")) > 0.2  # the prior is needed for these
     if kind is DriveKind.URBAN:
         assert alone["c_d"] > 0.7  # in town hardly anything but the prior tells it
-
-
-def test_the_simulated_car_obeys_eq_21(vehicle: Vehicle) -> None:
-    """Its power is eq. 21 of its true parameters at every moment, and flat roads are flat."""
-    drive = simulate(DriveKind.URBAN, vehicle, 60.0, 1, equation=RegenForm.PRINTED)
-    motion, truth = drive.trace.motion, drive.truth.parameters
-    braking = motion.acceleration < vehicle.beta
-    load = 0.5 * vehicle.air_density * vehicle.frontal_area * truth.c_d * motion.speed**3
-    load = load + truth.c_rr * truth.mass * 9.80665 * motion.speed
-    kinetic = truth.mass * motion.speed * motion.acceleration * (1 - truth.mu * braking)
-    assert drive.trace.power == pytest.approx((load + kinetic) / truth.eta + truth.p_aux)
-    assert not motion.grade.any()
-    again = simulate(
-        DriveKind.URBAN, vehicle, 60.0, 1, equation=RegenForm.PRINTED, car={"mass": 2222.0}
-    )
-    assert again.truth.parameters.mass == 2222.0
