@@ -202,20 +202,6 @@ def test_a_plan_costs_what_the_batch_forecast_says(result):
     assert windy["energy_j"].iloc[-1] > forecast["energy_j"].iloc[-1]
 
 
-def test_the_charge_along_a_plan_is_that_of_the_node(result):
-    """At its end; before, it falls with the energy, and rises where the car brakes."""
-    time = np.arange(0.0, 421.0)
-    trip = {"t_s": time, "speed_mps": np.interp(time, [0, 15, 400, 420], [0, 20, 20, 0])}
-    forecast = ev.forecast(trip, result)
-    account, end = result.account, plan.planned_energy(trip, result).energies
-    after = account.battery.after(end, account.charge(), account.gauge.capacity).charge
-    assert forecast["charge_pct"].iloc[-1] == pytest.approx(100 * after.value, abs=1e-9)
-    assert forecast["charge_sigma_pct"].iloc[-1] == pytest.approx(100 * after.sigma, rel=1e-9)
-    charge = forecast["charge_pct"].to_numpy()
-    assert charge[0] == 100 * account.charge().value and charge[400] < charge[15] < charge[0]
-    assert charge[410] > charge[400]
-
-
 def test_the_charge_of_a_car_that_nothing_was_learned_of_is_by_its_capacity():
     trip = {"t_s": [0.0, 400.0], "speed_mps": [20.0, 20.0]}
     assert ev.forecast(trip, CAR)["charge_pct"].isna().all()

@@ -130,25 +130,6 @@ def test_a_state_is_the_old_one_or_the_new_one_and_once_saved_the_new_one(tmp_pa
     assert looks >= 3 * 6
 
 
-def test_a_name_that_goes_while_the_disk_is_looked_at_is_no_fault(tmp_path, monkeypatch):
-    """As when the thread that syncs and the one that writes meet, on a busy machine."""
-    disk = Disk(tmp_path / "disk", monkeypatch)
-    disk.folder.mkdir()
-    (disk.folder / "a.new").write_text("whole")
-    listed = Path.iterdir
-
-    def renamed_since(folder):
-        names = list(listed(folder))
-        if (disk.folder / "a.new") in names:
-            (disk.folder / "a.new").replace(disk.folder / "a")
-        return iter(names)
-
-    monkeypatch.setattr(Path, "iterdir", renamed_since)
-    *_, last = disk.states()
-    assert [path.name for path in last.iterdir()] == ["a"]
-    assert (last / "a").read_text() == "whole"
-
-
 @pytest.mark.parametrize("split", [None, Split(seconds=1.5)])
 def test_a_recording_loses_its_last_second_at_most(tmp_path, monkeypatch, split):
     monkeypatch.setattr(writer, "SYNC_SECONDS", 0.0)

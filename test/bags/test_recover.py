@@ -5,16 +5,13 @@ import io
 import os
 from pathlib import Path
 import struct
-import subprocess
-import sys
 
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
 import pytest
 from rosbags.rosbag2 import Reader
 from typer.testing import CliRunner
 import yaml
-import zstandard
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
@@ -119,36 +116,6 @@ def test_a_chunk_that_lies_about_its_size_is_refused(wholes, tmp_path, size):
     struct.pack_into("<Q", data, hit.chunk_start_offset + 9 + 16, size)
     report, messages = saved(tmp_path, bytes(data))
     assert len(report.losses) == 1 and len(messages) > 0.6 * len(messages_of(path))
-
-
-def test_a_bomb_is_not_unpacked(tmp_path):
-    """A chunk of 2 GiB of zeros in 200 kB, which says it is small, and one which says it."""
-    bomb = zstandard.compress(bytes(1 << 20)) * 2048
-    chunks = b""
-    for size in (1000, 2 << 30):
-        body = struct.pack("<QQQII", 1, 2, size, 7, 4) + b"zstd" + struct.pack("<Q", len(bomb))
-        chunks += struct.pack("<BQ", 6, len(body) + len(bomb)) + body + bomb
-    with (tmp_path / "a.mcap").open("wb") as file:
-        writer = Writer(file, compression=CompressionType.NONE, use_chunking=False)
-        writer.start(profile="ros2")
-        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
-        channel = writer.register_channel("/a", "cdr", schema)
-        writer.add_message(channel, START, encode(scalar(new_message, 1.0)), START)
-        writer.finish()
-    whole = (tmp_path / "a.mcap").read_bytes()
-    end = whole.index(b"\x0f\x04\0\0\0\0\0\0\0")
-    (tmp_path / "bomb.mcap").write_bytes(whole[:end] + chunks + whole[end:])
-    code = (
-        "import resource, sys; from pathlib import Path\n"
-        "from evpinn_ros.bags.recover import recover\n"
-        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
-        "(one,) = recover(Path(sys.argv[1]), Path(sys.argv[2]))\n"
-        "grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before\n"
-        "print(one.messages, len(one.losses), grown < 100_000)"
-    )
-    command = [sys.executable, "-c", code, tmp_path / "bomb.mcap", tmp_path / "new"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.stdout == "1 2 True\n", done.stderr
 
 
 def test_attachments_and_metadata_are_kept(tmp_path):
@@ -285,17 +252,6 @@ def test_records_of_other_programs_are_skipped(wholes, tmp_path):
     at = chunks[1].chunk_start_offset
     report, messages = saved(tmp_path, data[:at] + own + data[at:])
     assert report.losses == [] and messages == messages_of(wholes["zstd"])
-
-
-def test_a_damaged_message_index_costs_nothing(wholes, tmp_path):
-    path = wholes["zstd"]
-    hit, data = chunks_of(path)[1], path.read_bytes()
-    begin = hit.chunk_start_offset + hit.chunk_length
-    for place in (begin, begin + 1, begin + 9, begin + 30, begin + hit.message_index_length - 3):
-        (tmp_path / str(place)).mkdir()
-        report, messages = saved(tmp_path / str(place), data[:place] + b"\xee" + data[place + 1 :])
-        assert messages == messages_of(path)
-        assert report.whole and report.lost_messages == 0 and report.lost_chunks == 0
 
 
 def test_a_disk_that_is_full_at_the_last_file_is_left_as_it_was(wholes, tmp_path, monkeypatch):

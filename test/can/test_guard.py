@@ -114,11 +114,6 @@ def test_model_s_on_the_bus_of_a_model_3(moving, bus):
     assert dropped == len(doors) and status.dropped["undecided"] < 20
 
 
-def test_a_trusted_profile_is_not_guarded(bus):
-    frames = [door_status(frame, b"\x00\x26") for frame in bus("tesla_model_3")[:50]]
-    assert len(run(CanBridge(PROFILES["tesla_model_s"]), frames)) == 50
-
-
 @pytest.mark.parametrize("patient", [False, True])
 def test_the_firmware_of_another_year(patient, bus):
     guard, bridge = guarded("tesla_model_3", patient=patient)
@@ -201,15 +196,6 @@ def test_a_car_that_stands_still_and_never_changes_is_accepted(mine):
     frames = [CanFrame(i * SECOND // 10, 80, frame.data) for i in range(20)]
     guard = FitGuard(mine, ALL)
     assert len(run(CanBridge(mine, guard=guard), frames)) == 40
-
-
-def test_the_end_of_a_short_log_lets_out_what_was_held(mine):
-    frame = Encoder(mine).battery(BatteryReading(0, 380.0, -1.0))
-    bridge = CanBridge(mine, guard=FitGuard(mine, ALL))
-    assert bridge.decode(frame) == ()
-    text = bridge.status(0).text
-    assert "2 readings held back" in text
-    assert len(bridge.finish()) == 2 and bridge.finish() == ()
 
 
 def test_a_silent_profile_is_told_who_would_fit(bus):

@@ -81,20 +81,6 @@ def test_values_as_the_profile_reads_them():
     assert (current.count, current.newest, current.lowest, current.highest) == (3, -60, -60, 5)
 
 
-def test_the_wrong_sign_is_told(bus):
-    """The frames of a car whose current counts the other way, read as if it did not."""
-    best = inspected(map(flipped, bus("tesla_model_3"))).report().best
-    assert best.fit.profile == "tesla_model_3" and "flip positive_means" in best.sign
-
-
-def flipped(frame):
-    if frame.can_id != 0x132:
-        return frame
-    raw = int.from_bytes(frame.data[2:4], "little") & 0x7FFF
-    opposite = (-raw & 0x7FFF).to_bytes(2, "little")
-    return CanFrame(frame.stamp_ns, 0x132, frame.data[:2] + opposite + frame.data[4:])
-
-
 def test_what_another_tester_asks_for_is_told():
     inspection = Inspection(ALL, 500_000)
     for stamp, data in enumerate(KONA.split() * 3):

@@ -156,27 +156,6 @@ def test_without_leave_nothing_is_ever_sent(channel, unit):
     assert not status.ok and "hyundai_kia" in status.text and "poll:=true" in status.text
 
 
-def test_only_read_requests_and_flow_control_are_on_the_wire(channel, unit):
-    units = kona(unit, lambda: [pack_answer(250, 3600)])
-    with can.Bus(channel, interface="virtual") as listener, live(channel, KONA, units) as car:
-        car.wait_until(lambda: len(car.of(BatteryReading)) >= 5)
-        frames = iter(lambda: listener.recv(0), None)
-        sent = {bytes(m.data) for m in frames if m.arbitration_id in (0x7E4, 0x7B3)}
-    wanted = ("0322010100000000", "0322010000000000", "3000000000000000")
-    assert sent == set(map(bytes.fromhex, wanted))
-
-
-def test_a_refusal_retires_its_request_and_says_so(channel, unit):
-    units = pack, _ = kona(unit, lambda: [bytes.fromhex("7F2231")])
-    with live(channel, KONA, units) as car:
-        car.wait_until(lambda: not car.bridge.poller.status().ok)
-        speeds = len(car.of(SpeedReading))
-        car.wait_until(lambda: len(car.of(SpeedReading)) > speeds + 3)
-        status = car.bridge.poller.status()
-    assert status.text == "battery refused: RequestOutOfRange"
-    assert len(pack.asked) == 3 and status.counters["refused"] == 3
-
-
 def test_a_silent_unit_does_not_hold_up_another(channel, unit):
     with live(channel, KONA, kona(unit, list)) as car:
         car.wait_until(lambda: len(car.of(SpeedReading)) >= 10)
@@ -261,17 +240,6 @@ def test_an_id_on_which_somebody_else_sends_is_left_alone(seconds):
     ask(3600.0)
     assert len(sent) == asked
     assert poller.status().text.startswith("stopped: the car or another tester sends on 0x7E4")
-
-
-def test_a_low_12_v_battery_ends_the_asking(channel, unit):
-    units = kona(unit, lambda: [pack_answer(0, 3600, auxiliary=117)], lambda: [drive_answer(0)])
-    with live(channel, KONA, units) as car:
-        car.wait_until(lambda: not car.bridge.poller.status().ok)
-        asked = car.counters["asked"]
-        car.pass_time(20.0)
-        assert car.counters["asked"] - asked in (0, 1)  # one more look at its voltage
-        text = car.bridge.poller.status().text
-    assert text.startswith("stopped: the 12 V battery is low: 11.7 V; goes on when")
 
 
 def test_a_driver_that_fails_is_no_end():

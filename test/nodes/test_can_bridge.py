@@ -2,9 +2,6 @@
 
 from collections.abc import Iterator
 import itertools
-import os
-import pty
-import tty
 
 import can
 import pytest
@@ -14,7 +11,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.core.signals.readings import BatteryReading, MotorReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.topics.messages import Level
 
@@ -87,18 +84,6 @@ def changes(lines):
 
 
 @pytest.mark.nightly
-def test_a_bus_that_takes_time_to_open_is_no_news(bench, said):
-    own, channel = pty.openpty()
-    tty.setraw(channel)
-    options = {"interface": "slcan", "channel": os.ttyname(channel)}
-    bench.start(CanBridgeNode, **options, bus_options="sleep_after_open=3.0")
-    bench.pump(said)
-    os.close(own)
-    os.close(channel)
-    assert [each.partition(":")[0] for each in said()] == ["silent"]
-
-
-@pytest.mark.nightly
 def test_another_bus_is_said_with_what_would_fit(bench, bus, said):
     node = start(bench, bus, can_profile="nissan_leaf")
     drive(bench, bus, model_3(), lambda: any("no frame" in line for line in said()))
@@ -143,20 +128,3 @@ def test_a_right_profile_publishes_from_its_first_frames(bench, bus):
     bench.pump(lambda: bench.heard[topics.SPEED] and bench.heard[topics.BATTERY])
     assert bench.heard[topics.BATTERY][0].voltage == pytest.approx(350.0)
     drive(bench, bus, frames, lambda: bench.diagnosis(node)["bus"][0] is Level.OK)
-
-
-def test_motor_torque_is_published(bench, bus):
-    encoder = Encoder(load_profile("nissan_leaf"))
-    start(bench, bus, can_profile="nissan_leaf")
-    bench.listen(topics.MOTOR_TORQUE)
-
-    def leaf() -> Iterator[CanFrame]:
-        for index in itertools.count():
-            yield encoder.battery(BatteryReading(0, 380.0, -index % 50))
-            yield encoder.speed(SpeedReading(0, index % 20 / 10))
-            yield from encoder.motor(MotorReading(0, 100.0, 200.0))
-
-    drive(bench, bus, leaf(), lambda: bench.heard[topics.MOTOR_TORQUE])
-    message = bench.heard[topics.MOTOR_TORQUE][0]
-    assert list(message.name) == ["torque", "speed"] and message.header.stamp.sec > 0
-    assert list(message.position) == pytest.approx([100.0, 200.0], abs=0.1)

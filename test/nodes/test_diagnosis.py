@@ -8,22 +8,16 @@ import pytest
 
 from evpinn_ros.can.bridge import BridgeStatus, SignalStatus
 from evpinn_ros.can.bus import BusCondition, BusStatus
-from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import Air, Forecast
 from evpinn_ros.core.energy.forecaster import Basis, PlanAnswer, PlanLog
-from evpinn_ros.core.energy.meter import EnergyMeter
-from evpinn_ros.core.energy.rknn import load_rknn
-from evpinn_ros.core.estimation.estimate import Trust
 from evpinn_ros.core.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.core.estimation.lag import Lag
 from evpinn_ros.core.estimation.learner import LearnerReport
-from evpinn_ros.core.estimation.payload import PayloadChange
 from evpinn_ros.core.signals.detector import BATTERY_STUCK, SPEED_STUCK
-from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import WELL, Condition, Health
-from evpinn_ros.nodes.energy_diagnosis import answered_status, meter_status, plan_status
+from evpinn_ros.nodes.energy_diagnosis import answered_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
 from evpinn_ros.topics.messages import Level
 
@@ -37,7 +31,6 @@ STATUS = EstimatorStatus(
     durations=(0.004, 0.006, 0.005),
     newest_ns=1,
 )
-DRIVING = Condition(WELL, 0.1, 0, None)
 AIR = Air(celsius=-3.0)
 
 
@@ -46,21 +39,6 @@ BRIDGE = BridgeStatus(True, "receiving", 9, 2, 1, {}, {"speed": SignalStatus(9, 
 
 def estimator(status=STATUS, health=WELL, age=0.1, problem=None):
     return estimator_status(status, Condition(health, age, 0, problem, "1 publisher"))
-
-
-def metered() -> EnergyAccount:
-    """An account of one Wh that was measured in a second."""
-    account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", 7e7)
-    for second in (1, 2):
-        account.add_measured(second * NANOSECONDS, 3600.0, 30.0)
-    return account
-
-
-def test_learning_is_well_and_shows_its_counters():
-    status = estimator()
-    assert status.level is Level.OK and status.text == "learning: 35 of 40 updates accepted"
-    assert status.values["dropped.speed_late"] == 2 and status.values["gated.standing"] == 5
-    assert status.values["rejected.not_better"] == 5 and status.values["update_ms"] == 5.0
 
 
 @pytest.mark.parametrize(
@@ -95,18 +73,6 @@ def test_bad_messages_are_counted_and_faults_outweigh_all():
     assert (
         long_ago.level is Level.OK and long_ago.values["fault.vehicle/speed: KeyError('x')"] == 1
     )
-
-
-def test_states_of_the_meter():
-    account = metered()
-    well = meter_status(account, DRIVING)
-    assert (well.level, well.values["consumed_wh"]) == (Level.OK, 1.0)
-    for age, text in ((math.nan, "waiting for power/smoothed"), (9.0, "power/smoothed for 9 s")):
-        status = meter_status(account, DRIVING._replace(age=age))
-        assert status.level is Level.WARN and text in status.text
-    account.add_predicted(9 * NANOSECONDS, 3600.0, 300.0)
-    predicting = meter_status(account, DRIVING)
-    assert predicting.level is Level.WARN and "predicting" in predicting.text
 
 
 def test_states_of_planning():
@@ -167,34 +133,3 @@ def test_a_refused_profile_is_an_error_and_a_wrong_sign_a_warning():
     for status in (bus_status(bus, suspected, WELL), log_status("playing", None, suspected, WELL)):
         assert (status.level, status.text) == (Level.WARN, "current_sign: x")
     assert bus_status(bus, suspected, WELL).values["suspicion"] == "x"
-
-
-def test_what_was_noticed_of_the_car_is_told():
-    change = PayloadChange(5_000_000_000, 151.23456, 24.0)
-    noticed = LearnerReport(change, 2, 1, "current_sign")
-    status = dataclasses.replace(
-        STATUS,
-        report=noticed,
-        progress={"mass": 73.4},
-        trust={"mass": Trust.ESTIMATING},
-        seen={"30_60_kmh_steady": 12},
-        band_coverage={"smoothed": 0.9},
-    )
-    found = estimator_status(status, DRIVING)
-    assert found.level == Level.WARN and "sign of current" in found.text
-    expected = {
-        "payload_change_kg": 151.235,
-        "payload_changes": 2,
-        "progress.mass": 73,
-        "state.mass": "estimating",
-    }
-    assert {key: found.values[key] for key in expected} == expected
-    assert found.values["seen.30_60_kmh_steady"] == 12
-    assert found.values["in_90_band.smoothed"] == 0.9
-    assert found.values["suspicion"] == "current_sign"
-
-
-def test_a_notice_is_added_to_the_verdict_and_makes_it_a_warning():
-    found = estimator(health=Health({}, {}, ("2 publishers of vehicle/speed",)))
-    assert found.level is Level.WARN
-    assert found.text == "learning: 35 of 40 updates accepted; 2 publishers of vehicle/speed"

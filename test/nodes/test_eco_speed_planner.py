@@ -4,17 +4,13 @@ import math
 import signal
 import sys
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
-import numpy as np
 import pytest
 from trajectory_msgs.msg import JointTrajectory
 
-from evpinn_ros import topics
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN
 from evpinn_ros.core.energy.forecaster import Forecaster
-from evpinn_ros.core.energy.plan import COLUMNS, Plan, plan_from_speed_profile
+from evpinn_ros.core.energy.plan import COLUMNS, plan_from_speed_profile
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.energy import EnergyNode
@@ -129,34 +125,6 @@ def test_it_picks_the_cheapest_of_those_in_time(bench, start, deadline):
         assert getattr(plan, field) == pytest.approx(getattr(sent, field), abs=1e-9)
 
 
-def test_hills_count(bench, start, tmp_path):
-    """The road reaches the energy node: uphill costs what the library says, and far more."""
-    bench.start(EnergyNode)
-    route = tmp_path / "pass.csv"
-    route.write_text("distance_m,elevation_m,name\n100,500,valley\n3100,650,pass\n")
-    planner, chosen = start(route=str(route), candidates=3)
-    chosen_name(bench, planner, chosen)
-    energy = [answer.energy for answer in planner.answers]
-    assert energy == pytest.approx([f.energy[-1] for f in forecasts(planner)], rel=1e-6)
-    flat = plan_of(planner.candidates[0])
-    level = Plan(flat.time, flat.distance, flat.speed, np.zeros_like(flat.elevation))
-    climb = energy[0] - forecast_of(level).energy[-1]
-    assert climb > VEHICLE.initial.mass * 9.81 * 150
-
-
-def test_the_battery_at_the_end_is_shown_and_an_empty_one_told(bench, start, capfd):
-    energy = start_energy(bench, 0.5)
-    planner, chosen = start()
-    chosen_name(bench, planner, chosen)
-    used = planner.answers[0].energy / VEHICLE.battery_capacity
-    assert planner.answers[0].battery == pytest.approx(0.5 - used, abs=1e-6)
-    shown = capfd.readouterr()
-    assert f" {100 * (0.5 - used):.1f} %" in shown.out and "empty" not in shown.err
-    charge(bench, energy, 0.001)
-    bench.pump(lambda: all(answer.battery == 0.0 for answer in planner.answers))
-    bench.pump(lambda: "the battery will be empty" in capfd.readouterr().err)
-
-
 def test_without_an_energy_node_it_says_so_and_goes_on(bench, start, capfd):
     planner, chosen = start()
     bench.pump(lambda: chosen)
@@ -172,41 +140,6 @@ def test_without_an_energy_node_it_says_so_and_goes_on(bench, start, capfd):
     pick = EXAMPLE.cheapest_in_time(planner.candidates, planner.answers, 720.0)
     assert cost((planner.answers[pick], planner.candidates[pick])) < math.inf
     bench.pump(lambda: chosen and chosen[-1].header.frame_id == planner.candidates[pick].name)
-
-
-def test_answers_to_others_are_not_taken_for_its_own(bench, start):
-    """Another planner asks the same node, with the same stamp, a plan that costs next to none."""
-    energy = start_energy(bench)
-    planner, chosen = start(candidates=4)
-    bench.listen(topics.SPEED_PROFILE, topics.FORECAST)
-    asked = bench.heard[topics.SPEED_PROFILE]
-    bench.pump(lambda: asked)
-    question = asked[0]
-    question.header.frame_id = "somebody else"
-    question.points = question.points[:2]
-    bench.deliver(energy, topics.SPEED_PROFILE, question)
-    bench.pump(
-        lambda: any(m.header.frame_id == "somebody else" for m in bench.heard[topics.FORECAST])
-    )
-    chosen_name(bench, planner, chosen)
-    expected = [f.energy[-1] for f in forecasts(planner)]
-    assert [answer.energy for answer in planner.answers] == pytest.approx(expected, rel=1e-6)
-
-
-@settings(deadline=None)
-@given(
-    climbs=st.lists(st.floats(-0.1, 0.1), min_size=2, max_size=40),
-    cruise=st.floats(1.0, 40.0),
-    lent=st.floats(0.0, 0.5),
-)
-def test_every_candidate_can_be_driven_in_comfort(climbs, cruise, lent):
-    s = np.arange(len(climbs) + 1) * EXAMPLE.SPACING
-    z = np.concatenate(([0.0], np.cumsum(climbs) * EXAMPLE.SPACING))
-    candidate = EXAMPLE.speed_profile("", s, z, cruise, lent, 40.0)
-    plan = plan_of(candidate)  # refuses what cannot be driven
-    assert plan.speed[0] == plan.speed[-1] == 0.0 and plan.speed.max() <= 40.0
-    acceleration = np.diff(plan.speed) / np.diff(plan.time)
-    assert np.abs(acceleration).max() <= EXAMPLE.ACCELERATION + 1e-9
 
 
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])

@@ -80,18 +80,6 @@ def test_reset_starts_the_trip_and_not_the_lifetime(bench, tmp_path):
     assert json.loads(path.read_text())["energy"]["vehicle"] == "tesla_model_3_lr"
 
 
-def test_a_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path):
-    path, content = tmp_path / "energy.json", '{"version": 1, "vehicle": "bmw_i3"}'
-    path.write_text(content)
-    node = bench.start(EnergyNode, energy_file=str(path))
-    drive(bench, node, range(5))
-    level, text, shown = bench.diagnosis(node)["meter"]
-    assert level is Level.WARN and str(path) in text and shown["energy_file"] == text
-    assert bench.call(Trigger, "/ev/energy/save").success
-    assert (tmp_path / "energy.json.refused").read_text() == content
-    assert bench.diagnosis(node)["meter"][0] is Level.OK
-
-
 def test_planners_hear_consumption_and_range_only_when_known(bench):
     node = bench.start(EnergyNode)
     bench.listen(*SUMMARY)

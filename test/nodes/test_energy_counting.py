@@ -6,8 +6,6 @@ from std_srvs.srv import Trigger
 from evpinn_ros import topics
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.energy import EnergyNode
-from evpinn_ros.nodes.factory import new_message
-from evpinn_ros.topics.messages import named_vector
 from test.nodes import plans
 from test.nodes.plans import NOW
 
@@ -33,18 +31,6 @@ def test_energy_is_counted_and_reset(bench):
     bench.deliver(node, topics.POWER_SMOOTHED, power(11, 2100.0))
     bench.settle()
     assert bench.heard[topics.ENERGY_CONSUMED][-1].data == 0.0
-
-
-def test_bad_messages_are_counted(bench):
-    node = bench.start(EnergyNode)
-    other = named_vector(new_message, NOW, ["torque"], [1.0])
-    bench.deliver(node, topics.POWER_SMOOTHED, other)
-    bench.deliver(node, topics.IDENTIFIABLE, other)
-    bench.deliver(node, topics.POWER_MEASURED, new_message(topics.NAMED_VECTOR_TYPE))
-    values = bench.diagnosis(node)["meter"][2]
-    assert values["bad.power/smoothed: no_power"] == "1"
-    assert values["bad.estimate/identifiable: incomplete"] == "1"
-    assert values["bad.power/measured: no_stamp"] == "1"
 
 
 @pytest.mark.parametrize(("integrator", "flow"), [("trapezoid", "predicted"), ("rknn", "rknn")])

@@ -4,14 +4,11 @@ import dataclasses
 import math
 
 import pytest
-from rclpy.serialization import serialize_message
 
 from evpinn_ros import topics
-from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import DIRECTION_LENGTH, forecast_plan
 from evpinn_ros.core.energy.forecaster import Forecaster
-from evpinn_ros.core.energy.path_plan import BEND, COMFORT_LATERAL
-from evpinn_ros.core.energy.plan import MAX_POINTS, plan_from_speed_profile
+from evpinn_ros.core.energy.plan import plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.core.energy.remaining import usual_cost
 from evpinn_ros.core.estimation.pinn import PinnLearner
@@ -75,23 +72,6 @@ def test_the_battery_at_the_end_follows_the_state_of_charge(bench):
     charge(bench, node, 0.0)
     _, (battery,) = ask(bench, node, topics.SPEED_PROFILE, message)
     assert battery.percentage == 0.0
-
-
-def test_the_battery_at_the_end_rests_on_the_capacity_that_was_learned(bench):
-    node = bench.start(EnergyNode)
-    bench.listen(*ANSWERS)
-    half = VEHICLE.battery_capacity / 2
-    node.account.gauge.update(1, 0.9, Uncertain(0.0, 0.0), 0.0)
-    node.account.gauge.update(2, 0.5, Uncertain(0.4 * half, 0.0), 0.0)
-    learned = node.account.gauge.capacity
-    assert learned.value < 0.95 * VEHICLE.battery_capacity
-    charge(bench, node, 0.5)
-    (answer,), (battery,) = ask(bench, node, topics.SPEED_PROFILE, profile(*TRIP))
-    last = answer.points[-1]
-    assert battery.percentage == pytest.approx(0.5 - last.positions[0] / learned.value, abs=1e-7)
-    values = bench.diagnosis(node)["plan"][2]
-    assert float(values["charge_after"]) == pytest.approx(battery.percentage, abs=1e-3)
-    assert float(values["charge_after_sigma"]) >= last.effort[0] / learned.value - 1e-3
 
 
 def test_forecasts_take_the_air_outside_while_it_is_fresh(bench):
@@ -225,36 +205,6 @@ def test_a_plan_that_we_fail_at_is_refused_with_the_reason_and_the_error_goes_aw
     assert said["meter"][:2] == (Level.WARN, "waiting for power/smoothed")
     assert [v for k, v in said["meter"][2].items() if k.startswith("fault")] == ["1"]
     bench.faulty.add(node)
-
-
-def test_a_plan_of_four_times_too_many_points_is_refused_unread(bench):
-    node = bench.start(EnergyNode)
-    bench.listen(*ANSWERS)
-    pose = path((0.0, 0.0, 0.0)).poses
-    message = path()
-    message.poses = pose * (4 * MAX_POINTS)
-    sender = bench.publisher(topics.PLAN)
-    sender.publish(bytes(serialize_message(message)))
-    bench.pump(lambda: node.plans.refused == 1)
-    text = bench.diagnosis(node)["plan"][2]["last_refusal"]
-    assert f"{4 * MAX_POINTS} points are more than {MAX_POINTS}" in text
-    assert all(not bench.heard[topic] for topic in ANSWERS)
-
-
-def test_a_path_with_and_without_times(bench):
-    node = bench.start(EnergyNode, nominal_speed=20.0)
-    bench.listen(*ANSWERS)
-    points = (0.0, 0.0, 0.0), (600.0, 800.0, 0.0), (600.0, 2800.0, 30.0)
-    (timed,), _ = ask(bench, node, topics.PLAN, path(*points, stamps=[100, 160, 280]))
-    assert [p.time_from_start.sec for p in timed.points] == [0, 60, 180]
-    (nominal,), _ = ask(bench, node, topics.PLAN, path(*points))
-    duration = nominal.points[-1].time_from_start
-    bend = math.sqrt(COMFORT_LATERAL * BEND / 2 / math.sin(math.atan2(600, 800) / 2))  # m/s
-    slowing = (20 - bend) ** 2 / 20
-    assert duration.sec == pytest.approx(3000 / 20 + 20 + slowing, abs=1.5)
-    flat = [(x, y, 0.0) for x, y, _ in points]
-    (level,), _ = ask(bench, node, topics.PLAN, path(*flat))
-    assert nominal.points[-1].positions[0] > level.points[-1].positions[0] + 4e5
 
 
 def no_distance():

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import fcntl
-from functools import partial
 import json
 import os
 import re
@@ -13,16 +12,11 @@ import struct
 import subprocess
 import sys
 import termios
-import time
-from unittest import mock
 
 import pytest
 
 from evpinn_ros import topics
-from evpinn_ros.nodes.factory import installed
-from evpinn_ros.nodes.live.data import NOTHING, WATCHED
-from evpinn_ros.nodes.live.view import LiveListener
-from evpinn_ros.topics import QUEUE_DEPTH
+from evpinn_ros.nodes.live.data import NOTHING
 from test.conftest import ROOT
 from test.nodes.processes import EVPINN, started, stopped
 from test.waiting import HANG_S, wait_until
@@ -177,53 +171,9 @@ def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):
         assert "saved nothing" in line and "evpinn run --record FOLDER --state FILE" in line
 
 
-@pytest.mark.nightly
-def test_watch_gives_scripts_a_json_object_a_line_until_stopped(bench, urban):
-    with started(*EVPINN, "watch", "--json", "-") as running:
-        message = next(message for topic, _, message in urban(1.0) if topic == topics.SPEED)
-        bench.publisher(topics.SPEED)
-        found, before = {"speed_mps": None}, time.time()
-        while found["speed_mps"] is None:
-            bench.send(topics.SPEED, message)
-            found = json.loads(running.stdout.readline())
-        assert found["speed_mps"] == message.twist.twist.linear.x
-        assert before <= found["time_s"] <= time.time()
-        stopped(running)
-
-
 def test_watch_without_nodes_says_so_in_a_pipe():
     environment = {**os.environ, "ROS_DOMAIN_ID": "85"}  # where no test of ours has nodes
     with started(*EVPINN, "watch", "--json", "-", env=environment) as running:
         assert NOTHING in running.stdout.readline()
         running.send_signal(signal.SIGINT)
         assert running.communicate(timeout=HANG_S)[1] == f"evpinn: {NOTHING}\n"
-
-
-@pytest.mark.nightly
-def test_watch_publishes_nothing(bench):
-    with started(*EVPINN, "watch") as running:
-        known = bench.node.get_node_names
-        bench.pump(lambda: any(name.startswith("live_view") for name in known()))
-        watcher = next(name for name in known() if name.startswith("live_view"))
-        subscribed = partial(bench.node.get_subscriber_names_and_types_by_node, watcher, "/ev")
-        bench.pump(lambda: len(subscribed()) == len(installed(WATCHED)))
-        published = bench.node.get_publisher_names_and_types_by_node(watcher, "/ev")
-        assert {name for name, _ in published} <= {"/parameter_events"}  # of every rclpy node
-        stopped(running, signal.SIGTERM)
-
-
-def test_a_listener_takes_all_that_has_come_at_once(bench, urban):
-    """It must not fall behind a topic that is faster than the picture."""
-    listener = LiveListener(topics.NAMESPACE)
-    _, _, message = next(each for each in urban(1.0) if each[0] == topics.SPEED)
-    bench.publisher(topics.SPEED)
-    bench.listen(topics.SPEED)
-    for _ in range(QUEUE_DEPTH):
-        bench.send(topics.SPEED, message)
-    # Who publishes in the same process hands each message to all listeners.
-    bench.pump(lambda: len(bench.heard[topics.SPEED]) == QUEUE_DEPTH)
-    with mock.patch.object(listener.data, "take", wraps=listener.data.take) as take:
-        listener.take_all()
-    assert take.call_count == QUEUE_DEPTH
-    assert listener.data.speed == message.twist.twist.linear.x
-    listener.destroy_node()

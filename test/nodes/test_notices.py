@@ -7,7 +7,6 @@ import pytest
 from evpinn_ros import topics
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
-    AltitudeReading,
     BatteryReading,
     SpeedReading,
 )
@@ -17,7 +16,7 @@ from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.topics import QUEUE_DEPTH
 from evpinn_ros.topics.messages import Level
-from evpinn_ros.topics.readings import altitude_message, speed_message
+from evpinn_ros.topics.readings import speed_message
 from test.nodes.plans import NOW
 
 
@@ -38,18 +37,6 @@ def test_values_that_are_no_numbers_are_named_and_are_no_arrival(bench, monkeypa
     assert level is Level.WARN and "vehicle/speed: not_finite 5" in text
     assert values["bad.vehicle/speed: not_finite"] == "5"
     assert node.age(topics.SPEED) > 4.0
-
-
-def test_a_receiver_without_a_fix_is_counted_and_is_no_news(bench):
-    """As in a garage, once a second for a night."""
-    node = bench.start(EstimatorNode)
-    message = altitude_message(new_message, AltitudeReading(NOW, 100.0))
-    message.status.status = message.status.STATUS_NO_FIX
-    for _ in range(5):
-        bench.deliver(node, topics.FIX, message)
-    _, text, values = bench.diagnosis(node)["estimate"]
-    assert values["bad.vehicle/fix: no_fix"] == "5"
-    assert "no_fix" not in text
 
 
 def test_an_imu_that_gives_no_orientation_is_told_once(bench, monkeypatch):

@@ -1,6 +1,5 @@
 """One table of parameters: the file, the declaration and every check say the same."""
 
-from itertools import pairwise
 import math
 
 import pytest
@@ -38,13 +37,6 @@ def test_the_file_holds_every_default():
     defaults = {node: {p.name: p.default for p in table} for node, table in TABLES.items()}
     assert sections == defaults
     assert all(read_parameter_file(FILE, node) == defaults[node] for node in TABLES)
-
-
-def test_the_file_has_a_comment_above_every_parameter():
-    lines = FILE.read_text().splitlines()
-    for above, line in pairwise(lines):
-        if line.startswith("    ") and not line.strip().startswith("#"):
-            assert above.strip().startswith("#"), line
 
 
 def test_a_mistyped_parameter_is_reported_with_the_nearest_name(bench):

@@ -1,24 +1,14 @@
 """Time that jumps back, handled by policy."""
 
-from builtin_interfaces.msg import Time
 import pytest
 from rosgraph_msgs.msg import Clock
 
 from evpinn_ros import topics
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
-from test.nodes.plans import NOW, power
 
 S = NANOSECONDS
-OUTPUTS = (
-    topics.POWER_MEASURED,
-    topics.POWER_PREDICTED,
-    topics.POWER_SMOOTHED,
-    topics.PARAMETERS,
-    topics.ENERGY_CONSUMED,
-    topics.ENERGY_STATE,
-)
 
 
 def efficiency(node):
@@ -64,28 +54,3 @@ def test_a_clock_that_goes_back_needs_one_stamp_only(bench):
     drive(100.0)
     assert node.kept.guard.jumps == 1
     assert node.estimator.status().newest_ns == 100 * S
-
-
-def test_one_battery_reading_of_the_future_does_not_end_what_is_learned_of_it(bench):
-    node = bench.start(EnergyNode)
-
-    for second in range(30):
-        bench.read(node, SpeedReading(NOW + second * S, 10.0))
-        for at in (second, 10**8) if second == 9 else (second,):
-            bench.read(node, BatteryReading(NOW + at * S, 350.0, -20.0, 0.5))
-    node.account.count()
-    assert node.account.battery.samples >= 29
-
-
-@pytest.mark.parametrize(("by_clock", "consumed"), [(True, 1000.0), (False, 60e3)])
-def test_energy_starts_again_at_zero_when_the_clock_went_back_too(bench, by_clock, consumed):
-    node = bench.start(EnergyNode, use_sim_time=by_clock)
-    if by_clock:
-        clock = bench.node.create_publisher(Clock, "/clock", 1)
-        bench.pump(lambda: clock.get_subscription_count() > 0)
-    for second in [*range(100, 160), *range(10, 12)]:
-        if by_clock:
-            clock.publish(Clock(clock=Time(sec=second)))
-            bench.pump(lambda second=second: node.now_ns() == second * S)
-        bench.deliver(node, topics.POWER_SMOOTHED, power(second * S, 1000.0))
-    assert node.account.state.consumed == pytest.approx(consumed, rel=1e-3)

@@ -5,16 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, US
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC
 from evpinn_ros.core.estimation.breakdown import Breakdown
 from evpinn_ros.core.estimation.terms import COUNT, Part
 from evpinn_ros.replays.energy_metrics import INVALID, NOTHING, PAPER, breakdown_metrics
 from evpinn_ros.report.breakdown_text import (
     NAMES,
     breakdown_lines,
-    breakdown_notes,
     breakdown_rows,
-    breakdown_sentence,
     shown,
 )
 from evpinn_ros.report.drive_energy import breakdown_values
@@ -60,26 +58,6 @@ def test_no_interval_of_a_loss_begins_below_zero():
     assert texts["tyres"]["text"].startswith("0.50 kWh (0.00 to 1.32)")
     assert texts["net climb"]["text"].startswith("-0.50 kWh (-0.53 to -0.47)")
     assert texts["tyres"]["from_"] == texts["tyres"]["zero"]
-
-
-def test_rows_in_other_units_are_the_same_energy():
-    found = breakdown_metrics(breakdown(), "hybrid")
-    metric, us = (float(breakdown_rows(found, units)[0][3]) for units in (METRIC, US))
-    assert us == pytest.approx(metric * 1000 / 100 * 1.609344, rel=1e-3)
-    assert "31.1 mi" in breakdown_notes(found, US)[-1]
-
-
-def test_the_sentence_begins_with_the_part_that_the_table_leads_with():
-    parts = breakdown_metrics(breakdown(), "hybrid")
-    largest = max(shown(parts), key=lambda part: part[1]["kwh"])[0]
-    air, heating = breakdown_sentence(parts).split(". ")
-    assert air.startswith("Air and wind took") and largest == "air and wind"
-    assert heating.startswith("Heating and cooling took") and heating.endswith(
-        "a fifth of the whole."
-    )
-    unsure = breakdown()
-    unsure.covariance[Part.AIR, Part.AIR] *= 16.0
-    assert breakdown_sentence(breakdown_metrics(unsure, "hybrid")) == heating  # nothing smaller
 
 
 @pytest.mark.parametrize(

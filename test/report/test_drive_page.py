@@ -84,11 +84,6 @@ def with_path(reported: ReportedDrive, path: str) -> ReportedDrive:
     return replace(reported, metrics=found)
 
 
-def test_what_was_assumed_of_the_log_is_told(reported, tmp_path):
-    drive = replace(reported.drive, reading_notes=("speed: 'v' is assumed to be in km/h",))
-    assert "is assumed to be in km/h" in page(tmp_path, replace(reported, drive=drive)).text
-
-
 def test_the_whole_story_is_told(reported, tmp_path):
     found = page(tmp_path, reported, command="evpinn replay out/town")
     assert found.headings == HEADINGS

@@ -10,7 +10,6 @@ from evpinn_ros.core.energy.forecast import forecast_plan, plan_parts
 from evpinn_ros.core.energy.plan import (
     Legs,
     PlanConditions,
-    PlanError,
     legs_of_trip,
     plan_from_speed_profile,
 )
@@ -86,14 +85,6 @@ def test_faster_takes_more_and_less_time_and_colder_takes_more():
     assert found["10 degrees warmer"].energy.value < 0.0 < found["10 degrees colder"].energy.value
     sigma = planned_energy(FINE, "bmw_i3", COLD).energies.sigma[-1]
     assert all(each.energy.sigma < 0.7 * sigma for each in found.values())
-
-
-def test_a_stop_lasts_as_long_however_fast_one_drives():
-    quick = COARSE.quicker(2.0)
-    assert quick.duration.tolist() == [30.0, 90.0, 175.0]
-    assert FINE.quicker(1.25).distance[-1] == FINE.distance[-1]
-    with pytest.raises(PlanError):
-        FINE.quicker(20.0)
 
 
 @pytest.mark.parametrize("charge", [0.05, 0.03, 0.01])

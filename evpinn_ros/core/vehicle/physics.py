@@ -66,12 +66,6 @@ def regeneration_indicator(acceleration: Any, beta: float) -> Any:
     return (acceleration < beta) * 1.0
 
 
-def regenerated_power(speed: Any, acceleration: Any, mass: Any, mu: Any, beta: float) -> Any:
-    """Power of regenerative braking (eq. 20), W: positive while braking, zero otherwise."""
-    indicator = regeneration_indicator(acceleration, beta)
-    return -mu * inertia_force(mass, acceleration) * speed * indicator
-
-
 def road_load_power(
     speed: Any, parameters: Parameters, area: float, air_density: Any, grade: Any = 0.0
 ) -> Any:

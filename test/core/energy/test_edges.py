@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.core.energy.charge import Uncertain
-from evpinn_ros.core.energy.edges import Edges, edge_energies
+from evpinn_ros.core.energy.edges import edge_energies
 from evpinn_ros.core.energy.forecast import PlanBasis, forecast_plan
 from evpinn_ros.core.energy.plan import PlanConditions, legs_of, legs_of_trip
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
@@ -19,13 +18,6 @@ from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES, Unevenness
 from evpinn_ros.core.vehicle.files import load_vehicle
 from test.core.energy.cars import FEW, taught
 
-EDGES = Edges(
-    energy=np.array([100.0, 40.0, -10.0]),
-    directions=np.array([[3.0], [4.0], [0.0]]),
-    own=np.array([16.0, 9.0, 0.0]),
-    uneven=np.array([0.0, 0.0, 2.0]),
-    trip=lambda edges: Uncertain(float(np.array([101.0, 41.0, -9.0])[edges].sum()), 7.0),
-)
 CARS = st.sampled_from(["bmw_i3", "nissan_leaf", "generic", "taught"])
 LEGS = st.lists(
     st.tuples(st.floats(2.0, 900.0), st.floats(0.6, 36.0), st.floats(-0.08, 0.08)),
@@ -93,15 +85,3 @@ def test_the_usual_cost_of_range_is_that_of_edges(name):
     edges = edge_energies(legs, model, Weather(density))
     cost = np.average(edges.energy / legs.length, weights=metres[:, column])
     assert usual_cost(model.car) == pytest.approx(cost, rel=1e-9)
-
-
-def test_an_edge_has_what_is_its_own_and_what_all_share():
-    assert EDGES.sigma == pytest.approx([5.0, 5.0, 2.0])
-
-
-def test_what_two_routes_share_cancels():
-    difference = EDGES.difference([0, 1], [0, 2])
-    assert difference.value == 50.0
-    assert difference.sigma == pytest.approx(np.sqrt(4.0**2 + 9.0 + 2.0**2))
-    assert EDGES.difference([0, 1], [1, 0]) == (0.0, 0.0)
-    assert EDGES.route([]) == (0.0, 0.0)

@@ -1,7 +1,5 @@
 """`evpinn_ros.core.energy.forecast`: many profiles at once, numpy or torch."""
 
-from dataclasses import replace
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -9,9 +7,8 @@ import pytest
 
 from evpinn_ros.core.energy.forecast import Profiles, forecast, forecast_plan
 from evpinn_ros.core.energy.plan import PlanError, plan_from_speed_profile
-from evpinn_ros.core.energy.power_model import PowerModel, Weather
-from evpinn_ros.core.estimation.states import State
-from test.core.energy.cars import CAR, COMBINED, FEW, SIGMAS, plain, taught
+from evpinn_ros.core.energy.power_model import Weather
+from test.core.energy.cars import CAR, COMBINED, SIGMAS, plain, taught
 
 SIMPLE = plain(COMBINED, SIGMAS)
 LEARNED = pytest.param("learned", marks=pytest.mark.slow)
@@ -117,40 +114,3 @@ def test_what_is_no_profile_is_refused(change, reason, model):
 
 
 # What holds for the physics and for every learned model, exactly.
-
-
-@MODELS
-@FEW
-@given(st.integers(0, 10_000), st.integers(1, 58))
-def test_a_profile_cut_in_two_adds_up(model, seed, cut):
-    # Tyres, cabin and the load of now fade from the start of a plan, so a cut starts them anew.
-    mean = model.car.mean.copy()
-    mean[[State.ROLLING_START, State.COLD_START, State.HOT_START, State.LOAD]] = 0.0
-    model = PowerModel(replace(model.car, mean=mean))
-    whole = profiles(seed, 1)
-    first = Profiles(*(array[..., : cut + 1] for array in whole))
-    second = Profiles(*(array[..., cut:] for array in whole))
-    parts = energy(first, model) + energy(second, model)
-    assert parts == pytest.approx(energy(whole, model), rel=1e-9, abs=1e-4)
-
-
-@MODELS
-@FEW
-@given(st.integers(0, 10_000))
-def test_what_is_not_known_only_adds_to_sigma(model, seed):
-    found = forecast(profiles(seed), CAR, model)
-    certain = PowerModel(replace(model.car, covariance=0.0 * model.car.covariance))
-    assert (forecast(profiles(seed), CAR, certain).sigma <= found.sigma).all()
-
-
-@FEW
-@given(st.floats(5, 35), st.floats(0.3, 3.0))
-def test_driving_slower_saves_drag_and_costs_auxiliary_power(speed, slower):
-    """One way at constant speed, and in `slower` times the time."""
-    time = np.arange(0.0, 601.0, 60.0)
-    base = Profiles(time, np.full((1, time.size), speed))
-    scaled = Profiles(slower * time, base.speed / slower)
-    drag = 0.5 * CAR.air_density * COMBINED.drag_area_over_eta * speed**3 * 600
-    change = drag * (slower**-2 - 1) + COMBINED.p_aux * 600 * (slower - 1)
-    found = energy(scaled, SIMPLE) - energy(base, SIMPLE)
-    assert found == pytest.approx(change, rel=1e-6, abs=1e-3 * drag)

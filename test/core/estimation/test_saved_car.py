@@ -3,7 +3,6 @@
 from copy import deepcopy
 from dataclasses import fields, replace
 import json
-import math
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -206,43 +205,5 @@ def test_uneven_speed_costs_a_new_state_what_simulated_drives_say(saved):
     assert driven != pytest.approx(expected[..., State.MASS], rel=1e-3)  # as it was driven
 
 
-def many(car: dict, name: str, number: float) -> None:
-    car[name] = [number] * len(car[name])
-
-
-def twice(car: dict, _: str, __: float) -> None:
-    car["names"][1] = car["names"][0]
-
-
 def shorter(car: dict, name: str, _: float) -> None:
     car[name] = car[name][:-1]
-
-
-def of_nothing(car: dict, _: str, __: float) -> None:
-    car.update(names=[], mean=[], covariance=[], offset_variance=[])
-
-
-def of_others(car: dict, _: str, __: float) -> None:
-    car["names"] = [f"another_{k}" for k in range(SIZE)]
-
-
-@pytest.mark.parametrize(
-    ("damage", "name", "number"),
-    [
-        (twice, "names", 0.0),
-        *((shorter, name, 0.0) for name in ("names", "mean", "covariance", "offset_variance")),
-        *((many, name, math.nan) for name in ("mean", "covariance", "offset_variance")),
-        (many, "covariance", -1.0),
-        (many, "covariance", 1e30),
-        (of_nothing, "", 0.0),
-        (of_others, "", 0.0),
-    ],
-)
-def test_a_damaged_car_is_refused_in_words_and_nothing_is_taken(saved, damage, name, number):
-    learner, wrong = PinnLearner(CAR), deepcopy(saved)
-    before = learner.export()
-    damage(wrong["car"], name, number)
-    with pytest.raises(ValueError, match=r"saved.* [a-z]+") as refused:
-        learner.restore(wrong)
-    assert "\n" not in str(refused.value)
-    assert learner.export() == before

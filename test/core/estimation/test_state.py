@@ -1,14 +1,10 @@
 """What was learned, saved and read again: in the estimator and on disk."""
 
-from copy import deepcopy
 from functools import cache
 import json
 import math
-import os
 import tracemalloc
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
 import pytest
 
 from evpinn_ros.common.errors import InputError
@@ -114,89 +110,11 @@ def test_a_refused_state_changes_nothing(learned, new_estimator, mode):
         assert text_of(estimator) == before
 
 
-leaves = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.floats(),
-    st.integers(-(10**400), 10**400),
-    st.text(max_size=3),
-    st.lists(st.floats(), max_size=3),
-    st.dictionaries(st.text(max_size=3), st.floats(), max_size=2),
-)
-
-
-def paths(value, prefix=()) -> list[tuple]:
-    """Every place in a nested state."""
-    found = [prefix] if prefix else []
-    items = value.items() if isinstance(value, dict) else ()
-    if isinstance(value, list):
-        items = [(k, value[k]) for k in {0, len(value) // 2, len(value) - 1} if value]
-    for key, inner in items:
-        found += paths(inner, (*prefix, key))
-    return found
-
-
-@given(st.data())
-@settings(max_examples=40, deadline=None)
-@pytest.mark.slow
-def test_whatever_a_state_holds(learned, new_of, drive, data):
-    """One place of a good state is spoilt: refused as a whole, or good for finite predictions."""
-    state = deepcopy(learned(Mode.HYBRID).export())
-    *path, last = data.draw(st.sampled_from(paths(state)))
-    target = state
-    for key in path:
-        target = target[key]
-    target[last] = data.draw(leaves)
-    estimator = new_of(Mode.HYBRID)
-    try:
-        estimator.restore(state)
-    except ValueError:
-        return
-    readings = drive(1, 240.0).readings[1200:1220]
-    for reading in readings:
-        for output in estimator.add_reading(reading):
-            if hasattr(output, "power"):
-                assert math.isfinite(output.power)
-    assert all(math.isfinite(p.std) for p in estimator.parameters().parameters.values())
-
-
 @pytest.fixture(scope="module")
 def new_of(vehicle):
     return lambda mode: OnlineEstimator(
         vehicle, EstimatorSettings(mode=mode), InlineWorker(lambda: 0.0)
     )
-
-
-def test_a_file_in_a_folder_that_is_not_there_yet(tmp_path):
-    path = tmp_path / "a" / "b" / "state.json"
-    write_state(path, {"version": 1})
-    assert read_state(path) == {"version": 1}
-    assert list(path.parent.iterdir()) == [path]
-
-
-def test_what_cannot_be_saved_leaves_the_old_file(tmp_path):
-    path = tmp_path / "state.json"
-    write_state(path, {"a": 1.0})
-    for wrong in ({"a": math.nan}, {"a": math.inf}):
-        with pytest.raises(ValueError, match="JSON"):
-            write_state(path, wrong)
-    with pytest.raises(TypeError):
-        write_state(path, {"a": object()})
-    assert read_state(path) == {"a": 1.0} and list(tmp_path.iterdir()) == [path]
-
-
-def test_a_crash_while_writing_leaves_the_old_file(tmp_path, monkeypatch):
-    """The power fails before the new file is on disk: the old one is whole."""
-    path = tmp_path / "state.json"
-    write_state(path, {"a": 1.0})
-
-    def fails(descriptor: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", fails)
-    with pytest.raises(OSError, match="No space"):
-        write_state(path, {"a": 2.0})
-    assert read_state(path) == {"a": 1.0}
 
 
 @pytest.mark.parametrize(

@@ -70,13 +70,6 @@ def test_a_thread_never_makes_the_caller_wait(thread_worker):
     assert list(worker.durations) == [1]
 
 
-def test_a_thread_that_is_waited_for(thread_worker):
-    worker = thread_worker(wait=True)
-    assert worker.collect() is None
-    worker.submit(lambda: 7)
-    assert (worker.collect(), worker.collect()) == (7, None)
-
-
 def test_cancelled_work_runs_out_unseen(thread_worker):
     worker, go, begun = thread_worker(wait=True), threading.Event(), threading.Event()
 

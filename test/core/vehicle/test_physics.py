@@ -23,7 +23,6 @@ from evpinn_ros.core.vehicle.physics import (
     grade_force,
     inertia_force,
     motor_force,
-    regenerated_power,
     regeneration_indicator,
     road_load_power,
     rolling_force,
@@ -71,13 +70,6 @@ def test_forces_eq_12_to_15():
 
 def test_motor_force_eq_16():
     assert motor_force(21_000.0, 1000.0, 0.8, 10.0) == pytest.approx(0.8 * 20_000 / 10)
-
-
-def test_regenerated_power_eq_20():
-    # -mu m v a = 0.6 * 1500 * 10 * 2
-    assert regenerated_power(10.0, -2.0, 1500.0, 0.6, BETA) == pytest.approx(18_000.0)
-    assert regenerated_power(10.0, BETA, 1500.0, 0.6, BETA) == 0.0
-    assert regenerated_power(10.0, 2.0, 1500.0, 0.6, BETA) == 0.0
 
 
 def test_the_indicator_is_strict_at_beta():
@@ -133,36 +125,6 @@ def test_grade_by_hand(form, uphill, downhill, braking):
     assert power(10.0, -2.0, form, grade=-STEEP) == pytest.approx(braking, rel=1e-12)
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_standing_draws_auxiliary_power(form):
-    assert power(0.0, 0.0, form, grade=STEEP) == 500.0
-
-
-@given(moving, accelerations, cars, grades)
-def test_motor_force_balances_the_other_forces_eq_17_18(v, a, car, grade):
-    drawn = wheel(v, a, car, grade) / car.eta + car.p_aux  # eq. 19 solved for P
-    forces = (
-        drag_force(v, AREA * car.c_d, DENSITY)
-        + rolling_force(car.mass, car.c_rr, grade)
-        + grade_force(car.mass, grade)
-        + inertia_force(car.mass, a)
-    )
-    assert motor_force(drawn, car.p_aux, car.eta, v) == pytest.approx(forces, rel=1e-9, abs=1e-6)
-
-
-@given(moving, accelerations, cars)
-def test_the_names_of_mu_are_inverted_as_printed(v, a, car):
-    """mu = 1 as printed recovers nothing, like mu = 0 of `recovery`; mu = 0 is the other's 1."""
-    for one, other in ((1.0, 0.0), (0.0, 1.0)):
-        printed = power(v, a, RegenForm.PRINTED, car._replace(mu=one))
-        recovery = power(v, a, RegenForm.RECOVERY, car._replace(mu=other))
-        assert printed == pytest.approx(recovery, rel=1e-12, abs=1e-9)
-    if a < BETA:
-        nothing = road_load_power(v, car, AREA, DENSITY) / car.eta + car.p_aux
-        lost = power(v, a, RegenForm.PRINTED, car._replace(mu=1.0))
-        assert lost == pytest.approx(nothing, rel=1e-9)
-
-
 @given(moving, cars, grades)
 def test_wheel_power_is_continuous_where_the_wheels_are_free(v, car, grade):
     free = -road_load_power(v, car, AREA, DENSITY, grade) / (car.mass * v)
@@ -170,21 +132,6 @@ def test_wheel_power_is_continuous_where_the_wheels_are_free(v, car, grade):
         at = power(v, free + step, RegenForm.WHEEL_POWER, car, grade)
         # |dP/da| <= m v max(1/eta, mu): less than 1e6 W per m/s^2 in this range
         assert at == pytest.approx(car.p_aux, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("form", "jump"),
-    [
-        # K = 1975 * 16.7 * -0.045 = -1484.2125 W at Table V's mass and the log's top speed.
-        (RegenForm.PRINTED, 1_361.82),  # up by -mu K / eta = 0.6743 * 1484.2125 / 0.7349
-        (RegenForm.RECOVERY, 657.79),  # up by (mu - 1) K / eta = 0.3257 * 1484.2125 / 0.7349
-        (RegenForm.WHEEL_POWER, 0.0),
-    ],
-)
-def test_the_forms_of_the_paper_jump_at_beta(form, jump):
-    table_v = Parameters(0.7349, 0.6743, 1975.0, 0.00915, 0.2349, 1100.0)
-    below = power(16.7, BETA - 1e-12, form, table_v)
-    assert below - power(16.7, BETA, form, table_v) == pytest.approx(jump, abs=0.01)
 
 
 @given(moving, accelerations, accelerations, cars, grades)

@@ -1,5 +1,4 @@
 import json
-import math
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -81,14 +80,6 @@ def test_what_is_drawn_has_one_sign_on_screen(well):
     assert any(line.startswith("kW drawn  measured -28.2") for line in found)
 
 
-def test_consumption_of_the_first_kilometre_is_shown(well):
-    data = well(110.0)
-    for metres, shown in ((60.0, math.nan), (550.0, 2000.0)):
-        trip = named_vector(new_message, 110 * 10**9, ["distance_trip"], [metres])
-        data.take(topics.ENERGY_CONSUMPTION, trip, 110.0)
-        assert data.consumption() == pytest.approx(shown, nan_ok=True)
-
-
 def test_charge_is_that_of_the_battery_until_the_node_projects_it():
     data = LiveData()
     reading = BatteryReading(10**9, 352.0, 1.0, 0.5)
@@ -98,14 +89,6 @@ def test_charge_is_that_of_the_battery_until_the_node_projects_it():
     data.take(topics.ENERGY_RANGE, message, 1.0)
     assert data.charge() == 0.49
     assert "range from 10 km on" in lines(data, 1.0, 80, 24)[1]  # what it costs is not known yet
-
-
-def test_what_others_write_cannot_move_the_cursor(well):
-    data = well(110.0)
-    evil = ("/ev/estimator: x", Level.ERROR, "\x1b[2J\x1b]0;owned\a\r\nhello", {})
-    data.take(topics.DIAGNOSTICS, diagnostics(new_message, 10**9, [evil]), 110.0)
-    for text in (*lines(data, 110.0, 80, 24), *problem_lines(data, 110.0)):
-        assert text.isprintable()
 
 
 def test_a_script_reads_the_same(well):

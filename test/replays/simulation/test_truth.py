@@ -11,7 +11,6 @@ from evpinn_ros.core.vehicle.parameters import LIMITS
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.replays.simulation.truth import (
-    LEAST_AUXILIARY,
     combinations,
     prior_parameters,
 )
@@ -33,12 +32,6 @@ def test_a_car_that_is_eq_21_has_its_own_parameters():
     assert found["mass_over_eta"] == pytest.approx(mass, rel=2e-3)
     assert found["rolling_over_eta"] == pytest.approx(rolling, rel=0.02)
     assert found["drag_area_over_eta"] == pytest.approx(drag, rel=0.01)
-
-
-def test_mass_and_p_aux_are_those_of_the_car(drive):
-    parameters = drive.truth.parameters
-    assert parameters.mass == drive.car.mass
-    assert parameters.p_aux == pytest.approx(np.mean(drive.trace.auxiliary))
 
 
 def test_what_a_short_drive_does_not_determine_stays_that_of_the_vehicle_file():
@@ -65,19 +58,6 @@ def test_a_car_gets_nearly_the_wished_parameters(kind):
         most["mu"] = 0.1
     for name, share in most.items():
         assert truth[name] == pytest.approx(wish[name], rel=share), name
-
-
-def test_what_a_car_cannot_do_is_told_truly():
-    wish = {"eta": 0.8, "mu": 1.0, "p_aux": 0.0}
-    truth = simulate(DriveKind.URBAN, CAR, 120.0, 5, car=wish).truth.parameters
-    assert 0.6 < truth.mu < 0.9 and truth.p_aux == pytest.approx(LEAST_AUXILIARY)
-
-
-def test_a_car_driven_again_is_the_same_car(urban):
-    again = simulate(DriveKind.HIGHWAY, CAR, 120.0, 77, car=urban.car)
-    assert again.car is urban.car
-    assert again.truth.parameters.mass == urban.truth.parameters.mass
-    assert again.truth.parameters.eta != urban.truth.parameters.eta  # another drive
 
 
 def test_draws_from_the_priors_have_their_mean_and_spread():
