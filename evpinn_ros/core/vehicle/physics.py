@@ -87,7 +87,7 @@ def battery_power(
     beta: float,
     grade: Any = 0.0,
 ) -> Any:
-    """Battery power of the complete dynamics, W: eq. 17-19 and 21, with grade.
+    """Battery power of the complete dynamics, W: eq. 17-21, with grade.
 
     With road load R = v (drag + rolling + grade), inertia K = m v a and the indicator I:
 
