@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from datetime import datetime
 from enum import Enum
 import inspect
-from itertools import chain
+from itertools import chain, groupby
 import math
 from pathlib import Path
 import sys
@@ -25,6 +25,7 @@ sys.path.insert(0, str(ROOT))  # this folder and the benchmarks lie beside the p
 from docs import one_interval
 from docs.metric_table import METRICS
 from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
+from evpinn_ros.cli import options
 from evpinn_ros.cli.main import app
 from evpinn_ros.core.estimation.posterior import DRIVE_KEPT, NETWORK_STDS
 from evpinn_ros.core.estimation.states import NETWORK, State
@@ -38,6 +39,7 @@ from evpinn_ros.topics import TOPICS, Topic
 from evpinn_ros.topics.node_parameters import TABLES, Parameter
 
 MADE = "<!-- Made by docs/generate.py; change the source, not this page. -->\n"
+SHARED = [value for name, value in vars(options).items() if name.endswith("Option")]
 WORDS = {  # what an option takes
     bool: "flag",
     datetime: "time",
@@ -48,10 +50,10 @@ WORDS = {  # what an option takes
 }
 
 SHELL = """\
-This page has what `--help` shows for each command. `evpinn --install-completion` lets Tab complete
-commands, options, vehicles, CAN profiles and modes. Results are written to stdout, everything
-else to stderr. Progress bars appear only on a terminal; `NO_COLOR=1` turns colours off. Exit
-codes: 0 done, 1 failed, 2 wrong usage, 130 Ctrl-C.
+This page has what `--help` shows for each command, defaults in brackets. `evpinn
+--install-completion` lets Tab complete commands, options, vehicles, CAN profiles and modes.
+Results are written to stdout, everything else to stderr. Progress bars appear only on a terminal;
+`NO_COLOR=1` turns colours off. Exit codes: 0 done, 1 failed, 2 wrong usage, 130 Ctrl-C.
 
 Ctrl-C keeps what is finished: metrics, state and a whole bag of `replay`, the bag of `convert`,
 the rows of a benchmark, the trainings of `reproduce` (the same command continues there).
@@ -98,6 +100,20 @@ for the part before. [Read the uncertainty](../guides/uncertainty.md) explains w
 """
 
 
+VEHICLES = """\
+# Vehicles
+
+What is known about each car before it drives (its *priors*): value and 1-sigma. `evpinn vehicles`
+lists all cars with a battery and consumption, and `evpinn vehicles show NAME` prints one as a
+file, with the source of every number. For another car, copy the most similar file from
+`config/vehicles/`, change what you know better, check it with `evpinn check-params`, and give its
+path to `--vehicle`. [Certified](#certified-cars) and [rated](#rated-cars) cars need no file.
+`mode: paper` and `evpinn reproduce` begin elsewhere where a file has `paper_start`.
+
+| vehicle | eta | mu | mass kg | C_rr | C_d | p_aux W | frontal area m^2 | CAN profile |
+|---|---|---|---|---|---|---|---|---|"""
+
+
 CERTIFIED = """\
 ## Certified cars
 
@@ -107,9 +123,7 @@ is 6 % of the mass (people and luggage), 15 % of C_rr (tyres, roads) and 6 % of 
 a model has several road loads. Every car has eta 0.90 +- 0.06, mu 0.80 +- 0.12 and a standing
 load of 400 +- 400 W. Give `--vehicle` the key, or words of the name that no other car has:
 `--vehicle "ioniq 5 rwd"`.
-
-| key | mass kg | C_rr | C_d A m^2 | CAN profile |
-|---|---|---|---|---|"""
+"""
 
 
 RATED = """\
@@ -121,9 +135,7 @@ known to 6 %, and the energy of the WLTP's cycle to 10 %, after 10 % are added, 
 mostly those of the lightest trim. C_rr is known no better than that of any car, C_d A little
 better. Some masses include a driver of 75 kg, others do not. If a car is in both lists, use the
 certified one.
-
-| key | mass kg | C_rr | C_d A m^2 | CAN profile |
-|---|---|---|---|---|"""
+"""
 
 
 def topics_page() -> str:
@@ -190,23 +202,9 @@ def _range(parameter: Parameter) -> str:
 
 def vehicles_page() -> str:
     """Every vehicle file: priors and their sources; every CAN profile."""
-    lines = [MADE, "# Vehicles", ""]
-    lines += [
-        "What is known about each car before it drives (its *priors*). For another car, copy"
-    ]
-    lines += [
-        "the most similar file from `config/vehicles/`, change what you know better, check it"
-    ]
-    lines += ["with `evpinn check-params`, and give its path to `--vehicle`."]
-    lines += ["[Certified](#certified-cars) and [rated](#rated-cars) cars need no file: `evpinn"]
-    lines += [
-        "vehicles` lists them all, and `evpinn vehicles show NAME` prints one as a file.",
-        "",
-    ]
-    for name in vehicle_names():
-        lines += _vehicle_section(load_vehicle(name))
-    lines += [CERTIFIED, *map(_car_row, certified_cars()), ""]
-    lines += [RATED, *map(_car_row, rated_cars()), ""]
+    lines = [MADE, VEHICLES, *(_vehicle_row(load_vehicle(name)) for name in vehicle_names()), ""]
+    lines += [CERTIFIED, *_by_make(certified_cars()), ""]
+    lines += [RATED, *_by_make(rated_cars()), ""]
     lines += ["## CAN profiles", ""]
     lines += [
         "A car *broadcasts* a quantity, or must be *asked* for it by read requests. Asking needs"
@@ -217,12 +215,10 @@ def vehicles_page() -> str:
     return "\n".join([*lines, ""])
 
 
-def _car_row(key: str) -> str:
-    car = load_vehicle(key)
-    start = car.initial
-    area = start.c_d * car.frontal_area
-    profile = f"`{car.can_profile}`" if car.can_profile else ""
-    return f"| `{key}` | {start.mass:.0f} | {start.c_rr:.4f} | {area:.3f} | {profile} |"
+def _by_make(keys: Iterable[str]) -> Iterator[str]:
+    """A line of keys for each make."""
+    for _, models in groupby(sorted(keys), lambda key: key.partition("_")[0]):
+        yield f"- {', '.join(f'`{key}`' for key in models)}"
 
 
 def _profile_row(profile: CanProfile) -> str:
@@ -235,18 +231,12 @@ def _words(quantities: Iterable[str]) -> Iterator[str]:
     return (quantity.replace("_", " ") for quantity in quantities)
 
 
-def _vehicle_section(vehicle: Vehicle) -> Iterator[str]:
-    profile = f"`{vehicle.can_profile}`" if vehicle.can_profile else "none yet"
-    yield from (f"## {vehicle.name} (`{vehicle.key}`)", "")
-    yield f"CAN profile: {profile}. Frontal area {vehicle.frontal_area:g} m^2."
-    yield from ("", "| parameter | prior | 1-sigma | source |", "|---|---|---|---|")
-    for name in PARAMETER_NAMES:
-        prior = vehicle.priors[name]
-        yield f"| `{name}` | {prior.value:g} | {prior.std:g} | {prior.source} |"
-    if vehicle.paper_start:
-        start = (f"{name} {prior.value:g}" for name, prior in vehicle.paper_start.items())
-        yield from ("", f"`mode: paper` and `evpinn reproduce` start from {', '.join(start)}.")
-    yield ""
+def _vehicle_row(vehicle: Vehicle) -> str:
+    priors = (vehicle.priors[name] for name in PARAMETER_NAMES)
+    values = (f"{prior.value:g}±{prior.std:g}" for prior in priors)
+    profile = f"`{vehicle.can_profile}`" if vehicle.can_profile else ""
+    cells = (f"`{vehicle.key}`", *values, f"{vehicle.frontal_area:g}", profile)
+    return f"| {' | '.join(cells)} |"
 
 
 def metrics_page() -> str:
@@ -308,14 +298,19 @@ def detectors_page() -> str:
 
 def commands_page() -> str:
     """Every command: help, examples, arguments and options."""
-    commands = list(_commands(typer.main.get_command(app), "evpinn"))
-    lines = [MADE, "# Commands", "", SHELL, "| command | |", "|---|---|"]
-    for path, command in commands:
-        anchor = path.replace(" ", "-")
-        lines.append(f"| [`{path}`](#{anchor}) | {_paragraphs(command)[0]} |")
-    for path, command in commands:
+    lines = [MADE, "# Commands", "", SHELL, "## Options of several commands", ""]
+    shared = {option.opts[-1]: line for option, line in _shared_options()}
+    lines += [line for _, line in sorted(shared.items())]
+    for path, command in _commands(typer.main.get_command(app), "evpinn"):
         lines += ["", *_command_section(path, command)]
     return "\n".join([*lines, ""])
+
+
+def _shared_options() -> Iterator[tuple[Any, str]]:
+    for _, command in _commands(typer.main.get_command(app), "evpinn"):
+        for option, declared in _declared(command):
+            if declared.annotation in SHARED:
+                yield option, _option_line(option.opts, declared.replace(default=None))
 
 
 def _commands(command: Any, path: str) -> Iterator[tuple[str, Any]]:
@@ -332,6 +327,14 @@ def _function(command: Any) -> Callable[..., Any]:
     return inspect.unwrap(command.callback)
 
 
+def _declared(command: Any) -> Iterator[tuple[Any, inspect.Parameter]]:
+    """Options of a command, with what `evpinn_ros` declares of each."""
+    declared = inspect.signature(command.callback, eval_str=True).parameters
+    for option in command.params:
+        if option.name in declared and get_args(declared[option.name].annotation):
+            yield option, declared[option.name]
+
+
 def _paragraphs(command: Any) -> list[str]:
     text = inspect.getdoc(_function(command)) or ""
     return [" ".join(paragraph.split()) for paragraph in text.split("\n\n")]
@@ -342,22 +345,30 @@ def _command_section(path: str, command: Any) -> Iterator[str]:
     for text in _paragraphs(command):
         example = text.removeprefix("Example: ")
         yield from ("", text) if example == text else ("", "```bash", example, "```")
-    declared = inspect.signature(_function(command), eval_str=True).parameters
-    rows = [
-        _option_row(option.opts, declared[option.name])
-        for option in command.params
-        if option.name in declared and get_args(declared[option.name].annotation)
+    every = list(_declared(command))
+    lines = [
+        _option_line(option.opts, declared)
+        for option, declared in every
+        if declared.annotation not in SHARED
     ]
-    if rows:
-        yield from ("", "| name | value | default | meaning |", "|---|---|---|---|", *rows)
+    shared = [
+        f"`{option.opts[-1]}`{_default(declared.default)}"
+        for option, declared in every
+        if declared.annotation in SHARED
+    ]
+    if lines:
+        yield from ("", *lines)
+    if shared:
+        yield from ("", f"And {', '.join(shared)} ([options](#options-of-several-commands)).")
 
 
-def _option_row(names: list[str], declared: inspect.Parameter) -> str:
+def _option_line(names: list[str], declared: inspect.Parameter) -> str:
     kind, info = get_args(declared.annotation)
     is_argument = isinstance(info, typer.models.ArgumentInfo)
     name = (info.metavar or names[0].upper()) if is_argument else ", ".join(names)
-    cells = (f"`{name}`", _value(kind, info), _default(declared.default), info.help or "")
-    return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
+    value = _value(kind, info)
+    takes = "" if value == "flag" else f" {value}{_default(declared.default)}"
+    return f"- `{name}`{takes}: {info.help}"
 
 
 def _value(kind: Any, info: Any) -> str:
@@ -373,14 +384,10 @@ def _value(kind: Any, info: Any) -> str:
 
 
 def _default(value: Any) -> str:
-    if value is inspect.Parameter.empty:
-        return "required"
-    if value is None or value is False or value == "":
+    if value is inspect.Parameter.empty or value is None or value is False or value == "":
         return ""
-    if isinstance(value, list | tuple):
-        return ", ".join(map(_default, value))
     value = value.value if isinstance(value, Enum) else value
-    return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+    return f" (`{value:g}`)" if isinstance(value, float) else f" (`{value}`)"
 
 
 PAGES = {

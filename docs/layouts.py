@@ -29,6 +29,7 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import plan_from_speed_profile
+from evpinn_ros.core.energy.power_model import Weather
 from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
@@ -97,7 +98,7 @@ def record(out: Path) -> None:
                 if now_ns - asked_ns >= PLAN_PERIOD_NS:
                     asked_ns = now_ns
                     model = known_model(chain.estimator.model(), output, vehicle)
-                    answer = forecast_plan(plan, model, vehicle.air_density)
+                    answer = forecast_plan(plan, model, Weather(vehicle.air_density))
                     columns = (answer.time, answer.energy, answer.power, answer.sigma)
                     forecast = forecast_message(new_message, header(new_message, now_ns), *columns)
                     messages.append((FORECAST, forecast))
@@ -217,14 +218,14 @@ def draw(bag: Path, picture: Path) -> None:
         for axes, area in zip(panels, areas, strict=True):
             axes.set_title(area.get("name"), fontsize=9, loc="left")
             for curve in area.iter("curve"):
-                name = str(curve.get("name"))
+                name = str(curve.get("name")).removeprefix(f"{NAMESPACE}/")
                 scale, transform = 1.0, curve.find("transform")
                 if transform is not None:
                     name = str(transform.get("alias"))
                     scale = float(str(transform.find("options").get("value_scale")))
                 time, values = np.array(series[str(curve.get("name"))]).T
                 axes.plot(time, scale * values, color=curve.get("color"), linewidth=1, label=name)
-            axes.legend(loc="upper right", fontsize=6)
+            axes.legend(loc="best", fontsize=6)
             axes.grid(color="#dddddd")
             axes.tick_params(labelsize=7)
         panels[-1].set_xlabel("s", fontsize=8)

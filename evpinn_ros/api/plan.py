@@ -14,6 +14,7 @@ import numpy as np
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge
@@ -26,6 +27,7 @@ from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 with optional_imports():
     import pandas as pd
 
+TEMPERATURE_STEP = 10.0  # K, of `what_if`
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
 
 
@@ -148,7 +150,9 @@ def planned_energy(
     return PlannedEnergy(given, points_of(given), basis, energies, along, gauge)
 
 
-def what_if(plan: Any, car: Any, conditions: PlanConditions = UNSAID) -> list[Change]:
+def what_if(
+    plan: Any, car: Any, conditions: PlanConditions = UNSAID, units: Units = METRIC
+) -> list[Change]:
     """Energy of a trip driven otherwise, less its own; arguments and errors of `forecast`."""
     vehicle, model, _ = known_car(car)
     given = as_plan(plan, vehicle)
@@ -158,13 +162,17 @@ def what_if(plan: Any, car: Any, conditions: PlanConditions = UNSAID) -> list[Ch
     if celsius is None:
         celsius = MILD_CELSIUS if model.car.celsius is None else model.car.celsius
     cases: list[tuple[str, Any, PlanConditions]] = []
-    for words, more in (("10 km/h slower", -10 / 3.6), ("10 km/h faster", 10 / 3.6)):
-        if mean + more > 0.5 * mean:
+    for sign, word in ((-1, "slower"), (1, "faster")):
+        share = 1.0 + sign * units.speed_step / (mean * units.speeds)
+        if share > 0.5:
             with suppress(PlanError):  # no car is as fast
-                cases.append((words, given.quicker(1.0 + more / mean), conditions))
-    for words, more in (("10 degrees colder", -10.0), ("10 degrees warmer", 10.0)):
+                words = f"{units.speed_step:g} {units.speed} {word}"
+                cases.append((words, given.quicker(share), conditions))
+    for sign, word in ((-1, "colder"), (1, "warmer")):
         with suppress(PlanError):  # no weather is such
-            cases.append((words, given, replace(conditions, temperature=celsius + more)))
+            words = f"{TEMPERATURE_STEP * units.degrees:g} {units.temperature} {word}"
+            otherwise = replace(conditions, temperature=celsius + sign * TEMPERATURE_STEP)
+            cases.append((words, given, otherwise))
     changes = []
     for words, other, expected in cases:
         changed = planned_energy(other, car, expected)

@@ -11,9 +11,10 @@ from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, 
 from evpinn_ros.cli.options import (
     JsonOption,
     ParamsOption,
+    ReportOption,
     StartOption,
+    UnitsOption,
     VehicleOption,
-    check_report,
     with_read_options,
 )
 from evpinn_ros.cli.table_columns import explain_columns
@@ -39,15 +40,12 @@ def compare(
         ),
     ],
     vehicle: VehicleOption = "generic",
-    report: Annotated[
-        Path | None,
-        typer.Option(help="Write the comparison to this HTML file.", callback=check_report),
-    ] = None,
+    report: ReportOption = None,
     state: Annotated[
         Path | None,
         typer.Option(help="Start from what evpinn replay --state learned; not changed."),
     ] = None,
-    units: Annotated[UnitSystem, typer.Option(help="Units of distance.")] = UnitSystem.METRIC,
+    units: UnitsOption = UnitSystem.METRIC,
     start: StartOption = 0.0,
     duration: Annotated[
         float | None, typer.Option(min=0.0, help="Compare only this many seconds of each drive.")

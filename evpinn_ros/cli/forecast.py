@@ -10,13 +10,18 @@ import warnings
 import typer
 
 from evpinn_ros.cli.console import command_line, note, say, show, write_json
-from evpinn_ros.cli.options import JsonOption, check_report, complete_vehicle, with_read_options
+from evpinn_ros.cli.options import (
+    JsonOption,
+    ReportOption,
+    UnitsOption,
+    complete_vehicle,
+    with_read_options,
+)
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.common.units import JOULES_PER_KWH, kwh_digits
+from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem, kwh_digits
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 
-COLUMNS = ("plan", "km", "min", "km/h", "kWh", "1-sigma", "kWh/100 km", "charge after")
 MORE = "kWh more than the first"
 LEAST_UNEVEN = 0.005 * JOULES_PER_KWH  # which would read 0.00
 WIDE = 100  # characters of a table that compares
@@ -86,14 +91,8 @@ def forecast(
         ),
     ] = None,
     read_options: ReadOptions = READ_DEFAULTS,
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write an HTML page: charge along the way, where the energy goes, and what "
-            "would change it.",
-            callback=check_report,
-        ),
-    ] = None,
+    report: ReportOption = None,
+    units: UnitsOption = UnitSystem.METRIC,
     json_file: JsonOption = None,
 ) -> None:
     """Forecast the energy of plans, and the charge after each.
@@ -130,6 +129,7 @@ def forecast(
         None if steady is None else float(steady),
     )
     own = load_vehicle(vehicle)
+    shown = units.units
     forecasts = []
     for path in plans:
         with warnings.catch_warnings(record=True) as warned:
@@ -144,8 +144,8 @@ def forecast(
         for path, planned in zip(plans, forecasts, strict=True)
     ]
     rows[0] |= dict.fromkeys(ENERGIES[2:], math.nan)
-    columns = (*COLUMNS, MORE) if len(rows) > 1 else COLUMNS
-    texts = [_texts(row)[: len(columns)] for row in rows]
+    columns = _columns(shown, compared=len(rows) > 1)
+    texts = [_texts(row, shown)[: len(columns)] for row in rows]
     table = PlainTable("Forecast", columns, texts)
     show(table, at_least=WIDE if len(rows) > 1 else 0)
     for row, (name, *_) in zip(rows, texts, strict=True):
@@ -155,13 +155,13 @@ def forecast(
             say(f"{name}: {part}; --steady leaves it out.")
     level: dict[str, list[str]] = {}
     for planned, (name, *_) in zip(forecasts, texts, strict=True):
-        if (text := planned.no_heights) is not None:
+        if (text := planned.no_heights(shown)) is not None:
             level.setdefault(text, []).append(name)
     for text, alike in level.items():
         say(f"{', '.join(alike)}: {text}.")
     known = "by its vehicle file alone; --state FILE uses what earlier drives taught"
     say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
-    expected = _expected(given, forecasts[0].basis.model.car.celsius)
+    expected = _expected(given, forecasts[0].basis.model.car.celsius, shown)
     say(expected)
     if charge is not None:
         say(_battery(forecasts[0].gauge))
@@ -173,20 +173,22 @@ def forecast(
 
         names = short_names(plans)
         trips = [
-            PlannedTrip(name, planned, what_if(planned.given, car, given))
+            PlannedTrip(name, planned, what_if(planned.given, car, given, shown))
             for name, planned in zip(names, forecasts, strict=True)
         ]
-        write_forecasts(report, trips, expected, command_line())
+        write_forecasts(report, trips, expected, command_line(), shown)
     if json_file is not None:
         write_json(json_file, rows)
 
 
-def _expected(given: Any, known_celsius: float | None) -> str:
+def _expected(given: Any, known_celsius: float | None, units: Units) -> str:
     """Words on the conditions that the forecasts expect, given or not."""
     celsius, since = given.temperature, ""
     if celsius is None:
         celsius, since = known_celsius, " as last measured"
-    air = "a mild day" if celsius is None else f"{celsius:g} degrees C{since}"
+    air = "a mild day"
+    if celsius is not None:
+        air = f"{celsius * units.degrees + units.zero:g} {units.temperature}{since}"
     heating = "the heating that this makes likely"
     if given.heating is not None:
         heating = f"{given.heating:g} W of heating or cooling"
@@ -233,28 +235,36 @@ def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:
     }
 
 
-def _texts(row: dict[str, Any]) -> list[str]:
+def _columns(units: Units, *, compared: bool) -> tuple[str, ...]:
+    columns = (
+        *("plan", units.distance, "min", units.speed, "kWh", "1-sigma"),
+        *(units.economy, "charge after"),
+    )
+    return (*columns, MORE) if compared else columns
+
+
+def _texts(row: dict[str, Any], units: Units) -> list[str]:
     """One row of the table."""
-    km, hours, kwh, sigma, more, more_sigma = (
+    distance, hours, kwh, sigma, more, more_sigma = (
         row[key] / unit
         for key, unit in (
-            ("distance_m", 1e3),
+            ("distance_m", units.metres),
             ("duration_s", 3600.0),
             *((key, JOULES_PER_KWH) for key in ENERGIES),
         )
     )
     charge = f"{row['charge_pct']:.1f} +- {row['charge_sigma_pct']:.1f} %"
     if row["empty_at_m"] is not None:
-        charge = f"empty at {row['empty_at_m'] / 1e3:.1f} km"
+        charge = f"empty at {row['empty_at_m'] / units.metres:.1f} {units.distance}"
     digits = kwh_digits(kwh, 3)
     return [
         Path(row["plan"].removesuffix(".gz")).stem,
-        f"{km:.2f}",
+        f"{distance:.2f}",
         f"{60 * hours:.1f}",
-        f"{km / hours:.0f}",
+        f"{distance / hours:.0f}",
         f"{kwh:.{digits}f}",
         f"{sigma:.{digits}f}",
-        f"{100 * kwh / km:.1f}" if km else "-",
+        units.consumption(row["energy_j"], row["distance_m"]) if distance else "-",
         charge if math.isfinite(row["charge_pct"]) else "-",
         f"{more:+.{digits}f} +- {more_sigma:.{digits}f}" if math.isfinite(more) else "",
     ]

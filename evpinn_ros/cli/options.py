@@ -12,6 +12,7 @@ import typer
 
 from evpinn_ros.cli.console import STDOUT, tables_beside
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.units import UnitSystem
 from evpinn_ros.logs.read_options import ReadOptions
 
 
@@ -110,6 +111,19 @@ MetricsOption = Annotated[
     Path | None,
     typer.Option("--metrics", "--json", help=_JSON_HELP, callback=_check_json_file),
 ]
+ReportOption = Annotated[
+    Path | None, typer.Option(help="Write this HTML report.", callback=check_report)
+]
+UnitsOption = Annotated[
+    UnitSystem, typer.Option(help="Units of distance, speed and height for people.")
+]
+ElevationOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Heights for a log with positions: a folder of SRTM or GeoTIFF tiles.",
+    ),
+]
 OriginOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -122,13 +136,7 @@ OriginOption = Annotated[
 def _read_options(
     column: ColumnOption = None,
     car: CarOption = None,
-    elevation: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Heights for a log with positions: a folder of SRTM or GeoTIFF tiles.",
-        ),
-    ] = None,
+    elevation: ElevationOption = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
 ) -> ReadOptions:

@@ -17,9 +17,10 @@ from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
     MetricsOption,
     ParamsOption,
+    ReportOption,
     StartOption,
+    UnitsOption,
     VehicleOption,
-    check_report,
     with_read_options,
 )
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
@@ -75,13 +76,9 @@ def replay(
             help="Write inputs and results to this new bag; for several inputs, to a folder."
         ),
     ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Write a report, one HTML file.", callback=check_report)
-    ] = None,
+    report: ReportOption = None,
     metrics: MetricsOption = None,
-    units: Annotated[
-        UnitSystem, typer.Option(help="Units of distance, here and in the report.")
-    ] = UnitSystem.METRIC,
+    units: UnitsOption = UnitSystem.METRIC,
     withhold_battery_after: Annotated[
         float | None,
         typer.Option(min=0.0, help="Hide the battery after N seconds and predict it from speed."),

@@ -22,9 +22,9 @@ from evpinn_ros.cli.options import (
     KeptStateOption,
     OriginOption,
     ParamsOption,
+    ReportOption,
     TrustProfileOption,
     VehicleOption,
-    check_report,
     elm327_bus,
 )
 from evpinn_ros.common.units import MEGABYTE
@@ -94,10 +94,7 @@ def run(
     record: Annotated[
         Path | None, typer.Option(help="New bag of all topics and CAN frames.")
     ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(help="Write a report at the end, one HTML file.", callback=check_report),
-    ] = None,
+    report: ReportOption = None,
     split_size: Annotated[
         float | None,
         typer.Option(min=0.1, help="Begin a new file of the bag at this size in MB."),

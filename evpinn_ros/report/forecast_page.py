@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
 from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import UNEVEN, Change, PlannedEnergy, plan_parts
 from evpinn_ros.core.energy.plan import Legs
@@ -32,7 +32,9 @@ class PlannedTrip(NamedTuple):
     changes: Sequence[Change]
 
 
-def write_forecasts(path: Path, trips: Sequence[PlannedTrip], expected: str, command: str) -> None:
+def write_forecasts(
+    path: Path, trips: Sequence[PlannedTrip], expected: str, command: str, units: Units = METRIC
+) -> None:
     """Write the page.
 
     Args:
@@ -40,22 +42,23 @@ def write_forecasts(path: Path, trips: Sequence[PlannedTrip], expected: str, com
         trips: to show.
         expected: sentence on the conditions.
         command: that made it, text.
+        units: of distances, speeds and heights.
 
     Raises:
         OSError: it cannot be written.
     """
     names = " and ".join(trip.name for trip in trips)
-    shown = [_trip(trip) for trip in trips]
+    shown = [_trip(trip, units) for trip in trips]
     title = f"Forecast of {names}"
     write_page(path, "forecast.html.j2", title=title, command=command, trips=shown,
-               expected=expected)  # fmt: skip
+               expected=expected, distance=units.distance)  # fmt: skip
 
 
-def _trip(trip: PlannedTrip) -> dict[str, Any]:
+def _trip(trip: PlannedTrip, units: Units) -> dict[str, Any]:
     return {
         "name": trip.name,
-        "sentence": _sentence(trip.planned),
-        "curves": list(_curves(trip.planned)),
+        "sentence": _sentence(trip.planned, units),
+        "curves": list(_curves(trip.planned, units)),
         "parts": _parts(trip.planned),
         "changes": [
             (change.words, f"{change.seconds / 60:+.1f} min", _kwh(change.energy, "+"))
@@ -64,33 +67,34 @@ def _trip(trip: PlannedTrip) -> dict[str, Any]:
     }
 
 
-def _sentence(planned: PlannedEnergy) -> str:
+def _sentence(planned: PlannedEnergy, units: Units) -> str:
     trip, energies = planned.trip, planned.energies
     kwh, sigma = energies.energy[-1] / JOULES_PER_KWH, energies.sigma[-1] / JOULES_PER_KWH
     low, high = kwh - GAUSSIAN_QUANTILE * sigma, kwh + GAUSSIAN_QUANTILE * sigma
     minutes = np.ptp(trip.time) / 60
     text = (
-        f"{np.ptp(trip.distance) / 1e3:.1f} km in {minutes:.0f} minutes take {kwh:.2f} kWh: "
-        f"9 times in 10 between {low:.2f} and {high:.2f}."
+        f"{np.ptp(trip.distance) / units.metres:.1f} {units.distance} in {minutes:.0f} minutes "
+        f"take {kwh:.2f} kWh: 9 times in 10 between {low:.2f} and {high:.2f}."
     )
     if (uneven := planned.uneven / JOULES_PER_KWH) > LEAST_SHOWN:
         text += f" {uneven:.2f} kWh of it are for {UNEVEN}; --steady leaves them out."
-    if level := planned.no_heights:
+    if level := planned.no_heights(units):
         text += f" {level[0].upper()}{level[1:]}."
     left, half = (100 * planned.charge[:, -1]).tolist()
     if not np.isfinite(left):
         return text
     if planned.empty_at is not None:
-        return f"{text} The battery is empty after {planned.empty_at / 1e3:.1f} km."
+        where = f"{planned.empty_at / units.metres:.1f} {units.distance}"
+        return f"{text} The battery is empty after {where}."
     half *= GAUSSIAN_QUANTILE
     least, most = max(left - half, 0.0), min(left + half, 100.0)
     return f"{text} The battery then has {left:.0f} % left, between {least:.0f} and {most:.0f} %."
 
 
-def _curves(planned: PlannedEnergy) -> Any:
+def _curves(planned: PlannedEnergy, units: Units) -> Any:
     trip, energies = planned.trip, planned.energies
     every = np.unique(np.linspace(0, len(trip.time) - 1, POINTS).round().astype(int))
-    along = (trip.distance - trip.distance[0])[every] / 1e3
+    along = (trip.distance - trip.distance[0])[every] / units.metres
     charge, charge_sigma = 100 * planned.charge[:, every]
     energy, sigma = energies.energy[every] / JOULES_PER_KWH, energies.sigma[every] / JOULES_PER_KWH
     known = np.isfinite(charge).any()
@@ -98,8 +102,14 @@ def _curves(planned: PlannedEnergy) -> Any:
         ("Charge of the battery, %", along, charge, charge_sigma, False)
         if known
         else ("Energy since the start, kWh", along, energy, sigma, True),
-        ("Speed, km/h", *speed_along(planned, every), None, True),
-        ("Height, m", along, trip.elevation[every], None, False),
+        (f"Speed, {units.speed}", *speed_along(planned, every, units), None, True),
+        (
+            f"Height, {units.height}",
+            along,
+            trip.elevation[every] / units.height_metres,
+            None,
+            False,
+        ),
     ]
     for title, where, values, spread, from_zero in lines:
         if title.startswith("Height") and not np.ptp(values):
@@ -110,19 +120,22 @@ def _curves(planned: PlannedEnergy) -> Any:
             yield found_curve
 
 
-def speed_along(planned: PlannedEnergy, every: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Kilometres, and km/h there: of legs their means, in steps.
+def speed_along(
+    planned: PlannedEnergy, every: np.ndarray, units: Units = METRIC
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances, and the speeds there: of legs their means, in steps.
 
     Args:
         planned: with n points.
         every: numbers of the points to show.
+        units: of both.
     """
     trip = planned.trip
-    along = (trip.distance - trip.distance[0]) / 1e3
+    along = (trip.distance - trip.distance[0]) / units.metres
     if not isinstance(planned.given, Legs):
-        return along[every], 3.6 * trip.speed[every]
+        return along[every], units.speeds * trip.speed[every]
     legs = np.minimum(every[:-1], len(planned.given.length) - 1)
-    mean = 3.6 * (planned.given.length / planned.given.duration)[legs]
+    mean = units.speeds * (planned.given.length / planned.given.duration)[legs]
     return np.repeat(along[every], 2)[1:-1], np.repeat(mean, 2)
 
 

@@ -1,6 +1,7 @@
 """`evpinn forecast`: plans in files of any kind, with the car of a state file."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -123,3 +124,20 @@ def test_a_drive_is_read_as_the_options_say(evpinn, folder):
     assert done.returncode == 0, done.stderr
     (row,) = json.loads((folder / "f.json").read_text())
     assert row["distance_m"] == pytest.approx(0.1 * 90**2 / 2, rel=1e-3)
+
+
+def test_units_of_the_us_leave_nothing_metric_and_change_no_number(evpinn, folder):
+    given = ("slow.csv", "fast.csv", "--vehicle", CAR, "--charge", 80, "--temperature", 20)
+    rows = {}
+    for system in ("metric", "us"):
+        files = ("--report", f"{system}.html", "--json", f"{system}.json", "--units", system)
+        done = evpinn("forecast", *given, *files, cwd=folder)
+        assert done.returncode == 0, done.stderr
+        rows[system] = json.loads((folder / f"{system}.json").read_text())
+    page = (folder / "us.html").read_text()
+    seen = re.sub(r"<style>.*?</style>", "", done.stdout + page, flags=re.DOTALL)
+    assert not re.search(r"\bkm\b|km/h|°C|, m\b", seen)
+    assert "mi/kWh" in done.stdout and "68 °F" in done.stdout and "mph slower" in page
+    assert rows["us"] == rows["metric"]
+    miles = rows["us"][0]["distance_m"] / 1609.344
+    assert f" {miles:.2f} " in done.stdout and f"{miles:.1f} mi in" in page

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.api.plan import planned_energy, what_if
+from evpinn_ros.common.units import METRIC
 from evpinn_ros.core.energy.forecast import forecast_plan, plan_parts
 from evpinn_ros.core.energy.plan import (
     Legs,
@@ -63,12 +64,12 @@ def test_a_plan_without_heights_says_so_and_is_less_sure(plan, given):
     elif given == "all":
         plan = replace(plan, elevation=0.01 * plan.distance)
     planned = planned_energy(plan, "bmw_i3", COLD)
-    text = planned.no_heights
+    text = planned.no_heights()
     if given == "some" and isinstance(plan, Legs):
         assert text.startswith("no heights for 7.0 of 7.6 km: a level road is assumed")
     else:
         assert (text is None) == (given == "all")
-    assert ("level road" in _sentence(planned)) == (text is not None)
+    assert ("level road" in _sentence(planned, METRIC)) == (text is not None)
     end = planned.energies.end
     growth = planned.basis.model.car.growth * planned.basis.model.car.weight_over_eta**2
     level = replace(planned.basis.model.car, growth=0.0)
@@ -82,7 +83,7 @@ def test_faster_takes_more_and_less_time_and_colder_takes_more():
     slower, faster = found["10 km/h slower"], found["10 km/h faster"]
     assert slower.energy.value < 0.0 < faster.energy.value
     assert faster.seconds < 0.0 < slower.seconds
-    assert found["10 degrees warmer"].energy.value < 0.0 < found["10 degrees colder"].energy.value
+    assert found["10 °C warmer"].energy.value < 0.0 < found["10 °C colder"].energy.value
     sigma = planned_energy(FINE, "bmw_i3", COLD).energies.sigma[-1]
     assert all(each.energy.sigma < 0.7 * sigma for each in found.values())
 
@@ -96,7 +97,7 @@ def test_the_battery_is_empty_where_its_energy_is_used_up_and_the_page_says_it(c
     energy, distance = planned.energies.energy, planned.trip.distance
     where = float(np.interp(charge * planned.gauge.capacity.value, energy, distance))
     assert 0.0 < where < 40e3 and planned.empty_at == pytest.approx(where)
-    assert f"empty after {where / 1e3:.1f} km" in _sentence(planned)
+    assert f"empty after {where / 1e3:.1f} km" in _sentence(planned, METRIC)
     assert planned_energy(coarse, "bmw_i3", PlanConditions(charge=0.0)).empty_at == 0.0
     assert planned_energy(coarse, "bmw_i3", PlanConditions(charge=1.0)).empty_at is None
     assert planned_energy(coarse, "bmw_i3").empty_at is None

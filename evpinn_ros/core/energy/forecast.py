@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.arrays import namespace
+from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.core.energy.charge import ChargeGauge, Uncertain
 from evpinn_ros.core.energy.plan import COARSE, Legs, Plan, PlanConditions, PlanError, points_of
 from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, Weather, vehicle_model
@@ -169,13 +170,13 @@ class PlannedEnergy(NamedTuple):
         energies, _ = plan_parts(self.given, self.energies, *self.basis)
         return float(energies[-1])
 
-    @property
-    def no_heights(self) -> str | None:
+    def no_heights(self, units: Units = METRIC) -> str | None:
         """Sentence on the part of the way whose height is not known; None where all is."""
         unseen, whole = self.energies.end.unseen, float(np.ptp(self.trip.distance))
         if not unseen > SHORT_OF_HEIGHTS * whole:
             return None
-        part = f" for {unseen / 1e3:.1f} of {whole / 1e3:.1f} km"
+        metres = units.metres
+        part = f" for {unseen / metres:.1f} of {whole / metres:.1f} {units.distance}"
         part = "" if unseen > (1.0 - SHORT_OF_HEIGHTS) * whole else part
         return (
             f"no heights{part}: a level road is assumed; the 1-sigma allows for hills like those "
