@@ -34,7 +34,7 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
 )
 from evpinn_ros.core.vehicle.files import Vehicle
-from evpinn_ros.replays.simulation.road import HillyRoad, hilly_road
+from evpinn_ros.replays.simulation.drive import HillyRoad, hilly_road
 from evpinn_ros.replays.simulation.simulate import EPOCH_NS, RMS_GRADE
 
 SUMO_CARS = {

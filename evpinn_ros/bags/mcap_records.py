@@ -32,8 +32,7 @@ from mcap.records import (
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
-from evpinn_ros.bags.limits import LARGEST_SUMMARY, LONGEST_CHUNK, MOST_DEFINITIONS
-from evpinn_ros.bags.unpack import unpacked
+from evpinn_ros.bags.limits import LARGEST_SUMMARY, LONGEST_CHUNK, MOST_DEFINITIONS, unpacked
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import RATIO, most_unpacked
 from evpinn_ros.common.units import MEBIBYTE

@@ -18,8 +18,8 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
+from evpinn_ros.bags.limits import unpacked
 from evpinn_ros.bags.sqlite_journal import journals, merged
-from evpinn_ros.bags.unpack import unpacked
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import check_file
 

@@ -27,8 +27,7 @@ from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.comparison import Comparison
 from evpinn_ros.replays.comparison import compare as compare_drives
 from evpinn_ros.replays.run import ReplayOptions
-from evpinn_ros.report.compare_page import write_comparison
-from evpinn_ros.report.comparison_text import part_rows, sentences, trip_rows
+from evpinn_ros.report.compare_page import part_rows, sentences, trip_rows, write_comparison
 
 
 @with_read_options

@@ -13,17 +13,17 @@ from rclpy.exceptions import InvalidTopicNameException
 from evpinn_ros import topics
 from evpinn_ros.can import elm327
 from evpinn_ros.can.bridge import WAITING, BridgeStatus, CanBridge
-from evpinn_ros.can.bus import BusCondition, BusReader
+from evpinn_ros.can.bus import BusCondition, BusReader, BusStatus
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
+from evpinn_ros.can.poller import PollStatus
 from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.base import GuardedNode
-from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status, poll_status
-from evpinn_ros.nodes.diagnosis import WELL, Health, Status, with_health
+from evpinn_ros.nodes.diagnosis import WELL, Health, Status, flat, rounded, with_health
 from evpinn_ros.nodes.factory import is_installed, new_message
 from evpinn_ros.nodes.frame_sources import FrameTopic, LogPlayer, frame_topic
 from evpinn_ros.nodes.recorder import RawFrames
@@ -214,3 +214,59 @@ class CanBridgeNode(GuardedNode):
     def _bridge_status(self, now_ns: int) -> BridgeStatus:
         with self._lock:
             return self._bridge.status(now_ns)
+
+
+def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
+    """The health of the CAN bridge."""
+    values = {
+        "bus": bus.condition.name.lower(),
+        "frames": bridge.frames,
+        "unknown_frames": bridge.unknown_frames,
+        "unknown_ids": bridge.unknown_ids,
+        **flat("dropped", bridge.dropped),
+        **flat("bus", bus.counters),
+    }
+    for name, signal in bridge.signals.items():
+        values |= {
+            f"{name}.count": signal.count,
+            f"{name}.rate_hz": rounded(signal.rate),
+            f"{name}.age_s": rounded(signal.age),
+        }
+    if bridge.fault:
+        values["suspicion"] = bridge.fault
+    if bus.problem:
+        values["bus.last_problem"] = bus.problem
+    if bus.condition in (BusCondition.LOST, BusCondition.OFF):
+        verdict = Level.ERROR, bus.problem or bus.condition.value
+    elif bus.condition in (BusCondition.SILENT, BusCondition.ERRORS):
+        verdict = Level.WARN, bus.condition.value
+    elif bus.condition is BusCondition.CLOSED:
+        verdict = Level.WARN, bus.problem or "closed"
+    else:
+        verdict = _level(bridge), bridge.text
+    return with_health(Status("bus", *verdict, values), health)
+
+
+def poll_status(poll: PollStatus, experimental: bool) -> Status:
+    """Status of asking the car."""
+    text = f"experimental profile: {poll.text}" if experimental else poll.text
+    level = Level.OK if poll.ok and not experimental else Level.WARN
+    return Status("polling", level, text, dict(poll.counters))
+
+
+def log_status(text: str, problem: str | None, bridge: BridgeStatus, health: Health) -> Status:
+    """The health of the CAN bridge while it replays a log."""
+    values = {"frames": bridge.frames, **flat("dropped", bridge.dropped)}
+    if problem is not None:
+        verdict = Level.ERROR, problem
+    elif bridge.refusal or bridge.fault:
+        verdict = _level(bridge), bridge.text
+    else:
+        verdict = Level.OK, text
+    return with_health(Status("log", *verdict, values), health)
+
+
+def _level(bridge: BridgeStatus) -> Level:
+    if bridge.refusal:
+        return Level.ERROR
+    return Level.OK if bridge.ok else Level.WARN

@@ -1,27 +1,156 @@
-"""The page of a comparison: drives of one car side by side, without a script."""
+"""A comparison of drives of one car as rows and sentences, and as a page without a script."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from evpinn_ros.common.units import METRIC, Units
-from evpinn_ros.core.estimation.breakdown import Breakdown
-from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.replays.comparison import Comparison
-from evpinn_ros.replays.over_distance import over_distance
-from evpinn_ros.report.breakdown_text import name_of
-from evpinn_ros.report.comparison_text import (
-    common_groups,
-    part_rows,
-    rate_text,
-    sentences,
-    trip_rows,
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
+from evpinn_ros.core.estimation.breakdown import (
+    DIFFERENCE_METRES,
+    REGAINED,
+    UNEXPLAINED,
+    Amount,
+    Breakdown,
 )
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.terms import WHOLE, Part
+from evpinn_ros.replays.comparison import Comparison, over_distance
+from evpinn_ros.replays.driven import travelled
+from evpinn_ros.replays.energy_metrics import MEANINGS
+from evpinn_ros.report.breakdown_text import name_of
 from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
 from evpinn_ros.report.intervals import IntervalRow, interval_rows
+
+SURE = 2.0  # sigmas of a part beyond which it explains a difference
+WORTH_NAMING = 0.1  # of the difference
+Rows = list[tuple[str, ...]]
+
+
+def part_rows(
+    breakdowns: Sequence[Breakdown], *, signed: bool = False, units: Units = METRIC
+) -> Rows:
+    """Parts and what they add up to, a column for each breakdown: `units.rate` +- 1-sigma.
+
+    Parts that one of the breakdowns does not separate stand in one row.
+    """
+    rows = [
+        (name_of(parts), [breakdown.of(*parts) for breakdown in breakdowns])
+        for parts in common_groups(breakdowns)
+    ]
+    amounts = [breakdown.amounts() for breakdown in breakdowns]
+    rows.append((MEANINGS[UNEXPLAINED], [amount[UNEXPLAINED] for amount in amounts]))
+    known = [row for row in rows if any(amount.kwh or amount.sigma_kwh for amount in row[1])]
+    known.append((MEANINGS["measured"], [breakdown.total() for breakdown in breakdowns]))
+    known.append((MEANINGS[REGAINED], [amount[REGAINED] for amount in amounts]))
+    return [
+        (
+            name,
+            *(
+                rate_text(amount, breakdown.distance, signed, units)
+                for amount, breakdown in zip(cells, breakdowns, strict=True)
+            ),
+        )
+        for name, cells in known
+    ]
+
+
+def common_groups(breakdowns: Sequence[Breakdown]) -> list[tuple[Part, ...]]:
+    """The parts; in one group those that any of these breakdowns does not separate."""
+    rows = [{part} for part in list(Part)[WHOLE]]
+    for group in [set(group) for breakdown in breakdowns for group in breakdown.together()]:
+        joined = group.union(*(row for row in rows if row & group))
+        rows = [row for row in rows if not row & group] + [joined]
+    return sorted(tuple(sorted(row)) for row in rows)
+
+
+def trip_rows(comparison: Comparison, units: Units = METRIC) -> Rows:
+    """Length, time and mean speed of each drive, and how much of it is compared."""
+    columns = []
+    for drive, parts in zip(comparison.drives, comparison.parts(), strict=True):
+        steps = travelled(drive)
+        far, hours = float(steps.distance.sum()) / units.metres, float(steps.seconds.sum()) / 3600
+        columns.append(
+            (
+                f"{far:.1f} {units.distance}",
+                f"{drive.duration / 60:.0f} min",
+                f"{far / hours:.0f} {units.speed}" if hours else "-",
+                f"{parts.distance / units.metres:.1f} {units.distance}",
+            )
+        )
+    names = ("length", "time", "mean speed", "with battery measured")
+    return [(name, *cells) for name, *cells in zip(names, *columns, strict=True)]
+
+
+def sentences(comparison: Comparison, units: Units = METRIC) -> Iterator[str]:
+    """Sentences on what explains the difference of each drive to the first."""
+    base = comparison.parts()[0].total().kwh_per_100km or 0.0
+    for name, difference in zip(comparison.names[1:], comparison.differences(), strict=True):
+        total = difference.total().kwh
+        share = f" ({100 * total / base:+.0f} %)" if base > 0.0 else ""
+        if round(total, 2) == 0.0:
+            yield f"{name} took as much over distance as {comparison.names[0]}."
+            continue
+        more = "more" if total > 0.0 else "less"
+        much = abs(total) * METRIC.rate_joules / units.rate_joules
+        text = f"{much:.{_digits(units)}f} {units.rate}"
+        yield f"{name} took {text} {more} than {comparison.names[0]}{share}."
+        yield _explained(difference, units)
+
+
+def _explained(difference: Breakdown, units: Units) -> str:
+    """The parts that explain a difference, largest first, and those that leave it open.
+
+    A part explains what has its sign and is beyond `SURE` sigmas; one that is as large as
+    `WORTH_NAMING` of the difference, or may be, is named too.
+    """
+    total = difference.total().kwh
+    parts = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
+    parts.append((MEANINGS[UNEXPLAINED], difference.amounts()[UNEXPLAINED]))
+    parts = [part for part in parts if _is_shown(part[1], units)]
+    parts.sort(key=lambda part: -abs(part[1].kwh))
+    sure = [part for part in parts if abs(part[1].kwh) > SURE * part[1].sigma_kwh > 0.0]
+    least = WORTH_NAMING * abs(total)
+    by_kind = {
+        "Explained by": [part for part in sure if part[1].kwh * total > 0.0],
+        "Against that": [p for p in sure if p[1].kwh * total < 0.0 and abs(p[1].kwh) > least],
+        "Not known well enough": [
+            part
+            for part in parts
+            if part not in sure and max(abs(part[1].kwh), part[1].sigma_kwh) > least
+        ],
+    }
+    texts = {
+        kind: "; ".join(
+            f"{name} {rate_text(amount, DIFFERENCE_METRES, True, units)}" for name, amount in named
+        )
+        for kind, named in by_kind.items()
+    }
+    sentences = [f"{kind}: {text}." for kind, text in texts.items() if text]
+    if not by_kind["Explained by"]:
+        sentences.insert(0, "No part explains it beyond 2 sigma: these drives do not show why.")
+    return " ".join(sentences)
+
+
+def _is_shown(amount: Amount, units: Units) -> bool:
+    """True if a part of a difference, or its 1-sigma, does not round to nothing."""
+    scale = JOULES_PER_KWH / DIFFERENCE_METRES / units.rate_joules
+    return any(round(kwh * scale, _digits(units)) for kwh in (amount.kwh, amount.sigma_kwh))
+
+
+def rate_text(amount: Amount, distance: float, signed: bool = False, units: Units = METRIC) -> str:
+    """Consumption of a part over a distance, m, with its 1-sigma, in `units.rate`."""
+    digits, sign = _digits(units), "+" if signed else ""
+    scale = JOULES_PER_KWH / distance / units.rate_joules
+    value = round(amount.kwh * scale, digits) + 0.0  # no -0.00
+    return f"{value:{sign}.{digits}f} +- {amount.sigma_kwh * scale:.{digits}f}"
+
+
+def _digits(units: Units) -> int:
+    return 2 if units is METRIC else 1
+
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
 CURVES = {

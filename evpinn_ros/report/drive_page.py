@@ -30,6 +30,7 @@ from evpinn_ros.report.drive_energy import breakdown_values, running_totals, spe
 from evpinn_ros.report.drive_maps import FAST_SPEED, SLOW_SPEED
 from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.report.html import write_page
+from evpinn_ros.report.intervals import trend_intervals
 from evpinn_ros.report.owner_text import (
     LEAST_CHARGED,
     NEARLY_WHOLE,
@@ -48,7 +49,6 @@ from evpinn_ros.report.tables import (
     signed_percent,
     watts,
 )
-from evpinn_ros.report.trend_rows import trend_intervals
 
 POINTS = 40_000  # of a curve, all drives of a page together: an hour at 10 Hz loses nothing
 LEAST_POINTS = 2_000  # of a curve of one of many drives

@@ -18,7 +18,7 @@ import pytest
 from rosbags.rosbag2 import storage_mcap
 import zstandard
 
-from evpinn_ros.bags import mcap_file, mcap_records, unpack
+from evpinn_ros.bags import limits, mcap_file, mcap_records
 from evpinn_ros.bags.limits import LONGEST_CHUNK
 from evpinn_ros.bags.mcap_records import HEAD, MAGIC
 from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
@@ -179,7 +179,7 @@ def test_each_limit_holds_with_and_without_a_summary(
     tmp_path, monkeypatch, write, name, limit, most, reason
 ):
     """Chunks of some ten messages and one of one; a sound summary is no leave to go beyond."""
-    for module in (unpack, mcap_records):
+    for module in (limits, mcap_records):
         monkeypatch.setattr(module, name, limit, raising=False)
     path = write(tmp_path / "a.mcap")
     with BagReader(path) as reader:

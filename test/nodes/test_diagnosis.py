@@ -15,7 +15,7 @@ from evpinn_ros.core.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.core.estimation.lag import Lag
 from evpinn_ros.core.estimation.learner import LearnerReport
 from evpinn_ros.core.signals.detector import BATTERY_STUCK, SPEED_STUCK
-from evpinn_ros.nodes.bridge_diagnosis import bus_status, log_status
+from evpinn_ros.nodes.can_bridge import bus_status, log_status
 from evpinn_ros.nodes.diagnosis import WELL, Condition, Health
 from evpinn_ros.nodes.energy_diagnosis import answered_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status

@@ -13,14 +13,12 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.units import METRIC, US
 from evpinn_ros.core.signals.readings import AltitudeReading, BatteryReading, SpeedReading
 from evpinn_ros.replays.car import CarReplay
-from evpinn_ros.replays.comparison import Comparison, compare
+from evpinn_ros.replays.comparison import Comparison, compare, distance_until, over_distance
 from evpinn_ros.replays.driven import travelled
-from evpinn_ros.replays.over_distance import distance_until, over_distance
 from evpinn_ros.replays.run import ReplayOptions
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
-from evpinn_ros.report.compare_page import write_comparison
-from evpinn_ros.report.comparison_text import part_rows, sentences, trip_rows
+from evpinn_ros.report.compare_page import part_rows, sentences, trip_rows, write_comparison
 from test.replays.test_replay import Recorded
 
 pytestmark = pytest.mark.slow

@@ -12,9 +12,9 @@ from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.readings import BatteryReading
 from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.comparison import distance_until
 from evpinn_ros.replays.driven import charged, counted, measured_steps
 from evpinn_ros.replays.energy_metrics import INVALID
-from evpinn_ros.replays.over_distance import distance_until
 from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
 from evpinn_ros.report.owner_text import owner_line
 from test.replays.test_replay import Recorded

@@ -16,7 +16,7 @@ from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.extras.fleet.population import COMBINATIONS, Population, PopulationValue
 from evpinn_ros.extras.fleet.tables import CHARTED, SHOWN, FleetSummary
 from evpinn_ros.report.html import write_page
-from evpinn_ros.report.trend_rows import trend_intervals
+from evpinn_ros.report.intervals import trend_intervals
 
 POPULATION_HEAD = (
     *("", "vehicle file", "mean of the cars", "from car to car", "next car", "worth, cars"),

@@ -28,7 +28,7 @@ from evpinn_ros.core.signals.readings import (
     TemperatureReading,
 )
 from evpinn_ros.replays.simulation.car import STEP, Car, Trace
-from evpinn_ros.replays.simulation.noise import slow_noise
+from evpinn_ros.replays.simulation.surroundings import slow_noise
 
 SPEED_RATE, BATTERY_RATE, CHARGE_RATE = 10.0, 10.0, 1.0  # Hz
 SPEED_LAG, BATTERY_LAG = 0.06, 0.03  # s, time constants of the car's own filters

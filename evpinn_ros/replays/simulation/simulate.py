@@ -25,8 +25,13 @@ from evpinn_ros.replays.simulation.car import (
     drive_equation_car,
     equation_car,
 )
-from evpinn_ros.replays.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, motion_on
-from evpinn_ros.replays.simulation.road import hilly_road
+from evpinn_ros.replays.simulation.drive import (
+    SAMPLE_RATE,
+    DriveKind,
+    drive_speed,
+    hilly_road,
+    motion_on,
+)
 from evpinn_ros.replays.simulation.sensors import altitudes, motor_readings, sense, temperatures
 from evpinn_ros.replays.simulation.surroundings import ambient_celsius, draw_surroundings
 from evpinn_ros.replays.simulation.truth import Truth, plausible_parameters, true_values, tuned

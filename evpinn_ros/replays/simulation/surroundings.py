@@ -1,14 +1,27 @@
-"""Loads on the car from outside and inside while it drives: wind and auxiliary loads."""
+"""Wind and auxiliary loads of a drive, and the smooth noise that they and traffic follow."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from evpinn_ros.core.signals.road import GAS_CONSTANT
-from evpinn_ros.replays.simulation.noise import slow_noise
+
+
+def slow_noise(time: np.ndarray, memory: float, rng: np.random.Generator) -> np.ndarray:
+    """A smooth random function of about zero mean and unit variance at rising times, s.
+
+    Independent normal values every `memory` seconds, joined by a cubic spline.
+
+    Returns:
+        Shape (n,).
+    """
+    knots = np.arange(0.0, time[-1] + 4 * memory, memory)
+    return np.asarray(CubicSpline(knots, rng.standard_normal(knots.size))(time))
+
 
 WIND_SPREAD = 1.2  # m/s, 1-sigma of the head wind as the road turns and shelters
 WIND_MEMORY = 25.0  # s

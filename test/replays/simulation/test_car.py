@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.vehicle.physics import GRAVITY
-from evpinn_ros.replays.simulation.car import STEP
-from evpinn_ros.replays.simulation.powertrain import Brakes, Drivetrain
+from evpinn_ros.replays.simulation.car import STEP, Brakes, Drivetrain
 
 
 def energy(power: np.ndarray) -> float:

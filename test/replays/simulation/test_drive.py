@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.units import KMH
-from evpinn_ros.replays.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed
-from evpinn_ros.replays.simulation.road import hilly_road
+from evpinn_ros.replays.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed, hilly_road
 
 
 def speed_of(kind: DriveKind, seed: int, duration_s: float = 600.0) -> np.ndarray:
