@@ -35,7 +35,7 @@ CANDIDATES = ("km/h", "mph", "m/s")
 
 
 class Masses(NamedTuple):
-    """Masses of a class of vehicles, kg."""
+    """Masses of a class of vehicles, kg; outside of the limits there is none, however odd."""
 
     least: float
     usual: float
@@ -43,8 +43,8 @@ class Masses(NamedTuple):
     most: float
 
 
-LIGHT, MIDDLE = Masses(50, 250, 1300, 1500), Masses(80, 700, 2000, 4000)
-CAR = Masses(700, 2000, 3200, 30_000)
+LIGHT, MIDDLE = Masses(20, 250, 1300, 8000), Masses(50, 700, 2000, 12_000)
+CAR = Masses(150, 2000, 3200, 60_000)
 LIGHT_BELOW, CAR_FROM = 60.0, 150.0  # V of the battery
 
 

@@ -155,6 +155,30 @@ def test_a_light_vehicle_in_metres_a_second_and_minutes(tmp_path):
     assert "'Velocity' is assumed to be in m/s" in " ".join(source.notes)
 
 
+VEHICLES = [
+    (200, 20),
+    (250, 60),
+    (700, 48),
+    (1900, 48),
+    (700, 100),
+    (250, 350),
+    (700, 350),
+    (9000, 600),
+]
+
+
+@pytest.mark.parametrize(("mass", "volts"), VEHICLES)
+@pytest.mark.parametrize("odometer", ["", ",{miles:.2f}"])
+def test_a_speed_in_mph_is_read_so_or_the_unit_is_assumed(tmp_path, mass, volts, odometer):
+    drive = simulated(mass=mass, volts=volts)
+    header = "time,speed,voltage,current" + (odometer and ",odometer")
+    source = opened(
+        tmp_path, written(header, "{t},{mph:.2f},{volts:.3f},{amps:.3f}" + odometer, drive)
+    )
+    is_right = measured(source)[0] == pytest.approx(drive.distance, rel=0.02)
+    assert is_right or "'speed' is assumed to be in" in " ".join(source.notes)
+
+
 @pytest.mark.parametrize("header", ["t_s,speed_mps,voltage_v,current_a", "t,v veh,Volt,Amps"])
 @pytest.mark.parametrize("current", [0, 7])
 def test_a_current_that_never_changes_is_not_measured(tmp_path, header, current):
