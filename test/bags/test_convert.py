@@ -1,6 +1,5 @@
 from dataclasses import astuple
 import math
-from pathlib import Path
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,7 +15,6 @@ from evpinn_ros.core.signals.readings import BatteryReading, Reading, SpeedReadi
 from evpinn_ros.topics.messages import scalar
 from evpinn_ros.topics.readings import speed_message
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
 START = 1_700_000_000_000_000_000
 NUMBERS = st.floats(-1e6, 1e6, width=32).map(lambda x: x + 0.0)
 STAMPS = st.integers(START, START + 10**10)

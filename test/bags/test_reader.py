@@ -106,15 +106,6 @@ def test_a_folder_its_file_and_a_folder_without_metadata(drive, tmp_path):
             assert reader.problem is None and not reader.dropped
 
 
-def test_only_wanted_topics(drive):
-    with BagReader(drive) as reader:
-        speeds = [
-            record.message.twist.twist.linear.x for record in reader.records(["/ev/vehicle/speed"])
-        ]
-        assert speeds == [float(i) for i in range(COUNT)]
-        assert list(reader.records(["/none"])) == []
-
-
 @pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
 @pytest.mark.parametrize("compressed", [None, CompressionMode.MESSAGE, CompressionMode.FILE])
 def test_bags_of_rosbags(tmp_path, plugin, compressed):

@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from benchmarks.truth import TruthCheck, compare
+from benchmarks.truth import compare
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.replays.simulation.drive import DriveKind
 
 pytestmark = pytest.mark.nightly
-
-ONE = TruthCheck("bmw_i3", 1, 60, "mass", 1100.0, 60.0, 0.5, 1000.0)
 
 
 def test_intervals_of_cars_drawn_from_the_priors_are_true():

@@ -3,32 +3,16 @@
 import json
 from pathlib import Path
 import re
-import resource
 import subprocess
-import sys
 
 import pytest
 from rosbags.rosbag2 import Reader
 
-from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_drive
 
 ROOT = Path(__file__).parents[2]
 URBAN = ROOT / "bags" / "urban"
-
-
-def on_a_full_disk(*arguments, cwd: Path) -> subprocess.CompletedProcess:
-    """A process of its own: a limit of the size of a file stands for the end of the disk."""
-    return subprocess.run(
-        [sys.executable, "-B", "-m", "evpinn_ros", *map(str, arguments)],
-        cwd=cwd,
-        env={"PYTHONPATH": str(ROOT), "COLUMNS": "100", "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=150,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000)),
-    )
 
 
 @pytest.fixture(scope="module")
@@ -126,12 +110,3 @@ def test_recover_then_replay(evpinn, folder):
     report = json.loads(evpinn("recover", "broken.mcap", "two", "--json", "-", cwd=folder).stdout)
     (file,) = report["files"]
     assert file["messages"] == count and len(file["losses"]) >= 2
-
-
-def test_a_bag_of_several_files_is_replayed(evpinn, folder):
-    with BagWriter(folder / "split", split=Split(seconds=20.0)) as writer, Reader(URBAN) as reader:
-        for connection, log_time_ns, data in reader.messages():
-            writer.write_raw(connection.topic, connection.msgtype, bytes(data), log_time_ns)
-    assert len(list((folder / "split").glob("*.mcap"))) == 18
-    document = json.loads(evpinn("info", "split", URBAN, "--json", "-", cwd=folder).stdout)
-    assert document[0]["topics"] == document[1]["topics"]

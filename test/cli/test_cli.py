@@ -92,19 +92,6 @@ def test_replay_metrics_keep_the_contract(evpinn, folder):
     )
 
 
-def test_can_log_and_bag_of_one_drive_give_the_same_scores(evpinn, folder):
-    done = evpinn(
-        *("replay", "drive", "drive.log", "--vehicle", "tesla_model_3_lr", "--warm-up", 10),
-        *("--metrics", "both.json"),
-        cwd=folder,
-    )
-    assert done.returncode == 0, done.stderr
-    bag, log = json.loads((folder / "both.json").read_text())
-    assert log["input"]["samples"] == bag["input"]["samples"]
-    # The second drive starts with what the first taught: it is the same drive, so it goes better.
-    assert log["power"]["rmse_w"] < bag["power"]["rmse_w"]
-
-
 def test_state_is_taken_up_and_another_car_refuses_it(evpinn, folder):
     replay = ("replay", "drive", "--state", "kept.json", "--metrics", "m.json", "--warm-up", 5)
     first = evpinn(*replay, "--vehicle", "tesla_model_3_lr", cwd=folder)
@@ -115,26 +102,6 @@ def test_state_is_taken_up_and_another_car_refuses_it(evpinn, folder):
     assert json.loads((folder / "m.json").read_text())["power"]["rmse_w"] < before
     other = evpinn(*replay, "--vehicle", "nissan_leaf", cwd=folder)
     assert_fails_in_one_line(other, "kept.json", "nissan_leaf")
-
-
-def test_no_battery_is_said_and_predictions_go_on(evpinn, folder):
-    done = evpinn("replay", "speed.csv", "--metrics", "speed.json", cwd=folder)
-    assert done.returncode == 0
-    (line,) = done.stderr.strip().splitlines()
-    assert "no battery" in line
-    metrics = json.loads((folder / "speed.json").read_text())
-    assert metrics["energy"]["predicted_j"] > 0 and metrics["power"]["rmse_w"] is None
-
-
-def test_truncated_bag_is_replayed_as_far_as_it_goes(evpinn, folder):
-    (bag,) = (folder / "drive").glob("*.mcap")
-    data = bag.read_bytes()
-    (folder / "cut.mcap").write_bytes(data[: len(data) * 6 // 10])
-    done = evpinn("replay", "cut.mcap", "--metrics", "cut.json", "--warm-up", 5, cwd=folder)
-    assert_fails_in_one_line(done, "cut.mcap")
-    metrics = json.loads((folder / "cut.json").read_text())
-    assert 15 < metrics["input"]["duration_s"] < 45
-    assert metrics["power"]["rmse_w"] > 0
 
 
 def test_results_before_a_bad_input_are_kept(evpinn, folder):

@@ -3,7 +3,6 @@
 import json
 import os
 from pathlib import Path
-import pty
 import re
 import signal
 import subprocess
@@ -15,10 +14,8 @@ from rosbags.rosbag2 import Reader
 from test.waiting import wait_until
 
 ROOT = Path(__file__).parents[2]
-URBAN = ROOT / "bags" / "urban"
 VEHICLE = ("--vehicle", "tesla_model_3_lr")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "OMP_NUM_THREADS": "1"}
-COLOUR = re.compile(r"\x1b\[(?:\d+;)*(?:3[0-7]|9[0-7]|38;[\d;]+)m")
 INTERRUPTED = 130
 
 
@@ -78,42 +75,6 @@ def test_names_of_commands_complete_without_importing_them():
     )
     assert "AssertionError" not in done.stderr
     assert {"replay", "run", "check-params"} <= set(done.stdout.split())
-
-
-def on_terminal(*arguments: object, cwd: Path, **environment: str) -> str:
-    """All that a command writes to a terminal."""
-    master, slave = pty.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "evpinn_ros", *map(str, arguments)],
-        cwd=cwd,
-        env={k: v for k, v in ENVIRONMENT.items() if k != "NO_COLOR"}
-        | {"TERM": "xterm-256color", **environment},
-        stdin=slave,
-        stdout=slave,
-        stderr=slave,
-    )
-    os.close(slave)
-    written = b""
-    try:
-        while part := os.read(master, 65536):
-            written += part
-    except OSError:  # how Linux tells that the other end is closed
-        pass
-    os.close(master)
-    assert process.wait(timeout=60) == 0, written.decode()
-    return written.decode()
-
-
-@pytest.mark.parametrize(
-    "arguments", [("can", "--help"), ("simulate", "out", "--duration", 10), ("info", URBAN)]
-)
-def test_no_color_is_honoured(arguments, tmp_path):
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    plain = on_terminal(*arguments, cwd=tmp_path / "a", NO_COLOR="1")
-    assert plain.strip() and not COLOUR.search(plain)
-    if arguments[0] != "info":  # which has no colours at all
-        assert COLOUR.search(on_terminal(*arguments, cwd=tmp_path / "b"))
 
 
 def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess:

@@ -24,14 +24,6 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_draft_takes_the_place_of_the_file(tmp_path):
-    path = tmp_path / "car.json"
-    for text in ("one", "two"):
-        with replaced(path) as draft:
-            draft.write(text.encode())
-        assert path.read_text() == text and names(tmp_path) == ["car.json"]
-
-
 @pytest.mark.parametrize("end", [OSError(errno.ENOSPC, "full"), ValueError(), KeyboardInterrupt()])
 @pytest.mark.parametrize("before", [None, "old"])
 def test_what_is_not_whole_leaves_nothing(tmp_path, end, before):

@@ -2,7 +2,6 @@
 
 from itertools import pairwise
 import json
-import math
 
 import pytest
 from std_srvs.srv import Trigger
@@ -67,19 +66,6 @@ def test_a_planner_hears_consistent_totals_across_a_restart(bench, tmp_path):
     assert values(before[-1])["lifetime_net"] == net[-1]
 
 
-def test_reset_starts_the_trip_and_not_the_lifetime(bench, tmp_path):
-    path = tmp_path / "energy.json"
-    node = bench.start(EnergyNode, energy_file=str(path))
-    drive(bench, node, range(60))
-    assert bench.call(Trigger, "/ev/energy/reset").success
-    totals = node.account.summary()
-    assert totals.since_reset.net.value == 0.0
-    assert totals.lifetime.net.value == pytest.approx(59 * POWER)
-    assert totals.consumption["1"] == pytest.approx(POWER / SPEED)
-    assert bench.call(Trigger, "/ev/energy/save").success
-    assert json.loads(path.read_text())["energy"]["vehicle"] == "tesla_model_3_lr"
-
-
 def test_planners_hear_consumption_and_range_only_when_known(bench):
     node = bench.start(EnergyNode)
     bench.listen(*SUMMARY)
@@ -130,29 +116,6 @@ def test_the_range_is_that_of_the_route_whose_plan_was_asked(bench):
     assert along["distance_to_empty"] < 0.9 * without["distance_to_empty"]
     node.account.begin_next_trip()
     assert node.account.route is None
-
-
-@pytest.mark.parametrize("policy", ["reset", "hold"])
-def test_a_jump_of_time_never_takes_from_the_lifetime(bench, tmp_path, policy):
-    """The default policy used to go back to what was loaded, and the next save wrote that."""
-    path = str(tmp_path / "energy.json")
-    first = bench.start(EnergyNode, energy_file=path, time_jump_policy=policy)
-    drive(bench, first, range(30))
-    bench.stop(first)
-    node = bench.start(EnergyNode, energy_file=path, time_jump_policy=policy)
-    for _ in range(3):  # two jumps back, and the first drive of this node one more
-        drive(bench, node, range(30))
-    lifetime = node.account.lifetime()
-    assert lifetime.net.value == pytest.approx((4 * 29) * POWER)
-    # Speed jumps before power does, and at the jump of power distance joins nothing once more.
-    assert lifetime.distance == pytest.approx((4 * 29 - 2) * SPEED)
-    trip = node.account.since_reset()
-    drives = {"reset": 1, "hold": 4}[policy]
-    assert trip.net.value == pytest.approx(drives * 29 * POWER)
-    assert bench.call(Trigger, "/ev/energy/save").success
-    bench.stop(node)
-    last = bench.start(EnergyNode, energy_file=path)
-    assert last.account.lifetime() == pytest.approx(lifetime)
 
 
 @pytest.mark.parametrize("away", [4, 25])
@@ -211,22 +174,3 @@ def test_hostile_speeds_and_powers_stop_nothing(bench, tmp_path):
     assert (shown["bad.speed_out_of_range"], shown["bad.power_out_of_range"]) == ("60", "120")
     assert bench.call(Trigger, "/ev/energy/save").success
     assert json.loads(path.read_text())["energy"]["trip"]["speed"]["drawn"] <= 30 * SPEED
-
-
-def test_a_silence_and_what_became_of_it_is_in_the_diagnostics(bench):
-    node = bench.start(EnergyNode)
-    drive(bench, node, range(30))
-    drive(bench, node, range(30, 130), battery=False)
-    assert "predicting" in bench.diagnosis(node)["meter"][1]
-    _, text, shown = bench.diagnosis(node)["charge"]
-    assert "projected" in text and shown["projected"] == "True"
-    assert float(shown["state_of_charge"]) < 0.8
-    drive(bench, node, range(130, 135))
-    shown = bench.diagnosis(node)["meter"][2]
-    assert shown["silence"] == "joined with the state of charge"
-    assert float(shown["silence_s"]) == pytest.approx(101.0)
-    predicted = float(shown["silence_predicted_wh"])
-    assert predicted == pytest.approx(101 * (POWER + 1e3) / 3600, rel=0.02)
-    assert float(shown["silence_by_charge_wh"]) == 0.0  # it did not move a step
-    assert -0.5 * predicted < float(shown["silence_correction_wh"]) < 0.0
-    assert not math.isnan(float(shown["silence_by_charge_sigma_wh"]))

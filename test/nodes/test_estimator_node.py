@@ -1,10 +1,9 @@
 """The estimator node: its services, its state file, and what it does with bad input."""
 
-import json
 import math
 
 import pytest
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from evpinn_ros import topics
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
@@ -85,42 +84,6 @@ def test_enable_pauses_learning_alone(bench):
     bench.call(SetBool, "/ev/estimator/enable", data=True)
     drive(bench, node, 16, 48, rate=4)
     assert unsure(node) < 0.9
-
-
-def test_what_was_learned_is_saved_and_read_again(bench, tmp_path):
-    path = tmp_path / "state" / "car.json"
-    node = bench.start(EstimatorNode, state_file=str(path))
-    drive(bench, node, 0, 36, rate=4)
-    answer = bench.call(Trigger, "/ev/estimator/save")
-    assert answer.success and str(path) in answer.message
-    saved = json.loads(path.read_text())
-    again = bench.start(EstimatorNode, state_file=str(path))
-    assert unsure(again) == pytest.approx(unsure(node)) and unsure(node) < 0.95
-    drive(bench, node, 36, 37)
-    node.close()
-    assert json.loads(path.read_text()) != saved, "saved at the end too"
-
-
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [("{", "not a saved state"), ('{"version": 99}', "not used: saved for"), (None, "not used")],
-)
-def test_a_state_file_that_cannot_be_used_is_told_and_kept(bench, tmp_path, content, reason):
-    path = tmp_path / "car.json"
-    if content is None:  # the right car, and nonsense in it
-        state = bench.start(EstimatorNode).estimator.export()
-        content = json.dumps({**state, "learner": {**state["learner"], "trim": "x"}})
-    path.write_text(content)
-    node = bench.start(EstimatorNode, state_file=str(path))
-    prior = node.estimator.export()
-    drive(bench, node, 0, 0.2)
-    level, text, _ = said(bench, node)
-    assert level is Level.WARN and reason in text and str(path) in text
-    assert "kept as car.json.refused" in text
-    assert prior["vehicle"] == "tesla_model_3_lr"
-    node.kept.save()
-    assert json.loads(path.read_text())["learned"]["version"] == prior["version"]
-    assert path.with_name("car.json.refused").read_text() == content
 
 
 def test_bad_messages_are_counted_by_reason(bench):

@@ -2,8 +2,6 @@
 
 import math
 
-import pytest
-
 from evpinn_ros import topics
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
@@ -107,20 +105,6 @@ def test_a_second_publisher_is_named_until_it_goes(bench):
     bench.pump(lambda: wanted not in bench.diagnosis(node)["meter"][1])
 
 
-def test_a_publisher_in_the_place_of_one_that_is_still_counted_is_no_second(bench):
-    """As after a kill: until its lease ends the dead one is a publisher that says nothing."""
-    node = bench.start(EnergyNode)
-    dead = factory.advertise(bench.node, topics.SPEED)
-    bench.pump(lambda: dead.get_subscription_count() > 0)
-    for step in range(3):
-        dead.publish(speed(step / 10))
-        bench.pump(lambda step=step: node.received[topics.SPEED] > step)
-    for step in range(3, 6):
-        bench.post(node, topics.SPEED, speed(step / 10))
-    assert node.count_publishers(topics.SPEED.under()) == 2
-    assert "publishers of" not in bench.diagnosis(node)["meter"][1]
-
-
 def test_a_quality_of_service_that_does_not_match_is_named_until_messages_come(bench):
     name = f"qos_overrides.{topics.SPEED.under()}.subscription.reliability"
     node = bench.start(EstimatorNode, **{name: "reliable"})
@@ -135,14 +119,6 @@ def test_a_quality_of_service_that_does_not_match_is_named_until_messages_come(b
     bench.node.destroy_publisher(publisher)
     bench.deliver(node, topics.SPEED, speed(0.0))
     assert wanted not in bench.diagnosis(node)["estimate"][1]
-
-
-@pytest.mark.parametrize("seconds", [1, 3600])
-def test_stamps_of_the_future_are_named_and_logged(bench, seconds, capfd):
-    node = bench.start(EstimatorNode)
-    bench.read(node, SpeedReading(node.now_ns() + seconds * NANOSECONDS, 10.0))
-    assert "ahead of this computer's clock" in bench.diagnosis(node)["estimate"][1]
-    assert "ahead of this computer's clock" in capfd.readouterr().err
 
 
 def test_who_publishes_a_speed_that_is_not_used_and_why_is_named_and_logged(bench, capfd):

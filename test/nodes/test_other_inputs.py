@@ -13,7 +13,6 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import new_message as bag_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.topics.messages import Level, header, read_named_vector, stamp_ns
@@ -69,13 +68,6 @@ def test_odometry_is_not_used_beside_vehicle_speed(bench):
     assert values["bad.odom: vehicle/speed is received"] == "1" and "not used" not in text
 
 
-def test_the_distance_driven_comes_from_odometry_too(bench):
-    node = bench.start(EnergyNode)
-    for tenth in range(30):
-        bench.deliver(node, topics.ODOMETRY, odometry(tenth, 10.0))
-    assert node.account.summary().since_reset.distance == pytest.approx(29.0)
-
-
 def test_an_imu_in_another_frame_gives_no_grade_and_says_why(bench):
     node = bench.start(EstimatorNode, grade_source="imu")
     drive(bench, node, range(20), frame="camera_imu", pitch=0.4)
@@ -83,14 +75,6 @@ def test_an_imu_in_another_frame_gives_no_grade_and_says_why(bench):
     why = "vehicle/imu: frame 'camera_imu' is not base_link: set imu_rotation_rpy"
     assert values[f"bad.{why}"] == "20" and f"not used from now on: {why}" in text
     assert "grade" in values["inputs_without_data"]
-
-
-def test_an_imu_of_known_mounting_gives_the_grade(bench):
-    options = {"grade_source": "imu", "imu_rotation_rpy": "0 0.4 0"}
-    node = bench.start(EstimatorNode, **options)
-    drive(bench, node, range(30), frame="camera_imu", pitch=0.35)
-    _, text, values = bench.diagnosis(node)["estimate"]
-    assert "imu" not in text and "grade" not in values["inputs_without_data"]
 
 
 @pytest.mark.nightly

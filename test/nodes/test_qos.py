@@ -75,13 +75,6 @@ def test_quality_of_service_can_be_overridden(bench):
     assert node.describe_parameter(f"{key}.depth")
 
 
-def test_durability_is_overridden_too(bench):
-    key = "qos_overrides./ev/energy/state.publisher.durability"
-    node = bench.start(EnergyNode, **{key: "transient_local"})
-    state = next(p for p in node.publishers if p.topic_name == "/ev/energy/state")
-    assert described(state.qos_profile) == (True, True, 100)
-
-
 def test_an_override_that_would_not_be_heard_is_refused(bench):
     key = "qos_overrides./ev/energy/state.publisher.lifespan"
     with pytest.raises(InputError, match="'lifespan' cannot be overridden; known are history"):

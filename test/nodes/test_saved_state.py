@@ -59,16 +59,6 @@ def test_the_newest_refused_files_are_kept(tmp_path):
     assert [file.read_text() for file in kept] == newest
 
 
-def test_a_file_that_was_used_is_not_set_aside(tmp_path):
-    path = tmp_path / "car.json"
-    for _ in range(2):
-        state_file = StateFile(path, Counter(), Half.LEARNED)
-        state_file.restore()
-        assert state_file.problem is None and state_file.save() is None
-    state_file.release()
-    assert [file.name for file in tmp_path.iterdir()] == ["car.json"]
-
-
 def test_the_second_user_of_a_half_is_told_and_writes_nothing(tmp_path):
     path = tmp_path / "car.json"
     write_halves(path, {Half.LEARNED: {"count": 5}})

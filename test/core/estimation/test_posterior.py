@@ -19,7 +19,7 @@ from evpinn_ros.core.estimation.posterior import (
     see_motor,
     see_reported_climate,
 )
-from evpinn_ros.core.estimation.states import LASTING, OFFSETS, PHYSICS, SIZE, WEIGHTS, State
+from evpinn_ros.core.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import Warmth, equation_of
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.physics import GRAVITY
@@ -102,23 +102,6 @@ def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
         block = np.ix_(index, index)
         apart = (state.covariance[k][block] - left_over[block]) / np.outer(scale, scale)
         assert np.abs(apart).max() < 1e-9
-
-
-def test_a_car_is_learned_from_its_energies(known):
-    before, after = initial_state(EQUATION).mixture(), known.mixture()
-    truth = 1.1 * EQUATION.mean[State.MASS]
-    assert abs(after.mean[State.MASS] - truth) < 0.7 * abs(before.mean[State.MASS] - truth)
-    for state in PHYSICS:
-        assert after.covariance[state, state] < before.covariance[state, state]
-    sigma = math.sqrt(after.covariance[State.MASS, State.MASS])
-    assert abs(after.mean[State.MASS] - truth) < 3.0 * sigma
-
-
-def test_an_outlier_moves_little(town, known):
-    wild = [*town[:20], replace(town[20], energy=town[20].energy + 1e7), *town[21:]]
-    calm, shaken = known.mixture(), learned(wild).mixture()
-    sigma = np.sqrt(np.diag(calm.covariance))[PHYSICS]
-    assert (np.abs(calm.mean - shaken.mean)[PHYSICS] < 2.0 * sigma).all()
 
 
 def test_the_wandering_load_forgets_itself():

@@ -1,6 +1,5 @@
 """A state has one process that learns into it: nothing learned is lost to another."""
 
-import json
 import os
 from pathlib import Path
 import subprocess
@@ -9,7 +8,7 @@ import sys
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.estimation.state_file import Half, StateClaim, read_state, write_halves
+from evpinn_ros.core.estimation.state_file import Half, StateClaim, read_state
 
 COUNTER = """
 import sys
@@ -93,11 +92,3 @@ def test_where_no_lock_can_be_made_and_of_a_device_nothing_is_claimed(tmp_path):
         pass
     with StateClaim(None):
         pass
-
-
-def test_the_other_half_is_written_beside_a_claim(tmp_path):
-    path = tmp_path / "car.json"
-    with StateClaim(path, [Half.LEARNED]), StateClaim(path, [Half.ENERGY]):
-        write_halves(path, {Half.ENERGY: {"a": 1.0}})
-        write_halves(path, {Half.LEARNED: {"b": 2.0}})
-    assert json.loads(path.read_text()) == {"energy": {"a": 1.0}, "learned": {"b": 2.0}}

@@ -44,16 +44,6 @@ def legs(seconds: int, path: Path) -> Path:
     return path.legs((np.arange(len(path.duration)) // seconds).astype(np.int64))
 
 
-def test_legs_have_time_and_way_of_their_steps():
-    path = town(0)
-    for seconds in (10, 60, 10_000):
-        found = legs(seconds, path)
-        assert found.duration.sum() == pytest.approx(path.duration.sum())
-        assert found.distance.sum() == pytest.approx(path.distance.sum())
-        assert found.air.sum() == pytest.approx(path.air.sum())
-        assert found.density == pytest.approx(1.2)
-
-
 def test_even_legs_keep_way_and_time_and_begin_and_end_standing():
     found = even_rows(EQUATION, legs(60, town(0))).sum(0)
     path = town(0)
@@ -123,14 +113,6 @@ def test_a_driver_of_habit_narrows_the_scatter_and_a_moody_one_widens_it():
         other = mood if rng.uniform() < 0.5 else path_of(speed)
         moody = moody.after(EQUATION, EQUATION.mean, other)
     assert calm.share < PRIOR_SHARE and moody.share > calm.share
-
-
-def test_a_drive_leaves_what_was_known_before_as_it_was():
-    before = Unevenness.none()
-    after = before.after(EQUATION, EQUATION.mean, town(1))
-    assert not before.metres.any() and not before.rows.any() and after.metres.any()
-    parked = path_of(np.zeros(600))
-    assert before.after(EQUATION, EQUATION.mean, parked) is before
 
 
 def test_driving_of_150_km_ago_counts_a_third():

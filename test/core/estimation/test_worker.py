@@ -32,18 +32,6 @@ def readings(drive):
     return [r for r in all_of_it if r.stamp_ns < all_of_it[0].stamp_ns + 25 * NANOSECONDS]
 
 
-def test_inline_gives_its_result_once_and_counts_its_time():
-    worker = InlineWorker(ticking())
-    assert worker.collect() is None
-    worker.submit(lambda: "done")
-    assert (worker.collect(), worker.collect()) == ("done", None)
-    worker.submit(lambda: "forgotten")
-    worker.cancel()
-    assert worker.collect() is None
-    assert list(worker.durations) == [1, 1]  # two looks at the clock for each
-    worker.close()
-
-
 def test_a_stop_does_not_wait_for_the_update_under_way(thread_worker):
     worker, go, ran = thread_worker(), threading.Event(), threading.Event()
     worker.submit(lambda: (go.wait(HANG_S), ran.set()))
@@ -85,21 +73,6 @@ def test_cancelled_work_runs_out_unseen(thread_worker):
     worker.submit(lambda: "seen")
     go.set()
     assert worker.collect() == "seen"
-
-
-def test_errors_of_the_work_are_raised(thread_worker):
-    def fails() -> None:
-        raise ArithmeticError("no")
-
-    worker = thread_worker(wait=True)
-    worker.submit(fails)
-    with pytest.raises(ArithmeticError):
-        worker.collect()
-    inline = InlineWorker(ticking())
-    inline.submit(fails)
-    with pytest.raises(ArithmeticError):
-        inline.collect()
-    assert inline.collect() is None
 
 
 def test_an_update_that_fails_is_counted_and_the_next_begins(new_estimator, play, readings):

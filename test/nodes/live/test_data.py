@@ -7,11 +7,10 @@ from evpinn_ros.bags.types import new_message
 from evpinn_ros.nodes.live.data import (
     MOST_ARRIVALS,
     MOST_PARTS,
-    RATE_WINDOW,
     STALE_AFTER,
     LiveData,
 )
-from evpinn_ros.topics.messages import Level, diagnostics, header, named_vector
+from evpinn_ros.topics.messages import Level, diagnostics, named_vector
 
 
 def said(name, level, text, **values):
@@ -30,21 +29,6 @@ def test_what_is_heard_is_known(well):
     assert math.isnan(data.seen()[2][0])
     assert data.band_coverage() == 0.893
     assert data.problems(110.0) == []
-
-
-def test_the_speed_of_autoware_is_shown_too():
-    data, head = LiveData(), header(new_message, 10**9, "base_link")
-    kind = topics.VELOCITY_REPORT_TYPE
-    report = new_message(kind, header=head, longitudinal_velocity=7.5)
-    data.take(topics.VELOCITY_REPORT, report, 1.0)
-    assert data.fresh_speed(1.0) == 7.5
-
-
-def test_rates_are_those_of_late(well):
-    data = well(110.0)
-    assert data.rate(topics.SPEED, 110.0) == pytest.approx(10.0, rel=0.03)
-    assert data.rate(topics.SPEED, 110.0 + RATE_WINDOW / 2) == pytest.approx(5.0, rel=0.05)
-    assert data.rate(topics.SPEED, 110.0 + RATE_WINDOW) == 0.0
 
 
 def test_silence_is_shown_and_named(well):
@@ -67,14 +51,6 @@ def test_reasons_come_from_diagnostics_the_worst_first(well):
     ]
     data.take(topics.DIAGNOSTICS, said("/ev/can_bridge: bus", Level.OK, "receiving"), 110.5)
     assert data.problems(110.5) == [(Level.WARN, "energy: meter: predicting")]
-
-
-def test_diagnostics_of_others_are_none_of_ours():
-    data = LiveData()
-    data.take(topics.DIAGNOSTICS, said("/ev/camera: driver", Level.ERROR, "hot"), 1.0)
-    assert data.statuses == {}
-    ((level, text),) = data.problems(1.0)
-    assert level is Level.WARN and "/diagnostics" in text
 
 
 def test_each_view_shows_the_diagnostics_of_its_own_car():
