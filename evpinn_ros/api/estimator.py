@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from evpinn_ros.api.frames import breakdown_frame, parameter_frame
+from evpinn_ros.api.result import breakdown_frame, parameter_frame
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.account import EnergyAccount

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from evpinn_ros.api.frames import breakdown_frame, parameter_frame
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.power_model import PowerModel
@@ -23,6 +22,15 @@ from evpinn_ros.replays.history import PowerSeries
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import measured_at, running_total
 from evpinn_ros.report.owner_text import owner_line
+
+with optional_imports():
+    import pandas as pd
+from collections.abc import Mapping
+
+from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.saved_fields import figures
+from evpinn_ros.core.estimation.breakdown import Amount
+from evpinn_ros.core.estimation.estimate import FIGURES
 
 with optional_imports():
     import pandas as pd
@@ -159,3 +167,22 @@ def _predictions(series: PowerSeries, name: str) -> pd.DataFrame:
     columns = {f"{name}_w": series.power, f"{name}_sigma_w": series.sigma}
     frame = pd.DataFrame(columns, index=pd.Index(series.time, name=TIME))
     return frame[~frame.index.duplicated()]
+
+
+def parameter_frame(parameters: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """The metrics under `parameters`, one row each."""
+    return _rows(parameters, "parameter", tuple(FIGURES))
+
+
+def breakdown_frame(breakdown: Mapping[str, Any]) -> pd.DataFrame:
+    """The metrics under `breakdown`, one row for each part."""
+    parts = {name: part for name, part in breakdown.items() if isinstance(part, dict)}
+    return _rows(parts, "part", tuple(figures(Amount)))
+
+
+def _rows(
+    values: Mapping[str, Mapping[str, Any]], name: str, columns: tuple[str, ...]
+) -> pd.DataFrame:
+    table = pd.DataFrame.from_dict(values, orient="index", columns=list(columns))
+    numbers = [column for column in columns if column != "state"]
+    return table.astype(dict.fromkeys(numbers, float)).rename_axis(name)

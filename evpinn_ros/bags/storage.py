@@ -13,8 +13,7 @@ from typing import Any
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from evpinn_ros.bags.metadata import VERSION
-from evpinn_ros.bags.rosbags_file import READ_ERRORS
-from evpinn_ros.bags.sqlite_journal import journals, merged
+from evpinn_ros.bags.rosbags_file import READ_ERRORS, journals, merged
 from evpinn_ros.bags.types import typestore
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.progress import reported

@@ -23,7 +23,6 @@ from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.identifiable import identifiable
-from evpinn_ros.replays.recorded import recorded_drive
 from evpinn_ros.replays.run import WARM_UP
 from evpinn_ros.replays.scoring import drive_scores
 from evpinn_ros.replays.simulation.truth_file import read_truth
@@ -51,7 +50,7 @@ def demo(
     """
     # Imported here: all other commands work where no ROS is.
     from evpinn_ros.nodes.processes import record_through_nodes
-    from evpinn_ros.report.figure import drive_figure, save_figure
+    from evpinn_ros.report.figure import drive_figure, recorded_drive, save_figure
 
     source = share_directory() / "bags" / DRIVE
     bag, picture, log = out / "bag", out / "demo.png", out / f"{DRIVE}.log"

@@ -11,11 +11,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.rosbag2 import Writer as RosbagsWriter
 import yaml
 
-from evpinn_ros.bags import sqlite_journal
+from evpinn_ros.bags import rosbags_file
 from evpinn_ros.bags.metadata import INFORMATION, METADATA
 from evpinn_ros.bags.names import is_bag
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.bags.sqlite_journal import SUPER_JOURNAL
+from evpinn_ros.bags.rosbags_file import SUPER_JOURNAL
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.types import encode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter, Split
@@ -117,7 +117,7 @@ def test_a_journal_that_cannot_be_read_is_named(tmp_path):
 
 def test_a_recording_that_goes_on_while_it_is_copied_is_not_mixed(tmp_path, monkeypatch):
     path = killed_recording(tmp_path / "a.db3", "WAL")
-    copied = sqlite_journal.copy_file
+    copied = rosbags_file.copy_file
     row = (START + COUNT * STEP, encode(scalar(new_message, 0.0)))
 
     def and_written(source, target):
@@ -131,7 +131,7 @@ def test_a_recording_that_goes_on_while_it_is_copied_is_not_mixed(tmp_path, monk
 
     open_bags: list[sqlite3.Connection] = []
     limit = 2
-    monkeypatch.setattr(sqlite_journal, "copy_file", and_written)
+    monkeypatch.setattr(rosbags_file, "copy_file", and_written)
     values, problem = numbers(path)
     assert problem is None and len(values) == COUNT + 4
     limit = 100

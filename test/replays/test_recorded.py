@@ -10,12 +10,12 @@ from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.logs.sources import open_source
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.replays.recorded import recorded_drive
 from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.replays.scoring import drive_scores
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.output import write
 from evpinn_ros.replays.simulation.simulate import simulate
+from evpinn_ros.report.figure import recorded_drive
 
 pytestmark = pytest.mark.slow
 

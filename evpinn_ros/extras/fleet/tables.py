@@ -18,16 +18,16 @@ from evpinn_ros.common.writer import replaced
 from evpinn_ros.core.estimation.evidence import LINEAR, Evidence
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
-from evpinn_ros.extras.fleet.car import read_result
-from evpinn_ros.extras.fleet.manifest import CarDrives
-from evpinn_ros.extras.fleet.population import COMBINATIONS, Population, PopulationValue
-from evpinn_ros.extras.fleet.row import (
+from evpinn_ros.extras.fleet.car import (
     NUMBERS,
     PARAMETERS,
     POINT,
     impossible,
     point_of,
+    read_result,
 )
+from evpinn_ros.extras.fleet.manifest import CarDrives
+from evpinn_ros.extras.fleet.population import COMBINATIONS, Population, PopulationValue
 from evpinn_ros.extras.fleet.run import car_folder
 from evpinn_ros.replays.trends import DrivePoint
 
