@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from evpinn_ros.cli.console import say, show, write_json
@@ -13,9 +15,20 @@ from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
 from evpinn_ros.cli.options import JsonOption, complete_vehicle
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.core.vehicle.certified import certified_cars
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC
+from evpinn_ros.core.vehicle.certified import FRONTAL_AREA, certified_cars
 from evpinn_ros.core.vehicle.files import Vehicle, find_vehicles, load_vehicle, write_vehicle
-from evpinn_ros.core.vehicle.rated import rated_cars
+from evpinn_ros.core.vehicle.rated import cycle_energy, rated_cars
+
+COLUMNS = {
+    "vehicle": "vehicle",
+    "battery kWh": "battery_kwh",
+    "kWh/100 km": "kwh_per_100_km",
+    "mass kg": "mass_kg",
+    "CAN profile": "can_profile",
+    "prior": "from",
+}
+"""Titles of the table, and the keys of JSON that they show."""
 
 vehicles = typer.Typer(cls=ReadableGroup, invoke_without_command=True)
 
@@ -38,7 +51,7 @@ def search(
     words: Annotated[list[str], typer.Argument(help="Words that the name must have.")],
     json_file: JsonOption = None,
 ) -> None:
-    """List the cars whose names have these words.
+    """List the cars whose names have these words, with the consumption in the WLTP's cycle.
 
     Example: evpinn vehicles search model 3
     """
@@ -49,11 +62,9 @@ def search(
             "another car use --vehicle generic, or see docs/guides/add_your_car.md"
         )
     lines = [_line(vehicle) for vehicle in cars]
-    rows = [
-        [f"{v:.4g}" if isinstance(v, float) else v or "" for v in line.values()] for line in lines
-    ]
-    table = PlainTable("Vehicles", list(lines[0]), rows, words=("can_profile", "from"))
-    show(table, at_least=120)
+    rows = [[_cell(line[name]) for name in COLUMNS.values()] for line in lines]
+    table = PlainTable("Vehicles", tuple(COLUMNS), rows, words=("CAN profile", "prior"))
+    show(table, at_least=108)
     if json_file is not None:
         write_json(json_file, lines)
 
@@ -80,16 +91,34 @@ def show_vehicle(
             say(line)
 
 
+def _cell(value: str | float | None) -> str:
+    if isinstance(value, float):
+        return f"{value:.1f}".removesuffix(".0") if math.isfinite(value) else ""
+    return value or ""
+
+
 def _line(vehicle: Vehicle) -> dict[str, str | float | None]:
     start = vehicle.initial
     return {
         "vehicle": vehicle.key,
+        "battery_kwh": vehicle.battery_capacity / JOULES_PER_KWH,
+        "kwh_per_100_km": _consumption(vehicle),
         "mass_kg": start.mass,
         "c_rr": start.c_rr,
         "drag_area_m2": start.c_d * vehicle.frontal_area,
         "can_profile": vehicle.can_profile,
         "from": _origin(vehicle.key),
     }
+
+
+def _consumption(vehicle: Vehicle) -> float:
+    """Energy of the WLTP's cycle by the priors, kWh/100 km; NaN of what drives on no road."""
+    if math.isfinite(vehicle.nominal_speed):
+        return math.nan
+    start = vehicle.initial
+    c_d = start.c_d * vehicle.frontal_area / FRONTAL_AREA
+    values = np.array([start.eta, start.mu, start.mass, start.c_rr, c_d])
+    return cycle_energy(values) / METRIC.rate_joules
 
 
 def _origin(key: str) -> str:

@@ -184,6 +184,10 @@ def test_vehicles_are_listed_found_and_shown(evpinn, folder):
     assert by_name["tesla_model_3_lr"]["from"] == "file"
     assert by_name["tesla_model_3_rwd_2022"]["from"] == "certified"
     assert by_name["tesla_model_3_rwd_2022"]["mass_kg"] == 1928
+    rated = by_name["tesla_model_3_rwd_2024"]
+    assert rated["battery_kwh"] == pytest.approx(57.0)
+    # 554 km of range by the WLTP, and 10 % +- 10 % more than rated.
+    assert rated["kwh_per_100_km"] == pytest.approx(1.1 * 57.0 / 5.54, rel=0.1)
     listed = evpinn("vehicles", cwd=folder)
     assert listed.returncode == 0 and len(listed.stdout.splitlines()) > 80
     shown = evpinn("vehicles", "show", "ioniq 5 rwd", cwd=folder)
