@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from pathlib import Path
 
 from hypothesis import HealthCheck, given, settings
@@ -256,31 +255,6 @@ def test_metadata_that_lists_more_or_is_broken(drive, tmp_path):
         with BagReader(folder) as reader:
             assert len(list(reader.records())) == 2 * COUNT
             assert problem in reader.problem
-
-
-def as_file(name: str, content: bytes) -> Callable[[Path], Path]:
-    def make(folder: Path) -> Path:
-        (folder / name).write_bytes(content)
-        return folder / name
-
-    return make
-
-
-NO_BAGS = [
-    (lambda folder: folder / "none", "no such file"),
-    (lambda folder: folder, "no .mcap or .db3 file"),
-    (as_file("a.mcap", b""), "the file is empty"),
-    (as_file("a.mcap", b"t_s,speed_mps\n"), "not an MCAP file"),
-    (as_file("a.db3", b"SQLite format 3\0" + bytes(5000)), "Cannot open database"),
-]
-
-
-@pytest.mark.parametrize(("make", "reason"), NO_BAGS)
-def test_what_is_no_bag_is_refused_in_one_line(tmp_path, make, reason):
-    path = make(tmp_path)
-    with pytest.raises(InputError, match=reason) as caught:
-        BagReader(path)
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_the_folder_around_bags_is_told_from_one_without(drive):

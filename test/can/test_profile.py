@@ -3,7 +3,6 @@ import pytest
 from evpinn_ros.can.profile import load_profile, profile_names
 from evpinn_ros.can.signal_rule import UnusableError
 from evpinn_ros.common.package_data import share_directory
-from test.can.conftest import refusal
 
 CONFIG = share_directory() / "config" / "can"
 
@@ -70,14 +69,3 @@ def test_a_raw_value_may_be_hexadecimal(tmp_path):
     rule = load_profile(tmp_path / "mine.yaml").messages["speed"].signals[0]
     with pytest.raises(UnusableError, match="not_available"):
         rule.read(0xFFFF)
-
-
-@pytest.mark.parametrize("text", ["", "- 1\n", "a: [", "? [a]\n: b\n", "a: 1\na: 2\n"])
-def test_damaged_yaml_is_one_line(tmp_path, text):
-    (tmp_path / "a.yaml").write_text(text)
-    refusal(tmp_path / "a.yaml")
-
-
-def test_endless_nesting_is_one_line(tmp_path):
-    (tmp_path / "a.yaml").write_text("[" * 90_000)
-    assert refusal(tmp_path / "a.yaml").endswith("a.yaml:1: not YAML: nested too deeply")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.energy.forecast import forecast_plan
-from evpinn_ros.core.energy.plan import Plan, PlanError, legs_of_trip, points_of
+from evpinn_ros.core.energy.plan import Plan, legs_of_trip, points_of
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.core.estimation.states import PHYSICS
 from evpinn_ros.core.estimation.unevenness import Path, even_rows
@@ -115,16 +115,3 @@ def test_a_coarse_plan_costs_more_than_even_speed_and_is_less_sure():
     fine = forecast_plan(even, MODEL, Weather(1.2))
     assert parts.energy[-1] > 1.05 * fine.energy[-1]
     assert parts.sigma[-1] > fine.sigma[-1] and whole.sigma[-1] > fine.sigma[-1]
-
-
-@pytest.mark.parametrize(
-    ("given", "reason"),
-    [
-        ({"length": [np.nan, 1.0]}, "length is not finite at leg 0"),
-        ({"climb": [0.0, 200.0]}, "climbs more than it is long at leg 1"),
-        ({"length": [[1.0]], "duration": [[1.0]]}, "arrays of one length"),
-    ],
-)
-def test_what_are_no_legs_is_refused(given, reason):
-    with pytest.raises(PlanError, match=reason):
-        legs_of_trip(**{"length": [100.0, 100.0], "duration": [9.0, 9.0]} | given)

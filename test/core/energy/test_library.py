@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.energy.forecast import Profiles, forecast, forecast_plan
-from evpinn_ros.core.energy.plan import PlanError, plan_from_speed_profile
+from evpinn_ros.core.energy.plan import plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import Weather
 from test.core.energy.cars import CAR, COMBINED, SIGMAS, plain, taught
 
@@ -94,23 +94,6 @@ def test_the_gradient_is_that_of_finite_differences(model, name, seed):
         ends.append(float(at.energy.sum() + at.sigma.sum()))
     difference = (ends[0] - ends[1]) / (2 * step)
     assert gradient[index] == pytest.approx(difference, rel=1e-4, abs=1.0)
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"time": np.array([0.0, 1.0, 1.0])}, "time does not rise"),
-        ({"speed": np.ones(3)}, "must be"),
-        ({"speed": -np.ones((2, 3))}, "speed is negative"),
-        ({"speed": np.full((2, 3), np.nan)}, "not finite"),
-        ({"time": np.array([0.0, np.nan, 2.0])}, "time does not rise"),
-    ],
-)
-@MODELS
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_what_is_no_profile_is_refused(change, reason, model):
-    with pytest.raises(PlanError, match=reason):
-        forecast(Profiles(np.arange(3.0), np.ones((2, 3)))._replace(**change), CAR, model)
 
 
 # What holds for the physics and for every learned model, exactly.

@@ -107,14 +107,6 @@ def test_a_mapping_file_says_what_words_mean_and_whether_values_last(tmp_path: P
     assert read_layout(str(path), "your").subscriptions == ("your/+/#",)
 
 
-@pytest.mark.parametrize("namespace", ["a{car}", "a+b", "a#/", "{car}/{car}/", "a/#/b"])
-def test_a_topic_that_no_broker_takes_is_refused(namespace: str) -> None:
-    """A client that asks for one ends."""
-    for source in ("ovms", "teslamate"):
-        with pytest.raises(InputError, match="no wildcard but one level"):
-            read_layout(source, f"{namespace}{'' if source == 'ovms' else '/{car}'}")
-
-
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
