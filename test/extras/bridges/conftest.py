@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 import getpass
 from pathlib import Path
@@ -10,19 +9,18 @@ import shutil
 import socket
 import subprocess
 import time
-from typing import Any
 
 import paho.mqtt.client as mqtt
 import pytest
 
-from evpinn_ros.extras.bridges.bridge import BridgeSettings, MqttBridge
+from evpinn_ros.extras.bridges.bridge import MqttBridge
 from evpinn_ros.extras.bridges.broker import BrokerSettings, Connection
 from test.waiting import HANG_S, wait_until
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
 
 
-def free_port() -> int:
+def free_port():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
@@ -41,7 +39,7 @@ class Broker:
     process: subprocess.Popen[bytes] | None = None
     clients: list[Client] = field(default_factory=list)
 
-    def start(self) -> None:
+    def start(self):
         config = self.folder / "mosquitto.conf"
         # As root it would become a user who may not read what the tests write.
         common = f"user {getpass.getuser()}\nset_tcp_nodelay true\n"
@@ -51,25 +49,25 @@ class Broker:
         wait_until(self._answers)
 
     @property
-    def log(self) -> Path:
+    def log(self):
         return self.folder / "mosquitto.log"
 
-    def settle(self, reader: Client, end: str) -> None:
+    def settle(self, reader, end):
         """Return once a reader has all that came before a message on topic `end`."""
         self.client().publish(end, "", retain=False)
         wait_until(lambda: end in reader.newest())
         reader.came.remove((end, "", False))
 
-    def _answers(self) -> bool:
+    def _answers(self):
         with socket.socket() as tried:
             return tried.connect_ex(("127.0.0.1", self.port)) == 0
 
-    def kill(self) -> None:
+    def kill(self):
         if self.process is not None:
             self.process.kill()
             self.process.wait()
 
-    def client(self, **of: Any) -> Client:
+    def client(self, **of):
         self.clients.append(Client(self.port, **of))
         return self.clients[-1]
 
@@ -77,7 +75,7 @@ class Broker:
 class Client:
     """A plain client: publishes, and keeps all that comes."""
 
-    def __init__(self, port: int, topics: tuple[str, ...] = ()) -> None:
+    def __init__(self, port, topics=()):
         self.client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
         self.came: list[tuple[str, str, bool]] = []
         self.client.on_connect = lambda client, *_: [client.subscribe(t, 1) for t in topics]
@@ -90,19 +88,19 @@ class Client:
         self.client.loop_start()
         wait_until(lambda: self.client.is_connected() and len(granted) >= len(topics))
 
-    def publish(self, topic: str, payload: str, *, retain: bool = True) -> None:
+    def publish(self, topic, payload, *, retain=True):
         self.client.publish(topic, payload, 1, retain).wait_for_publish(HANG_S)
 
-    def newest(self) -> dict[str, str]:
+    def newest(self):
         return {topic: payload for topic, payload, _ in self.came}
 
-    def close(self) -> None:
+    def close(self):
         self.client.disconnect()
         self.client.loop_stop()
 
 
 @pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Broker]:
+def broker(tmp_path):
     if MOSQUITTO is None:
         pytest.skip("mosquitto")
     served = Broker(tmp_path, free_port())
@@ -114,13 +112,11 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 
 
 @pytest.fixture
-def bridged(broker: Broker) -> Iterator[Callable[..., tuple[MqttBridge, Connection]]]:
+def bridged(broker):
     """Makes bridges that are connected to the broker."""
     made: list[Connection] = []
 
-    def make(
-        settings: BridgeSettings, clock: Callable[[], int] = time.time_ns, **of: Any
-    ) -> tuple[MqttBridge, Connection]:
+    def make(settings, clock=time.time_ns, **of):
         address = BrokerSettings("127.0.0.1", broker.port, **of)
         connection = Connection(address, settings.subscriptions, settings.status_topic, clock)
         bridge = MqttBridge(settings, connection)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cache
 import math
 from pathlib import Path
@@ -25,13 +24,13 @@ class Second(NamedTuple):
     current: float
 
     @property
-    def power(self) -> float:
+    def power(self):
         """Power drawn, kW."""
         return self.voltage * self.current / 1000.0
 
 
 @cache
-def drive(name: str = "urban", seconds: int = 600) -> tuple[Second, ...]:
+def drive(name="urban", seconds=600):
     """The newest values of each second of a bundled drive."""
     seconds_sent: list[Second] = []
     speed = battery = None
@@ -50,7 +49,7 @@ def drive(name: str = "urban", seconds: int = 600) -> tuple[Second, ...]:
     return tuple(seconds_sent)
 
 
-def energy(seconds: tuple[Second, ...], digits: int | None = None) -> float:
+def energy(seconds, digits=None):
     """Energy drawn, kWh, by the trapezoid; of power rounded to so many digits of a kW."""
     powers = [s.power if digits is None else round(s.power, digits) for s in seconds]
     return sum(
@@ -59,14 +58,14 @@ def energy(seconds: tuple[Second, ...], digits: int | None = None) -> float:
     )
 
 
-def _changed(sets: Iterator[tuple[int, dict[str, str]]]) -> Iterator[tuple[int, dict[str, str]]]:
+def _changed(sets):
     held: dict[str, str] = {}
     for stamp_ns, values in sets:
         yield stamp_ns, {t: text for t, text in values.items() if held.get(t) != text}
         held.update(values)
 
 
-def as_teslamate(car: str = "1", **of: object) -> Iterator[tuple[int, dict[str, str]]]:
+def as_teslamate(car="1", **of):
     """Each second's topics that changed: whole km/h and kW. The place always changes."""
     base = f"teslamate/cars/{car}"
 
@@ -87,7 +86,7 @@ def as_teslamate(car: str = "1", **of: object) -> Iterator[tuple[int, dict[str, 
     )
 
 
-def as_ovms(car: str = "CAR", **of: object) -> Iterator[tuple[int, dict[str, str]]]:
+def as_ovms(car="CAR", **of):
     """Each second's metrics that were modified, as OVMS writes floats."""
     base = f"ovms/me/{car}/metric"
 

@@ -21,7 +21,6 @@ from evpinn_ros.extras.bridges.bridge import MOST_CARS, BridgeSettings, MqttBrid
 from evpinn_ros.extras.bridges.broker import IN_FLIGHT, BrokerSettings, Connection
 from evpinn_ros.extras.bridges.layouts import read_layout
 from evpinn_ros.extras.bridges.mqtt import credentials, split_address
-from test.extras.bridges.conftest import Broker, Client
 from test.extras.bridges.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
 from test.waiting import wait_until
 
@@ -35,21 +34,19 @@ EVERYTHING = ("evpinn/#", "homeassistant/#")
 class Clock:
     """A clock that goes as the drive that is published."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now_ns = drive()[0].stamp_ns
 
-    def __call__(self) -> int:
+    def __call__(self):
         return self.now_ns
 
 
-def settings(layout: object, **of: object) -> BridgeSettings:
+def settings(layout, **of):
     given = {"vehicles": {}, "other": load_vehicle(VEHICLE), "estimator": EstimatorSettings()}
     return BridgeSettings(layout, **{**given, **of})
 
 
-def play(
-    sets: Sets, client: Client, bridge: MqttBridge, connection: Connection, clock: Clock
-) -> None:
+def play(sets, client, bridge, connection, clock):
     """Publish a drive as fast as the broker passes it on, each second at its moment."""
     for stamp_ns, messages in sets:
         clock.now_ns = stamp_ns
@@ -62,18 +59,18 @@ def play(
         step_until(bridge, lambda: nothing_is_held_back(connection))
 
 
-def nothing_is_held_back(connection: Connection) -> bool:
+def nothing_is_held_back(connection):
     """Of what a slow broker has not taken, the newest of each topic alone remains."""
     return connection.waiting < IN_FLIGHT
 
 
-def step_until(bridge: MqttBridge, condition: Callable[[], object]) -> None:
+def step_until(bridge, condition):
     """Let a bridge work until something is so."""
 
     wait_until(condition, meanwhile=lambda: bridge.step(0.001))
 
 
-def finish(bridge: MqttBridge, connection: Connection) -> None:
+def finish(bridge, connection):
     bridge.close()
     wait_until(lambda: connection.send() or not connection.waiting)
 
@@ -83,9 +80,7 @@ def finish(bridge: MqttBridge, connection: Connection) -> None:
     [("teslamate", as_teslamate, "1", 0, 1e-6), ("ovms", as_ovms, "CAR", None, 1e-4)],
     ids=["teslamate", "ovms"],
 )
-def test_a_drive_over_the_broker_has_its_energy(
-    broker: Broker, bridged: Make, layout: str, sets, car: str, digits: int | None, error: float
-) -> None:
+def test_a_drive_over_the_broker_has_its_energy(broker, bridged, layout, sets, car, digits, error):
     clock = Clock()
     bridge, connection = bridged(settings(read_layout(layout)), clock)
     reader, writer = broker.client(topics=("evpinn/#",)), broker.client()
@@ -108,9 +103,7 @@ def test_a_drive_over_the_broker_has_its_energy(
     assert f"evpinn/{car}/parameters" in late.newest()
 
 
-def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
-    broker: Broker, bridged: Make
-) -> None:
+def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(broker, bridged):
     clock = Clock()
     bridge, connection = bridged(settings(read_layout("teslamate")), clock)
     writer = broker.client()
@@ -135,7 +128,7 @@ def test_a_broker_that_was_killed_finds_us_back_with_all_that_is_retained(
     assert bridge.cars["1"].documents()["energy"]["trip_kwh"] > before
 
 
-def test_a_process_that_is_killed_leaves_its_last_will(broker: Broker, tmp_path: Path) -> None:
+def test_a_process_that_is_killed_leaves_its_last_will(broker, tmp_path):
     reader = broker.client(topics=("evpinn/status",))
     process = command(broker)
     wait_until(lambda: reader.newest().get("evpinn/status") == "online")
@@ -144,7 +137,7 @@ def test_a_process_that_is_killed_leaves_its_last_will(broker: Broker, tmp_path:
     wait_until(lambda: reader.newest()["evpinn/status"] == "offline")
 
 
-def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) -> None:
+def test_home_assistant_that_starts_is_told_anew(broker, bridged):
     bridge, connection = bridged(settings(read_layout("teslamate")))
     reader, writer = broker.client(topics=("homeassistant/sensor/#",)), broker.client()
     writer.publish("teslamate/cars/1/speed", "36")
@@ -156,7 +149,7 @@ def test_home_assistant_that_starts_is_told_anew(broker: Broker, bridged: Make) 
     step_until(bridge, lambda: len(reader.newest()) >= first)
 
 
-def test_a_slow_broker_gets_the_newest_and_no_more(broker: Broker, bridged: Make) -> None:
+def test_a_slow_broker_gets_the_newest_and_no_more(broker, bridged):
     _, connection = bridged(settings(read_layout("teslamate")))
     reader = broker.client(topics=("slow/#",))
     wait_until(lambda: not connection.waiting)
@@ -171,7 +164,7 @@ def test_a_slow_broker_gets_the_newest_and_no_more(broker: Broker, bridged: Make
     assert len(reader.came) <= 40
 
 
-def command(broker: Broker, *options: object, **environment: str) -> subprocess.Popen[str]:
+def command(broker, *options, **environment):
     words = ("--vehicle", VEHICLE, "--broker", f"127.0.0.1:{broker.port}", *map(str, options))
     return subprocess.Popen(
         [sys.executable, "-m", "evpinn_ros", "mqtt", *words],
@@ -185,7 +178,7 @@ PASSWORD = "kW-5ecret"
 
 
 @pytest.fixture
-def closed(broker: Broker) -> Broker:
+def closed(broker):
     """A broker that lets in `ev` with its password alone."""
     users = broker.folder / "users"
     tool = shutil.which("mosquitto_passwd")
@@ -199,7 +192,7 @@ def closed(broker: Broker) -> Broker:
     return broker
 
 
-def test_a_wrong_password_is_one_line_and_ends_the_command(closed: Broker) -> None:
+def test_a_wrong_password_is_one_line_and_ends_the_command(closed):
     process = command(closed, "--user", "ev", EVPINN_MQTT_PASSWORD="wrong-one")
     _, said = process.communicate(timeout=60)
     assert process.returncode == 1
@@ -207,9 +200,7 @@ def test_a_wrong_password_is_one_line_and_ends_the_command(closed: Broker) -> No
     assert "wrong-one" not in said and "Traceback" not in said
 
 
-def test_the_right_password_from_a_file_is_in_no_list_of_processes(
-    closed: Broker, tmp_path: Path
-) -> None:
+def test_the_right_password_from_a_file_is_in_no_list_of_processes(closed, tmp_path):
     file = tmp_path / "password"
     file.write_text(PASSWORD + "\n")
     process = command(closed, "--user", "ev", "--password-file", file)
@@ -221,13 +212,13 @@ def test_the_right_password_from_a_file_is_in_no_list_of_processes(
     assert process.returncode == 0 and PASSWORD not in said
 
 
-def certificates(folder: Path) -> None:
+def certificates(folder):
     """An authority, and certificates of a broker and of a client by it."""
     openssl = shutil.which("openssl")
     if openssl is None:
         pytest.skip("openssl")
 
-    def run(*words: str) -> None:
+    def run(*words):
         subprocess.run([openssl, *words], cwd=folder, check=True, capture_output=True)
 
     key = ("-newkey", "rsa:2048", "-nodes", "-keyout")
@@ -241,7 +232,7 @@ def certificates(folder: Path) -> None:
         path.chmod(0o644)
 
 
-def test_tls_with_a_certificate_of_the_client(broker: Broker, tmp_path: Path) -> None:
+def test_tls_with_a_certificate_of_the_client(broker, tmp_path):
     certificates(tmp_path)
     broker.kill()
     broker.lines = (
@@ -250,7 +241,7 @@ def test_tls_with_a_certificate_of_the_client(broker: Broker, tmp_path: Path) ->
     )
     broker.start()
 
-    def connections(until: Callable[[Connection], object], **of: object) -> int:
+    def connections(until, **of):
         settings = BrokerSettings("127.0.0.1", broker.port, tls=True, **of)
         connection = Connection(settings, ("a",), "evpinn/status")
         connection.start()
@@ -258,7 +249,7 @@ def test_tls_with_a_certificate_of_the_client(broker: Broker, tmp_path: Path) ->
         connection.close()
         return connection.connections
 
-    def refused(why: str) -> Callable[[Connection], bool]:
+    def refused(why):
         return lambda _: why in broker.log.read_text()
 
     own = {"certificate": f"{tmp_path}/client.pem", "key": f"{tmp_path}/client.key"}
@@ -271,9 +262,7 @@ def test_tls_with_a_certificate_of_the_client(broker: Broker, tmp_path: Path) ->
         connections(bool, ca=f"{tmp_path}/none.pem")
 
 
-def test_the_command_learns_from_a_mapping_file_and_keeps_it(
-    broker: Broker, tmp_path: Path
-) -> None:
+def test_the_command_learns_from_a_mapping_file_and_keeps_it(broker, tmp_path):
     """Payloads with stamps of their own: a drive of six minutes in seconds."""
     (tmp_path / "topics.yaml").write_text(
         "stamp: t\ntopics:\n  my/{car}:\n    fields:\n"
@@ -288,7 +277,7 @@ def test_the_command_learns_from_a_mapping_file_and_keeps_it(
         payload = json.dumps({"t": s.stamp_ns / 1e9, "kmh": s.speed, "kw": s.power})
         writer.client.publish("my/zoe", payload, 1)
 
-    def newest_s() -> float:
+    def newest_s():
         return json.loads(reader.newest().get("evpinn/zoe/power", "{}")).get("time") or 0.0
 
     wait_until(lambda: newest_s() > drive()[-1].stamp_ns / 1e9 - 1.0)
@@ -305,7 +294,7 @@ def test_the_command_learns_from_a_mapping_file_and_keeps_it(
     assert layout.subscriptions == ("my/+",)
 
 
-def test_what_would_show_a_password_is_no_address() -> None:
+def test_what_would_show_a_password_is_no_address():
     for text in ("ev:secret@host", "mqtt://host", "host:x", "host:0", ":1883"):
         with pytest.raises(InputError) as refused:
             split_address(text, "--broker", 1883)
@@ -316,8 +305,8 @@ def test_what_would_show_a_password_is_no_address() -> None:
 
 
 def test_a_password_comes_from_the_environment_and_wants_a_user(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setenv("EVPINN_MQTT_PASSWORD", "p")
     monkeypatch.setenv("EVPINN_MQTT_USER", "u")
     assert credentials(None, None) == ("u", "p")
@@ -326,7 +315,7 @@ def test_a_password_comes_from_the_environment_and_wants_a_user(
         credentials(None, None)
 
 
-def test_cars_that_somebody_invents_keep_no_named_one_out(broker: Broker, bridged: Make) -> None:
+def test_cars_that_somebody_invents_keep_no_named_one_out(broker, bridged):
     """Retained topics of cars that do not send are no cars; a named one has its place."""
     writer = broker.client()
     for name in map(str, range(100, 140)):
@@ -343,9 +332,7 @@ def test_cars_that_somebody_invents_keep_no_named_one_out(broker: Broker, bridge
     assert len(bridge.cars) == MOST_CARS
 
 
-def test_a_second_user_with_the_same_vehicle_id_is_another_car(
-    broker: Broker, bridged: Make
-) -> None:
+def test_a_second_user_with_the_same_vehicle_id_is_another_car(broker, bridged):
     bridge, _ = bridged(settings(read_layout("ovms")))
     writer = broker.client()
     writer.publish("ovms/ann/CAR/metric/v/b/soc", "80", retain=False)

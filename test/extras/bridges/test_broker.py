@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import socket
 import threading
 
@@ -14,7 +13,7 @@ from test.waiting import HANG_S, wait_until
 CONNECTED, SUBSCRIBED = b"\x20\x02\x00\x00", b"\x90\x03\x00\x01\x01"
 
 
-def published(topic: bytes, payload: bytes) -> bytes:
+def published(topic, payload):
     """A PUBLISH of MQTT 3.1.1 with QoS 0."""
     content = len(topic).to_bytes(2, "big") + topic + payload
     length, left = b"", len(content)
@@ -26,12 +25,12 @@ def published(topic: bytes, payload: bytes) -> bytes:
 
 
 @pytest.fixture
-def rogue() -> Iterator[tuple[int, list[bytes]]]:
+def rogue():
     """Port of a broker that sends packets as they are to whoever connects."""
     packets: list[bytes] = []
     with socket.create_server(("127.0.0.1", 0)) as server:
 
-        def serve() -> None:
+        def serve():
             with server.accept()[0] as client:
                 client.recv(4096)
                 client.sendall(CONNECTED)
@@ -46,7 +45,7 @@ def rogue() -> Iterator[tuple[int, list[bytes]]]:
         thread.join(HANG_S)
 
 
-def test_what_cannot_be_read_is_counted_and_the_next_message_comes(rogue) -> None:
+def test_what_cannot_be_read_is_counted_and_the_next_message_comes(rogue):
     port, packets = rogue
     packets += [
         published(b"cars/\xff\xfe", b"1"),

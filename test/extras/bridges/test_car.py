@@ -1,7 +1,6 @@
 """A car behind a bridge: the same energy as was sent, its drives, its files."""
 
 import math
-from pathlib import Path
 
 import pytest
 
@@ -10,7 +9,7 @@ from evpinn_ros.core.estimation.state_file import StateClaim
 from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.bridges.car import BridgedCar
-from evpinn_ros.extras.bridges.layouts import Layout, read_layout
+from evpinn_ros.extras.bridges.layouts import read_layout
 from evpinn_ros.extras.bridges.sensors import SENSORS
 from evpinn_ros.extras.bridges.snapshot import Snapshots
 from test.extras.bridges.published_topics import VEHICLE, as_ovms, as_teslamate, drive, energy
@@ -18,11 +17,11 @@ from test.extras.bridges.published_topics import VEHICLE, as_ovms, as_teslamate,
 SECOND = 1_000_000_000
 
 
-def car(state: Path | None = None) -> BridgedCar:
+def car(state=None):
     return BridgedCar("1", load_vehicle(VEHICLE), EstimatorSettings(), state)
 
 
-def send(to: BridgedCar, layout: Layout, sets: object, shift_ns: int = 0) -> None:
+def send(to, layout, sets, shift_ns=0):
     snapshots = Snapshots(to.vehicle.nominal_voltage, on_change=True)
     for stamp_ns, messages in sets:
         for topic, payload in messages.items():
@@ -32,12 +31,12 @@ def send(to: BridgedCar, layout: Layout, sets: object, shift_ns: int = 0) -> Non
 
 
 @pytest.fixture(scope="module")
-def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def state(tmp_path_factory):
     return tmp_path_factory.mktemp("car") / "1.json"
 
 
 @pytest.fixture(scope="module")
-def tesla(state: Path) -> BridgedCar:
+def tesla(state):
     """A car behind TeslaMate, after a drive; nothing is saved yet."""
     bridged = car(state)
     send(bridged, read_layout("teslamate"), as_teslamate())
@@ -45,14 +44,14 @@ def tesla(state: Path) -> BridgedCar:
 
 
 @pytest.fixture(scope="module")
-def ovms() -> BridgedCar:
+def ovms():
     """A car behind OVMS, whose numbers are not rounded, after that drive."""
     bridged = car()
     send(bridged, read_layout("ovms"), as_ovms())
     return bridged
 
 
-def test_a_state_into_which_another_process_learns_is_not_written(tmp_path: Path) -> None:
+def test_a_state_into_which_another_process_learns_is_not_written(tmp_path):
     path = tmp_path / "1.json"
     with StateClaim(path):
         bridged = car(path)
@@ -62,9 +61,7 @@ def test_a_state_into_which_another_process_learns_is_not_written(tmp_path: Path
     assert not path.exists()
 
 
-def test_the_energy_of_whole_kilowatts_is_as_unsure_as_they_are(
-    tesla: BridgedCar, ovms: BridgedCar
-) -> None:
+def test_the_energy_of_whole_kilowatts_is_as_unsure_as_they_are(tesla, ovms):
     """By more than roundings of each second alone, and by less than one of all seconds."""
     coarse, fine = (of.documents()["energy"] for of in (tesla, ovms))
     error = abs(coarse["trip_kwh"] - energy(drive()))
@@ -74,7 +71,7 @@ def test_the_energy_of_whole_kilowatts_is_as_unsure_as_they_are(
     assert error < 2 * coarse["trip_sigma_kwh"]
 
 
-def test_whole_kilowatts_teach_what_exact_ones_do(tesla: BridgedCar, ovms: BridgedCar) -> None:
+def test_whole_kilowatts_teach_what_exact_ones_do(tesla, ovms):
     """Within the sigma that either claims; a town tells little of drag and tyres.
 
     The load of a standing car is one number that is rounded, so it is less sure.
@@ -89,7 +86,7 @@ def test_whole_kilowatts_teach_what_exact_ones_do(tesla: BridgedCar, ovms: Bridg
             assert coarse["std"] < 0.6 * before["std"], name
 
 
-def test_each_sensor_finds_its_number(tesla: BridgedCar) -> None:
+def test_each_sensor_finds_its_number(tesla):
     documents = {**tesla.documents(), "power": tesla.power()}
     texts = {s.topic: s.text(documents[s.document]) for s in SENSORS}
     unknown = {topic for topic, text in texts.items() if text == "None"}
@@ -98,7 +95,7 @@ def test_each_sensor_finds_its_number(tesla: BridgedCar) -> None:
     assert float(texts["breakdown/measured/kwh"]) > 0.3
 
 
-def test_a_long_stop_begins_another_drive_and_the_lifetime_goes_on(tmp_path: Path) -> None:
+def test_a_long_stop_begins_another_drive_and_the_lifetime_goes_on(tmp_path):
     bridged = car(tmp_path / "1.json")
     send(bridged, read_layout("teslamate"), as_teslamate(seconds=120))
     first = bridged.documents()["energy"]
@@ -109,7 +106,7 @@ def test_a_long_stop_begins_another_drive_and_the_lifetime_goes_on(tmp_path: Pat
     assert (tmp_path / "1.json").exists(), "saved where a drive ends"
 
 
-def test_one_wild_stamp_ends_no_drive() -> None:
+def test_one_wild_stamp_ends_no_drive():
     bridged, sets = car(), [*as_teslamate(seconds=60)]
     send(bridged, read_layout("teslamate"), sets[:30])
     before = bridged.documents()["energy"]["trip_km"]
@@ -119,7 +116,7 @@ def test_one_wild_stamp_ends_no_drive() -> None:
     assert bridged.newest_ns == sets[-1][0]
 
 
-def test_what_was_learned_outlives_the_process(tesla: BridgedCar, state: Path) -> None:
+def test_what_was_learned_outlives_the_process(tesla, state):
     tesla.save()
     before, after = tesla.documents(), car(state).documents()
     assert after["energy"]["drawn_kwh"] == pytest.approx(before["energy"]["drawn_kwh"])
@@ -130,7 +127,7 @@ def test_what_was_learned_outlives_the_process(tesla: BridgedCar, state: Path) -
     )
 
 
-def test_a_stamp_that_leapt_ahead_is_not_the_newest_for_ever() -> None:
+def test_a_stamp_that_leapt_ahead_is_not_the_newest_for_ever():
     """A bridge that waits for it would publish no power until then."""
     bridged = car()
     stamps = [(1_700_000_000 + second) * SECOND for second in (0, 1, 50_000, 2, 3)]

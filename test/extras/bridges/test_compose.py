@@ -11,7 +11,7 @@ from evpinn_ros.cli.main import app
 FILE = Path(__file__).resolve().parents[3] / "config" / "docker" / "evpinn-mqtt.yml"
 
 
-def test_its_command_is_one_that_the_command_line_takes() -> None:
+def test_its_command_is_one_that_the_command_line_takes():
     service = yaml.safe_load(FILE.read_text())["services"]["evpinn"]
     words = [re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", word) for word in service["command"]]
     command = get_command(app)

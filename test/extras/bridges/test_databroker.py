@@ -6,7 +6,6 @@ kuksa-client has generated from the databroker's .proto files; the client is the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 import json
 from pathlib import Path
@@ -54,7 +53,7 @@ UNITS = {
 }
 
 
-def write_vss(folder: Path) -> Path:
+def write_vss(folder):
     lines = []
     for name, of in VSS.items():
         lines += [f"{name}:", f"  type: {'branch' if of is None else 'sensor'}"]
@@ -76,7 +75,7 @@ def write_vss(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
+def tree(tmp_path_factory):
     """All signals with the overlay, as vss-tools has them, strictly."""
     pytest.importorskip("vss_tools")
     folder = tmp_path_factory.mktemp("vss")
@@ -89,7 +88,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
     assert done.returncode == 0, done.stdout + done.stderr
     entries: dict[str, dict[str, str]] = {}
 
-    def walk(name: str, node: dict) -> None:
+    def walk(name, node):
         entries[name] = node
         for child, below in node.get("children", {}).items():
             walk(f"{name}.{child}", below)
@@ -98,7 +97,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
     return entries
 
 
-def test_vss_tools_accepts_the_overlay_and_has_each_signal_of_ours(tree) -> None:
+def test_vss_tools_accepts_the_overlay_and_has_each_signal_of_ours(tree):
     assert INPUTS.keys() | OUTPUTS.keys() <= tree.keys()
     ours = {name for name, node in tree.items() if "EvPinn" in name and node["type"] != "branch"}
     assert ours == {name for name in OUTPUTS if "EvPinn" in name}, "each is written"
@@ -118,12 +117,12 @@ v2_grpc = pytest.importorskip("kuksa.val.v2.val_pb2_grpc")
 class Databroker(v2_grpc.VALServicer, v1_grpc.VALServicer):
     """Signals that are known: values come in by `feed`, and by clients into `written`."""
 
-    def __init__(self, known: set[str]) -> None:
+    def __init__(self, known):
         self.known, self.written = known, {}
         self.values: queue.Queue[dict[str, Any] | None] = queue.Queue()
         self.asked: set[str] = set()
 
-    def feed(self, stamp_ns: int, **values: float) -> None:
+    def feed(self, stamp_ns, **values):
         entries = {}
         for name, value in values.items():
             point = types_pb2.Datapoint(value=types_pb2.Value(float=value))
@@ -134,7 +133,7 @@ class Databroker(v2_grpc.VALServicer, v1_grpc.VALServicer):
     def GetServerInfo(self, request, context):
         return v1.GetServerInfoResponse(name="test", version="0")
 
-    def Subscribe(self, request, context) -> Iterator[Any]:
+    def Subscribe(self, request, context):
         self.asked = set(request.signal_paths)
         if not self.asked <= self.known:
             context.abort(grpc.StatusCode.NOT_FOUND, "no such signal")
@@ -151,7 +150,7 @@ class Databroker(v2_grpc.VALServicer, v1_grpc.VALServicer):
 
 
 @pytest.fixture
-def served(request: pytest.FixtureRequest) -> Iterator[tuple[Databroker, int]]:
+def served(request):
     databroker = Databroker(set(getattr(request, "param", INPUTS.keys() | OUTPUTS.keys())))
     server = grpc.server(ThreadPoolExecutor(4))
     v2_grpc.add_VALServicer_to_server(databroker, server)
@@ -166,7 +165,7 @@ def served(request: pytest.FixtureRequest) -> Iterator[tuple[Databroker, int]]:
 SECONDS = 150  # of the drive: enough to learn m/eta
 
 
-def feed_drive(broker: Databroker, seconds: int = SECONDS) -> None:
+def feed_drive(broker, seconds=SECONDS):
     for s in drive()[:seconds]:
         broker.feed(
             s.stamp_ns,
@@ -180,7 +179,7 @@ def feed_drive(broker: Databroker, seconds: int = SECONDS) -> None:
     broker.values.put(None)
 
 
-def follow(broker: Databroker, port: int, clock) -> tuple[BridgedCar, DatabrokerFeed]:
+def follow(broker, port, clock):
     car = BridgedCar("vehicle", load_vehicle(VEHICLE), EstimatorSettings())
     with kuksa.VSSClient("127.0.0.1", port) as client:
         feed = DatabrokerFeed(client, car, clock)
@@ -190,7 +189,7 @@ def follow(broker: Databroker, port: int, clock) -> tuple[BridgedCar, Databroker
     return car, feed
 
 
-def test_a_drive_from_a_databroker_has_its_energy_and_goes_back_by_names(served) -> None:
+def test_a_drive_from_a_databroker_has_its_energy_and_goes_back_by_names(served):
     broker, port = served
     feed_drive(broker)
     car, feed = follow(broker, port, lambda: drive()[0].stamp_ns)
@@ -206,14 +205,14 @@ def test_a_drive_from_a_databroker_has_its_energy_and_goes_back_by_names(served)
 
 
 @pytest.mark.parametrize("served", [INPUTS.keys() | {f"{BATTERY}.Range"}], indirect=True)
-def test_a_databroker_without_the_overlay_is_served_what_it_knows(served) -> None:
+def test_a_databroker_without_the_overlay_is_served_what_it_knows(served):
     broker, port = served
     feed_drive(broker, seconds=20)
     _, feed = follow(broker, port, lambda: drive()[0].stamp_ns)
     assert feed.missing and all("EvPinn" in name for name in feed.missing)
 
 
-def test_the_command_follows_a_databroker_and_saves(served, tmp_path: Path) -> None:
+def test_the_command_follows_a_databroker_and_saves(served, tmp_path):
     broker, port = served
     state = tmp_path / "car.json"
     words = ("--vehicle", VEHICLE, "--databroker", f"127.0.0.1:{port}", "--state", str(state))

@@ -1,20 +1,18 @@
 """Topics of TeslaMate, OVMS and mapping files: quantities, units, signs."""
 
-from pathlib import Path
-
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.extras.bridges.layouts import Layout, Measurand, read_layout
+from evpinn_ros.extras.bridges.layouts import Measurand, read_layout
 
 
-def only(layout: Layout, topic: str, payload: str) -> tuple[str, Measurand, float]:
+def only(layout, topic, payload):
     parsed = layout.parse(topic, payload.encode())
     ((quantity, value),) = parsed.values.items()
     return parsed.car, quantity, pytest.approx(value.value)
 
 
-def test_teslamate_has_km_per_h_and_whole_kw_positive_when_drawn() -> None:
+def test_teslamate_has_km_per_h_and_whole_kw_positive_when_drawn():
     layout = read_layout("teslamate")
     assert only(layout, "teslamate/cars/1/speed", "36") == ("1", Measurand.SPEED, 10.0)
     assert only(layout, "teslamate/cars/2/power", "-9") == ("2", Measurand.POWER, -9000.0)
@@ -23,7 +21,7 @@ def test_teslamate_has_km_per_h_and_whole_kw_positive_when_drawn() -> None:
     assert charge == ("1", Measurand.CHARGE, 0.85)
 
 
-def test_ovms_counts_current_positive_out_of_the_battery() -> None:
+def test_ovms_counts_current_positive_out_of_the_battery():
     """`BatteryState.current` is negative then."""
     layout, base = read_layout("ovms"), "ovms/me/CAR/metric"
     assert only(layout, f"{base}/v/b/current", "12.5") == ("CAR", Measurand.CURRENT, -12.5)
@@ -32,7 +30,7 @@ def test_ovms_counts_current_positive_out_of_the_battery() -> None:
     assert only(layout, f"{base}/v/e/on", "no") == ("CAR", Measurand.ASLEEP, 1.0)
 
 
-def test_what_is_no_number_has_no_value_but_shows_that_the_car_sends() -> None:
+def test_what_is_no_number_has_no_value_but_shows_that_the_car_sends():
     for payload in ("", "nan", "inf", "12,5", "1" * 100_000, "\x00"):
         parsed = read_layout("teslamate").parse("teslamate/cars/1/speed", payload.encode())
         assert parsed.values == {}, payload
@@ -40,7 +38,7 @@ def test_what_is_no_number_has_no_value_but_shows_that_the_car_sends() -> None:
     assert read_layout("teslamate").parse("teslamate/cars/1/geofence", b"Home").car == "1"
 
 
-def test_a_name_that_would_reach_another_topic_or_file_is_no_car() -> None:
+def test_a_name_that_would_reach_another_topic_or_file_is_no_car():
     for name in ("..", "a b", "+", "$SYS", "", "x" * 65):
         assert read_layout("teslamate").parse(f"teslamate/cars/{name}/speed", b"1") is None
 
@@ -56,7 +54,7 @@ topics:
 """
 
 
-def test_a_mapping_file_reads_plain_payloads_and_fields_of_json(tmp_path: Path) -> None:
+def test_a_mapping_file_reads_plain_payloads_and_fields_of_json(tmp_path):
     path = tmp_path / "topics.yaml"
     path.write_text(MAPPING)
     layout = read_layout(str(path))
@@ -73,7 +71,7 @@ def test_a_mapping_file_reads_plain_payloads_and_fields_of_json(tmp_path: Path) 
     assert layout.parse("garage/zoe/other", b"1") is None
 
 
-def test_a_mapping_file_names_units_of_any_country(tmp_path: Path) -> None:
+def test_a_mapping_file_names_units_of_any_country(tmp_path):
     path = tmp_path / "topics.yaml"
     path.write_text(
         "stamp: ms\ntopics:\n  a/speed: {quantity: speed, unit: mph}\n"
@@ -91,7 +89,7 @@ def test_a_mapping_file_names_units_of_any_country(tmp_path: Path) -> None:
     assert stamped.stamp_ns == 1_700_000_000_500_000_000
 
 
-def test_a_mapping_file_says_what_words_mean_and_whether_values_last(tmp_path: Path) -> None:
+def test_a_mapping_file_says_what_words_mean_and_whether_values_last(tmp_path):
     path = tmp_path / "topics.yaml"
     path.write_text(
         "base: my/{car}/\nnamed: '{namespace}/{car}/'\naround: '#'\ntopics:\n"
@@ -115,9 +113,7 @@ def test_a_mapping_file_says_what_words_mean_and_whether_values_last(tmp_path: P
         ("topics: {a: {quantity: asleep, unit: s}}", "units of asleep: none"),
     ],
 )
-def test_a_wrong_mapping_file_is_refused_with_its_line(
-    tmp_path: Path, text: str, reason: str
-) -> None:
+def test_a_wrong_mapping_file_is_refused_with_its_line(tmp_path, text, reason):
     path = tmp_path / "topics.yaml"
     path.write_text(text)
     with pytest.raises(InputError) as refused:

@@ -20,10 +20,10 @@ BASE = "teslamate/cars/1"
 class Tesla:
     """Snapshots of a Tesla whose topics come at moments of our choice."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.snapshots, self.layout = Snapshots(360.0, on_change=True), read_layout("teslamate")
 
-    def send(self, at_s: float, retained: bool = False, **values: object) -> list[Reading]:
+    def send(self, at_s, retained=False, **values):
         readings: list[Reading] = []
         for i, (name, value) in enumerate(values.items()):
             parsed = self.layout.parse(f"{BASE}/{name}", str(value).encode())
@@ -33,11 +33,11 @@ class Tesla:
 
 
 @pytest.fixture
-def tesla() -> Tesla:
+def tesla():
     return Tesla()
 
 
-def test_what_comes_together_is_of_the_moment_of_the_first(tesla: Tesla) -> None:
+def test_what_comes_together_is_of_the_moment_of_the_first(tesla):
     assert tesla.send(10, speed=36, power=12) == []
     assert tesla.snapshots.flush(10 * SECOND + BURST_NS - 1) == []
     battery, speed = tesla.snapshots.flush(10 * SECOND + BURST_NS)
@@ -47,7 +47,7 @@ def test_what_comes_together_is_of_the_moment_of_the_first(tesla: Tesla) -> None
     assert speed.variance == pytest.approx((1 / 3.6) ** 2 / 12), "rounded to a km/h"
 
 
-def test_a_value_that_does_not_come_again_has_not_changed(tesla: Tesla) -> None:
+def test_a_value_that_does_not_come_again_has_not_changed(tesla):
     """Constant power is sent once; the place, which changes, shows that the car still sends."""
     tesla.send(10, speed=36, power=12)
     first = tesla.send(11, latitude=48.1)
@@ -57,7 +57,7 @@ def test_a_value_that_does_not_come_again_has_not_changed(tesla: Tesla) -> None:
     assert again[0].power == pytest.approx(12_000.0)
 
 
-def test_retained_values_are_old_and_not_taken_for_now(tesla: Tesla) -> None:
+def test_retained_values_are_old_and_not_taken_for_now(tesla):
     tesla.send(10, retained=True, speed=80, power=30, outside_temp=21, usable_battery_level=60)
     assert tesla.snapshots.flush(20 * SECOND) == []
     tesla.send(30, latitude=48.1)
@@ -67,7 +67,7 @@ def test_retained_values_are_old_and_not_taken_for_now(tesla: Tesla) -> None:
     assert battery.state_of_charge == pytest.approx(0.6)
 
 
-def test_after_a_lost_connection_nothing_fast_holds(tesla: Tesla) -> None:
+def test_after_a_lost_connection_nothing_fast_holds(tesla):
     tesla.send(10, speed=36, power=12)
     tesla.snapshots.forget()
     assert tesla.snapshots.flush(20 * SECOND) == []
@@ -76,14 +76,14 @@ def test_after_a_lost_connection_nothing_fast_holds(tesla: Tesla) -> None:
     assert speed.speed == pytest.approx(40 / 3.6)
 
 
-def test_a_parked_tesla_stands_whatever_its_last_speed(tesla: Tesla) -> None:
+def test_a_parked_tesla_stands_whatever_its_last_speed(tesla):
     """TeslaMate sends no speed while there is none: the last one stays, 7 km/h, say."""
     tesla.send(10, speed=7, power=1, shift_state="D")
     tesla.send(12, shift_state="")
     assert tesla.snapshots.flush(13 * SECOND)[-1].speed == 0.0
 
 
-def test_power_while_charging_is_not_driving(tesla: Tesla) -> None:
+def test_power_while_charging_is_not_driving(tesla):
     tesla.send(10, speed=0, power=1, usable_battery_level=50, state="driving")
     tesla.send(20, state="charging", power=-7)
     (battery,) = tesla.snapshots.flush(21 * SECOND)
@@ -94,7 +94,7 @@ def test_power_while_charging_is_not_driving(tesla: Tesla) -> None:
 
 
 @pytest.mark.parametrize(("ahead_s", "used"), [(3600, True), (1e8, False), (8e9, False)])
-def test_a_stamp_of_a_day_that_has_not_come_is_that_of_arrival(ahead_s: float, used: bool) -> None:
+def test_a_stamp_of_a_day_that_has_not_come_is_that_of_arrival(ahead_s, used):
     """One of the year 2283 would be the newest for ever, and more ns than 64 bits hold."""
     now_ns = 1_790_000_000 * SECOND
     stamp_ns = now_ns + round(ahead_s * SECOND)

@@ -4,7 +4,7 @@ import shutil
 import pytest
 
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.fleet.car import CarTask
 from evpinn_ros.extras.fleet.manifest import CarDrives
 from evpinn_ros.replays.simulation.drive import DriveKind
@@ -17,12 +17,12 @@ SECONDS = 20.0
 
 
 @pytest.fixture(scope="session")
-def leaf() -> Vehicle:
+def leaf():
     return load_vehicle("nissan_leaf")
 
 
 @pytest.fixture(scope="session")
-def recorded(tmp_path_factory, leaf) -> Path:
+def recorded(tmp_path_factory, leaf):
     """Three drives of one car; in order of time they are c, a, b."""
     folder = tmp_path_factory.mktemp("recorded")
     for hour, name in enumerate("cab"):
@@ -33,7 +33,7 @@ def recorded(tmp_path_factory, leaf) -> Path:
 
 
 @pytest.fixture
-def drives(recorded, tmp_path) -> Path:
+def drives(recorded, tmp_path):
     """A copy of them, to spoil."""
     return Path(shutil.copytree(recorded, tmp_path / "car", copy_function=shutil.copy2))
 
@@ -42,7 +42,7 @@ def drives(recorded, tmp_path) -> Path:
 def task(tmp_path, leaf):
     """Makes the task of a car with these drives."""
 
-    def make(*paths: Path, vehicle: Vehicle = leaf, folder: str = "out") -> CarTask:
+    def make(*paths, vehicle=leaf, folder="out"):
         return CarTask(CarDrives("car", vehicle, paths), tmp_path / folder, tmp_path / "stop")
 
     return make

@@ -27,7 +27,7 @@ COMMAND = [sys.executable, "-m", "evpinn_ros", "fleet"]
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory) -> Path:
+def recorded(tmp_path_factory):
     """A folder of two Leafs, one with a bag that is none."""
     folder = tmp_path_factory.mktemp("data")
     for index, name in enumerate(("ann/monday", "ann/tuesday", "bob/monday")):

@@ -1,17 +1,15 @@
 """A drive that obeys eq. 21, small enough to train on in a test; drives of the estimator."""
 
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 import pytest
 
-from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.extras.paper.drive_log import DriveLog
-from evpinn_ros.extras.paper.experiment import Experiment, Outcome, Settings
-from evpinn_ros.extras.paper.optimizer_name import OptimizerName
+from evpinn_ros.extras.paper.experiment import Experiment, Settings
 from test.core.estimation.conftest import synthetic  # noqa: F401
 
 pytestmark = pytest.mark.torch
@@ -21,20 +19,20 @@ PERIOD = 0.1  # s
 
 
 @pytest.fixture(scope="session")
-def vehicle() -> Vehicle:
+def vehicle():
     return load_vehicle("tesla_model_3_lr").as_published
 
 
 @pytest.fixture(scope="session")
-def make_log(vehicle: Vehicle) -> Callable[..., DriveLog]:
+def make_log(vehicle):
     """A log of given speed, m/s, at 10 Hz; 40 s of stop and go if none."""
 
     def make(
-        speed: np.ndarray | None = None,
-        form: RegenForm = RegenForm.RECOVERY,
-        noise: float = 50.0,
-        seed: int = 0,
-    ) -> DriveLog:
+        speed=None,
+        form=RegenForm.RECOVERY,
+        noise=50.0,
+        seed=0,
+    ):
         if speed is None:
             time = PERIOD * np.arange(400)
             wave = 12.0 + 9.0 * np.sin(0.45 * time) + 6.0 * np.sin(1.1 * time + seed)
@@ -57,13 +55,11 @@ def make_log(vehicle: Vehicle) -> Callable[..., DriveLog]:
 
 
 @pytest.fixture(scope="session")
-def reproduced(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle, tmp_path_factory: pytest.TempPathFactory
-) -> Callable[[OptimizerName], Outcome]:
+def reproduced(make_log, vehicle, tmp_path_factory):
     """A short experiment on that drive."""
 
     @cache
-    def run(name: OptimizerName) -> Outcome:
+    def run(name):
         settings = Settings(name, epochs=30, energy_epochs=20)
         folder = tmp_path_factory.mktemp("experiment")
         return Experiment(make_log(), vehicle, settings, folder).run(lambda *_: None)

@@ -1,16 +1,12 @@
 """Reading a log for the experiment: the same gates as on the road, and clear refusals."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.vehicle.files import Vehicle
-from evpinn_ros.extras.paper.drive_log import DriveLog, read_drive_log, speed_delay
+from evpinn_ros.extras.paper.drive_log import read_drive_log, speed_delay
 from evpinn_ros.extras.paper.problem import Problem, random_split
 from evpinn_ros.extras.paper.scores import combinations
 from evpinn_ros.replays.simulation.drive import DriveKind
@@ -18,7 +14,7 @@ from evpinn_ros.replays.simulation.simulate import simulate
 from test.extras.paper.conftest import TRUE
 
 
-def write_csv(path: Path, log: DriveLog, rows: slice = slice(None), delay: float = 0.0) -> Path:
+def write_csv(path, log, rows=slice(None), delay=0.0):
     """A drive's CSV; speed stamped `delay` s later than it was."""
     speed = np.interp(log.time - delay, log.time, log.speed)
     columns = zip(log.time[rows], speed[rows], log.power[rows], strict=True)
@@ -27,9 +23,7 @@ def write_csv(path: Path, log: DriveLog, rows: slice = slice(None), delay: float
     return path
 
 
-def test_log_is_read_with_its_acceleration(
-    tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
+def test_log_is_read_with_its_acceleration(tmp_path, make_log, vehicle):
     log = make_log(noise=0.0)
     read = read_drive_log(write_csv(tmp_path / "a.csv", log), vehicle).drive
     assert len(read.time) > 380
@@ -43,9 +37,7 @@ def test_log_is_read_with_its_acceleration(
 
 
 @pytest.mark.parametrize("delay", [-0.12, 0.0, 0.2])
-def test_delay_of_speed_is_found(
-    delay: float, tmp_path: Path, make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
+def test_delay_of_speed_is_found(delay, tmp_path, make_log, vehicle):
     log = make_log()
     late = log._replace(
         speed=np.interp(log.time - delay, log.time, log.speed),
@@ -54,7 +46,7 @@ def test_delay_of_speed_is_found(
     assert speed_delay(late, vehicle) == pytest.approx(delay, abs=0.03)
 
 
-def test_time_that_goes_back_is_refused(tmp_path: Path, vehicle: Vehicle) -> None:
+def test_time_that_goes_back_is_refused(tmp_path, vehicle):
     """Two drives in one CAN log, the second with the stamps of the first."""
     frames = simulate(DriveKind.URBAN, vehicle, 30.0, 1).frames
     write_log(tmp_path / "twice.log", [*frames, *frames])

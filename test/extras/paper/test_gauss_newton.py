@@ -16,7 +16,7 @@ from evpinn_ros.extras.paper.network import PAPER_WIDTHS, PowerNetwork, spread_o
 WIDTHS = (2, 6, 5, 1)
 
 
-def drawn(seed: int, samples: int) -> tuple[PowerNetwork, torch.Tensor, torch.Tensor]:
+def drawn(seed, samples):
     generator = torch.Generator().manual_seed(seed)
     network = PowerNetwork(WIDTHS, seed=seed, dtype=torch.float64)
     inputs = torch.randn(samples, 2, generator=generator, dtype=torch.float64)
@@ -24,7 +24,7 @@ def drawn(seed: int, samples: int) -> tuple[PowerNetwork, torch.Tensor, torch.Te
     return network, inputs, target
 
 
-def jacobian_of(network: PowerNetwork, inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
+def jacobian_of(network, inputs):
     """Output and Jacobian, a row of gradients for each sample."""
     output = network(inputs)
     weights = list(network.parameters())
@@ -34,7 +34,7 @@ def jacobian_of(network: PowerNetwork, inputs: torch.Tensor) -> tuple[torch.Tens
 
 
 @pytest.mark.parametrize("samples", [20, 200])  # fewer and more than the 59 weights
-def test_step_is_the_dense_least_squares_solution(samples: int) -> None:
+def test_step_is_the_dense_least_squares_solution(samples):
     """min |J dw - r|^2 + d |dw|^2 solved as an ordinary least-squares problem of stacked rows."""
     network, inputs, target = drawn(4, samples)
     output, jacobian = jacobian_of(network, inputs)

@@ -19,20 +19,20 @@ from evpinn_ros.extras.paper.network import PHYSICS_LOSS
 TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux=1250.0)
 
 
-def teach(learner: PaperLearner, drive, first=0, last=None) -> PaperLearner:
+def teach(learner, drive, first=0, last=None):
     pairs = list(zip(drive.samples, drive.powers, strict=True))
     for sample, power in pairs[first:last]:
         learner.observe(sample, power)
     return learner
 
 
-def train(learner: PaperLearner, updates: int) -> PaperLearner:
+def train(learner, updates):
     for _ in range(updates):
         assert learner.consider(learner.prepare_update()()) is None
     return learner
 
 
-def loss(learner: PaperLearner, drive, first, last) -> tuple[float, float]:
+def loss(learner, drive, first, last):
     """Data and physics loss of eq. 22 over the window, worked out sample by sample."""
     data = physics = 0.0
     pairs = list(zip(drive.samples, drive.powers, strict=True))[first:last]
@@ -147,7 +147,7 @@ def test_gauss_newton_comes_nearer_to_the_least_loss_and_finds_the_parameters(ve
 def test_gauss_newton_gives_the_same_bits_and_survives_a_round_trip(vehicle, synthetic):
     drive = synthetic(TRUTH)
 
-    def learner() -> PaperLearner:
+    def learner():
         return PaperLearner(vehicle, optimizer=PaperOptimizer.GAUSS_NEWTON)
 
     first, second = (train(teach(learner(), drive, 100, 400), 2) for _ in range(2))

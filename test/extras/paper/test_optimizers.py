@@ -1,16 +1,12 @@
 """Training: resumable to the same numbers, and how far each way comes in a few epochs."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import torch
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.physics import RegenForm
 from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
-from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.experiment import PowerTraining
 from evpinn_ros.extras.paper.optimizer_name import OptimizerName
 from evpinn_ros.extras.paper.optimizers import INPUTS
@@ -20,12 +16,10 @@ from test.extras.paper.conftest import TRUE
 
 
 @pytest.fixture(scope="module")
-def begin(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> Callable[[OptimizerName, int], PowerTraining]:
+def begin(make_log, vehicle):
     log = make_log()
 
-    def make(name: OptimizerName, epochs: int) -> PowerTraining:
+    def make(name, epochs):
         split = random_split(len(log.time), 0)
         problem = Problem(log, vehicle, split, inputs=INPUTS[name])
         return PowerTraining(name, problem, epochs, seed=1)
@@ -34,9 +28,7 @@ def begin(
 
 
 @pytest.mark.parametrize("name", [OptimizerName.ADAM, OptimizerName.GAUSS_NEWTON])
-def test_resumed_training_gives_the_same_numbers(
-    name: OptimizerName, begin: Callable[..., PowerTraining], tmp_path
-) -> None:
+def test_resumed_training_gives_the_same_numbers(name, begin, tmp_path):
     whole = begin(name, 12)
     whole.run_to(12)
     first = begin(name, 12)
@@ -49,9 +41,7 @@ def test_resumed_training_gives_the_same_numbers(
     assert torch.equal(second.optimizer.network.vector(), whole.optimizer.network.vector())
 
 
-def test_ours_is_below_adam_after_as_many_epochs_and_finds_the_true_combinations(
-    begin: Callable[..., PowerTraining], vehicle: Vehicle
-) -> None:
+def test_ours_is_below_adam_after_as_many_epochs_and_finds_the_true_combinations(begin, vehicle):
     final = {}
     for name in (OptimizerName.ADAM, OptimizerName.GAUSS_NEWTON):
         training = begin(name, 40)
@@ -65,7 +55,7 @@ def test_ours_is_below_adam_after_as_many_epochs_and_finds_the_true_combinations
         assert fitted[name] == pytest.approx(truth[name], rel=0.05)
 
 
-def test_a_checkpoint_of_other_settings_is_none_and_a_broken_one_refused(tmp_path) -> None:
+def test_a_checkpoint_of_other_settings_is_none_and_a_broken_one_refused(tmp_path):
     path = tmp_path / "a.npz"
     assert load_checkpoint(path, "x") is None
     save_checkpoint(path, "x", {"weights": torch.arange(4.0)})
@@ -73,7 +63,7 @@ def test_a_checkpoint_of_other_settings_is_none_and_a_broken_one_refused(tmp_pat
     kept = load_checkpoint(path, "x")
     assert kept is not None and torch.equal(kept["weights"], torch.arange(4.0))
 
-    def is_refused() -> None:
+    def is_refused():
         with pytest.raises(InputError, match=r"a\.npz: the training .*delete it to train"):
             load_checkpoint(path, "x")
 

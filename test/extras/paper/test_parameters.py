@@ -1,17 +1,11 @@
 """Five parameters by least squares: the truth where the data tell it, the prior where not."""
 
-from collections.abc import Callable
-
-import numpy as np
 import pytest
 import torch
 
-from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.physics import RegenForm
-from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.problem import Problem, random_split
 from evpinn_ros.extras.paper.scores import (
-    TableFiveRow,
     combination_rows,
     combinations,
     drift_included,
@@ -20,9 +14,7 @@ from evpinn_ros.extras.paper.scores import (
 from test.extras.paper.conftest import TRUE
 
 
-def fitted(
-    log: DriveLog, vehicle: Vehicle, form: RegenForm = RegenForm.RECOVERY
-) -> tuple[Problem, torch.Tensor, np.ndarray]:
+def fitted(log, vehicle, form=RegenForm.RECOVERY):
     split = random_split(len(log.time), 0)
     problem = Problem(log, vehicle, split, form=form, dtype=torch.float64)
     fit = problem.fit(problem.training, problem.training.power)
@@ -30,7 +22,7 @@ def fitted(
     return problem, fit.log_scale, fit.covariance
 
 
-def rows_of(log: DriveLog, vehicle: Vehicle) -> dict[str, TableFiveRow]:
+def rows_of(log, vehicle):
     problem, z, covariance = fitted(log, vehicle)
     arguments = (vehicle, problem.values(z), covariance, RegenForm.RECOVERY)
     both = parameter_rows(*arguments) + combination_rows(*arguments)
@@ -38,9 +30,7 @@ def rows_of(log: DriveLog, vehicle: Vehicle) -> dict[str, TableFiveRow]:
 
 
 @pytest.mark.parametrize("form", [RegenForm.RECOVERY, RegenForm.PRINTED])
-def test_combinations_are_the_true_ones(
-    form: RegenForm, make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
+def test_combinations_are_the_true_ones(form, make_log, vehicle):
     problem, z, _ = fitted(make_log(form=form), vehicle, form)
     determined = combinations(problem.values(z), vehicle.frontal_area, form)
     truth = combinations(TRUE, vehicle.frontal_area, form)
@@ -49,9 +39,7 @@ def test_combinations_are_the_true_ones(
     assert determined["c_rr"] == pytest.approx(truth["c_rr"], rel=0.05)
 
 
-def test_absolute_values_keep_their_prior(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
+def test_absolute_values_keep_their_prior(make_log, vehicle):
     """eta, mass and C_d may slide together: the data leave much of their prior's variance."""
     rows = rows_of(make_log(), vehicle)
     assert rows["mass"].prior_share > 100 * rows["mass_over_eta"].prior_share
@@ -59,9 +47,7 @@ def test_absolute_values_keep_their_prior(
     assert rows["mass_over_eta"].determined
 
 
-def test_drift_along_the_unknown_direction_spares_the_combinations(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
+def test_drift_along_the_unknown_direction_spares_the_combinations(make_log, vehicle):
     """Descent may let eta, mass and C_d go together: that is their error, not that of mass/eta."""
     problem, z, covariance = fitted(make_log(), vehicle)
     drift = torch.tensor([0.5, 0.0, 0.5, 0.0, 0.5], dtype=torch.float64)
@@ -77,9 +63,7 @@ def test_drift_along_the_unknown_direction_spares_the_combinations(
     assert together["mass_over_eta"].determined and not alone["mass"].determined
 
 
-def test_in_the_form_wheel_power_braking_is_told_with_eta(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle
-) -> None:
+def test_in_the_form_wheel_power_braking_is_told_with_eta(make_log, vehicle):
     form = RegenForm.WHEEL_POWER
     problem, z, covariance = fitted(make_log(form=form), vehicle, form)
     rows = combination_rows(vehicle, problem.values(z), covariance, form)

@@ -1,15 +1,11 @@
 """Eq. 22 on a drive: its terms, its gradients, its splits."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import torch
 
 from evpinn_ros.common.arrays import chosen_rows
-from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
-from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.network import PHYSICS_LOSS, PowerNetwork
 from evpinn_ros.extras.paper.problem import (
     Problem,
@@ -21,17 +17,17 @@ Z = torch.tensor([0.1, -0.2, 0.05, 0.03, -0.04], dtype=torch.float64)
 
 
 @pytest.fixture
-def problem(make_log: Callable[..., DriveLog], vehicle: Vehicle) -> Problem:
+def problem(make_log, vehicle):
     log = make_log()
     return Problem(log, vehicle, random_split(len(log.time), 3), dtype=torch.float64)
 
 
 @pytest.fixture
-def network() -> PowerNetwork:
+def network():
     return PowerNetwork(WIDTHS, seed=2, dtype=torch.float64)
 
 
-def test_loss_is_eq_22_in_normalised_units(problem: Problem, network: PowerNetwork) -> None:
+def test_loss_is_eq_22_in_normalised_units(problem, network):
     log = chosen_rows(problem.log, problem.split.validation)
     middle = (problem.log.power.max() + problem.log.power.min()) / 2
     half = (problem.log.power.max() - problem.log.power.min()) / 2
@@ -54,7 +50,7 @@ def test_loss_is_eq_22_in_normalised_units(problem: Problem, network: PowerNetwo
     assert losses == pytest.approx((data_term + physics_term, data_term, physics_term), rel=1e-12)
 
 
-def test_gradients_of_weights_equal_autograd(problem: Problem, network: PowerNetwork) -> None:
+def test_gradients_of_weights_equal_autograd(problem, network):
     """d loss / dw by the analytic Jacobian against back-propagation, to 1e-6 (here 1e-9)."""
     samples = problem.training
     data, physics = problem.terms(samples, network, Z)

@@ -1,7 +1,6 @@
 """`evpinn reproduce` on a short drive, as a person runs it."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ VEHICLE = "tesla_model_3_lr"
 
 
 @pytest.fixture
-def drive(tmp_path: Path) -> Path:
+def drive(tmp_path):
     time = 0.1 * np.arange(300)
     speed = np.maximum(0.0, 10 + 8 * np.sin(0.4 * time) + 5 * np.sin(1.3 * time))
     power = 900 + speed * (180 + 2400 * np.gradient(speed, 0.1) + 0.4 * speed**2)
@@ -29,20 +28,20 @@ def drive(tmp_path: Path) -> Path:
     return path
 
 
-def run(*arguments: object) -> str:
+def run(*arguments):
     done = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done.output
 
 
 @pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(monkeypatch):
     """A look that is quicker still."""
     monkeypatch.setattr(command, "QUICK_ENERGY_EPOCHS", 30)
     monkeypatch.setitem(command.QUICK_EPOCHS, OptimizerName.GAUSS_NEWTON, 15)
 
 
-def test_everything_the_issue_names_is_written(quick, drive: Path, tmp_path: Path) -> None:
+def test_everything_the_issue_names_is_written(quick, drive, tmp_path):
     out = tmp_path / "out"
     options = ("--vehicle", VEHICLE, "--quick", "--out", out)
     text = run("reproduce", drive, *options)
@@ -75,7 +74,7 @@ def test_everything_the_issue_names_is_written(quick, drive: Path, tmp_path: Pat
     assert again[again.index("QUICK LOOK") :] == text[tables:]
 
 
-def test_state_is_a_start_for_replay(quick, drive: Path, tmp_path: Path) -> None:
+def test_state_is_a_start_for_replay(quick, drive, tmp_path):
     out = tmp_path / "out"
     run(
         *("reproduce", drive, "--vehicle", VEHICLE, "--optimizer", "gauss_newton"),

@@ -1,9 +1,7 @@
 """What was found goes into the car: the same function for the node, a valid vehicle file."""
 
-from collections.abc import Callable
 from dataclasses import replace
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +9,10 @@ import pytest
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
 from evpinn_ros.core.estimation.state_file import read_state
 from evpinn_ros.core.estimation.worker import InlineWorker
-from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
-from evpinn_ros.extras.paper.drive_log import DriveLog
-from evpinn_ros.extras.paper.experiment import Experiment, Outcome, Settings
+from evpinn_ros.extras.paper.experiment import Experiment, Settings
 from evpinn_ros.extras.paper.optimizers import OptimizerName
 from evpinn_ros.extras.paper.run import results_of
 from evpinn_ros.extras.paper.saved import (
@@ -26,13 +23,11 @@ from evpinn_ros.extras.paper.saved import (
 
 
 @pytest.fixture(scope="module", params=list(OptimizerName))
-def outcome(
-    request: pytest.FixtureRequest, reproduced: Callable[[OptimizerName], Outcome]
-) -> Outcome:
+def outcome(request, reproduced):
     return reproduced(request.param)
 
 
-def test_vehicle_file_is_valid_and_holds_what_was_found(outcome: Outcome, tmp_path: Path) -> None:
+def test_vehicle_file_is_valid_and_holds_what_was_found(outcome, tmp_path):
     path = tmp_path / "found.yaml"
     write_vehicle_file(path, outcome, "drive.csv")
     read = load_vehicle(path)
@@ -46,7 +41,7 @@ def test_vehicle_file_is_valid_and_holds_what_was_found(outcome: Outcome, tmp_pa
 
 
 @pytest.mark.parametrize("form", RegenForm)
-def test_an_impossible_eta_slides_back_without_changing_power(form: RegenForm) -> None:
+def test_an_impossible_eta_slides_back_without_changing_power(form):
     fitted = Parameters(eta=1.25, mu=0.6, mass=1500.0, c_rr=0.01, c_d=0.3, p_aux=800.0)
     slid = possible(fitted, form)
     assert slid.eta == 1.0
@@ -60,7 +55,7 @@ def test_an_impossible_eta_slides_back_without_changing_power(form: RegenForm) -
     assert powers[0] == pytest.approx(powers[1])
 
 
-def test_state_of_another_reading_of_eq_21_is_refused(outcome: Outcome, tmp_path: Path) -> None:
+def test_state_of_another_reading_of_eq_21_is_refused(outcome, tmp_path):
     path = tmp_path / "state.json"
     write_estimator_state(path, outcome)
     settings = EstimatorSettings(mode=Mode.PAPER, regen_form=RegenForm.PRINTED)
@@ -69,9 +64,7 @@ def test_state_of_another_reading_of_eq_21_is_refused(outcome: Outcome, tmp_path
         estimator.restore(read_state(path))
 
 
-def test_finished_trainings_are_not_run_again(
-    make_log: Callable[..., DriveLog], vehicle: Vehicle, tmp_path: Path
-) -> None:
+def test_finished_trainings_are_not_run_again(make_log, vehicle, tmp_path):
     settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=4, energy_epochs=4)
     first = Experiment(make_log(), vehicle, settings, tmp_path).run(lambda *_: None)
     kept = sorted(path.name for path in tmp_path.iterdir())
@@ -96,12 +89,12 @@ def test_finished_trainings_are_not_run_again(
     ids=["constant speed", "no braking"],
 )
 def test_what_a_poor_drive_does_not_tell_is_said(
-    speed: np.ndarray,
-    untold: set[str],
-    make_log: Callable[..., DriveLog],
-    vehicle: Vehicle,
-    tmp_path: Path,
-) -> None:
+    speed,
+    untold,
+    make_log,
+    vehicle,
+    tmp_path,
+):
     settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=4, energy_epochs=2)
     results = results_of(
         Experiment(make_log(speed), vehicle, settings, tmp_path).run(lambda *_: None)

@@ -1,14 +1,10 @@
 """On drives whose car obeys eq. 21, from CAN frames to parameters: the truth is found."""
 
-from pathlib import Path
-
 import pytest
 import torch
 
-from evpinn_ros.core.vehicle.files import Vehicle
-from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm
-from evpinn_ros.extras.paper.drive_log import DriveLog, read_drive_log
+from evpinn_ros.extras.paper.drive_log import read_drive_log
 from evpinn_ros.extras.paper.problem import Problem, random_split
 from evpinn_ros.extras.paper.scores import combination_rows, combinations, parameter_rows
 from evpinn_ros.replays.simulation.drive import DriveKind
@@ -19,7 +15,7 @@ from evpinn_ros.replays.simulation.truth_file import read_truth
 pytestmark = pytest.mark.nightly
 
 
-def driven(kind: DriveKind, vehicle: Vehicle, folder: Path) -> tuple[DriveLog, Parameters]:
+def driven(kind, vehicle, folder):
     drive = simulate(kind, vehicle, 600.0, 4, equation=RegenForm.RECOVERY)
     write(drive, folder)
     truth = read_truth(folder)
@@ -28,7 +24,7 @@ def driven(kind: DriveKind, vehicle: Vehicle, folder: Path) -> tuple[DriveLog, P
 
 
 @pytest.mark.parametrize("kind", [DriveKind.URBAN, DriveKind.MIXED])
-def test_eq_21_finds_the_truth(kind: DriveKind, vehicle: Vehicle, tmp_path: Path) -> None:
+def test_eq_21_finds_the_truth(kind, vehicle, tmp_path):
     """mass/eta, C_rr and mu within 2 %, through sensors that lag, quantise and lose frames."""
     log, truth = driven(kind, vehicle, tmp_path / "drive")
     problem = Problem(log, vehicle, random_split(len(log.time), 0), dtype=torch.float64)
