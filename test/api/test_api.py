@@ -17,9 +17,7 @@ import evpinn_ros as ev
 import evpinn_ros.api
 from evpinn_ros.api import estimator, plan, recordings
 from evpinn_ros.cli.main import app
-from evpinn_ros.core.energy import Profiles
-from evpinn_ros.core.energy import forecast as forecast_profiles
-from evpinn_ros.core.estimation.state_file import read_state, write_state
+from evpinn_ros.core.estimation.state_file import read_state
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.replays.forecasts import known_model
 import evpinn_ros.replays.run  # from here on the room `replay` is an attribute of the package
@@ -103,15 +101,6 @@ def test_frames_hold_what_the_scores_are_of(result):
         assert frame.index.name == "t_s" and frame.index.is_monotonic_increasing
 
 
-def test_a_gap_adds_nothing_to_measured_energy(table, tmp_path):
-    rows = pd.read_csv(table)
-    rows.loc[rows["t_s"].between(20, 40), ["voltage_v", "current_a"]] = np.nan
-    rows.to_csv(tmp_path / "gap.csv", index=False)
-    measured = ev.replay(tmp_path / "gap.csv").energy["measured_j"]
-    assert measured.loc[20.0:39.9].nunique() == 1
-    assert measured.loc[40.5:].nunique() > 100
-
-
 def test_a_drive_without_a_battery_has_frames_of_what_is_known(table, tmp_path):
     rows = pd.read_csv(table)[["t_s", "speed_mps"]].iloc[:100].assign(power_w=np.nan)
     rows.to_csv(tmp_path / "speed.csv", index=False)
@@ -168,15 +157,6 @@ def test_a_state_keeps_what_was_learned_of_the_battery(tmp_path):
     assert again.account.lifetime().distance == pytest.approx(car.account.lifetime().distance)
 
 
-def test_an_account_of_another_car_is_refused_by_its_name(learned, tmp_path):
-    other = tmp_path / "other.json"
-    ev.Estimator(CAR).save(other)
-    halves = read_state(learned[1]) | {"energy": read_state(other)["energy"]}
-    write_state(tmp_path / "car.json", halves)
-    with pytest.raises(ev.InputError, match=r"car\.json: saved"):
-        ev.Estimator(state=tmp_path / "car.json")
-
-
 def test_a_state_is_carried_from_drive_to_drive(table, learned, tmp_path):
     first, before = learned
     state = tmp_path / "car.json"
@@ -187,19 +167,6 @@ def test_a_state_is_carried_from_drive_to_drive(table, learned, tmp_path):
     assert (first.parameters["value"] != second.parameters["value"]).any()
     with pytest.raises(ev.InputError, match="saved for"):
         ev.replay(table, CAR, state=state)
-
-
-def test_a_plan_costs_what_the_batch_forecast_says(result):
-    time = np.arange(0.0, 300.0)
-    speed = 15.0 * np.minimum(1.0, np.minimum(time, time[-1] - time) / 15)
-    forecast = ev.forecast({"t_s": time, "speed_mps": speed}, CAR)
-    batch = forecast_profiles(Profiles(time, speed[np.newaxis]), ev.load_vehicle(CAR))
-    assert forecast["energy_j"].iloc[-1] == pytest.approx(batch.energy[0], rel=1e-3)
-    assert forecast["sigma_j"].iloc[-1] == pytest.approx(batch.sigma[0], rel=1e-2)
-    learned = ev.forecast({"t_s": time, "speed_mps": speed}, result)
-    assert learned["energy_j"].iloc[-1] != forecast["energy_j"].iloc[-1]
-    windy = ev.forecast({"t_s": time, "speed_mps": speed}, CAR, head_wind=10.0)
-    assert windy["energy_j"].iloc[-1] > forecast["energy_j"].iloc[-1]
 
 
 def test_the_charge_of_a_car_that_nothing_was_learned_of_is_by_its_capacity():

@@ -72,17 +72,6 @@ def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
         assert row["energy_j"] > mild["energy_j"]
 
 
-def test_conditions_change_the_forecast(evpinn, folder):
-    def kwh(*given):
-        evpinn("forecast", "slow.csv", "--json", "found.json", *given, cwd=folder)
-        return json.loads((folder / "found.json").read_text())[0]["energy_j"]
-
-    plain = kwh("--heating", 0)
-    assert kwh("--heating", 2000) > plain + 1e5 and kwh("--heating", 0, "--payload", 300) > plain
-    refused = evpinn("forecast", "slow.csv", "--temperature", 100, cwd=folder)
-    assert refused.returncode == 2 and "--temperature" in refused.stderr
-
-
 def test_a_battery_that_does_not_last_is_told_with_its_place(evpinn, folder):
     done = evpinn("forecast", "slow.csv", "--vehicle", CAR, "--charge", 1, cwd=folder)
     along = ev.forecast(folder / "slow.csv", CAR, charge_pct=1.0)

@@ -104,14 +104,6 @@ def test_a_charge_on_the_way_is_no_energy_of_the_road(winter):
     assert after == pytest.approx(before, abs=0.002)
 
 
-@pytest.mark.nightly
-def test_a_long_stop_within_a_drive_belongs_to_it(vehicle, readings):
-    minute, hour = readings[: len(readings) // 2], 3600 * 10**9
-    later = [replace(each, stamp_ns=each.stamp_ns + hour) for each in minute]
-    both, once = compared(vehicle, [*minute, *later], minute).parts()
-    assert both.distance == pytest.approx(2 * once.distance, rel=0.05)
-
-
 def test_a_drive_without_battery_is_refused_by_name(vehicle, readings):
     minute = readings[: len(readings) // 2]
     speeds = [each for each in minute if isinstance(each, SpeedReading)]

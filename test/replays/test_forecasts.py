@@ -1,7 +1,6 @@
 """A drive as the plan it would have been, asked of the car as it was known before."""
 
 from dataclasses import replace
-import math
 import time
 
 import numpy as np
@@ -13,7 +12,6 @@ from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.forecasts import forecast_outcomes
 from evpinn_ros.replays.history import MODEL_STEP, History, KnownModel
-from evpinn_ros.replays.scoring import Span, energy_score
 
 
 @pytest.fixture(scope="module")
@@ -25,14 +23,6 @@ def drive(readings, vehicle):
     for reading in readings:
         history.add_reading(reading)
     return history.drive()
-
-
-def test_a_drive_is_forecast_by_what_was_known_before(drive, vehicle):
-    (part,) = forecast_outcomes(drive, vehicle.air_density)
-    assert part.span == Span(0.0, drive.duration)
-    time, power = drive.measured.T
-    assert part.measured == pytest.approx(np.trapezoid(power, time), rel=0.02)
-    assert part.covered and 0 < part.sigma < abs(part.forecast)
 
 
 def test_each_part_is_forecast_by_the_model_of_its_begin(drive, vehicle):
@@ -93,19 +83,3 @@ def test_models_are_kept_every_few_minutes(readings, vehicle):
     assert np.diff(kept).tolist() == [MODEL_STEP] * 3
     history.add_model(None)
     assert len(history.drive().models) == 4
-
-
-def test_energy_has_its_sigma(readings, vehicle):
-    chain, history = (
-        Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter)),
-        History(),
-    )
-    for reading in readings[:400]:
-        history.add_reading(reading)
-        for output in chain.add_reading(reading):
-            history.add_output(output)
-    drive = history.drive()
-    assert drive.energy.shape[1] == 4 and (np.diff(drive.energy[:, 3]) >= 0).all()
-    assert drive.energy[-1, 3] > 0
-    found = energy_score(drive, Span(-1.0, math.inf))
-    assert found["predicted_j"] == pytest.approx(np.ptp(drive.energy[:, 1]), rel=0.1)
