@@ -161,6 +161,8 @@ def forecast(
         say(f"{', '.join(alike)}: {text}.")
     known = "by its vehicle file alone; --state FILE uses what earlier drives taught"
     say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
+    if (better := forecasts[0].better_expert) is not None:
+        say(better)
     expected = _expected(given, forecasts[0].basis.model.car.celsius, shown)
     say(expected)
     if charge is not None:

@@ -46,7 +46,7 @@ from evpinn_ros.replays.run import (
 from evpinn_ros.replays.simulation.truth_file import read_truth
 from evpinn_ros.report.breakdown_text import breakdown_lines
 from evpinn_ros.report.dropped_text import dropped_text
-from evpinn_ros.report.owner_text import owner_line, owner_notes
+from evpinn_ros.report.owner_text import expert_note, owner_line, owner_notes
 from evpinn_ros.report.tables import energy_lines
 
 WIDE = 110  # characters of the table of drives
@@ -159,6 +159,8 @@ def replay(
             _show_breakdown(breakdown, units.units, "the energy of all drives")
             show(parameter_table(car.done[-1].metrics))
             say("To see these drives side by side, use evpinn compare.")
+        if (line := expert_note(car.done[-1].drive)) is not None:
+            say(line)
         for line in unreadable:
             note(f"evpinn: not replayed: {line}")
         if unreadable or not written or any(result.problem for result in car.done):

@@ -36,6 +36,7 @@ from evpinn_ros.report.owner_text import (
     NEARLY_WHOLE,
     drives_columns,
     drives_rows,
+    expert_note,
     lone_note,
     owner_notes,
     part_text,
@@ -179,7 +180,7 @@ def _drive(
         "name": name,
         "about": f"{reported.vehicle.name}, {_date(drive)}",
         "doubts": [
-            *filter(None, [lone_note(drive, units)]),
+            *filter(None, [lone_note(drive, units), expert_note(drive)]),
             *owner_notes(reported.vehicle, drive, metrics),
             *drive.reading_notes,
         ],

@@ -92,6 +92,11 @@ def owner_notes(vehicle: Vehicle, drive: Drive, metrics: Mapping[str, Any]) -> l
     return [note for note in notes if note]
 
 
+def expert_note(drive: Drive) -> str | None:
+    """Sentence on what forecasts rest on in place of the learned car; None where on that."""
+    return None if drive.model is None else drive.model.experts.sentence
+
+
 def heating_note(drive: Drive, breakdown: Mapping[str, Any]) -> str | None:
     """Sentence on heating that is reported on a warm day and that the battery does not show."""
     if breakdown["unknown"] is not None or not (len(drive.heating) and len(drive.temperature)):

@@ -184,6 +184,11 @@ class PlannedEnergy(NamedTuple):
         )
 
     @property
+    def better_expert(self) -> str | None:
+        """Sentence on what it rests on in place of the learned car; None where on that."""
+        return self.basis.model.car.experts.sentence
+
+    @property
     def empty_at(self) -> float | None:
         """Distance at which the battery is empty, m; None if it lasts, or nothing is known."""
         along, charge = self.trip.distance - self.trip.distance[0], self.charge[0]

@@ -15,6 +15,7 @@ from evpinn_ros.core.energy.plan import UNNAMED, UNSAID, Plan, PlanConditions, Q
 from evpinn_ros.core.energy.plausible import car_is_possible
 from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, combined_model, vehicle_model
 from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.experts import Expert
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     PressureReading,
@@ -75,11 +76,18 @@ class PlanLog:
 
 
 class Basis(str, Enum):
-    """Basis of forecasts, and its topic; each is better than those before."""
+    """Basis of forecasts: a topic, or what predicts better than what the topic holds."""
 
     VEHICLE_FILE = "vehicle file"
     COMBINATIONS = "estimate/identifiable"
     MODEL = "estimate/model"
+    FILE_ALONE = Expert.FILE.words  # as `estimate/model` says
+    PER_KM = Expert.PER_KM.words
+
+    @classmethod
+    def of(cls, expert: Expert) -> Basis:
+        """Basis of a model whose forecasts rest on an expert."""
+        return cls.MODEL if expert is Expert.LEARNED else cls(expert.words)
 
 
 class Forecaster:
@@ -115,12 +123,12 @@ class Forecaster:
             possible = car_is_possible(given.car)
         if not possible:
             raise ValueError("out_of_range")
-        if self.basis is not Basis.MODEL:
+        if self.basis in (Basis.VEHICLE_FILE, Basis.COMBINATIONS):
             self._model, self.basis = given, Basis.COMBINATIONS
 
     def set_model(self, car: CarModel) -> None:
         """Take all that is known of the car's power."""
-        self._model, self.basis = PowerModel(car), Basis.MODEL
+        self._model, self.basis = PowerModel.of(car), Basis.of(car.experts.best)
 
     def set_air(
         self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int

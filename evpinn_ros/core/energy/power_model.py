@@ -21,6 +21,7 @@ from evpinn_ros.core.energy.network_table import (
     units_of,
 )
 from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.experts import PER_KM_SHARE, Expert
 from evpinn_ros.core.estimation.journey import LOAD_TIME, unexplained, wandered
 from evpinn_ros.core.estimation.size import model_of_file
 from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State
@@ -29,6 +30,7 @@ from evpinn_ros.core.estimation.terms import (
     Warmth,
     Wheels,
     coldness,
+    equation_of,
     standing_powers,
 )
 from evpinn_ros.core.estimation.unevenness import Path, even_rows
@@ -36,10 +38,12 @@ from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import Conditions
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable
+from evpinn_ros.core.vehicle.physics import GRAVITY
 
 SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
 CLIMATE_SHARE = 0.4  # 1-sigma of the heating or cooling of a drive over what is likely (e-208)
 CLIMATE_SHOWN = 300.0  # s of a drive within which a third of that is left
+OF_THE_MOMENT = "seconds", "celsius", "reports", "last_drive", "experts"  # of any car
 LEAST_TRUST = 1e-3  # lower is none that was learned
 CLIMATE_LIKELY = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]
 
@@ -90,6 +94,26 @@ class PowerModel:
     """
 
     car: CarModel
+
+    @classmethod
+    def of(cls, car: CarModel) -> PowerModel:
+        """The car as its forecasts take it: learned, or what predicted its drives better."""
+        best, vehicle = car.experts.best, car.equation.vehicle
+        if best is Expert.LEARNED:
+            return cls(car)
+        now = {name: getattr(car, name) for name in OF_THE_MOMENT}
+        now["trust"] = car.experts.spread(best).scale
+        if best is Expert.FILE:
+            file = model_of_file(vehicle, car.equation.seed)
+            return cls(replace(file, growth=car.growth, unevenness=car.unevenness, **now))
+        # A car whose tyres alone take energy, without losses, whatever the traffic.
+        whole = {name: replace(vehicle.priors[name], value=1.0) for name in ("eta", "mu")}
+        lossless = replace(vehicle, priors={**vehicle.priors, **whole}, nominal_speed=0.0)
+        mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+        mean[State.ROLLING] = car.experts.cost / GRAVITY
+        covariance[State.ROLLING, State.ROLLING] = (PER_KM_SHARE * mean[State.ROLLING]) ** 2
+        equation = equation_of(lossless, car.equation.seed)
+        return cls(CarModel(equation, mean, covariance, np.zeros(3), 0.0, 0.0, **now))
 
     def rows(self, steps: Steps, weather: Weather) -> np.ndarray:
         """Energy of each step of a trip by each state, J per unit, shape (n, SIZE)."""
@@ -303,7 +327,7 @@ def even_steps(duration: Any, distance: Any, climb: Any, head_wind: Any = 0.0) -
 def _loaded(model: PowerModel, payload: float) -> PowerModel:
     car = model.car
     mean, eta = car.mean.copy(), car.equation.eta + car.mean[State.ETA]
-    c_rr = mean[State.ROLLING] / mean[State.MASS]
+    c_rr = mean[State.ROLLING] / mean[State.MASS] if mean[State.MASS] else 0.0  # energy per km
     mean[State.MASS] += payload / eta
     mean[State.ROLLING] += c_rr * payload / eta
     return PowerModel(replace(car, mean=mean))

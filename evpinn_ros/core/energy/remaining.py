@@ -109,8 +109,9 @@ def usual_cost(car: CarModel) -> float:
         return math.nan
     density = car.equation.vehicle.air_density
     legs = legs_of_speed(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, density=density)
-    rows, _ = PowerModel(car).leg_rows(legs, Weather(density), alone=True)
-    cost = float(metres @ (rows @ car.mean / legs.distance) / metres.sum())
+    model = PowerModel.of(car)
+    rows, _ = model.leg_rows(legs, Weather(density), alone=True)
+    cost = float(metres @ (rows @ model.car.mean / legs.distance) / metres.sum())
     return cost if math.isfinite(cost) and cost > 0.0 else math.nan
 
 

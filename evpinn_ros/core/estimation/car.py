@@ -155,7 +155,6 @@ class LearnedCar:
             goes_on: the breakdown goes on, as over a long stop in a recording.
         """
         car = self.forget_road()
-        bands = self.rehearsals.end_drive(car.state.bands, self.equation)
         ended, number = self.ended, self.number
         if self.parts.totals.seconds:
             ended = (*ended, (number, self.parts.ended(car.state)))
@@ -164,7 +163,7 @@ class LearnedCar:
         if not (compare or goes_on):
             ended, number = (), 0
         keep = {"keep": KEPT_WHEN_COMPARED} if compare else {}
-        state = begin_drive(replace(car.state, bands=bands), self.equation, **keep)
+        state = begin_drive(car.judged(), self.equation, **keep)
         return replace(
             car,
             state=state,
@@ -185,6 +184,10 @@ class LearnedCar:
         mean = self.state.weights @ self.state.mean
         drive = Path(*map(np.concatenate, zip(*self.steps, strict=True)))
         return self.unevenness.after(self.equation, mean, drive)
+
+    def judged(self) -> CarState:
+        """The state with what this drive, were it to end here, says of predictions of drives."""
+        return self.rehearsals.end_drive(self.state, self.equation)
 
     def is_finite(self) -> bool:
         """True if every number is finite."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.bands import PredictedEnergy
+from evpinn_ros.core.estimation.experts import Experts
 from evpinn_ros.core.estimation.journey import Journey, wandered
 from evpinn_ros.core.estimation.states import SIZE, State
 from evpinn_ros.core.estimation.terms import Equation
@@ -40,6 +41,7 @@ class CarModel:
         reports: whether the car reports its heating.
         unevenness: what uneven speed takes beyond even.
         last_drive: s of the drive before.
+        experts: whether forecasts rest on something simpler.
     """
 
     equation: Equation
@@ -54,6 +56,7 @@ class CarModel:
     reports: bool
     unevenness: Unevenness = field(default_factory=Unevenness.none)
     last_drive: Annotated[float, Range(0.0, MOST_SECONDS)] = 0.0
+    experts: Experts = field(default_factory=Experts.none)
 
     @property
     def weight_over_eta(self) -> float:

@@ -258,7 +258,7 @@ class PinnLearner(Saveable[SavedPinn]):
     def saved(self) -> SavedPinn:
         """State to save."""
         return SavedPinn(
-            car=saved_state(self._car.state),
+            car=saved_state(self._car.judged()),
             unevenness=self._car.uneven(),
             hills=self._car.hills.next_drive(),
             driven=self._car.driven,

@@ -26,6 +26,7 @@ from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation import gaussian
 from evpinn_ros.core.estimation.bands import Bands
 from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.experts import Experts
 from evpinn_ros.core.estimation.gaussian import MOST, Gaussian, Innovation, replace_states
 from evpinn_ros.core.estimation.journey import (
     Journey,
@@ -72,6 +73,7 @@ class CarState:
         scale: of the noise, by its kinds, shape (K, 3).
         offset_variance: of `OFFSETS` from drive to drive, shape (len(OFFSETS),).
         bands: how far predicted energies are to be trusted.
+        experts: whether something simpler predicts whole drives better.
         drives: how many `offset_variance` rests on.
         intervals: learned from in this drive.
         seconds: of this drive.
@@ -92,6 +94,7 @@ class CarState:
         np.ndarray, Range(-(MOST**2), MOST**2, shape=(len(OFFSETS),), by_state=True)
     ]
     bands: Bands = field(default_factory=Bands)
+    experts: Experts = field(default_factory=Experts.none)
     drives: Annotated[float, Range(PRIOR_DRIVES, DRIVES_KEPT)] = PRIOR_DRIVES
     intervals: Annotated[int, Range(0, 10**12)] = 0
     seconds: Seconds = 0.0
@@ -136,6 +139,7 @@ class CarState:
             celsius=self.celsius,
             reports=self.reports,
             last_drive=self.last_drive,
+            experts=self.experts,
         )
 
     def _trust(self) -> float:

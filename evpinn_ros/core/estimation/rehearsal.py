@@ -9,14 +9,15 @@ it began and the sums of what was driven since.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from evpinn_ros.core.estimation.bands import Bands, PredictedEnergy
+from evpinn_ros.core.estimation.experts import WholeDrive
 from evpinn_ros.core.estimation.journey import NOWHERE, Journey
-from evpinn_ros.core.estimation.posterior import CarState
+from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.terms import Equation
 
 LENGTHS = (60.0, 200.0)  # s of a rehearsed dropout; the longer ones scale the band
@@ -66,9 +67,24 @@ class Rehearsals:
                 bands = bands.after_dropout(energy, rehearsal.drawn, long=long)
         return Rehearsals(self.drive.plus(journey, way, drawn), running), bands
 
-    def end_drive(self, bands: Bands, equation: Equation) -> Bands:
-        """The bands with the drive that was, unless it is the first: nothing was known of it."""
-        drive = self.drive
-        if drive.state.intervals or drive.way < LEAST_DRIVE_METRES or not drive.state.known:
-            return bands
-        return bands.after_drive(drive.predicted(equation), drive.drawn)
+    def end_drive(self, state: CarState, equation: Equation) -> CarState:
+        """The state with what the drive that ends here says of predictions of whole drives.
+
+        The first one judges nothing that was learned.
+        """
+        before, journey, way, drawn = self.drive
+        if before.intervals or way < LEAST_DRIVE_METRES:
+            return state
+        learned = before.model(equation)
+        file = replace(initial_state(equation).model(equation), growth=learned.growth)
+        drive = WholeDrive(
+            way,
+            drawn,
+            learned.predicted(journey) if before.known else None,
+            file.predicted(journey),
+            journey.row * (learned.mean - file.mean),
+        )
+        bands = state.bands
+        if before.known:
+            bands = bands.after_drive(learned.energy(journey), drawn)
+        return replace(state, bands=bands, experts=state.experts.after(drive))

@@ -18,6 +18,7 @@ import numpy as np
 from evpinn_ros.core.estimation.breakdown import Breakdowns
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate
+from evpinn_ros.core.estimation.experts import ENERGIES
 from evpinn_ros.core.estimation.learner import LearnerReport
 from evpinn_ros.core.estimation.posterior import initial_state
 from evpinn_ros.core.estimation.states import SIZE, State
@@ -86,13 +87,14 @@ class Similarity:
         """The car as forecasts take it, with the equation of the vehicle."""
         if self.size == 1.0:
             return model
-        uneven = model.unevenness
+        uneven, experts = model.unevenness, model.experts
         return replace(
             _scaled(model, self.size**2, "noise", "load_variance"),
             equation=equation_of(self._vehicle, model.equation.seed),
             mean=self._states * model.mean,
             covariance=np.outer(self._states, self._states) * model.covariance,
             unevenness=replace(uneven, rows=self.size / self._states * uneven.rows),
+            experts=_scaled(experts, self.size, *ENERGIES),
         )
 
     def breakdowns(self, breakdowns: Breakdowns) -> Breakdowns:
