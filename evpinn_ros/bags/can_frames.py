@@ -7,11 +7,11 @@ Neither writing nor reading needs can_msgs to be installed: its one message is d
 from __future__ import annotations
 
 import struct
-from typing import Any
 
-from evpinn_ros.bags.types import CDR_LITTLE_ENDIAN, FRAME_TYPE
+from evpinn_ros.bags.types import CDR_LITTLE_ENDIAN
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.topics import FRAME_TYPE
 
 FRAMES_TOPIC = "can/frames"
 """Topic of a recording's raw frames, relative to the namespace."""
@@ -20,17 +20,6 @@ _CLASSIC = 8  # bytes of data that the message can hold
 
 # Stamp, empty frame_id with its length and end, id, is_rtr, is_extended, is_error, dlc, data.
 _CDR = struct.Struct("<4siII4xI???B8s")
-
-
-def read_frame(message: Any, arrived_ns: int) -> CanFrame:
-    """The data frame in a `can_msgs/Frame` of any class family; no stamp means its arrival's."""
-    stamp = message.header.stamp
-    return CanFrame(
-        stamp.sec * NANOSECONDS + stamp.nanosec or arrived_ns,
-        int(message.id),
-        bytes(message.data[: message.dlc]),
-        bool(message.is_extended),
-    )
 
 
 def encode_frame(frame: CanFrame) -> bytes:

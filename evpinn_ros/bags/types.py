@@ -16,11 +16,10 @@ from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from evpinn_ros.topics import AUTOWARE_TRAJECTORY_TYPE, VELOCITY_REPORT_TYPE
+from evpinn_ros.topics import AUTOWARE_TRAJECTORY_TYPE, FRAME_TYPE, VELOCITY_REPORT_TYPE
 
 CDR_BIG_ENDIAN, CDR_LITTLE_ENDIAN = b"\x00\x00", b"\x00\x01"
 
-FRAME_TYPE = "can_msgs/msg/Frame"
 _OTHERS = {
     FRAME_TYPE: """
         std_msgs/Header header

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
+
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MOST_IDS = 4096
 """Ids of a bus that are followed: twice what 11 bits can tell. Garbage of 29 bits has millions."""
@@ -39,6 +41,21 @@ class CanFrame:
         """The frame in a message of python-can or isotp."""
         data, extended = bytes(message.data), message.is_extended_id
         return cls(stamp_ns, message.arbitration_id, data, extended)
+
+    @classmethod
+    def of_ros(cls, message: Any, arrived_ns: int) -> CanFrame:
+        """The data frame in a `can_msgs/Frame`; one without a stamp has that of its arrival."""
+        stamp = message.header.stamp
+        return cls(
+            stamp.sec * NANOSECONDS + stamp.nanosec or arrived_ns,
+            int(message.id),
+            bytes(message.data[: message.dlc]),
+            bool(message.is_extended),
+        )
+
+
+RawFrames: TypeAlias = deque[tuple[int, CanFrame]]
+"""Frames on their way from a bridge to a recorder, with their arrival, ns."""
 
 
 class FirstBus:

@@ -8,11 +8,11 @@ from pathlib import Path
 from evpinn_ros.bags.convert import BagReadings, NoTopicsError
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.logs.battery_watch import BatteryWatch
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.source import Source
+from evpinn_ros.topics import FRAME_TYPE
 
 _SENT = "to_can_bus"  # the topic by which ros2_socketcan sends frames
 

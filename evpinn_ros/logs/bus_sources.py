@@ -9,11 +9,9 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeAlias
 
-from evpinn_ros.bags.can_frames import read_frame
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.names import is_bag
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.frame import CanFrame, FirstBus
 from evpinn_ros.can.guard import FitGuard
@@ -29,6 +27,7 @@ from evpinn_ros.logs.battery_watch import BatteryWatch
 from evpinn_ros.logs.formats import suffix_of, unknown_kind
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.source import Source
+from evpinn_ros.topics import FRAME_TYPE
 
 BITRATE = 500_000  # bit/s; the load of the bus is not known here
 INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
@@ -87,7 +86,7 @@ class BagFrames:
                         raise InputError(f"{self.path}: {first_bus.cars}")
                 else:
                     self.count += 1
-                    yield read_frame(message, record.log_time_ns)
+                    yield CanFrame.of_ros(message, record.log_time_ns)
         self.skipped.update(self._reader.dropped)
         if self.count == 0:
             raise InputError(self.problem or f"{self.path}: no CAN data frame in it")

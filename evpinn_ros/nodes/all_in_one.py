@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.bags.writer import Split
+from evpinn_ros.can.frame import RawFrames
 from evpinn_ros.nodes import running
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameters import overrides
-from evpinn_ros.nodes.recorder import RawFrames, RecorderNode
+from evpinn_ros.nodes.recorder import RecorderNode
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.node_parameters import Value, of_node
 

@@ -15,7 +15,7 @@ from evpinn_ros.can import elm327
 from evpinn_ros.can.bridge import WAITING, BridgeStatus, CanBridge
 from evpinn_ros.can.bus import BusCondition, BusReader, BusStatus
 from evpinn_ros.can.current_sign import CurrentSign
-from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.frame import CanFrame, RawFrames
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.poller import PollStatus
 from evpinn_ros.can.profile import CanProfile, bundled_profiles, load_profile
@@ -26,7 +26,6 @@ from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import WELL, Health, Status, flat, rounded, with_health
 from evpinn_ros.nodes.factory import is_installed, new_message
 from evpinn_ros.nodes.frame_sources import FrameTopic, LogPlayer, frame_topic
-from evpinn_ros.nodes.recorder import RawFrames
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.node_parameters import FRAMES, bus_options
 from evpinn_ros.topics.readings import reading_messages

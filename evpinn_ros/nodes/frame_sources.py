@@ -9,14 +9,11 @@ import threading
 import time
 from typing import Any
 
-from evpinn_ros.bags.can_frames import read_frame
-from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.can.bus import MANY_ERRORS, SILENT_AFTER_S, BusCondition, BusStatus
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.logs.bus_sources import open_can_log
-from evpinn_ros.topics import Topic
+from evpinn_ros.topics import FRAME_TYPE, Topic
 
 DEPTH = 1000  # frames, half a second of a busy bus
 
@@ -46,6 +43,9 @@ class LogPlayer:
         Raises:
             InputError: no such file, or no CAN log.
         """
+        # Here, for what reads logs and bags would take 6 MB in a car, which plays none.
+        from evpinn_ros.logs.bus_sources import open_can_log
+
         self._log, self._rate, self._delay = open_can_log(path), rate, delay
         self._on_frame = on_frame
         self._stop = threading.Event()
@@ -119,7 +119,7 @@ class FrameTopic:
             self._counters["remote_frames"] += 1
             return
         self._counters["frames"] += 1
-        self._on_frame(read_frame(message, now_ns))
+        self._on_frame(CanFrame.of_ros(message, now_ns))
 
     def run(self) -> None:
         """Wait until `stop`: the frames come without a thread."""

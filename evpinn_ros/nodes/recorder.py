@@ -9,23 +9,19 @@ from collections import Counter, deque
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from evpinn_ros.bags.can_frames import FRAMES_TOPIC, encode_frame
-from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.bags.writer import BagWriter, Split
-from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.frame import RawFrames
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.diagnosis import Status, with_health
 from evpinn_ros.nodes.factory import installed
-from evpinn_ros.topics import TOPICS, Topic
+from evpinn_ros.topics import FRAME_TYPE, TOPICS, Topic
 from evpinn_ros.topics.messages import Level
 
 # s; a kill may cost this and the time for which a busy computer keeps the node waiting.
 FLUSH_PERIOD = 0.25
-
-RawFrames: TypeAlias = deque[tuple[int, CanFrame]]
-"""Frames on their way from the bridge's thread to the recorder's, with their arrival, ns."""
 
 
 class RecorderNode(GuardedNode):

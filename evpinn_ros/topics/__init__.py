@@ -29,6 +29,7 @@ PATH_TYPE = "nav_msgs/msg/Path"
 TRAJECTORY_TYPE = "trajectory_msgs/msg/JointTrajectory"
 AUTOWARE_TRAJECTORY_TYPE = "autoware_planning_msgs/msg/Trajectory"
 DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+FRAME_TYPE = "can_msgs/msg/Frame"
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from evpinn_ros.bags.can_frames import encode_frame
 from evpinn_ros.bags.convert import write_readings
-from evpinn_ros.bags.types import FRAME_TYPE, decode, encode, new_message, typestore
+from evpinn_ros.bags.types import decode, encode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
@@ -24,6 +24,7 @@ from evpinn_ros.logs.bus_sources import BagFrames, CanLogSource, open_can_log
 from evpinn_ros.logs.contents import contents
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_source
+from evpinn_ros.topics import FRAME_TYPE
 
 NOW = 1_700_000_000 * 10**9
 FRAMES = [

@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 import pytest
 
 from evpinn_ros.bags.can_frames import FRAMES_TOPIC, encode_frame
-from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.logs.contents import contents
 from evpinn_ros.logs.data_coverage import ReadingFlow, data_coverage
 from evpinn_ros.replays.run import span
+from evpinn_ros.topics import FRAME_TYPE
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import pytest
 
 from evpinn_ros.bags.can_frames import encode_frame
-from evpinn_ros.bags.types import FRAME_TYPE
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes import frame_sources
 from evpinn_ros.nodes.frame_sources import LogPlayer
+from evpinn_ros.topics import FRAME_TYPE
 
 NOW = 1_700_000_000 * 10**9
 FRAMES = [CanFrame(NOW + i * 50_000_000, 0x132, bytes([i])) for i in range(20)]

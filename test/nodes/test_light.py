@@ -11,10 +11,19 @@ from test.nodes.processes import EVPINN, started, stopped
 HEAVY = sorted({*EXTRA_OF, "scipy", "torch"} - {"rclpy"})
 
 
+RECORDINGS = ("apsw", "mcap", "rosbags", "ruamel")  # what reads and writes bags
+BUILDS = ("em", "lark")  # what rclpy loads to make Python of message definitions
+
+
 @pytest.mark.parametrize("nodes", ["estimator, energy", "can_bridge"])
 def test_no_default_node_loads_what_it_does_not_need(loads_without, nodes):
     bus = () if nodes == "can_bridge" else ("can", "cantools")
-    loads_without(f"from evpinn_ros.nodes import {nodes}", *HEAVY, *bus)
+    loads_without(f"from evpinn_ros.nodes import {nodes}", *HEAVY, *RECORDINGS, *bus)
+
+
+def test_a_node_that_is_up_has_loaded_nothing_that_builds_messages(loads_without):
+    code = "from evpinn_ros.nodes import running; import rclpy; running.load_no_generator()"
+    loads_without(f"{code}; rclpy.init(); rclpy.create_node('up')", *BUILDS)
 
 
 def test_a_car_drives_and_is_recorded_without_any_of_it(bench, can_log, tmp_path):

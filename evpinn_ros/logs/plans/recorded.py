@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.bags.types import FRAME_TYPE, decode
+from evpinn_ros.bags.types import decode
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.driven import PLAN_STEP, drive_plan
 from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
@@ -29,7 +29,7 @@ from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.logs.plans.way import plausible_heights
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_source
-from evpinn_ros.topics import SPEEDS
+from evpinn_ros.topics import FRAME_TYPE, SPEEDS
 from evpinn_ros.topics.plans import PLAN_TYPES, plan_of_message
 
 FIELDS = {SpeedReading: "speed", AltitudeReading: "altitude", GradeReading: "grade"}
