@@ -2,7 +2,7 @@
 
 Sources: home-assistant.io, "MQTT" (discovery topic, `origin`, birth message) and "MQTT sensor";
 developers.home-assistant.io, "Sensor entity" (which units and state classes a device class takes).
-Home Assistant 2024.3.3 itself took all of them (docs/guides/home_assistant.md has its picture).
+Home Assistant 2024.3.3 itself took all of them.
 """
 
 from __future__ import annotations
