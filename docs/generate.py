@@ -35,7 +35,7 @@ from evpinn_ros.core.vehicle.certified import certified_cars
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle, vehicle_names
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.core.vehicle.rated import rated_cars
-from evpinn_ros.topics import TOPICS, Topic
+from evpinn_ros.topics import TOPICS
 from evpinn_ros.topics.node_parameters import TABLES, Parameter
 
 MADE = "<!-- Made by docs/generate.py; change the source, not this page. -->\n"
@@ -140,7 +140,8 @@ certified one.
 
 
 def topics_page() -> str:
-    """Every topic with type, source and content."""
+    """Every topic with type and content, by its source."""
+    sources = dict.fromkeys(topic.source for topic in TOPICS)
     return "\n".join((
         MADE,
         "# Topics",
@@ -158,44 +159,50 @@ def topics_page() -> str:
         "parameters, for example `qos_overrides./ev/energy/state.publisher.depth`, and likewise",
         "`.history`, `.reliability` and `.durability`; other policies are refused.",
         "",
-        "| topic | type | from | unit | content |",
-        "|---|---|---|---|---|",
-        *(_topic_row(topic) for topic in TOPICS),
-        "",
+        *chain.from_iterable(_topics_from(source) for source in sources),
     ))  # fmt: skip
 
 
-def _topic_row(topic: Topic) -> str:
-    latched = " *Latched.*" if topic.latched else ""
-    type_name = topic.type_name.replace("/msg/", "/")
-    cells = (f"`{topic.name}`", type_name, topic.source, topic.unit, topic.description + latched)
-    return f"| {' | '.join(cells)} |"
+def _topics_from(source: str) -> Iterator[str]:
+    yield from (f"## From {source}", "")
+    for topic in TOPICS:
+        if topic.source == source:
+            latched = " *Latched.*" if topic.latched else ""
+            facts = "; ".join(filter(None, (topic.type_name.replace("/msg/", "/"), topic.unit)))
+            yield f"- `{topic.name}` ({facts}): {topic.description}{latched}"
+    yield ""
 
 
 def parameters_page() -> str:
     """Every parameter of every node."""
     lines = [MADE, "# Parameters", ""]
     lines += ["`config/evpinn.param.yaml` is a commented file with every default. Check your own"]
-    lines += ["file with `evpinn check-params FILE`.", ""]
+    lines += ["file with `evpinn check-params FILE`. *Dynamic* ones change at run time.", ""]
+    nodes: dict[str, list[str]] = {}
     for node, table in TABLES.items():
-        lines += [f"## {node}", "", "| name | default | range | at run time | meaning |"]
-        lines += ["|---|---|---|---|---|", *(_parameter_row(p) for p in table), ""]
+        for parameter in table:
+            nodes.setdefault(_parameter_line(parameter), []).append(node)
+    sections: dict[str, list[str]] = {}
+    for line, names in nodes.items():
+        sections.setdefault(" and ".join(names) if len(names) < 3 else "Every node", []).append(
+            line
+        )
+    for title, entries in sections.items():
+        lines += [f"## {title}", "", *entries, ""]
     return "\n".join(lines)
 
 
-def _parameter_row(parameter: Parameter) -> str:
+def _parameter_line(parameter: Parameter) -> str:
     unit = f" {parameter.unit}" if parameter.unit else ""
-    default = f"`{parameter.default}`{unit}" if parameter.default != "" else "empty"
-    change = "fixed" if parameter.read_only else "changes"
-    return (
-        f"| `{parameter.name}` | {default} | {_range(parameter)} | {change} "
-        f"| {parameter.description} |"
-    )
+    default = f"`{parameter.default}`{unit}" if parameter.default != "" else ""
+    dynamic = "" if parameter.read_only else "*dynamic*"
+    facts = ", ".join(filter(None, (default, _range(parameter), dynamic)))
+    return f"- `{parameter.name}`{f' ({facts})' if facts else ''}: {parameter.description}"
 
 
 def _range(parameter: Parameter) -> str:
     if parameter.choices:
-        return ", ".join(parameter.choices)
+        return " or ".join(parameter.choices)
     if math.isfinite(parameter.lower) or math.isfinite(parameter.upper):
         return f"{parameter.lower:g} to {parameter.upper:g}"
     return ""
@@ -243,8 +250,16 @@ def _vehicle_row(vehicle: Vehicle) -> str:
 def metrics_page() -> str:
     """Every key of `evpinn replay --metrics`."""
     lines = [MADE, "# Metrics", "", READING]
+    sections: dict[tuple[str, str, str], list[str]] = {}
+    for metric in METRICS:
+        section, _, key = metric.key.rpartition(".")
+        sections.setdefault((key, metric.unit, metric.meaning), []).append(section)
     lines += ["| key | unit | meaning |", "|---|---|---|"]
-    lines += [f"| `{metric.key}` | {metric.unit} | {metric.meaning} |" for metric in METRICS]
+    for (key, unit, meaning), names in sections.items():
+        path = f"`{f'{names[0]}.' if names[0] else ''}{key}`"
+        if len(names) > 1:
+            path = f"`{key}` of {', '.join(f'`{name}`' for name in names)}"
+        lines.append(f"| {path} | {unit} | {meaning} |")
     return "\n".join([*lines, ""])
 
 
