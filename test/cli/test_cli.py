@@ -208,4 +208,4 @@ def test_several_inputs_give_a_list_and_a_folder_though_they_are_one_drive(evpin
     done = evpinn("replay", "a.csv", "b.csv", "--metrics", "m.json", "--out", "o", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert len(json.loads((tmp_path / "m.json").read_text())) == 1
-    assert [each.name for each in (tmp_path / "o").iterdir()] == ["001_a"]
+    assert [path.name for path in (tmp_path / "o").iterdir()] == ["001_a"]

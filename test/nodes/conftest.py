@@ -92,7 +92,7 @@ class Bench:
             values.setdefault("wait_for_update", True)
         node = make(namespace=NAMESPACE, parameter_overrides=overrides(values))
         self.nodes.append(node)
-        named = {each.topic_name: each for each in node.subscriptions}
+        named = {subscription.topic_name: subscription for subscription in node.subscriptions}
         self._inputs[node] = {name: each for name, each in named.items() if topic_of(name)}
         self.executor.add_node(node)
         return node
@@ -158,9 +158,9 @@ class Bench:
 
     def read(self, node: GuardedNode, *readings: Reading) -> None:
         """Deliver readings, each as the message of its own topic."""
-        for each in readings:
-            message = reading_message(factory.new_message, each)
-            self.deliver(node, READING_TOPICS[type(each)], message)
+        for reading in readings:
+            message = reading_message(factory.new_message, reading)
+            self.deliver(node, READING_TOPICS[type(reading)], message)
 
     def drive(self, messages: Iterable[tuple[Topic, Any]]) -> None:
         """Deliver each message to all who listen, and what that leads to, before the next."""
@@ -172,8 +172,8 @@ class Bench:
 
     def _powers_have_arrived(self) -> bool:
         meters = [node for node in self.nodes if isinstance(node, EnergyNode)]
-        sent = {each: sum(node.published[each] for node in self.nodes) for each in POWERS}
-        return all(node.received[each] == sent[each] for node in meters for each in POWERS)
+        sent = {power: sum(node.published[power] for node in self.nodes) for power in POWERS}
+        return all(node.received[power] == sent[power] for node in meters for power in POWERS)
 
     def call(self, kind: Any, name: str, **request: Any) -> Any:
         """Call a service of a node under test."""
@@ -316,7 +316,7 @@ def can_log(tmp_path: Path) -> Callable[..., Path]:
         encoder, log = Encoder(load_profile("tesla_model_3")), tmp_path / f"{bag}.log"
         encode = {SpeedReading: encoder.speed, BatteryReading: encoder.battery}
         readings = (to_reading(topic.type_name, m) for topic, m, _ in messages(bag, seconds))
-        write_log(log, [encode[type(each)](each) for each in readings])
+        write_log(log, [encode[type(reading)](reading) for reading in readings])
         return log
 
     return write

@@ -60,12 +60,12 @@ TRIP = ((0, 0, 0), (20, 150, 15), (120, 1650, 15), (140, 1800, 0))
 
 def ask(bench, node, topic, message):
     """Send a plan; give the answers, which are published before the node counts it."""
-    for each in ANSWERS:
-        bench.heard[each].clear()
+    for answer in ANSWERS:
+        bench.heard[answer].clear()
     expected, plans = dict(node.published), node.plans
     done = plans.answered + plans.refused
     bench.deliver(node, topic, message)
     bench.pump(lambda: plans.answered + plans.refused > done)
-    expected = {each: node.published[each] - expected.get(each, 0) for each in ANSWERS}
-    bench.pump(lambda: all(len(bench.heard[each]) == expected[each] for each in ANSWERS))
+    expected = {answer: node.published[answer] - expected.get(answer, 0) for answer in ANSWERS}
+    bench.pump(lambda: all(len(bench.heard[answer]) == expected[answer] for answer in ANSWERS))
     return bench.heard[topics.FORECAST], bench.heard[topics.FORECAST_BATTERY]

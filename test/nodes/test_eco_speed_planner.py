@@ -73,7 +73,7 @@ def forecast_of(plan):
 
 def forecasts(planner):
     """Forecasts from the library, without a topic in between."""
-    return [forecast_of(plan_of(each)) for each in planner.candidates]
+    return [forecast_of(plan_of(candidate)) for candidate in planner.candidates]
 
 
 def cost(pair):
@@ -111,7 +111,7 @@ def test_it_picks_the_cheapest_of_those_in_time(bench, start, deadline):
         if candidate.arrival <= deadline
     ]
     assert 1 < len(in_time) < len(planner.candidates)
-    names = [each.name for each in planner.candidates]
+    names = [candidate.name for candidate in planner.candidates]
     cheapest, pick = names.index(min(in_time)[1]), names.index(name)
     more, beside = EXAMPLE.difference(planner.answers, pick, cheapest)
     assert pick == cheapest or (more < beside and pick_arrives_first(planner, pick, cheapest))
@@ -119,7 +119,7 @@ def test_it_picks_the_cheapest_of_those_in_time(bench, start, deadline):
     assert more == pytest.approx(expected[0].energy[-1] - expected[cheapest].energy[-1], rel=1e-6)
     alone = math.hypot(expected[0].sigma[-1], expected[cheapest].sigma[-1])
     assert cheapest == 0 or 0 < beside < 0.5 * alone, "what both share cancels"
-    (candidate,) = [each for each in planner.candidates if each.name == name]
+    (candidate,) = [candidate for candidate in planner.candidates if candidate.name == name]
     plan, sent = speed_profile_plan(chosen[0]), plan_of(candidate)
     for field in COLUMNS:
         assert getattr(plan, field) == pytest.approx(getattr(sent, field), abs=1e-9)
@@ -131,7 +131,7 @@ def test_without_an_energy_node_it_says_so_and_goes_on(bench, start, capfd):
     shown = capfd.readouterr()
     assert "no energy node listens to /ev/plan/speed_profile" in shown.err
     assert shown.out.count("no answer") >= len(planner.candidates)
-    in_time = [each for each in planner.candidates if each.arrival <= 720.0]
+    in_time = [candidate for candidate in planner.candidates if candidate.arrival <= 720.0]
     assert chosen[0].header.frame_id == max(in_time, key=lambda each: each.arrival).name
     start_energy(bench)
     planner._timeout.timer_period_ns = int(HANG_S * NANOSECONDS)

@@ -285,7 +285,8 @@ def test_plans_after_it_take_the_conditions(bench):
     assert cost() == cold > 1.1 * mild
     bench.pump(lambda: len(bench.heard[topics.FORECAST_STATUS]) > 0)
     values = {
-        each.key: each.value for each in bench.heard[topics.FORECAST_STATUS][-1].status[0].values
+        value.key: value.value
+        for value in bench.heard[topics.FORECAST_STATUS][-1].status[0].values
     }
     assert values["conditions"] == "1.0"
     bench.deliver(node, topics.CONDITIONS, conditions())

@@ -48,7 +48,7 @@ def messages_of(outputs):
 
 
 OTHERS = (JumpPolicy.RESET, JumpPolicy.HOLD, JumpPolicy.IGNORE)
-POLICIES = [JumpPolicy.AUTO, *(pytest.param(each, marks=pytest.mark.nightly) for each in OTHERS)]
+POLICIES = [JumpPolicy.AUTO, *(pytest.param(other, marks=pytest.mark.nightly) for other in OTHERS)]
 
 
 @pytest.mark.nightly

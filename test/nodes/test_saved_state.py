@@ -100,7 +100,7 @@ def test_a_file_that_both_nodes_refuse_is_kept_once(tmp_path):
     for state_file in files:
         assert state_file.save() is None
         state_file.release()
-    kept = sorted(each.name for each in tmp_path.iterdir())
+    kept = sorted(path.name for path in tmp_path.iterdir())
     assert kept == ["car.json", "car.json.refused"]
     assert read_state(path) == {"learned": {"count": 0}, "energy": {"count": 0}}
 
@@ -177,4 +177,4 @@ def test_what_is_no_file_stays_where_it_is(tmp_path, make):
     state_file.restore()
     assert str(path) in state_file.problem and "kept" not in state_file.problem
     assert "not a file" in state_file.save()
-    assert [each.name for each in tmp_path.iterdir()] == ["car.json"]
+    assert [path.name for path in tmp_path.iterdir()] == ["car.json"]

@@ -42,7 +42,7 @@ def test_a_message_file_has_the_quantities_of_its_vector(name, quantities):
     text = (PACKAGE / "msg" / f"{name}.msg").read_text()
     fields = re.findall(r"^float64 (\w+)", text, re.MULTILINE)
     ends = ENDS.get(name, ("", SIGMA))
-    assert fields == [f"{each}{end}" for each in quantities for end in ends]
+    assert fields == [f"{quantity}{end}" for quantity in quantities for end in ends]
 
 
 def test_every_typed_topic_has_its_message_file():

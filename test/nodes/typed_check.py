@@ -74,7 +74,7 @@ def service(bench, node):
     asked = [plan("slow", 10.0), plan("back", 10.0, (0.0, 9.0, 1.0)), plan("fast", 20.0)]
     found = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=asked)
     slow, back, fast = found.results
-    assert [each.name for each in found.results] == ["slow", "back", "fast"]
+    assert [result.name for result in found.results] == ["slow", "back", "fast"]
     assert not slow.refusal and not fast.refusal and "time" in back.refusal
     assert math.isnan(back.energy) and all(map(math.isnan, back.more))
     assert math.isclose(fast.more[0], fast.energy - slow.energy, rel_tol=1e-9)
@@ -186,7 +186,7 @@ def energy_goes_on_beside_plans(bench, node):
         assert not future.done()
         go_on.set()
         bench.pump(future.done)
-    assert not any(each.refusal for each in future.result().results)
+    assert not any(result.refusal for result in future.result().results)
 
 
 def batches(bench, node):
@@ -232,7 +232,7 @@ def batches(bench, node):
     node.active = False
     refused = start(asked[:2]).get_result_async()
     bench.pump(refused.done)
-    assert [each.refusal for each in refused.result().result.results] == [NOT_ACTIVE] * 2
+    assert [result.refusal for result in refused.result().result.results] == [NOT_ACTIVE] * 2
     node.active = True
     client.destroy()
 
@@ -243,8 +243,8 @@ def refusals(bench, node):
     plans = batch(1, MAX_POINTS).plans * 3
     node.active = False
     found = bench.call(call, name, plans=plans[:2])
-    assert [each.refusal for each in found.results] == [NOT_ACTIVE] * 2
-    assert all(math.isnan(each.energy) and len(each.more) == 2 for each in found.results)
+    assert [result.refusal for result in found.results] == [NOT_ACTIVE] * 2
+    assert all(math.isnan(result.energy) and len(result.more) == 2 for result in found.results)
     node.active = True
     with mock.patch.object(energy, "SERVICE", SERVICE._replace(points=2 * MAX_POINTS)):
         found = bench.call(call, name, plans=plans)
@@ -290,7 +290,7 @@ def test_calls_are_answered_though_nothing_else_wakes_the_node(bench):
     plans = batch(20, 2_000).plans
     with processes.started(*command) as process:
         found = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=plans)
-        assert not any(each.refusal for each in found.results)
+        assert not any(result.refusal for result in found.results)
         client = ActionClient(bench.node, EstimatePlans, "/ev/energy/estimate_plans")
         bench.pump(client.server_is_ready)
         goal = client.send_goal_async(EstimatePlans.Goal(plans=plans))

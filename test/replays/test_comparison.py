@@ -28,11 +28,11 @@ LOAD = 3000.0  # W more in the second drive
 
 def heated(readings, watts: float):
     """A drive with a load that nothing tells of."""
-    for each in readings:
-        if isinstance(each, BatteryReading):
-            yield replace(each, current=each.current - watts / each.voltage)
+    for reading in readings:
+        if isinstance(reading, BatteryReading):
+            yield replace(reading, current=reading.current - watts / reading.voltage)
         else:
-            yield each
+            yield reading
 
 
 def compared(vehicle, *drives, **given) -> Comparison:
@@ -53,7 +53,7 @@ def test_a_load_is_found_as_what_explains_the_difference(vehicle):
     """
     drive = simulate(DriveKind.URBAN, vehicle, 120.0, seed=11, altitude=True)
     known = SpeedReading | BatteryReading | AltitudeReading
-    readings = [each for each in drive.readings if isinstance(each, known)]
+    readings = [reading for reading in drive.readings if isinstance(reading, known)]
     winter = compared(vehicle, readings, heated(readings, LOAD))
     (difference,) = winter.differences()
     one = winter.parts()[0]

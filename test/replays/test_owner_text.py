@@ -76,8 +76,10 @@ def test_all_of_a_drive_is_in_its_breakdown(town):
 def test_a_breakdown_of_an_impossible_mass_is_no_answer(vehicle, readings):
     """A current ten times too small: a car of two hundred kilograms."""
     small = (
-        replace(one, current=one.current / 10.0) if isinstance(one, BatteryReading) else one
-        for one in readings
+        replace(reading, current=reading.current / 10.0)
+        if isinstance(reading, BatteryReading)
+        else reading
+        for reading in readings
     )
     metrics = replayed(vehicle, small).metrics
     assert metrics["parameters"]["mass"]["state"] == "invalid"
@@ -87,8 +89,10 @@ def test_a_breakdown_of_an_impossible_mass_is_no_answer(vehicle, readings):
 def test_regeneration_of_a_battery_that_is_never_charged_is_not_learned(vehicle, readings, town):
     """Its brakes do all, or its sensor shows no charging: neither tells of mu."""
     one_way = (
-        replace(one, current=min(one.current, 0.0)) if isinstance(one, BatteryReading) else one
-        for one in readings
+        replace(reading, current=min(reading.current, 0.0))
+        if isinstance(reading, BatteryReading)
+        else reading
+        for reading in readings
     )
     mu = replayed(vehicle, one_way).metrics["parameters"]["mu"]
     assert mu["state"] == "unestimated" and mu["prior_share"] == 1.0

@@ -124,9 +124,9 @@ def test_time_that_could_not_be_read_is_in_the_first_line(rows, vehicle):
 def test_the_account_counts_what_the_page_says(vehicle, readings):
     """With gaps and faults, in a replay: distance and energy are those of the account."""
     spoilt = [
-        each
-        for each in readings
-        if not 40.0 < (each.stamp_ns - readings[0].stamp_ns) / NANOSECONDS < 50.0
+        reading
+        for reading in readings
+        if not 40.0 < (reading.stamp_ns - readings[0].stamp_ns) / NANOSECONDS < 50.0
     ]
     batteries = [i for i, each in enumerate(spoilt) if isinstance(each, BatteryReading)]
     for index in batteries[100::150]:

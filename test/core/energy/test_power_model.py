@@ -49,15 +49,15 @@ def test_the_forecast_of_a_driven_speed_is_the_drive_without_its_battery():
     predicted, sigma = car.state.model(car.equation).predicted(car.dropout)
     rows, noise, unseen = [], 0.0, 0.0
     weather = Weather(intervals[0].conditions.air_density, intervals[0].conditions.celsius)
-    for each in intervals:
-        steps = each.steps
+    for interval in intervals:
+        steps = interval.steps
         now = replace(model, seconds=sum(e.duration for e in intervals[: len(rows)]))
         rows.append(PowerModel(now).rows(steps, weather).sum(0))
         noise += float(model.noise @ noise_of(steps))
-        unseen += 0.0 if each.height_known else abs(each.distance)
-    elapsed = sum(each.duration for each in intervals)
+        unseen += 0.0 if interval.height_known else abs(interval.distance)
+    elapsed = sum(interval.duration for interval in intervals)
     energy, spread = PowerModel(model).predicted(np.sum(rows, 0), elapsed, noise, unseen)
-    gross = float(np.nansum([abs(each.energy) for each in intervals]))
+    gross = float(np.nansum([abs(interval.energy) for interval in intervals]))
     assert energy == pytest.approx(predicted, abs=0.005 * gross)
     assert spread == pytest.approx(sigma, rel=0.01)
 

@@ -131,11 +131,11 @@ def as_prior(intervals) -> Callable[..., list[Interval]]:
     def measured(equation, drive) -> list[Interval]:
         return [
             replace(
-                one,
-                energy=float(passed(equation, one, 0.0).journey.row @ equation.mean),
+                interval,
+                energy=float(passed(equation, interval, 0.0).journey.row @ equation.mean),
                 sampling_variance=0.0,
             )
-            for one in intervals(drive, begin_ns=0)
+            for interval in intervals(drive, begin_ns=0)
         ]
 
     return measured

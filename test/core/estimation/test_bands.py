@@ -50,9 +50,11 @@ def test_a_band_of_90_percent_holds_90_percent_scaled_up_or_down(ratio):
 def test_what_is_learned_can_be_saved_whatever_came(deviates):
     """Within the ranges that a saved state declares, and by no one road carried away."""
     bands = Bands()
-    for each in deviates:
+    for deviate in deviates:
         energy = PredictedEnergy(0.0, 1e8, 1e9)
-        bands = bands.after_dropout(energy, 1e4 * each, long=True).after_drive(energy, 1e4 * each)
+        bands = bands.after_dropout(energy, 1e4 * deviate, long=True).after_drive(
+            energy, 1e4 * deviate
+        )
     for spread in (bands.dropout, bands.drive):
         assert 0.0 <= spread.cases <= CASES_KEPT and spread.squares >= 0.0
         assert 0.1 < spread.scale < 16.0
@@ -76,8 +78,10 @@ def intervals_of(readings, vehicle: Vehicle) -> list[Interval]:
     stream = SampleStream(
         StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
     )
-    events = (event for each in readings for event in stream.add_reading(each))
-    return [each for each in events if isinstance(each, Interval) and not math.isnan(each.energy)]
+    events = (event for reading in readings for event in stream.add_reading(reading))
+    return [
+        event for event in events if isinstance(event, Interval) and not math.isnan(event.energy)
+    ]
 
 
 def errors(equation: Equation, states: list[LearnedCar], drive: list[Interval], count: int):

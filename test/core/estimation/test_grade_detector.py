@@ -24,14 +24,14 @@ class Hills:
         suspected = False
         time = self._begin + np.arange(0.0, seconds, 0.01)
         speed = 15.0 + 3.0 * np.sin(time / 20)
-        for one in self._intervals(speed, height=self._height, begin_ns=self._begin * 10**9):
-            rows = self.equation.rows(one.steps, one.conditions, Warmth(0.0, 0.0))
+        for interval in self._intervals(speed, height=self._height, begin_ns=self._begin * 10**9):
+            rows = self.equation.rows(interval.steps, interval.conditions, Warmth(0.0, 0.0))
             drawn = float(rows.sum(0) @ self.equation.mean)
-            steps = one.steps._replace(
-                climb=sign * one.steps.climb + 0.02 * self._rng.standard_normal(6)
+            steps = interval.steps._replace(
+                climb=sign * interval.steps.climb + 0.02 * self._rng.standard_normal(6)
             )
             energy = drawn + 5e3 * self._rng.standard_normal()
-            measured = replace(one, energy=energy, sampling_variance=0.0, steps=steps)
+            measured = replace(interval, energy=energy, sampling_variance=0.0, steps=steps)
             self.car = self.car.after([measured])
             suspected |= self.car.grade.detected is not None
         self._begin += seconds

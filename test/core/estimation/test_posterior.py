@@ -37,9 +37,9 @@ def town(intervals):
     truth[State.MASS] *= 1.1
     truth[State.DRAG] *= 0.9
     found = []
-    for one in intervals((DriveKind.URBAN, 240.0, 0), begin_ns=0):
-        energy = float(passed(EQUATION, one, 0.0).journey.row @ truth)
-        found.append(replace(one, energy=energy + rng.normal(0, 2e3), sampling_variance=0.0))
+    for interval in intervals((DriveKind.URBAN, 240.0, 0), begin_ns=0):
+        energy = float(passed(EQUATION, interval, 0.0).journey.row @ truth)
+        found.append(replace(interval, energy=energy + rng.normal(0, 2e3), sampling_variance=0.0))
     return found
 
 
@@ -154,11 +154,11 @@ def test_heating_that_the_battery_does_not_give_loses_its_share(intervals):
     """On a warm day a car reports 3 kW, and the battery gives none of it."""
     state = initial_state(EQUATION)
     conditions = {"celsius": 28.0, "load": 0.0, "load_known": True, "doubted_load": 3000.0}
-    for one in intervals((DriveKind.URBAN, 600.0, 1), begin_ns=0, **conditions):
-        done = passed(EQUATION, one, state.seconds)
+    for interval in intervals((DriveKind.URBAN, 600.0, 1), begin_ns=0, **conditions):
+        done = passed(EQUATION, interval, state.seconds)
         truth = EQUATION.mean.copy()
         truth[State.DOUBTED] = 0.0
-        seen = replace(one, energy=float(done.journey.row @ truth), sampling_variance=0.0)
+        seen = replace(interval, energy=float(done.journey.row @ truth), sampling_variance=0.0)
         state, _ = learn(state, EQUATION, passed(EQUATION, seen, state.seconds))
     whole = state.mixture()
     assert abs(whole.mean[State.DOUBTED]) < 0.1

@@ -45,8 +45,8 @@ def test_energy_that_strays_for_minutes_widens_the_band_and_little_noise_narrows
 
 def test_a_rehearsal_lasts_as_long_as_the_dropout_it_stands_for(intervals):
     car, longest = LearnedCar.new(EQUATION), dict.fromkeys(LENGTHS, 0.0)
-    for one in intervals((DriveKind.URBAN, 1.1 * max(LENGTHS), 0), begin_ns=0):
-        car = car.after([replace(one, energy=3e3, sampling_variance=0.0)])
+    for interval in intervals((DriveKind.URBAN, 1.1 * max(LENGTHS), 0), begin_ns=0):
+        car = car.after([replace(interval, energy=3e3, sampling_variance=0.0)])
         for length, rehearsal in car.rehearsals.dropouts.items():
             longest[length] = max(longest[length], rehearsal.journey.seconds)
     for length, seconds in longest.items():
@@ -55,8 +55,8 @@ def test_a_rehearsal_lasts_as_long_as_the_dropout_it_stands_for(intervals):
 
 def test_nothing_is_proved_by_a_dropout_or_a_car_that_stands(intervals):
     car = LearnedCar.new(EQUATION)
-    for one in intervals((DriveKind.URBAN, 600.0, 0), begin_ns=0):
-        car = car.after([one])  # its battery was not measured
+    for interval in intervals((DriveKind.URBAN, 600.0, 0), begin_ns=0):
+        car = car.after([interval])  # its battery was not measured
     assert car.state.bands == Bands() and not car.measured
     parked = LearnedCar.new(EQUATION)
     for one in intervals(np.zeros(60_000), begin_ns=0):
@@ -92,7 +92,7 @@ def test_a_whole_drive_is_judged_from_the_second_on(intervals):
     car = learned(intervals, lambda _: 0.0, 300.0)
     assert car.begin_drive().state.bands.drive == Spread()
     second = car.begin_drive()
-    for one in intervals((DriveKind.URBAN, 300.0, 1), begin_ns=10**12):
-        own = float(passed(EQUATION, one, 0.0).journey.row @ EQUATION.mean)
-        second = second.after([replace(one, energy=own, sampling_variance=0.0)])
+    for interval in intervals((DriveKind.URBAN, 300.0, 1), begin_ns=10**12):
+        own = float(passed(EQUATION, interval, 0.0).journey.row @ EQUATION.mean)
+        second = second.after([replace(interval, energy=own, sampling_variance=0.0)])
     assert second.begin_drive().state.bands.drive.cases == pytest.approx(1.0)

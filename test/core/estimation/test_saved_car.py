@@ -33,9 +33,9 @@ def town(intervals):
     truth, rng = EQUATION.mean.copy(), np.random.default_rng(2)
     truth[State.MASS] *= 1.1
     found, conditions = [], {"celsius": 5.0}
-    for one in intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0, **conditions):
-        energy = float(passed(EQUATION, one, 0.0).journey.row @ truth) + rng.normal(0.0, 1e3)
-        found.append(replace(one, energy=energy, sampling_variance=0.0))
+    for interval in intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0, **conditions):
+        energy = float(passed(EQUATION, interval, 0.0).journey.row @ truth) + rng.normal(0.0, 1e3)
+        found.append(replace(interval, energy=energy, sampling_variance=0.0))
     return found
 
 

@@ -52,12 +52,12 @@ def test_a_vehicle_of_a_part_of_a_car_s_size_is_learned_as_that_car(vehicle, dri
     start = readings[0].stamp_ns
     readings.insert(1, AuxiliaryReading(start, 320.0))
     small = [
-        replace(each, current=SIZE * each.current)
-        if isinstance(each, BatteryReading)
-        else replace(each, heating=SIZE * each.heating)
-        if isinstance(each, AuxiliaryReading)
-        else each
-        for each in readings
+        replace(reading, current=SIZE * reading.current)
+        if isinstance(reading, BatteryReading)
+        else replace(reading, heating=SIZE * reading.heating)
+        if isinstance(reading, AuxiliaryReading)
+        else reading
+        for reading in readings
     ]
     (car, big), (robot, little) = run(vehicle, readings), run(smaller(vehicle), small)
     assert len(big) == len(little) > 1000

@@ -201,7 +201,7 @@ def test_whatever_is_saved_in_a_place_is_saved_again(new, states, place, data):
 
 @pytest.mark.parametrize(
     "place",
-    [each for each in PLACES if each[2].range and each[0] is Mode.HYBRID],
+    [place for place in PLACES if place[2].range and place[0] is Mode.HYBRID],
     ids=lambda p: ".".join(map(str, p[1])),
 )
 def test_the_ends_of_a_range_are_refused_or_good_for_finite_predictions(new, states, place, drive):

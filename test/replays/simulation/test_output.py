@@ -61,7 +61,9 @@ def test_the_bag_holds_the_readings(urban, written):
     assert [type(reading) for reading in kept] == [type(reading) for reading in urban.readings]
     for kind in {*map(type, kept)}:  # BatteryState holds 32 bits
         here, there = (
-            np.array([astuple(each) for each in readings if type(each) is kind], dtype=float)
+            np.array(
+                [astuple(reading) for reading in readings if type(reading) is kind], dtype=float
+            )
             for readings in (kept, urban.readings)
         )
         assert here == pytest.approx(there, rel=1e-6, nan_ok=True)
