@@ -55,6 +55,7 @@ POINTS = 40_000  # of a curve, all drives of a page together: an hour at 10 Hz l
 LEAST_POINTS = 2_000  # of a curve of one of many drives
 SMALL = 4  # times fewer points for parameters, which come once a second and change slowly
 MOST_EVENTS = 200  # shown
+DATED_AT = 5  # column of the list of drives, behind its figures: narrow screens cut off the last
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 LAST_STAMP = 253_402_300_799 * NANOSECONDS  # the end of the year 9999: a calendar has no more
 
@@ -143,6 +144,7 @@ def write_drives(
         breakdown,
         units,
     )
+    columns = drives_columns(units)
     began = [*(_date(drive.drive) for drive in drives), ""]
     write_page(
         path,
@@ -151,8 +153,12 @@ def write_drives(
         command=command,
         plots=[plots for _, plots in pages],
         drives=[values for values, _ in pages],
-        index_columns=("drive", "began", *drives_columns(units)[1:]),
-        index=[(row[0], date, *row[1:]) for row, date in zip(rows, began, strict=False)],
+        about=", ".join(dict.fromkeys(drive.vehicle.name for drive in drives)),
+        index_columns=(*columns[:DATED_AT], "began", *columns[DATED_AT:]),
+        index=[
+            (*row[:DATED_AT], date, *row[DATED_AT:])
+            for row, date in zip(rows, began, strict=False)
+        ],
         whole=breakdown and {"breakdown": breakdown_values(breakdown, units)},
         trends=trend_intervals([drive_point(drive.drive) for drive in drives], units),
         score_columns=SCORE_COLUMNS,
@@ -271,7 +277,7 @@ def _score_tiles(reported: ReportedDrive) -> Iterator[tuple[str, str]]:
     """Scores with what they are."""
     drive, power = reported.drive, reported.metrics["power"]
     error = reported.metrics["energy"]["error_percent"]
-    yield signed_percent(error), "error of the energy predicted"
+    yield signed_percent(error), "error of the predicted energy"
     held = watts(baseline_scores(drive, Span(reported.warm_up, drive.duration))["last_value"])
     yield watts(power["rmse_w"]), f"RMSE of power; last value held: {held}"
     covered = power["coverage_90"]

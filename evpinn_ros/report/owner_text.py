@@ -36,14 +36,14 @@ LEAST_CHARGED = 0.05 * JOULES_PER_KWH  # J that a charger gave, worth saying
 
 def drives_columns(units: Units = METRIC) -> tuple[str, ...]:
     """Titles of `drives_rows`."""
-    trip = ("drive", units.distance, "min", "kWh", units.economy)
-    return (*trip, "took most", "RMSE", "energy predicted")
+    trip = ("drive", "kWh", units.economy, units.distance, "min")
+    return (*trip, "took most", "RMSE", "error of energy")
 
 
 def owner_line(drive: Drive, metrics: Mapping[str, Any], units: Units = METRIC) -> str:
     """Length, time and energy of a drive, measured or, where it was not, predicted."""
     total = counted(drive)
-    far, _, kwh, consumption = _texts(_figures(drive, total, metrics), units)
+    kwh, consumption, far, _ = _texts(_figures(drive, total, metrics), units)
     how = "predicted" if metrics["energy"]["measured_j"] is None else "from the battery"
     if kwh.startswith("-") and how != "predicted":  # more came back downhill than was drawn
         kwh, how = kwh[1:], "back into the battery"
@@ -158,7 +158,7 @@ def drives_rows(
 
 
 def _predicted(metrics: Iterable[Mapping[str, Any]]) -> float | None:
-    """Error of the energy predicted of all drives that measured it, percent."""
+    """Error of the predicted energy of all drives that measured it, percent."""
     energies = [drive["energy"] for drive in metrics if drive["energy"]["measured_j"] is not None]
     measured = sum(energy["measured_j"] for energy in energies)
     predicted = sum(energy["predicted_j"] for energy in energies)
@@ -192,14 +192,14 @@ def _figures(drive: Drive, total: Counted, metrics: Mapping[str, Any]) -> Figure
 
 
 def _texts(figures: Figures, units: Units) -> tuple[str, str, str, str]:
-    """Distance, minutes, kWh, and energy over distance."""
+    """Energy in kWh and over distance, distance and minutes."""
     distance, duration, joules, metres = figures
     kwh = joules / JOULES_PER_KWH
     return (
-        f"{distance / units.metres:.1f}",
-        f"{duration / 60:.0f}",
         "-" if math.isnan(joules) else f"{kwh:.{kwh_digits(kwh, 2)}f}",
         "-" if metres < CONSUMPTION_METRES else units.consumption(joules, metres),
+        f"{distance / units.metres:.1f}",
+        f"{duration / 60:.0f}",
     )
 
 

@@ -47,4 +47,4 @@ def test_several_drives_of_a_replay_are_one_table(evpinn, drives):
     assert "Where the energy went" not in done.stdout
     rows = [line.split() for line in done.stdout.splitlines()]
     mild, cold = (next(row for row in rows if row[:1] == [name]) for name in ("mild", "cold"))
-    assert float(cold[4]) > float(mild[4])  # kWh/100 km
+    assert float(cold[2]) > float(mild[2])  # kWh/100 km

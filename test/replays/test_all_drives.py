@@ -46,7 +46,7 @@ def test_the_last_row_and_the_page_have_the_totals(car, tmp_path):
     named = [(d.metrics["input"]["path"], d.drive, d.metrics) for d in car.done]
     *rows, total = drives_rows(named, car.breakdown())
     assert total[0] == "all 2" and len(rows) == 2
-    for column in (1, 3):  # km and kWh
+    for column in (1, 3):  # kWh and km
         assert float(total[column]) == pytest.approx(
             sum(float(row[column]) for row in rows), abs=0.11
         )
@@ -54,4 +54,7 @@ def test_the_last_row_and_the_page_have_the_totals(car, tmp_path):
     page = tmp_path / "all.html"
     write_replayed(page, car.done, car.vehicle, car.options, "x", breakdown=car.breakdown())
     text = re.sub(r"<[^>]*>", " ", page.read_text().partition("<details")[0])
+    assert car.vehicle.name in text
+    # On a narrow screen the first columns are seen: energy, and that over distance.
+    assert re.search(r"drive\s+kWh\s+kWh/100 km\s+km\s+min\s+began", text)
     assert "all 2" in text and "Where the energy of all went" in text and "kWh/100 km" in text
