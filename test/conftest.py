@@ -165,10 +165,10 @@ def loads_without() -> Callable[..., None]:
 
     def check(code: str, *modules: str) -> None:
         code = f"import sys; {code}\nassert not {set(modules)} & {{*sys.modules}}, sys.modules"
-        done = subprocess.run(
+        ended = subprocess.run(
             [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True
         )
-        assert done.returncode == 0, done.stderr
+        assert ended.returncode == 0, ended.stderr
 
     return check
 
@@ -211,7 +211,7 @@ def installed(source: Path, shared: Callable[..., Path]) -> Path:
     def build(space: Path) -> None:
         colcon = (sys.executable, "-m", "colcon", "--log-base", str(space / "log"))
         bases = ("--build-base", str(space / "build"), "--install-base", str(space / "install"))
-        done = subprocess.run(
+        ended = subprocess.run(
             [*colcon, "build", "--paths", str(source), *bases],
             cwd=space,
             env=os.environ | {"COLCON_HOME": str(space)},
@@ -219,7 +219,7 @@ def installed(source: Path, shared: Callable[..., Path]) -> Path:
             capture_output=True,
             text=True,
         )
-        assert done.returncode == 0, done.stdout + done.stderr
+        assert ended.returncode == 0, ended.stdout + ended.stderr
 
     return shared("colcon", build) / "install"
 

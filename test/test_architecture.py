@@ -130,8 +130,8 @@ def test_everything_but_the_nodes_loads_without_ros() -> None:
         f"for name in {names}:\n"
         "    importlib.import_module(name)"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    ended = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
 
 
 def test_cores_read_no_clock() -> None:

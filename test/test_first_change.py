@@ -76,8 +76,8 @@ def test_the_test_fails_before_the_change_and_passes_after_it(with_new_test):
 def test_after_the_first_change_the_tests_of_its_folder_pass(with_new_test):
     apply(with_new_test, block("diff"))
     for command in ("ruff check", "pytest --quick --hypothesis-profile=quick test/logs"):
-        done = run(with_new_test, *shlex.split(command))
-        assert done.returncode == 0, done.stdout + done.stderr
+        ended = run(with_new_test, *shlex.split(command))
+        assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
 @pytest.fixture
@@ -88,8 +88,8 @@ def with_term(copy) -> Path:
 
 @pytest.mark.build
 def test_a_term_is_two_lines(with_term):
-    done = run(with_term, "python", "-c", block("py"))
-    assert done.stdout == "J for 1 N/(m/s): 800.0\n", done.stderr
+    ended = run(with_term, "python", "-c", block("py"))
+    assert ended.stdout == "J for 1 N/(m/s): 800.0\n", ended.stderr
 
 
 @pytest.mark.nightly
@@ -114,11 +114,11 @@ def test_with_a_term_the_core_passes_and_what_changes_is_what_the_page_says(with
     assert not topics & {*re.findall(r"`([^`]+)`", may_not)}
     allowed = re.findall(r"`([^`]+?)(?:\.\.\.)?`", may)
     assert all(topic.startswith(tuple(allowed)) for topic in topics), topics
-    done = run(
+    ended = run(
         with_term,
         "pytest",
         "-q",
         "test/replays/test_golden.py",
         "test/core/estimation/test_published.py",
     )
-    assert done.returncode == 0, done.stdout
+    assert ended.returncode == 0, ended.stdout

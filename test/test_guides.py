@@ -145,7 +145,7 @@ def test_blocks_run_as_they_stand(page, checkout):
     ran = [block for block in blocks(page.read_text()) if block.reason is None]
     assert bool(ran) == (page.stem not in NOTHING_RUNS), "a page of which nothing is run"
     for block in ran:
-        done = subprocess.run(
+        ended = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", block.text],
             cwd=checkout,
             env=environment,
@@ -154,14 +154,14 @@ def test_blocks_run_as_they_stand(page, checkout):
             text=True,
             timeout=150,
         )
-        assert done.returncode == 0, f"{block.text}\n{done.stdout}{done.stderr}"
-        came = lines(done.stdout + done.stderr)
+        assert ended.returncode == 0, f"{block.text}\n{ended.stdout}{ended.stderr}"
+        came = lines(ended.stdout + ended.stderr)
         missing = [
             shown
             for shown in lines(block.shown)
             if shown.text not in ("...", "") and not any(line.is_shown_by(shown) for line in came)
         ]
-        assert not missing, f"{block.text}\n{missing}\nis not in\n{done.stdout}{done.stderr}"
+        assert not missing, f"{block.text}\n{missing}\nis not in\n{ended.stdout}{ended.stderr}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

@@ -79,11 +79,11 @@ ROSDEP_KEYS = {
 
 
 def run(*command: object, **options: object) -> str:
-    done = subprocess.run(
+    ended = subprocess.run(
         [str(part) for part in command], stdin=subprocess.DEVNULL, capture_output=True, **options
     )
-    assert done.returncode == 0, (done.stdout + done.stderr).decode()
-    return done.stdout.decode()
+    assert ended.returncode == 0, (ended.stdout + ended.stderr).decode()
+    return ended.stdout.decode()
 
 
 @pytest.fixture(scope="module")
@@ -223,8 +223,8 @@ def test_a_release_is_what_its_tag_says_and_needs_its_tests() -> None:
     check = re.search(r"python3 -c '(.+?)'", words)[1]
     for tag, accepted in ((f"v{evpinn_ros.__version__}", True), ("v99.0.0", False)):
         named = os.environ | {"GITHUB_REF_NAME": tag}
-        done = subprocess.run([sys.executable, "-c", check], cwd=ROOT, env=named)
-        assert (done.returncode == 0) == accepted
+        ended = subprocess.run([sys.executable, "-c", check], cwd=ROOT, env=named)
+        assert (ended.returncode == 0) == accepted
 
 
 def test_every_executable_has_its_function(wheel: ZipFile) -> None:
@@ -286,13 +286,13 @@ def linked(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(source, space / "src" / "evpinn_ros")
     (space / "src" / "evpinn_msgs").symlink_to("evpinn_ros/evpinn_msgs")
     without_messages = ("--packages-skip", "evpinn_msgs")  # `make test` compiles them, a minute
-    done = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-m", "colcon", "build", "--symlink-install", *without_messages],
         cwd=space, env=os.environ | {"COLCON_HOME": str(space)}, stdin=subprocess.DEVNULL,
         capture_output=True, text=True,
     )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "unknown package" not in done.stderr, done.stderr  # what is left out is there
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert "unknown package" not in ended.stderr, ended.stderr  # what is left out is there
     return space / "install"
 
 

@@ -19,14 +19,14 @@ ROOT = Path(__file__).parents[1]
 
 
 def test_it_is_built_strictly_and_has_every_public_name(tmp_path):
-    done = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
         cwd=ROOT,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0 and "WARNING" not in done.stderr, done.stderr
+    assert ended.returncode == 0 and "WARNING" not in ended.stderr, ended.stderr
     page = (tmp_path / "reference" / "api" / "index.html").read_text()
     anchors = set(re.findall(r'id="evpinn_ros\.api\.(\w+)"', page))
     assert anchors == set(evpinn_ros.__all__) - {"__version__"}

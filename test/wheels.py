@@ -48,10 +48,10 @@ print(count, *(f"{name}:{len(modules)}" for name, modules in sorted(missed.items
 def run(*command: object, cwd: Path | None = None) -> str:
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     words = [str(word) for word in command]
-    done = subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True)
-    if done.returncode:
-        sys.exit(f"{' '.join(words)}\n{done.stdout}{done.stderr}")
-    return done.stdout.strip()
+    ended = subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True)
+    if ended.returncode:
+        sys.exit(f"{' '.join(words)}\n{ended.stdout}{ended.stderr}")
+    return ended.stdout.strip()
 
 
 def build(folder: Path) -> tuple[Path, Path]:

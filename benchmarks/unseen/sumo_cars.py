@@ -174,14 +174,14 @@ def _write_network(folder: Path, corridor: Corridor) -> None:
     (folder / "edges.xml").write_text(f"<edges>{''.join(edges)}</edges>")
     tool = Path(sumo.SUMO_HOME) / "bin" / "netconvert"
     files = ("-n", folder / "nodes.xml", "-e", folder / "edges.xml", "-o", folder / "net.xml")
-    done = subprocess.run(
+    ended = subprocess.run(
         [tool, *files, "--no-internal-links", "true", "--no-turnarounds", "true"],
         capture_output=True,
         text=True,
         check=False,
     )
-    if done.returncode:
-        raise InputError(f"netconvert: {done.stderr.strip()}")
+    if ended.returncode:
+        raise InputError(f"netconvert: {ended.stderr.strip()}")
 
 
 def _write_routes(

@@ -70,8 +70,8 @@ def test_numbers_are_the_commands_to_the_bit(result, tmp_path):
     found = tmp_path / "found.json"
     options = [f"--{name.replace('_', '-')}={value}" for name, value in SPAN.items()]
     words = ["replay", str(URBAN), "--vehicle", CAR, "--metrics", str(found), *options]
-    done = CliRunner().invoke(app, words, catch_exceptions=False)
-    assert done.exit_code == 0, done.output
+    ended = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert ended.exit_code == 0, ended.output
     assert without_timing(result.metrics) == without_timing(json.loads(found.read_text()))
 
 

@@ -190,8 +190,8 @@ def test_a_file_that_cannot_be_read_stops_no_other(tmp_path, monkeypatch):
     assert "bag_1.mcap: Input/output error" in second.problem
     with Reader(tmp_path / "new") as reader:
         assert reader.message_count == 400 == sum(1 for _ in reader.messages())
-    done = CliRunner().invoke(app, ["recover", str(bag), str(tmp_path / "told")])
-    assert done.exit_code == 1 and "1 of 3 files could not be read" in done.output
+    ended = CliRunner().invoke(app, ["recover", str(bag), str(tmp_path / "told")])
+    assert ended.exit_code == 1 and "1 of 3 files could not be read" in ended.output
     with pytest.raises(InputError, match="Input/output error"):
         recover(bag / "bag_1.mcap", tmp_path / "none")
     assert not (tmp_path / "none").exists()

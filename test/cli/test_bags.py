@@ -40,10 +40,10 @@ def assert_fails_in_one_line(done: subprocess.CompletedProcess, *words: str) -> 
 
 
 def test_a_strangers_csv_in_two_commands(evpinn, folder):
-    done = evpinn("convert", "my.csv", "my", "--vehicle", "bmw_i3", cwd=folder)
-    assert done.returncode == 0 and done.stdout.strip() == "my"
+    ended = evpinn("convert", "my.csv", "my", "--vehicle", "bmw_i3", cwd=folder)
+    assert ended.returncode == 0 and ended.stdout.strip() == "my"
     for given in ("km/h, by its name", "negative while it discharges", "not used: Radio"):
-        assert given in done.stderr
+        assert given in ended.stderr
     direct = evpinn("replay", "my.csv", "--vehicle", "bmw_i3", "--metrics", "a.json", cwd=folder)
     bag = evpinn("replay", "my", "--vehicle", "bmw_i3", "--metrics", "b.json", cwd=folder)
     assert direct.returncode == bag.returncode == 0, direct.stderr + bag.stderr
@@ -66,26 +66,26 @@ def test_told_columns_reach_both_commands(evpinn, folder):
 
 
 def test_start_duration_and_loop(evpinn, folder):
-    done = evpinn(
+    ended = evpinn(
         *("replay", "my.csv", "--vehicle", "bmw_i3", "--start", 20, "--duration", 30),
         *("--loop", 2, "--metrics", "part.json", "--warm-up", 5, "--out", "parts"),
         cwd=folder,
     )
-    assert done.returncode == 0, done.stderr
+    assert ended.returncode == 0, ended.stderr
     first, second = json.loads((folder / "part.json").read_text())
     for metrics in (first, second):
         assert metrics["input"]["duration_s"] == pytest.approx(29.9)
     # The second turn knows what the first taught.
     assert second["parameters"]["p_aux"] != first["parameters"]["p_aux"]
     assert sorted(path.name for path in (folder / "parts").iterdir()) == ["001_my", "002_my"]
-    done = evpinn("replay", "my.csv", "--start", 5000, cwd=folder)
-    assert_fails_in_one_line(done, "my.csv", "in that span")
+    ended = evpinn("replay", "my.csv", "--start", 5000, cwd=folder)
+    assert_fails_in_one_line(ended, "my.csv", "in that span")
 
 
 def test_info_of_everything_and_of_one_that_is_bad(evpinn, folder):
-    done = evpinn("info", URBAN, "nowhere", "my.csv", "broken.mcap", "--json", "-", cwd=folder)
-    assert done.returncode == 1 and "nowhere: no such file" in done.stderr
-    bag, table, broken = json.loads(done.stdout)
+    ended = evpinn("info", URBAN, "nowhere", "my.csv", "broken.mcap", "--json", "-", cwd=folder)
+    assert ended.returncode == 1 and "nowhere: no such file" in ended.stderr
+    bag, table, broken = json.loads(ended.stdout)
     assert bag["usable"]["seconds"] == pytest.approx(360, abs=1)
     assert table["columns"][1]["unit"] == "km/h" and table["usable"]["moving_s"] > 20
     assert "damaged" in broken["notes"][0]
@@ -94,10 +94,10 @@ def test_info_of_everything_and_of_one_that_is_bad(evpinn, folder):
 
 
 def test_recover_then_replay(evpinn, folder):
-    done = evpinn("recover", "broken.mcap", "saved", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert "messages saved" in done.stdout and "a chunk, bytes" in done.stdout
-    assert "damaged" in done.stdout and "cut" in done.stdout
+    ended = evpinn("recover", "broken.mcap", "saved", cwd=folder)
+    assert ended.returncode == 0, ended.stderr
+    assert "messages saved" in ended.stdout and "a chunk, bytes" in ended.stdout
+    assert "damaged" in ended.stdout and "cut" in ended.stdout
     with Reader(folder / "saved") as reader:
         count = reader.message_count
         assert sum(1 for _ in reader.messages()) == count > 3500

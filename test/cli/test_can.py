@@ -50,22 +50,24 @@ def folder(tmp_path_factory):
 
 
 def test_a_log_for_people(evpinn, folder):
-    done = evpinn("can", "inspect", "tesla_model_3.log", cwd=folder, columns=80)
-    assert done.returncode == 0, done.stderr
-    assert max(map(len, done.stdout.splitlines())) <= 80
-    assert done.stdout.rstrip().splitlines()[-2:] == [
+    ended = evpinn("can", "inspect", "tesla_model_3.log", cwd=folder, columns=80)
+    assert ended.returncode == 0, ended.stderr
+    assert max(map(len, ended.stdout.splitlines())) <= 80
+    assert ended.stdout.rstrip().splitlines()[-2:] == [
         "Fits: tesla_model_3",
         "Sign of the current: too little driving to judge",
     ]
-    assert "1800 frames of 2 ids in 12.0 s" in done.stdout
-    assert " 132 " in done.stdout and "battery" in done.stdout
-    assert "contradicted" in done.stdout
+    assert "1800 frames of 2 ids in 12.0 s" in ended.stdout
+    assert " 132 " in ended.stdout and "battery" in ended.stdout
+    assert "contradicted" in ended.stdout
 
 
 def test_a_log_for_scripts(evpinn, folder):
-    done = evpinn("can", "inspect", "tesla_model_3.log", "--json", "-", "--seconds", 2, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
+    ended = evpinn(
+        "can", "inspect", "tesla_model_3.log", "--json", "-", "--seconds", 2, cwd=folder
+    )
+    assert ended.returncode == 0, ended.stderr
+    document = json.loads(ended.stdout)
     assert document["best"] == "tesla_model_3" == document["profiles"][0]["profile"]
     assert (
         document["frames"] == 301
@@ -88,20 +90,20 @@ def test_a_profile_of_ones_own_is_ranked(evpinn, folder):
         (folder / f"my_car{suffix}").write_bytes(text)
     own = (folder / "my_car.yaml").read_text().replace("tesla_model_3.dbc", "my_car.dbc")
     (folder / "my_car.yaml").write_text(own)
-    done = evpinn(
+    ended = evpinn(
         *("can", "inspect", "tesla_model_3.log", "--json", "-", "--can-profile", "my_car.yaml"),
         cwd=folder,
     )
-    profiles = json.loads(done.stdout)["profiles"]
+    profiles = json.loads(ended.stdout)["profiles"]
     assert {"my_car", "tesla_model_3"} == {profile["profile"] for profile in profiles[:2]}
 
 
 def test_a_damaged_log_shows_what_it_holds_and_fails(evpinn, folder):
     whole = (folder / "tesla_model_3.log").read_text()
     (folder / "cut.log").write_text(whole[: len(whole) // 2])
-    done = evpinn("can", "inspect", "cut.log", cwd=folder)
-    assert done.returncode == 1
-    assert "Fits: tesla_model_3" in done.stdout and "cut.log: cut off" in done.stderr
+    ended = evpinn("can", "inspect", "cut.log", cwd=folder)
+    assert ended.returncode == 1
+    assert "Fits: tesla_model_3" in ended.stdout and "cut.log: cut off" in ended.stderr
 
 
 def test_a_live_bus(folder, monkeypatch):
@@ -131,9 +133,9 @@ def test_a_live_bus(folder, monkeypatch):
     monkeypatch.setattr(can_command, "time", clock)
     with bus:
         command = ["can", "inspect", *options, *more, "--seconds", "4", "--json", "-"]
-        done = CliRunner().invoke(app, command)
-    assert done.exit_code == 0, done.output
-    document = json.loads(done.stdout)
+        ended = CliRunner().invoke(app, command)
+    assert ended.exit_code == 0, ended.output
+    document = json.loads(ended.stdout)
     assert document["best"] == "tesla_model_3" and document["frames"] == 400
     assert document["source"] == f"udp_multicast {GROUP}"
 
@@ -166,22 +168,22 @@ def test_run_hands_options_to_the_adapter(folder):
 def test_a_wrong_profile_is_refused_by_name(evpinn, folder, command):
     name, *out = command
     arguments = (name, "tesla_model_3_2019.log", *out, "refused", "--can-profile", "tesla_model_3")
-    done = evpinn(*arguments, cwd=folder)
-    assert done.returncode == 1
-    (line,) = done.stderr.strip().splitlines()
+    ended = evpinn(*arguments, cwd=folder)
+    assert ended.returncode == 1
+    (line,) = ended.stderr.strip().splitlines()
     assert "tesla_model_3_2019.log: profile 'tesla_model_3' contradicts the traffic" in line
     assert "'tesla_model_3_2019' fits better; --trust-profile overrules this" in line
     assert not (folder / "refused").exists() or name == "replay"
 
 
 def test_a_wrong_profile_can_be_insisted_on(evpinn, folder):
-    done = evpinn(
+    ended = evpinn(
         *("convert", "tesla_model_3_2019.log", "trusted", "--can-profile", "tesla_model_3"),
         "--trust-profile",
         cwd=folder,
     )
-    assert done.returncode == 0, done.stderr
-    assert "out_of_range" in done.stderr
+    assert ended.returncode == 0, ended.stderr
+    assert "out_of_range" in ended.stderr
 
 
 def test_check_params_checks_the_profile_of_a_vehicle_file_too(evpinn, tmp_path):
@@ -189,5 +191,5 @@ def test_check_params_checks_the_profile_of_a_vehicle_file_too(evpinn, tmp_path)
     assert "can_profile: nissan_leaf" in text
     own = text.replace("can_profile: nissan_leaf", "can_profile: nowhere.yaml")
     (tmp_path / "car.yaml").write_text(own)
-    done = evpinn("check-params", tmp_path / "car.yaml", cwd=CONFIG)
-    assert done.returncode == 1 and f"{tmp_path / 'nowhere.yaml'}: No such file" in done.stderr
+    ended = evpinn("check-params", tmp_path / "car.yaml", cwd=CONFIG)
+    assert ended.returncode == 1 and f"{tmp_path / 'nowhere.yaml'}: No such file" in ended.stderr

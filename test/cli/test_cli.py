@@ -25,10 +25,10 @@ METRIC_KEYS = {
 def folder(evpinn, tmp_path_factory) -> Path:
     """A simulated drive of 45 s as bag and as CAN log, and the same drive without a battery."""
     folder = tmp_path_factory.mktemp("cli")
-    done = evpinn(
+    ended = evpinn(
         *("simulate", "drive", "--duration", 45, "--seed", 5, "--can-log", "drive.log"), cwd=folder
     )
-    assert done.returncode == 0, done.stderr
+    assert ended.returncode == 0, ended.stderr
     (folder / "speed.csv").write_text(
         "t_s,speed_mps,power_w\n" + "".join(f"{0.1 * i:.1f},{0.05 * i:.2f},\n" for i in range(100))
     )
@@ -50,12 +50,12 @@ def test_without_ros_the_commands_that_need_it_fail_in_one_line(tmp_path, comman
     script = (
         "import sys; sys.modules['rclpy'] = None; from evpinn_ros.cli.main import main; main()"
     )
-    done = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-c", script, *command],
         cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True, text=True, timeout=60,
     )  # fmt: skip
-    assert_fails_in_one_line(done, "rclpy is not installed", "evpinn_ros[ros]")
+    assert_fails_in_one_line(ended, "rclpy is not installed", "evpinn_ros[ros]")
     assert not list(tmp_path.iterdir())
 
 
@@ -65,17 +65,17 @@ def test_wrong_usage_is_exit_code_2(evpinn, tmp_path):
 
 
 def test_replay_metrics_keep_the_contract(evpinn, folder):
-    done = evpinn(
+    ended = evpinn(
         *("replay", "drive", "--vehicle", "tesla_model_3_lr", "--metrics", "found.json"),
         *("--warm-up", 10, "--withhold-battery-after", 30, "--out", "learned"),
         *("--report", "report.html", "--units", "us", "--state", "state.json"),
         cwd=folder,
     )
-    assert done.returncode == 0, done.stderr
+    assert ended.returncode == 0, ended.stderr
     # No progress bar in a pipe; a slip of the pen in its name is answered with the right one.
     anew = "evpinn: state.json does not exist yet: the car starts from its vehicle file\n"
-    assert done.stderr == anew
-    assert "true value" in done.stdout and "baseline" in done.stdout
+    assert ended.stderr == anew
+    assert "true value" in ended.stdout and "baseline" in ended.stdout
     metrics = json.loads((folder / "found.json").read_text())
     for section, keys in METRIC_KEYS.items():
         assert set(metrics[section]) == keys
@@ -106,20 +106,20 @@ def test_state_is_taken_up_and_another_car_refuses_it(evpinn, folder):
 
 def test_results_before_a_bad_input_are_kept(evpinn, folder):
     (folder / "wrong.csv").write_text("t_s,speed_mps,power_w\n0,,700\n")
-    done = evpinn("replay", "drive", "wrong.csv", "--metrics", "kept_metrics.json", cwd=folder)
-    assert_fails_in_one_line(done, "wrong.csv")
+    ended = evpinn("replay", "drive", "wrong.csv", "--metrics", "kept_metrics.json", cwd=folder)
+    assert_fails_in_one_line(ended, "wrong.csv")
     (kept,) = json.loads((folder / "kept_metrics.json").read_text())
     assert kept["input"]["path"] == "drive"
 
 
 def test_one_output_that_cannot_be_written_does_not_cost_the_others(evpinn, folder):
     (folder / "a_file").write_text("")
-    done = evpinn(
+    ended = evpinn(
         *("replay", "speed.csv", "--metrics", "a_file/m.json", "--state", "saved.json"), cwd=folder
     )
-    assert done.returncode == 1
-    assert "Traceback" not in done.stderr
-    assert "a_file/m.json" in done.stderr.strip().splitlines()[-1]
+    assert ended.returncode == 1
+    assert "Traceback" not in ended.stderr
+    assert "a_file/m.json" in ended.stderr.strip().splitlines()[-1]
     assert (folder / "saved.json").is_file()
 
 
@@ -127,8 +127,8 @@ def test_a_state_into_which_another_process_learns_is_refused(evpinn, folder):
     path = folder / "busy.json"
     path.write_text("of the other")
     with StateClaim(path):
-        done = evpinn("replay", "speed.csv", "--state", "busy.json", cwd=folder)
-        assert_fails_in_one_line(done, "busy.json: another evpinn learns into this file")
+        ended = evpinn("replay", "speed.csv", "--state", "busy.json", cwd=folder)
+        assert_fails_in_one_line(ended, "busy.json: another evpinn learns into this file")
     assert path.read_text() == "of the other"
 
 
@@ -150,9 +150,9 @@ def test_the_state_is_written_before_all_that_can_be_made_again(folder):
 
 def test_output_is_never_overwritten(evpinn, folder):
     evpinn("replay", "speed.csv", "--out", "once", cwd=folder)
-    done = evpinn("replay", "speed.csv", "--out", "once", cwd=folder)
-    assert done.returncode == 1
-    assert "once" in done.stderr.strip().splitlines()[-1]
+    ended = evpinn("replay", "speed.csv", "--out", "once", cwd=folder)
+    assert ended.returncode == 1
+    assert "once" in ended.stderr.strip().splitlines()[-1]
 
 
 def test_check_params_knows_the_three_kinds(evpinn, tmp_path):
@@ -162,8 +162,8 @@ def test_check_params_knows_the_three_kinds(evpinn, tmp_path):
         (ROOT / "config" / "can" / "nissan_leaf.yaml", "CAN profile"),
         (ROOT / "config" / "can" / "bmw_i3.yaml", "CAN profile"),
     ):
-        done = evpinn("check-params", path, cwd=tmp_path)
-        assert (done.returncode, kind in done.stdout) == (0, True), done.stderr
+        ended = evpinn("check-params", path, cwd=tmp_path)
+        assert (ended.returncode, kind in ended.stdout) == (0, True), ended.stderr
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("/**/estimator:\n  ros__parameters:\n    smoothing_lag: .nan\n")
     assert_fails_in_one_line(evpinn("check-params", wrong, cwd=tmp_path), "wrong.yaml:3", "lag")
@@ -171,16 +171,16 @@ def test_check_params_knows_the_three_kinds(evpinn, tmp_path):
 
 def test_parameter_file_reaches_the_cores(evpinn, folder):
     (folder / "paper.yaml").write_text("/**/estimator:\n  ros__parameters:\n    mode: paper\n")
-    done = evpinn(
+    ended = evpinn(
         "replay", "speed.csv", "--params", "paper.yaml", "--metrics", "p.json", cwd=folder
     )
-    assert done.returncode == 0, done.stderr
+    assert ended.returncode == 0, ended.stderr
     assert json.loads((folder / "p.json").read_text())["mode"] == "paper"
 
 
 def test_vehicles_are_listed_found_and_shown(evpinn, folder):
-    done = evpinn("vehicles", "search", "model", "3", "--json", "-", cwd=folder)
-    by_name = {line["vehicle"]: line for line in json.loads(done.stdout)}
+    ended = evpinn("vehicles", "search", "model", "3", "--json", "-", cwd=folder)
+    by_name = {line["vehicle"]: line for line in json.loads(ended.stdout)}
     assert by_name["tesla_model_3_lr"]["from"] == "file"
     assert by_name["tesla_model_3_rwd_2022"]["from"] == "certified"
     assert by_name["tesla_model_3_rwd_2022"]["mass_kg"] == 1928
@@ -205,7 +205,7 @@ def test_several_inputs_give_a_list_and_a_folder_though_they_are_one_drive(evpin
         (tmp_path / f"{name}.csv").write_text(
             "time,speed_mps,voltage_v,current_a\n" + "".join(lines)
         )
-    done = evpinn("replay", "a.csv", "b.csv", "--metrics", "m.json", "--out", "o", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    ended = evpinn("replay", "a.csv", "b.csv", "--metrics", "m.json", "--out", "o", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
     assert len(json.loads((tmp_path / "m.json").read_text())) == 1
     assert [path.name for path in (tmp_path / "o").iterdir()] == ["001_a"]

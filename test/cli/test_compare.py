@@ -41,10 +41,10 @@ def test_the_same_for_scripts(compared, drives):
 
 
 def test_several_drives_of_a_replay_are_one_table(evpinn, drives):
-    done = evpinn("replay", "mild", "cold", *CAR, "--warm-up", 30, cwd=drives)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("Parameters of the car") == 1
-    assert "Where the energy went" not in done.stdout
-    rows = [line.split() for line in done.stdout.splitlines()]
+    ended = evpinn("replay", "mild", "cold", *CAR, "--warm-up", 30, cwd=drives)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.count("Parameters of the car") == 1
+    assert "Where the energy went" not in ended.stdout
+    rows = [line.split() for line in ended.stdout.splitlines()]
     mild, cold = (next(row for row in rows if row[:1] == [name]) for name in ("mild", "cold"))
     assert float(cold[2]) > float(mild[2])  # kWh/100 km

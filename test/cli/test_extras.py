@@ -37,8 +37,8 @@ def run_without_extras(folder: Path, *commands: tuple[str, ...]) -> list[tuple[i
     """Exit code and stderr of each command, in a Python that lacks all optional packages."""
     (folder / "drive.csv").write_text("t_s,speed_mps,power_w\n0,0,500\n1,1,900\n2,2,1500\n")
     words = [sys.executable, "-c", COMMANDS, json.dumps(commands)]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    ended = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
     return [(code, said) for code, said in json.loads((folder / "results.json").read_text())]
 
 
@@ -90,8 +90,8 @@ def test_from_python_too_a_missing_extra_is_named(tmp_path):
         "import evpinn_ros as ev; ev.replay"
     )
     words = [sys.executable, "-c", code]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.stderr.endswith("pandas is not installed: pip install 'evpinn_ros[tables]'\n")
+    ended = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.stderr.endswith("pandas is not installed: pip install 'evpinn_ros[tables]'\n")
 
 
 def test_a_missing_package_of_no_extra_is_no_wrong_input():

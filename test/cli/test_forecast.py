@@ -33,9 +33,9 @@ def folder(tmp_path_factory):
 
 def test_the_command_is_the_call_to_the_bit(evpinn, folder):
     given = ("--vehicle", CAR, "--state", "car.json", "--charge", 80)
-    done = evpinn("forecast", "slow.csv", "fast.csv", *given, "--json", "f.json", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert "as learned in car.json" in done.stdout
+    ended = evpinn("forecast", "slow.csv", "fast.csv", *given, "--json", "f.json", cwd=folder)
+    assert ended.returncode == 0, ended.stderr
+    assert "as learned in car.json" in ended.stdout
     car = ev.Estimator(CAR, state=folder / "car.json")
     document = json.loads((folder / "f.json").read_text())
     for row in document:
@@ -55,11 +55,11 @@ def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
     (folder / "route.json").write_text(json.dumps(samples.graphhopper(["time"])))
     plans = ("slow.csv", "legs.csv", "track.gpx", "route.json", URBAN)
     given = ("--temperature", -10, "--head-wind", 5, "--charge", 60)
-    done = evpinn("forecast", *plans, "--vehicle", CAR, *given, "--json", "f.json", cwd=folder)
-    assert done.returncode == 0 and done.stderr == "", done.stderr
+    ended = evpinn("forecast", *plans, "--vehicle", CAR, *given, "--json", "f.json", cwd=folder)
+    assert ended.returncode == 0 and ended.stderr == "", ended.stderr
     document = json.loads((folder / "f.json").read_text())
     assert [round(row["distance_m"] / 100) for row in document] == [80, 162, 9, 80, 26]
-    level = [line for line in done.stdout.splitlines() if ": no heights" in line]
+    level = [line for line in ended.stdout.splitlines() if ": no heights" in line]
     named = {name for line in level for name in line.partition(":")[0].split(", ")}
     names = [str(plan).rpartition("/")[2].partition(".")[0] for plan in plans]
     rows = zip(names, document, strict=True)
@@ -73,12 +73,12 @@ def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
 
 
 def test_a_battery_that_does_not_last_is_told_with_its_place(evpinn, folder):
-    done = evpinn("forecast", "slow.csv", "--vehicle", CAR, "--charge", 1, cwd=folder)
+    ended = evpinn("forecast", "slow.csv", "--vehicle", CAR, "--charge", 1, cwd=folder)
     along = ev.forecast(folder / "slow.csv", CAR, charge_pct=1.0)
     place = np.interp(0.0, -along["charge_pct"], along["distance_m"]) / 1e3
-    assert 1.0 < place < 7.0 and f"empty at {place:.1f} km" in done.stdout
-    assert "by its vehicle file alone" in done.stdout
-    assert "Battery: 75.0 +- 15.0 kWh when full, by its vehicle file." in done.stdout
+    assert 1.0 < place < 7.0 and f"empty at {place:.1f} km" in ended.stdout
+    assert "by its vehicle file alone" in ended.stdout
+    assert "Battery: 75.0 +- 15.0 kWh when full, by its vehicle file." in ended.stdout
     assert "--charge PERCENT" in evpinn("forecast", "slow.csv", cwd=folder).stderr
 
 
@@ -89,15 +89,15 @@ def test_the_battery_is_that_of_the_state_once_drives_have_shown_it(evpinn, tmp_
     car.save(tmp_path / "car.json")
     (tmp_path / "slow.csv").write_text(SLOW)
     given = ("--vehicle", CAR, "--state", "car.json", "--charge", 80)
-    done = evpinn("forecast", "slow.csv", *given, cwd=tmp_path)
+    ended = evpinn("forecast", "slow.csv", *given, cwd=tmp_path)
     held = car.account.gauge.capacity.value / 3.6e6  # 40 kWh, and some of the file's 75
     assert held < 50.0
     same = evpinn("forecast", "slow.csv", *given[2:], cwd=tmp_path)
-    assert same.stdout == done.stdout  # whose car it is says the state
+    assert same.stdout == ended.stdout  # whose car it is says the state
     assert evpinn(
         "forecast", "slow.csv", "--vehicle", "bmw_i3", *given[2:], cwd=tmp_path
     ).returncode
-    assert f"Battery: {held:.1f} +- " in done.stdout and "as its drives showed" in done.stdout
+    assert f"Battery: {held:.1f} +- " in ended.stdout and "as its drives showed" in ended.stdout
     unknown = evpinn("forecast", "slow.csv", "--vehicle", "generic", "--charge", 80, cwd=tmp_path)
     assert "the capacity of the battery" in unknown.stdout
 
@@ -109,8 +109,8 @@ def test_a_drive_is_read_as_the_options_say(evpinn, folder):
     refused = evpinn("forecast", "cars.csv", cwd=folder)
     assert refused.returncode == 1 and "2 cars" in refused.stderr
     options = ("--car", "b", "--column", "speed=v [km/h]:m/s")
-    done = evpinn("forecast", "cars.csv", *options, "--json", "f.json", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    ended = evpinn("forecast", "cars.csv", *options, "--json", "f.json", cwd=folder)
+    assert ended.returncode == 0, ended.stderr
     (row,) = json.loads((folder / "f.json").read_text())
     assert row["distance_m"] == pytest.approx(0.1 * 90**2 / 2, rel=1e-3)
 
@@ -120,13 +120,13 @@ def test_units_of_the_us_leave_nothing_metric_and_change_no_number(evpinn, folde
     rows = {}
     for system in ("metric", "us"):
         files = ("--report", f"{system}.html", "--json", f"{system}.json", "--units", system)
-        done = evpinn("forecast", *given, *files, cwd=folder)
-        assert done.returncode == 0, done.stderr
+        ended = evpinn("forecast", *given, *files, cwd=folder)
+        assert ended.returncode == 0, ended.stderr
         rows[system] = json.loads((folder / f"{system}.json").read_text())
     page = (folder / "us.html").read_text()
-    seen = re.sub(r"<style>.*?</style>", "", done.stdout + page, flags=re.DOTALL)
+    seen = re.sub(r"<style>.*?</style>", "", ended.stdout + page, flags=re.DOTALL)
     assert not re.search(r"\bkm\b|km/h|°C|, m\b", seen)
-    assert "mi/kWh" in done.stdout and "68 °F" in done.stdout and "mph slower" in page
+    assert "mi/kWh" in ended.stdout and "68 °F" in ended.stdout and "mph slower" in page
     assert rows["us"] == rows["metric"]
     miles = rows["us"][0]["distance_m"] / 1609.344
-    assert f" {miles:.2f} " in done.stdout and f"{miles:.1f} mi in" in page
+    assert f" {miles:.2f} " in ended.stdout and f"{miles:.1f} mi in" in page

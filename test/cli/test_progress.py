@@ -42,5 +42,5 @@ def test_a_pipe_has_a_line_every_ten_seconds_and_none_before(written, monkeypatc
 def test_a_name_that_is_nearly_right_is_named(evpinn, tmp_path, arguments, text):
     (tmp_path / "x.csv").write_text("time,Speed,volts,amps\n0,1,350,10\n1,2,350,11\n")
     (tmp_path / "mine.yaml").write_text("estimator:\n  ros__parameters:\n    state_fil: x\n")
-    done = evpinn(*arguments, cwd=tmp_path)
-    assert done.returncode in (1, 2) and text in done.stderr
+    ended = evpinn(*arguments, cwd=tmp_path)
+    assert ended.returncode in (1, 2) and text in ended.stderr

@@ -31,15 +31,15 @@ def evpinn(tmp_path_factory) -> Path:
 
 
 def bash(script: str, evpinn: Path, home: Path) -> str:
-    done = subprocess.run(
+    ended = subprocess.run(
         ["bash", "--noprofile", "--norc", "-c", script],
         env=ENVIRONMENT | {"PATH": f"{evpinn.parent}:{os.environ['PATH']}", "HOME": str(home)},
         capture_output=True,
         text=True,
         timeout=150,
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
 
 
 def test_completion_is_installed_and_completes_in_a_real_bash(evpinn, tmp_path):
@@ -70,11 +70,11 @@ def test_names_of_commands_complete_without_importing_them():
         "try:\n    main()\nfinally:\n    assert 'torch' not in sys.modules"
     )
     asked = {"_EVPINN_COMPLETE": "complete_bash", "COMP_WORDS": "evpinn ", "COMP_CWORD": "1"}
-    done = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-c", code], env=ENVIRONMENT | asked, capture_output=True, text=True
     )
-    assert "AssertionError" not in done.stderr
-    assert {"replay", "run", "check-params"} <= set(done.stdout.split())
+    assert "AssertionError" not in ended.stderr
+    assert {"replay", "run", "check-params"} <= set(ended.stdout.split())
 
 
 def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess:
@@ -154,12 +154,12 @@ def assert_stopped(done: subprocess.CompletedProcess, code: int = INTERRUPTED) -
 
 def test_ctrl_c_leaves_what_was_replayed(drive, tmp_path):
     out = tmp_path / "out"
-    done = interrupted(
+    ended = interrupted(
         *("replay", drive, "--out", out, "--metrics", "m.json", "--state", "s.json"),
         cwd=tmp_path,
         once=lambda: has_data(out),
     )
-    assert_stopped(done)
+    assert_stopped(ended)
     metrics = json.loads((tmp_path / "m.json").read_text())
     assert 10 < metrics["input"]["duration_s"] < 7000
     assert json.loads((tmp_path / "s.json").read_text())["learned"]["vehicle"] == "generic"
@@ -167,10 +167,10 @@ def test_ctrl_c_leaves_what_was_replayed(drive, tmp_path):
 
 
 def test_ctrl_c_leaves_what_was_converted(drive, tmp_path):
-    done = interrupted(
+    ended = interrupted(
         "convert", drive, "out", cwd=tmp_path, once=lambda: has_data(tmp_path / "out")
     )
-    assert_stopped(done)
+    assert_stopped(ended)
     assert 1000 < read_bag(tmp_path / "out") < 4 * 72_000 - 1000
 
 
@@ -181,8 +181,10 @@ def test_a_demo_is_stopped_with_its_nodes(number, tmp_path):
         signal.SIGINT: lambda: (tmp_path / "bag").exists(),  # the nodes start
         signal.SIGTERM: lambda: any(path.stat().st_size > 0 for path in tmp_path.rglob("*.mcap")),
     }
-    done = interrupted("demo", "--out", tmp_path, cwd=tmp_path, once=begins[number], number=number)
-    assert_stopped(done, 128 + number)
+    ended = interrupted(
+        "demo", "--out", tmp_path, cwd=tmp_path, once=begins[number], number=number
+    )
+    assert_stopped(ended, 128 + number)
 
 
 def test_a_full_disk_is_one_line(on_a_full_disk, short, tmp_path):
@@ -191,9 +193,9 @@ def test_a_full_disk_is_one_line(on_a_full_disk, short, tmp_path):
         (("replay", short, "--out", "full_2"), "the bag is cut there"),
         (("convert", short, "full_3"), "the bag is cut there"),
     ):
-        done = on_a_full_disk(8, *arguments, *VEHICLE, cwd=tmp_path)
-        assert done.returncode == 1
-        (line,) = done.stderr.strip().splitlines()
+        ended = on_a_full_disk(8, *arguments, *VEHICLE, cwd=tmp_path)
+        assert ended.returncode == 1
+        (line,) = ended.stderr.strip().splitlines()
         assert re.search(rf"full_\d: File too large; {left}", line)
     no_room = run("replay", short, *VEHICLE, "--metrics", "/dev/full", cwd=tmp_path)
     assert no_room.returncode == 1

@@ -49,11 +49,11 @@ def assert_harmless(text: bytes) -> None:
 
 
 def test_foreign_names_are_shown_as_they_are(hostile):
-    done = process("info", hostile)
-    assert done.returncode == 0, done.stderr
-    assert MARKUP in done.stdout.decode()
-    assert_harmless(done.stdout)
-    assert_harmless(done.stderr)
+    ended = process("info", hostile)
+    assert ended.returncode == 0, ended.stderr
+    assert MARKUP in ended.stdout.decode()
+    assert_harmless(ended.stdout)
+    assert_harmless(ended.stderr)
 
 
 def test_foreign_names_in_errors_and_recovery(evpinn, hostile, tmp_path):
@@ -66,9 +66,9 @@ def test_foreign_names_in_errors_and_recovery(evpinn, hostile, tmp_path):
         ("can", "inspect", hostile),
         ("convert", hostile, tmp_path / f"{ESCAPES}out", "--vehicle", "nissan_leaf"),
     ):
-        done = evpinn(*arguments, cwd=tmp_path)
-        assert "Traceback" not in done.stderr, arguments
-        assert_harmless((done.stdout + done.stderr).encode())
+        ended = evpinn(*arguments, cwd=tmp_path)
+        assert "Traceback" not in ended.stderr, arguments
+        assert_harmless((ended.stdout + ended.stderr).encode())
 
 
 def test_json_of_monstrous_numbers_has_nulls(tmp_path, capsys):
@@ -78,8 +78,8 @@ def test_json_of_monstrous_numbers_has_nulls(tmp_path, capsys):
         rows = csv.writer(file)
         rows.writerow(("t_s", "speed_mps", "voltage_v", "current_a"))
         rows.writerows((second, 1e308, 1e308, 1e308) for second in range(100))
-    done = process("info", "--json", "-", tmp_path / "huge.csv")
-    assert b"Traceback" not in done.stderr and isinstance(json.loads(done.stdout), list)
+    ended = process("info", "--json", "-", tmp_path / "huge.csv")
+    assert b"Traceback" not in ended.stderr and isinstance(json.loads(ended.stdout), list)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has this device alone")
@@ -87,23 +87,23 @@ def test_json_of_monstrous_numbers_has_nulls(tmp_path, capsys):
 def test_a_full_device_is_said_in_one_line(arguments):
     bag = () if "--help" in arguments else (ROOT / "bags" / "urban",)
     with Path("/dev/full").open("wb") as full:
-        done = process(*arguments, *bag, out=full)
-    assert done.returncode == 1
-    *tables, error = done.stderr.decode().splitlines()
+        ended = process(*arguments, *bag, out=full)
+    assert ended.returncode == 1
+    *tables, error = ended.stderr.decode().splitlines()
     assert error == "evpinn: the output: No space left on device"
     assert "--json" in arguments or not tables
 
 
 def test_a_terminal_without_all_letters_gets_those_that_it_has(hostile):
-    done = process("info", hostile, PYTHONIOENCODING="ascii", LC_ALL="C")
-    assert done.returncode == 0 and b"Traceback" not in done.stderr
+    ended = process("info", hostile, PYTHONIOENCODING="ascii", LC_ALL="C")
+    assert ended.returncode == 0 and b"Traceback" not in ended.stderr
 
 
 def test_a_name_that_is_no_text_is_shown(tmp_path):
     path = os.fsencode(tmp_path) + b"/\xff\xfe.csv"
     Path(os.fsdecode(path)).write_text("a,b\n1,2\n")
-    done = process("info", os.fsdecode(path))
-    assert done.returncode == 1 and b"Traceback" not in done.stderr
+    ended = process("info", os.fsdecode(path))
+    assert ended.returncode == 1 and b"Traceback" not in ended.stderr
 
 
 @pytest.mark.parametrize("number", ["1" + ":01" * 30_000, "!!int 1:30", "!!float 1:30.5"])
@@ -111,6 +111,6 @@ def test_numbers_of_base_60_are_none(evpinn, tmp_path, number):
     (tmp_path / "mine.yaml").write_text(
         f"estimator:\n  ros__parameters:\n    update_period: {number}\n"
     )
-    done = evpinn("check-params", "mine.yaml", cwd=tmp_path)
-    assert done.returncode == 1 and "Traceback" not in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    ended = evpinn("check-params", "mine.yaml", cwd=tmp_path)
+    assert ended.returncode == 1 and "Traceback" not in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1

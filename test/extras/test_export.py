@@ -34,9 +34,9 @@ def begun(tmp_path_factory):
 @pytest.mark.nightly
 def test_the_learned_robot_for_a_fleet_adapter(evpinn, folder):
     given = ("--capacity", 25, "--charging-current", 5, "--radius", 0.4, "--tool", 12.5)
-    done = evpinn("export", "rmf", "robot.json", *given, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    fleet = yaml.safe_load(done.stdout)["rmf_fleet"]
+    ended = evpinn("export", "rmf", "robot.json", *given, cwd=folder)
+    assert ended.returncode == 0, ended.stderr
+    fleet = yaml.safe_load(ended.stdout)["rmf_fleet"]
     assert {name: set(of) for name, of in fleet.items()} == KEYS
     values = [value for of in fleet.values() for value in of.values()]
     assert all(isinstance(value, float) and value > 0.0 for value in values)
@@ -51,7 +51,7 @@ def test_the_learned_robot_for_a_fleet_adapter(evpinn, folder):
 
 
 def test_what_is_not_known_of_the_battery_is_asked_for(evpinn, begun):
-    done = evpinn("export", "rmf", "robot.json", cwd=begun)
-    assert (done.returncode, done.stdout) == (1, "")
+    ended = evpinn("export", "rmf", "robot.json", cwd=begun)
+    assert (ended.returncode, ended.stdout) == (1, "")
     asked = "the capacity of the battery of mobile_robot is not known: give --capacity"
-    assert asked in done.stderr
+    assert asked in ended.stderr

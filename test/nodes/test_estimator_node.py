@@ -66,12 +66,12 @@ def test_the_breakdown_is_told_live_and_adds_up(bench):
     bench.listen(topics.ENERGY_BREAKDOWN)
     drive(bench, node, 0, 35, rate=4)  # three intervals
     bench.settle()
-    found = read_named_vector(bench.heard[topics.ENERGY_BREAKDOWN][-1])
-    parts = dict(found.values)
+    vector = read_named_vector(bench.heard[topics.ENERGY_BREAKDOWN][-1])
+    parts = dict(vector.values)
     measured, _ = parts.pop("measured"), parts.pop("regained")
     assert sum(parts.values()) == pytest.approx(measured)
     assert measured == pytest.approx(350.0 * 30.0 * 30.0, rel=0.3)
-    assert all(sigma >= 0.0 for sigma in found.sigmas.values())
+    assert all(sigma >= 0.0 for sigma in vector.sigmas.values())
 
 
 def test_enable_pauses_learning_alone(bench):

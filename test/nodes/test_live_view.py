@@ -149,11 +149,11 @@ view.watch(plain=True)
 
 def test_a_view_that_is_ended_while_it_begins_ends_quietly():
     path = os.pathsep.join((str(ROOT), str(ROOT / "test")))
-    done = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-c", ENDED_AT_ITS_START],
         env={**os.environ, "PYTHONPATH": path}, capture_output=True, timeout=HANG_S,
     )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert (ended.returncode, ended.stderr) == (0, b"")
 
 
 def test_watch_in_a_pipe_gives_a_line_a_second_until_stopped(bench, urban):

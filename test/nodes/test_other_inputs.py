@@ -120,11 +120,11 @@ def powers(folder, *options):
     """What `evpinn replay` of the bag predicts."""
     out = folder / f"out{len(options)}"
     words = ("replay", folder / "drive", "--vehicle", VEHICLE, "--out", out, *options)
-    done = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-m", "evpinn_ros", *map(str, words)], capture_output=True, text=True
     )
-    assert done.returncode == 0, done.stderr
-    assert ("frame 'camera_imu' is not base_link" in done.stdout) == (not options)
+    assert ended.returncode == 0, ended.stderr
+    assert ("frame 'camera_imu' is not base_link" in ended.stdout) == (not options)
     with BagReader(out) as bag:
         found = bag.records(["/ev/power/predicted"])
         return [read_named_vector(record.message).values["power"] for record in found]

@@ -109,10 +109,12 @@ def test_a_node_that_cannot_start_says_why_and_fails():
         ("can_bridge", "-p", "vehicle:=generic"): "names no CAN profile",
     }
     code = REFUSED.format(commands=[*reasons])
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert "Traceback" not in done.stderr
-    said = done.stderr.split("code 1\n")
-    assert len(said) == len(reasons) + 1, done.stderr
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60
+    )
+    assert "Traceback" not in ended.stderr
+    said = ended.stderr.split("code 1\n")
+    assert len(said) == len(reasons) + 1, ended.stderr
     for reason, lines in zip(reasons.values(), said, strict=False):
         assert reason in lines.splitlines()[-1], lines
 

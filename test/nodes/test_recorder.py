@@ -39,9 +39,9 @@ def test_a_full_disk_ends_the_recording_alone(tmp_path):
     # The limit of a file's size fails as a full disk does, in a write of the system's.
     folder = tmp_path / "bag"
     command = [sys.executable, "-c", FULL_DISK, str(folder)]
-    done = subprocess.run(
+    ended = subprocess.run(
         command, cwd=share_directory(), capture_output=True, text=True, timeout=HANG_S
     )
-    assert done.stdout == f"0 recording ended: {folder}: File too large\n", done.stderr
-    assert done.stderr.count("recording ended") == 1
+    assert ended.stdout == f"0 recording ended: {folder}: File too large\n", ended.stderr
+    assert ended.stderr.count("recording ended") == 1
     assert len(list(open_can_log(next(folder.glob("*.mcap"))).frames())) >= 500

@@ -27,13 +27,13 @@ def test_systemd_finds_nothing_wrong_with_the_units(tmp_path):
         shutil.copy(unit, tmp_path)
     (tmp_path / "evpinn-can@.service").rename(tmp_path / "evpinn-can@can0.service")
     for unit in ("evpinn.service", "evpinn-can@can0.service"):
-        done = subprocess.run(
+        ended = subprocess.run(
             ["systemd-analyze", "verify", "--man=no", str(tmp_path / unit)],
             env={**os.environ, "SYSTEMD_UNIT_PATH": f"{tmp_path}:"},
             capture_output=True,
             text=True,
         )
-        assert done.returncode == 0 and "evpinn" not in done.stderr, done.stderr
+        assert ended.returncode == 0 and "evpinn" not in ended.stderr, ended.stderr
 
 
 @pytest.fixture
@@ -113,11 +113,11 @@ def test_ip_understands_what_brings_the_interface_up(tmp_path):
 
     def said(line):
         make = next(f"ip link add can9 type {kind} && " for kind in KINDS if can_be_made(kind))
-        done = subprocess.run(
+        ended = subprocess.run(
             [*IN_A_NETWORK_OF_ITS_OWN, f"{make} {shlex.join([name, code, line])}"],
             env=os.environ | default, capture_output=True, text=True,
         )  # fmt: skip
-        return done.stderr
+        return ended.stderr
 
     if not any(map(can_be_made, KINDS)):
         pytest.skip("no network namespace with an interface can be made here")
@@ -137,10 +137,10 @@ def can_be_made(kind):
 @pytest.mark.skipif(not shutil.which("udevadm"), reason="no `udevadm` (udev) here")
 def test_udev_finds_nothing_wrong_with_the_rule():
     rule = UNITS / "90-evpinn-can.rules"
-    done = subprocess.run(["udevadm", "verify", str(rule)], capture_output=True, text=True)
-    if "Unknown command" in done.stderr:
+    ended = subprocess.run(["udevadm", "verify", str(rule)], capture_output=True, text=True)
+    if "Unknown command" in ended.stderr:
         pytest.skip("this udevadm cannot verify; systemd 254 can")
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
 def test_launch_files_load_without_what_the_nodes_need(loads_without):

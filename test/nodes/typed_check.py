@@ -72,15 +72,15 @@ def service(bench, node):
     known = named_vector(new_message, NANOSECONDS, ["payload"], [80.0])
     bench.deliver(node, topics.CONDITIONS, known)
     asked = [plan("slow", 10.0), plan("back", 10.0, (0.0, 9.0, 1.0)), plan("fast", 20.0)]
-    found = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=asked)
-    slow, back, fast = found.results
-    assert [result.name for result in found.results] == ["slow", "back", "fast"]
+    answer = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=asked)
+    slow, back, fast = answer.results
+    assert [result.name for result in answer.results] == ["slow", "back", "fast"]
     assert not slow.refusal and not fast.refusal and "time" in back.refusal
     assert math.isnan(back.energy) and all(map(math.isnan, back.more))
     assert math.isclose(fast.more[0], fast.energy - slow.energy, rel_tol=1e-9)
     assert slow.more[2] == -fast.more[0] and slow.more[0] == 0.0 and math.isnan(slow.more[1])
     assert 0 < fast.more_sigma[0] < math.hypot(slow.energy_sigma, fast.energy_sigma)
-    assert found.basis == "estimate/model" and found.conditions == ["payload"]
+    assert answer.basis == "estimate/model" and answer.conditions == ["payload"]
 
 
 def conditions(bench, node):
@@ -242,13 +242,13 @@ def refusals(bench, node):
     name, call = "/ev/energy/estimate_plan", EstimatePlan
     plans = batch(1, MAX_POINTS).plans * 3
     node.active = False
-    found = bench.call(call, name, plans=plans[:2])
-    assert [result.refusal for result in found.results] == [NOT_ACTIVE] * 2
-    assert all(math.isnan(result.energy) and len(result.more) == 2 for result in found.results)
+    answer = bench.call(call, name, plans=plans[:2])
+    assert [result.refusal for result in answer.results] == [NOT_ACTIVE] * 2
+    assert all(math.isnan(result.energy) and len(result.more) == 2 for result in answer.results)
     node.active = True
     with mock.patch.object(energy, "SERVICE", SERVICE._replace(points=2 * MAX_POINTS)):
-        found = bench.call(call, name, plans=plans)
-    *answered, beyond = found.results
+        answer = bench.call(call, name, plans=plans)
+    *answered, beyond = answer.results
     assert "points" in beyond.refusal and not any(each.refusal for each in answered)
     said = bench.diagnosis(node)
     assert said["plan"][0].name == "OK" and int(said["plan"][2]["refused"]) >= 2
@@ -289,15 +289,15 @@ def test_calls_are_answered_though_nothing_else_wakes_the_node(bench):
     command = [sys.executable, "-c", bare, *processes.node("energy")[3:]]
     plans = batch(20, 2_000).plans
     with processes.started(*command) as process:
-        found = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=plans)
-        assert not any(result.refusal for result in found.results)
+        answer = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=plans)
+        assert not any(result.refusal for result in answer.results)
         client = ActionClient(bench.node, EstimatePlans, "/ev/energy/estimate_plans")
         bench.pump(client.server_is_ready)
         goal = client.send_goal_async(EstimatePlans.Goal(plans=plans))
         bench.pump(goal.done)
         result = goal.result().get_result_async()
         bench.pump(result.done)
-        assert [r.name for r in result.result().result.results] == [r.name for r in found.results]
+        assert [r.name for r in result.result().result.results] == [r.name for r in answer.results]
         assert not any(each.refusal for each in result.result().result.results)
         client.destroy()
         processes.stopped(process)

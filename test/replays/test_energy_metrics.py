@@ -27,13 +27,13 @@ def summary(remaining: Remaining | None) -> AccountSummary:
 
 
 def test_energy_is_kwh_consumption_kwh_per_100_km_and_range_km() -> None:
-    found = account_metrics(summary(Remaining(300_000.0, 1.0, 250_000.0, 350_000.0)))
-    assert found["energy"] == {
+    metrics = account_metrics(summary(Remaining(300_000.0, 1.0, 250_000.0, 350_000.0)))
+    assert metrics["energy"] == {
         **{"trip_kwh": 10.0, "trip_sigma_kwh": 1.0, "trip_km": 50.0, "unmeasured_s": 0.0},
         **{"drawn_kwh": 900.0, "regenerated_kwh": 100.0},
     }
-    assert found["consumption"] == {"10": pytest.approx(20.0)}
-    assert found["range"] == {
+    assert metrics["consumption"] == {"10": pytest.approx(20.0)}
+    assert metrics["range"] == {
         **{"charge_percent": 80.0, "charge_projected": False, "usable_kwh": 60.0},
         **{"capacity_kwh": 75.0, "range_km": 300.0, "lower_km": 250.0, "upper_km": 350.0},
     }

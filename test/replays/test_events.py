@@ -40,13 +40,13 @@ def kinds(found) -> list[tuple[float, EventKind]]:
 
 def test_gaps_are_events_at_the_ends_too():
     speed = [t for t in range(61) if not 20 < t < 30]
-    found = drive_events(drive(speed, range(8, 51)))
-    assert kinds(found) == [
+    events = drive_events(drive(speed, range(8, 51)))
+    assert kinds(events) == [
         (0.0, EventKind.BATTERY_DROPOUT),
         (20.0, EventKind.SPEED_DROPOUT),
         (50.0, EventKind.BATTERY_DROPOUT),
     ]
-    assert "10.0 s" in found[1].text
+    assert "10.0 s" in events[1].text
 
 
 def test_a_log_of_a_reading_every_five_seconds_has_no_dropout_in_it():
@@ -63,36 +63,36 @@ def test_a_battery_that_never_spoke_is_one_event():
 def test_stamps_that_go_back_are_a_reset_and_stragglers_none():
     straggling = [0, 1, 2, 4, 3, *range(5, 61)]
     assert drive_events(drive(straggling)) == []
-    found = drive_events(drive([*range(61), *range(30, 61)]))
-    assert kinds(found) == [(30.0, EventKind.RESET)] and "30 s" in found[0].text
+    events = drive_events(drive([*range(61), *range(30, 61)]))
+    assert kinds(events) == [(30.0, EventKind.RESET)] and "30 s" in events[0].text
 
 
 def test_a_payload_is_told_once_as_it_was_known_last():
     stop = START_NS + 10 * NANOSECONDS
     changes = [PayloadChange(stop, mass, std) for mass, std in ((150.0, 40.0), (180.0, 25.0))]
     reports = [LearnerReport(change, 1) for change in changes]
-    found = drive_events(
+    events = drive_events(
         drive(detections=[(0.0, LearnerReport()), (40.0, reports[0]), (41.0, reports[1])])
     )
-    assert kinds(found) == [(10.0, EventKind.PAYLOAD)]
-    assert "+180 ± 25 kg" in found[0].text and "30 s later" in found[0].text
+    assert kinds(events) == [(10.0, EventKind.PAYLOAD)]
+    assert "+180 ± 25 kg" in events[0].text and "30 s later" in events[0].text
 
 
 def test_a_payload_that_is_withdrawn_is_told():
     known = LearnerReport(PayloadChange(START_NS, 150.0, 40.0), 1)
     gone = LearnerReport(None, 1, 1)
-    found = drive_events(drive(detections=[(0.0, LearnerReport()), (30.0, known), (50.0, gone)]))
-    assert kinds(found) == [(0.0, EventKind.PAYLOAD), (50.0, EventKind.PAYLOAD)]
-    assert "withdrawn" in found[1].text
+    events = drive_events(drive(detections=[(0.0, LearnerReport()), (30.0, known), (50.0, gone)]))
+    assert kinds(events) == [(0.0, EventKind.PAYLOAD), (50.0, EventKind.PAYLOAD)]
+    assert "withdrawn" in events[1].text
 
 
 def test_suspicions_come_and_go():
     suspected = LearnerReport(suspicion=CURRENT_SIGN)
-    found = drive_events(
+    events = drive_events(
         drive(detections=[(0.0, LearnerReport()), (20.0, suspected), (40.0, LearnerReport())])
     )
-    assert kinds(found) == [(20.0, EventKind.SIGNAL_FAULT), (40.0, EventKind.SIGNAL_FAULT)]
-    assert "sign of current" in found[0].text
+    assert kinds(events) == [(20.0, EventKind.SIGNAL_FAULT), (40.0, EventKind.SIGNAL_FAULT)]
+    assert "sign of current" in events[0].text
 
 
 def test_a_withheld_battery_is_an_event_if_it_came_to_that():

@@ -27,19 +27,19 @@ def test_the_bag_of_a_replay_gives_its_series_back(vehicle, tmp_path):
     names = {"vehicle": vehicle.key, "mode": "hybrid"}
     with BagWriter(tmp_path / "bag") as writer:
         made = replay(source, chain, ReplayOptions(), writer=writer, **names).drive
-    found = recorded_drive(tmp_path / "bag")
-    assert found.duration == pytest.approx(made.duration)
+    recorded = recorded_drive(tmp_path / "bag")
+    assert recorded.duration == pytest.approx(made.duration)
     for series in ("smoothed", "newest"):
-        for ours, theirs in zip(getattr(found, series), getattr(made, series), strict=True):
+        for ours, theirs in zip(getattr(recorded, series), getattr(made, series), strict=True):
             assert np.array_equal(ours, theirs)
-    assert found.final is not None and made.final is not None
-    assert found.final.parameters["mass"].value == made.final.parameters["mass"].value
+    assert recorded.final is not None and made.final is not None
+    assert recorded.final.parameters["mass"].value == made.final.parameters["mass"].value
     for name, rows in made.combinations.items():
-        assert np.array_equal(found.combinations[name], rows)
-    parts = {name: kwh for name, (kwh, _) in found.breakdown.items() if name != "regained"}
+        assert np.array_equal(recorded.combinations[name], rows)
+    parts = {name: kwh for name, (kwh, _) in recorded.breakdown.items() if name != "regained"}
     assert parts.pop("measured") == pytest.approx(sum(parts.values()))
-    assert all(np.isfinite(sigma) for _, sigma in found.breakdown.values())
-    scores = drive_scores(found, warm_up=30.0)
+    assert all(np.isfinite(sigma) for _, sigma in recorded.breakdown.values())
+    scores = drive_scores(recorded, warm_up=30.0)
     assert all(value is not None and np.isfinite(value) for value in scores["energy"].values())
     assert scores["power"]["rmse_w"] == pytest.approx(
         drive_scores(made, warm_up=30.0)["power"]["rmse_w"], rel=1e-4

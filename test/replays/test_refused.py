@@ -103,9 +103,9 @@ def test_lone_readings_that_a_car_could_have_are_told_with_the_totals_without_th
 
 
 def test_volts_ten_times_too_large_are_no_energy(rows, vehicle):
-    found = counted(drive_of(rows * (1.0, 10.0, 1.0), vehicle))
-    assert math.isnan(found.energy) and found.measured == 0.0
-    assert found.distance == pytest.approx(counted(drive_of(rows, vehicle)).distance)
+    totals = counted(drive_of(rows * (1.0, 10.0, 1.0), vehicle))
+    assert math.isnan(totals.energy) and totals.measured == 0.0
+    assert totals.distance == pytest.approx(counted(drive_of(rows, vehicle)).distance)
 
 
 def test_time_that_could_not_be_read_is_in_the_first_line(rows, vehicle):

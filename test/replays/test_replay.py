@@ -53,9 +53,9 @@ def run(readings, vehicle, tmp_path, *, writer=None, mode=Mode.HYBRID, used=None
 
 
 def without_timing(metrics) -> str:
-    found = json.loads(json.dumps(metrics, allow_nan=False))
-    del found["replay"], found["updates"]["p50_ms"], found["updates"]["p99_ms"]
-    return json.dumps(found)
+    document = json.loads(json.dumps(metrics, allow_nan=False))
+    del document["replay"], document["updates"]["p50_ms"], document["updates"]["p99_ms"]
+    return json.dumps(document)
 
 
 @pytest.fixture(scope="module")
@@ -158,10 +158,10 @@ def test_withheld_battery_gives_finite_predictions_to_the_end(withheld):
     drive = result.drive
     assert drive.smoothed.time[-1] > drive.duration - 1.0
     assert np.isfinite(drive.smoothed.power).all() and np.isfinite(drive.newest.power).all()
-    found = result.metrics["withheld"]
-    assert found["from_s"] == 60.0
-    assert found["power"]["rmse_w"] > 0
-    assert found["energy"]["measured_j"] is not None
+    scores = result.metrics["withheld"]
+    assert scores["from_s"] == 60.0
+    assert scores["power"]["rmse_w"] > 0
+    assert scores["energy"]["measured_j"] is not None
     # What was withheld was not learned: what the data determine stays as it was.
     rows = drive.combinations["mass_over_eta"]
     silent = rows[rows[:, 0] > 66.0]

@@ -43,8 +43,8 @@ WHOLE = Span(-1.0, 1e9)
 
 def test_power_score_by_hand():
     # Errors +100, -100, +300, -300 W; truth 0, 1000, 2000, 3000 W has variance 1.25e6 W^2.
-    found = drive([0, 1000, 2000, 3000], [100, 900, 2300, 2700], sigma=100.0)
-    score = power_score(found, found.smoothed, WHOLE)
+    scored = drive([0, 1000, 2000, 3000], [100, 900, 2300, 2700], sigma=100.0)
+    score = power_score(scored, scored.smoothed, WHOLE)
     assert score["rmse_w"] == pytest.approx(np.sqrt((2 * 100**2 + 2 * 300**2) / 4))
     assert score["mae_w"] == pytest.approx(200.0)
     assert score["r2"] == pytest.approx(1 - 5e4 / 1.25e6)
@@ -53,19 +53,19 @@ def test_power_score_by_hand():
 
 
 def test_warm_up_and_withheld_part_are_not_scored():
-    found = drive([0, 0, 0, 0], [9, 9, 1, 9])
-    assert power_score(found, found.smoothed, Span(1.0, 2.0))["rmse_w"] == 1.0
+    scored = drive([0, 0, 0, 0], [9, 9, 1, 9])
+    assert power_score(scored, scored.smoothed, Span(1.0, 2.0))["rmse_w"] == 1.0
 
 
 def test_nothing_measured_gives_null_not_zero():
-    found = drive([], [1, 2, 3])
-    assert set(power_score(found, found.smoothed, WHOLE).values()) == {None}
+    scored = drive([], [1, 2, 3])
+    assert set(power_score(scored, scored.smoothed, WHOLE).values()) == {None}
 
 
 def test_power_is_not_known_across_a_gap():
-    found = drive([0, 0, 0, 0, 0, 0], [0])
+    scored = drive([0, 0, 0, 0, 0, 0], [0])
     rows = np.array([[0.0, 1.0], [1.0, 1.0], [9.0, 1.0], [10.0, 1.0]])
-    gappy = Drive(**{**{f: getattr(found, f) for f in found.__slots__}, "measured": rows})
+    gappy = Drive(**{**{f: getattr(scored, f) for f in scored.__slots__}, "measured": rows})
     _, known = measured_at(gappy, np.array([0.5, 5.0, 9.5, 11.0]))
     assert known.tolist() == [True, False, True, False]
 
@@ -80,8 +80,8 @@ def test_energy_is_compared_over_the_same_stretch():
 
 
 def test_baselines_by_hand():
-    found = drive(list(range(100)), [0])
-    baselines = baseline_scores(found, WHOLE)
+    scored = drive(list(range(100)), [0])
+    baselines = baseline_scores(scored, WHOLE)
     assert baselines["last_value"] == pytest.approx(1.0)  # a ramp of 1 W per reading
     assert baselines["interpolation"] == pytest.approx(0.0, abs=1e-9)  # and linear in time
 

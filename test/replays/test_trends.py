@@ -51,16 +51,16 @@ POINTS = points(DRIVES)
 
 
 def test_drives_are_weighted_by_their_distance():
-    found = {trend.title: trend for trend in trends(POINTS)}
-    weeks = found["consumption, kWh/100 km by week"].rows
+    trend_by_title = {trend.title: trend for trend in trends(POINTS)}
+    weeks = trend_by_title["consumption, kWh/100 km by week"].rows
     assert [row.name for row in weeks] == ["week of 2023-11-20", "week of 2023-11-27"]
     assert weeks[0].mean == pytest.approx((10 * 12.0 + 30 * 16.0) / 40 / 72.0 * 100)
     assert (weeks[0].drives, weeks[0].distance) == (2, pytest.approx(48_000.0))
     assert weeks[0].spread > 0.0 and weeks[1].spread < 1e-9
-    warm = found[f"{ROLLING} by outside temperature"].rows
+    warm = trend_by_title[f"{ROLLING} by outside temperature"].rows
     assert [row.name for row in warm] == ["0 to 5 °C", "10 to 15 °C"]
     assert warm[0].mean == pytest.approx((10 * 0.012 + 30 * 0.010) / 40)
-    capacity = found[f"{CAPACITY} by week"].rows
+    capacity = trend_by_title[f"{CAPACITY} by week"].rows
     assert capacity[1].mean == pytest.approx(10.0 / 6.0 / 0.2)
 
 

@@ -33,18 +33,18 @@ def breakdown(correlation: float = 0.0) -> Breakdown:
 
 def test_rows_add_up_to_what_was_measured():
     for correlation in (0.0, -0.99):
-        found = breakdown_metrics(breakdown(correlation), "hybrid")
-        assert sum(part["kwh"] for _, part in shown(found)) == pytest.approx(10.0)
-        assert found["unexplained"]["kwh"] == pytest.approx(0.1)
-        assert found["air"]["kwh_per_100km"] == pytest.approx(6.0)
+        metrics = breakdown_metrics(breakdown(correlation), "hybrid")
+        assert sum(part["kwh"] for _, part in shown(metrics)) == pytest.approx(10.0)
+        assert metrics["unexplained"]["kwh"] == pytest.approx(0.1)
+        assert metrics["air"]["kwh_per_100km"] == pytest.approx(6.0)
 
 
 def test_what_cannot_be_told_apart_is_one_row_and_says_so():
-    found = breakdown_metrics(breakdown(-0.99), "hybrid")
-    names = [row[0] for row in breakdown_rows(found)]
+    metrics = breakdown_metrics(breakdown(-0.99), "hybrid")
+    names = [row[0] for row in breakdown_rows(metrics)]
     assert "air and wind + motor and drivetrain" in names
     assert "air and wind" not in names
-    assert any("cannot separate" in line for line in breakdown_lines(found))
+    assert any("cannot separate" in line for line in breakdown_lines(metrics))
     apart = breakdown_metrics(breakdown(), "hybrid")
     assert not any("cannot separate" in line for line in breakdown_lines(apart))
 

@@ -85,10 +85,13 @@ def with_path(reported: ReportedDrive, path: str) -> ReportedDrive:
 
 
 def test_the_whole_story_is_told(reported, tmp_path):
-    found = page(tmp_path, reported, command="evpinn replay out/town")
-    assert found.headings == HEADINGS
-    assert "<code>evpinn replay out/town</code>" in found.text
-    assert set(found.plots) == set(found.data[0]["charts"]) and len(found.plots) == 18
+    report_page = page(tmp_path, reported, command="evpinn replay out/town")
+    assert report_page.headings == HEADINGS
+    assert "<code>evpinn replay out/town</code>" in report_page.text
+    assert (
+        set(report_page.plots) == set(report_page.data[0]["charts"])
+        and len(report_page.plots) == 18
+    )
     for text in (
         "baseline: last value held 0.1 s",
         "baseline: random split",
@@ -97,9 +100,9 @@ def test_the_whole_story_is_told(reported, tmp_path):
         "Where the energy went",
         "other standing load",
     ):
-        assert text in found.text
-    assert "whiskers" in [attributes.get("class") for tag, attributes in found.tags]
-    assert len(found.data[0]["events"]) == 2
+        assert text in report_page.text
+    assert "whiskers" in [attributes.get("class") for tag, attributes in report_page.tags]
+    assert len(report_page.data[0]["events"]) == 2
 
 
 def test_a_steady_speed_takes_what_the_true_car_would(reported, tmp_path):
@@ -143,9 +146,9 @@ def on_a_square(reported: ReportedDrive) -> ReportedDrive:
 
 def test_a_drive_with_a_position_has_a_map(reported, tmp_path):
     assert "map" not in page(tmp_path, reported).plots
-    found = page(tmp_path, on_a_square(reported))
-    assert "Where it was driven" in found.headings and "map" in found.plots
-    chart = found.data[0]["charts"]["map"]
+    report_page = page(tmp_path, on_a_square(reported))
+    assert "Where it was driven" in report_page.headings and "map" in report_page.plots
+    chart = report_page.data[0]["charts"]["map"]
     east, north, time, power = (unpacked(chart[n]) for n in ("east", "north", "time", "power"))
     for side in (east, north):
         assert (side.min(), side.max()) == pytest.approx((0.0, 1.0), abs=0.01)
@@ -168,11 +171,13 @@ def test_units_of_the_united_states_stand_alone(reported, tmp_path):
 
 
 def test_nothing_is_fetched_and_nothing_else_runs(reported, tmp_path):
-    found = page(tmp_path, reported)
-    assert not [tag for tag, _ in found.tags if tag in ("link", "iframe", "img", "object")]
-    assert not [a for _, a in found.tags if {"src", "href"} & a.keys()]
-    assert not [a for _, a in found.tags if any(name.startswith("on") for name in a)]
-    (policy,) = [a["content"] for tag, a in found.tags if tag == "meta" and "http-equiv" in a]
+    report_page = page(tmp_path, reported)
+    assert not [tag for tag, _ in report_page.tags if tag in ("link", "iframe", "img", "object")]
+    assert not [a for _, a in report_page.tags if {"src", "href"} & a.keys()]
+    assert not [a for _, a in report_page.tags if any(name.startswith("on") for name in a)]
+    (policy,) = [
+        a["content"] for tag, a in report_page.tags if tag == "meta" and "http-equiv" in a
+    ]
     assert "default-src 'none'" in policy
     assert re.search(r"script-src 'sha256-\S+' 'sha256-\S+';", policy)
 
@@ -221,9 +226,12 @@ def single_reading(reported: ReportedDrive) -> ReportedDrive:
 
 @pytest.mark.parametrize("less", [without_battery, single_reading])
 def test_what_is_missing_is_said(reported, tmp_path, less):
-    found = page(tmp_path, less(reported))
-    assert "The battery was not measured" in found.text and "No part of this drive" in found.text
-    assert set(found.plots) == set(found.data[0]["charts"])
+    report_page = page(tmp_path, less(reported))
+    assert (
+        "The battery was not measured" in report_page.text
+        and "No part of this drive" in report_page.text
+    )
+    assert set(report_page.plots) == set(report_page.data[0]["charts"])
 
 
 def test_wild_numbers_of_a_bag_make_a_page(reported, tmp_path):
@@ -233,8 +241,8 @@ def test_wild_numbers_of_a_bag_make_a_page(reported, tmp_path):
     speed = np.vstack((reported.drive.speed, [[9e9, 1e30]]))
     drive = replace(reported.drive, measured=measured, speed=speed, duration=9e9)
     with np.errstate(over="ignore"):
-        found = page(tmp_path, replace(reported, drive=drive))
-    assert found.headings == HEADINGS and len(found.text) < 3e6
+        report_page = page(tmp_path, replace(reported, drive=drive))
+    assert report_page.headings == HEADINGS and len(report_page.text) < 3e6
 
 
 def unpacked(found: dict) -> np.ndarray:

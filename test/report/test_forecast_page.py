@@ -34,10 +34,10 @@ COLD = PlanConditions(temperature=-10.0, head_wind=5.0)
 
 @pytest.mark.parametrize("plan", [FINE, COARSE])
 def test_parts_add_up_to_the_forecast(plan):
-    found = planned_energy(plan, "bmw_i3", COLD)
-    energy, sigma = plan_parts(plan, found.energies, *found.basis)
+    planned = planned_energy(plan, "bmw_i3", COLD)
+    energy, sigma = plan_parts(plan, planned.energies, *planned.basis)
     whole = energy[WHOLE].sum() + energy[-1]
-    assert whole == pytest.approx(found.energies.energy[-1], rel=1e-9)
+    assert whole == pytest.approx(planned.energies.energy[-1], rel=1e-9)
     uneven = energy[-1]
     assert uneven > 1e4 if plan is COARSE else abs(uneven) < 1.0
     assert energy[Part.SLOPE] > 0.0 and energy[Part.CLIMATE] > 0.0
@@ -79,13 +79,13 @@ def test_a_plan_without_heights_says_so_and_is_less_sure(plan, given):
 
 
 def test_faster_takes_more_and_less_time_and_colder_takes_more():
-    found = {each.words: each for each in what_if(FINE, "bmw_i3", COLD)}
-    slower, faster = found["10 km/h slower"], found["10 km/h faster"]
+    variants = {each.words: each for each in what_if(FINE, "bmw_i3", COLD)}
+    slower, faster = variants["10 km/h slower"], variants["10 km/h faster"]
     assert slower.energy.value < 0.0 < faster.energy.value
     assert faster.seconds < 0.0 < slower.seconds
-    assert found["10 °C warmer"].energy.value < 0.0 < found["10 °C colder"].energy.value
+    assert variants["10 °C warmer"].energy.value < 0.0 < variants["10 °C colder"].energy.value
     sigma = planned_energy(FINE, "bmw_i3", COLD).energies.sigma[-1]
-    assert all(each.energy.sigma < 0.7 * sigma for each in found.values())
+    assert all(each.energy.sigma < 0.7 * sigma for each in variants.values())
 
 
 @pytest.mark.parametrize("charge", [0.05, 0.03, 0.01])

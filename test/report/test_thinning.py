@@ -51,9 +51,9 @@ def test_what_is_not_finite_or_not_of_the_drive_is_left_out():
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=False), max_size=50))
 def test_packing_is_within_half_a_level(values):
     values = np.clip(np.array(values, float), -1e12, 1e12)
-    found = packed(values)
-    after = unpacked(found)
+    packing = packed(values)
+    after = unpacked(packing)
     assert np.array_equal(np.isnan(after), np.isnan(values))
     known = ~np.isnan(values)
     rounding = 1e-9 * np.abs(values[known]).max(initial=0.0)
-    assert (np.abs(after - values)[known] <= found["step"] * 0.5001 + rounding).all()
+    assert (np.abs(after - values)[known] <= packing["step"] * 0.5001 + rounding).all()

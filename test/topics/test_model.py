@@ -94,9 +94,9 @@ def test_whatever_a_model_says_a_plan_has_a_finite_answer(changes, data):
         model = PowerModel.of(read_model(message, CAR))
     except BadMessage:
         return
-    found = forecast_plan(data.draw(st.sampled_from(PLANS)), model, Weather(1.2), 60.0)
-    columns = found.time, found.energy, found.power, found.sigma
-    assert np.isfinite(columns).all() and (found.sigma >= 0).all()
+    outcome = forecast_plan(data.draw(st.sampled_from(PLANS)), model, Weather(1.2), 60.0)
+    columns = outcome.time, outcome.energy, outcome.power, outcome.sigma
+    assert np.isfinite(columns).all() and (outcome.sigma >= 0).all()
 
 
 @pytest.mark.parametrize("name", vehicle_names())

@@ -132,9 +132,9 @@ def test_the_charge_of_a_plan_is_where_it_begins():
 
 
 def test_a_named_vector_gives_what_it_names():
-    found = read_conditions(message(temperature=-5.0, heating=math.nan, charge=0.8))
-    assert found == PlanConditions(temperature=-5.0, charge=0.8)
-    assert found.given == ("temperature", "charge")
+    conditions = read_conditions(message(temperature=-5.0, heating=math.nan, charge=0.8))
+    assert conditions == PlanConditions(temperature=-5.0, charge=0.8)
+    assert conditions.given == ("temperature", "charge")
     assert read_conditions(message()) == PlanConditions()
 
 

@@ -35,24 +35,24 @@ def energy(found, model):
 @MODELS
 def test_a_batch_is_its_plans(model):
     many = profiles(1)
-    found = forecast(many, CAR, model)
+    batch = forecast(many, CAR, model)
     for i, (speed, height) in enumerate(zip(many.speed, many.elevation, strict=True)):
         distance = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2)))
         plan = plan_from_speed_profile(many.time, distance, speed, height)
         one = forecast_plan(plan, model, Weather(CAR.air_density))
         # One point in the middle of a leg against three, where the car turns to braking.
-        assert found.energy[i] == pytest.approx(one.energy[-1], rel=0.01)
-        assert found.sigma[i] == pytest.approx(one.sigma[-1], rel=0.01)
+        assert batch.energy[i] == pytest.approx(one.energy[-1], rel=0.01)
+        assert batch.sigma[i] == pytest.approx(one.sigma[-1], rel=0.01)
 
 
 @MODELS
 def test_chunks_make_no_difference(model):
     many = profiles(2, batch=70)
-    found = forecast(many, CAR, model)
+    batch = forecast(many, CAR, model)
     alone = [forecast(Profiles(many.time, v[None], z[None]), CAR, model)
              for v, z in zip(many.speed, many.elevation, strict=True)]  # fmt: skip
-    assert found.energy == pytest.approx([one.energy[0] for one in alone], rel=1e-12)
-    assert found.sigma == pytest.approx([one.sigma[0] for one in alone], rel=1e-12)
+    assert batch.energy == pytest.approx([one.energy[0] for one in alone], rel=1e-12)
+    assert batch.sigma == pytest.approx([one.sigma[0] for one in alone], rel=1e-12)
 
 
 @pytest.mark.slow
@@ -61,11 +61,11 @@ def test_torch_gives_the_same_and_its_own_kind(model):
     import torch  # takes seconds
 
     many = profiles(3)
-    found = forecast(many, CAR, model)
+    batch = forecast(many, CAR, model)
     tensors = forecast(Profiles(*map(torch.as_tensor, many)), CAR, model)
-    assert isinstance(found.energy, np.ndarray) and isinstance(tensors.energy, torch.Tensor)
-    assert tensors.energy.numpy() == pytest.approx(found.energy, rel=1e-10)
-    assert tensors.sigma.numpy() == pytest.approx(found.sigma, rel=1e-10)
+    assert isinstance(batch.energy, np.ndarray) and isinstance(tensors.energy, torch.Tensor)
+    assert tensors.energy.numpy() == pytest.approx(batch.energy, rel=1e-10)
+    assert tensors.sigma.numpy() == pytest.approx(batch.sigma, rel=1e-10)
 
 
 @pytest.mark.slow
@@ -81,8 +81,8 @@ def test_the_gradient_is_that_of_finite_differences(model, name, seed):
     wanted = getattr(many, name)
     leaves = {field: torch.as_tensor(array) for field, array in many._asdict().items()}
     leaves[name].requires_grad_()
-    found = forecast(Profiles(**leaves), CAR, model)
-    (found.energy.sum() + found.sigma.sum()).backward()
+    batch = forecast(Profiles(**leaves), CAR, model)
+    (batch.energy.sum() + batch.sigma.sum()).backward()
     gradient = leaves[name].grad.numpy()
     step = 1e-6
     index = tuple(np.random.default_rng(seed).integers(0, wanted.shape))

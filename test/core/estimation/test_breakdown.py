@@ -61,17 +61,17 @@ def both(learned, later):
 
 
 def test_parts_and_the_unexplained_are_the_measured_energy(learned, town):
-    found = learned.breakdowns().of(-1)
+    parts = learned.breakdowns().of(-1)
     total = sum(one.energy for one in town)
-    assert found.measured == pytest.approx(total)
-    explained = sum(found.energy[WHOLE])
+    assert parts.measured == pytest.approx(total)
+    explained = sum(parts.energy[WHOLE])
     assert explained == pytest.approx(total, rel=0.02)
-    assert found.total().kwh * 3.6e6 == pytest.approx(explained, rel=0.05)
+    assert parts.total().kwh * 3.6e6 == pytest.approx(explained, rel=0.05)
 
 
 def test_parts_have_the_sign_and_size_of_what_they_are(learned):
-    found = learned.breakdowns().of(-1)
-    energy = dict(zip(Part, found.energy, strict=True))
+    parts = learned.breakdowns().of(-1)
+    energy = dict(zip(Part, parts.energy, strict=True))
     assert energy[Part.AIR] > 0 and energy[Part.TYRES] > 0 and energy[Part.BRAKES] > 0
     assert energy[Part.DRIVETRAIN] > 0 and energy[Part.STANDING] > 0
     assert energy[Part.REGAINED] > 0  # beside the sum: what braking gave back

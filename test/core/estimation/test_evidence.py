@@ -24,11 +24,13 @@ def test_the_likelihood_comes_back(seed):
     rows = rng.standard_normal((3, SIZE))
     precision, information = rows.T @ rows, rows.T @ rng.standard_normal(3)
     covariance = np.linalg.inv(np.eye(SIZE) + precision)
-    found = evidence(covariance @ information, covariance, np.eye(SIZE))
+    likelihood = evidence(covariance @ information, covariance, np.eye(SIZE))
     values, directions = np.linalg.eigh(precision)
     counts = directions[:, values > 0.2]
-    np.testing.assert_allclose(counts.T @ found.precision, counts.T @ precision, atol=1e-8)
-    np.testing.assert_allclose(counts.T @ found.information, counts.T @ information, atol=1e-8)
+    np.testing.assert_allclose(counts.T @ likelihood.precision, counts.T @ precision, atol=1e-8)
+    np.testing.assert_allclose(
+        counts.T @ likelihood.information, counts.T @ information, atol=1e-8
+    )
 
 
 def test_in_other_units_about_another_origin_it_is_the_same_likelihood():
@@ -49,14 +51,14 @@ def test_in_other_units_about_another_origin_it_is_the_same_likelihood():
 
 
 def test_the_prior_alone_is_no_evidence():
-    found = PinnLearner(LEAF).evidence()
-    assert not found.precision.any() and not found.information.any()
+    likelihood = PinnLearner(LEAF).evidence()
+    assert not likelihood.precision.any() and not likelihood.information.any()
 
 
 def test_a_mean_that_was_pushed_is_no_evidence():
     """A bound moves a mean and leaves its variance: nothing was measured."""
-    found = evidence(np.full(SIZE, 0.5), np.eye(SIZE) * 0.95, np.eye(SIZE))
-    assert not found.precision.any() and not found.information.any()
+    likelihood = evidence(np.full(SIZE, 0.5), np.eye(SIZE) * 0.95, np.eye(SIZE))
+    assert not likelihood.precision.any() and not likelihood.information.any()
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +75,8 @@ def test_a_drive_tells_nothing_of_what_cannot_be_told(driven):
     drag = LEAF.priors["c_d"].std / LEAF.priors["c_d"].value
     untold = np.array([1 / sigma[0], -1 / sigma[1], 1 / sigma[2], 0.0, 1 / drag, 0.0])
     untold /= np.linalg.norm(untold)
-    found = evidence_of(driven.state, driven.equation, driven.driven)
-    assert np.linalg.norm(found.precision) > 10.0
-    assert np.linalg.norm(found.precision @ untold) < 0.01 * np.linalg.norm(found.precision)
+    likelihood = evidence_of(driven.state, driven.equation, driven.driven)
+    assert np.linalg.norm(likelihood.precision) > 10.0
+    assert np.linalg.norm(likelihood.precision @ untold) < 0.01 * np.linalg.norm(
+        likelihood.precision
+    )

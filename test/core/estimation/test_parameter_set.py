@@ -66,13 +66,13 @@ def learned(prior: Published, share: float, own: float = 0.0, **moved) -> Publis
 )
 def test_states_by_what_the_data_have_told_of_all_and_of_each(prior, share, own, state):
     """States of eta by the shares of prior variance left in m / eta and in eta itself."""
-    found = parameter_set(0, learned(prior, share, own))
-    assert found.parameters["eta"].trust is state
-    combined = found.identifiable_trust["mass_over_eta"]
+    parameters = parameter_set(0, learned(prior, share, own))
+    assert parameters.parameters["eta"].trust is state
+    combined = parameters.identifiable_trust["mass_over_eta"]
     assert combined is (
         VALID if share < VALID_BELOW else ESTIMATING if share < ESTIMATING_BELOW else UNESTIMATED
     )
-    assert found.reliable == (share < VALID_BELOW)
+    assert parameters.reliable == (share < VALID_BELOW)
 
 
 @pytest.mark.parametrize(
@@ -82,9 +82,9 @@ def test_rolling_resistance_that_no_tyre_has_is_never_valid(prior, c_rr):
     judge = TrustHysteresis()
     good = judge.judge(parameter_set(0, learned(prior, 0.01, c_rr=0.01)), CALM, suspected=False)
     assert good.parameters["c_rr"].trust is VALID
-    found = parameter_set(0, learned(prior, 0.01, c_rr=c_rr))
-    assert found.parameters["c_rr"].trust is ESTIMATING
-    later = judge.judge(found, CALM, suspected=False)
+    parameters = parameter_set(0, learned(prior, 0.01, c_rr=c_rr))
+    assert parameters.parameters["c_rr"].trust is ESTIMATING
+    later = judge.judge(parameters, CALM, suspected=False)
     assert later.parameters["c_rr"].trust is ESTIMATING, "not even where it was valid before"
 
 
@@ -142,15 +142,15 @@ def test_values_lie_within_bounds_and_bounds_within_limits(prior):
 
 def test_bounds_by_hand(prior):
     """eta and mu in [q, 1]; mass and C_d in [q, 1] of theirs over eta, each two sigmas wider."""
-    found = parameter_set(0, learned(prior, 0.01, eta=math.log(0.85), mu=math.log(0.75)))
-    combined, std = found.identifiable, found.identifiable_std
+    parameters = parameter_set(0, learned(prior, 0.01, eta=math.log(0.85), mu=math.log(0.75)))
+    combined, std = parameters.identifiable, parameters.identifiable_std
     q = combined.regeneration - 2 * std.regeneration
     low, high = (combined.mass_over_eta + sign * 2 * std.mass_over_eta for sign in (-1, 1))
-    assert found.parameters["mass"].lower == pytest.approx(q * low)
-    assert found.parameters["mass"].upper == pytest.approx(high)
+    assert parameters.parameters["mass"].lower == pytest.approx(q * low)
+    assert parameters.parameters["mass"].upper == pytest.approx(high)
     widest = combined.drag_area_over_eta + 2 * std.drag_area_over_eta
-    assert found.parameters["c_d"].upper == pytest.approx(widest / prior.frontal_area)
-    assert found.parameters["eta"].lower >= q
+    assert parameters.parameters["c_d"].upper == pytest.approx(widest / prior.frontal_area)
+    assert parameters.parameters["eta"].lower >= q
 
 
 class Judge:
@@ -160,8 +160,8 @@ class Judge:
         self._judge, self._prior = TrustHysteresis(), prior
 
     def __call__(self, share, *, away: float = 0.0, suspected: bool = False) -> Trust:
-        found = parameter_set(0, learned(self._prior, share))
-        self.set = self._judge.judge(found, {**CALM, "mass": away}, suspected=suspected)
+        parameters = parameter_set(0, learned(self._prior, share))
+        self.set = self._judge.judge(parameters, {**CALM, "mass": away}, suspected=suspected)
         return self.set.parameters["mass"].trust
 
 
@@ -195,12 +195,15 @@ def test_a_suspicion_makes_all_invalid_while_it_lasts(judge):
 
 
 def test_what_is_stale_was_valid(prior):
-    found = parameter_set(0, learned(prior, 0.1))
-    stale = found.stale()
+    parameters = parameter_set(0, learned(prior, 0.1))
+    stale = parameters.stale()
     assert {p.trust for p in stale.parameters.values()} == {Trust.STALE}
     assert set(stale.identifiable_trust.values()) == {Trust.STALE} and not stale.reliable
-    one = replace(found.parameters["mass"], trust=ESTIMATING)
-    assert replace(found, parameters={"mass": one}).stale().parameters["mass"].trust is ESTIMATING
+    one = replace(parameters.parameters["mass"], trust=ESTIMATING)
+    assert (
+        replace(parameters, parameters={"mass": one}).stale().parameters["mass"].trust
+        is ESTIMATING
+    )
 
 
 @pytest.mark.parametrize(("std", "state"), [(0.2, VALID), (0.3, ESTIMATING)])

@@ -58,11 +58,11 @@ def test_even_legs_keep_way_and_time_and_begin_and_end_standing():
 def test_a_drive_that_was_driven_before_is_expected_as_it_was():
     path = town(0)
     cut, driven = legs(60, path), rows_of(path) @ EQUATION.mean
-    found = Unevenness.none()
+    unevenness = Unevenness.none()
     for _ in range(2):
-        found = found.after(EQUATION, EQUATION.mean, path)
+        unevenness = unevenness.after(EQUATION, EQUATION.mean, path)
     even = even_rows(EQUATION, cut).sum(0) @ EQUATION.mean
-    expected = even + found.of_legs(EQUATION, EQUATION.mean, cut).sum(0) @ EQUATION.mean
+    expected = even + unevenness.of_legs(EQUATION, EQUATION.mean, cut).sum(0) @ EQUATION.mean
     assert even < 0.6 * driven
     assert expected == pytest.approx(driven, rel=0.12)  # the prior still counts
 
@@ -70,15 +70,15 @@ def test_a_drive_that_was_driven_before_is_expected_as_it_was():
 @pytest.mark.slow
 def test_what_is_expected_of_legs_makes_up_for_even_speed():
     """A dozen drives of one driver teach what another one, cut by the minute, takes."""
-    found = Unevenness.none()
+    unevenness = Unevenness.none()
     for seed in range(100, 112):
-        found = found.after(EQUATION, EQUATION.mean, town(seed))
+        unevenness = unevenness.after(EQUATION, EQUATION.mean, town(seed))
     errors, before = [], []
     for seed in range(4, 16):
         path = town(seed)
         cut = legs(60, path)
         even = even_rows(EQUATION, cut).sum(0) @ EQUATION.mean
-        more = found.of_legs(EQUATION, EQUATION.mean, cut).sum(0) @ EQUATION.mean
+        more = unevenness.of_legs(EQUATION, EQUATION.mean, cut).sum(0) @ EQUATION.mean
         driven = rows_of(path) @ EQUATION.mean
         errors.append((even + more) / driven - 1.0)
         before.append(even / driven - 1.0)
@@ -87,14 +87,14 @@ def test_what_is_expected_of_legs_makes_up_for_even_speed():
 
 
 def test_it_vanishes_with_the_duration_of_a_leg():
-    found = Unevenness.none()
+    unevenness = Unevenness.none()
     one = np.ones(1)
     powers = []
     for seconds in (10.0, 1.0, 0.1):
         step = Path(seconds * one, 8.0 * seconds * one, 512.0 * seconds * one, *(0.0 * one,) * 2,
                     1.2 * one, 0.0 * one)  # fmt: skip
         powers.append(
-            float(found.of_legs(EQUATION, EQUATION.mean, step)[0] @ EQUATION.mean) / seconds
+            float(unevenness.of_legs(EQUATION, EQUATION.mean, step)[0] @ EQUATION.mean) / seconds
         )
     assert powers[0] > 0.0
     assert powers[1:] == pytest.approx([0.1 * powers[0], 0.01 * powers[0]], rel=1e-6)

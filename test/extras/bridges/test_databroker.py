@@ -82,10 +82,10 @@ def tree(tmp_path_factory):
     out = folder / "vss.json"
     command = ("export", "json", "-s", write_vss(folder), "-l", OVERLAY, "-o", out, "--strict")
     run = "import sys; from vss_tools.cli import cli; sys.exit(cli())"
-    done = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-c", run, *map(str, command)], capture_output=True, text=True
     )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert ended.returncode == 0, ended.stdout + ended.stderr
     entries: dict[str, dict[str, str]] = {}
 
     def walk(name, node):

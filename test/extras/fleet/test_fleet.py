@@ -50,10 +50,10 @@ def learn(recorded, out, *more):
 
 def test_a_fleet_becomes_tables_a_report_and_a_vehicle_file(recorded, tmp_path):
     out, file = tmp_path / "out", tmp_path / "leaf_fleet.yaml"
-    done = learn(recorded, out, "--write-vehicle", file, "--json", tmp_path / "found.json")
-    assert done.exit_code == 0, done.output
-    assert "2 cars, 3 of 4 drives learned, 1 problem." in done.output
-    assert "bad.mcap: not an MCAP file" in done.output
+    ended = learn(recorded, out, "--write-vehicle", file, "--json", tmp_path / "found.json")
+    assert ended.exit_code == 0, ended.output
+    assert "2 cars, 3 of 4 drives learned, 1 problem." in ended.output
+    assert "bad.mcap: not an MCAP file" in ended.output
     drives = {row["path"].split("/data0/")[-1]: row for row in read(out / "drives.parquet")}
     assert len(drives) == 4
     cars = read(out / "cars.parquet")
@@ -129,8 +129,8 @@ def test_an_interrupted_run_leaves_results_and_goes_on(recorded, tmp_path, end):
 
 def test_two_runs_do_not_write_to_one_folder(recorded, tmp_path):
     with fleet_command.claimed(tmp_path):
-        done = learn(recorded, tmp_path)
-    assert "another evpinn fleet" in str(done.exception)
+        ended = learn(recorded, tmp_path)
+    assert "another evpinn fleet" in str(ended.exception)
 
 
 def test_what_links_lead_to_is_not_written(recorded, tmp_path):
@@ -139,8 +139,8 @@ def test_what_links_lead_to_is_not_written(recorded, tmp_path):
     victim.write_text("precious")
     out.mkdir()
     (out / ".lock").symlink_to(victim)
-    done = learn(recorded, out)
-    assert ".lock: Too many levels of symbolic links" in str(done.exception)
+    ended = learn(recorded, out)
+    assert ".lock: Too many levels of symbolic links" in str(ended.exception)
     (out / ".lock").unlink()
     (out / ".lock").hardlink_to(victim)
     (out / ".stop").symlink_to(tmp_path / "elsewhere")
@@ -156,7 +156,7 @@ def test_the_same_on_a_cluster(recorded, tmp_path):
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
     ) as cluster:
-        done = learn(recorded, there, "--scheduler", cluster.scheduler_address)
-    assert done.exit_code == 0, done.output
+        ended = learn(recorded, there, "--scheduler", cluster.scheduler_address)
+    assert ended.exit_code == 0, ended.output
     for name in ("drives", "cars", "population"):
         assert read(here / f"{name}.parquet") == read(there / f"{name}.parquet")

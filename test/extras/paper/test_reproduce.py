@@ -29,9 +29,9 @@ def drive(tmp_path):
 
 
 def run(*arguments):
-    done = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return done.output
+    ended = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert ended.exit_code == 0, ended.output
+    return ended.output
 
 
 @pytest.fixture

@@ -188,8 +188,8 @@ WRONG = {
 def test_a_wrong_argument_is_refused_before_anything_starts(ros2):
     files = {"deadline": "eco_speed_planner.launch.py", "rate": "replay.launch.py"}
     named = {given: files.get(given.partition(":=")[0], "evpinn.launch.py") for given in WRONG}
-    done = ros2.run_all(*((*LAUNCH, file, "bag:=x", given) for given, file in named.items()))
-    for (given, reason), (code, said) in zip(WRONG.items(), done, strict=True):
+    answers = ros2.run_all(*((*LAUNCH, file, "bag:=x", given) for given, file in named.items()))
+    for (given, reason), (code, said) in zip(WRONG.items(), answers, strict=True):
         assert code == 1 and reason in said, (given, said)
         assert "process started" not in said
 
@@ -197,8 +197,8 @@ def test_a_wrong_argument_is_refused_before_anything_starts(ros2):
 def test_arguments_are_the_same_everywhere_and_described(ros2):
     common = {"vehicle", "params_file", "namespace", "respawn", "log_level", "record"}
     files = [file.name for file in (ROOT / "launch").glob("*.launch.py")]
-    done = ros2.run_all(*((*LAUNCH, file, "--show-args") for file in files))
-    for file, (_, shown) in zip(files, done, strict=True):
+    answers = ros2.run_all(*((*LAUNCH, file, "--show-args") for file in files))
+    for file, (_, shown) in zip(files, answers, strict=True):
         names = {*re.findall(r"^    '(\w+)':$", shown, re.M)}
         if file == "two_cars.launch.py":  # evpinn.launch.py twice, which takes the others
             assert names == {"first", "first_vehicle", "second", "second_vehicle"}

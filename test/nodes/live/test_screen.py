@@ -92,29 +92,38 @@ def test_charge_is_that_of_the_battery_until_the_node_projects_it():
 
 
 def test_a_script_reads_the_same(well):
-    found = json.loads(json_text(as_json(well(160.0), 160.0)))
-    assert (found["speed_mps"], found["voltage_v"], found["current_a"]) == (12.5, 352.0, -41.5)
-    assert found["power_w"]["predicted"] == {"value": 13900.0, "std": 1200.0}
-    assert found["power_w"]["measured"] == {"value": 14600.0, "std": None}
-    assert found["energy_j"]["consumed"] == 3.96e6
-    assert found["breakdown_j"]["tyres"] == {"value": 1.44e6, "std": 0.18e6}
-    assert (found["receiving"], found["state_of_charge"], found["wh_per_km"]) == (
+    document = json.loads(json_text(as_json(well(160.0), 160.0)))
+    assert (document["speed_mps"], document["voltage_v"], document["current_a"]) == (
+        12.5,
+        352.0,
+        -41.5,
+    )
+    assert document["power_w"]["predicted"] == {"value": 13900.0, "std": 1200.0}
+    assert document["power_w"]["measured"] == {"value": 14600.0, "std": None}
+    assert document["energy_j"]["consumed"] == 3.96e6
+    assert document["breakdown_j"]["tyres"] == {"value": 1.44e6, "std": 0.18e6}
+    assert (document["receiving"], document["state_of_charge"], document["wh_per_km"]) == (
         True,
         0.614,
         163.0,
     )
-    assert found["parameters"]["mass"] == {
+    assert document["parameters"]["mass"] == {
         "value": 1847.0, "std": pytest.approx(92.35), "prior_share": 0.25,
         "lower": 923.5, "upper": 3694.0, "state": None,
     }  # fmt: skip
-    assert found["parameters"]["eta"]["state"] == "valid" and found["problems"] == []
+    assert document["parameters"]["eta"]["state"] == "valid" and document["problems"] == []
 
 
 def test_a_script_reads_that_nothing_is_known_and_what_fell_silent(well):
-    found = json.loads(json_text(as_json(LiveData(), 0.0)))
-    assert found["speed_mps"] is found["voltage_v"] is found["parameters"]["eta"]["value"] is None
-    assert found["problems"][0]["level"] == "warn" and found["energy_j"] == {}
-    assert found["receiving"] is False and found["problems"][0]["text"] == NOTHING
+    document = json.loads(json_text(as_json(LiveData(), 0.0)))
+    assert (
+        document["speed_mps"]
+        is document["voltage_v"]
+        is document["parameters"]["eta"]["value"]
+        is None
+    )
+    assert document["problems"][0]["level"] == "warn" and document["energy_j"] == {}
+    assert document["receiving"] is False and document["problems"][0]["text"] == NOTHING
     later = json.loads(json_text(as_json(well(160.0), 170.0)))
     assert later["speed_mps"] is later["power_w"]["measured"]["value"] is None
     assert {"error"} == {one["level"] for one in later["problems"]}

@@ -27,11 +27,11 @@ def test_a_car_that_is_eq_21_has_its_own_parameters():
     one = np.ones(count)
     wheels = equation.wheels(one, speed, speed**3, speed * np.gradient(speed), climb, 1.2)
     truth = equation.mean[PHYSICS] * [1.1, 0.9, 1.05, 1.0] + [0.0, 0.0, 0.0, 0.03]
-    found = combinations(equation, wheels, one, np.asarray(wheels.terms) @ truth)
+    combined = combinations(equation, wheels, one, np.asarray(wheels.terms) @ truth)
     drag, rolling, mass, _ = truth
-    assert found["mass_over_eta"] == pytest.approx(mass, rel=2e-3)
-    assert found["rolling_over_eta"] == pytest.approx(rolling, rel=0.02)
-    assert found["drag_area_over_eta"] == pytest.approx(drag, rel=0.01)
+    assert combined["mass_over_eta"] == pytest.approx(mass, rel=2e-3)
+    assert combined["rolling_over_eta"] == pytest.approx(rolling, rel=0.02)
+    assert combined["drag_area_over_eta"] == pytest.approx(drag, rel=0.01)
 
 
 def test_what_a_short_drive_does_not_determine_stays_that_of_the_vehicle_file():
