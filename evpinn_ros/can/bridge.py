@@ -112,12 +112,18 @@ class CanBridge:
         return self._watched(self._guard.finish()) if self._guard is not None else ()
 
     @property
+    def better_profile(self) -> str | None:
+        """Key of a profile that fits where this one is refused; None where none does."""
+        contradiction = self._guard.contradiction if self._guard is not None else None
+        return None if contradiction is None else contradiction.better
+
+    @property
     def refusal(self) -> str | None:
         """Reason why nothing is let out, and what would fit; None while nothing is refused."""
         contradiction = self._guard.contradiction if self._guard is not None else None
         if contradiction is None:
             return None
-        better = f"; '{contradiction.better}' fits better" if contradiction.better else ""
+        better = f"; '{self.better_profile}' fits better" if self.better_profile else ""
         return f"profile '{self._key}' contradicts the traffic: {contradiction.why}{better}"
 
     def _watched(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:

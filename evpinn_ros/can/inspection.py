@@ -96,6 +96,7 @@ class ProfileReport:
 
     def __init__(self, profile: CanProfile) -> None:
         self.fit = ProfileFit(profile)
+        self._profile = profile
         self.contradicted: str | None = None
         self.values: defaultdict[str, ValueStatus] = defaultdict(ValueStatus)
         self.asks, self.experimental = bool(profile.asked), profile.experimental
@@ -123,6 +124,14 @@ class ProfileReport:
             self._sign.add_reading(reading)
             for name, value in _named_values(reading):
                 self.values[name].record(value)
+
+    @property
+    def quantities(self) -> dict[int, list[str]]:
+        """What is read from each id, a motor too, which says nothing about the fit."""
+        read = {rule.key[0]: [name] for name, rule in self._profile.messages.items()}
+        for message, (unit, *_) in self._asked:
+            read.setdefault(unit, []).append(message.quantity)
+        return read
 
     @property
     def dropped(self) -> Counter[str]:

@@ -214,9 +214,7 @@ def verdict(profile: ProfileReport) -> str:
 def _id_table(ids: tuple[IdStatus, ...], best: ProfileReport | None) -> PlainTable:
     numbers = ("frames", "Hz", "period ms", "jitter ms", "age s", "bytes")
     table = PlainTable("Ids", ("id", *numbers, "read as"), words=("read as",))
-    read: dict[int, list[str]] = {}
-    for message in best.fit.messages if best is not None else ():
-        read.setdefault(message.can_id, []).append(message.quantity)
+    read = {} if best is None else best.quantities
     for traffic in ids:
         table.add_row(
             f"{traffic.can_id:08X}" if traffic.extended else f"{traffic.can_id:03X}",
@@ -226,9 +224,13 @@ def _id_table(ids: tuple[IdStatus, ...], best: ProfileReport | None) -> PlainTab
             _text(1e3 * traffic.jitter, 1),
             _text(traffic.age, 1),
             ", ".join(map(str, sorted(traffic.lengths))),
-            ", ".join(read.get(traffic.can_id, ())),
+            ", ".join(map(_words, read.get(traffic.can_id, ()))),
         )
     return table
+
+
+def _words(quantity: str) -> str:
+    return quantity.replace("_", " ") + (" torque" if quantity.endswith("motor") else "")
 
 
 def _profile_table(profiles: tuple[ProfileReport, ...]) -> PlainTable:

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import moment, note, progress_bar, say, show, write_json
-from evpinn_ros.cli.options import CarOption, ColumnOption, JsonOption
+from evpinn_ros.cli.options import CanProfileOption, CarOption, ColumnOption, JsonOption
 from evpinn_ros.cli.table_columns import choice, shorter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
@@ -35,6 +35,7 @@ def info(
     ],
     column: ColumnOption = None,
     car: CarOption = None,
+    can_profile: CanProfileOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Show what recordings contain, and which part of them the estimator can use.
@@ -42,7 +43,7 @@ def info(
     Example: evpinn info bags/urban drive.log drive.csv
     """
     recordings: list[Contents] = []
-    options = ReadOptions(columns=column or (), car=car)
+    options = ReadOptions(can_profile, columns=column or (), car=car)
     problems = 0
     for path in chain.from_iterable(map(files_of, inputs)):
         try:
@@ -76,12 +77,12 @@ def _lines(recording: Contents) -> Iterator[str]:
     for why, names in by_reason(recording.unused).items():
         yield f"  not used, {why}: {shorter(names)}"
     if recording.frames:
-        fits = (
-            f"profile {recording.profile} fits" if recording.profile else "no known profile fits"
-        )
+        fits = f"read by {recording.profile}" if recording.profile else "no known profile fits"
         yield f"  CAN frames: {fits}"
     if recording.vehicles:
         yield f"  use: --vehicle {' or '.join(recording.vehicles)}"
+    elif recording.profile:
+        yield f"  use: --can-profile {recording.profile}"
     if recording.drive is not None:
         yield from _drive_lines(recording.drive, begin)
     if lost := dropped_text(recording.dropped or {}):

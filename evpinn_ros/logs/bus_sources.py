@@ -135,7 +135,9 @@ class CanLogSource(Source):
     def problem(self) -> str | None:
         """Break of the log, or the point from where on it contradicts the profile."""
         if self._bridge.refusal:
-            return f"{self.path}: {self._bridge.refusal}; --trust-profile overrules this"
+            better = self._bridge.better_profile
+            other = f"use --can-profile {better}, or " if better else ""
+            return f"{self.path}: {self._bridge.refusal}; {other}--trust-profile to keep this one"
         return self._log.problem
 
     @property
@@ -169,7 +171,14 @@ class CanLogSource(Source):
         self.dropped.update(status.dropped)
         self.dropped.update(self._log.skipped)
         if not decoded and not readings:
-            raise InputError(self.problem or f"{self.path}: {status.text}")
+            raise InputError(self.problem or f"{self.path}: {status.text}{self._fitting()}")
+
+    def _fitting(self) -> str:
+        """Words on the profile that fits the first frames; empty where none does."""
+        best = inspected(self._open_log()).best
+        if best is None:
+            return f" for this profile; evpinn can inspect {self.path} shows the traffic"
+        return f" for this profile; --can-profile {best.fit.profile} fits"
 
 
 def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Source:

@@ -45,7 +45,7 @@ class Contents:
     dated: str | None = None
     zoned: bool = True  # whether its clock is UTC or names its zone
     frames: int = 0  # of a CAN log or a bag, that were looked at for the profile; 0 without
-    profile: str | None = None  # that fits the frames, None when none does, or without frames
+    profile: str | None = None  # given, or that fits the frames; None when none does
     vehicles: tuple[str, ...] = ()  # whose profile that is
     # what the estimator can use, None when there is nothing of ours in it
     drive: DataCoverage | None = None
@@ -91,7 +91,8 @@ def contents(
     from evpinn_ros.logs import bus_sources
 
     report = bus_sources.inspected(bus_sources.open_can_log(path, options.car))
-    profile = report.best.fit.profile if report.best is not None else None
+    fitting = report.best.fit.profile if report.best is not None else None
+    profile = options.can_profile or fitting
     cars = map(load_vehicle, vehicle_names())
     names = tuple(car.key for car in cars if profile and car.can_profile == profile)
     recording = replace(recording, frames=report.frames, profile=profile, vehicles=names)

@@ -172,7 +172,7 @@ def test_a_wrong_profile_is_refused_by_name(evpinn, folder, command):
     assert ended.returncode == 1
     (line,) = ended.stderr.strip().splitlines()
     assert "tesla_model_3_2019.log: profile 'tesla_model_3' contradicts the traffic" in line
-    assert "'tesla_model_3_2019' fits better; --trust-profile overrules this" in line
+    assert "'tesla_model_3_2019' fits better; use --can-profile tesla_model_3_2019, or" in line
     assert not (folder / "refused").exists() or name == "replay"
 
 
