@@ -21,8 +21,9 @@ from rclpy.node import Node
 from rich.console import Console
 from rich.live import Live
 
-from evpinn_ros.common.errors import InputError, printable
+from evpinn_ros.common.errors import InputError, as_input_error, printable
 from evpinn_ros.common.json_text import json_text
+from evpinn_ros.common.writer import new_table
 from evpinn_ros.nodes.factory import installed, message_class, qos_profile
 from evpinn_ros.nodes.live.data import NOTHING, WATCHED, LiveData
 from evpinn_ros.nodes.live.screen import as_json, plain_line, problem_lines, screen
@@ -90,7 +91,7 @@ def watch(
             the view.
 
     Raises:
-        InputError: the namespace is none, or ROS does not start.
+        InputError: the namespace is none, ROS does not start, or the file is there already.
     """
     os.nice(YIELDS)
     # As in `running.run`: rclpy shuts down at SIGINT by itself.
@@ -115,7 +116,7 @@ def watch(
         with ExitStack() as stack:
             shows: list[tuple[float, Show]] = []
             if json_file is not None:
-                out = sys.stdout if to_stdout else stack.enter_context(json_file.open("w"))
+                out = sys.stdout if to_stdout else stack.enter_context(_new_lines(json_file))
                 shows.append((PLAIN_PERIOD, partial(_write_json, out)))
             if to_stdout:
                 pass
@@ -133,6 +134,11 @@ def watch(
         rclpy.try_shutdown()
     if multiprocessing.parent_process() is None:
         print(printable(_ending(listener.data)), file=sys.stderr)
+
+
+def _new_lines(path: Path) -> TextIO:
+    with as_input_error(path):
+        return new_table(path)
 
 
 def _ending(data: LiveData) -> str:
