@@ -31,14 +31,14 @@ def most_unpacked(size: int) -> int:
     return FREE_BYTES + RATIO * size
 
 
-def open_file(path: Path, window: int = -1) -> BinaryIO:
-    """A file, to be read as bytes, and so many ahead; -1 for some thousand.
+def open_file(path: Path) -> BinaryIO:
+    """A file, to be read as bytes.
 
     Raises:
         OSError: it cannot be opened, or is something else than a file.
         ValueError: no file can have such a name.
     """
-    return open(path, "rb", window, opener=_open)
+    return open(path, "rb", opener=_open)
 
 
 def open_unpacked(path: Path) -> IO[bytes]:

@@ -23,7 +23,6 @@ class PlainTable(Table):
         *,
         words: Collection[str] = (),
         unbroken: Collection[str] = (),
-        box: Any = SIMPLE_HEAD,
     ) -> None:
         """A table in the style of all.
 
@@ -34,10 +33,9 @@ class PlainTable(Table):
             rows: a cell for each column.
             words: other columns that are aligned left.
             unbroken: columns whose cells are not folded.
-            box: of rich, the lines between the cells.
         """
         shown = Text(printable(title), style="table.title") if title else None
-        super().__init__(title=shown, title_justify="left", box=box, pad_edge=False)
+        super().__init__(title=shown, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
         for column in columns:
             left = column in (columns[0], *words)
             self.add_column(

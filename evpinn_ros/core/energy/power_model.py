@@ -317,9 +317,9 @@ class PowerModel:
         return standing_powers(conditions, warmth) | drive
 
 
-def even_steps(duration: Any, distance: Any, climb: Any, head_wind: Any = 0.0) -> Steps:
-    """Steps at even speed: s, m, m, and m/s against the car; of one shape or numbers."""
-    flow = distance / duration + head_wind
+def even_steps(duration: Any, distance: Any, climb: Any) -> Steps:
+    """Steps at even speed without wind: s, m, m; of one shape or numbers."""
+    flow = distance / duration
     return Steps(duration, distance, flow * abs(flow) * distance, 0.0 * duration, climb)
 
 
