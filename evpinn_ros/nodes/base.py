@@ -344,6 +344,8 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             if topic not in either or not (publishers := self.count_publishers(name)):
                 continue
             reasons.append(f"{publishers} publisher{'s' * (publishers > 1)} of {topic.name}")
+            types = {info.topic_type for info in self.get_publishers_info_by_topic(name)}
+            reasons += (f"of type {other}" for other in sorted(types - {topic.type_name}))
             if policy := self._mismatched.get(topic):
                 reasons.append(f"incompatible QoS ({policy})")
             reasons += sorted(self._refused.get(topic.name, ()))

@@ -2,6 +2,8 @@
 
 import math
 
+import rclpy
+
 from evpinn_ros import topics
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
@@ -119,6 +121,18 @@ def test_a_quality_of_service_that_does_not_match_is_named_until_messages_come(b
     bench.node.destroy_publisher(publisher)
     bench.deliver(node, topics.SPEED, speed(0.0))
     assert wanted not in bench.diagnosis(node)["estimate"][1]
+
+
+def test_a_publisher_of_another_type_is_named(bench):
+    """In a context of its own, for a process has one type for a topic."""
+    node, others = bench.start(EstimatorNode), rclpy.Context()
+    rclpy.init(context=others)
+    other = rclpy.create_node("other", context=others)
+    other.create_publisher(factory.message_class(topics.SCALAR_TYPE), topics.SPEED.under(), 10)
+    wanted = "1 publisher of vehicle/speed, of type std_msgs/msg/Float64"
+    bench.pump(lambda: node.why_silent(topics.SPEED) == wanted)
+    other.destroy_node()
+    rclpy.shutdown(context=others)
 
 
 def test_who_publishes_a_speed_that_is_not_used_and_why_is_named_and_logged(bench, capfd):
