@@ -83,8 +83,8 @@ def edge_energies(
     Example:
         >>> import evpinn_ros as ev
         >>> edges = {"length_m": [500.0, 500.0], "speed_kmh": [50.0, 50.0], "climb_m": [25, -25]}
-        >>> found = ev.edge_energies(edges, "bmw_i3")
-        >>> bool(found.table.energy_j[0] > 0 > found.table.energy_j[1])
+        >>> energies = ev.edge_energies(edges, "bmw_i3")
+        >>> bool(energies.table.energy_j[0] > 0 > energies.table.energy_j[1])
         True
 
     Args:

@@ -66,8 +66,8 @@ def forecast(
     Example:
         >>> import evpinn_ros as ev
         >>> plan = {"t_s": [0.0, 10.0, 290.0, 300.0], "speed_mps": [0.0, 20.0, 20.0, 0.0]}
-        >>> found = ev.forecast(plan, "bmw_i3", charge_pct=80.0)
-        >>> print(*found.columns)
+        >>> energies = ev.forecast(plan, "bmw_i3", charge_pct=80.0)
+        >>> print(*energies.columns)
         distance_m speed_mps elevation_m power_w energy_j sigma_j charge_pct charge_sigma_pct
 
     Args:

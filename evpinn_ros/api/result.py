@@ -90,9 +90,9 @@ class Result:
             _predictions(drive.smoothed, "smoothed"), how="outer"
         )
         time = frame.index.to_numpy()
-        measured, known = measured_at(drive, time)
+        measured, is_measured = measured_at(drive, time)
         frame.insert(0, "speed_mps", np.interp(time, *rising(drive.speed).T))
-        frame.insert(1, "measured_w", np.where(known, measured, np.nan))
+        frame.insert(1, "measured_w", np.where(is_measured, measured, np.nan))
         return frame
 
     @cached_property
@@ -159,8 +159,8 @@ class Result:
         # Here, for pictures take longer to import than all else together.
         from evpinn_ros.report.drive_page import write_replayed
 
-        done = [self.replayed]
-        write_replayed(Path(path), done, self.vehicle, self.options, "evpinn_ros.replay")
+        replays = [self.replayed]
+        write_replayed(Path(path), replays, self.vehicle, self.options, "evpinn_ros.replay")
 
 
 def _predictions(series: PowerSeries, name: str) -> pd.DataFrame:

@@ -85,8 +85,8 @@ class CanBridge:
         """
         self._key, self._guard, self._sign = profile.key, guard, sign
         self._decoder = Decoder(profile, guard.fit if guard is not None else None)
-        known = {*profile.messages, *profile.asked}
-        self._arrivals = {name: _Arrivals() for name in _KINDS if name in known}
+        quantities = {*profile.messages, *profile.asked}
+        self._arrivals = {name: _Arrivals() for name in _KINDS if name in quantities}
         self.poller = Poller(profile, send, clock) if profile.requests else None
         self._answers = 0
 
@@ -201,8 +201,8 @@ class _Arrivals:
 
     @property
     def _patience_ns(self) -> float:
-        known = math.isfinite(self._period_ns)
-        period_ns = self._period_ns if known else LONGEST_PERIOD_NS
+        has_period = math.isfinite(self._period_ns)
+        period_ns = self._period_ns if has_period else LONGEST_PERIOD_NS
         return STALE_PERIODS * max(period_ns, SHORTEST_PERIOD_NS)
 
     def _learn(self, interval_ns: int) -> None:

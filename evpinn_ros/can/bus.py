@@ -309,11 +309,11 @@ def _deepen_queue(bus: Any) -> None:
     says so in a way of its own: an OSError, NotImplementedError, a file number of -1...
     """
     with suppress(Exception):
-        own = socket.socket(fileno=bus.fileno())
+        bus_socket = socket.socket(fileno=bus.fileno())
         try:
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_QUEUE)
+            bus_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_QUEUE)
         finally:
-            own.detach()  # it stays the driver's
+            bus_socket.detach()  # it stays the driver's
 
 
 def _remedy(error: BaseException | BusCondition, interface: str, channel: str | int) -> str | None:

@@ -190,7 +190,7 @@ def ranked(fits: Iterable[ProfileFit]) -> list[ProfileFit]:
     return sorted(by_name, key=lambda fit: fit.order, reverse=True)
 
 
-def contradiction(own: ProfileFit, others: Sequence[ProfileFit]) -> Contradiction | None:
+def contradiction(checked: ProfileFit, others: Sequence[ProfileFit]) -> Contradiction | None:
     """Contradiction between the traffic and a profile, None where there is none.
 
     A profile is contradicted when one of its messages fails, unless its checksums prove it and
@@ -199,14 +199,14 @@ def contradiction(own: ProfileFit, others: Sequence[ProfileFit]) -> Contradictio
     profile shows its own: ids of one car mean something else in the next.
     """
     holding = sorted((other for other in others if other.holds), key=lambda fit: fit.order)
-    better = [other for other in holding if other.score >= own.score + MARGIN]
-    wrong = [message for message in own.messages if message.fails]
-    if wrong and (better or not own.proven):
+    better = [other for other in holding if other.score >= checked.score + MARGIN]
+    wrong = [message for message in checked.messages if message.fails]
+    if wrong and (better or not checked.proven):
         return _contradiction(wrong, better)
     proven = [other for other in holding if other.proven]
-    provable = any(message.has_checksum for message in own.messages)
-    if proven and own.frames and provable and not own.proven:
-        return _contradiction([other for other in own.messages if not other.proven], proven)
+    provable = any(message.has_checksum for message in checked.messages)
+    if proven and checked.frames and provable and not checked.proven:
+        return _contradiction([other for other in checked.messages if not other.proven], proven)
     return None
 
 

@@ -121,8 +121,8 @@ def load_profile(name_or_path: str | Path) -> CanProfile:
         )
     if path.suffix not in (".yaml", ".yml"):
         if str(name_or_path) not in profile_names():
-            known = known_names(str(name_or_path), profile_names())
-            raise InputError(f"no CAN profile named '{name_or_path}'{known}, or give a path")
+            suggestion = known_names(str(name_or_path), profile_names())
+            raise InputError(f"no CAN profile named '{name_or_path}'{suggestion}, or give a path")
         path = _profile_directory() / f"{name_or_path}.yaml"
     return _parse(path)
 

@@ -96,8 +96,8 @@ def inspect(
     """
     profiles = {profile.key: profile for profile in bundled_profiles()}
     if can_profile is not None:
-        own = load_profile(can_profile)
-        profiles[own.key] = own
+        extra_profile = load_profile(can_profile)
+        profiles[extra_profile.key] = extra_profile
     inspection = Inspection(profiles.values(), bitrate or BITRATE)
     if elm327 is not None:
         interface, channel = elm327_bus(elm327, interface, channel)

@@ -143,8 +143,8 @@ def progress_lines(title: str, total: float | None, amount: Callable[[float], st
         due = now
         share = done / total if total else 0.0
         left = (now - begun) * (1.0 - share) / share if 0.0 < share <= 1.0 else None
-        known = "" if left is None else f", {100.0 * share:.0f} %, {left:.0f} s left"
-        note(f"{title}: {amount(done)}{known}")
+        progress = "" if left is None else f", {100.0 * share:.0f} %, {left:.0f} s left"
+        note(f"{title}: {amount(done)}{progress}")
 
     return report
 

@@ -71,9 +71,10 @@ def demo(
         record_through_nodes(parameters, end_ns, bag, progress, lambda: stop.asked)
     drive = recorded_drive(bag)
     truth = read_truth(source)
-    known = truth and identifiable(truth, load_vehicle(VEHICLE).frontal_area)
+    determined_truth = truth and identifiable(truth, load_vehicle(VEHICLE).frontal_area)
     save_figure(
-        drive_figure(drive, "A simulated drive in town, through the nodes", known), picture
+        drive_figure(drive, "A simulated drive in town, through the nodes", determined_truth),
+        picture,
     )
     scores = drive_scores(drive, WARM_UP)
     show(score_table(drive, scores))

@@ -128,13 +128,13 @@ def forecast(
         float(prewarmed),
         None if steady is None else float(steady),
     )
-    own = load_vehicle(vehicle)
+    planned_car = load_vehicle(vehicle)
     shown = units.units
     forecasts = []
     for path in plans:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always", UserWarning)
-            plan = read_plan(path, own, read_options)
+            plan = read_plan(path, planned_car, read_options)
         for warning in warned:
             if warning.category is UserWarning:
                 note(f"evpinn: {path}: {warning.message}")
@@ -159,8 +159,8 @@ def forecast(
             level.setdefault(text, []).append(name)
     for text, alike in level.items():
         say(f"{', '.join(alike)}: {text}.")
-    known = "by its vehicle file alone; --state FILE uses what earlier drives taught"
-    say(f"{vehicle}, {known if state is None else f'as learned in {state}'}.")
+    basis = "by its vehicle file alone; --state FILE uses what earlier drives taught"
+    say(f"{vehicle}, {basis if state is None else f'as learned in {state}'}.")
     if (better := forecasts[0].better_expert) is not None:
         say(better)
     expected = _expected(given, forecasts[0].basis.model.car.celsius, shown)

@@ -150,7 +150,7 @@ def _read_options(
 
 def with_read_options(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command the options on how to read recordings, in place of its `read_options`."""
-    own = inspect.signature(command, eval_str=True)
+    signature = inspect.signature(command, eval_str=True)
     given = inspect.signature(_read_options, eval_str=True).parameters
 
     @wraps(command)
@@ -159,9 +159,9 @@ def with_read_options(command: Callable[..., None]) -> Callable[..., None]:
         command(**values, read_options=options)
 
     parameters: list[inspect.Parameter] = []
-    for name, parameter in own.parameters.items():
+    for name, parameter in signature.parameters.items():
         parameters += given.values() if name == "read_options" else [parameter]
-    vars(read_by_options)["__signature__"] = own.replace(parameters=parameters)
+    vars(read_by_options)["__signature__"] = signature.replace(parameters=parameters)
     return read_by_options
 
 

@@ -300,8 +300,8 @@ def _write(
     return problems == 0
 
 
-def _write_metrics(path: Path, done: list[Replayed], several: bool) -> None:
-    documents: list[dict[str, Any]] = [result.metrics for result in done]
+def _write_metrics(path: Path, replays: list[Replayed], several: bool) -> None:
+    documents: list[dict[str, Any]] = [result.metrics for result in replays]
     write_json(path, documents if several or len(documents) > 1 else documents[0])
 
 

@@ -42,11 +42,11 @@ def view(
     if not is_loopback(host):
         note(f"Warning: {host} is not loopback; whoever reaches it can read along.")
     with BagReader(bag) as reader:
-        known = typestore().fielddefs
+        definitions = typestore().fielddefs
         offered = {
             topic: info.type_name
             for topic, info in reader.topics.items()
-            if info.count and info.type_name in known
+            if info.count and info.type_name in definitions
         }
         if not offered:
             raise InputError(f"{bag}: holds no messages that can be shown")

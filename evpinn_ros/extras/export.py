@@ -74,9 +74,9 @@ def rmf(
     car = Estimator(vehicle, state=state)
     gauge = car.account.gauge
     robot = rmf_energy(car.model, car.vehicle, gauge.capacity, speed)
-    holds, known = robot.capacity, "as its drives showed" if gauge.learned else "its vehicle file"
+    holds, source = robot.capacity, "as its drives showed" if gauge.learned else "its vehicle file"
     if capacity is not None:
-        holds, known = Uncertain(capacity, math.nan), "given"
+        holds, source = Uncertain(capacity, math.nan), "given"
     if not math.isfinite(holds.value):
         raise InputError(
             f"the capacity of the battery of {vehicle} is not known: give --capacity, write "
@@ -91,7 +91,7 @@ def rmf(
 rmf_fleet:
   battery_system:
     voltage: {robot.voltage:.1f}  # V, nominal, by the vehicle file
-    capacity: {holds.value:.2f}  # A h{spread}, {known}
+    capacity: {holds.value:.2f}  # A h{spread}, {source}
     charging_current: {current:.2f}  # A, {"given" if charging_current else "not learned"}
   mechanical_system:
     mass: {robot.mass:.3f}  # kg, for RMF's formula, not the weight

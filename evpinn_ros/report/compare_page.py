@@ -42,9 +42,9 @@ def part_rows(
     ]
     amounts = [breakdown.amounts() for breakdown in breakdowns]
     rows.append((MEANINGS[UNEXPLAINED], [amount[UNEXPLAINED] for amount in amounts]))
-    known = [row for row in rows if any(amount.kwh or amount.sigma_kwh for amount in row[1])]
-    known.append((MEANINGS["measured"], [breakdown.total() for breakdown in breakdowns]))
-    known.append((MEANINGS[REGAINED], [amount[REGAINED] for amount in amounts]))
+    shown_rows = [row for row in rows if any(amount.kwh or amount.sigma_kwh for amount in row[1])]
+    shown_rows.append((MEANINGS["measured"], [breakdown.total() for breakdown in breakdowns]))
+    shown_rows.append((MEANINGS[REGAINED], [amount[REGAINED] for amount in amounts]))
     return [
         (
             name,
@@ -53,7 +53,7 @@ def part_rows(
                 for amount, breakdown in zip(cells, breakdowns, strict=True)
             ),
         )
-        for name, cells in known
+        for name, cells in shown_rows
     ]
 
 

@@ -29,10 +29,10 @@ def curve(title: str, lines: Sequence[Curve], *, from_zero: bool) -> dict[str, A
     """
     spans = [line.up + sign * (0.0 if line.half is None else line.half)
              for line in lines for sign in (-1.0, 1.0)]  # fmt: skip
-    known = np.concatenate([span[np.isfinite(span)] for span in spans])
-    if not len(known):
+    finite = np.concatenate([span[np.isfinite(span)] for span in spans])
+    if not len(finite):
         return None
-    low, high = float(known.min()), float(known.max())
+    low, high = float(finite.min()), float(finite.max())
     across = ticks(0.0, max(float(line.across[-1]) for line in lines))
     up = ticks(min(0.0, low) if from_zero else low, high)
     return {

@@ -60,9 +60,9 @@ def power_chart(drive: Drive, points: int) -> Chart:
 def error_chart(drive: Drive, points: int) -> Chart:
     """Predicted less measured power, with the 90 % band that was claimed, around zero."""
     time, predicted, sigma, _ = drive.smoothed
-    measured, known = measured_at(drive, time)
+    measured, is_measured = measured_at(drive, time)
     grid = grid_for(time if len(time) else drive.speed[:, 0], drive.duration, points)
-    error = np.where(known, predicted - measured, np.nan) / KILO
+    error = np.where(is_measured, predicted - measured, np.nan) / KILO
     half = GAUSSIAN_QUANTILE * sigma / KILO
     lines = [
         _line("", "low", time, -half, grid),

@@ -48,20 +48,20 @@ class Moments(NamedTuple):
 def moments(drive: Drive) -> Moments:
     """The moments of `power/smoothed` at which the battery was measured."""
     series = drive.smoothed
-    measured, known = measured_at(drive, series.time)
+    measured, is_measured = measured_at(drive, series.time)
     time, speed = rising(drive.speed).T
     if not len(time):
         return Moments(*(np.empty(0) for _ in Moments._fields))
     before, after = (np.interp(series.time + s, time, speed) for s in (-HALF_SPAN, HALF_SPAN))
     steps = np.clip(np.diff(series.time, append=np.nan), 0.0, longest_step(series.time))
-    every = Moments(
+    all_moments = Moments(
         series.time,
         np.clip(np.interp(series.time, time, speed), -LARGEST_SPEED, LARGEST_SPEED),
         np.clip((after - before) / (2 * HALF_SPAN), -LARGEST_ACCELERATION, LARGEST_ACCELERATION),
         np.nan_to_num(steps),
         (series.power - measured) / KILO,
     )
-    return chosen_rows(every, known & np.isfinite(every.error))
+    return chosen_rows(all_moments, is_measured & np.isfinite(all_moments.error))
 
 
 def scored_moments(drive: Drive, driven: Moments, warm_up: float) -> Moments:
@@ -181,5 +181,5 @@ def _map_chart(
 
 def _full(values: np.ndarray, share: float) -> float:
     """The quantile `share` of the sizes of what is known, from which on colour is full."""
-    known = np.abs(values[np.isfinite(values)])
-    return max(float(np.quantile(known, share)), 1e-9) if len(known) else 1.0
+    finite = np.abs(values[np.isfinite(values)])
+    return max(float(np.quantile(finite, share)), 1e-9) if len(finite) else 1.0

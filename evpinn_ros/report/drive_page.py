@@ -93,7 +93,7 @@ class ReportedDrive:
 
 def write_replayed(
     path: Path,
-    done: Sequence[Replayed],
+    replays: Sequence[Replayed],
     vehicle: Vehicle,
     options: ReplayOptions,
     command: str,
@@ -110,7 +110,7 @@ def write_replayed(
             withheld_from=options.withhold_battery_after,
             truth=read_truth(Path(replayed.metrics["input"]["path"])),
         )
-        for replayed in done
+        for replayed in replays
     ]
     write_drives(path, drives, command, units, breakdown)
 

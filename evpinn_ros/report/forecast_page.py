@@ -96,20 +96,20 @@ def _sentence(planned: PlannedEnergy, units: Units) -> str:
 
 def _curves(planned: PlannedEnergy, units: Units) -> Any:
     trip, energies = planned.trip, planned.energies
-    every = np.unique(np.linspace(0, len(trip.time) - 1, POINTS).round().astype(int))
-    along = (trip.distance - trip.distance[0])[every] / units.metres
-    charge, charge_sigma = 100 * planned.charge[:, every]
-    energy, sigma = energies.energy[every] / JOULES_PER_KWH, energies.sigma[every] / JOULES_PER_KWH
-    known = np.isfinite(charge).any()
+    shown = np.unique(np.linspace(0, len(trip.time) - 1, POINTS).round().astype(int))
+    along = (trip.distance - trip.distance[0])[shown] / units.metres
+    charge, charge_sigma = 100 * planned.charge[:, shown]
+    energy, sigma = energies.energy[shown] / JOULES_PER_KWH, energies.sigma[shown] / JOULES_PER_KWH
+    has_charge = np.isfinite(charge).any()
     lines = [
         ("Charge of the battery, %", along, charge, charge_sigma, False)
-        if known
+        if has_charge
         else ("Energy since the start, kWh", along, energy, sigma, True),
-        (f"Speed, {units.speed}", *speed_along(planned, every, units), None, True),
+        (f"Speed, {units.speed}", *speed_along(planned, shown, units), None, True),
         (
             f"Height, {units.height}",
             along,
-            trip.elevation[every] / units.height_metres,
+            trip.elevation[shown] / units.height_metres,
             None,
             False,
         ),
@@ -124,22 +124,22 @@ def _curves(planned: PlannedEnergy, units: Units) -> Any:
 
 
 def speed_along(
-    planned: PlannedEnergy, every: np.ndarray, units: Units = METRIC
+    planned: PlannedEnergy, shown: np.ndarray, units: Units = METRIC
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distances, and the speeds there: of legs their means, in steps.
 
     Args:
         planned: with n points.
-        every: numbers of the points to show.
+        shown: numbers of the points to show.
         units: of both.
     """
     trip = planned.trip
     along = (trip.distance - trip.distance[0]) / units.metres
     if not isinstance(planned.given, Legs):
-        return along[every], units.speeds * trip.speed[every]
-    legs = np.minimum(every[:-1], len(planned.given.length) - 1)
+        return along[shown], units.speeds * trip.speed[shown]
+    legs = np.minimum(shown[:-1], len(planned.given.length) - 1)
     mean = units.speeds * (planned.given.length / planned.given.duration)[legs]
-    return np.repeat(along[every], 2)[1:-1], np.repeat(mean, 2)
+    return np.repeat(along[shown], 2)[1:-1], np.repeat(mean, 2)
 
 
 def _parts(planned: PlannedEnergy) -> list[dict[str, Any]]:

@@ -55,8 +55,8 @@ def trend_intervals(
     points: Iterable[DrivePoint | None], units: Units = METRIC
 ) -> list[tuple[str, list[dict[str, Any]]]]:
     """Title and rows of each trend, with the spread of single drives as the interval."""
-    known = [point for point in points if point is not None]
-    return [(trend.title, _rows(trend, units)) for trend in trends(known, units)]
+    present = [point for point in points if point is not None]
+    return [(trend.title, _rows(trend, units)) for trend in trends(present, units)]
 
 
 def _rows(trend: Trend, units: Units) -> list[dict[str, Any]]:

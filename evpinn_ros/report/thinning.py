@@ -91,10 +91,10 @@ def _join(extremes: np.ndarray, time: np.ndarray, values: np.ndarray, grid: Grid
 def packed(values: np.ndarray) -> dict[str, Any]:
     """Numbers as base64 of little-endian 16-bit levels; NaN has a level of its own."""
     values = np.clip(values, -LARGEST, LARGEST)
-    known = np.isfinite(values)
-    low = float(values[known].min()) if known.any() else 0.0
-    high = float(values[known].max()) if known.any() else 0.0
+    finite = np.isfinite(values)
+    low = float(values[finite].min()) if finite.any() else 0.0
+    high = float(values[finite].max()) if finite.any() else 0.0
     step = (high - low) / LEVELS or 1.0
     levels = np.full(len(values), NO_VALUE, dtype="<i2")
-    levels[known] = np.round((values[known] - low) / step) - LEVELS // 2
+    levels[finite] = np.round((values[finite] - low) / step) - LEVELS // 2
     return {"low": low, "step": step, "levels": base64.b64encode(levels.tobytes()).decode()}

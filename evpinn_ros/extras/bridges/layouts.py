@@ -155,8 +155,8 @@ class Layout:
                 fields = json.loads(text)
         fields = fields if isinstance(fields, dict) else {}
         values = [(rule.quantity, rule.value(fields.get(name))) for name, rule in rules.items()]
-        known = {quantity: value for quantity, value in values if not math.isnan(value.value)}
-        return Parsed(car, known, _stamp_ns(fields.get(self._stamp)))
+        measured = {quantity: value for quantity, value in values if not math.isnan(value.value)}
+        return Parsed(car, measured, _stamp_ns(fields.get(self._stamp)))
 
 
 def _expression(topic: str) -> re.Pattern[str]:
@@ -239,7 +239,7 @@ def _unit(section: Section, quantity: Measurand) -> Unit:
     units: Mapping[str, Unit] = {} if column is None else column.units
     unit = units.get(section.text("unit").lower())
     if unit is None:
-        known = ", ".join(units) or "none"
-        raise section.error_at("unit", f"units of {quantity.value}: {known}")
+        unit_names = ", ".join(units) or "none"
+        raise section.error_at("unit", f"units of {quantity.value}: {unit_names}")
     # The columns of `drives` hold a charge in percent.
     return Unit(unit.factor * PERCENT) if quantity is Measurand.CHARGE else unit

@@ -111,5 +111,5 @@ def discovery(
             "suggested_display_precision": sensor.digits,
             "entity_category": "diagnostic" if sensor.diagnostic else None,
         }
-        known = {name: value for name, value in content.items() if value is not None}
-        yield f"{prefix}/sensor/{device}/{key}/config", known | of_all
+        present = {name: value for name, value in content.items() if value is not None}
+        yield f"{prefix}/sensor/{device}/{key}/config", present | of_all

@@ -126,8 +126,8 @@ class Snapshots:
         if self._value(Measurand.STANDING) == 1.0:  # TeslaMate sends no speed of a parked car
             return SpeedReading(stamp_ns, 0.0)
         speed, step = self._held.get(Measurand.SPEED, Value())
-        known = not math.isnan(speed)
-        return SpeedReading(stamp_ns, speed, VARIANCE_OF_A_STEP * step**2) if known else None
+        has_speed = not math.isnan(speed)
+        return SpeedReading(stamp_ns, speed, VARIANCE_OF_A_STEP * step**2) if has_speed else None
 
     def _battery(self, stamp_ns: int) -> BatteryReading | None:
         volt, current = self._value(Measurand.VOLTAGE), self._value(Measurand.CURRENT)

@@ -166,8 +166,8 @@ class _Input:
         """Look at a drive; what is known of it already is not read again."""
         try:
             fingerprint = _fingerprint(path)
-            known = learned.starts.get(fingerprint)
-            start_ns = known if known is not None else _first_stamp(path, learned.vehicle)
+            start = learned.starts.get(fingerprint)
+            start_ns = start if start is not None else _first_stamp(path, learned.vehicle)
             return cls(path, fingerprint, start_ns, None)
         except Exception as error:  # whatever is wrong with one drive, the others go on
             return cls(path, "", 0, with_kind(error))

@@ -123,8 +123,10 @@ def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[st
     at_stop(signal.default_int_handler)  # all end it as Ctrl-C does
     try:
         with progress_bar("evpinn fleet", len(cars), unit="cars") as progress:
-            for done, outcome in enumerate(learn_fleet(cars, out.resolve(), executor), start=1):
-                progress(done)
+            for finished, outcome in enumerate(
+                learn_fleet(cars, out.resolve(), executor), start=1
+            ):
+                progress(finished)
                 if outcome.problem is not None:
                     failed[outcome.task.drives.car] = outcome.problem
     except KeyboardInterrupt:

@@ -84,9 +84,9 @@ def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
 
 def _unexplained(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
     """Share of the variance of power, `delay` before each sample of speed, that eq. 21 leaves."""
-    known = (log.time - DELAYS[-1] >= log.time[0]) & (log.time - DELAYS[0] <= log.time[-1])
-    _, speed, acceleration, _ = chosen_rows(log, known)
-    power = np.interp(log.time[known] - delay, log.time, log.power)
+    inside = (log.time - DELAYS[-1] >= log.time[0]) & (log.time - DELAYS[0] <= log.time[-1])
+    _, speed, acceleration, _ = chosen_rows(log, inside)
+    power = np.interp(log.time[inside] - delay, log.time, log.power)
     braking = acceleration < vehicle.beta
     kinetic = speed * acceleration
     terms = (np.ones_like(speed), speed, speed**3, kinetic * braking, kinetic * ~braking)

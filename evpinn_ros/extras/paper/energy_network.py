@@ -80,8 +80,8 @@ def step_data(time: np.ndarray, power: np.ndarray) -> StepData:
 def _usable_steps(time: np.ndarray, power: np.ndarray) -> tuple[StepData, np.ndarray]:
     """The steps that can be integrated, and the index of the sample at which each begins."""
     dt = np.diff(time)
-    known = np.isfinite(power[:-1]) & np.isfinite(power[1:])
-    starts = np.flatnonzero(known & (dt > 0) & (dt <= MAX_GAP))
+    has_power = np.isfinite(power[:-1]) & np.isfinite(power[1:])
+    starts = np.flatnonzero(has_power & (dt > 0) & (dt <= MAX_GAP))
     start, end, dt = power[starts], power[starts + 1], dt[starts]
     middle = (start + end) / 2
     gained = energy_step((start, middle, middle, end), dt)
@@ -133,9 +133,9 @@ class _Networks(nn.Module):
 
     def forward(self, steps: StepData, energy: Tensor) -> Tensor:
         """Energy of each step, shape (2, n), RKNN first, when E(t) is `energy`, shape (2, n)."""
-        known = steps.power, steps.power_mid, steps.power_next, steps.dt
-        ks = slopes(list(self.subnetworks), *known, energy[0])
-        return torch.stack((energy_step(ks, steps.dt), self.plain(*known, energy[1])))
+        inputs = steps.power, steps.power_mid, steps.power_next, steps.dt
+        ks = slopes(list(self.subnetworks), *inputs, energy[0])
+        return torch.stack((energy_step(ks, steps.dt), self.plain(*inputs, energy[1])))
 
     def losses(self, steps: StepData) -> Tensor:
         """Eq. 30, as means, shape (2,), RKNN first."""
@@ -220,8 +220,8 @@ class EnergyTraining:
         """Continue from a `state` of the same data and seed."""
         self.epoch = int(state["epoch"])
         self.losses = [EnergyRow(int(row[0]), *row[1:]) for row in state["losses"].tolist()]
-        own = self._networks.state_dict()
-        self._networks.load_state_dict({name: state[f"networks_{name}"] for name in own})
+        weights = self._networks.state_dict()
+        self._networks.load_state_dict({name: state[f"networks_{name}"] for name in weights})
         load_adam_state(self._adam, self._networks.parameters(), state)
 
     @torch.no_grad()

@@ -109,8 +109,8 @@ def parameter_rows(
         variance = float(covariance[index, index])
         share = min(1.0, variance / (prior.std / prior.value) ** 2)
         value = float(getattr(values, name))
-        known = name in free and share < KNOWN_BELOW
-        rows.append(TableFiveRow(name, prior.value, value, variance**0.5 * value, share, known))
+        is_known = name in free and share < KNOWN_BELOW
+        rows.append(TableFiveRow(name, prior.value, value, variance**0.5 * value, share, is_known))
     return rows
 
 

@@ -94,8 +94,8 @@ def energy_loss_table(outcome: Outcome) -> ResultTable:
     for epoch in LOGGED_EPOCHS:
         ours, theirs = measured.get(epoch), published[epoch]
         for label, rknn, dnn in (("T", 1, 3), ("V", 2, 4)):
-            own = [_loss(None if ours is None else ours[column]) for column in (rknn, dnn)]
-            rows.append([f"{epoch} {label}", *own, _loss(theirs[rknn]), _loss(theirs[dnn])])
+            our_losses = [_loss(None if ours is None else ours[column]) for column in (rknn, dnn)]
+            rows.append([f"{epoch} {label}", *our_losses, _loss(theirs[rknn]), _loss(theirs[dnn])])
     return ResultTable(
         "Table IV: loss of the energy networks",
         ["epoch", "RKNN", "DNN", "paper RKNN", "paper DNN"],

@@ -122,10 +122,12 @@ def _predicts(outcome: Outcome) -> tuple[Finding, Finding]:
 
 
 def _parameters(outcome: Outcome) -> Finding:
-    known = [row.name for row in outcome.combinations if row.determined]
+    determined = [row.name for row in outcome.combinations if row.determined]
     guessed = [row.name for row in outcome.parameters if not row.determined]
-    answer = (ClaimAnswer.PARTLY if known else ClaimAnswer.FAILS) if guessed else ClaimAnswer.HOLDS
-    measured = f"the data determine {_named(known)}; not determined: {_named(guessed)}"
+    answer = (
+        (ClaimAnswer.PARTLY if determined else ClaimAnswer.FAILS) if guessed else ClaimAnswer.HOLDS
+    )
+    measured = f"the data determine {_named(determined)}; not determined: {_named(guessed)}"
     table_five = f"Table V, {outcome.settings.form.value}"
     if any(score.method == table_five for score in outcome.scores):
         off = _off(_score(outcome, table_five, WHOLE))
