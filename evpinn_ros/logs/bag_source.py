@@ -29,7 +29,8 @@ class BagSource(Source):
     def _open(self) -> None:
         self._reader = BagReader(self.path)
         self._readings = BagReadings(self._reader, self._options.car, self._options.mounting)
-        self.dropped, self._watch = self._readings.dropped, BatteryWatch()
+        self.dropped = self._readings.dropped
+        self._watch = BatteryWatch(self.dropped)
         self._is_read = False
 
     @property

@@ -6,68 +6,88 @@ device drivers send the current with the sign of a charger.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 import math
 
 import numpy as np
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
+    AltitudeReading,
     BatteryReading,
     Reading,
     SpeedReading,
     drawn_power,
     why_impossible,
 )
-from evpinn_ros.logs.signal import LEAST_EVENTS, Signal, at_times, pull, speeds_up_and_down
-from evpinn_ros.logs.values import always, never_back, wrong_sign
+from evpinn_ros.logs.quantities import PLACES
+from evpinn_ros.logs.signal import Signal, at_times, pull, speeds_up_and_down
+from evpinn_ros.logs.source import STRAGGLING_NS
+from evpinn_ros.logs.standing import Standing
+from evpinn_ros.logs.values import never_back, wrong_sign
 
 STATED = "it is negative while the battery discharges, and every energy has the other sign"
+BLOCK = 20_000  # readings that are judged together
+QUANTITIES = ("speed", "voltage", "current", *PLACES)
+NONE = (math.nan,) * len(QUANTITIES)
 MOST_KEPT = 30_000  # readings of each signal, by which the sign is judged: 50 min at 10 Hz
 
 
 class BatteryWatch:
-    """Passes on the readings of a drive, and notes what its battery cannot be.
+    """Passes on the readings of a drive that are measured, and notes what its battery cannot be.
 
     Attributes:
         notes: sentences, complete once all is read.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, dropped: Counter[str]) -> None:
+        """Begin; what stands still is counted in `dropped`."""
         self.notes: tuple[str, ...] = ()
+        self._standing = Standing(dropped)
         self._speed: list[tuple[int, float]] = []
         self._voltage: list[tuple[int, float]] = []
         self._current: list[tuple[int, float]] = []
         self._flows_back, self._zero_ns = False, 0
 
     def on(self, readings: Iterable[Reading]) -> Iterator[Reading]:
-        """The readings, without a current that never changes.
+        """The readings, block by block, without those that stand still while the car does not.
 
-        Those from the first current on wait until there is another one; a log of a car that
-        drives does not wait for long.
+        What came before an error of the source is passed on before it.
         """
-        waiting: list[Reading] = []
-        first, changes = math.nan, False
-        for reading in readings:
+        block: list[Reading] = []
+        newest, error = 0, None
+        try:
+            for reading in readings:
+                if isinstance(reading, SpeedReading):
+                    back, newest = reading.stamp_ns < newest - STRAGGLING_NS, reading.stamp_ns
+                    if back or len(block) >= BLOCK:
+                        yield from self._measured(block)
+                        block = []
+                block.append(reading)
+        except InputError as broken:
+            error = broken
+        yield from self._measured(block)
+        self.notes = (*self._standing.notes, *self._doubts())
+        if error is not None:
+            raise error
+
+    def _measured(self, block: list[Reading]) -> Iterator[Reading]:
+        stamps = np.array([reading.stamp_ns for reading in block], np.int64)
+        table = np.array([_row(reading) for reading in block], float).reshape(-1, len(QUANTITIES))
+        values = {name: table[:, i] for i, name in enumerate(QUANTITIES)}
+        self._standing.drop(stamps, values, np.argsort(stamps, kind="stable"))
+        for reading, speed, current in zip(
+            block, values["speed"].tolist(), values["current"].tolist(), strict=True
+        ):
+            if isinstance(reading, SpeedReading) and math.isnan(speed - reading.speed):
+                continue
+            if isinstance(reading, BatteryReading) and math.isnan(current):
+                reading = replace(reading, current=current)
             self._take(reading)
-            if isinstance(reading, BatteryReading) and math.isfinite(reading.current):
-                first = reading.current if math.isnan(first) else first
-                if reading.current != first and not changes:
-                    changes = True
-                    yield from waiting
-                    waiting = []
-            if math.isnan(first) or changes:
-                yield reading
-            else:
-                waiting.append(reading)
-        speed = _signal(self._speed, self._zero_ns)
-        if waiting and not changes and self._drives(speed):
-            self.notes = (f"battery current: {always(first)}, so it is not measured",)
-            waiting = list(map(_without_current, waiting))
-        elif changes:
-            self.notes = tuple(self._doubts(speed))
-        yield from waiting
+            yield reading
 
     def _take(self, reading: Reading) -> None:
         if why_impossible(reading) is not None:
@@ -80,16 +100,14 @@ class BatteryWatch:
             _keep(self._voltage, reading.stamp_ns, reading.voltage)
             _keep(self._current, reading.stamp_ns, reading.current)
 
-    def _drives(self, speed: Signal) -> bool:
-        return len(self._current) >= LEAST_EVENTS and speeds_up_and_down(speed)
-
-    def _doubts(self, speed: Signal) -> Iterator[str]:
+    def _doubts(self) -> Iterator[str]:
+        speed = _signal(self._speed, self._zero_ns)
         current = _signal(self._current, self._zero_ns)
         voltage = at_times(_signal(self._voltage, self._zero_ns), current.time)
         drawn = Signal(current.time, drawn_power(voltage, current.value))
         if pull(speed, drawn) < 0.0:
             yield wrong_sign("the current", STATED)
-        elif self._drives(speed) and not self._flows_back:
+        elif speeds_up_and_down(speed) and not self._flows_back:
             yield from never_back(drawn, speed)
 
 
@@ -105,5 +123,12 @@ def _signal(rows: list[tuple[int, float]], zero_ns: int) -> Signal:
     return Signal(time, np.array([value for _, value in rows], float))
 
 
-def _without_current(reading: Reading) -> Reading:
-    return replace(reading, current=math.nan) if isinstance(reading, BatteryReading) else reading
+def _row(reading: Reading) -> tuple[float, ...]:
+    """The values of a reading, by `QUANTITIES`."""
+    if isinstance(reading, SpeedReading):
+        return reading.speed, *NONE[1:]
+    if isinstance(reading, BatteryReading):
+        return NONE[0], reading.voltage, -reading.current, *NONE[3:]
+    if isinstance(reading, AltitudeReading):
+        return *NONE[:3], reading.latitude, reading.longitude
+    return NONE

@@ -123,8 +123,9 @@ class CanLogSource(Source):
     ) -> None:
         """Open the log, and again each time it is read."""
         self._open_log, self._make_bridge = open_log, make_bridge
-        self._log, self._bridge, self._watch = open_log(), make_bridge(), BatteryWatch()
+        self._log, self._bridge = open_log(), make_bridge()
         super().__init__(self._log.path)
+        self._watch = BatteryWatch(self.dropped)
 
     @property
     def seconds(self) -> float | None:
@@ -152,7 +153,7 @@ class CanLogSource(Source):
             InputError: it does from the start, or no frame of the whole log gave a reading.
         """
         self._log, self._bridge = self._open_log(), self._make_bridge()
-        self._watch = BatteryWatch()
+        self._watch = BatteryWatch(self.dropped)
         self.dropped.clear()
         yield from self._watch.on(self._decoded())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 EVENT = 0.3  # m/s^2 from which on it is accelerating or braking
 LEAST_EVENTS = 20  # moments of accelerating, and of braking, that tell a sign
 LONGEST_STEP = 10.0  # s between two speeds that still tell an acceleration
+EARTH = 6_371_000.0  # m
 LIKE = 0.4  # correlation of power with speed times acceleration from which on it tells the mass
 
 FloatArray = NDArray[np.float64]
@@ -90,3 +92,30 @@ def at_times(signal: Signal, times: FloatArray) -> FloatArray:
     far |= (times < time[0]) | (times > time[-1])
     interpolated[far] = np.nan
     return interpolated
+
+
+def ways(speed: Signal, times: FloatArray) -> FloatArray:
+    """Integral of the speed between times, shape one less; NaN across a gap, and where it is 0."""
+    at, value = speed.points()
+    span = np.diff(at)
+    middle = 0.5 * np.abs(value[1:] + value[:-1])
+    way = np.concatenate(([0.0], np.cumsum(middle * span)))
+    gaps = np.concatenate(([0.0], np.cumsum(span > LONGEST_STEP)))
+    ways = np.diff(np.interp(times, at, way))
+    return np.where((np.diff(np.interp(times, at, gaps)) == 0) & (ways > 0), ways, np.nan)
+
+
+def steps_of_places(cells: Mapping[str, Signal], apart: float) -> tuple[FloatArray, FloatArray]:
+    """Times of positions that are so far apart, m, and ways between them, m, shape one less."""
+    time, *degrees = cells["latitude"].time, cells["latitude"].value, cells["longitude"].value
+    north, east = np.radians(degrees)
+    there = np.isfinite(north + east + time) & (north != 0.0)
+    time, north, east = time[there], north[there], east[there]
+    if time.size < 2:
+        return time, np.empty(0)
+    place = EARTH * np.column_stack((north, (east - east[0]) * np.cos(north)))
+    picked = [0]
+    for i in range(1, time.size):
+        if np.hypot(*(place[i] - place[picked[-1]])) > apart:
+            picked.append(i)
+    return time[picked], np.hypot(*np.diff(place[picked], axis=0).T)

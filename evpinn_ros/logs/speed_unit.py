@@ -17,12 +17,13 @@ from evpinn_ros.logs.column import Column
 from evpinn_ros.logs.quantities import PLACES, QUANTITIES
 from evpinn_ros.logs.signal import (
     LEAST_EVENTS,
-    LONGEST_STEP,
     FloatArray,
     Signal,
     accelerations,
     at_times,
     pull,
+    steps_of_places,
+    ways,
 )
 
 FASTEST = {"m/s": 45.0, "mph": 130.0}  # what is larger is hardly a speed of a car in this unit
@@ -30,7 +31,6 @@ STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is no s
 SAME_ROAD = 0.15  # logarithm of two ways that are one; m/s by miles is 0.33 from mph by km
 LEAST_SEGMENTS, MOST_SEGMENTS = 3, 20  # from one step of the odometer to a later one
 SEGMENT = 300.0  # m between two positions that tell a way
-EARTH = 6_371_000.0  # m
 CANDIDATES = ("km/h", "mph", "m/s")
 
 
@@ -66,7 +66,7 @@ def _decided(speed: Column, columns: Mapping[str, Column], cells: Mapping[str, S
     signal, odometer = cells["speed"], columns.get("odometer")
     if (text := _nearest(_road_of_places(cells), factors)) is not None:
         return speed.in_unit(text, "by the positions")
-    road = _road_of_odometer(cells)
+    road = road_of_odometer(cells)
     if odometer is not None and odometer.has_unit:
         if (text := _nearest(road * odometer.factor, factors)) is not None:
             return speed.in_unit(text, "by the odometer")
@@ -146,7 +146,7 @@ def _usual(possible: set[str], signal: Signal) -> tuple[str, str, set[str]]:
 def _odometer(odometer: Column, speed: Column, cells: Mapping[str, Signal]) -> Column:
     """The odometer in the unit by which it goes as far as the speed does."""
     lengths = {text: QUANTITIES["odometer"].units[text].factor for text in ("km", "mi")}
-    road = _road_of_odometer(cells)
+    road = road_of_odometer(cells)
     text = _nearest(speed.factor / road if road > 0 else np.nan, lengths)
     if text is None:
         return odometer.in_unit("km", "").guessed(("mi",))
@@ -162,18 +162,7 @@ def _nearest(road: float, factors: Mapping[str, float]) -> str | None:
     return text if abs(np.log(factors[text] / road)) < SAME_ROAD else None
 
 
-def _way(speed: Signal, times: FloatArray) -> FloatArray:
-    """Integral of the speed between times, shape one less; NaN across a gap."""
-    at, value = speed.points()
-    span = np.diff(at)
-    middle = 0.5 * np.abs(value[1:] + value[:-1])
-    way = np.concatenate(([0.0], np.cumsum(middle * span)))
-    gaps = np.concatenate(([0.0], np.cumsum(span > LONGEST_STEP)))
-    ways = np.diff(np.interp(times, at, way))
-    return np.where((np.diff(np.interp(times, at, gaps)) == 0) & (ways > 0), ways, np.nan)
-
-
-def _road_of_odometer(cells: Mapping[str, Signal]) -> float:
+def road_of_odometer(cells: Mapping[str, Signal]) -> float:
     """Way by the odometer over that by the speed, in the file's units; NaN if not known.
 
     A low quantile over ways from one step of the odometer to a later one: where a phone has lost
@@ -187,7 +176,7 @@ def _road_of_odometer(cells: Mapping[str, Signal]) -> float:
     if steps.size <= LEAST_SEGMENTS or cells["speed"].points()[0].size < LEAST_EVENTS:
         return np.nan
     steps = steps[:: max(1, steps.size // MOST_SEGMENTS)]
-    ratios = np.diff(value[steps]) / _way(cells["speed"], time[steps])
+    ratios = np.diff(value[steps]) / ways(cells["speed"], time[steps])
     ratios = ratios[np.isfinite(ratios)]
     return float(np.quantile(ratios, 0.25)) if ratios.size >= LEAST_SEGMENTS else np.nan
 
@@ -199,19 +188,8 @@ def _road_of_places(cells: Mapping[str, Signal]) -> float:
     """
     if not cells.keys() >= set(PLACES) or cells["speed"].points()[0].size < LEAST_EVENTS:
         return np.nan
-    time = cells["latitude"].time
-    north, east = (np.radians(cells[name].value) for name in PLACES)
-    there = np.isfinite(north + east + time) & (north != 0.0)
-    time, north, east = time[there], north[there], east[there]
-    if time.size < 2:
-        return np.nan
-    place = EARTH * np.column_stack((north, (east - east[0]) * np.cos(north)))
-    picked = [0]
-    for i in range(1, time.size):
-        if np.hypot(*(place[i] - place[picked[-1]])) > SEGMENT:
-            picked.append(i)
-    far = np.hypot(*np.diff(place[picked], axis=0).T)
-    ratios = far / _way(cells["speed"], time[picked])
+    times, far = steps_of_places(cells, SEGMENT)
+    ratios = far / ways(cells["speed"], times)
     ratios = ratios[np.isfinite(ratios)]
     return float(np.quantile(ratios, 0.75)) if ratios.size >= LEAST_SEGMENTS else np.nan
 

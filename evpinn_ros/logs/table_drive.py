@@ -38,6 +38,7 @@ from evpinn_ros.logs.rows_to_readings import MOST, HeldSignals, RowOrder, RowRea
 from evpinn_ros.logs.signal import LEAST_EVENTS, Signal
 from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.split_numbers import joined_table
+from evpinn_ros.logs.standing import Standing, measured_alone
 from evpinn_ros.logs.survey import (
     MOST_ROWS,
     OTHER_SHEETS,
@@ -54,9 +55,9 @@ from evpinn_ros.logs.values import (
     contradictions,
     held_columns,
     is_engine,
+    of_12_volts,
     power_beside,
     signed,
-    unmeasured,
     with_units,
 )
 
@@ -104,7 +105,8 @@ class TableDrive(Source):
         self._terrain = options.terrain
         self._nominal_voltage = nominal_voltage
         self._at_nominal_voltage = 0
-        self._silent: dict[str, str] = {}  # quantities that were not measured, and why
+        self._not_traction = ""  # why the voltage is not used
+        self._standing = Standing(self.dropped)
         self.rows = self.used = 0
         self.first_bad: str | None = None
         try:
@@ -205,7 +207,9 @@ class TableDrive(Source):
         if spread is not None:
             every = spread.resolution_ns / NANOSECONDS
             notes.append(f"time: stamps are {every:g} s apart; rows are spread evenly within them")
-        notes += [f"{name} is {why}, so it is not used" for name, why in self._silent.items()]
+        if self._not_traction:
+            notes.append(f"voltage is {self._not_traction}, so it is not used")
+        notes += self._standing.notes
         if self._at_nominal_voltage:
             notes.append(
                 f"{self._at_nominal_voltage} battery readings have power only; their voltage is "
@@ -285,17 +289,18 @@ class TableDrive(Source):
         self.first_bad = None
         order = RowOrder()
         makers = RowReadings(self.rules, self._nominal_voltage, self.dropped)
-        held = HeldSignals(self._held)
+        held, self._standing = HeldSignals(self._held), Standing(self.dropped)
         for stamps, values in self._blocks():
             there = stamps != NONE
             stamps = np.where(there, stamps, 0) + self._start_ns
             late = there & ((stamps >= LAST_TIME_NS) | (stamps <= 0))
             self.dropped["time_out_of_range"] += int(late.sum())
-            for name in self._silent:
-                self.dropped[f"{name}_stands_still"] += int(np.isfinite(values[name]).sum())
-                values[name][:] = math.nan
+            if self._not_traction:
+                self.dropped["voltage_stands_still"] += int(np.isfinite(values["voltage"]).sum())
+                values["voltage"][:] = math.nan
             rows = order.sorted(stamps, np.flatnonzero(there & ~late))
             held.drop_repeats(stamps, values, rows)
+            self._standing.drop(stamps, values, rows)
             yield from makers.readings(stamps, values, rows)
         self.used, self._at_nominal_voltage = makers.used, makers.at_nominal_voltage
         self.rows += self._table.torn
@@ -333,7 +338,7 @@ class TableDrive(Source):
         values = {
             rule.quantity: self._numbers(batch, rule)
             for rule in self.rules
-            if rule.quantity not in ("time", "odometer")
+            if rule.quantity != "time"
         }
         if self._terrain is not None and values.keys() >= set(PLACES):
             heights = _heights(self._terrain, *(values[name] for name in PLACES))
@@ -400,17 +405,19 @@ class TableDrive(Source):
         used = {column.quantity: column for column in columns if column.quantity != "time"}
         times = _seconds(clock.running().add(stamps))
         beside = {"power": self._beside} if self._beside else {}
-        signals = {
-            name: self._signal(column, times) for name, column in {**used, **beside}.items()
-        }
+        signals = measured_alone(
+            {name: self._signal(column, times) for name, column in {**used, **beside}.items()}
+        )
         if not own:
             used = with_units(used, signals)
-        self._silent = unmeasured(used, signals)
+        self._not_traction = of_12_volts(used, signals)
         if self._engine is not None:
             turning = self._signal(Column("time", "", place=self._engine), times)
             self._engine = self._engine if is_engine(turning, signals["speed"]) else None
         self._held = held_columns(signals) & used.keys()
-        measured = {name: used[name] for name in used.keys() - (self._silent.keys() - {"speed"})}
+        measured = {
+            name: used[name] for name in used if name != "voltage" or not self._not_traction
+        }
         if {"voltage", "current"} <= measured.keys():
             measured |= beside
         self._contradictions = tuple(contradictions(measured, signals))

@@ -26,7 +26,6 @@ from evpinn_ros.logs.signal import (
     accelerations,
     at_times,
     pull,
-    speeds_up_and_down,
 )
 from evpinn_ros.logs.speed_unit import with_speed_unit
 
@@ -34,7 +33,6 @@ CRUISING = 5.0  # m/s: a car that goes faster takes from its battery in the mean
 LEAST_CRUISE = 30  # readings of such a mean
 SAG = 0.3  # correlation of current and voltage from which on the battery's resistance is seen
 LEAST_SAGS = 30  # steps of both
-STANDING = 1000.0  # m by the odometer that a speed of zero throughout contradicts
 STRONG = 150.0  # kW: more is seldom, and as many W move a light vehicle
 WEAKEST = 1000.0  # W: a car that takes no more than this in its whole drive does not drive
 HIGHEST, HEAVIEST = 2000.0, 5000.0  # V, A: of no battery of a vehicle
@@ -91,32 +89,7 @@ def is_engine(turning: Signal, speed: Signal) -> bool:
     return float(np.corrcoef(fast, turns)[0, 1]) < GEARED
 
 
-def unmeasured(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> dict[str, str]:
-    """Quantities that hold one value while another shows that the car drives, and what they do."""
-    silent: dict[str, str] = {}
-    if {"odometer", "speed"} <= columns.keys():
-        odometer = cells["odometer"].value
-        odometer = odometer[odometer > 0]
-        way = float(np.ptp(odometer)) * columns["odometer"].factor if odometer.size else 0.0
-        if way >= STANDING and not np.nan_to_num(cells["speed"].value).any():
-            silent["speed"] = "always 0 while the odometer counts up"
-    if why := _of_12_volts(columns, cells):
-        silent["voltage"] = why
-    if not speeds_up_and_down(cells["speed"], columns["speed"].factor):
-        return silent
-    for name in SIGNED:
-        values = cells[name].known if name in columns else np.empty(0)
-        if values.size >= LEAST_EVENTS and not np.ptp(values):
-            silent[name] = always(values[0])
-    return silent
-
-
-def always(value: float) -> str:
-    """What is said of a current or power that never changes."""
-    return f"always {value + 0.0:g} while the car speeds up and slows down"
-
-
-def _of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> str:
+def of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> str:
     """Why a voltage is not that of the traction battery; empty if it may be."""
     if not {"voltage", "current"} <= columns.keys() or columns["voltage"].why == "as given":
         return ""
@@ -321,7 +294,7 @@ def wrong_sign(of: str, remedy: str) -> str:
 
 def never_back(drawn: Signal, speed: Signal) -> Iterator[str]:
     """Sentence on a battery that is never charged, SI: it does not show braking, or no sign."""
-    if drawn.known.size < LEAST_EVENTS or drawn.known.min() < 0.0:
+    if drawn.known.size < LEAST_EVENTS or drawn.known.min() < 0.0 or not np.ptp(drawn.known):
         return
     if _rises_while_braking(drawn, speed):
         yield (

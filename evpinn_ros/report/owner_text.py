@@ -30,6 +30,7 @@ NEARLY_WHOLE = 0.99  # of distance or time, from here on nothing is missing
 # s between speeds, from here on worth saying: over 40 trips of a Leaf with one every 2 to 6 s,
 # energy was predicted 11 % too low.
 SPARSE = 2.0
+SPARSE_BATTERY = 10.0  # s between currents, from where on the energy errs by some percent
 LEAST_HEATING = 300.0  # W that a car reports, worth saying
 LEAST_CHARGED = 0.05 * JOULES_PER_KWH  # J that a charger gave, worth saying
 
@@ -117,14 +118,22 @@ def heating_note(drive: Drive, breakdown: Mapping[str, Any]) -> str | None:
 
 
 def sparse_note(drive: Drive) -> str | None:
-    """Sentence on speeds so far apart that driving between them is not seen; None where near."""
-    step = float(np.median(np.diff(drive.speed[:, 0]))) if len(drive.speed) > 1 else 0.0
-    if step <= SPARSE:
-        return None
-    return (
-        f"The log has a speed every {step:.1f} s. Speeding up and braking in between are not "
-        "seen, so parameters are rough, and predicted energy tends to be too low."
+    """Sentence on readings so far apart that driving between them is not seen; None where near."""
+    step, of_battery = (
+        float(np.median(np.diff(rows[:, 0]))) if len(rows) > 1 else 0.0
+        for rows in (drive.speed, drive.measured)
     )
+    if step > SPARSE:
+        return (
+            f"The log has a speed every {step:.1f} s. Speeding up and braking in between are not "
+            "seen, so parameters are rough, and predicted energy tends to be too low."
+        )
+    if of_battery > SPARSE_BATTERY:
+        return (
+            f"The log has voltage and current every {of_battery:.0f} s. What flows in between is "
+            "not seen, so the energy is rough."
+        )
+    return None
 
 
 def drives_rows(

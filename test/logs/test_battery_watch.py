@@ -35,7 +35,7 @@ def readings():
     ("change", "note"),
     [
         ("right", None),
-        ("zero", "battery current: always 0 while the car speeds up"),
+        ("zero", "current is always 0 A while the car speeds up"),
         ("turned", "the car speeds up while its battery is charged: the sign of the current"),
         ("unsigned", "the harder the car brakes, the more the battery seems to give"),
         ("one way", "no current ever flows back into the battery"),

@@ -185,7 +185,7 @@ def test_a_current_that_never_changes_is_not_measured(tmp_path, header, current)
     text = table(header, DRIVE, lambda t, v, u, *_: f"{t},{v:.2f},{u:.2f},{current}")
     source = opened(tmp_path, text)
     assert math.isnan(measured(source)[1])
-    assert f"current is always {current} while the car speeds up" in " ".join(source.notes)
+    assert f"current is always {current} A while the car speeds up" in " ".join(source.notes)
     assert not any("flows back" in note for note in source.notes)
 
 

@@ -1,0 +1,333 @@
+"""Values that stand still while the car does not, and zeros in place of measurements.
+
+A logger that has lost a sensor repeats its last value, and others write 0 wherever nothing was
+measured. Neither is a reading. It is contradicted by the other signal, by the mass that both show
+elsewhere, and by the way between positions or that of the odometer.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evpinn_ros.core.signals.readings import MAX_SPEED, NANOSECONDS
+from evpinn_ros.logs.quantities import PLACES
+from evpinn_ros.logs.signal import (
+    LEAST_EVENTS,
+    LONGEST_STEP,
+    FloatArray,
+    Signal,
+    accelerations,
+    at_times,
+    pull,
+    speeds_up_and_down,
+    steps_of_places,
+)
+from evpinn_ros.logs.speed_unit import road_of_odometer
+
+DRAWN = ("current", "power")
+SHOWN = {"speed": (3.6, "km/h"), "current": (1.0, "A"), "power": (1.0, "W")}
+LEAST_STAND, LEAST_REPEATS = 10.0, 10  # s, readings
+WINDOW = 15.0  # s; over more, a hill looks like speeding up
+UNSEEN = 1.0  # m/s^2: by so much power swings in most windows while the speed repeats
+LONG, UNSEEN_LONG = 60.0, 0.4  # s, m/s^2: no driver and no control keeps a speed so well
+DRIVING, STANDING = 8.0, 5.0  # m/s at which it swings so: what stands gives and takes less
+LEAST_TURNS = 2  # from giving to taking or back
+LEAST_RISE = 10.0  # m/s, or the highest speed if lower: a car rises by it only with power
+FINER = 5.0  # resolutions of a current by which it has to change
+WRONG_WAY, APART = 0.15, 50.0  # of a way, and m between positions
+LEAST_WAY = 200.0  # m: positions wander while a car stands
+OTHER_WAY = 0.3  # logarithm of two ways that no error of an odometer explains
+HARDEST, LEAST_LEAP, LONGEST_LEAP = 4.0, 1.0, 3.0  # m/s^2, m/s, s
+SLOWEST_UNIT = 1.0 / 3.6  # m/s: of a speed, knots and mph are faster
+MOST_ASKED = 1000  # values that tell a resolution
+LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and the share of the hardest moments in them
+LEAST_LEAPS = 6  # to zero and back
+
+Signals = dict[str, Signal]
+
+
+class Stand(NamedTuple):
+    """A stretch in which a signal has one value, from its first point to its last."""
+
+    first: int
+    last: int
+    begin: float  # s
+    seconds: float
+    value: float
+
+    def holds(self, signal: Signal) -> Signal:
+        """The part of another signal that lies in it."""
+        inside = (signal.time >= self.begin) & (signal.time <= self.begin + self.seconds)
+        return Signal(signal.time[inside], signal.value[inside])
+
+
+class Standing:
+    """Takes what is no measurement out of a drive, block by block."""
+
+    def __init__(self, dropped: Counter[str]) -> None:
+        """Begin; what is taken out is counted in `dropped`."""
+        self._dropped = dropped
+        self._zero_ns: int | None = None
+        self._filled: set[str] = set()
+        self._stands: dict[str, list[tuple[Stand, str]]] = {}
+        self._readings, self._zeros = Counter[str](), Counter[str]()
+        self._ways: list[float] = []  # by the odometer over that by the speed
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on what was taken out; complete once all blocks are through."""
+        return tuple(self._said())
+
+    def drop(
+        self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
+    ) -> None:
+        """Set what is no measurement to NaN.
+
+        Args:
+            stamps: of all rows of the block, ns, shape (n,).
+            values: of these, SI, by quantity; changed here.
+            rows: those that are used, in order of time.
+        """
+        if "speed" not in values or not rows.size:
+            return
+        self._zero_ns = int(stamps[rows[0]]) if self._zero_ns is None else self._zero_ns
+        time = (stamps[rows] - self._zero_ns) / NANOSECONDS
+        signals = {name: Signal(time, column[rows]) for name, column in values.items()}
+        self._filled |= filled(signals)
+        for name in ("speed", *DRAWN):
+            if name not in signals:
+                continue
+            self._readings[name] += signals[name].known.size
+            if name in self._filled:
+                zeros = signals[name].value == 0.0
+                values[name][rows[zeros]] = np.nan
+                self._zeros[name] += int(zeros.sum())
+                self._dropped[f"{name}_sentinel_0"] += int(zeros.sum())
+        signals = {name: Signal(time, column[rows]) for name, column in values.items()}
+        for name, stand, why in _contradicted(signals):
+            inside = (time >= stand.begin) & (time <= stand.begin + stand.seconds)
+            inside &= np.isfinite(signals[name].value)
+            values[name][rows[inside]] = np.nan
+            self._dropped[f"{name}_stands_still"] += int(inside.sum())
+            self._stands.setdefault(name, []).append((stand, why))
+        way = road_of_odometer(
+            {name: Signal(time, column[rows]) for name, column in values.items()}
+        )
+        self._ways += [way] if way > 0.0 else []
+
+    def _said(self) -> Iterator[str]:
+        way = float(np.median(self._ways)) if self._ways else 1.0
+        if abs(np.log(way)) > OTHER_WAY:
+            yield (
+                f"the odometer counts {way:.2g} times the way that the speed shows, so the unit "
+                "of one is probably wrong; --column speed=NAME:UNIT or odometer=NAME:UNIT sets it"
+            )
+        for name, zeros in self._zeros.items():
+            share = 100.0 * zeros / self._readings[name]
+            yield (
+                f"{name}: {share:.0f} % of its values are 0, also while the car drives hardest, "
+                "so zeros are not used"
+            )
+        for name, stands in self._stands.items():
+            (stand, why), *others = stands
+            count = sum(stand.last + 1 - stand.first for stand, _ in stands)
+            factor, unit = SHOWN[name]
+            value = f"{factor * abs(stand.value):.4g} {unit}"
+            if count == self._readings[name] and not others:
+                yield f"{name} is always {value} while {why}, so it is not used"
+                continue
+            again = f", and {len(others)} times more" if others else ""
+            yield (
+                f"{name} stands still at {value} from {stand.begin:.0f} s on for "
+                f"{stand.seconds:.0f} s{again} while {why}, so it is not used there"
+            )
+
+
+def measured_alone(signals: Mapping[str, Signal]) -> Signals:
+    """Signals of one table in units that are not known yet, without zeros that fill cells."""
+    measured = dict(signals)
+    if "voltage" in signals:
+        off = signals["voltage"].value == 0.0  # a sensor that is off: its current is none either
+        for name in ("voltage", *DRAWN):
+            if name in signals:
+                value = np.where(off, np.nan, signals[name].value)
+                measured[name] = Signal(signals[name].time, value)
+    if "speed" in measured:
+        for name in filled(measured, least_unit=SLOWEST_UNIT):
+            measured[name] = without_zeros(measured[name])
+    return measured
+
+
+def filled(signals: Mapping[str, Signal], least_unit: float = 1.0) -> set[str]:
+    """Names of signals whose zeros stand in place of measurements.
+
+    Args:
+        signals: speed, and current or power, in any units.
+        least_unit: m/s, that the unit of the speed is at least.
+    """
+    speed, names = signals["speed"], set()
+    if _leaps_to_zero(speed, least_unit):
+        names.add("speed")
+        speed = without_zeros(speed)
+    times, change = accelerations(speed)
+    kinetic = change * at_times(speed, times)
+    gained = kinetic[kinetic > 0.0]
+    hardest = times[kinetic > np.median(gained)] if gained.size else gained
+    for name in DRAWN:
+        if name not in signals or hardest.size < LEAST_EVENTS:
+            continue
+        time, value = signals[name].points()
+        if not value.all() and value.any() and _is_fill(time, value, hardest):
+            names.add(name)
+    return names
+
+
+def without_zeros(signal: Signal) -> Signal:
+    """The signal where it is not zero."""
+    return Signal(signal.time, np.where(signal.value == 0.0, np.nan, signal.value))
+
+
+def _is_fill(time: FloatArray, value: FloatArray, hardest: FloatArray) -> bool:
+    """True if a fine signal is 0 in many of the moments that take most power, time and again."""
+    at = np.clip(np.searchsorted(time, hardest), 0, time.size - 1)
+    zero = value[at] == 0.0
+    stretch = np.cumsum(np.diff(value == 0.0, prepend=False))[at[zero]]
+    there = np.abs(value[at[~zero]])
+    fine = there.size and np.median(there) > FINER * _resolution(value)
+    return bool(fine and zero.mean() > ZEROS and np.unique(stretch).size >= LEAST_ZEROS)
+
+
+def _leaps_to_zero(speed: Signal, least_unit: float) -> bool:
+    """True if the speed leaps to most of its zeros and back as no car stops."""
+    time, value = speed.points()
+    to_zero = (value[1:] == 0.0) != (value[:-1] == 0.0)
+    changes = np.flatnonzero(to_zero)
+    if changes.size < LEAST_LEAPS:
+        return False
+    steps = np.diff(time)[changes]
+    leaps = np.abs(np.diff(value)[changes]) * least_unit > LEAST_LEAP + HARDEST * steps
+    return bool(np.mean(leaps & (steps <= LONGEST_LEAP)) > 0.5)
+
+
+def _resolution(values: FloatArray) -> float:
+    """Power of ten of which all values are multiples."""
+    some = values[:MOST_ASKED]
+    units = 10.0 ** np.arange(6, -7, -1)
+    return next((unit for unit in units if np.allclose(some / unit, np.rint(some / unit))), 0.0)
+
+
+def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
+    """Stretches of one value that other signals contradict: name, stretch and reason."""
+    speed = _possible(signals["speed"])
+    stands = list(_stands(speed))
+    seen = _without(speed, [stand for stand in stands if stand.value])
+    drawn = _drawn(signals)
+    mass = np.nan if drawn is None else abs(pull(_without(speed, stands), drawn))
+    for stand in stands:
+        if why := _other_way(stand, seen, signals):
+            yield "speed", stand, why
+        elif drawn is not None and mass > 0.0 and _is_driven(stand, drawn, mass):
+            yield "speed", stand, "the battery shows that the car drives"
+    for name in DRAWN:
+        if name in signals and drawn is not None and drawn.known.size:
+            volts = np.median(signals["voltage"].known) if name == "current" else 1.0
+            for stand in _stands(signals[name]):
+                if _needs_power(stand, seen, signals[name], mass / volts):
+                    yield name, stand, "the car speeds up and slows down"
+
+
+def _possible(speed: Signal) -> Signal:
+    return Signal(speed.time, np.where(np.abs(speed.value) > MAX_SPEED, np.nan, speed.value))
+
+
+def _drawn(signals: Signals) -> Signal | None:
+    """Power of the battery, W."""
+    if {"voltage", "current"} <= signals.keys():
+        current = signals["current"]
+        return Signal(current.time, current.value * at_times(signals["voltage"], current.time))
+    return signals.get("power")
+
+
+def _stands(signal: Signal) -> Iterator[Stand]:
+    """Stretches of one value, of `LEAST_STAND` and `LEAST_REPEATS` or more, none across a gap."""
+    time, value = signal.points()
+    ends = np.flatnonzero((np.diff(value) != 0.0) | (np.diff(time) > LONGEST_STEP))
+    firsts = np.concatenate(([0], ends + 1))
+    lasts = np.concatenate((ends, [time.size - 1]))
+    if not time.size:
+        return
+    long = (time[lasts] - time[firsts] >= LEAST_STAND) & (lasts - firsts >= LEAST_REPEATS - 1)
+    for first, last in zip(firsts[long].tolist(), lasts[long].tolist(), strict=True):
+        begin = float(time[first])
+        yield Stand(first, last, begin, float(time[last]) - begin, float(value[first]))
+
+
+def _without(signal: Signal, stands: list[Stand]) -> Signal:
+    """The signal without these stretches of it."""
+    value = signal.value.copy()
+    for stand in stands:
+        value[(signal.time >= stand.begin) & (signal.time <= stand.begin + stand.seconds)] = np.nan
+    return Signal(signal.time, value)
+
+
+def _other_way(stand: Stand, seen: Signal, signals: Signals) -> str:
+    """What shows another way than the speed that stands still; empty if nothing does."""
+    expected = abs(stand.value) * stand.seconds
+    if signals.keys() >= set(PLACES):
+        _, steps = steps_of_places({name: stand.holds(signals[name]) for name in PLACES}, APART)
+        if steps.sum() > (1.0 + WRONG_WAY) * expected + LEAST_WAY:
+            return "the position moves"
+    if "odometer" not in signals:
+        return ""
+    steps = np.diff(signals["odometer"].points()[1])
+    if not (steps > 0.0).any():
+        return ""
+    least = 2.5 * max(float(np.quantile(steps[steps > 0.0], 0.05)), APART)
+    counted = stand.holds(signals["odometer"]).known
+    way = float(np.ptp(counted)) if counted.size else 0.0
+    if not stand.value:
+        return "the odometer counts up" if way > least else ""
+    agree = abs(road_of_odometer({**signals, "speed": seen}) - 1.0) < WRONG_WAY
+    is_other = abs(way - expected) > WRONG_WAY * expected + least
+    return "the odometer counts another way" if agree and is_other else ""
+
+
+def _is_driven(stand: Stand, drawn: Signal, mass: float) -> bool:
+    """True if power swings while the speed stands still as it does with speeding up and down."""
+    time, power = stand.holds(drawn).points()
+    if not stand.value:
+        large = power[np.abs(power) > mass * UNSEEN * STANDING]
+        return int((np.diff(np.sign(large)) != 0.0).sum()) >= LEAST_TURNS
+    windows = np.flatnonzero(np.diff((time - stand.begin) // WINDOW)) + 1
+    swings = [float(np.ptp(part)) for part in np.split(power, windows) if part.size > 1]
+    unseen = UNSEEN_LONG if stand.seconds >= LONG else UNSEEN
+    least = mass * unseen * max(abs(stand.value), DRIVING)
+    return bool(swings) and float(np.median(swings)) > least
+
+
+def _needs_power(stand: Stand, speed: Signal, drawn: Signal, mass: float) -> bool:
+    """True if the speed rises, and falls, while a current or power that follows it stands still.
+
+    `mass` is what makes a current of speed times acceleration; where it is not known, the car has
+    to speed up and down for long.
+    """
+    inside, resolution = stand.holds(speed), FINER * _resolution(drawn.known)
+    if not mass > 0.0 or not np.ptp(drawn.known):
+        others = np.abs(drawn.known[drawn.known != stand.value])
+        fine = not others.size or np.median(others) > resolution
+        return bool(fine) and speeds_up_and_down(inside)
+    if inside.known.size < LEAST_REPEATS:
+        return False
+    steps = np.diff(inside.points()[1])
+    least = min(LEAST_RISE, float(np.quantile(np.abs(speed.known), 0.95)))
+    rise, fall = float(steps[steps > 0.0].sum()), -float(steps[steps < 0.0].sum())
+    if rise < 1.5 * least or (stand.value and fall < least):
+        return False
+    times, change = accelerations(inside)
+    kinetic = np.abs(mass * change * at_times(inside, times))
+    return bool(np.nanquantile(kinetic, 0.9) > resolution)

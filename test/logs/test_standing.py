@@ -1,0 +1,177 @@
+"""What stands still while the car does not is no reading, in a table, a bag and a CAN log."""
+
+from collections.abc import Callable
+from dataclasses import replace
+import math
+from pathlib import Path
+import sys
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from exports import START, Drive, measured, opened, simulated, table
+
+from evpinn_ros.bags.convert import write_readings
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.can.encoder import Encoder
+from evpinn_ros.can.logs import write_log
+from evpinn_ros.can.profile import load_profile
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.logs.source import Source
+from evpinn_ros.logs.sources import open_source
+
+VEHICLE = load_vehicle("tesla_model_3_lr")
+DRIVE = simulated()
+BEGIN, END = 300, 600
+STRETCH = slice(BEGIN, END)
+
+
+def of_table(
+    drive: Drive, folder: Path, header: str = "t_s,speed_mps,voltage_v,current_a"
+) -> Source:
+    def line(t, v, u, i, *_):
+        return f"{t:.0f},{v:.3f},{u:.2f},{i:.2f}"
+
+    return opened(folder, table(header, drive, line))
+
+
+def of_unnamed_table(drive: Drive, folder: Path) -> Source:
+    return of_table(drive, folder, "time,Speed (m/s),Battery voltage,Battery current")
+
+
+def readings(drive: Drive) -> list[SpeedReading | BatteryReading]:
+    begin = int(START.timestamp()) * NANOSECONDS
+    stamps = [begin + int(time * NANOSECONDS) for time in drive.time]
+    rows = zip(stamps, drive.speed, drive.voltage, drive.current, strict=True)
+    return [
+        reading
+        for stamp, v, u, i in rows
+        for reading in (SpeedReading(stamp, v), BatteryReading(stamp, u, -i))
+    ]
+
+
+def of_bag(drive: Drive, folder: Path) -> Source:
+    with BagWriter(folder / "drive") as writer:
+        write_readings(readings(drive), writer)
+    return open_source(folder / "drive", VEHICLE)
+
+
+def of_can_log(drive: Drive, folder: Path) -> Source:
+    encoder = Encoder(load_profile(VEHICLE.can_profile))
+    frames = [
+        encoder.speed(r) if isinstance(r, SpeedReading) else encoder.battery(r)
+        for r in readings(drive)
+    ]
+    write_log(folder / "drive.log", frames)
+    return open_source(folder / "drive.log", VEHICLE)
+
+
+KINDS = (of_table, of_unnamed_table, of_bag, of_can_log)
+
+
+def held(signal: str, value: float | None = None) -> Drive:
+    """A drive in which a signal keeps a value, or its last one, for five minutes."""
+    values = getattr(DRIVE, signal).copy()
+    values[STRETCH] = values[BEGIN] if value is None else value
+    return replace(DRIVE, **{signal: values})
+
+
+def one_in(count: int, signal: str) -> Drive:
+    values = getattr(DRIVE, signal)
+    return replace(DRIVE, **{signal: np.where(np.arange(values.size) % count == 0, values, 0.0)})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("signal", ["speed", "current"])
+@pytest.mark.parametrize("value", [None, 0.0])
+def test_a_signal_that_stands_still_is_not_used_there(tmp_path, kind, signal, value):
+    source = kind(held(signal, value), tmp_path)
+    inside = list(source.readings())
+    stamps = {
+        reading.stamp_ns
+        for reading in inside
+        if isinstance(reading, SpeedReading if signal == "speed" else BatteryReading)
+        and not (signal == "current" and math.isnan(reading.current))
+    }
+    assert len(stamps) == pytest.approx(DRIVE.time.size - (END - BEGIN), abs=2)
+    assert source.dropped[f"{signal}_stands_still"] == pytest.approx(END - BEGIN, abs=2)
+    (note,) = (note for note in source.notes if "stands still" in note)
+    assert f"from {BEGIN} s on for" in note
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("signal", ["speed", "current"])
+@pytest.mark.parametrize("count", [3, 5])
+def test_zeros_between_measurements_are_not_used(tmp_path, kind, signal, count):
+    source = kind(one_in(count, signal), tmp_path)
+    distance, energy = measured(source)
+    assert distance == pytest.approx(DRIVE.distance, rel=0.03)  # stops are lost too
+    assert energy == pytest.approx(DRIVE.energy, rel=0.02)
+    assert "% of its values are 0, also while the car drives hardest" in " ".join(source.notes)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_current_in_one_of_a_hundred_rows_is_not_measured_in_the_others(tmp_path, kind):
+    source = kind(one_in(100, "current"), tmp_path)
+    batteries = [r for r in source.readings() if isinstance(r, BatteryReading)]
+    assert sum(math.isfinite(reading.current) for reading in batteries) == 9
+    assert any("current stands still at 0 A" in note for note in source.notes)
+
+
+@pytest.mark.parametrize("way", ["odometer", "places"])
+@pytest.mark.parametrize("value", [None, 0.0])
+def test_the_way_shows_that_a_speed_stands_still(tmp_path, way, value):
+    """Without a battery that tells anything."""
+    silent = np.ones(DRIVE.time.size)
+    drive = replace(held("speed", value), voltage=360.0 * silent, current=7.0 * silent)
+
+    def line(t, v, u, i, far, _):
+        place = f"{far / 1000:.2f}" if way == "odometer" else f"{(far - 28e6) / 111_195:.6f},7.1"
+        return f"{t:.0f},{3.6 * v:.2f},{u:.1f},{i:.1f},{place}"
+
+    names = "Odometer (km)" if way == "odometer" else "Latitude,Longitude"
+    source = opened(
+        tmp_path, table(f"time,Speed (km/h),Voltage (V),Current (A),{names}", drive, line)
+    )
+    stamps = [
+        reading.stamp_ns for reading in source.readings() if isinstance(reading, SpeedReading)
+    ]
+    is_less = way == "places" and value is None  # so the car may have turned round
+    assert len(stamps) == pytest.approx(DRIVE.time.size - (0 if is_less else END - BEGIN), abs=2)
+
+
+def test_an_odometer_that_contradicts_the_speed_is_told(tmp_path):
+    def line(t, v, u, i, far, _):
+        return f"{t:.0f},{v / 0.44704:.2f},{u:.1f},{i:.1f},{far / 1000:.2f}"
+
+    source = opened(
+        tmp_path,
+        table("time,Speed (km/h),Voltage (V),Current (A),Odometer (km)", DRIVE, line),
+    )
+    assert measured(source)[0] < DRIVE.distance
+    assert "the odometer counts 1.6 times the way that the speed shows" in " ".join(source.notes)
+
+
+STEADY: dict[str, Callable[[], Drive]] = {
+    "parked": lambda: replace(DRIVE, speed=np.where(DRIVE.time < 500, 0.0, DRIVE.speed),
+                              current=np.where(DRIVE.time < 500, 1.3, DRIVE.current)),
+    "charged before": lambda: replace(DRIVE, speed=np.where(DRIVE.time < 300, 0.0, DRIVE.speed),
+                              current=np.where(DRIVE.time < 300, -30.0, DRIVE.current)),
+    "cruise control on hills": lambda: replace(
+        DRIVE,
+        speed=np.maximum(DRIVE.speed, np.clip(40.0 - 0.2 * np.abs(DRIVE.time - 300.0), 0.0, 30.0)),
+        current=np.where(np.abs(DRIVE.time - 300.0) < 100.0,
+                         60.0 + 30.0 * np.sin(DRIVE.time / 25.0), DRIVE.current)),
+    "no regeneration": lambda: replace(DRIVE, current=np.maximum(DRIVE.current, 0.0)),
+    "whole numbers": lambda: replace(DRIVE, current=DRIVE.current.round(-1)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("steady", STEADY)
+def test_what_a_car_does_is_measured(tmp_path, steady):
+    drive = STEADY[steady]()
+    source = of_table(drive, tmp_path)
+    assert measured(source) == pytest.approx((drive.distance, drive.energy), rel=0.01)
+    assert not any("stand" in note or "zeros" in note for note in source.notes)
