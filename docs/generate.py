@@ -24,7 +24,6 @@ sys.path.insert(0, str(ROOT))  # this folder and the benchmarks lie beside the p
 
 from docs import one_interval
 from docs.metric_table import METRICS
-from evpinn_ros.can.profile import CanProfile, load_profile, profile_names
 from evpinn_ros.cli import options
 from evpinn_ros.cli.main import app
 from evpinn_ros.core.estimation.posterior import DRIVE_KEPT, NETWORK_STDS
@@ -38,6 +37,7 @@ from evpinn_ros.core.vehicle.rated import rated_cars
 from evpinn_ros.topics import TOPICS
 from evpinn_ros.topics.node_parameters import TABLES, Parameter
 
+BENCH = "evpinn bench"
 MADE = "<!-- Made by docs/generate.py; change the source, not this page. -->\n"
 SHARED = [value for name, value in vars(options).items() if name.endswith("Option")]
 WORDS = {  # what an option takes
@@ -50,11 +50,10 @@ WORDS = {  # what an option takes
 }
 
 SHELL = """\
-This page has what `--help` shows for each command (of `evpinn bench`, without options), defaults
-in brackets. `evpinn
---install-completion` lets Tab complete commands, options, vehicles, CAN profiles and modes.
-Results are written to stdout, everything else to stderr. Progress bars appear only on a terminal;
-`NO_COLOR=1` turns colours off. Exit codes: 0 done, 1 failed, 2 wrong usage, 130 Ctrl-C.
+This page has what `--help` shows for each command (of `evpinn bench`, in short), defaults
+in brackets. `evpinn --install-completion` lets Tab complete them. Results are written to stdout,
+everything else to stderr. Progress bars appear only on a terminal; `NO_COLOR=1` turns colours off.
+Exit codes: 0 done, 1 failed, 2 wrong usage, 130 Ctrl-C.
 
 Ctrl-C keeps what is finished: metrics, state and a whole bag of `replay`, the bag of `convert`,
 the rows of a benchmark, the trainings of `reproduce` (the same command continues there).
@@ -213,30 +212,13 @@ def vehicles_page() -> str:
     lines = [MADE, VEHICLES, *(_vehicle_row(load_vehicle(name)) for name in vehicle_names()), ""]
     lines += [CERTIFIED, *_by_make(certified_cars()), ""]
     lines += [RATED, *_by_make(rated_cars()), ""]
-    lines += ["## CAN profiles", ""]
-    lines += [
-        "A car *broadcasts* a quantity, or must be *asked* for it by read requests. Asking needs"
-    ]
-    lines += ["`poll` ([why, and what it costs](../explanation/can.md#asking-the-car)).", ""]
-    lines += ["| profile | cars | broadcast | asked | verified by |", "|---|---|---|---|---|"]
-    lines += [_profile_row(load_profile(name)) for name in profile_names()]
-    return "\n".join([*lines, ""])
+    return "\n".join(lines)
 
 
 def _by_make(keys: Iterable[str]) -> Iterator[str]:
     """A line of keys for each make."""
     for _, models in groupby(sorted(keys), lambda key: key.partition("_")[0]):
         yield f"- {', '.join(f'`{key}`' for key in models)}"
-
-
-def _profile_row(profile: CanProfile) -> str:
-    name = f"`{profile.key}`" + (" (experimental)" if profile.experimental else "")
-    broadcast, asked = (", ".join(_words(part)) for part in (profile.messages, profile.asked))
-    return f"| {name} | {profile.name} | {broadcast} | {asked} | {profile.verified_by} |"
-
-
-def _words(quantities: Iterable[str]) -> Iterator[str]:
-    return (quantity.replace("_", " ") for quantity in quantities)
 
 
 def _vehicle_row(vehicle: Vehicle) -> str:
@@ -318,7 +300,11 @@ def commands_page() -> str:
     shared = {option.opts[-1]: line for option, line in _shared_options()}
     lines += [line for _, line in sorted(shared.items())]
     for path, command in _commands(typer.main.get_command(app), "evpinn"):
-        lines += ["", *_command_section(path, command)]
+        if path == BENCH or not path.startswith(BENCH):
+            lines += ["", *_command_section(path, command), *([""] if path == BENCH else [])]
+        else:  # for who works on this package, in a checkout
+            first, *_, example = _paragraphs(command)
+            lines.append(f"- `{example.removeprefix('Example: ')}`: {first}")
     return "\n".join([*lines, ""])
 
 
@@ -361,8 +347,6 @@ def _command_section(path: str, command: Any) -> Iterator[str]:
     for text in _paragraphs(command):
         example = text.removeprefix("Example: ")
         yield from ("", text) if example == text else ("", "```bash", example, "```")
-    if path.startswith("evpinn bench "):  # for who works on this package, in a checkout
-        return
     every = list(_declared(command))
     lines = [
         _option_line(option.opts, declared)

@@ -8,6 +8,7 @@ import subprocess
 
 import pytest
 
+from evpinn_ros.can.profile import profile_names
 from evpinn_ros.topics import NAMESPACE, TOPICS
 
 pytestmark = pytest.mark.build
@@ -59,6 +60,11 @@ def test_the_index_has_every_page():
     docs = ROOT / "docs"
     named = re.findall(r"^- \[.+?\]\((.+?)\): ", (docs / "README.md").read_text(), re.MULTILINE)
     assert sorted(named) == sorted(str(page.relative_to(docs)) for page in docs.glob("*/*.md"))
+
+
+def test_the_list_of_cars_names_every_profile():
+    cars = (ROOT / "docs" / "reference" / "cars.md").read_text()
+    assert {f"`{name}`" for name in profile_names()} <= set(re.findall(r"`\w+`", cars))
 
 
 def test_each_promise_names_its_attack():

@@ -49,10 +49,8 @@ def convert(
 ) -> None:
     """Convert a recorded drive into a rosbag2 bag with the topics of this package.
 
-    Columns of a table are found by their names and values, and the choice is printed.
-    The names t_s, speed_mps, voltage_v, current_a (positive = discharge) or power_w, and
-    optionally elevation_m, latitude, longitude, ambient_c, heating_w, aircon_w, soc_pct,
-    motor_torque_nm and motor_speed_rad_s are used without guessing.
+    Columns of a table are found by their names and values, and the choice is printed. Names such
+    as t_s, speed_mps, voltage_v and current_a (positive = discharge) are used without guessing.
 
     Example: evpinn convert drive.csv out/drive --vehicle bmw_i3
 

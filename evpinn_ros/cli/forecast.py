@@ -98,8 +98,8 @@ def forecast(
     """Forecast the energy of plans, and the charge after each.
 
     Each plan is compared with the first one. Errors that both share cancel in the difference: that
-    of the car's mass, and of the unknown road if both plans are equally long (to 1 m). The page on
-    inputs in the documentation (docs/reference/inputs.md) describes the files.
+    of the car's mass, and of the unknown road if both plans are equally long (to 1 m).
+    docs/reference/inputs.md describes the files.
 
     Example: evpinn forecast route.json --state car.json --charge 80
     """

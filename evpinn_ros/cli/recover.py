@@ -28,10 +28,9 @@ def recover(
 ) -> None:
     """Save what is left in a broken bag, and report what was lost.
 
-    A bag may be cut off, have no end, or have bytes that are changed. A damaged chunk is skipped;
-    behind other damage the file's index tells where to go on, and without it reading ends there.
-    The broken bag is not changed. If one of its files cannot be read, the others are saved, and
-    the command exits with 1.
+    A damaged chunk is skipped; behind other damage the file's index tells where to go on, and
+    without it reading ends there. The broken bag is not changed. If one of its files cannot be
+    read, the others are saved, and the command exits with 1.
 
     Example: evpinn recover out/today/today_0.mcap out/saved
     """
