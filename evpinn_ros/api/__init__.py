@@ -1,4 +1,4 @@
-"""The package from Python: what a command does in one call, with DataFrames in place of tables."""
+"""The public Python API: each command as a call that returns DataFrames."""
 
 from evpinn_ros.api.edges import EdgeEnergies, edge_energies
 from evpinn_ros.api.estimator import Estimate, Estimator

@@ -34,7 +34,7 @@ class EdgeEnergies:
         self._edges = edges
 
     def route(self, edges: Iterable[Hashable]) -> Uncertain:
-        """Energy of a route, J, with its 1-sigma: what `forecast` says of its edges as a trip.
+        """Energy of a route, J, and its 1-sigma: the `forecast` of its edges as a trip.
 
         It is more than the sum of the table by the start from standing, cold if the car is, the
         stop at the end, and changes of speed and slope between the edges.
@@ -48,7 +48,7 @@ class EdgeEnergies:
         return self._edges.route(self._places(edges))
 
     def difference(self, route: Iterable[Hashable], other: Iterable[Hashable]) -> Uncertain:
-        """Energy of one route minus that of another, J; in its 1-sigma what both share cancels.
+        """Energy of one route minus that of another, J, and its 1-sigma without shared errors.
 
         Raises:
             InputError: there is no such edge.

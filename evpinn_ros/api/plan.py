@@ -137,7 +137,7 @@ def planned_energy(
     conditions: PlanConditions = UNSAID,
     air_density: float | None = None,
 ) -> PlannedEnergy:
-    """The basis of the table of `forecast`, whose arguments and errors are these."""
+    """The forecast as a value, with the arguments and errors of `forecast`."""
     vehicle, model, account = known_car(car)
     battery, gauge = BatteryModel(math.nan), ChargeGauge(vehicle.battery_capacity)
     charge = UNKNOWN
@@ -153,7 +153,7 @@ def planned_energy(
 def what_if(
     plan: Any, car: Any, conditions: PlanConditions = UNSAID, units: Units = METRIC
 ) -> list[Change]:
-    """Energy of a trip driven otherwise, less its own; arguments and errors of `forecast`."""
+    """Energy of variations of a trip minus its own; arguments and errors as of `forecast`."""
     vehicle, model, _ = known_car(car)
     given = as_plan(plan, vehicle)
     base = planned_energy(given, car, conditions)
@@ -183,7 +183,7 @@ def what_if(
 
 
 def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:
-    """The car of an argument `car` as it is known, with its account where there is one.
+    """Vehicle, model and account (None if there is none) of an argument `car`.
 
     Raises:
         TypeError: it is none.
@@ -212,7 +212,7 @@ def basis_of(
 
 
 def as_plan(plan: Any, vehicle: Vehicle) -> Plan | Legs:
-    """A plan from whatever `forecast` takes for one.
+    """The plan of an argument `plan` of `forecast`.
 
     Raises:
         InputError: as of `forecast`.

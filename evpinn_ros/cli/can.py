@@ -123,7 +123,7 @@ def inspect(
 
 
 def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | None:
-    """Take the frames of a recorded bus; gives what could not be read."""
+    """Inspect a recorded bus; returns the reason if part of it could not be read."""
     log = open_can_log(path)
     last_ns: float | None = None
     with progress_bar(path.name, seconds or log.seconds) as progress:
@@ -139,7 +139,7 @@ def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | No
 
 
 def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
-    """Take the frames of a live bus; gives the end's time, and what is wrong with the bus.
+    """Inspect a live bus; returns the time of the end, ns, and what is wrong with the bus.
 
     Raises:
         InputError: the bus cannot be opened, or no frame came.
@@ -173,7 +173,7 @@ PEOPLE: dict[str, tuple[str, float, int]] = {
     "motor_torque": ("N m", 1.0, 0),
     "motor_speed": ("rpm", 60 / (2 * math.pi), 0),
 }
-"""Unit for people, how many of it are one in SI, and decimals."""
+"""Unit for people, its number in one SI unit, and decimals."""
 
 
 def show_report(name: str, report: BusReport, bitrate: int) -> None:

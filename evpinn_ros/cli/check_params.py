@@ -1,4 +1,4 @@
-"""`evpinn check-params`: whether a file is right, without starting anything."""
+"""`evpinn check-params`: validates a file without starting anything."""
 
 from __future__ import annotations
 

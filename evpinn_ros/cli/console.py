@@ -32,7 +32,7 @@ from evpinn_ros.common.writer import write_file
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 Report = Callable[..., None]
-"""Takes what is done, seconds of the drive unless named otherwise, and a word for the terminal."""
+"""Takes the amount done (seconds of the drive unless named) and a word for the terminal."""
 
 STDOUT = "-"  # as the path of a file
 DRIVE = "s of the drive"
@@ -43,28 +43,28 @@ notes = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def note(text: str) -> None:
-    """One line to the person, on stderr."""
+    """Print one line on stderr."""
     notes.print(printable(text), markup=False)
 
 
 def say(text: str = "", style: str = "") -> None:
-    """One line of the results."""
+    """Print one line of the results."""
     results.print(Text(printable(text), style), soft_wrap=True)
 
 
 def show(table: PlainTable, at_least: int = 0) -> None:
-    """A table of the results, as wide as the terminal, or more if asked."""
+    """Print a table of the results, as wide as the terminal and at least as wide as asked."""
     narrow = results.width < at_least
     (Console(width=at_least, stderr=results.stderr) if narrow else results).print(table)
 
 
 def command_line() -> str:
-    """Text of the command that runs, as a shell takes it."""
+    """The running command as a line for a shell."""
     return shlex.join(["evpinn", *sys.argv[1:]])
 
 
 def moment(stamp_ns: int, timespec: str = "seconds") -> str:
-    """UTC of a stamp, as exact as `isoformat` is asked; the bare number where it is no date."""
+    """UTC of a stamp in ISO format; the number of nanoseconds if it is no date."""
     try:
         instant = datetime.fromtimestamp(stamp_ns / NANOSECONDS, timezone.utc)
     except (OverflowError, ValueError, OSError):
@@ -73,7 +73,7 @@ def moment(stamp_ns: int, timespec: str = "seconds") -> str:
 
 
 def tables_beside(json_file: Path | None) -> None:
-    """Leave stdout to the JSON where that goes there: what is for people goes to stderr."""
+    """Send tables to stderr if the JSON goes to stdout."""
     results.stderr = json_file is not None and str(json_file) == STDOUT
 
 
@@ -94,15 +94,15 @@ def write_json(path: Path, document: Any) -> None:
 
 
 class RateColumn(ProgressColumn):
-    """Speed of the work: times real time for seconds of a drive, else so many a second."""
+    """Rate of the work: times real time for seconds of a drive, else the amount per second."""
 
     def __init__(self, unit: str) -> None:
-        """Show the rate of what is counted."""
+        """Show the rate of a unit."""
         super().__init__()
         self._unit = unit
 
     def render(self, task: Task) -> Text:
-        """The rate of late; nothing before there is one."""
+        """The recent rate; empty until there is one."""
         speed = task.finished_speed or task.speed
         if speed is None:
             return Text()
@@ -118,7 +118,7 @@ def progress_bar(
     Args:
         title: of the bar.
         total: how much there is to do, None if unknown.
-        unit: of what is done.
+        unit: of the amount.
     """
     amount = TextColumn(f"{{task.completed:.0f}} {unit}", markup=False)
     columns = (TaskProgressColumn(), amount, RateColumn(unit))
@@ -129,9 +129,9 @@ def progress_lines(title: str, total: float | None, amount: Callable[[float], st
     """Progress as lines on stderr, none within the first `LINE_PERIOD_S`.
 
     Args:
-        title: at the begin of each.
+        title: at the beginning of each line.
         total: how much there is to do, None if unknown.
-        amount: text of what is done.
+        amount: makes the text of the amount done.
     """
     begun = due = time.monotonic()
 
@@ -175,7 +175,7 @@ def _bar(
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Tell a disk that is full, or fails, in one line."""
+    """Turn an error of the disk into one line for the user."""
     try:
         yield
     except BrokenPipeError:

@@ -74,7 +74,7 @@ def convert(
 
 
 def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str]:
-    """Write the readings up to an interruption; gives those left out, by reason."""
+    """Write the readings until an interruption; returns the counts of dropped ones by reason."""
     with progress_bar(source.path.name, source.seconds) as progress:
         readings = reported(source.readings(), progress)
         # What gives no reading at all is refused here, before there is an empty bag of it.

@@ -102,7 +102,7 @@ def _frames(source: Path) -> list[CanFrame]:
 
 
 def _clear(bag: Path, log: Path) -> None:
-    """Remove the bag of an earlier demonstration, known by the log beside it; nothing else."""
+    """Remove the bag of an earlier demonstration, recognised by the log beside it."""
     if bag.exists() and not log.is_file():
         raise InputError(f"{bag}: is in the way and not of an earlier demo; give another --out")
     shutil.rmtree(bag, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The report of a live drive, made when it has ended from what was recorded of it."""
+"""The report of a live drive, made from its recording when the drive has ended."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def reported(
 
 
 def _run(command: list[str]) -> int:
-    """Run a command until it ends, cut short by signals to stop; gives its exit code.
+    """Run a command, which signals to stop cut short; returns its exit code.
 
     A process of its own, and out of reach of the terminal: this one's threads, signals and memory
     are those of the nodes. Whoever sent SIGTERM or closed the terminal will not wait for long.

@@ -184,7 +184,7 @@ def forecast(
 
 
 def _expected(given: Any, known_celsius: float | None, units: Units) -> str:
-    """Words on the conditions that the forecasts expect, given or not."""
+    """Sentence on the conditions that the forecasts assume."""
     celsius, since = given.temperature, ""
     if celsius is None:
         celsius, since = known_celsius, " as last measured"
@@ -204,7 +204,7 @@ def _expected(given: Any, known_celsius: float | None, units: Units) -> str:
 
 
 def _battery(gauge: Any) -> str:
-    """Words on the energy of the full battery, which the charge after a plan rests on."""
+    """Sentence on the capacity of the battery, from which the charge after a plan follows."""
     if not gauge.capacity.known:
         return (
             "The charge after a plan is unknown, because the capacity of the battery is unknown: "

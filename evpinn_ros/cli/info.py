@@ -92,7 +92,7 @@ def _lines(recording: Contents) -> Iterator[str]:
 
 
 def _start(recording: Contents, begin_ns: int) -> str:
-    """Start of a recording, as far as it is known."""
+    """Start of a recording as text, with what is unknown about it."""
     if recording.dated == "" or begin_ns < FIRST_STAMP_NS:
         return ", without a date"
     day = ", the day taken from the file's name" if recording.dated == "name" else ""

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and a closed terminal that wait until results are whole."""
+"""Delays Ctrl-C, SIGTERM and the closing of the terminal until results are written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Groups of commands whose modules are imported when they are asked for."""
+"""Groups of commands that import the module of a command when it is called."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from evpinn_ros.common.errors import near_names
 
-BRIEF = {  # in place of typer's own, whose last words stood alone in a line
+BRIEF = {  # shorter than typer's, whose last word wrapped into a line of its own
     "help": "Show this help.",
     "install_completion": "Let the shell complete commands.",
     "show_completion": "Show what that would install.",
@@ -22,17 +22,17 @@ BRIEF = {  # in place of typer's own, whose last words stood alone in a line
 
 
 class Readable:
-    """Help that wraps as a whole: the lines of a docstring's paragraph are one text."""
+    """Help that joins the lines of each paragraph of a docstring before it wraps them."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """Take what a command of click takes."""
+        """Take the arguments of a click command."""
         super().__init__(*args, **kwargs)
         self.help: str | None = "\n\n".join(
             " ".join(paragraph.split()) for paragraph in (self.help or "").split("\n\n")
         )
 
     def get_params(self, ctx: Any) -> Any:
-        """Options, those that every command has in few words."""
+        """Options of the command; those of every command get short help texts."""
         parameters = super().get_params(ctx)  # type: ignore[misc]
         for parameter in parameters:
             parameter.help = BRIEF.get(parameter.name, getattr(parameter, "help", None))
@@ -79,14 +79,14 @@ class LazyCommands(ReadableGroup):
         return typer.main.get_command(alone)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command of some words; one that there is not fails with what was meant."""
+        """Resolve words to a command; an unknown command fails with the nearest names."""
         near = near_names(args[0], self.list_commands(ctx))
         if near and not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
             ctx.fail(f"No such command '{args[0]}'{near}.")
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: Any, incomplete: str) -> Any:
-        """Completions: names and options, without importing each for a line of help."""
+        """Completions of names and options, without importing every command for its help."""
         self._listing = True
         try:
             return super().shell_complete(ctx, incomplete)
@@ -94,7 +94,7 @@ class LazyCommands(ReadableGroup):
             self._listing = False
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help, with the first sentence of each command, which is not imported."""
+        """Write the help with the first sentence of each command, without importing it."""
         self._listing = True
         try:
             super().format_help(ctx, formatter)
@@ -103,7 +103,7 @@ class LazyCommands(ReadableGroup):
 
 
 def _described(module: str, name: str) -> str:
-    """First paragraph of a command's docstring, read from its source: to import it takes long."""
+    """First paragraph of a command's docstring, read from its source to avoid the import."""
     spec = find_spec(module)
     if spec is None or not isinstance(spec.loader, SourceLoader):
         return ""

@@ -98,7 +98,7 @@ def main() -> None:
 
 
 def _drop_output() -> None:
-    """Forget what stdout still holds, which Python would try to write at the end."""
+    """Discard buffered stdout, which Python would otherwise write at exit."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -17,7 +17,7 @@ from evpinn_ros.logs.read_options import ReadOptions
 
 
 def complete_vehicle(incomplete: str) -> list[str]:
-    """Known vehicles that begin so; the shell offers paths where there is none."""
+    """Known vehicles with this prefix; without any, the shell offers paths."""
     # Here, for every command has this option, and few are asked for a completion.
     from evpinn_ros.core.vehicle.files import known_vehicles
 
@@ -25,7 +25,7 @@ def complete_vehicle(incomplete: str) -> list[str]:
 
 
 def complete_profile(incomplete: str) -> list[str]:
-    """Bundled CAN profiles that begin so; the shell offers paths where there is none."""
+    """Bundled CAN profiles with this prefix; without any, the shell offers paths."""
     from evpinn_ros.can.profile import profile_names
 
     return [name for name in profile_names() if name.startswith(incomplete)]
@@ -48,7 +48,7 @@ def check_report(path: Path | None) -> Path | None:
     """Returns the path of a report.
 
     Raises:
-        InputError: at once and not after hours of work, the extra is missing that writes it.
+        InputError: the extra that writes it is missing; raised before the work begins.
     """
     if path is not None:
         with optional_imports():
@@ -149,7 +149,7 @@ def _read_options(
 
 
 def with_read_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options on how to read recordings, in place of its `read_options`."""
+    """Replace the parameter `read_options` of a command by the options that make its value."""
     signature = inspect.signature(command, eval_str=True)
     given = inspect.signature(_read_options, eval_str=True).parameters
 

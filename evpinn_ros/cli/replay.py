@@ -219,7 +219,7 @@ def _one(
 def _show_briefly(
     result: Replayed, source: Source, vehicle: Vehicle, said: set[str], units: Units
 ) -> None:
-    """One of many drives in a line, and what to doubt, but for what was `said` of one before."""
+    """Print a line for one of many drives, and doubts that were not `said` of an earlier one."""
     metrics = result.metrics
     if result.problem:
         note(f"evpinn: {result.problem}")
@@ -238,7 +238,7 @@ def _show_briefly(
 def _show(
     result: Replayed, source: Source, vehicle: Vehicle, warm_up: float, units: Units
 ) -> None:
-    """Tables for people, and a line for each thing that was missing."""
+    """Print the tables, and a line for each input that was missing."""
     metrics = result.metrics
     if result.problem:
         note(f"evpinn: {result.problem}")
@@ -279,7 +279,7 @@ def _write(
     units: Units,
     several: bool,
 ) -> bool:
-    """Write all that was asked for; one file that cannot be written does not cost the others."""
+    """Write every requested file, even if one of them cannot be written."""
     if not car.done:
         return True
     state, metrics, report = files

@@ -1,4 +1,4 @@
-"""Use made of the columns of a table, in words."""
+"""Sentences on how the columns of a table are used."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PRETTY = {
 
 
 def explain_columns(sources: Iterable[Source]) -> None:
-    """Say what was guessed of tables; of those with our own names what is not used.
+    """Print the columns that were guessed, and those that are not used.
 
     What was said of one table is not said of others alike.
     """
@@ -41,7 +41,7 @@ def explain_columns(sources: Iterable[Source]) -> None:
 
 
 def _columns(source: Source) -> Iterator[str]:
-    """Lines on the columns of a table, none if there is nothing to say."""
+    """Lines on the columns of a table; none if nothing was guessed."""
     if not any(rule.why for rule in source.rules):
         if source.ignored:
             yield f"columns not used: {shorter(source.ignored)}"
@@ -55,7 +55,7 @@ def _columns(source: Source) -> Iterator[str]:
 
 
 def explain_notes(source: Source, said: Container[str] = ()) -> list[str]:
-    """Say what turned out on reading, but for what was `said` of another; gives what it said."""
+    """Print notes of the reading that were not `said` of another table; returns them."""
     texts = [text for text in source.notes if text not in said]
     for text in texts:
         note(text if text.startswith(str(source.path)) else f"{source.path}: {text}")
@@ -63,7 +63,7 @@ def explain_notes(source: Source, said: Container[str] = ()) -> list[str]:
 
 
 def shorter(names: Iterable[str]) -> str:
-    """Names in a list, those that differ by a number alone as the first and the last of them."""
+    """List of names; a run that differs only by a number becomes its first and last name."""
     runs: list[list[str]] = []
     for name in names:
         if runs and _stem(name) == _stem(runs[-1][-1]) != name:

@@ -59,7 +59,7 @@ def view(
 
 
 def _serve(reader: BagReader, server: FoxgloveServer, rate: float, loop: bool) -> None:
-    """Play, once somebody looks, and stay until Ctrl-C: Foxglove shows what it has meanwhile."""
+    """Play once a viewer is connected, and keep serving until Ctrl-C."""
     note(f"{reader.path}: waiting for Foxglove at {server.address}; Ctrl-C ends")
     try:
         while not server.watched:

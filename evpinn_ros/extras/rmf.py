@@ -1,4 +1,4 @@
-"""The learned vehicle in the terms of Open-RMF (rmf_battery), which plans charging for fleets.
+"""The learned vehicle as parameters of Open-RMF (rmf_battery), which plans charging for fleets.
 
 RMF counts the energy of motion as mass |a| v + friction mass 9.81 v, so braking costs as much as
 speeding up and no efficiency is between wheels and battery; beside that there is a constant
@@ -57,7 +57,7 @@ class RmfEnergy:
 def rmf_energy(
     model: PowerModel, vehicle: Vehicle, capacity: Uncertain, speed: float | None = None
 ) -> RmfEnergy:
-    """The parameters with which RMF comes to the forecasts of a vehicle.
+    """The parameters with which RMF computes the energy that a vehicle's forecasts have.
 
     Args:
         model: of the vehicle.

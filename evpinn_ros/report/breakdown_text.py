@@ -50,7 +50,7 @@ class KnownPart(NamedTuple):
 
 
 def shown(breakdown: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """The parts by the names people read; those that data do not separate as one.
+    """The parts by their names for people; parts that the data do not separate are joined.
 
     What no input tells of is left out: heating of a car that knows no temperature, say.
 
@@ -74,7 +74,7 @@ def breakdown_columns(units: Units = METRIC) -> tuple[str, ...]:
 
 
 def breakdown_rows(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[tuple[str, ...]]:
-    """Rows of text under `breakdown_columns`: what is `shown`, was measured, was brought back."""
+    """Rows of text under `breakdown_columns`: the `shown` parts, the total, what was regained."""
     if breakdown["unknown"] is not None:
         return []
     beside = [(MEANINGS[name], breakdown[name]) for name in ("measured", REGAINED)]
@@ -83,7 +83,7 @@ def breakdown_rows(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[
 
 
 def breakdown_lines(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[str]:
-    """Sentences for people: what is worth saying, if anything is, and what the figures are of."""
+    """Sentences on the largest parts, on doubts, and on the driving that the figures cover."""
     if breakdown["unknown"] is not None:
         return [f"Where the energy went: {breakdown['unknown']}."]
     return [
@@ -94,7 +94,7 @@ def breakdown_lines(breakdown: Mapping[str, Any], units: Units = METRIC) -> list
 
 
 def breakdown_notes(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[str]:
-    """Sentences on a known breakdown: what to doubt in it, and how much driving it is based on."""
+    """Sentences on doubts about a breakdown, and on how much driving it is based on."""
     lines = [
         f"These data cannot separate {_together(group['parts'])}: only their sum is known."
         for group in breakdown["together"]
@@ -117,7 +117,7 @@ def breakdown_notes(breakdown: Mapping[str, Any], units: Units = METRIC) -> list
 
 
 def duration_text(seconds: float) -> str:
-    """A time in minutes, or in seconds where it is shorter than one and a half."""
+    """A duration in minutes, below 1.5 minutes in seconds."""
     return f"{seconds / 60:.0f} min" if seconds >= SHORTEST_MINUTES else f"{seconds:.0f} s"
 
 
@@ -132,16 +132,16 @@ def known_parts(breakdown: Mapping[str, Any]) -> list[KnownPart]:
 
 
 def _whole(breakdown: Mapping[str, Any]) -> tuple[float, str]:
-    """Whole that shares are of, kWh, and its name: all measured, where little of it came back."""
+    """Energy to which shares refer, kWh, and its name: measured, or spent where most came back."""
     spent = sum(max(part["kwh"], 0.0) for _, part in shown(breakdown))
     measured = breakdown["measured"]["kwh"]
     return (measured, "the whole") if spent < GAVE_BACK * measured else (spent, "what was spent")
 
 
 def largest_part(breakdown: Mapping[str, Any]) -> KnownPart | None:
-    """The part that took most, if it is known to two sigmas; None of a smaller one instead.
+    """The largest part, if it is known to two sigmas, else None; never a smaller one.
 
-    Speed, which stops to be, and what is unexplained are left out.
+    Net speeding up and the unexplained part do not count.
     """
     parts = [row for row in shown(breakdown) if row[0] not in LEFT_OUT]
     name, _ = max(parts, key=lambda row: row[1]["kwh"], default=("", {}))
@@ -149,7 +149,7 @@ def largest_part(breakdown: Mapping[str, Any]) -> KnownPart | None:
 
 
 def breakdown_sentence(breakdown: Mapping[str, Any]) -> str:
-    """Sentences on what is worth saying: the largest part, and heating from `WORTH_SAYING` on.
+    """Sentences on the largest part, and on heating above the share `WORTH_SAYING`.
 
     Empty where nothing is known so well. Another tells what descents gave back, where shares are
     of what was spent.
@@ -175,12 +175,12 @@ def breakdown_sentence(breakdown: Mapping[str, Any]) -> str:
 
 
 def least_of(name: str) -> float:
-    """Least energy of a part, or of some that are not separated: no loss is below zero."""
+    """Lower limit of the energy of a part or of joined parts: no loss is below zero."""
     return 0.0 if set(name.split(TOGETHER)) <= _LOSSES else -math.inf
 
 
 def _took(name: str) -> str:
-    """Begin of a sentence on a part, or on some that are not separated."""
+    """Beginning of a sentence on a part, or on joined parts."""
     if TOGETHER not in name:
         return TOOK.get(name, f"{name} took")
     *some, last = (SHORT.get(part, part) for part in name.split(TOGETHER))
@@ -195,7 +195,7 @@ def _amount(kwh: float, sigma_kwh: float) -> str:
 
 
 def _share(share: float) -> str:
-    """A share in words where a plain one is within 2 percent of the whole, else in percent."""
+    """A share in words if a simple fraction is within 2 percent of it, else in percent."""
     plain = {1 / 10: "a tenth", 1 / 5: "a fifth", 1 / 4: "a quarter", 1 / 3: "a third"}
     plain |= {1 / 2: "half", 2 / 3: "two thirds", 3 / 4: "three quarters"}
     near = min(plain, key=lambda share_of_whole: abs(share_of_whole - share))
@@ -207,7 +207,7 @@ def _together(names: Iterable[str]) -> str:
 
 
 def name_of(parts: Iterable[Part]) -> str:
-    """The name of a part, or of some that are not separated."""
+    """The name of a part, or of joined parts."""
     return TOGETHER.join(MEANINGS[part.name.lower()] for part in parts)
 
 
@@ -215,7 +215,7 @@ def _row(
     name: str, amount: Mapping[str, float | None], units: Units, digits: int
 ) -> tuple[str, ...]:
     def text(value: float | None, places: int) -> str:
-        """To so many digits; of what rounds to nothing no sign."""
+        """The number to some digits, without a sign if it rounds to zero."""
         return "-" if value is None else f"{round(value, places) + 0.0:.{places}f}"
 
     share, rate = amount["share"], amount["kwh_per_100km"]

@@ -58,7 +58,7 @@ def part_rows(
 
 
 def common_groups(breakdowns: Sequence[Breakdown]) -> list[tuple[Part, ...]]:
-    """The parts; in one group those that any of these breakdowns does not separate."""
+    """The parts, grouped where one of the breakdowns does not separate them."""
     rows = [{part} for part in list(Part)[WHOLE]]
     for group in [set(group) for breakdown in breakdowns for group in breakdown.together()]:
         joined = group.union(*(row for row in rows if row & group))
@@ -135,7 +135,7 @@ def _explained(difference: Breakdown, units: Units) -> str:
 
 
 def _is_shown(amount: Amount, units: Units) -> bool:
-    """True if a part of a difference, or its 1-sigma, does not round to nothing."""
+    """True if a part of a difference, or its 1-sigma, does not round to zero."""
     scale = JOULES_PER_KWH / DIFFERENCE_METRES / units.rate_joules
     return any(round(kwh * scale, _digits(units)) for kwh in (amount.kwh, amount.sigma_kwh))
 

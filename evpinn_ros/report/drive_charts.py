@@ -58,7 +58,7 @@ def power_chart(drive: Drive, points: int) -> Chart:
 
 
 def error_chart(drive: Drive, points: int) -> Chart:
-    """Predicted less measured power, with the 90 % band that was claimed, around zero."""
+    """Predicted minus measured power, and the predicted 90 % band around zero."""
     time, predicted, sigma, _ = drive.smoothed
     measured, is_measured = measured_at(drive, time)
     grid = grid_for(time if len(time) else drive.speed[:, 0], drive.duration, points)

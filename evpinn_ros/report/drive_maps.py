@@ -65,7 +65,7 @@ def moments(drive: Drive) -> Moments:
 
 
 def scored_moments(drive: Drive, driven: Moments, warm_up: float) -> Moments:
-    """Those that count for scores."""
+    """The moments that count for scores."""
     counted = drive.smoothed.time[scored(drive, drive.smoothed, Span(warm_up, drive.duration))]
     return chosen_rows(driven, np.isin(driven.time, counted))
 
@@ -180,6 +180,6 @@ def _map_chart(
 
 
 def _full(values: np.ndarray, share: float) -> float:
-    """The quantile `share` of the sizes of what is known, from which on colour is full."""
+    """The quantile `share` of the absolute values, from which on the colour is full."""
     finite = np.abs(values[np.isfinite(values)])
     return max(float(np.quantile(finite, share)), 1e-9) if len(finite) else 1.0

@@ -1,4 +1,4 @@
-"""The report of one drive or several: what was measured, learned, known, forecast."""
+"""The report of one or several drives: measurements, scores, parameters, forecasts."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ def _drive(
 
 
 def _shaded(reported: ReportedDrive) -> Iterator[tuple[float, float]]:
-    """Begin and end, s, of what was not scored, or not given."""
+    """Begin and end, s, of the warm-up and of the time with the battery withheld."""
     yield 0.0, min(reported.warm_up, reported.drive.duration)
     if reported.withheld_from is not None:
         yield reported.withheld_from, reported.drive.duration
@@ -229,7 +229,7 @@ def _energy_charts(reported: ReportedDrive, measured: DrivenSteps, units: Units)
 
 
 def _curves(reported: ReportedDrive, measured: DrivenSteps, points: int, units: Units) -> Charts:
-    """All over time."""
+    """The curves over time."""
     drive, few = reported.drive, points // SMALL
     speed = drive.speed * (1.0, units.speeds)
     yield "speed", drive_charts.line_chart(drive, "speed", f"speed, {units.speed}", speed, points)
@@ -274,7 +274,7 @@ def _record(metrics: Mapping[str, Any]) -> str:
 
 
 def _score_tiles(reported: ReportedDrive) -> Iterator[tuple[str, str]]:
-    """Scores with what they are."""
+    """Scores with their names."""
     drive, power = reported.drive, reported.metrics["power"]
     error = reported.metrics["energy"]["error_percent"]
     yield signed_percent(error), "error of the predicted energy"

@@ -34,13 +34,13 @@ WORDS = {
 
 
 def dropped_text(dropped: Mapping[str, int]) -> str:
-    """Readings that were lost, as a list; empty where none was."""
+    """List of lost readings by reason; empty if none was lost."""
     lost = ((count, reason) for reason, count in dropped.items() if reason not in NO_LOSS)
     return ", ".join(f"{count} {_words(reason)}" for count, reason in lost if count)
 
 
 def _words(reason: str) -> str:
-    """A reason as people say it; one that is a sentence already stays."""
+    """A reason for people; a reason that is a sentence is kept."""
     signal, _, value = reason.partition("_sentinel_")
     if value:
         return f"readings of {value} in place of a {signal}"

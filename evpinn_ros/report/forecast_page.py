@@ -1,4 +1,4 @@
-"""The page of forecasts: what each plan takes, where it goes, and what would change that."""
+"""The page of forecasts: the energy of each plan, its parts, and what would change it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LEAST_SHOWN = 0.0005  # kWh, which would read 0.000
 
 
 class PlannedTrip(NamedTuple):
-    """A plan to show: its name, its energy, and what it would take driven otherwise."""
+    """A plan to show: its name, its energy, and the energy of variations."""
 
     name: str
     planned: PlannedEnergy

@@ -1,4 +1,4 @@
-"""One self-contained HTML file from a template: what it holds, and what its browser may do."""
+"""Makes a self-contained HTML file from a template, with a policy for the browser."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _templates() -> Environment:
 
 
 def _in_print(value: Any) -> Any:
-    """Text with the sign ±, which a terminal may lack; what is marked as safe stays as it is."""
+    """Text with ± in place of +-, which terminals show; safe markup is kept."""
     return value.replace("+- ", "± ") if type(value) is str else value
 
 

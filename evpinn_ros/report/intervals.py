@@ -11,7 +11,7 @@ from evpinn_ros.replays.trends import DrivePoint, Trend, trends
 
 
 class IntervalRow(NamedTuple):
-    """A row: its name, what stands beside it, the amount, half of its interval, and its least."""
+    """A row: name, text beside it, amount, half of its interval, and lower limit."""
 
     name: str
     text: str
@@ -21,7 +21,7 @@ class IntervalRow(NamedTuple):
 
     @property
     def low(self) -> float:
-        """Begin of its interval."""
+        """Lower end of the interval."""
         return max(self.value - self.half, self.least)
 
 

@@ -62,7 +62,7 @@ def owner_line(drive: Drive, metrics: Mapping[str, Any], units: Units = METRIC) 
 
 
 def lone_note(drive: Drive, units: Units = METRIC) -> str | None:
-    """Sentence on readings that leap alone, where they change the totals; None else."""
+    """Sentence on single readings that leap, if they change the totals; else None."""
     without = without_lone(drive)
     if without is None:
         return None
@@ -76,7 +76,7 @@ def lone_note(drive: Drive, units: Units = METRIC) -> str | None:
 
 
 def part_text(seconds: float, whole: float) -> str:
-    """A part of a time, as `11 of 15 min`, with as many digits as tell the two apart."""
+    """A part of a duration such as `11 of 15 min`, with enough digits to tell them apart."""
     unit, name = (60.0, "min") if whole >= SHORTEST_MINUTES else (1.0, "s")
     digits = 0 if round(seconds / unit) != round(whole / unit) else 1
     return f"{seconds / unit:.{digits}f} of {whole / unit:.{digits}f} {name}"
@@ -94,7 +94,7 @@ def owner_notes(vehicle: Vehicle, drive: Drive, metrics: Mapping[str, Any]) -> l
 
 
 def expert_note(drive: Drive) -> str | None:
-    """Sentence on what forecasts rest on in place of the learned car; None where on that."""
+    """Sentence on what forecasts rest on if not on the learned car; else None."""
     return None if drive.model is None else drive.model.experts.sentence
 
 
@@ -213,7 +213,7 @@ def _texts(figures: Figures, units: Units) -> tuple[str, str, str, str]:
 
 
 def _most(breakdown: Mapping[str, Any] | None) -> str:
-    """Name and share of what took most, if it is known to two sigmas."""
+    """Name and share of the largest part, if it is known to two sigmas."""
     most = None if not breakdown or breakdown["unknown"] else largest_part(breakdown)
     if most is None:
         return "-"

@@ -73,17 +73,17 @@ def energy_lines(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def watts(value: float | None) -> str:
-    """A power."""
+    """Text of a power."""
     return "-" if value is None else f"{value:.0f} W"
 
 
 def watt_hours(joules: float | None) -> str:
-    """An energy."""
+    """Text of an energy."""
     return "-" if joules is None else f"{joules / 3600:.1f} Wh"
 
 
 def signed_percent(value: float | None) -> str:
-    """An error."""
+    """Text of an error in percent."""
     return "-" if value is None else f"{value:+.2f} %"
 
 

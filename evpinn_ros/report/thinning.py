@@ -78,7 +78,7 @@ def thinned(time: np.ndarray, values: np.ndarray, grid: Grid) -> np.ndarray:
 
 
 def _join(extremes: np.ndarray, time: np.ndarray, values: np.ndarray, grid: Grid) -> None:
-    """Fill empty buckets between two values no further apart than power is held to be known."""
+    """Fill empty buckets between two values that are close enough in time to interpolate."""
     empty = np.flatnonzero(np.isnan(extremes[:, 0]))
     middle = (empty + 0.5) * grid.width
     after = np.searchsorted(time, middle)

@@ -1,4 +1,4 @@
-"""The bridge between MQTT topics and the chains of the cars behind them.
+"""Connects MQTT topics to one chain for each car.
 
 Of a car `NAME` it publishes below `BASE/NAME`: `power` at most once a second, not retained, for an
 old power is of no use; `energy`, `consumption`, `range`, `breakdown`, `parameters` and `health` as
@@ -85,7 +85,7 @@ class _Seen:
 
 
 class MqttBridge:
-    """Cars behind the topics of one broker.
+    """The cars of one broker, created as their topics arrive.
 
     Attributes:
         cars: by name, in the order in which they came.

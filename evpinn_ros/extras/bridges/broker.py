@@ -1,4 +1,4 @@
-"""Connection to an MQTT broker: bounded both ways, back after every loss.
+"""Connection to an MQTT broker: bounded queues both ways, reconnects after every loss.
 
 Subscriptions ask for QoS 1, so that a broker repeats what was lost of TeslaMate's messages (which
 come with 1; OVMS sends with 0). What is published goes out with QoS 1 too. A slow broker must not
@@ -36,7 +36,7 @@ REFUSALS = {"Bad user name or password", "Not authorized", "Client identifier no
 
 @dataclass(frozen=True, slots=True)
 class BrokerSettings:
-    """Address of a broker and proof of who asks; the password is in no text of it.
+    """Address of a broker and credentials; its repr hides the password.
 
     `ca` is the path of the authorities to trust, else they are those of the system; `certificate`
     and `key` are paths of the client's own, the key None if in the same file. Two processes with

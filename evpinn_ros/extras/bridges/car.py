@@ -30,7 +30,7 @@ Document = Mapping[str, Any]
 
 
 class BridgedCar:
-    """The chain of one car, fed by readings, asked for documents.
+    """The chain of one car: takes readings, returns documents to publish.
 
     Attributes:
         name: of the car, in topics.

@@ -92,7 +92,7 @@ class DatabrokerFeed:
         self.missing: set[str] = set()
 
     def run(self) -> Iterator[None]:
-        """Take updates and send signals as they are due; give control back after each.
+        """Receives updates and sends signals when due; yields after each.
 
         Raises:
             VSSClientError: the databroker went, or refuses.

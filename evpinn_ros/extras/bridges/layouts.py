@@ -1,4 +1,4 @@
-"""Layouts of topics: the quantity, unit and sign behind each topic of TeslaMate, OVMS or others.
+"""Mappings of MQTT topics to quantities, units and signs: TeslaMate, OVMS or a file.
 
 A layout is a mapping file; those of TeslaMate and OVMS are in `config/mqtt/`, with their sources.
 """
@@ -102,7 +102,7 @@ class Parsed(NamedTuple):
 
 
 class Layout:
-    """Topics of one kind of publisher, and what their messages say.
+    """The topics of one kind of publisher, with the quantity and unit of each.
 
     Attributes:
         subscriptions: topic filters.

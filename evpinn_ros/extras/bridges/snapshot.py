@@ -1,4 +1,4 @@
-"""Readings of one car from values that come apart, at irregular times, some only when they change.
+"""Makes readings of one car from single values, which arrive irregularly or only on change.
 
 TeslaMate and OVMS send a topic only when its value changed. So whatever comes of a car says that
 all else of it is as it was: the values that came together, within `BURST_NS`, and those that hold
@@ -60,7 +60,7 @@ class Snapshots:
         self._burst_ns = None
 
     def add(self, parsed: Parsed, arrived_ns: int, *, retained: bool) -> list[Reading]:
-        """Take a message; give the readings that are complete.
+        """Take a message; returns the readings that are complete.
 
         Args:
             parsed: its content.

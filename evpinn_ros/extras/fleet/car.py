@@ -1,4 +1,4 @@
-"""One car: all its drives in order of time, each learned from where the one before left off.
+"""Learns one car: its drives in order of time, each from the state after the one before.
 
 A car is one task, for its drives depend on one another. Every drive starts from what was saved
 after the one before, never from what is in memory, so a run that was stopped gives the same
@@ -132,7 +132,7 @@ class CarDone:
 
 
 def learn_car(task: CarTask) -> CarDone:
-    """Learn all drives of a car, those that are done already left out.
+    """Learn the drives of a car that are not learned yet.
 
     Raises:
         StoppedError: asked to, before the last drive was done.

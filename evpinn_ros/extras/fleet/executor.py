@@ -160,7 +160,7 @@ class DaskExecutor:
 
 
 async def _identify(address: str) -> None:
-    """Ask a scheduler who it is, before there is a client.
+    """Check that a scheduler answers, before a client is created.
 
     A client that fails to connect cannot be closed: it leaves a thread and, when it is collected,
     waits for a loop that has ended, in whatever runs then.

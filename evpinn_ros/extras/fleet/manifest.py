@@ -52,7 +52,7 @@ class _Line(NamedTuple):
 
 
 def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
-    """One car for each top folder: that below a folder which is given, or the one given.
+    """One car for each folder directly below a given one, or for the given folder itself.
 
     A drive that lies in a given folder itself, or is given itself, is of the car with the name of
     the folder around it.
@@ -111,7 +111,7 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
 
 
 def load_model(name: str, base: Path) -> Vehicle:
-    """A vehicle by its name, or the path of its file, which other machines know as absolute.
+    """A vehicle by its name, or by the absolute path of its file.
 
     Raises:
         InputError: there is none, or it is wrong.

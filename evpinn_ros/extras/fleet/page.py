@@ -1,4 +1,4 @@
-"""The report of a fleet, with charts of what is known of each car, its file and the model.
+"""The report of a fleet, with charts of the parameters of each car, its file and the model.
 
 One HTML file, printable, nothing to fetch.
 """

@@ -85,7 +85,7 @@ class FleetSummary:
 
 
 def require_extra() -> None:
-    """Raise now, not after hours of work.
+    """Check that the extra is installed, before hours of work.
 
     Raises:
         InputError: the extra `fleet` is not installed.

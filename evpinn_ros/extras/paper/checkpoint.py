@@ -19,7 +19,7 @@ MOST_BYTES = (
 
 
 def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]) -> None:
-    """Write a state so that a crash leaves the old file or the new one whole.
+    """Write a state atomically: a crash leaves the old file or the new one.
 
     The path ends in `.npz`; `settings` is what the state belongs to, and `load_checkpoint` asks
     for it again.

@@ -47,7 +47,7 @@ class ReadLog(NamedTuple):
 
 
 def read_drive_log(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAULTS) -> ReadLog:
-    """Read a CSV, bag or CAN log; what is not finite or impossible is left out as on the road.
+    """Read a CSV, bag or CAN log, without the readings that the estimator would drop.
 
     Speed and power reach a log with different delays, and 50 ms more or less move C_rr by several
     percent. So the log is read twice: once to find the delay of speed, once without it.
@@ -64,7 +64,7 @@ def read_drive_log(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEF
 
 
 def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
-    """Delay of speed behind power, s: the one at which eq. 21 explains most of the power.
+    """Delay of speed behind power, s, at which eq. 21 explains most of the power.
 
     Eq. 21 is linear in its combinations, so each candidate is one least squares. Zero where the
     drive does not tell: eq. 21 explains little of it, hardly more than without a delay, or most

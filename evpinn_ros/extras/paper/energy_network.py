@@ -159,7 +159,7 @@ class _Networks(nn.Module):
 
 
 class EnergyTraining:
-    """Training of both networks that can be left and taken up again, to the same numbers.
+    """Training of both networks, which can be interrupted and resumed to the same numbers.
 
     Attributes:
         epoch: epochs trained.
@@ -185,7 +185,7 @@ class EnergyTraining:
         self._adam = torch.optim.Adam(self._networks.parameters(), LEARNING_RATE, foreach=True)
 
     def run_to(self, epoch: int, on_epoch: Callable[[int, float], None] | None = None) -> None:
-        """Train on eq. 30 until this many epochs in all are done.
+        """Train on eq. 30 up to a total number of epochs.
 
         `on_epoch` is called with each epoch and the RKNN's training loss, both as in the table.
 

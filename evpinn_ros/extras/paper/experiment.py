@@ -1,4 +1,4 @@
-"""The paper's experiment on one drive: every training, every table, every yardstick.
+"""The paper's experiment on one drive: trainings, tables and baselines.
 
 Three trainings, each resumable: the power network under the paper's random split (its tables),
 the same under a chronological split (what it is worth on a road not yet driven), and the energy

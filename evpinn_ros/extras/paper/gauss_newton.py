@@ -25,7 +25,7 @@ MOST_DAMPING = 1.0  # of the mean diagonal; beyond it a step is no more than a g
 
 
 class Linearised:
-    """A network at its present weights and samples.
+    """A network linearised at its present weights and samples.
 
     Attributes:
         residual: the target less the output, shape (n,).
@@ -93,7 +93,7 @@ def levenberg_marquardt(
     steps: int,
     damping: float,
 ) -> float:
-    """Bring the output of a network nearer to a target, in a fixed number of trials.
+    """Move the output of a network towards a target in a fixed number of trials.
 
     A step is taken only when it lessens the mean square of the residual; the damping falls after
     such a step and rises after any other (Marquardt, 1963).

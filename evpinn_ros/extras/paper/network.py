@@ -44,7 +44,7 @@ class PowerNetwork(nn.Module):
     def sweep(
         self, inputs: torch.Tensor
     ) -> tuple[torch.Tensor, list[torch.Tensor], list[torch.Tensor]]:
-        """Forwards and backwards once for all samples; inputs of shape (n, widths[0]).
+        """Run one forward and backward pass over all samples; inputs of shape (n, widths[0]).
 
         Returns:
             The output, shape (n,); the activations A_l that enter each layer, shape
@@ -87,7 +87,7 @@ def spread_over_time(
     last: float,
     sharpness: float,
 ) -> None:
-    """Let unit k of the first layer bend at the k-th of as many moments as there are units.
+    """Spread the bends of the first layer's units evenly between two times.
 
     Args:
         network: whose second input is time; changed in place.

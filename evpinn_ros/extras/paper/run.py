@@ -88,7 +88,7 @@ class Training(NamedTuple):
 def run_reproduction(
     log: Path, vehicle: str, training: Training, out: Path | None, options: ReadOptions
 ) -> None:
-    """Train, print verdict and tables, and write report, results and what was found.
+    """Train, print verdict and tables, and write report, results, state and vehicle file.
 
     Raises:
         InputError: the log cannot be read, the folder not written, or there is no such device.

@@ -27,7 +27,7 @@ LEAST_RELATIVE_STD = 0.005  # of a prior written: no car is the same from one da
 
 @torch.no_grad()
 def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
-    """Network of the same function in the units of `extras.paper.learner`, float32.
+    """An equal network in the units of `extras.paper.learner`, float32.
 
     There speed comes over `SPEED_SCALE`, time as -age / `WINDOW` before the newest sample (here
     the end of the log), and power leaves over `POWER_SCALE`. All three are affine, so the first
@@ -71,7 +71,7 @@ def write_estimator_state(path: Path, outcome: Outcome) -> None:
 
 
 def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
-    """Write the vehicle with what was found as its priors, and read it back.
+    """Write the vehicle with the learned parameters as its priors, and read it back.
 
     A vehicle file's mu is that of the form `wheel_power`, which `hybrid` and simulation use; the
     paper's is another quantity. So mu comes from a fit of that form to the same samples.

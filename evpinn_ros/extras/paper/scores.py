@@ -74,7 +74,7 @@ def exact_energy(time: np.ndarray, power: np.ndarray) -> np.ndarray:
 def drift_included(
     vehicle: Vehicle, log_scale: torch.Tensor, covariance: np.ndarray
 ) -> np.ndarray:
-    """Covariance of z plus how far it drifted without the data's support, shape (5, 5).
+    """Covariance of z plus its drift in directions that the data do not determine, shape (5, 5).
 
     No prior holds the paper's parameters: where the data say nothing, descent lets them go. The
     part of z that the priors alone would pull back is C S^-1 z, with S the priors' covariance.
