@@ -104,7 +104,9 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         LifecycleNodeMixin.__init__(self)
         # A manager's request can be lost during discovery; this one cannot.
         succeeded = TransitionCallbackReturn.SUCCESS
-        if self.values["autostart"] and self.trigger_configure() is succeeded:
+        if not self.values["autostart"]:
+            self.log(Level.OK, f"{NOT_ACTIVE}: {UNCONFIGURED}")
+        elif self.trigger_configure() is succeeded:
             self.trigger_activate()
 
     def configure(self) -> None:

@@ -59,7 +59,8 @@ class StateFile:
         if self._path is None:
             return None
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
+            if not self._path.parent.exists():
+                self._path.parent.mkdir(parents=True)
             with TemporaryFile(dir=self._path.parent):
                 pass
         except OSError as error:

@@ -18,6 +18,7 @@ RATE = 10  # readings a second
 NEVER_FALL = ("lifetime_drawn", "lifetime_regenerated")
 
 
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize(
     "kills", [pytest.param(3, marks=pytest.mark.slow), pytest.param(50, marks=pytest.mark.nightly)]
 )

@@ -75,11 +75,12 @@ def test_a_wrong_parameter_fails_the_transition_and_a_right_one_mends_it(ros2, b
 
 def test_a_file_that_can_never_be_written_fails_the_transition(ros2, bench, tmp_path):
     (tmp_path / "file").write_text("in the way")
-    for path in (tmp_path / "file" / "car.json", tmp_path):
+    for path, why in ((tmp_path / "file" / "car.json", "Not a directory"), (tmp_path, "a folder")):
         with ros2.running(*RUN, "energy", *UNDER_EV, "-p", f"energy_file:={path}") as process:
             answer = ros2.ask("lifecycle", "set", "/ev/energy", "configure")
             assert "Transitioning successful" not in answer
-            assert f"configure: {path}: cannot be written" in process.output
+            assert "waits to be configured" in process.output
+            assert f"configure: {path}: cannot be written: {why}" in process.output
 
 
 def test_a_file_into_which_another_process_learns_fails_the_transition(bench, tmp_path):
