@@ -160,14 +160,16 @@ def forecast(
     for text, alike in level.items():
         say(f"{', '.join(alike)}: {text}.")
     basis = "by its vehicle file alone; --state FILE uses what earlier drives taught"
-    say(f"{vehicle}, {basis if state is None else f'as learned in {state}'}.")
+    car_line = f"{vehicle}, {basis if state is None else f'as learned in {state}'}."
+    say(car_line)
     if (better := forecasts[0].better_expert) is not None:
         say(better)
     expected = _expected(given, forecasts[0].basis.model.car.celsius, shown)
     say(expected)
-    if charge is not None:
-        say(_battery(forecasts[0].gauge))
-    if charge is None:
+    battery = "" if charge is None else _battery(forecasts[0].gauge)
+    if battery:
+        say(battery)
+    else:
         note("evpinn: add --charge PERCENT (at the start) to see the charge at the end")
     if report is not None:
         from evpinn_ros.replays.drive_names import short_names
@@ -178,7 +180,8 @@ def forecast(
             PlannedTrip(name, planned, what_if(planned.given, car, given, shown))
             for name, planned in zip(names, forecasts, strict=True)
         ]
-        write_forecasts(report, trips, expected, command_line(), shown)
+        assumed = " ".join(filter(None, (car_line, expected, battery)))
+        write_forecasts(report, trips, assumed, command_line(), shown)
     if json_file is not None:
         write_json(json_file, rows)
 

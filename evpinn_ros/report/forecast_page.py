@@ -34,14 +34,14 @@ class PlannedTrip(NamedTuple):
 
 
 def write_forecasts(
-    path: Path, trips: Sequence[PlannedTrip], expected: str, command: str, units: Units = METRIC
+    path: Path, trips: Sequence[PlannedTrip], assumed: str, command: str, units: Units = METRIC
 ) -> None:
     """Write the page.
 
     Args:
         path: of the new file.
         trips: to show.
-        expected: sentence on the conditions.
+        assumed: sentences on the car and the conditions.
         command: that made it, text.
         units: of distances, speeds and heights.
 
@@ -52,7 +52,7 @@ def write_forecasts(
     shown = [_trip(trip, units) for trip in trips]
     title = f"Forecast of {names}"
     write_page(path, "forecast.html.j2", title=title, command=command, trips=shown,
-               expected=expected, distance=units.distance)  # fmt: skip
+               assumed=assumed, distance=units.distance)  # fmt: skip
 
 
 def _trip(trip: PlannedTrip, units: Units) -> dict[str, Any]:
