@@ -67,11 +67,11 @@ def inspect(
     elm327: Elm327Option = None,
     bitrate: Annotated[
         int | None,
-        typer.Option(min=1, help=f"Bit rate; {BITRATE} bit/s if not given."),
+        typer.Option(min=1, help=f"Bit rate of the bus, bit/s; {BITRATE} if not given."),
     ] = None,
     bus_option: Annotated[
         str,
-        typer.Option("--bus-options", help="More for the driver, as 'name=value ...'."),
+        typer.Option("--bus-options", help="Options 'name=value ...' for the driver."),
     ] = "",
     seconds: Annotated[
         float | None,
@@ -82,7 +82,7 @@ def inspect(
     can_profile: Annotated[
         str | None,
         typer.Option(
-            help="A profile of your own, to be ranked too.",
+            help="Rank this profile too.",
             autocompletion=complete_profile,
         ),
     ] = None,

@@ -86,8 +86,8 @@ def forecast(
         bool | None,
         typer.Option(
             "--steady/--expected",
-            help="Between points far apart, speed is a straight line, or as drivers have it "
-            "(the default, but for paths and trajectories that a controller follows).",
+            help="Between far points, take speeds as commanded (straight lines), or expect what "
+            "drivers do: the default, except for what a controller follows.",
         ),
     ] = None,
     read_options: ReadOptions = READ_DEFAULTS,

@@ -65,7 +65,7 @@ VehicleOption = Annotated[
 ]
 CanProfileOption = Annotated[
     str | None,
-    typer.Option(help="Another CAN profile.", autocompletion=complete_profile),
+    typer.Option(help="CAN profile in place of the vehicle's.", autocompletion=complete_profile),
 ]
 TrustProfileOption = Annotated[
     bool,
@@ -75,7 +75,7 @@ TrustProfileOption = Annotated[
     ),
 ]
 KeptStateOption = Annotated[
-    Path | None, typer.Option(help="Keeps what was learned between drives.")
+    Path | None, typer.Option(help="Keep what is learned between drives in this file.")
 ]
 ParamsOption = Annotated[Path | None, typer.Option(help="Parameter file (YAML).")]
 ColumnOption = Annotated[
@@ -128,7 +128,7 @@ OriginOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="ORIGIN",
-        help="http://localhost:8080, or another web page that may connect too.",
+        help="Let a web page of this origin connect too, for example http://localhost:8080.",
     ),
 ]
 

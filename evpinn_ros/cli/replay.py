@@ -104,7 +104,10 @@ def replay(
     loop: Annotated[
         int, typer.Option(min=1, max=1000, help="Replay all inputs this many times.")
     ] = 1,
-    whole: Annotated[bool, typer.Option("--whole", help="Each file is one drive.")] = False,
+    whole: Annotated[
+        bool,
+        typer.Option("--whole", help="Take each file as one drive: neither split nor join files."),
+    ] = False,
     read_options: ReadOptions = READ_DEFAULTS,
 ) -> None:
     """Replay recorded drives: learn the car, and show where the energy went.

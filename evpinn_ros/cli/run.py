@@ -73,7 +73,7 @@ def run(
     ] = None,
     elm327: Elm327Option = None,
     bitrate: Annotated[
-        int | None, typer.Option(min=0, help="Bit/s of the bus; 500000 if none.")
+        int | None, typer.Option(min=0, help="Bit rate of the bus, bit/s; 500000 if not given.")
     ] = None,
     bus_option: Annotated[
         str | None,

@@ -44,7 +44,7 @@ def simulate(
     ] = 100 * RMS_GRADE,
     start: Annotated[
         datetime,
-        typer.Option(help="Start, UTC; else in 2025.", show_default=False),
+        typer.Option(help="Start of the drive, UTC.", show_default=False),
     ] = START,
     altitude: Annotated[bool, typer.Option("--altitude", help="Record a barometer too.")] = False,
     temperature: Annotated[
@@ -58,7 +58,7 @@ def simulate(
         RegenForm | None,
         typer.Option(
             metavar="FORM",
-            help="Obey this form of eq. 21 exactly; flat road.",
+            help="Obey this form of eq. 21 exactly, on a flat road.",
         ),
     ] = None,
     can_profile: CanProfileOption = None,
