@@ -27,7 +27,7 @@ from evpinn_ros.logs.quantities import PLACES
 from evpinn_ros.logs.signal import Signal, at_times, pull, speeds_up_and_down
 from evpinn_ros.logs.source import STRAGGLING_NS
 from evpinn_ros.logs.standing import Standing
-from evpinn_ros.logs.values import never_back, wrong_sign
+from evpinn_ros.logs.values import drawn_at_rest, never_back, wrong_sign
 
 STATED = "it is negative while the battery discharges, and every energy has the other sign"
 BLOCK = 20_000  # readings that are judged together
@@ -105,6 +105,7 @@ class BatteryWatch:
         current = _signal(self._current, self._zero_ns)
         voltage = at_times(_signal(self._voltage, self._zero_ns), current.time)
         drawn = Signal(current.time, drawn_power(voltage, current.value))
+        yield from drawn_at_rest(drawn, speed)
         if pull(speed, drawn) < 0.0:
             yield wrong_sign("the current", STATED)
         elif speeds_up_and_down(speed) and not self._flows_back:

@@ -45,6 +45,7 @@ MOSTLY = 0.8  # of the steps between rows
 SHUFFLED = 0.2  # of the rows lie farther behind the one before: no drive is of so few rows
 SHARED = 0.3  # of the rows have the stamp of the one before, where stamps are coarse
 LEAST_SHARED = 3  # stamps that rows share, to tell how far apart they are
+LEAST_SECONDS = 20  # of a minute that tell a clock without colons from a number
 CHANGED = 0.1  # of these have another value than the one before
 ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
 
@@ -127,6 +128,8 @@ def clock_of_numbers(
         return None
     if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", filled[0].strip()):
         return None  # 20240305070809 is a date
+    if unit is None and not in_seconds and _is_clock_without_colons(known):
+        return None
     known = _forward(known)
     size = float(np.median(np.abs(known)))
     since_1970 = next((name for least, name in _SINCE_1970 if size >= least), None)
@@ -134,6 +137,8 @@ def clock_of_numbers(
         unit is None or size * UNITS_NS[unit] / 1e9 >= RELATIVE_BELOW_S
     ):
         name = unit or since_1970
+        if size * UNITS_NS[name] < FIRST_TIME_NS:
+            return None  # of another zero, or in ticks of 100 ns
         why = "since 1970, by its values"
         return Clock((column,), "number", unit=name, zoned=True, why=why, style=style)
     name = "s" if in_seconds else unit or _unit_of_steps(known)
@@ -146,6 +151,14 @@ def clock_of_numbers(
     if _holds_drives(known, BACK_NS / UNITS_NS[name]):
         return replace(clock, drives_from_ns=int(known[0] * UNITS_NS[name]))
     return clock
+
+
+def _is_clock_without_colons(times: NDArray[np.float64]) -> bool:
+    """True if 95959 is followed by 100000: no two digits of minutes or seconds reach 60."""
+    whole = np.floor(times)
+    seconds, minutes = whole % 100, whole // 100 % 100
+    inside = (whole >= 0) & (whole < 240_000) & (seconds < 60) & (minutes < 60)
+    return bool(inside.all() and np.ptp(whole) > 100 and np.unique(seconds).size >= LEAST_SECONDS)
 
 
 def _unit_of_steps(times: NDArray[np.float64]) -> str:

@@ -48,7 +48,7 @@ def _units(**factors: float) -> dict[str, Unit]:
 
 _KMH, _MPH, _KNOT = Unit(1 / 3.6), Unit(0.44704), Unit(1852 / 3600)
 _SPEED = {"m/s": Unit(1.0), "mps": Unit(1.0), "ms": Unit(1.0), "meters/second": Unit(1.0)}
-_SPEED |= dict.fromkeys(("km/h", "kmh", "kph", "kmph", "km/hr", "kilometers/hour"), _KMH)
+_SPEED |= dict.fromkeys(("km/h", "kmh", "kph", "kmph", "km/hr", "km/t", "kilometers/hour"), _KMH)
 _SPEED |= dict.fromkeys(("mph", "mi/h", "mi/hr", "miles/hour"), _MPH)
 _SPEED |= dict.fromkeys(("kn", "kt", "kts", "knots"), _KNOT)
 _TIME = _units(s=1.0, sec=1.0, secs=1.0, second=1.0, seconds=1.0, ms=1e-3, msec=1e-3, us=1e-6)

@@ -26,8 +26,12 @@ from evpinn_ros.logs.signal import (
     ways,
 )
 
-FASTEST = {"m/s": 45.0, "mph": 130.0}  # what is larger is hardly a speed of a car in this unit
-STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is no speed in m/s
+FASTEST = {
+    "m/s": 45.0,
+    "mph": 130.0,
+    "km/h": 250.0,
+}  # what is larger is hardly a speed of a car in this unit
+STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is in another unit
 SAME_ROAD = 0.15  # logarithm of two ways that are one; m/s by miles is 0.33 from mph by km
 LEAST_SEGMENTS, MOST_SEGMENTS = 3, 20  # from one step of the odometer to a later one
 SEGMENT = 300.0  # m between two positions that tell a way
@@ -80,7 +84,7 @@ def _decided(speed: Column, columns: Mapping[str, Column], cells: Mapping[str, S
         if not road > 0
         or any(abs(np.log(road * length / factor)) < SAME_ROAD for length in lengths)
     } or set(CANDIDATES)
-    possible -= _too_fast(signal)
+    possible = (possible - _too_fast(signal)) or set(CANDIDATES)  # a unit that is none of these
     if len(possible) == 1:
         why = "by the odometer" if road > 0 else "by its values"
         return speed.in_unit(possible.pop(), why)
@@ -98,9 +102,9 @@ def _too_fast(signal: Signal) -> set[str]:
     fastest = float(np.quantile(np.abs(signal.known), 0.999)) if signal.known.size else 0.0
     too_fast = {text for text, limit in FASTEST.items() if fastest > limit}
     changes = np.sort(np.abs(accelerations(signal)[1]))
-    if changes.size and changes[int(0.99 * changes.size)] > STRONGEST:
-        too_fast.add("m/s")
-    return too_fast
+    hardest = changes[int(0.99 * changes.size)] if changes.size else 0.0
+    units = QUANTITIES["speed"].units
+    return too_fast | {text for text in FASTEST if hardest * units[text].factor > STRONGEST}
 
 
 def _by_mass(

@@ -46,7 +46,7 @@ HARDEST, LEAST_LEAP, LONGEST_LEAP = 4.0, 1.0, 3.0  # m/s^2, m/s, s
 SLOWEST_UNIT = 1.0 / 3.6  # m/s: of a speed, knots and mph are faster
 MOST_ASKED = 1000  # values that tell a resolution
 LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and the share of the hardest moments in them
-LEAST_LEAPS = 6  # to zero and back
+LEAST_LEAPS, MOST_LEAPS = 6, 0.1  # to zero and back, and of all steps
 
 Signals = dict[str, Signal]
 
@@ -77,6 +77,7 @@ class Standing:
         self._stands: dict[str, list[tuple[Stand, str]]] = {}
         self._readings, self._zeros = Counter[str](), Counter[str]()
         self._ways: list[float] = []  # by the odometer over that by the speed
+        self._steps = self._leaps = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -109,6 +110,8 @@ class Standing:
                 self._zeros[name] += int(zeros.sum())
                 self._dropped[f"{name}_sentinel_0"] += int(zeros.sum())
         signals = {name: Signal(time, column[rows]) for name, column in values.items()}
+        leaps = _leaps(signals["speed"], 1.0)
+        self._steps, self._leaps = self._steps + leaps.size, self._leaps + int(leaps.sum())
         for name, stand, why in _contradicted(signals):
             inside = (time >= stand.begin) & (time <= stand.begin + stand.seconds)
             inside &= np.isfinite(signals[name].value)
@@ -126,6 +129,12 @@ class Standing:
             yield (
                 f"the odometer counts {way:.2g} times the way that the speed shows, so the unit "
                 "of one is probably wrong; --column speed=NAME:UNIT or odometer=NAME:UNIT sets it"
+            )
+        if self._leaps > max(LEAST_LEAPS, MOST_LEAPS * self._steps):
+            yield (
+                f"the speed leaps in {100.0 * self._leaps / self._steps:.0f} % of its steps as no "
+                "car does, so doubt all totals: are there rows of several cars, or is it in "
+                "another unit?"
             )
         for name, zeros in self._zeros.items():
             share = 100.0 * zeros / self._readings[name]
@@ -204,14 +213,19 @@ def _is_fill(time: FloatArray, value: FloatArray, hardest: FloatArray) -> bool:
 
 def _leaps_to_zero(speed: Signal, least_unit: float) -> bool:
     """True if the speed leaps to most of its zeros and back as no car stops."""
-    time, value = speed.points()
+    value = speed.points()[1]
     to_zero = (value[1:] == 0.0) != (value[:-1] == 0.0)
     changes = np.flatnonzero(to_zero)
     if changes.size < LEAST_LEAPS:
         return False
-    steps = np.diff(time)[changes]
-    leaps = np.abs(np.diff(value)[changes]) * least_unit > LEAST_LEAP + HARDEST * steps
-    return bool(np.mean(leaps & (steps <= LONGEST_LEAP)) > 0.5)
+    return bool(_leaps(speed, least_unit)[changes].mean() > 0.5)
+
+
+def _leaps(speed: Signal, unit: float) -> NDArray[np.bool_]:
+    """Mask of the steps of a speed that no car does, in a unit, m/s."""
+    time, value = speed.points()
+    steps, change = np.diff(time), np.abs(np.diff(value)) * unit
+    return np.asarray((change > LEAST_LEAP + HARDEST * steps) & (steps <= LONGEST_LEAP))
 
 
 def _resolution(values: FloatArray) -> float:

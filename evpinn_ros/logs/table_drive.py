@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 import math
 from pathlib import Path
+import re
 import sys
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ from evpinn_ros.logs.clock_start import (
 )
 from evpinn_ros.logs.column import (
     NO_USE,
+    SIGNED,
     Column,
     check_columns,
     columns_by_name,
@@ -65,6 +67,7 @@ if TYPE_CHECKING:
     from evpinn_ros.logs.terrain import Terrain
 
 BATCH, BATCH_CELLS = 16_384, 500_000  # rows, and cells of them, converted at once
+DIGITS = re.compile(r"\d+")
 FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed
 
 Stamps = NDArray[np.int64]
@@ -192,6 +195,13 @@ class TableDrive(Source):
             for rule in self.rules
             if rule.wraps
         ]
+        for rule in self.rules:
+            alike = [name for name in self.ignored if _is_numbered_like(name, rule.name)]
+            if rule.quantity in SIGNED and alike:
+                notes.append(
+                    f"{rule.quantity}: {rule.name!r} is assumed to be that of the whole battery; "
+                    f"not counted: {', '.join(alike)}"
+                )
         if self._engine is not None:
             notes.append("rows in which the engine turns are not used")
         if self._held:
@@ -445,6 +455,11 @@ class TableDrive(Source):
         if started is not None and clock.kind == "number":
             return started - first, "log"
         return DRIVE_START_NS, ""
+
+
+def _is_numbered_like(name: str, other: str) -> bool:
+    """True if two names differ in a number alone, as those of two packs do."""
+    return name != other and DIGITS.sub("0", name) == DIGITS.sub("0", other)
 
 
 def _is_guessed(column: Column) -> bool:

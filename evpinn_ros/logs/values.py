@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.detector import DRAWN_AT_REST
 from evpinn_ros.logs.column import SIGNED, Column, column_of
 from evpinn_ros.logs.quantities import QUANTITIES, Unit, score
 from evpinn_ros.logs.signal import (
@@ -43,6 +44,7 @@ RISES = 0.7  # correlation of power with braking from which on it is that of bra
 SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
 RESOLUTIONS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.02, 0.01, 0.001)  # of a bus
 SPANS = sorted(step * 2.0**bits for step in RESOLUTIONS for bits in (16, 32))
+FEW_BITS = sorted(step * 2.0**bits for step in RESOLUTIONS for bits in range(8, 16))
 LEAST_WRAPPED = 5  # readings
 NOT_TRACTION = 40.0  # V: below, a battery that does not sag under the current is not what drives
 GEARED = 0.98  # correlation of speed and motor speed
@@ -60,7 +62,10 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
         if name in decided and (not decided[name].has_unit or decided[name].could_be):
             decided[name] = decide(decided[name], cells[name].known)
     for name in SIGNED:
-        if name in decided and (span := wrapped_at(cells[name].known)):
+        if name in decided and (
+            span := wrapped_at(cells[name].known)
+            or wrapped_while_braking(cells[name], cells["speed"])
+        ):
             decided[name] = replace(decided[name], wraps=span)
             cells = {**cells, name: unwrapped(cells[name], span)}
     decided = with_speed_unit(decided, cells)
@@ -144,14 +149,27 @@ def _say_sign(column: Column, positive: bool, shows: str) -> Column:
     return column.guessed((f"-{column.unit.lstrip('-')}",)) if shows == "assumed" else column
 
 
-def wrapped_at(known: FloatArray) -> float:
+def wrapped_while_braking(drawn: Signal, speed: Signal) -> float:
+    """Span of unsigned numbers of few bits: the upper ones come while the car slows down."""
+    span = wrapped_at(drawn.known, FEW_BITS)
+    if not span:
+        return 0.0
+    times, change = accelerations(speed)
+    at = at_times(Signal(drawn.time, (drawn.value > 0.5 * span).astype(float)), times)
+    upper, lower = change[at > 0.5], change[at <= 0.5]
+    if min(upper.size, lower.size) < LEAST_WRAPPED:
+        return 0.0
+    return span if np.mean(upper) < min(0.0, float(np.mean(lower))) else 0.0
+
+
+def wrapped_at(known: FloatArray, spans: Sequence[float] = SPANS) -> float:
     """Span of unsigned numbers that should be signed; 0 where they are none.
 
     A charging current of -13.6 A is then 65536 steps more: 6540 A. Nothing lies in between.
     """
     if not known.size or known.min() < 0:
         return 0.0
-    span = next((span for span in SPANS if known.max() <= span), 0.0)
+    span = next((span for span in spans if known.max() <= span), 0.0)
     middle = (known > 0.25 * span) & (known < 0.75 * span)
     upper = known >= 0.75 * span
     return span if upper.sum() >= LEAST_WRAPPED and not middle.any() else 0.0
@@ -275,6 +293,7 @@ def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> I
             yield from _compared(used["power"], signals["power"], drawn)
     if drawn is None:
         return
+    yield from drawn_at_rest(drawn, signals["speed"])
     yield from never_back(drawn, signals["speed"])
     if pull(signals["speed"], drawn) < 0.0:
         column = used["current" if "current" in used else "power"]
@@ -304,7 +323,17 @@ def never_back(drawn: Signal, speed: Signal) -> Iterator[str]:
     else:
         yield (
             "no current ever flows back into the battery, so nothing is known of its "
-            "regeneration (mu)"
+            "regeneration (mu); if the car regenerates, every energy is too large"
+        )
+
+
+def drawn_at_rest(drawn: Signal, speed: Signal) -> Iterator[str]:
+    """Sentence on a battery that gives more at rest than heating takes, SI: it has an offset."""
+    at_rest = drawn.value[(at_times(speed, drawn.time) == 0.0) & np.isfinite(drawn.value)]
+    if at_rest.size >= LEAST_EVENTS and (power := float(np.median(at_rest))) > DRAWN_AT_REST.on:
+        yield (
+            f"the battery gives {power / 1e3:.0f} kW while the car stands: the current has an "
+            "offset or a wrong unit or sign, so every energy is wrong"
         )
 
 

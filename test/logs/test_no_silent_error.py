@@ -31,7 +31,9 @@ def written(header: str, line: str, drive: Drive = DRIVE) -> str:
         lambda t, v, u, i, far, soc: line.format(
             t=t, date=date(t), mps=v, kmh=3.6 * v, mph=v / 0.44704, volts=u, amps=i, watts=u * i,
             kw=u * i / 1000, km=far / 1000, miles=far / 1609.344, soc=soc, epoch=1709622489 + t,
-            minutes=(t + 1000) / 60, minute=int(t + 17) // 60, size=abs(i), one_way=max(i, 0.0),
+            minutes=(t + 1000) / 60, minute=int(t + 17) // 60,
+            ticks=638452 * 10**12 + int(t) * 10**7, size=abs(i), one_way=max(i, 0.0),
+            offset=i + 500, tenths=36 * v, limited=250.0 if i > 30 else 1.0,
         ),
     )  # fmt: skip
 
@@ -52,6 +54,10 @@ LEAFSPY = (
     "Date/Time,Speed,Gids,Pack Volts,Pack Amps,Odo(km),epoch time, Speed1, Speed2",
     "{date},{mph:.2f},400,{volts:.2f},{amps:.3f},{km:.2f},{epoch:.0f},0,0",
 )
+
+
+def clock(seconds: float) -> str:
+    return date(seconds)[11:].replace(":", "")
 
 
 def decimal_comma():
@@ -365,6 +371,14 @@ REFUSED = {
         ),
         r"drive.csv: row 902 is another header, without 'HV Battery Current \(A\)'",
     ),
+    "a clock without colons": (
+        lambda: table(PLAIN, DRIVE, lambda t, *v: plain(t, *v).replace(date(t), clock(t))),
+        r"column 'time': '070809' is no time that is known; say --column time=NAME",
+    ),
+    "ticks of 100 ns": (
+        lambda: written(PLAIN, "{ticks:.0f},{kmh:.2f},{volts:.2f},{amps:.2f}"),
+        r"column 'time': '638452000000000000' is no time that is known",
+    ),
     "commas of whole numbers": (
         lambda: table(
             "time,rpm,load,Speed (km/h),Voltage (V),Current (A)",
@@ -383,6 +397,67 @@ def test_a_refusal_names_the_row_and_the_remedy(tmp_path, case):
     text, message = REFUSED[case]
     with pytest.raises(InputError, match=message):
         opened(tmp_path, text())
+
+
+def test_a_clock_without_colons_can_be_given(tmp_path):
+    text = table(PLAIN, DRIVE, lambda t, *v: plain(t, *v).replace(date(t), clock(t)))
+    source = opened(tmp_path, text, columns=["time=time:%H%M%S"])
+    assert measured(source) == pytest.approx((DRIVE.distance, DRIVE.energy), rel=0.01)
+
+
+def two_cars_without_a_name():
+    pairs = zip(
+        table("", DRIVE, plain).splitlines()[1:],
+        table("", simulated(seed=1), plain).splitlines()[1:],
+        strict=True,
+    )
+    return "\n".join([PLAIN, *(line for pair in pairs for line in pair)])
+
+
+TOLD: dict[str, tuple[Callable[[], str], str]] = {
+    "two cars without a name": (
+        two_cars_without_a_name,
+        "as no car does, so doubt all totals",
+    ),
+    "two packs": (
+        lambda: written(
+            "t_s,Speed (km/h),Pack Voltage (V),Pack 1 Current (A),Pack 2 Current (A)",
+            "{t},{kmh:.2f},{volts:.2f},{amps:.2f},{amps:.2f}",
+        ),
+        "assumed to be that of the whole battery; not counted: Pack 2 Current (A)",
+    ),
+    "an offset": (
+        lambda: written(PLAIN, "{date},{kmh:.2f},{volts:.2f},{offset:.2f}"),
+        "kW while the car stands: the current has an offset",
+    ),
+    "discharging alone": (
+        lambda: written(PLAIN, "{date},{kmh:.2f},{volts:.2f},{one_way:.2f}"),
+        "if the car regenerates, every energy is too large",
+    ),
+    "tenths of km/h": (
+        lambda: written("time,speed,voltage,current", "{t},{tenths:.0f},{volts:.2f},{amps:.2f}"),
+        "'speed' is assumed to be in",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TOLD)
+def test_what_cannot_be_right_is_told(tmp_path, case):
+    text, note = TOLD[case]
+    source = opened(tmp_path, text())
+    list(source.readings())
+    assert note in " ".join(source.notes)
+
+
+@pytest.mark.parametrize("bits", [10, 12, 15])
+def test_an_unsigned_current_of_few_bits_is_signed_where_it_comes_of_braking(tmp_path, bits):
+    span = float(2**bits)
+    text = table(
+        PLAIN, DRIVE, lambda t, v, u, i, *_: f"{date(t)},{3.6 * v:.2f},{u:.2f},{i % span:.2f}"
+    )
+    assert measured(opened(tmp_path, text))[1] == pytest.approx(DRIVE.energy, rel=0.01)
+    limited = written(PLAIN, "{date},{kmh:.2f},{volts:.2f},{limited:.1f}")
+    assert "are negative ones" not in " ".join(opened(tmp_path, limited).notes)
 
 
 @pytest.mark.parametrize("known", ["km/h", "mph", "m/s"])
