@@ -11,6 +11,7 @@ import numpy as np
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, kwh_digits
 from evpinn_ros.common.units import counted as counted_text
 from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES
+from evpinn_ros.core.estimation.posterior import SPARSE
 from evpinn_ros.core.signals.road import HEATED_BELOW
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.driven import Counted, counted, without_lone
@@ -27,9 +28,6 @@ from evpinn_ros.report.breakdown_text import (
 from evpinn_ros.report.tables import signed_percent, watts
 
 NEARLY_WHOLE = 0.99  # of distance or time, from here on nothing is missing
-# s between speeds, from here on worth saying: over 40 trips of a Leaf with one every 2 to 6 s,
-# energy was predicted 11 % too low.
-SPARSE = 2.0
 SPARSE_BATTERY = 10.0  # s between currents, from where on the energy errs by some percent
 LEAST_HEATING = 300.0  # W that a car reports, worth saying
 LEAST_CHARGED = 0.05 * JOULES_PER_KWH  # J that a charger gave, worth saying

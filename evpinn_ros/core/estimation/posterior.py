@@ -39,6 +39,7 @@ from evpinn_ros.core.estimation.journey import (
 from evpinn_ros.core.estimation.states import LASTING, NAMES, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import Equation, Warmth, Wheels, climate_powers
 from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.power import BRIDGE_SHARE, TIMING
 from evpinn_ros.core.signals.readings import TEMPERATURES
 from evpinn_ros.core.vehicle.physics import GRAVITY
 
@@ -51,6 +52,7 @@ EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 SCALE_INTERVALS = 30.0  # over which a scale of the noise is learned
 LEAST_SCALE, MOST_SCALE = 0.05, 2000.0
 OUTLIER = 2.5  # sigmas
+SPARSE = 2.0  # s between speeds, from here on driving between them is not seen
 
 DRIFT = 0.02  # of its prior sigma, by which a state of the car changes from drive to drive
 DRIVE_KEPT = 0.9  # of an offset of a drive that the next still has: the season, a roof box
@@ -223,7 +225,23 @@ def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[Ca
         for load, power in climate_powers(conditions.celsius, done.warmth).items():
             row[load] = power
         state = see_reported_climate(state, row, conditions.load, interval.duration)
-    return condition(state, done.journey, interval.energy, interval.sampling_variance)
+    return condition(state, done.journey, interval.energy, _sampling_variance(state, done))
+
+
+def _sampling_variance(state: CarState, done: PassedInterval) -> float:
+    """Variance of the energy of an interval due to the rate of its readings, J^2.
+
+    Of a log with seconds between its rows it is that of the predicted power. By the measured one
+    an interval that missed a burst of power would be trusted, and one that caught it doubted.
+    """
+    duration = done.interval.steps.duration
+    step = float(np.median(duration))
+    if step < SPARSE:
+        return done.interval.sampling_variance
+    power = done.rows @ (state.weights @ state.mean) / duration
+    apart = (duration[1:] + duration[:-1]) / 2.0
+    bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ apart**2)
+    return bridge + (TIMING * step) ** 2 * float(power[0] ** 2 + power[-1] ** 2)
 
 
 def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:

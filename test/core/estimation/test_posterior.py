@@ -21,6 +21,7 @@ from evpinn_ros.core.estimation.posterior import (
 )
 from evpinn_ros.core.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import Warmth, equation_of
+from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.physics import GRAVITY
 from evpinn_ros.replays.simulation.drive import DriveKind
@@ -264,3 +265,25 @@ def test_letting_time_pass_is_one_linear_step_of_the_states_with_noise():
         expected[load, energy] = expected[energy, load] = variance * integral * (1 - left)
         expected[climb, climb] = weight[k] ** 2 * before.bands.growth * 100.0
         np.testing.assert_allclose(fresh[k], expected, rtol=1e-9, atol=1e-6 * variance)
+
+
+def test_of_a_sparse_log_no_interval_is_trusted_more_for_the_power_that_it_measured(town):
+    """With rows seconds apart the variance is that of predicted power: bursts are seen or not."""
+    dense = town[10]
+    steps = dense.steps
+    slow = (5.0 * column for column in (steps.duration, steps.distance, steps.air))
+    sparse = replace(dense, steps=Steps(*slow, *steps[3:]), end_ns=dense.start_ns + 30 * 10**9)
+
+    def sigma(interval, sampling):
+        measured = replace(interval, sampling_variance=sampling)
+        state = initial_state(EQUATION)
+        return learn(state, EQUATION, passed(EQUATION, measured, 0.0))[1].sigma
+
+    assert sigma(dense, 1e12) > 2.0 * sigma(dense, 1e6)
+    assert sigma(sparse, 1e12) == sigma(sparse, 1e6)
+    even = sparse.steps._replace(
+        distance=np.full(6, sparse.distance / 6), kinetic=np.zeros(6), climb=np.zeros(6)
+    )
+    bursts = even._replace(kinetic=200.0 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]))
+    apart = (sigma(replace(sparse, steps=driven), 0.0) for driven in (even, bursts))
+    assert next(apart) < next(apart)
