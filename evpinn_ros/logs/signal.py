@@ -12,6 +12,7 @@ EVENT = 0.3  # m/s^2 from which on it is accelerating or braking
 LEAST_EVENTS = 20  # moments of accelerating, and of braking, that tell a sign
 LONGEST_STEP = 10.0  # s between two speeds that still tell an acceleration
 EARTH = 6_371_000.0  # m
+LEAST_WAY = 1e-9  # in any unit
 LIKE = 0.4  # correlation of power with speed times acceleration from which on it tells the mass
 
 FloatArray = NDArray[np.float64]
@@ -102,7 +103,7 @@ def ways(speed: Signal, times: FloatArray) -> FloatArray:
     way = np.concatenate(([0.0], np.cumsum(middle * span)))
     gaps = np.concatenate(([0.0], np.cumsum(span > LONGEST_STEP)))
     ways = np.diff(np.interp(times, at, way))
-    return np.where((np.diff(np.interp(times, at, gaps)) == 0) & (ways > 0), ways, np.nan)
+    return np.where((np.diff(np.interp(times, at, gaps)) == 0) & (ways > LEAST_WAY), ways, np.nan)
 
 
 def steps_of_places(cells: Mapping[str, Signal], apart: float) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evpinn_ros.core.signals.readings import MAX_SPEED, NANOSECONDS
+from evpinn_ros.core.signals.readings import MAX_CURRENT, MAX_SPEED, MAX_VOLTAGE, NANOSECONDS
 from evpinn_ros.logs.quantities import PLACES
 from evpinn_ros.logs.signal import (
     LEAST_EVENTS,
@@ -30,6 +30,8 @@ from evpinn_ros.logs.signal import (
 from evpinn_ros.logs.speed_unit import road_of_odometer
 
 DRAWN = ("current", "power")
+MOST = {"speed": MAX_SPEED, "voltage": MAX_VOLTAGE, "current": MAX_CURRENT}
+LARGEST = 1e9  # of any other
 SHOWN = {"speed": (3.6, "km/h"), "current": (1.0, "A"), "power": (1.0, "W")}
 LEAST_STAND, LEAST_REPEATS = 10.0, 10  # s, readings
 WINDOW = 15.0  # s; over more, a hill looks like speeding up
@@ -98,7 +100,7 @@ class Standing:
             return
         self._zero_ns = int(stamps[rows[0]]) if self._zero_ns is None else self._zero_ns
         time = (stamps[rows] - self._zero_ns) / NANOSECONDS
-        signals = {name: Signal(time, column[rows]) for name, column in values.items()}
+        signals = _signals(time, values, rows)
         self._filled |= filled(signals)
         for name in ("speed", *DRAWN):
             if name not in signals:
@@ -109,7 +111,7 @@ class Standing:
                 values[name][rows[zeros]] = np.nan
                 self._zeros[name] += int(zeros.sum())
                 self._dropped[f"{name}_sentinel_0"] += int(zeros.sum())
-        signals = {name: Signal(time, column[rows]) for name, column in values.items()}
+        signals = _signals(time, values, rows)
         leaps = _leaps(signals["speed"], 1.0)
         self._steps, self._leaps = self._steps + leaps.size, self._leaps + int(leaps.sum())
         for name, stand, why in _contradicted(signals):
@@ -118,9 +120,7 @@ class Standing:
             values[name][rows[inside]] = np.nan
             self._dropped[f"{name}_stands_still"] += int(inside.sum())
             self._stands.setdefault(name, []).append((stand, why))
-        way = road_of_odometer(
-            {name: Signal(time, column[rows]) for name, column in values.items()}
-        )
+        way = road_of_odometer(_signals(time, values, rows))
         self._ways += [way] if way > 0.0 else []
 
     def _said(self) -> Iterator[str]:
@@ -155,6 +155,12 @@ class Standing:
                 f"{name} stands still at {value} from {stand.begin:.0f} s on for "
                 f"{stand.seconds:.0f} s{again} while {why}, so it is not used there"
             )
+
+
+def _signals(
+    time: FloatArray, values: Mapping[str, FloatArray], rows: NDArray[np.intp]
+) -> Signals:
+    return {name: _possible(name, Signal(time, column[rows])) for name, column in values.items()}
 
 
 def measured_alone(signals: Mapping[str, Signal]) -> Signals:
@@ -237,7 +243,7 @@ def _resolution(values: FloatArray) -> float:
 
 def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
     """Stretches of one value that other signals contradict: name, stretch and reason."""
-    speed = _possible(signals["speed"])
+    speed = signals["speed"]
     stands = list(_stands(speed))
     seen = _without(speed, [stand for stand in stands if stand.value])
     drawn = _drawn(signals)
@@ -255,8 +261,10 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
                     yield name, stand, "the car speeds up and slows down"
 
 
-def _possible(speed: Signal) -> Signal:
-    return Signal(speed.time, np.where(np.abs(speed.value) > MAX_SPEED, np.nan, speed.value))
+def _possible(name: str, signal: Signal) -> Signal:
+    """The signal where its values are those of a vehicle."""
+    most = MOST.get(name, LARGEST)
+    return Signal(signal.time, np.where(np.abs(signal.value) <= most, signal.value, np.nan))
 
 
 def _drawn(signals: Signals) -> Signal | None:

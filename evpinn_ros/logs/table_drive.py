@@ -376,6 +376,7 @@ class TableDrive(Source):
         """SI values of a column; NaN where there is none."""
         values = to_floats(_cells(batch, rule.place), self._survey.styles[rule.place])
         self._count_bad(batch, rule, ~np.isfinite(values), "is no number")
+        values = np.where(np.abs(values) < MOST, values, math.nan)  # no factor makes it infinite
         values = signed(values, rule.wraps) * rule.factor + rule.offset
         values[~(np.abs(values) < MOST)] = math.nan
         return values
@@ -436,7 +437,8 @@ class TableDrive(Source):
     def _signal(self, column: Column, times: NDArray[np.float64]) -> Signal:
         """The cells of a column that were looked at, in the file's unit."""
         survey, place = self._survey, column.place
-        return Signal(times, to_floats(survey.cells[place], survey.styles[place]))
+        values = to_floats(survey.cells[place], survey.styles[place])
+        return Signal(times, np.where(np.abs(values) < MOST, values, math.nan))
 
     def _start(self, others: Sequence[Clock], stamps: Stamps) -> tuple[int, str]:
         """Offset to add to the times of the clock, ns, and the source of the date."""

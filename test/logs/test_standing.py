@@ -1,6 +1,7 @@
 """What stands still while the car does not is no reading, in a table, a bag and a CAN log."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 import math
 from pathlib import Path
@@ -17,6 +18,7 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.source import Source
@@ -175,3 +177,21 @@ def test_what_a_car_does_is_measured(tmp_path, steady):
     source = of_table(drive, tmp_path)
     assert measured(source) == pytest.approx((drive.distance, drive.energy), rel=0.01)
     assert not any("stand" in note or "zeros" in note for note in source.notes)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("cell", ["1e300", "-1e308", "inf", "nan", "x", "65535"])
+@pytest.mark.parametrize("share", [0.1, 1.0])
+def test_damaged_cells_of_any_size_are_no_numbers_to_count_with(tmp_path, cell, share):
+    chance = np.random.default_rng(0)
+
+    def line(t, v, u, i, far, _):
+        numbers = f"{v:.2f}", f"{u:.1f}", f"{i:.2f}", f"{far:.0f}", f"{far / 1e7:.6f}", "7.1"
+        cells = [cell if chance.random() < share else number for number in numbers]
+        return ",".join([f"{t:.0f}", *cells])
+
+    header = "time,Speed,Voltage,Current,Odometer,Latitude,Longitude"
+    source = opened(tmp_path, table(header, DRIVE, line))
+    with suppress(InputError):  # there is none
+        list(source.readings())
+    assert all(isinstance(note, str) for note in source.notes)
