@@ -96,8 +96,7 @@ def part_checks(
     """
     for drive in simulated_drives(kinds, vehicles, seeds, seconds, **options):
         chain = SpanChain(drive.vehicle)
-        for reading in drive.readings:
-            chain.add_reading(reading)
+        chain.add_readings(drive.readings)
         breakdown = chain.breakdown
         if breakdown is None:
             continue
@@ -143,8 +142,7 @@ def difference_checks(
                 altitude=altitude,
             )
             chain = SpanChain(vehicle, car.begin_drive(compare=True))
-            for reading in drive.readings:
-                chain.add_reading(reading)
+            chain.add_readings(drive.readings)
             car = chain.car
             truths.append(true_parts(drive.car, drive.trace, chain.spans))
         breakdowns = car.breakdowns()

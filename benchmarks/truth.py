@@ -7,6 +7,7 @@ out, which makes an hour of driving a matter of seconds.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 import math
@@ -19,6 +20,7 @@ from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.parameter_set import identifiable_shares, parameter_set
 from evpinn_ros.core.estimation.published import Published, published
 from evpinn_ros.core.estimation.terms import Equation
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
@@ -50,11 +52,10 @@ class CarChain:
         )
         self._newest_ns = 0
 
-    def add_reading(self, reading: Reading) -> None:
-        """Take one reading."""
-        for event in self._stream.add_reading(reading):
-            if isinstance(event, Interval):
-                self.take(event)
+    def add_readings(self, readings: Iterable[Reading]) -> None:
+        """Take readings."""
+        for _, interval in self._stream.add_block(Block.of(readings)).intervals:
+            self.take(interval)
 
     def take(self, interval: Interval) -> None:
         """Learn from an interval."""
@@ -157,10 +158,14 @@ def compare(
     for drive in drives:
         chain, left = CarChain(drive.vehicle), sorted(marks)
         begin = drive.readings[0].stamp_ns
-        for reading in drive.readings:
-            while left and reading.stamp_ns - begin >= (left[0] - 1) * NANOSECONDS:
-                yield from _compared(chain, drive, left.pop(0))
-            chain.add_reading(reading)
+        stamps = [reading.stamp_ns - begin for reading in drive.readings]
+        first = 0
+        for mark in left:
+            last = bisect_left(stamps, (mark - 1) * NANOSECONDS, first)
+            chain.add_readings(drive.readings[first:last])
+            if last < len(stamps):
+                yield from _compared(chain, drive, mark)
+            first = last
 
 
 def summaries(checks: Iterable[TruthCheck]) -> list[TruthSummary]:

@@ -11,6 +11,7 @@ import math
 from evpinn_ros.core.estimation.posterior import initial_state, learn, passed
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import Equation
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
@@ -153,8 +154,7 @@ def readings(vehicle: Vehicle) -> Iterator[Reading]:
 def intervals(given: Iterable[Reading], vehicle: Vehicle) -> list[Interval]:
     """The intervals of a drive, as the estimator gets them."""
     stream = SampleStream(StreamSettings(), vehicle.air_density)
-    events = [event for reading in given for event in stream.add_reading(reading)]
-    return [event for event in events if isinstance(event, Interval)]
+    return [interval for _, interval in stream.add_block(Block.of(given)).intervals]
 
 
 def _reading_rows(given: Iterable[Reading], interval: Interval) -> Iterator[str]:

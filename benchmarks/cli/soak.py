@@ -90,9 +90,8 @@ def _simulate(sending: Connection, hours: int, duration: float) -> None:
 
 
 def _add_readings(chain: Chain, readings: Sequence[Reading]) -> None:
-    for reading in readings:
-        for _ in chain.add_reading(reading):
-            pass
+    for _ in chain.add_readings(readings):
+        pass
 
 
 def memory_growth(hours: Sequence[Hour]) -> float:

@@ -140,7 +140,7 @@ class FastKalman(StepMethod):
 
     def predict(self, step: DrivingStep) -> Prediction:
         """Power of the present state; its error is taken to last for the whole dropout."""
-        power, sigma, *_ = self._filter.predict(_sample(step))
+        power, sigma = self._filter.predict(_sample(step))
         self._unmeasured[0] += sigma * step.dt
         return Prediction(step.middle_ns, power, sigma, energy_sigma=float(self._unmeasured[0]))
 

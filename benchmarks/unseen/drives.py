@@ -19,6 +19,7 @@ from benchmarks.unseen.splitting import split
 from benchmarks.unseen.sumo_cars import SUMO_CARS, simulate_sumo, sumo_is_there, sumo_truth
 from benchmarks.unseen.truth import CARRIED_VEHICLE, CHANGCHUN, carried_drives
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
@@ -52,10 +53,8 @@ class UnseenDrive:
         stream = SampleStream(
             StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
         )
-        for reading in self.readings:
-            for event in stream.add_reading(reading):
-                if isinstance(event, Interval):
-                    yield event
+        events = stream.add_block(Block.of(self.readings))
+        return (interval for _, interval in events.intervals)
 
     def seconds(self, stamp_ns: int) -> float:
         """Time since the start, s."""

@@ -17,7 +17,6 @@ import math
 
 import numpy as np
 
-from evpinn_ros.core.estimation.learner import PowerPrediction
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -67,11 +66,11 @@ class FiveStateFilter:
         self._wander = np.diag(self.covariance) / WANDER_TIME
         self._last_ns: int | None = None
 
-    def predict(self, sample: Sample) -> PowerPrediction:
+    def predict(self, sample: Sample) -> tuple[float, float]:
         """Power of the present state, W, with the sigma of state and residual."""
         power, gradient = self._model(sample)
         variance = float(gradient @ self.covariance @ gradient) + _residual_variance(sample)
-        return PowerPrediction(power, math.sqrt(variance))
+        return power, math.sqrt(variance)
 
     def observe(self, sample: Sample, power: float) -> None:
         """Let time pass up to a sample, and correct the state by it."""

@@ -7,18 +7,22 @@ the original goes on with them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import math
 from typing import NamedTuple, Protocol, TypeAlias
 
-from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
+import numpy as np
+
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading
+from evpinn_ros.core.signals.time_jump import Jump
 from evpinn_ros.core.vehicle.files import Vehicle
-from evpinn_ros.replays.chain import Chain
+from evpinn_ros.replays.chain import Chain, blocks_of
 
 Estimate: TypeAlias = tuple[float, float]  # value and 1-sigma
+AT_ONCE = 20_000  # readings
 NAMES = ("mass_over_eta", "regeneration", "rolling_over_eta", "drag_area_over_eta", "p_aux")
 
 
@@ -56,28 +60,43 @@ class OnlineChain:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
-        self._voltage_ns = self._current_ns = 0
+        self._told_ns = [0, 0]  # voltage, current
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
         """The `power/smoothed` that the reading completes, with the energy since the battery."""
-        if isinstance(reading, BatteryReading):
-            if not math.isnan(reading.voltage):
-                self._voltage_ns = reading.stamp_ns
-            if not math.isnan(reading.current):
-                self._current_ns = reading.stamp_ns
-        known_ns = min(self._voltage_ns, self._current_ns)
-        for output in self._chain.add_reading(reading):
-            if isinstance(output, PowerEstimate) and output.kind is PowerKind.SMOOTHED:
-                age = (output.stamp_ns - known_ns) / NANOSECONDS
-                energy = output.energy, output.energy_sigma
-                if known_ns and (age <= 0.0 or math.isnan(output.energy)):  # no dropout yet
-                    energy = output.power * age, 0.0
-                yield Prediction(output.stamp_ns, output.power, output.sigma, *energy)
+        return self.add_readings([reading])
+
+    def add_readings(self, readings: Sequence[Reading]) -> Iterator[Prediction]:
+        """The same of several readings."""
+        items = (item for reading in readings for item in self._chain.follow(reading))
+        for block in blocks_of(items, AT_ONCE):
+            if isinstance(block, Jump):
+                self._chain.jump()
+                continue
+            order, stamps, power, sigma, energy, energy_sigma = self._chain.read(block).smoothed
+            self._chain.account.count()
+            known_ns = self._known(block, order)
+            age = (stamps - known_ns) / NANOSECONDS
+            no_dropout = (known_ns > 0) & ((age <= 0.0) | np.isnan(energy))
+            energy = np.where(no_dropout, power * age, energy)
+            energy_sigma = np.where(no_dropout, 0.0, energy_sigma)
+            columns = stamps, power, sigma, energy, energy_sigma
+            yield from map(Prediction, *(column.tolist() for column in columns))
+
+    def _known(self, block: Block, places: np.ndarray) -> np.ndarray:
+        """Stamps up to which voltage and current were told by places of a block, ns."""
+        rows, known = block.of_kind(BatteryReading), []
+        for index, values in enumerate(rows.values[:2]):
+            there = ~np.isnan(values)
+            stamps = np.append(self._told_ns[index], rows.stamps[there])
+            known.append(stamps[np.searchsorted(rows.order[there], places, side="right")])
+            self._told_ns[index] = int(stamps[-1])
+        return np.asarray(np.minimum(known[0], known[1]))
 
     def begin_next_drive(self) -> None:
         """Keep what was learned of the car."""
         self._chain.begin_next_drive()
-        self._voltage_ns = self._current_ns = 0
+        self._told_ns = [0, 0]  # voltage, current
 
     def combinations(self) -> Mapping[str, Estimate]:
         """The published combinations.

@@ -99,15 +99,20 @@ def _through(
     waiting = sorted(planned, key=lambda cut: (cut.begin, -cut.length))
     rows: list[Prediction] = []
     track, begin = Track(drive, rows), -1.0
-    for index, reading in enumerate(drive.readings):
-        while waiting and drive.seconds(reading.stamp_ns) > waiting[0].begin:
-            cut = waiting.pop(0)
-            if cut.begin != begin:  # else the longer dropout from there holds the shorter
-                track = predicted(copy.deepcopy(method), drive, index, cut.span, rows[-1:])
-                begin = cut.begin
-            part = "long" if cut.length == LONG_DROPOUT else "withheld"
-            yield part, ScoredPart(drive.name, cut.span, score_part(drive, track, cut.span))
-        rows.extend(_predictions(method, reading))
+    seconds = np.maximum.accumulate([drive.seconds(r.stamp_ns) for r in drive.readings])
+    first = 0
+    for cut in waiting:
+        index = int(np.searchsorted(seconds, cut.begin, side="right"))
+        if index == len(seconds):
+            break
+        rows.extend(_predictions(method, drive.readings[first:index]))
+        first = index
+        if cut.begin != begin:  # else the longer dropout from there holds the shorter
+            track = predicted(copy.deepcopy(method), drive, index, cut.span, rows[-1:])
+            begin = cut.begin
+        part = "long" if cut.length == LONG_DROPOUT else "withheld"
+        yield part, ScoredPart(drive.name, cut.span, score_part(drive, track, cut.span))
+    rows.extend(_predictions(method, drive.readings[first:]))
     if drive.duration > WARM_UP:
         span = DrivePart(WARM_UP, drive.duration)
         yield "online", ScoredPart(drive.name, span, score_part(drive, Track(drive, rows), span))
@@ -124,15 +129,25 @@ def predicted(
     """
     rows = list(before)
     end_ns = drive.start_ns + int((span.end + AFTER_END) * NANOSECONDS)
+    given: list[Reading] = []
     for reading in drive.readings[index:]:
         if isinstance(reading, SpeedReading) and reading.stamp_ns > end_ns:
             break
         if not isinstance(reading, BatteryReading):
-            rows.extend(_predictions(method, reading))
+            given.append(reading)
+    rows.extend(_predictions(method, given))
     return Track(drive, rows)
 
 
-def _predictions(method: Method, reading: Reading) -> Iterator[Prediction]:
-    """Predictions that a reading completes, of anybody's method: of plain tuples or None too."""
-    for row in method.add_reading(reading) or ():
-        yield row if isinstance(row, Prediction) else Prediction(*row)
+def _predictions(method: Method, readings: Sequence[Reading]) -> Iterator[Prediction]:
+    """Predictions that readings complete, of anybody's method: of plain tuples or None too.
+
+    A method that has `add_readings` gets them at once.
+    """
+    at_once = getattr(method, "add_readings", None)
+    if at_once is not None:
+        yield from at_once(readings)
+        return
+    for reading in readings:
+        for row in method.add_reading(reading) or ():
+            yield row if isinstance(row, Prediction) else Prediction(*row)

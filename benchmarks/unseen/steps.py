@@ -14,6 +14,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
 
+import numpy as np
+
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
@@ -23,6 +26,7 @@ from evpinn_ros.core.signals.readings import (
     why_impossible,
 )
 from evpinn_ros.core.signals.road import GradeSource, Road
+from evpinn_ros.core.signals.track import LATER
 from evpinn_ros.core.vehicle.files import Vehicle
 
 SMOOTHED = 7  # speeds whose mean is taken: 0.3 s to either side at 10 Hz; best of 3 to 15
@@ -31,6 +35,7 @@ SMOOTHED_BELOW = 0.25  # s between speeds
 LEAST_STEP = 0.095  # s; faster speeds are left out
 MAX_STEP, MAX_SPEED = 30.0, 100.0  # s, m/s
 KEPT = 4000  # battery samples
+NO_PLACES = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +89,8 @@ class StepStream:
             self._amperes.add(reading.stamp_ns, reading.current)
             yield from self._measured()
         elif why_impossible(reading) is None:
-            self._road.add_reading(reading)
+            self._road.extend(Block.of([reading]), NO_PLACES, NO_PLACES)
+            self._road.settle(reading.stamp_ns)
 
     def _add_speed(self, reading: SpeedReading) -> Iterator[DrivingStep]:
         newest = self._speeds[-1][0] if self._speeds else -math.inf
@@ -95,7 +101,7 @@ class StepStream:
             self._speeds.clear()
             self._last = None
         else:
-            self._road.travel(abs(reading.speed) * since)
+            self._road.extend(Block.of([]), np.zeros(1), np.array([abs(reading.speed) * since]))
         self._speeds.append((reading.stamp_ns, reading.speed))
         if (now := self._smoothed()) is None:
             return
@@ -121,7 +127,8 @@ class StepStream:
 
     def _step(self, before: tuple[int, float], now: tuple[int, float]) -> DrivingStep:
         (begin, u), (end, v) = before, now
-        grade, around = self._road.grade(end), self._road.conditions(end)
+        at = np.array([end]), np.array([LATER])
+        (grade,), around = self._road.grades(*at).tolist(), self._road.conditions(*at)
         mean = (u + v) / 2
         return DrivingStep(
             begin,
@@ -131,9 +138,9 @@ class StepStream:
             kinetic=(v * v - u * u) / 2 * NANOSECONDS / (end - begin),
             climb=mean * math.sin(grade),
             grade=grade,
-            density=around.air_density,
-            known=around.load,
-            celsius=around.celsius,
+            density=float(around.air_density[0]),
+            known=float(around.load[0]),
+            celsius=None if np.isnan(around.celsius[0]) else float(around.celsius[0]),
         )
 
     def _measured(self) -> Iterator[DrivingStep]:

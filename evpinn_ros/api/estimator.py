@@ -146,10 +146,9 @@ class Estimator:
             (loads, (heating_w, aircon_w)),
         ]
         readings = [reading for reading, values in given if not all(map(math.isnan, values))]
-        outputs = (output for reading in readings for output in self._chain.add_reading(reading))
         predictions = [
             output
-            for output in outputs
+            for output in self._chain.add_readings(readings)
             if isinstance(output, PowerEstimate) and output.kind is PowerKind.PREDICTED
         ]
         if not predictions:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.core.signals.road import GradeSource
-from evpinn_ros.core.signals.sample import MeasuredSample
 from evpinn_ros.core.signals.sign_detectors import ChargeDetector, SignDetector
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
 
 PERIOD_NS = NANOSECONDS // 11
 """Readings that follow sooner are left out: ten a second tell accelerations."""
+AT_ONCE = 500  # readings
 LONGEST_STEP = 2.0  # s that one reading stands for at most
 AIR_DENSITY = 1.2  # kg/m^3; the stream asks, the signs do not
 
@@ -25,17 +26,20 @@ class CurrentSign:
         self._stream, self._time = SampleStream(settings, AIR_DENSITY), StampGuard(SpeedReading)
         self._driving, self._charging = SignDetector(), ChargeDetector()
         self._newest: dict[type[Reading], int] = {}
+        self._waiting: list[Reading] = []
         self._sampled_ns = 0
         self._speed, self._speed_ns = math.nan, 0
 
     @property
     def decided(self) -> bool:
         """True if there was enough pulling away, braking or charging to judge by."""
+        self._follow()
         return self._driving.verdict is not None or self._charging.verdict is not None
 
     @property
     def fault(self) -> str | None:
         """Detected fault and its remedy, in one line; None while all is well."""
+        self._follow()
         if fault := self._driving.detected:
             why = "to accelerate charges the battery"
         elif fault := self._charging.detected:
@@ -48,6 +52,7 @@ class CurrentSign:
         """Learn from a reading; where time jumps nothing is joined."""
         for item in self._time.follow(reading):
             if isinstance(item, Jump):
+                self._follow()
                 self._stream.reset()
                 self._newest.clear()
             else:
@@ -62,12 +67,19 @@ class CurrentSign:
             self._speed, self._speed_ns = reading.speed, reading.stamp_ns
         elif isinstance(reading, BatteryReading):
             self._add_battery(reading, newest)
-        for event in self._stream.add_reading(reading):
-            if isinstance(event, MeasuredSample):
-                sample = event.sample
-                step = _step(sample.stamp_ns, self._sampled_ns)
-                self._sampled_ns = sample.stamp_ns
-                self._driving = self._driving.after(sample, event.power, step)
+        self._waiting.append(reading)
+        if len(self._waiting) == AT_ONCE:
+            self._follow()
+
+    def _follow(self) -> None:
+        """Learn from the readings that wait."""
+        waiting, self._waiting = self._waiting, []
+        measured = self._stream.add_block(Block.of(waiting)).measured
+        for sample, power in zip(measured.samples.rows(), measured.power.tolist(), strict=True):
+            step = _step(sample.stamp_ns, self._sampled_ns)
+            self._sampled_ns = sample.stamp_ns
+            moved = sample.speed, sample.acceleration
+            self._driving = self._driving.after(*moved, power, step)
 
     def _add_battery(self, reading: BatteryReading, before_ns: int | None) -> None:
         if before_ns is None or math.isnan(reading.power):

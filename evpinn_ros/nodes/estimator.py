@@ -12,11 +12,11 @@ from std_srvs.srv import SetBool
 
 from evpinn_ros import topics
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
 from evpinn_ros.core.estimation.state_file import Half
 from evpinn_ros.core.estimation.worker import ThreadWorker
 from evpinn_ros.core.signals.admission import Admission, CarLimits
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.arrivals import StampWatch
@@ -33,6 +33,7 @@ from evpinn_ros.topics.settings import estimator_settings, imu_mounting
 
 MODEL_PERIOD = 10.0  # s
 FOR_PLOTS = (topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
+WAKE = (topics.SPEED, topics.BATTERY)
 LISTENS_TO = tuple(topic for topic in topics.INPUTS if topic not in FOR_PLOTS)
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
 
@@ -60,7 +61,8 @@ class EstimatorNode(GuardedNode):
         self._admission = Admission(CarLimits.of(self._vehicle))
         self._mounting = imu_mounting(self.values)
         self._stamps = StampWatch()
-        actions = Actions(self._reset, self._begin_anew, self.estimator.handle_time_jump)
+        self._waiting: list[Reading] = []
+        actions = Actions(self._reset, self._begin_anew, self._after_jump)
         self.kept = Keeper(self, self.estimator, Half.LEARNED, topics.SPEEDS, actions)
         self.advertise(*PUBLISHES)
         for topic in installed(LISTENS_TO):
@@ -73,6 +75,7 @@ class EstimatorNode(GuardedNode):
 
     def statuses(self) -> list[Status]:
         """The health of the estimate."""
+        self._learn()
         status = self.estimator.status()
         status = replace(status, dropped=Counter(status.dropped) + self._admission.refused)
         health = self.health(self.kept.guard.dropped, status.dropped, _usual(status))
@@ -99,13 +102,20 @@ class EstimatorNode(GuardedNode):
 
     def _reset(self) -> str:
         """Forget all that was learned, also what the file held at the start."""
+        self._waiting.clear()
         self.kept.file.forget()
         self.publish_model()
         return f"started again from the vehicle file {self._vehicle.key}"
 
     def _begin_anew(self) -> None:
         """Be as at the start."""
+        self._waiting.clear()
         self.kept.file.start_over()
+
+    def _after_jump(self) -> None:
+        """Join nothing to what came before a jump of time."""
+        self._learn()
+        self.estimator.handle_time_jump()
 
     def _take(self, topic: Topic, message: Any) -> None:
         reading = to_reading(topic.type_name, message, self._mounting)
@@ -116,16 +126,25 @@ class EstimatorNode(GuardedNode):
                 self.notice("stamps", f"{topic.name}: {wrong}")
         for item in self.kept.in_order(topic, reading.stamp_ns, reading):
             if self._admission.admits(item):
-                self._learn(item)
+                self._waiting.append(item)
+        # What comes beside speed and battery is looked at with the next of them.
+        if topic in WAKE:
+            self._learn()
 
-    def _learn(self, reading: Reading) -> None:
-        for output in self.estimator.add_reading(reading):
+    def _learn(self) -> None:
+        """Let the estimator have what came since it last had anything."""
+        waiting, self._waiting = self._waiting, []
+        if not waiting:
+            return
+        outputs = self.estimator.add_block(Block.of(waiting), breakdowns=True)
+        for _, output in outputs.by_place():
             self.publish(output_messages(new_message, output))
-            if isinstance(output, ParameterSet):  # once a second
-                breakdown = self.estimator.breakdown()
-                self.publish(breakdown_messages(new_message, output.stamp_ns, breakdown))
+        for learned in outputs.learned:  # once a second
+            stamp_ns = learned.parameters.stamp_ns
+            self.publish(breakdown_messages(new_message, stamp_ns, learned.breakdown))
 
     def _on_enable(self, request: Any, response: Any) -> Any:
+        self._learn()
         self.estimator.enabled = request.data
         return self.done(response, "learning" if request.data else "paused: predicting only")
 

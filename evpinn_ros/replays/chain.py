@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 import math
 from typing import Any, TypeAlias
+
+import numpy as np
 
 from evpinn_ros.core.energy.account import AccountSummary, EnergyAccount
 from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState
 from evpinn_ros.core.energy.remaining import usual_cost
 from evpinn_ros.core.energy.rknn import load_rknn
-from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator, Output
+from evpinn_ros.core.estimation.breakdown import Breakdown
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
+from evpinn_ros.core.estimation.outputs import Output, Outputs
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.admission import CarLimits
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import Reading, SpeedReading
 from evpinn_ros.core.signals.time_jump import (
     DEFAULT_RULE,
@@ -26,7 +31,7 @@ from evpinn_ros.core.signals.time_jump import (
 )
 from evpinn_ros.core.vehicle.files import Vehicle
 
-ChainOutput: TypeAlias = Output | EnergyState | AccountSummary
+ChainOutput: TypeAlias = Output | Breakdown | EnergyState | AccountSummary
 
 
 class Chain:
@@ -65,7 +70,12 @@ class Chain:
 
     def add_reading(self, reading: Reading) -> Iterator[ChainOutput]:
         """Take one reading; give all that the estimator and then the account say of it."""
-        return chain.from_iterable(self.take(list(self.follow(reading))))
+        return self.add_readings([reading])
+
+    def add_readings(self, readings: Iterable[Reading]) -> Iterator[ChainOutput]:
+        """Take readings in the order they came; give all that is said of them, in order."""
+        items = [item for reading in readings for item in self.follow(reading)]
+        return chain.from_iterable(self.take(items))
 
     def follow(self, reading: Reading) -> Iterator[Reading | Jump]:
         """Take one reading; give what `take` shall have now: none that is refused or in doubt."""
@@ -74,63 +84,74 @@ class Chain:
                 yield item
 
     def take(
-        self, block: Sequence[Reading | Jump], *, counted: bool = True
+        self, items: Sequence[Reading | Jump], *, breakdowns: bool = False
     ) -> Iterator[list[ChainOutput]]:
         """Take readings that may be used, and jumps of time; give the outputs of each item.
 
-        With `counted` the account is among them after each prediction; else `account.count` gives
-        its states once the block is over, at a tenth of the time.
+        The account is among them after each prediction, and the breakdown beside the parameters
+        where it is asked for.
         """
         readings: list[Reading] = []
-        for item in block:
+        for item in items:
             if not isinstance(item, Jump):
                 readings.append(item)
                 continue
-            yield from self._read(readings, counted)
+            yield from self.take_block(Block.of(readings), breakdowns=breakdowns)
             readings = []
-            yield self._after_jump()
-        yield from self._read(readings, counted)
+            self.jump()
+            yield []
+        yield from self.take_block(Block.of(readings), breakdowns=breakdowns)
 
-    def _read(self, readings: Sequence[Reading], counted: bool) -> Iterator[list[ChainOutput]]:
-        predicted = self.estimator.add_block(readings)
-        for reading in readings:
-            self.account.add_reading(reading)
-            outputs: list[ChainOutput] = []
-            for output in next(predicted):
-                outputs.append(output)
-                if self._add(output) and counted:
-                    self._know_usual()
-                    outputs += self.account.count().rows()
-                    outputs += filter(None, [self.account.tick()])
-            yield outputs
-        self._know_usual()
+    def read(self, block: Block) -> Outputs:
+        """Take readings that may be used; `account.count` then gives the states of the account."""
+        outputs = self.estimator.add_block(block)
+        self.account.add_block(block, *_powers(outputs))
+        self._know_usual(self.estimator.model())
+        return outputs
 
-    def _know_usual(self) -> None:
-        car = self.estimator.model()
+    def take_block(self, block: Block, *, breakdowns: bool = False) -> Iterator[list[ChainOutput]]:
+        """`take` for readings alone."""
+        if not block.length:
+            return
+        usual = self.estimator.model()
+        outputs = self.estimator.add_block(block, breakdowns=breakdowns)
+        given: list[list[ChainOutput]] = [[] for _ in range(block.length)]
+        for place, output in outputs.by_place():
+            given[place].append(output)
+        for learned in outputs.learned:
+            if learned.breakdown is not None:
+                given[learned.place].append(learned.breakdown)
+        changes, first = iter((*outputs.learned, None)), 0
+        after = next(changes)
+        due = self.account.summaries(*_powers(outputs))
+        for last in sorted({*due, block.length - 1}):
+            while after is not None and after.place < last:
+                usual, after = after.model, next(changes)
+            self._know_usual(usual)
+            part = slice(first, last + 1)
+            powers = [_part(columns, part) for columns in _powers(outputs)]
+            counted = self.account.add_block(block.part(first, last + 1), *powers)
+            for place, state in zip(counted.tolist(), self.account.count().rows(), strict=True):
+                given[first + place].append(state)
+            if last in due and (summary := self.account.tick()) is not None:
+                given[last].append(summary)
+            first = last + 1
+        self._know_usual(self.estimator.model())
+        yield from given
+
+    def _know_usual(self, car: CarModel | None) -> None:
         self.account.usual = math.nan if car is None else usual_cost(car)
 
-    def _add(self, output: Output) -> bool:
-        """Tell the account of an output; gives whether that is a prediction that it counts."""
-        if not isinstance(output, PowerEstimate):
-            return False
-        if output.kind is PowerKind.SMOOTHED:
-            dropout = output.energy_sigma, output.energy
-            power = output.stamp_ns, output.power, output.sigma
-            return self.account.add_predicted(*power, *dropout)
-        if output.kind is PowerKind.MEASURED:
-            self.account.add_measured(output.stamp_ns, output.power, output.sigma)
-        return False
-
-    def _after_jump(self) -> list[ChainOutput]:
+    def jump(self) -> None:
+        """Time jumped back: join nothing across it, and begin anew where the rule says so."""
         if self._rule.policy is not JumpPolicy.RESET:
             self.estimator.handle_time_jump()
             self.account.begin_after_jump()
-            return []
+            return
         self.estimator.reset()
         if self._start is not None:
             self.estimator.restore(self._start)
         self.account.begin_next_trip()
-        return []
 
     def begin_next_drive(self) -> None:
         """Keep what was learned of the car; time and energy start anew."""
@@ -140,3 +161,31 @@ class Chain:
         self.account.begin_after_jump()
         self.account.reset_trip()
         self.account.refused.clear()
+
+
+def blocks_of(items: Iterable[Reading | Jump], size: int) -> Iterator[Block | Jump]:
+    """Blocks of at most this size, and the jumps of time between them."""
+    readings: list[Reading] = []
+    for item in items:
+        if readings and (len(readings) == size or isinstance(item, Jump)):
+            yield Block.of(readings)
+            readings = []
+        if isinstance(item, Jump):
+            yield item
+        else:
+            readings.append(item)
+    if readings:
+        yield Block.of(readings)
+
+
+def _powers(outputs: Outputs) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """Measured and smoothed powers as `EnergyAccount.add_block` takes them."""
+    smoothed = outputs.smoothed
+    return outputs.measured[:4], (*smoothed[:4], smoothed.energy_sigma, smoothed.energy)
+
+
+def _part(columns: Sequence[np.ndarray], places: slice) -> tuple[np.ndarray, ...]:
+    """Powers of a part of a block, by places within it."""
+    chosen = slice(*np.searchsorted(columns[0], (places.start, places.stop)))
+    orders, *others = (column[chosen] for column in columns)
+    return orders - places.start, *others

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-import re
 
 from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.logs.formats import TABLE_SUFFIXES, suffix_of
@@ -28,4 +27,8 @@ def _bare(path: Path) -> str:
     suffix = suffix_of(path)
     if suffix not in (*TABLE_SUFFIXES, *LOG_SUFFIXES):
         return path.name
-    return re.sub(rf"{re.escape(suffix)}(\.gz)?$", "", path.name, flags=re.IGNORECASE)
+    name = path.name
+    for ending in (".gz", suffix):
+        if name.lower().endswith(ending.lower()):
+            name = name[: len(name) - len(ending)]
+    return name

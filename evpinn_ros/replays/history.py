@@ -12,9 +12,12 @@ import numpy as np
 
 from evpinn_ros.core.energy.account import AccountSummary
 from evpinn_ros.core.energy.meter import EnergyState
+from evpinn_ros.core.estimation.breakdown import Breakdown
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import TRACKED, ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.learner import LearnerReport
+from evpinn_ros.core.estimation.outputs import Outputs
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import (
     DAY_NS,
     DRIVE_START_NS,
@@ -26,6 +29,7 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
     TemperatureReading,
     drawn_power,
+    has_position,
 )
 from evpinn_ros.core.signals.time_jump import Jump
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
@@ -51,6 +55,10 @@ class Columns:
     def add(self, *row: float) -> None:
         """Append one row."""
         self._numbers.extend(row)
+
+    def extend(self, *columns: np.ndarray) -> None:
+        """Append rows as columns of the same length."""
+        self._numbers.frombytes(np.stack(columns, axis=1).astype(float).tobytes())
 
     def values(self) -> np.ndarray:
         """All rows, shape (n, width)."""
@@ -161,57 +169,87 @@ class History:
         self._final: ParameterSet | None = None
         self._breakdown: Mapping[str, tuple[float, float]] = {}
 
-    def seconds(self, stamp_ns: int) -> float:
-        """Time since the first reading, s."""
-        moment = self.moment(stamp_ns)
-        return (moment - (moment if self._start_ns is None else self._start_ns)) / NANOSECONDS
+    def seconds(self, stamps: Any) -> Any:
+        """Time of stamps since the first reading, s."""
+        moments = self.moment(stamps)
+        return (moments - (moments if self._start_ns is None else self._start_ns)) / NANOSECONDS
 
-    def moment(self, stamp_ns: int) -> int:
-        """A stamp of after the last jump of time on the one axis of time of all series."""
-        return stamp_ns + self._offset_ns
+    def moment(self, stamps: Any) -> Any:
+        """Stamps of after the last jump of time on the one axis of time of all series."""
+        return stamps + self._offset_ns
 
-    def add_jump(self, jump: Jump) -> int:
-        """Time went back before the next reading; give the newest moment so far."""
+    def add_jump(self, jump: Jump) -> None:
+        """Time went back before the next reading."""
         self._jumped = jump
-        return self._newest_ns
 
     def move_to(self, moment_ns: int) -> None:
         """Take outputs as those of this moment, which a reading reached."""
         self._last_ns = moment_ns
 
-    def add_reading(self, reading: Reading) -> int:
-        """Take an admitted reading; give the newest moment so far."""
+    def add_reading(self, reading: Reading) -> None:
+        """Take one admitted reading."""
+        self.add_block(Block.of([reading]))
+
+    def add_block(self, block: Block) -> np.ndarray:
+        """Take admitted readings; give the newest moment at each, shape (length,).
+
+        What is known now is what was known before the first of them.
+        """
+        stamps = np.empty(block.length, np.int64)
+        for rows in block.rows.values():
+            stamps[rows.order] = rows.stamps
         if self._start_ns is None:
-            self._start_ns = self._newest_ns = reading.stamp_ns
+            self._start_ns = self._newest_ns = int(stamps[0])
         if self._jumped is not None:
-            self._offset_ns = self._newest_ns + JUMP_GAP - reading.stamp_ns
-            self._series["jumps"].add(self.seconds(reading.stamp_ns), self._jumped.seconds)
+            self._offset_ns = self._newest_ns + JUMP_GAP - int(stamps[0])
+            self._series["jumps"].add(self.seconds(int(stamps[0])), self._jumped.seconds)
             self._jumped = None
-        self._newest_ns = max(self._newest_ns, self.moment(reading.stamp_ns))
-        self._last_ns = self._newest_ns
-        time = self.seconds(reading.stamp_ns)
-        if isinstance(reading, SpeedReading):
-            self._series["speed"].add(time, reading.speed)
-        elif isinstance(reading, BatteryReading):
-            if math.isfinite(reading.voltage):
-                self._voltage.add(time, reading.voltage)
-            if math.isfinite(reading.current):
-                self._current.add(time, reading.current)
-            if 0.0 <= reading.state_of_charge <= 1.0:
-                self._series["charge"].add(time, reading.state_of_charge)
-        elif isinstance(reading, AltitudeReading):
-            self._series["altitude"].add(time, reading.altitude)
-            if reading.has_position:
-                self._series["position"].add(time, reading.latitude, reading.longitude)
-        elif isinstance(reading, TemperatureReading):
-            self._series["temperature"].add(time, reading.celsius)
-        elif isinstance(reading, AuxiliaryReading):
-            self._series["heating"].add(time, reading.heating)
-        return self._newest_ns
+        moments = np.maximum(np.maximum.accumulate(self.moment(stamps)), self._newest_ns)
+        self._newest_ns, self._last_ns = int(moments[-1]), int(moments[0])
+        self._add_columns(block)
+        return moments
+
+    def _add_columns(self, block: Block) -> None:
+        """Take the columns of readings."""
+        series = self._series
+        for kind, (_, stamps, values) in block.rows.items():
+            time, first = self.seconds(stamps), values[0]
+            if kind is SpeedReading:
+                series["speed"].extend(time, first)
+            elif kind is BatteryReading:
+                charge = values[2]
+                told = (charge >= 0.0) & (charge <= 1.0)
+                columns = (self._voltage, first), (self._current, values[1])
+                for column, numbers in columns:
+                    column.extend(time[np.isfinite(numbers)], numbers[np.isfinite(numbers)])
+                series["charge"].extend(time[told], charge[told])
+            elif kind is AltitudeReading:
+                series["altitude"].extend(time, first)
+                there = has_position(*values[1:])
+                series["position"].extend(time[there], *values[1:, there])
+            elif kind is TemperatureReading:
+                series["temperature"].extend(time, first)
+            elif kind is AuxiliaryReading:
+                series["heating"].extend(time, first)
+
+    def add_outputs(self, outputs: Outputs, moments: np.ndarray) -> None:
+        """Take what the estimator says of a block whose newest moments are these."""
+        for kind, (order, stamps, power, sigma, *_) in outputs.powers():
+            if kind in self._power:
+                lag = (moments[order] - self.moment(stamps)) / NANOSECONDS
+                self._power[kind].extend(self.seconds(stamps), power, sigma, lag)
+        for learned in outputs.learned:
+            self.move_to(int(moments[learned.place]))
+            self.add_output(learned.parameters)
+            self.add_detections(learned.report)
+            if self.wants_model:
+                self.add_model(learned.model)
+        if len(moments):
+            self.move_to(int(moments[-1]))
 
     def add_output(self, output: ChainOutput) -> None:
         """Take the outputs of the chain for the last reading."""
-        if isinstance(output, AccountSummary):
+        if isinstance(output, (AccountSummary, Breakdown)):
             return
         time = self.seconds(output.stamp_ns)
         if isinstance(output, EnergyState):
@@ -236,15 +274,12 @@ class History:
 
     def add_states(self, states: EnergyState) -> None:
         """Take what the account counted, at each prediction."""
-        rows = zip(
-            states.stamp_ns.tolist(),
-            states.predicted.energy.tolist(),
-            states.rknn.energy.tolist(),
-            states.predicted.sigma.tolist(),
-            strict=True,
+        self._series["energy"].extend(
+            self.seconds(states.stamp_ns),
+            states.predicted.energy,
+            states.rknn.energy,
+            states.predicted.sigma,
         )
-        for stamp_ns, *energies in rows:
-            self._series["energy"].add(self.seconds(stamp_ns), *energies)
 
     def add_detections(self, report: LearnerReport) -> None:
         """Take what the learner says of the car by now, if it says something new."""

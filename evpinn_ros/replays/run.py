@@ -9,26 +9,27 @@ from itertools import takewhile
 import math
 from pathlib import Path
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.estimation.estimate import ParameterSet
+from evpinn_ros.core.estimation.breakdown import Breakdown
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.core.signals.time_jump import Jump
 from evpinn_ros.logs.source import STRAGGLING_NS, Source
-from evpinn_ros.replays.chain import Chain, ChainOutput
+from evpinn_ros.replays.chain import Chain, ChainOutput, blocks_of
 from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.replays.scoring import metrics
-from evpinn_ros.topics import NAMESPACE, Topic
+from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.readings import reading_messages
 
 WARM_UP = 120.0  # s at the start that are not scored
-BLOCK = 1000  # readings that the chain takes at once
+BLOCK = 20_000  # readings that the chain takes at once
 PROGRESS_STEP = 1.0  # s of the drive between two reports of progress
 
 Progress = Callable[[float], None]  # takes s of the drive done
@@ -100,20 +101,30 @@ def replay(
     whole = takewhile(lambda _: not stopped(), source.readings())
     readings = span(whole, options.start, options.duration)
     items = (item for reading in readings for item in chain.follow(reading))
-    size, recorded = BLOCK if options.rate is None else 1, writer is not None
-    for block in _noted(_blocks(items, size), history, options, progress):
-        outputs_of_all = _outputs(block, history, chain, counted=recorded)
-        for noted, outputs in zip(block, outputs_of_all, strict=True):
-            if writer is not None and not isinstance(noted.item, Jump):
-                moment_ns = history.moment(noted.item.stamp_ns)
-                not_recorded.update(_record(writer, noted.item, outputs, moment_ns, chain))
-        history.add_states(chain.account.count())
+    pace = _Pace(options.rate, progress)
+    for block in blocks_of(items, BLOCK if options.rate is None else 1):
+        if isinstance(block, Jump):
+            chain.jump()
+            history.add_jump(block)
+            continue
+        moments = history.add_block(block)
+        pace.keep(history.now)
+        given = _without_withheld(block, history, options.withhold_battery_after)
+        if history.wants_model:
+            history.add_model(chain.estimator.model())
+        if writer is None:
+            history.add_outputs(chain.read(given), moments)
+            history.add_states(chain.account.count())
+        else:
+            not_recorded.update(_recorded(writer, block, given, moments, chain, history))
     last = chain.estimator.finish()
     history.add_output(last)
     history.add_detections(chain.estimator.detections())
     if writer is not None:
-        for topic, message in _estimates([last], chain):
-            writer.write(topic.under(NAMESPACE), message, history.moment(last.stamp_ns))
+        outputs: list[ChainOutput] = [last]
+        if (breakdown := chain.estimator.breakdown()) is not None:
+            outputs.append(breakdown)
+        _write(writer, outputs, history.moment(last.stamp_ns))
     wall = time.perf_counter() - started
     drive = replace(
         history.drive(chain.estimator.model()),
@@ -171,100 +182,69 @@ def span(readings: Iterator[Reading], start: float, duration: float | None) -> I
             return
 
 
-class _Noted(NamedTuple):
-    """A reading or jump of time in the series, the newest moment then, and if the chain has it."""
+class _Pace:
+    """Holds a replay back to its rate, and reports its progress."""
 
-    item: Reading | Jump
-    moment_ns: int
-    given: bool
+    def __init__(self, rate: float | None, progress: Progress | None) -> None:
+        self._rate, self._progress = rate, progress
+        self._started, self._reported = time.perf_counter(), 0.0
 
-
-def _blocks(items: Iterable[Reading | Jump], size: int) -> Iterator[list[Reading | Jump]]:
-    """Blocks of at most this size; a jump of time begins one."""
-    block: list[Reading | Jump] = []
-    for item in items:
-        if block and (len(block) == size or isinstance(item, Jump)):
-            yield block
-            block = []
-        block.append(item)
-    if block:
-        yield block
+    def keep(self, now: float) -> None:
+        """Wait until a moment of the drive, s, and report it."""
+        if self._rate is not None:
+            time.sleep(max(0.0, self._started + now / self._rate - time.perf_counter()))
+        if self._progress is not None and now - self._reported >= PROGRESS_STEP:
+            self._progress(now)
+            self._reported = now
 
 
-def _noted(
-    blocks: Iterable[list[Reading | Jump]],
-    history: History,
-    options: ReplayOptions,
-    progress: Progress | None,
-) -> Iterator[list[_Noted]]:
-    """Blocks in the series, held back to the rate, with reports of progress."""
-    started, reported = time.perf_counter(), 0.0
-    for block in blocks:
-        noted = [_note(item, history, options.withhold_battery_after) for item in block]
-        now = history.now
-        if options.rate is not None:
-            time.sleep(max(0.0, started + now / options.rate - time.perf_counter()))
-        if progress is not None and now - reported >= PROGRESS_STEP:
-            progress(now)
-            reported = now
-        yield noted
-
-
-def _note(item: Reading | Jump, history: History, withhold_after: float | None) -> _Noted:
-    """Take an item into the series; a battery reading may be withheld from the chain."""
-    if isinstance(item, Jump):
-        return _Noted(item, history.add_jump(item), given=True)
-    moment_ns = history.add_reading(item)
-    given = (
-        withhold_after is None
-        or not isinstance(item, BatteryReading)
-        or history.seconds(item.stamp_ns) <= withhold_after
+def _without_withheld(block: Block, history: History, withhold_after: float | None) -> Block:
+    """The block without the battery readings that are withheld, at the same places."""
+    rows = block.of_kind(BatteryReading)
+    if withhold_after is None or not len(rows.order):
+        return block
+    return block.with_rows(
+        BatteryReading, rows.where(history.seconds(rows.stamps) <= withhold_after)
     )
-    return _Noted(item, moment_ns, given)
 
 
-def _outputs(
-    block: Sequence[_Noted], history: History, chain: Chain, *, counted: bool
-) -> Iterator[list[ChainOutput]]:
-    """Outputs of the chain for each reading that it is given, noted too."""
-    items = [noted.item for noted in block if noted.given]
-    outputs = chain.take(items, counted=counted)
-    for item, moment_ns, given in block:
-        history.move_to(moment_ns)
-        if given and not isinstance(item, Jump) and history.wants_model:
-            history.add_model(chain.estimator.model())
-        outputs_of_block = next(outputs) if given else []
-        for output in outputs_of_block:
-            history.add_output(output)
-            if isinstance(output, ParameterSet):
-                history.add_detections(chain.estimator.detections())
-        yield outputs_of_block
-
-
-def _record(
+def _recorded(
     writer: BagWriter,
-    reading: Reading,
-    outputs: list[ChainOutput],
-    log_time_ns: int,
+    block: Block,
+    given: Block,
+    moments: np.ndarray,
     chain: Chain,
+    history: History,
 ) -> Iterator[str]:
-    """Write a reading and its outputs; gives a reason for each that no message holds."""
-    try:
-        messages = list(reading_messages(new_message, reading))
-    except ValueError:
-        yield "not_recordable"
-        messages = []
-    for topic, message in (*messages, *_estimates(outputs, chain)):
-        writer.write(topic.under(NAMESPACE), message, log_time_ns)
+    """Write readings and their outputs; gives a reason for each that no message holds."""
+    outputs = chain.take_block(given, breakdowns=True)
+    rows = zip(block.readings(), moments.tolist(), outputs, strict=True)
+    for reading, moment_ns, outputs_of_reading in rows:
+        log_time_ns = history.moment(reading.stamp_ns)
+        try:
+            messages = list(reading_messages(new_message, reading))
+        except ValueError:
+            yield "not_recordable"
+            messages = []
+        for topic, message in messages:
+            writer.write(topic.under(NAMESPACE), message, log_time_ns)
+        _write(writer, outputs_of_reading, log_time_ns)
+        history.move_to(moment_ns)
+        for output in outputs_of_reading:
+            history.add_output(output)
 
 
-def _estimates(outputs: Iterable[ChainOutput], chain: Chain) -> Iterator[tuple[Topic, Any]]:
-    """The messages of outputs; those of parameters have the breakdown beside them, as live."""
+def _write(writer: BagWriter, outputs: Iterable[ChainOutput], log_time_ns: int) -> None:
+    """Write the messages of outputs; those of parameters have the breakdown beside them."""
+    stamp_ns = 0
     for output in outputs:
-        yield from output_messages(new_message, output)
-        if isinstance(output, ParameterSet):
-            breakdown = chain.estimator.breakdown()
-            yield from breakdown_messages(new_message, output.stamp_ns, breakdown)
+        if isinstance(output, Breakdown):
+            messages = breakdown_messages(new_message, stamp_ns, output)
+        else:
+            messages = output_messages(new_message, output)
+            stamp_ns = output.stamp_ns
+        for topic, message in messages:
+            writer.write(topic.under(NAMESPACE), message, log_time_ns)
 
 
 def has_battery(drive: Drive) -> bool:

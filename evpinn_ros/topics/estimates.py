@@ -34,7 +34,7 @@ from evpinn_ros.topics.messages import (
 )
 
 if TYPE_CHECKING:  # for its type alone: the energy node would load torch with it
-    from evpinn_ros.core.estimation.estimator import Output
+    from evpinn_ros.core.estimation.outputs import Output
 
 POWER_TOPICS = {
     PowerKind.MEASURED: topics.POWER_MEASURED,

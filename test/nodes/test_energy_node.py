@@ -117,7 +117,7 @@ def test_forecasts_follow_the_estimate(bench):
 
 def drive_unevenly(estimator):
     """Feed an estimator driving that speeds up and brakes all the time, and the next morning."""
-    for second in (*range(200), *range(40_000, 40_005)):
+    for second in (*range(300), *range(40_000, 40_005)):
         stamp, speed = NOW + second * NANOSECONDS, 14.0 + 8.0 * math.sin(second / 4)
         watts = 8e3 + 2000.0 * speed * math.cos(second / 4)
         for reading in (BatteryReading(stamp, 350.0, -watts / 350.0), SpeedReading(stamp, speed)):

@@ -6,6 +6,7 @@ import pytest
 from std_srvs.srv import SetBool
 
 from evpinn_ros import topics
+from evpinn_ros.core.estimation.trim import Correction
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.nodes.estimator import EstimatorNode
@@ -108,9 +109,8 @@ def test_nothing_that_is_not_finite_is_published(bench, monkeypatch):
     node = bench.start(EstimatorNode)
     bench.read(node, speed(0.0))
     published = node.published[topics.POWER_PREDICTED]
-    learner = node.estimator._learner
-    wrong = learner.predict
-    monkeypatch.setattr(learner, "predict", lambda s: wrong(s)._replace(power=math.nan))
+    trim = node.estimator._learner._trim
+    monkeypatch.setattr(trim, "correct", lambda inputs, speed: Correction(math.nan, 1.0))
     bench.read(node, speed(0.1))
     assert node.published[topics.POWER_PREDICTED] == published
     assert said(bench, node)[2]["bad.output_not_finite"] == "1"
@@ -118,7 +118,7 @@ def test_nothing_that_is_not_finite_is_published(bench, monkeypatch):
 
 def test_a_fault_of_ours_is_told_and_the_node_lives(bench, monkeypatch):
     node = bench.start(EstimatorNode)
-    monkeypatch.setattr(node.estimator, "add_reading", lambda reading: 1 / 0)
+    monkeypatch.setattr(node.estimator, "add_block", lambda block, breakdowns: 1 / 0)
     bench.read(node, speed(0.0), speed(0.1))
     level, text, values = said(bench, node)
     assert level is Level.ERROR and "ZeroDivisionError" in text

@@ -147,9 +147,8 @@ def test_a_stray_stamp_stops_nothing(readings, vehicle):
         for each in [*strays[index // 100 : index // 100 + 1][: index % 100 == 99], reading]:
             outputs += used.add_reading(each)
     fresh = chain(vehicle)
-    assert repr(outputs) == repr(
-        [out for reading in readings[:400] for out in fresh.add_reading(reading)]
-    )
+    in_order = [output for reading in readings[:400] for output in fresh.add_reading(reading)]
+    assert repr(outputs) == repr(in_order)
     assert used.dropped == {"stamp_leaps": 4}
 
 

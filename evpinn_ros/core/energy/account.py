@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -42,6 +42,7 @@ from evpinn_ros.core.energy.remaining import (
 )
 from evpinn_ros.core.energy.trip import WINDOWS, SavedTrip, Stretch, TripLog
 from evpinn_ros.core.signals.admission import ANY_CAR, MAX_POWER, Admission, CarLimits
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 STATE_VERSION = 1
@@ -142,6 +143,9 @@ class AccountSummary:
     remaining: Remaining | None
 
 
+PowerColumns: TypeAlias = Sequence[np.ndarray]
+
+
 class _Kind(IntEnum):
     """Kind of what arrives."""
 
@@ -165,28 +169,47 @@ class _Arrived:
     """What has arrived and is not counted yet, by kind, in one order."""
 
     def __init__(self) -> None:
-        self._orders: list[list[int]] = [[] for _ in _Kind]
-        self._stamps: list[list[int]] = [[] for _ in _Kind]
-        self._rows: list[list[tuple[float, ...]]] = [[] for _ in _Kind]
-        self._next = self.first_ns = 0
+        self._columns: list[list[tuple[np.ndarray, ...]]] = [[] for _ in _Kind]
+        self._next = 0
 
     def __len__(self) -> int:
         return self._next
 
+    def extend(
+        self, kind: _Kind, orders: np.ndarray, stamps: np.ndarray, rows: np.ndarray
+    ) -> None:
+        """Take n of a kind at their places behind what came before; rows: shape (width, n)."""
+        if len(orders):
+            self._columns[kind].append((orders + self._next, stamps, rows))
+
+    def move_on(self, count: int) -> None:
+        """Let what comes stand behind so many places more."""
+        self._next += count
+
     def add(self, kind: _Kind, stamp_ns: int, row: tuple[float, ...]) -> None:
-        """Take one; `first_ns` is the first stamp of a power."""
-        if kind in _POWERS:
-            self.first_ns = self.first_ns or stamp_ns
-        self._orders[kind].append(self._next)
-        self._stamps[kind].append(stamp_ns)
-        self._rows[kind].append(row)
-        self._next += 1
+        """Take one."""
+        stamps = np.array([stamp_ns], np.int64)
+        self.extend(kind, np.zeros(1, np.int64), stamps, np.array(row)[:, None])
+        self.move_on(1)
+
+    @property
+    def first_ns(self) -> int:
+        """The first stamp of a power that came."""
+        firsts = [self._columns[kind][0] for kind in _POWERS if self._columns[kind]]
+        return int(min(firsts, key=lambda column: column[0][0])[1][0])
 
     def columns(self, kind: _Kind, width: int) -> Iterator[np.ndarray]:
         """Order, stamps and the columns of rows of a kind, shape (n,) each."""
-        yield np.array(self._orders[kind], np.int64)
-        yield np.array(self._stamps[kind], np.int64)
-        yield from np.array(self._rows[kind], dtype=float).reshape(-1, width).T
+        if not self._columns[kind]:
+            yield from (np.empty(0, np.int64), np.empty(0, np.int64), *np.empty((width, 0)))
+            return
+        orders, stamps, rows = zip(*self._columns[kind], strict=True)
+        yield np.concatenate(orders)
+        yield np.concatenate(stamps)
+        yield from np.concatenate(rows, axis=1)
+
+
+PLACES = 4  # for each reading: itself, what it measures, and what is predicted with it
 
 
 class EnergyAccount(Saveable[SavedAccount]):
@@ -296,6 +319,34 @@ class EnergyAccount(Saveable[SavedAccount]):
             return False
         self._arrived.add(_Kind.PREDICTED, stamp_ns, (power, sigma, energy_sigma, energy))
         return True
+
+    def add_block(
+        self, block: Block, measured: PowerColumns, predicted: PowerColumns
+    ) -> np.ndarray:
+        """Take admitted readings, and the powers that the estimator has of them.
+
+        Gives the places of the predictions that count.
+
+        Args:
+            block: of the readings.
+            measured: places, stamps, power and 1-sigma, W.
+            predicted: the same, and 1-sigma and energy of a dropout (see `PowerBlock`), J.
+        """
+        speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
+        arrived, limit = self._arrived, self.admission.limits.power
+        arrived.extend(_Kind.SPEED, PLACES * speeds.order, speeds.stamps, speeds.values[:1])
+        arrived.extend(_Kind.BATTERY, PLACES * battery.order, battery.stamps, battery.values[:3])
+        given = ((_Kind.MEASURED, 1, measured, limit), (_Kind.PREDICTED, 2, predicted, MAX_POWER))
+        for kind, turn, (orders, stamps, *columns), most in given:
+            rows = np.full((4, len(orders)), np.nan)
+            rows[: len(columns)] = columns
+            possible = _is_possible(rows[0], rows[1], most)
+            if refused := len(orders) - int(np.count_nonzero(possible)):
+                self.refused["power_out_of_range"] += refused
+            orders = PLACES * orders[possible] + turn
+            arrived.extend(kind, orders, stamps[possible], rows[:, possible])
+        arrived.move_on(PLACES * block.length)
+        return np.asarray(predicted[0][possible])
 
     def add_speed(self, stamp_ns: int, speed: float) -> None:
         """Take a speed, m/s, of an admitted reading."""
@@ -468,6 +519,20 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._summary_ns = self._newest_ns
         return self.show()
 
+    def summaries(self, measured: PowerColumns, predicted: PowerColumns) -> list[int]:
+        """Places of a block at whose predictions a summary is due; the columns of `add_block`."""
+        orders = np.concatenate((measured[0], predicted[0]))
+        sequence = np.argsort(orders, kind="stable")
+        stamps = np.concatenate((measured[1], predicted[1]))[sequence]
+        newest = np.maximum.accumulate(np.append(self._newest_ns, stamps))[1:]
+        shows = (sequence >= len(measured[0])) & np.append(np.diff(orders[sequence]) > 0, True)
+        newest, places = newest[shows], orders[sequence][shows]
+        due, last_ns, index = [], self._summary_ns, 0
+        while (index := int(np.searchsorted(newest, last_ns + SUMMARY_NS))) < len(newest):
+            due.append(int(places[index]))
+            last_ns = int(newest[index])
+        return due
+
     def show(self) -> AccountSummary:
         """The account now, to be published: no later lifetime draws or regenerates less."""
         summary = self.summary()
@@ -551,6 +616,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._begin(saved.before_reset, saved.correction)
 
 
-def _is_possible(power: float, sigma: float, most: float) -> bool:
-    """True if a power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
-    return abs(power) <= most and (math.isnan(sigma) or 0.0 <= sigma <= MAX_POWER)
+def _is_possible(power: Any, sigma: Any, most: float) -> Any:
+    """Whether power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
+    unknown = np.isnan(sigma)
+    return (np.abs(power) <= most) & (unknown | ((sigma >= 0.0) & (sigma <= MAX_POWER)))

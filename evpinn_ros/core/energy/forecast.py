@@ -136,7 +136,8 @@ class PlanBasis(NamedTuple):
             head_wind, wind_length = air.head, DIRECTION_LENGTH
         if density is None:
             reference = model.car.equation.vehicle.air_density
-            density = density_of_air(reference, celsius, air.pascal)
+            outside = (math.nan if value is None else value for value in (celsius, air.pascal))
+            density = float(density_of_air(reference, *outside))
         start = model.start(given.stood, given.prewarmed or 0.0)
         weather = Weather(density, celsius, given.heating, start)
         loaded = model.with_payload(given.payload or 0.0)

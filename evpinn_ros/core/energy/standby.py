@@ -49,4 +49,5 @@ class Standby:
 def _powers(readings: list[BatteryReading]) -> Iterator[MeasuredPower]:
     for reading in readings:
         if not math.isnan(power := reading.power):
-            yield MeasuredPower(reading.stamp_ns, power, sensor_sigma(power, reading.power_std))
+            sigma = float(sensor_sigma(power, reading.power_std))
+            yield MeasuredPower(reading.stamp_ns, power, sigma)

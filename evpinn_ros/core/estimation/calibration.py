@@ -8,19 +8,21 @@ on a logarithmic scale), and sigma is scaled so that +-1.645 sigma covers 90 %.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 from typing import Annotated, NamedTuple
 
+import numpy as np
+
 from evpinn_ros.common.saved_fields import Range, Saveable
-from evpinn_ros.core.signals.sample import Sample
-from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 COVERAGE = 0.9
 GAUSSIAN_QUANTILE = 1.6449  # of |z| at COVERAGE
 RATE = 0.02  # of the logarithm: up by 0.9 of it after a miss, down by 0.1 of it otherwise
 RATIO_RANGE = (0.05, 20.0)
 RECENT = 600  # samples over which coverage is reported, a minute at 10 Hz
+MOST_WAITING = 2000  # predictions
 MOST_SUM = 1e15  # of squares and products over a car's life
 
 
@@ -39,6 +41,43 @@ class SavedBands:
     smoothed: SavedBand
 
 
+class Waiting(NamedTuple):
+    """Predictions whose battery is yet to come: stamps, power and 1-sigma, W, and if moving."""
+
+    stamp_ns: np.ndarray
+    power: np.ndarray
+    sigma: np.ndarray
+    moving: np.ndarray
+
+    def and_then(self, later: Waiting) -> Waiting:
+        """These, and those that follow."""
+        return Waiting(*map(np.concatenate, zip(self, later, strict=True)))
+
+    def after(self, index: np.ndarray) -> Waiting:
+        """The latest of those behind the ones that were measured, at increasing indices."""
+        first = max(len(self.power) - MOST_WAITING, *(index[-1:] + 1), 0)
+        return Waiting(*(column[first:] for column in self))
+
+
+NO_PREDICTIONS = Waiting(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, dtype=bool))
+
+
+class Checked(NamedTuple):
+    """A prediction whose power was measured.
+
+    Attributes:
+        place: how many predictions come before this is known.
+        moving: whether the car moves.
+        error: measured less predicted power, W.
+        sigma: 1-sigma of the model, not calibrated, W.
+    """
+
+    place: int
+    moving: bool
+    error: float
+    sigma: float
+
+
 class BandCalibration(Saveable[SavedBand]):
     """Scale of sigma, apart for a moving and a standing car, whose errors differ in kind."""
 
@@ -51,18 +90,36 @@ class BandCalibration(Saveable[SavedBand]):
         """Share of the recent samples inside the 90 % band, NaN before the first."""
         return sum(self._inside) / len(self._inside) if self._inside else math.nan
 
-    def sigma(self, sample: Sample, model_sigma: float) -> float:
-        """Calibrated 1-sigma, W, from the model's."""
-        return model_sigma * self._ratio[_moving(sample)] / GAUSSIAN_QUANTILE
+    def calibrated(
+        self, moving: np.ndarray, sigma: np.ndarray, learned: Sequence[Checked]
+    ) -> np.ndarray:
+        """Calibrated 1-sigma of n predictions, W, each by what was learned before it.
 
-    def learn(self, sample: Sample, error: float, model_sigma: float) -> None:
-        """Learn from the error, W, of a prediction whose uncalibrated sigma, W, is given."""
-        moving = _moving(sample)
-        ratio = self._ratio[moving]
-        missed = abs(error) > ratio * model_sigma
+        Args:
+            moving: whether the car moves, shape (n,).
+            sigma: 1-sigma of the model, W, shape (n,).
+            learned: predictions that are held against measurements meanwhile, in order.
+        """
+        ratios = np.empty(len(sigma))
+        begin = 0
+        for checked in (*learned, None):
+            end = len(sigma) if checked is None else checked.place
+            if end > begin:
+                ratios[begin:end] = np.where(
+                    moving[begin:end], self._ratio[True], self._ratio[False]
+                )
+                begin = end
+            if checked is not None:
+                self._learn(checked)
+        return np.asarray(sigma * ratios / GAUSSIAN_QUANTILE)
+
+    def _learn(self, checked: Checked) -> None:
+        ratio = self._ratio[checked.moving]
+        missed = abs(checked.error) > ratio * checked.sigma
         self._inside.append(not missed)
         step = RATE * (float(missed) - (1.0 - COVERAGE))
-        self._ratio[moving] = min(max(ratio * math.exp(step), RATIO_RANGE[0]), RATIO_RANGE[1])
+        bounded = min(max(ratio * math.exp(step), RATIO_RANGE[0]), RATIO_RANGE[1])
+        self._ratio[checked.moving] = bounded
 
     def saved(self) -> SavedBand:
         """State to save."""
@@ -71,7 +128,3 @@ class BandCalibration(Saveable[SavedBand]):
     def take(self, saved: SavedBand) -> None:
         """Go on from a saved band."""
         self._ratio = {True: saved.moving, False: saved.standing}
-
-
-def _moving(sample: Sample) -> bool:
-    return abs(sample.speed) > STANDSTILL_SPEED

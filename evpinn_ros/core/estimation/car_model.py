@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-import math
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -64,17 +63,17 @@ class CarModel:
         return GRAVITY * float(self.mean[State.MASS])
 
     def energy(self, journey: Journey) -> PredictedEnergy:
-        """Energy of a journey from here on, without any battery."""
+        """Energy of a journey, or of several, from here on, without any battery."""
         _, integral, rest = wandered(journey.seconds)
         row = journey.row.copy()
-        row[State.LOAD] = integral
-        variance = float(row @ self.covariance @ row) + self.load_variance * rest
-        variance += float(self.noise @ journey.noise)
+        row[..., State.LOAD] = integral
+        variance = ((row @ self.covariance) * row).sum(axis=-1) + self.load_variance * rest
+        variance = variance + journey.noise @ self.noise
         hills = self.weight_over_eta**2 * journey.unseen
-        return PredictedEnergy(float(row @ self.mean), variance, hills)
+        return PredictedEnergy(row @ self.mean, variance, hills)
 
-    def predicted(self, journey: Journey) -> tuple[float, float]:
-        """Energy of a journey from here on, J, and its 1-sigma, J, as far as to be trusted."""
+    def predicted(self, journey: Journey) -> tuple[Any, Any]:
+        """Energy of a journey, or of several, from here on, and its 1-sigma to be trusted, J."""
         energy = self.energy(journey)
         variance = self.trust * energy.with_hills(self.growth)
-        return energy.mean, math.sqrt(max(variance, 0.0))
+        return energy.mean, np.sqrt(np.maximum(variance, 0.0))

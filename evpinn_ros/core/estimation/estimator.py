@@ -8,7 +8,8 @@ after its data, whether it took 5 ms or 900 ms to compute, and live equals repla
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from bisect import bisect_right
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
@@ -16,26 +17,45 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
 import math
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from operator import itemgetter
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
 
 from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.estimation.breakdown import Breakdown, Breakdowns, EndedDrive
-from evpinn_ros.core.estimation.calibration import BandCalibration, SavedBands
+from evpinn_ros.core.estimation.calibration import (
+    NO_PREDICTIONS,
+    BandCalibration,
+    Checked,
+    SavedBands,
+    Waiting,
+)
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
+from evpinn_ros.core.estimation.estimate import ParameterSet, PowerKind, Trust
 from evpinn_ros.core.estimation.evidence import Evidence
-from evpinn_ros.core.estimation.lag import AlignedBy, Alignment, Lag
+from evpinn_ros.core.estimation.lag import Aligned, AlignedBy, Alignment, Lag
 from evpinn_ros.core.estimation.learner import (
     STATE_VERSION,
     Learner,
     LearnerReport,
-    PowerPrediction,
-    gate,
+    Moments,
+    Step,
+    admitted,
 )
 from evpinn_ros.core.estimation.operating_range import OperatingRange
+from evpinn_ros.core.estimation.outputs import (
+    NO_POWERS,
+    Learned,
+    Output,
+    Outputs,
+    PowerRows,
+    joined_outputs,
+)
 from evpinn_ros.core.estimation.size import Similarity
 from evpinn_ros.core.estimation.sizing import Sizing
 from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.block import Block, joined
 from evpinn_ros.core.signals.detector import BATTERY_STUCK
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import (
@@ -45,18 +65,17 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
     sensor_sigma,
 )
-from evpinn_ros.core.signals.sample import MeasuredSample, Sample, StreamEvent
+from evpinn_ros.core.signals.sample import Events, Measured, Samples
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
-from evpinn_ros.core.signals.stuck import StuckDetector
+from evpinn_ros.core.signals.stuck import StuckCourse, StuckDetector
+from evpinn_ros.core.signals.track import NEVER
 from evpinn_ros.core.vehicle.files import CONSTANTS, GENERIC, Vehicle
-from evpinn_ros.core.vehicle.physics import RegenForm
+from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED, RegenForm
 
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
 BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # dropout after which power is only predicted
 STALE_AFTER_NS = 300 * NANOSECONDS  # dropout after which parameters count as stale
 READINGS_KEPT = 40_000  # at most, of a drive whose lag is not known yet
-
-Output: TypeAlias = PowerEstimate | ParameterSet
 
 
 class Mode(str, Enum):
@@ -176,40 +195,26 @@ class SavedEstimator:
 class _Clock(NamedTuple):
     """Stamps of the newest speed and battery reading, and the gap that is a dropout, ns.
 
-    `by` is the alignment of the two.
+    The battery is by the clock of speed, which `by` aligned it to.
     """
 
     newest_ns: int | None
-    battery_ns: int | None
+    aligned_battery_ns: int | None
     battery_gap_ns: int
     by: AlignedBy
 
     def silent_for(self, duration_ns: int) -> bool:
-        """True if the battery has dropped out for this long, by stamps."""
-        if self.newest_ns is None or self.battery_ns is None:
+        """True if the battery has dropped out for this long, by its own stamps."""
+        if self.newest_ns is None or self.aligned_battery_ns is None:
             return True
-        return self.newest_ns - self.battery_ns > duration_ns
+        return self.newest_ns - (self.aligned_battery_ns - self.by.shift_ns) > duration_ns
 
 
-class _Aligned(NamedTuple):
-    """A reading by the clock of speed, its own stamp, and the alignment then."""
+class _Tick(NamedTuple):
+    """A second of stamps that is over: the place of the speed that ended it, and the clock."""
 
-    reading: Reading
-    stamp_ns: int
-    by: AlignedBy
-
-
-class _Arrival(NamedTuple):
-    """A reading that came: the events it completed, and what was known then.
-
-    `tick` is the clock where a second of stamps is over, else None.
-    """
-
-    stamp_ns: int
-    events: list[StreamEvent]
-    stuck: StuckDetector
-    measured: PowerEstimate | None
-    tick: _Clock | None
+    place: int
+    clock: _Clock
 
 
 class _Learned(NamedTuple):
@@ -271,10 +276,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Learn what waits for more of a drive that is over; gives the parameters then."""
         self._find_size()
         for interval in self._stream.finish():
-            deque(self._handle(interval, self._stuck), maxlen=0)
-        deque(self._tick(self._clock), maxlen=0)  # takes the update before and begins the last
-        (parameters,) = self._tick(self._clock)
-        return self._similarity.estimate(parameters)
+            self._add_interval(interval, self._stuck)
+        self._tick(self._clock)  # takes the update before and begins the last
+        return self._similarity.estimate(self._tick(self._clock))
 
     def begin_next_drive(self) -> None:
         """Begin another drive of this car; the same holds for the stamps."""
@@ -296,37 +300,46 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._tick_ns: int | None = None
         self._waiting = False
         self._news = False  # whether there is anything that no update has seen
-        self._predictions: dict[PowerKind, deque[tuple[Sample, PowerPrediction]]] = {
-            kind: deque(maxlen=2000) for kind in self._bands
-        }
+        self._predictions = dict.fromkeys(self._bands, NO_PREDICTIONS)
         # Readings of a drive whose lag is not known yet, and what was known before them.
-        self._recent: list[Reading] | None = []
+        self._recent: list[Block] | None = []
+        self._remembered = 0
         self._before: _Learned | None = None
 
-    def add_reading(self, reading: Reading) -> Iterator[Output]:
-        """Take one reading: a block of one."""
-        return (output for outputs in self.add_block([reading]) for output in outputs)
+    def add_reading(self, reading: Reading) -> list[Output]:
+        """Take one reading; give what it leads to, in order."""
+        return self.add_readings([reading])
 
-    def add_block(self, readings: Iterable[Reading]) -> Iterator[Iterator[Output]]:
-        """Take readings in the order they came; give the outputs of each, in order.
+    def add_readings(self, readings: Iterable[Reading]) -> list[Output]:
+        """Take readings in the order they came; give what they lead to, in order."""
+        return [output for _, output in self.add_block(Block.of(readings)).by_place()]
 
-        How readings are cut into blocks changes no output. What was learned, at any moment, is
-        what the output given last rests on.
+    def add_block(self, block: Block, *, breakdowns: bool = False) -> Outputs:
+        """Take readings in the order they came; how they are cut into blocks changes no output.
+
+        Args:
+            block: of the readings.
+            breakdowns: whether the breakdown is asked for once a second.
         """
-        block: list[Reading] = []
-        for reading in readings:
-            if self._sizing is not None and self._sizing.is_due(reading):
-                yield from self._add(block)
-                block = []
+        self._tells_breakdown = breakdowns
+        parts: list[tuple[int, Outputs]] = []
+        first = 0
+        while first < block.length:
+            rest = block.part(first, block.length)
+            count = rest.length if self._sizing is None else self._sizing.until_due(rest)
+            parts += (
+                (first + begin, outputs) for begin, outputs in self._add(rest.part(0, count))
+            )
+            if count < rest.length:
                 self._find_size()
-            block.append(reading)
-        yield from self._add(block)
+            first += count
+        return joined_outputs(parts)
 
     def _find_size(self) -> None:
         """Learn this drive anew once its vehicle is seen to be of another size than the file's."""
         if self._sizing is None:
             return
-        size, readings = self._sizing.look(), self._sizing.readings
+        size, readings = self._sizing.look(), joined(self._sizing.blocks)
         if self._sizing.over:
             self._sizing = None
         if size is not None:
@@ -334,39 +347,42 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             self._updates = self._accepted = 0
             self._rejected.clear()
             with self._updates_at_once():
-                deque(self._add(readings), maxlen=0)
+                self._add(readings)
 
-    def _add(self, readings: Sequence[Reading]) -> Iterator[Iterator[Output]]:
-        """Take readings of a vehicle whose size is not looked for among them."""
+    def _add(self, block: Block) -> list[tuple[int, Outputs]]:
+        """Take readings of a vehicle whose size is not looked for among them.
+
+        Gives the outputs of its parts with their first places.
+        """
         if self._sizing is not None and self.enabled:
-            self._sizing.readings += readings
-        block: list[_Aligned] = []
-        for reading in map(self._similarity.reading, readings):
-            if self._align(reading):
-                yield from self._add_aligned(block)
-                block = []
+            self._sizing.blocks.append(block)
+        block = self._similarity.block(block)
+        parts, first = [], 0
+        while first < block.length:
+            rest = block.part(first, block.length)
+            if self._settings.mode is Mode.PAPER:
+                aligned = self._alignment.aligned(rest)
+            else:
+                aligned = self._alignment.add_part(rest)
+                self._remember(rest.part(0, aligned.block.length), again=aligned.jumps)
+            parts.append((first, self._add_aligned(aligned)))
+            first += aligned.block.length
+            if aligned.jumps:
                 self._learn_anew()
-            block.append(self._aligned(reading))
-        yield from self._add_aligned(block)
+        return parts
 
-    def _align(self, reading: Reading) -> bool:
-        """Learn the lag from a reading; True if all before it shall be learned anew."""
-        if self._settings.mode is Mode.PAPER:
-            return False
-        anew = self._alignment.add_reading(reading)
-        if self._recent is None or anew:
-            return anew and self._before is not None
-        if self._alignment.settled or len(self._recent) == READINGS_KEPT:
+    def _remember(self, block: Block, *, again: bool) -> None:
+        """Keep readings of a drive whose lag is not known yet; it will be learned `again`."""
+        if self._recent is None:
+            return
+        settled = self._alignment.settled and not again
+        self._remembered += block.length
+        if settled or self._remembered > READINGS_KEPT:
             self._recent = self._before = None
-            return False
+            return
         if not self._recent:
             self._before = deepcopy(_Learned(self._learner, self._bands, self._seen))
-        self._recent.append(reading)
-        return False
-
-    def _aligned(self, reading: Reading) -> _Aligned:
-        alignment = self._alignment
-        return _Aligned(alignment.aligned(reading), reading.stamp_ns, alignment.now)
+        self._recent.append(block)
 
     def _learn_anew(self) -> None:
         """Learn the drive so far by the lag that is known now; its outputs were given before."""
@@ -379,9 +395,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._learner, self._bands, self._seen = before
         self._begin_time()
         self._recent = None
-        block = list(map(self._aligned, recent))
         with self._updates_at_once():
-            deque(self._add_aligned(block), maxlen=0)
+            self._add_aligned(self._alignment.aligned(joined(recent)))
         self._stream.dropped = dropped
 
     @contextmanager
@@ -395,55 +410,140 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         finally:
             self._worker = worker
 
-    def _add_aligned(self, block: Sequence[_Aligned]) -> Iterator[Iterator[Output]]:
-        """Take readings of the similar car by one clock; give the outputs of each, in order."""
-        arrivals: list[_Arrival] = []
-        self._stream.look_ahead(aligned.reading for aligned in block)
-        learns, news = self._learner.learns, False
-        for aligned in block:
-            arrival = self._arrive(*aligned)
-            arrivals.append(arrival)
-            news = news or any(isinstance(event, learns) for event in arrival.events)
-            # An update may begin or end now, and what follows is predicted with its result.
-            if arrival.tick is not None and (news or self._news or self._waiting):
-                yield from self._act(arrivals)
-                arrivals, news = [], False
-        yield from self._act(arrivals)
+    def _add_aligned(self, aligned: Aligned) -> Outputs:
+        """Take readings of the similar car by one clock."""
+        before = self._clock
+        events = self._stream.add_block(aligned.block)
+        stuck = self._followed_stuck(aligned.block, events.taken)
+        told = self._told(events, stuck)
+        measured = self._admitted(events.measured, stuck)
+        learned_from = measured if self.enabled else measured.where(slice(0))
+        self._seen.add(learned_from.samples.where(admitted(learned_from)))
+        moments = Moments.of(events, learned_from, told[:2])
+        predictions = self._learner.begin(moments)
+        learned = self._learned(moments, events, stuck, self._ticks(events, aligned, before))
+        newest = self._calibrated(
+            PowerKind.PREDICTED, events.newest, events.newest_order, predictions.newest, measured
+        )
+        smoothed = self._calibrated(
+            PowerKind.SMOOTHED, events.smoothed, events.smoothed_order, predictions.smoothed,
+            measured,
+        )  # fmt: skip
+        energies = np.array(predictions.energies).reshape(-1, 2).T
+        smoothed = smoothed._replace(energy=energies[0], energy_sigma=energies[1])
+        told = told._replace(stamp_ns=told.stamp_ns - aligned.shift_ns(told.order))
+        size = self._similarity.size
+        return Outputs(told.times(size), newest.times(size), smoothed.times(size), learned)
 
-    def _arrive(self, reading: Reading, measured_ns: int, by: AlignedBy) -> _Arrival:
-        """Take a reading of the similar car into the stream; its own stamp is `measured_ns`."""
-        events = self._stream.add_reading(reading)
-        taken = self._stream.taken
-        if taken:
-            self._stuck = self._stuck.after(reading)
-        measured = None
-        if isinstance(reading, BatteryReading) and taken and self._stuck.detected != BATTERY_STUCK:
-            power = self._stream.measured_power(reading)
-            sigma = sensor_sigma(power, reading.power_std)
-            measured = PowerEstimate(PowerKind.MEASURED, measured_ns, power, sigma)
-        ticks = isinstance(reading, SpeedReading) and self._ticks()
-        tick = self._clock_by(by) if ticks else None
-        return _Arrival(reading.stamp_ns, events, self._stuck, measured, tick)
+    def _followed_stuck(self, block: Block, taken: np.ndarray) -> StuckCourse:
+        """The detectors of stuck sensors along the readings that are used."""
+        speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
+        told = np.isfinite(battery.values[0] * battery.values[1])
+        course = self._stuck.course(
+            speeds.where(taken[speeds.order]), battery.where(told & taken[battery.order])
+        )
+        self._stuck = course.last
+        return course
 
-    def _act(self, arrivals: list[_Arrival]) -> Iterator[Iterator[Output]]:
-        """Predict and learn; give the outputs of each arrival."""
-        samples = [e for arrival in arrivals for e in arrival.events if isinstance(e, Sample)]
-        if samples:
-            self._learner.expect(samples)
-        for arrival in arrivals:
-            outputs = (self._similarity.estimate(output) for output in self._outputs(arrival))
-            yield outputs
-            deque(outputs, maxlen=0)  # which the caller left
+    def _told(self, events: Events, stuck: StuckCourse) -> PowerRows:
+        """Power that the battery readings measure, by the clock of speed."""
+        order, stamps, power, coarse = events.told
+        used = ~np.isnan(power)
+        if not stuck.is_quiet:
+            detected = [stuck.at(place).detected for place in order.tolist()]
+            used &= np.array([fault != BATTERY_STUCK for fault in detected], dtype=bool)
+        order, stamps, power, coarse = (c[used] for c in (order, stamps, power, coarse))
+        unknown = np.full(len(order), np.nan)
+        return PowerRows(order, stamps, power, sensor_sigma(power, coarse), unknown, unknown)
 
-    def _outputs(self, arrival: _Arrival) -> Iterator[Output]:
-        """Outputs of the similar car after one of its readings."""
-        if (measured := arrival.measured) is not None and not math.isnan(measured.power):
-            self._learner.battery_measured(arrival.stamp_ns)
-            yield measured
-        for event in arrival.events:
-            yield from self._handle(event, arrival.stuck)
-        if arrival.tick is not None:
-            yield from self._tick(arrival.tick)
+    def _admitted(self, measured: Measured, stuck: StuckCourse) -> Measured:
+        """The measured samples at which no sensor is stuck."""
+        if stuck.is_quiet:
+            return measured
+        rows = zip(measured.order.tolist(), measured.samples.stamp_ns.tolist(), strict=True)
+        reasons = [stuck.at(place).why_not(stamp_ns, stamp_ns) for place, stamp_ns in rows]
+        self._learner.gated.update(reason for reason in reasons if reason is not None)
+        return measured.where(np.array([reason is None for reason in reasons], dtype=bool))
+
+    def _learned(
+        self, moments: Moments, events: Events, stuck: StuckCourse, ticks: Sequence[_Tick]
+    ) -> list[Learned]:
+        """Let all happen that a block brings, in order; gives what is known once a second."""
+        learned: list[Learned] = []
+        breaks: list[tuple[int, Interval | _Tick]] = [*events.intervals]
+        breaks = sorted([*breaks, *((tick.place, tick) for tick in ticks)], key=itemgetter(0))
+        done = 0
+        for place, what in breaks:
+            until = bisect_right(moments.orders, place)
+            self._follow(moments, done, until)
+            done = until
+            if isinstance(what, Interval):
+                self._add_interval(what, stuck.at(place))
+            else:
+                learned.append(self._told_learned(place, self._tick(what.clock)))
+        self._follow(moments, done, len(moments.orders))
+        return learned
+
+    def _told_learned(self, place: int, parameters: ParameterSet) -> Learned:
+        """What is known with parameters of the similar car."""
+        breakdown = self._breakdown_beside(parameters) if self._tells_breakdown else None
+        estimate = self._similarity.estimate(parameters)
+        return Learned(place, estimate, self.detections(), self.model(), breakdown)
+
+    def _follow(self, moments: Moments, first: int, last: int) -> None:
+        if first == last:
+            return
+        self._learner.follow(first, last)
+        if self._learner.learns_samples:
+            self._news |= any(kind is Step.MEASURED for kind, _ in moments.steps[first:last])
+
+    def _add_interval(self, interval: Interval, stuck: StuckDetector) -> None:
+        """Let the learner have an interval, unless a sensor was stuck in it.
+
+        Nothing is learned in a dropout, and its energy must have no holes.
+        """
+        sound = stuck.why_not(interval.start_ns, interval.end_ns) is None
+        if math.isnan(interval.energy) or (self.enabled and sound):
+            self._news |= self._learner.add_interval(interval)
+
+    def _calibrated(
+        self,
+        kind: PowerKind,
+        samples: Samples,
+        order: np.ndarray,
+        predicted: Sequence[tuple[float, float]],
+        measured: Measured,
+    ) -> PowerRows:
+        """Predictions with 1-sigma by how errors really spread, each by what was known before.
+
+        Args:
+            kind: of the predictions.
+            samples: that are predicted.
+            order: places at which they are.
+            predicted: power, W, and the model's 1-sigma, W.
+            measured: samples that are known meanwhile.
+        """
+        if not (predicted or len(measured.order)):
+            return NO_POWERS
+        power, sigma = np.array(predicted, dtype=float).reshape(-1, 2).T
+        new = Waiting(samples.stamp_ns, power, sigma, np.abs(samples.speed) > STANDSTILL_SPEED)
+        waiting = self._predictions[kind].and_then(new)
+        known = admitted(measured)
+        stamps = measured.samples.stamp_ns
+        index = np.searchsorted(waiting.stamp_ns, stamps)
+        known &= np.append(waiting.stamp_ns, NEVER)[index] == stamps
+        if kind is PowerKind.PREDICTED:
+            place = np.searchsorted(order, measured.order, side="right")
+        else:
+            place = measured.place
+        index, place = index[known], place[known]
+        error = np.abs(measured.power[known] - waiting.power[index])
+        columns = place, waiting.moving[index], error, waiting.sigma[index]
+        checked = map(Checked, *(column.tolist() for column in columns))
+        self._predictions[kind] = waiting.after(index)
+        calibrated = self._bands[kind].calibrated(new.moving, sigma, list(checked))
+        unknown = np.full(len(power), np.nan)
+        return PowerRows(order, samples.stamp_ns, power, calibrated, unknown, unknown)
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
@@ -471,8 +571,14 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         None in the paper's mode, before any, and while the mass is invalid: then the car is
         another one, or a signal is wrong, and what rests on them answers nothing.
         """
+        return self._breakdown_beside(self._parameters(self._clock), before)
+
+    def _breakdown_beside(
+        self, parameters: ParameterSet, before: Sequence[EndedDrive] = ()
+    ) -> Breakdown | None:
+        """`breakdown` by what the parameters of the similar car are worth."""
         breakdowns = self._learner.together(before)
-        if breakdowns is None or self.parameters().parameters["mass"].trust is Trust.INVALID:
+        if breakdowns is None or parameters.parameters["mass"].trust is Trust.INVALID:
             return None
         return self._similarity.breakdowns(breakdowns).of(0)
 
@@ -532,61 +638,29 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._bands[PowerKind.PREDICTED].take(saved.bands.predicted)
         self._bands[PowerKind.SMOOTHED].take(saved.bands.smoothed)
 
-    def _handle(self, event: StreamEvent, stuck: StuckDetector) -> Iterator[Output]:
-        match event:
-            case Sample(newest=True):
-                yield self._predict(PowerKind.PREDICTED, event)
-            case Sample():
-                self._learner.advance(event)
-                yield self._predict(PowerKind.SMOOTHED, event)
-            case MeasuredSample():
-                stamp_ns = event.sample.stamp_ns
-                if (reason := stuck.why_not(stamp_ns, stamp_ns)) is not None:
-                    self._learner.gated[reason] += 1
-                    return
-                if gate(event.sample, event.power) is None:
-                    self._learn_bands(event)
-                    if self.enabled:
-                        self._seen.add(event.sample)
-                if self.enabled:
-                    self._learner.observe(event.sample, event.power)
-                    self._news |= self._learner.learns is MeasuredSample
-            case Interval():
-                # Nothing is learned in a dropout, and its energy must have no holes.
-                dropout = math.isnan(event.energy)
-                sound = stuck.why_not(event.start_ns, event.end_ns) is None
-                if dropout or (self.enabled and sound):
-                    self._news |= self._learner.add_interval(event)
-
-    def _predict(self, kind: PowerKind, sample: Sample) -> PowerEstimate:
-        prediction = self._learner.predict(sample)
-        self._predictions[kind].append((sample, prediction))
-        sigma = self._bands[kind].sigma(sample, prediction.sigma)
-        dropout = prediction.energy, prediction.energy_sigma
-        return PowerEstimate(kind, sample.stamp_ns, prediction.power, sigma, *dropout)
-
-    def _learn_bands(self, event: MeasuredSample) -> None:
-        """Hold the predictions made for this moment against what was measured."""
-        for kind, waiting in self._predictions.items():
-            while waiting and waiting[0][0].stamp_ns < event.sample.stamp_ns:
-                waiting.popleft()
-            if waiting and waiting[0][0].stamp_ns == event.sample.stamp_ns:
-                sample, prediction = waiting.popleft()
-                self._bands[kind].learn(sample, event.power - prediction.power, prediction.sigma)
-
-    def _ticks(self) -> bool:
-        """True once a second of stamps."""
-        stamp_ns = self._stream.newest_ns
-        if stamp_ns is None:
-            return False
+    def _ticks(self, events: Events, aligned: Aligned, before: _Clock) -> list[_Tick]:
+        """The seconds of stamps that end in a block, whose battery was that of a clock before."""
+        places, newest = events.moments
+        if not len(newest):
+            return []
         if self._tick_ns is None:
-            self._tick_ns = stamp_ns
-        passed_ns = stamp_ns - self._tick_ns
-        self._tick_ns += passed_ns // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
-        return passed_ns >= UPDATE_PERIOD_NS
+            self._tick_ns = int(newest[0])
+        ticks = []
+        while newest[-1] - self._tick_ns >= UPDATE_PERIOD_NS:
+            index = int(np.searchsorted(newest, self._tick_ns + UPDATE_PERIOD_NS))
+            passed_ns = int(newest[index]) - self._tick_ns
+            self._tick_ns += passed_ns // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
+            place = int(places[index])
+            by = aligned.by(place)
+            battery_ns, gap_ns = before.aligned_battery_ns, before.battery_gap_ns
+            told = int(np.searchsorted(events.battery[0], place, side="right")) - 1
+            if told >= 0:
+                battery_ns, gap_ns = (int(column[told]) for column in events.battery[1:])
+            ticks.append(_Tick(place, _Clock(int(newest[index]), battery_ns, gap_ns, by)))
+        return ticks
 
-    def _tick(self, clock: _Clock) -> Iterator[ParameterSet]:
-        """Accept the last update, begin the next, publish the parameters."""
+    def _tick(self, clock: _Clock) -> ParameterSet:
+        """Accept the last update, begin the next, give the parameters."""
         if self._waiting:
             self._collect()
         if self._news and not self._waiting and self._activity(clock) is not Activity.PAUSED:
@@ -595,7 +669,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
                 self._updates += 1
                 self._waiting = True
                 self._worker.submit(work)
-        yield replace(self._parameters(clock), stamp_ns=clock.newest_ns or 0)
+        return replace(self._parameters(clock), stamp_ns=clock.newest_ns or 0)
 
     def _collect(self) -> None:
         try:
@@ -617,14 +691,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     @property
     def _clock(self) -> _Clock:
-        return self._clock_by(self._alignment.now)
-
-    def _clock_by(self, by: AlignedBy) -> _Clock:
         stream = self._stream
-        battery_ns = stream.battery_ns
-        if battery_ns is not None:
-            battery_ns -= by.shift_ns
-        return _Clock(stream.newest_ns, battery_ns, stream.battery_gap_ns, by)
+        battery_ns, gap_ns = stream.battery_ns, stream.battery_gap_ns
+        return _Clock(stream.newest_ns, battery_ns, gap_ns, self._alignment.now)
 
     def _activity(self, clock: _Clock) -> Activity:
         if clock.newest_ns is None:

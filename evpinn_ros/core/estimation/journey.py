@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from evpinn_ros.common.arrays import namespace
 from evpinn_ros.core.estimation.states import SIZE
-from evpinn_ros.core.estimation.terms import Equation, Warmth, conditions_of
+from evpinn_ros.core.estimation.terms import Equation, Warmth
 from evpinn_ros.core.signals.interval import Interval, Steps
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import NO_SAMPLES, Samples
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 LOAD_TIME = 300.0  # s in which the wandering load forgets itself
@@ -27,16 +25,16 @@ class Journey(NamedTuple):
     """Sums over steps of driving, measured, unmeasured or planned; they add up.
 
     Attributes:
-        row: energy by each state, J per unit, shape (SIZE,); of `State.LOAD` the seconds.
+        row: energy by each state, J per unit, shape (..., SIZE); of `State.LOAD` the seconds.
         seconds: s.
-        noise: variance of what no state explains by its kinds, at scale 1, J^2, shape (3,).
+        noise: variance of what no state explains by its kinds, at scale 1, J^2, shape (..., 3).
         unseen: m of road whose height is not known.
     """
 
     row: np.ndarray
-    seconds: float
+    seconds: Any
     noise: np.ndarray
-    unseen: float
+    unseen: Any
 
     def plus(self, other: Journey) -> Journey:
         """Both, one after the other."""
@@ -78,7 +76,7 @@ def speed_squared(steps: Steps) -> float:
 
 
 def unexplained(
-    seconds: Any, stood: Any, square: Any, *, force: float = FORCE_NOISE
+    seconds: Any, stood: Any, square: Any, *, force: Any = FORCE_NOISE
 ) -> tuple[Any, Any]:
     """Variance of energy that no state explains, at scale 1, J^2, while standing and moving.
 
@@ -128,56 +126,82 @@ class Tail:
     def __init__(self, equation: Equation) -> None:
         """Nothing driven by a car."""
         self._equation = equation
-        self._samples: list[Sample] = []
-        self._stamps: list[int] = []
-        self._sums: list[Journey] = []
+        self._samples = NO_SAMPLES
+        self._sums = Journey(np.empty((0, SIZE)), np.empty(0), np.empty((0, 3)), np.empty(0))
 
-    def add(self, sample: Sample) -> None:
-        """Take the next sample."""
-        if self._stamps and sample.stamp_ns <= self._stamps[-1]:
+    def extend(self, samples: Samples) -> None:
+        """Take the samples that follow."""
+        if self._samples.size:
+            samples = samples.where(samples.stamp_ns > self._samples.stamp_ns[-1])
+        self._samples = self._samples.and_then(samples)
+        surplus = self._samples.size - 2 * SAMPLES_KEPT
+        if surplus > SAMPLES_KEPT:
+            self._samples = self._samples.where(slice(surplus, None))
+            self._sums = Journey(*(column[surplus:] for column in self._sums))
+
+    def between(self, start_ns: int, ends: np.ndarray, warmth: Warmth) -> Journey:
+        """Journeys from one stamp to others, as far as they are remembered, shape (n,) each."""
+        stamps = self._samples.stamp_ns
+        if not len(stamps):
+            return Journey(*(np.repeat(column[None], len(ends), 0) for column in NOWHERE_ARRAYS))
+        self._sum(int(np.searchsorted(stamps, ends.max())) + 1, warmth)
+        return self._until(ends).less(self._until(np.array([start_ns])))
+
+    def _sum(self, count: int, warmth: Warmth) -> None:
+        """Compute the sums up to so many samples."""
+        done, count = len(self._sums.seconds), min(count, self._samples.size)
+        if count <= done:
             return
-        self._samples.append(sample)
-        self._stamps.append(sample.stamp_ns)
-        if len(self._stamps) >= 2 * SAMPLES_KEPT:
-            for kept in (self._samples, self._stamps, self._sums):
-                del kept[:SAMPLES_KEPT]
+        first = max(done - 1, 0)
+        steps = self._steps(self._samples.where(slice(first, count)), warmth)
+        before = (
+            (column[-1:] for column in self._sums) if done else (c[None] for c in NOWHERE_ARRAYS)
+        )
+        new = (
+            np.cumsum(np.concatenate(pair), axis=0)[bool(done) :]
+            for pair in zip(before, steps, strict=True)
+        )
+        self._sums = Journey(*map(np.concatenate, zip(self._sums, new, strict=True)))
 
-    def between(self, start_ns: int, end_ns: int, warmth: Warmth) -> Journey:
-        """Journey from one stamp to another, as far as it is remembered."""
-        if not self._stamps:
-            return NOWHERE
-        for index in range(len(self._sums), len(self._samples)):
-            before = self._sums[-1] if self._sums else NOWHERE
-            step = self._step(index, warmth) if self._sums else NOWHERE
-            self._sums.append(before.plus(step))
-        return self._until(end_ns).less(self._until(start_ns))
+    def _steps(self, samples: Samples, warmth: Warmth) -> Journey:
+        """The steps between samples, shape (n - 1,) each."""
+        end = samples.where(slice(1, None))
+        seconds = np.minimum(np.diff(samples.stamp_ns) / NANOSECONDS, MAX_STEP)
+        before, after = samples.speed[:-1], samples.speed[1:]
+        speed = (before + after) / 2.0
+        way, wind = np.abs(speed) * seconds, end.head_wind
 
-    def _step(self, index: int, warmth: Warmth) -> Journey:
-        """The step that ends with a sample."""
-        begin, end = self._samples[index - 1 : index + 1]
-        seconds = min((end.stamp_ns - begin.stamp_ns) / NANOSECONDS, MAX_STEP)
-        speed = (begin.speed + end.speed) / 2.0
-        way, wind = abs(speed) * seconds, end.head_wind
+        def drag(v: np.ndarray) -> np.ndarray:
+            return np.asarray((v + wind) * np.abs(v + wind) * np.abs(v))
 
-        def drag(v: float) -> float:
-            return (v + wind) * abs(v + wind) * abs(v)
+        air = (drag(before) + 4.0 * drag(speed) + drag(after)) / 6.0 * seconds
+        kinetic = (after**2 - before**2) / 2.0
+        climb = speed * seconds * np.sin((samples.grade[:-1] + end.grade) / 2.0)
+        motor = end.motor_power * seconds
+        drive, brake = np.maximum(motor, 0.0), np.maximum(-motor, 0.0)
+        moved = seconds, way, air, kinetic, climb, drive, brake
+        rows = self._equation.rows_along(moved, end, warmth)
+        told = ~np.isnan(motor)
+        stood, square = standing(seconds, way), way**2 / np.maximum(seconds, 1e-9)
+        force = np.where(told, TORQUE_NOISE, FORCE_NOISE)
+        still, moving = unexplained(seconds, stood, square, force=force)
+        noise = np.stack((still, np.where(told, 0.0, moving), np.where(told, moving, 0.0)), axis=1)
+        unseen = np.where((end.grade != 0.0) | told, 0.0, way)
+        return Journey(rows, seconds, noise, unseen)
 
-        air = (drag(begin.speed) + 4.0 * drag(speed) + drag(end.speed)) / 6.0 * seconds
-        kinetic = (end.speed**2 - begin.speed**2) / 2.0
-        climb = speed * seconds * math.sin((begin.grade + end.grade) / 2.0)
-        motor = np.array([1.0, -1.0]) * end.motor_power * seconds
-        moved = seconds, way, air, kinetic, climb, *np.maximum(motor, 0.0)
-        steps = Steps._make((*(np.array([moved_by]) for moved_by in moved), end.motor_scaled))
-        rows = self._equation.rows(steps, conditions_of(end), warmth)
-        unseen = 0.0 if end.grade or steps.motor_known else way
-        return Journey(rows[0], seconds, noise_of(steps), unseen)
+    def _until(self, stamps: np.ndarray) -> Journey:
+        """The sums up to stamps, with their shares of the steps that span them."""
+        times = self._samples.stamp_ns[: len(self._sums.seconds)]
+        after = np.clip(np.searchsorted(times, stamps), 0, len(times) - 1)
+        before = np.maximum(after - 1, 0)
+        step = np.maximum(times[after] - times[before], 1)
+        share = np.clip((stamps - times[before]) / step, 0.0, 1.0)
 
-    def _until(self, stamp_ns: int) -> Journey:
-        """The sum up to a stamp, with its share of the step that spans it."""
-        after = bisect_left(self._stamps, stamp_ns)
-        if after in (0, len(self._stamps)):
-            return self._sums[min(after, len(self._stamps) - 1)]
-        begin_ns, end_ns = self._stamps[after - 1 : after + 1]
-        share = (stamp_ns - begin_ns) / (end_ns - begin_ns)
-        before = self._sums[after - 1]
-        return before.plus(self._sums[after].less(before).share(share))
+        def part(column: np.ndarray) -> np.ndarray:
+            along = share.reshape(-1, *(1 for _ in column.shape[1:]))
+            return np.asarray(column[before] + along * (column[after] - column[before]))
+
+        return Journey(*map(part, self._sums))
+
+
+NOWHERE_ARRAYS = np.zeros(SIZE), np.array(0.0), np.zeros(3), np.array(0.0)

@@ -17,10 +17,10 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.core.signals.block import Block, Rows
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
-    Reading,
     SpeedReading,
     drawn_power,
 )
@@ -161,11 +161,11 @@ class _Signal:
         self.time: list[float] = []
         self.values: list[float] = []
 
-    def add(self, seconds: float, value: float) -> None:
-        """Take a reading, unless it is NaN."""
-        if not math.isnan(value):
-            self.time.append(seconds)
-            self.values.append(value)
+    def extend(self, seconds: np.ndarray, values: np.ndarray) -> None:
+        """Take readings but those that are NaN."""
+        there = ~np.isnan(values)
+        self.time += seconds[there].tolist()
+        self.values += values[there].tolist()
 
     def forget(self, before: float) -> None:
         """Forget all readings before a moment but the last."""
@@ -223,29 +223,35 @@ class LagLearner:
             return False
         return self.lag.sigma <= max(KNOWN, KNOWN_SHARE * self._smooth)
 
-    def add_reading(self, reading: Reading) -> None:
-        """Take a reading, with which a block may be complete."""
-        if isinstance(reading, BatteryReading) and self._zero_ns is not None:
-            seconds = (reading.stamp_ns - self._zero_ns) / NANOSECONDS
-            if seconds < self._due + LONGEST:  # else the car is parked
-                self._voltage.add(seconds, reading.voltage)
-                self._current.add(seconds, reading.current)
-        elif isinstance(reading, SpeedReading):
-            self._add_speed(reading)
+    def is_due(self, stamps: np.ndarray) -> np.ndarray:
+        """Whether speeds complete a block, or begin the first, by their stamps, ns."""
+        return np.asarray((self._zero_ns is None) | (self._seconds(stamps) >= self._due))
 
-    def _add_speed(self, reading: SpeedReading) -> None:
-        if self._zero_ns is not None and self._seconds(reading) > self._due + LONGEST:
+    def extend(self, speeds: Rows, battery: Rows) -> None:
+        """Take readings of which no speed is due."""
+        if self._zero_ns is None:
+            return
+        seconds = self._seconds(battery.stamps)
+        driven = seconds < self._due + LONGEST  # else the car is parked
+        self._voltage.extend(seconds[driven], battery.values[0][driven])
+        self._current.extend(seconds[driven], battery.values[1][driven])
+        self._speed.extend(self._seconds(speeds.stamps), speeds.values[0])
+
+    def add_due(self, stamp_ns: int, speed: float) -> None:
+        """Take a speed that is due."""
+        stamps, speeds = np.array([stamp_ns]), np.array([speed])
+        if self._zero_ns is not None and self._seconds(stamps)[0] > self._due + LONGEST:
             self.begin_stretch()
         if self._zero_ns is None:
-            self._zero_ns = reading.stamp_ns
+            self._zero_ns = stamp_ns
             self._begin_block(0.0)
-        seconds = self._seconds(reading)
-        self._speed.add(seconds, reading.speed)
-        if seconds >= self._due:
+        seconds = self._seconds(stamps)
+        self._speed.extend(seconds, speeds)
+        if seconds[0] >= self._due:
             self._end_block()
 
-    def _seconds(self, reading: Reading) -> float:
-        return (reading.stamp_ns - (self._zero_ns or 0)) / NANOSECONDS
+    def _seconds(self, stamps: np.ndarray) -> np.ndarray:
+        return np.asarray((stamps - (self._zero_ns or 0)) / NANOSECONDS)
 
     def _begin_block(self, start: float) -> None:
         self._start = start
@@ -294,6 +300,42 @@ class AlignedBy(NamedTuple):
     shift_ns: int
     doubtful: bool
 
+    @classmethod
+    def of(cls, lag: Lag | None, of_drive: Lag | None, shift_ns: int) -> AlignedBy:
+        """By the lag that is known, and the one that this drive shows or began with."""
+        left = None if of_drive is None else of_drive.less(shift_ns / NANOSECONDS)
+        return cls(lag, shift_ns, left is not None and left.large)
+
+
+class Aligned(NamedTuple):
+    """Readings by the clock of speed.
+
+    Attributes:
+        block: of them.
+        lag: as far as it is known.
+        of_drive: that this drive shows, or began with.
+        before_ns: shift before the first battery reading, ns.
+        shifts: of each battery reading, ns, shape (n,).
+        jumps: whether the shift jumps behind them.
+    """
+
+    block: Block
+    lag: Lag | None
+    of_drive: Lag | None
+    before_ns: int
+    shifts: np.ndarray
+    jumps: bool
+
+    def shift_ns(self, places: np.ndarray) -> np.ndarray:
+        """Shift at places of the block, ns."""
+        orders = self.block.of_kind(BatteryReading).order
+        index = np.searchsorted(orders, places, side="right")
+        return np.concatenate(([self.before_ns], self.shifts))[index]
+
+    def by(self, place: int) -> AlignedBy:
+        """The alignment at a place."""
+        return AlignedBy.of(self.lag, self.of_drive, int(self.shift_ns(np.array(place))))
+
 
 class Alignment:
     """Shift of the battery's stamps to the clock of speed, by the lag that is learned.
@@ -309,13 +351,14 @@ class Alignment:
         """Start with the lag that earlier drives showed."""
         self._learner, self._saved = LagLearner(), saved
         self._battery_ns: int | None = None
+        self._jumped = False  # at the battery reading that comes next, which is taken already
         self._settled = False
         self.shift_ns = int(self._target * NANOSECONDS)
 
     def begin_stretch(self) -> None:
         """Join nothing to the readings before; what was learned is kept."""
         self._learner.begin_stretch()
-        self._battery_ns = None
+        self._battery_ns, self._jumped = None, False
 
     def next_drive(self) -> Alignment:
         """The alignment of another drive, perhaps recorded by another logger."""
@@ -334,9 +377,7 @@ class Alignment:
     @property
     def now(self) -> AlignedBy:
         """The lag, the shift, and whether the lag is surely large and not taken out."""
-        lag = self._learner.lag or self._saved
-        doubtful = lag is not None and lag.less(self.shift_ns / NANOSECONDS).large
-        return AlignedBy(self.lag, self.shift_ns, doubtful)
+        return AlignedBy.of(self.lag, self._learner.lag or self._saved, self.shift_ns)
 
     @property
     def _target(self) -> float:
@@ -346,15 +387,49 @@ class Alignment:
             return 0.0
         return min(max(lag.seconds, FURTHEST[0]), FURTHEST[1])
 
-    def add_reading(self, reading: Reading) -> bool:
-        """Take a reading; True if the shift jumped, and what was before shall be learned anew."""
-        self._learner.add_reading(reading)
-        if isinstance(reading, BatteryReading):
-            before_ns, self._battery_ns = self._battery_ns, reading.stamp_ns
-            passed = (reading.stamp_ns - (before_ns or 0)) / NANOSECONDS
-            if 0.0 < passed <= self._learner.gap:
-                return self._move(passed)
-        return False
+    def add_part(self, block: Block) -> Aligned:
+        """Take the first readings of a block: until a block of the lag is complete, or it jumps.
+
+        Where the shift jumps, what was before shall be learned anew.
+        """
+        speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
+        if len(speeds.order) and speeds.order[0] == 0 and self._learner.is_due(speeds.stamps[0]):
+            self._learner.add_due(int(speeds.stamps[0]), float(speeds.values[0, 0]))
+            speeds = speeds.where(slice(1, None))
+        due = np.append(self._learner.is_due(speeds.stamps), True)
+        end = int(np.append(speeds.order, block.length)[due.argmax()])
+        before_ns, known = self.shift_ns, self._jumped
+        battery = battery.where(battery.order < end)
+        shifts, self._jumped = self._moved(battery.stamps)
+        taken = battery.where(slice(int(known), len(shifts)))
+        if self._jumped:
+            end = int(taken.order[-1])
+        self._learner.extend(speeds.where(speeds.order < end), taken)
+        part = block.part(0, end)
+        shifts = shifts[: len(part.of_kind(BatteryReading).order)]
+        lags = self.lag, self._learner.lag or self._saved
+        return Aligned(_shifted(part, shifts), *lags, before_ns, shifts, self._jumped)
+
+    def _moved(self, stamps: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Shifts after battery readings, ns, up to the one at which it jumps; if it does."""
+        shifts = np.full(len(stamps), self.shift_ns)
+        if not len(stamps):
+            return shifts, False
+        before_ns, self._battery_ns = self._battery_ns, int(stamps[-1])
+        passed = np.diff(stamps, prepend=stamps[0] if before_ns is None else before_ns)
+        passed = passed / NANOSECONDS
+        joined = np.flatnonzero((passed > 0.0) & (passed <= self._learner.gap))
+        away = self._target - self.shift_ns / NANOSECONDS
+        if not round(away * NANOSECONDS):
+            self._settled |= self._learner.known and len(joined) > 0
+            return shifts, False
+        for index in joined.tolist():
+            jumped = self._move(float(passed[index]))
+            shifts[index:] = self.shift_ns
+            if jumped:
+                self._battery_ns = int(stamps[index])
+                return shifts[: index + 1], True
+        return shifts, False
 
     def _move(self, passed: float) -> bool:
         """Let the shift follow the lag for some seconds; True if it jumped."""
@@ -370,8 +445,16 @@ class Alignment:
         """True once the lag of this drive is known: nothing will be learned anew."""
         return self._settled
 
-    def aligned(self, reading: Reading) -> Reading:
-        """A reading by the clock of speed."""
-        if not self.shift_ns or not isinstance(reading, BatteryReading):
-            return reading
-        return replace(reading, stamp_ns=reading.stamp_ns + self.shift_ns)
+    def aligned(self, block: Block) -> Aligned:
+        """Readings by the clock of speed, with the shift that is right now."""
+        shifts = np.full(len(block.of_kind(BatteryReading).order), self.shift_ns)
+        lags = self.lag, self._learner.lag or self._saved
+        return Aligned(_shifted(block, shifts), *lags, self.shift_ns, shifts, jumps=False)
+
+
+def _shifted(block: Block, shifts: np.ndarray) -> Block:
+    """Readings with the battery's stamps later by shifts, ns."""
+    if not shifts.any():
+        return block
+    rows = block.of_kind(BatteryReading)
+    return block.with_rows(BatteryReading, rows._replace(stamps=rows.stamps + shifts))

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-import math
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
 
 from evpinn_ros.core.estimation.breakdown import Breakdowns, EndedDrive
 from evpinn_ros.core.estimation.car_model import CarModel
@@ -13,7 +16,7 @@ from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.core.estimation.payload import PayloadChange
 from evpinn_ros.core.signals.interval import Interval
-from evpinn_ros.core.signals.sample import MeasuredSample, Sample
+from evpinn_ros.core.signals.sample import NO_SAMPLES, Events, Measured, Samples
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
@@ -22,20 +25,86 @@ CHARGING_POWER = -500.0  # W at standstill: below this the battery is being char
 STATE_VERSION = 10
 
 
-LearningEvent: TypeAlias = MeasuredSample | Interval
+class Step(IntEnum):
+    """Kind of what happens to a learner."""
+
+    BATTERY = 0  # the battery was measured, whether or not that is learned from
+    NEWEST = 1  # the newest moment is to be predicted
+    SMOOTHED = 2  # time passes up to a smoothed sample, which is to be predicted
+    MEASURED = 3  # a smoothed sample whose power is known is to be learned from
 
 
-class PowerPrediction(NamedTuple):
-    """Battery power, W, and the model's own 1-sigma, W, not yet calibrated.
+@dataclass(frozen=True, slots=True)
+class Moments:
+    """What happens along a block, in order.
 
-    `energy`, J, is predicted since the battery was last measured, `energy_sigma` its 1-sigma, J;
-    NaN where they are not known.
+    Attributes:
+        newest: n newest moments.
+        smoothed: m smoothed samples.
+        measured: k of them, to learn from.
+        power: their battery power, W, shape (k,).
+        battery_ns: stamps at which the battery was measured.
+        steps: kind of each step and its place in the column of its kind.
+        orders: place of each step in the block.
     """
 
-    power: float
-    sigma: float
-    energy: float = math.nan
-    energy_sigma: float = math.nan
+    newest: Samples
+    smoothed: Samples
+    measured: Samples
+    power: np.ndarray
+    battery_ns: Sequence[int]
+    steps: Sequence[tuple[Step, int]]
+    orders: Sequence[int]
+
+    @classmethod
+    def of(cls, events: Events, measured: Measured, told: tuple[np.ndarray, ...]) -> Moments:
+        """What readings complete.
+
+        Args:
+            events: of the block.
+            measured: of them, those to be learned from.
+            told: places and stamps of the battery readings that measure power.
+        """
+        orders = told[0], events.newest_order, events.smoothed_order, measured.order
+        # Of one place first the battery, then the newest moment; a measured sample comes after as
+        # many smoothed ones as its battery waited for.
+        turns = (
+            np.full(len(told[0]), -2),
+            np.full(len(events.newest_order), -1),
+            2 * np.arange(len(events.smoothed_order)) + 1,
+            2 * measured.place,
+        )
+        kinds = np.repeat(range(len(Step)), [len(column) for column in orders])
+        places = np.concatenate([np.arange(len(column)) for column in orders])
+        order = np.concatenate(orders)
+        sequence = np.lexsort((np.concatenate(turns), order))
+        of_kind = tuple(Step)
+        steps = [
+            (of_kind[kind], place)
+            for kind, place in zip(
+                kinds[sequence].tolist(), places[sequence].tolist(), strict=True
+            )
+        ]
+        return cls(
+            events.newest, events.smoothed, measured.samples, measured.power,
+            told[1].tolist(), steps, order[sequence].tolist(),
+        )  # fmt: skip
+
+
+NO_MOMENTS = Moments(NO_SAMPLES, NO_SAMPLES, NO_SAMPLES, np.empty(0), (), (), ())
+
+
+@dataclass(slots=True)
+class Predictions:
+    """Predicted power and the model's own 1-sigma, W, as far as they were followed.
+
+    `energies`, J, are predicted since the battery was last measured, with their 1-sigma, J; NaN
+    where they are not known.
+    """
+
+    newest: list[tuple[float, float]] = field(default_factory=list)
+    smoothed: list[tuple[float, float]] = field(default_factory=list)
+    energies: list[tuple[float, float]] = field(default_factory=list)
 
 
 class LearnerReport(NamedTuple):
@@ -61,26 +130,14 @@ class Learner(Protocol):
     """
 
     gated: Counter[str]
-    learns: type[LearningEvent]
-    """Events that its updates learn from."""
+    learns_samples: bool
+    """Whether its updates learn from measured samples; else from intervals."""
 
-    def expect(self, samples: Sequence[Sample]) -> None:
-        """Prepare to predict these samples, before an update or a jump of time comes."""
-        return
+    def begin(self, moments: Moments) -> Predictions:
+        """Begin to follow a block; gives the predictions, which `follow` fills."""
 
-    def advance(self, sample: Sample) -> None:
-        """Let time pass up to a smoothed sample."""
-        return
-
-    def predict(self, sample: Sample) -> PowerPrediction:
-        """Power at a sample from what was learned from earlier samples and speed alone."""
-
-    def battery_measured(self, stamp_ns: int) -> None:
-        """Note that the battery was measured then, whether or not that is learned from."""
-        return
-
-    def observe(self, sample: Sample, power: float) -> None:
-        """Learn from a sample whose battery power, W, was measured."""
+    def follow(self, first: int, last: int) -> None:
+        """Let the steps from one place to before another happen: predict, and learn."""
 
     def add_interval(self, interval: Interval) -> bool:
         """Take an interval, its battery measured or not; gives whether an update is due."""
@@ -136,13 +193,23 @@ class Learner(Protocol):
         """Go on from a saved state; ValueError when it is not possible."""
 
 
-def gate(sample: Sample, power: float) -> str | None:
-    """Reason not to learn from a sample, or None."""
-    if sample.speed < REVERSE_SPEED:
-        return "reverse"
-    if abs(sample.speed) < STANDSTILL_SPEED and power < CHARGING_POWER:
-        return "charging"
-    return None
+def gates(samples: Samples, power: np.ndarray) -> list[str | None]:
+    """Reasons not to learn from samples, or None."""
+    standing = np.abs(samples.speed) < STANDSTILL_SPEED
+    charging = standing & (power < CHARGING_POWER)
+    reverse = samples.speed < REVERSE_SPEED
+    if not (charging.any() or reverse.any()):
+        return [None] * samples.size
+    return [
+        "reverse" if back else "charging" if charges else None
+        for back, charges in zip(reverse.tolist(), charging.tolist(), strict=True)
+    ]
+
+
+def admitted(measured: Measured) -> np.ndarray:
+    """Which samples may be learned from, shape (n,)."""
+    reasons = gates(measured.samples, measured.power)
+    return np.fromiter((reason is None for reason in reasons), bool, len(reasons))
 
 
 def gate_interval(interval: Interval) -> str | None:

@@ -6,11 +6,12 @@ motorway, mass wants acceleration.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Mapping
 
-from evpinn_ros.core.signals.sample import Sample
+import numpy as np
+
+from evpinn_ros.core.signals.sample import Samples
 
 SPEED_EDGES = (30, 60, 90, 120)  # km/h
 BRAKING, ACCELERATING = -0.3, 0.3  # m/s^2
@@ -24,11 +25,11 @@ class OperatingRange:
     def __init__(self) -> None:
         self._counts: Counter[tuple[int, int]] = Counter()
 
-    def add(self, sample: Sample) -> None:
-        """Count a sample that was learned from."""
-        speed = bisect_right(SPEED_EDGES, abs(sample.speed) * 3.6)
-        manner = bisect_right((BRAKING, ACCELERATING), sample.acceleration)
-        self._counts[speed, manner] += 1
+    def add(self, samples: Samples) -> None:
+        """Count samples that were learned from."""
+        speed = np.searchsorted(SPEED_EDGES, np.abs(samples.speed) * 3.6, side="right")
+        manner = np.searchsorted((BRAKING, ACCELERATING), samples.acceleration, side="right")
+        self._counts.update(zip(speed.tolist(), manner.tolist(), strict=True))
 
     def counts(self) -> Mapping[str, int]:
         """Samples by `<speed in km/h>_kmh_<manner>`, all of the map, zeros too."""

@@ -16,9 +16,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 
@@ -39,10 +38,12 @@ from evpinn_ros.core.estimation.journey import (
     wandered,
 )
 from evpinn_ros.core.estimation.learner import (
+    NO_MOMENTS,
     LearnerReport,
-    LearningEvent,
-    PowerPrediction,
-    gate,
+    Moments,
+    Predictions,
+    Step,
+    gates,
 )
 from evpinn_ros.core.estimation.parameter_set import TrustHysteresis, deviations, parameter_set
 from evpinn_ros.core.estimation.payload import PayloadDetector, SavedPayload, Stamp
@@ -56,25 +57,32 @@ from evpinn_ros.core.estimation.saved_car import (
 )
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import Warmth, equation_of
-from evpinn_ros.core.estimation.trim import MOST_TRIM_EVIDENCE, Persistence, Trim
+from evpinn_ros.core.estimation.trim import MOST_TRIM_EVIDENCE, Persistence, Trim, inputs_of
 from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import Samples
 from evpinn_ros.core.signals.sign_detectors import GradeDetector, SignDetector
 from evpinn_ros.core.vehicle.files import Vehicle
 
 SAMPLE_STEP = 0.1  # s that the first sample stands for
-POWERS_KEPT = 20  # latest powers of the car, of samples whose battery is yet to come
+AT_ONCE = 256  # samples whose power is computed together
+NO_ENERGY = (math.nan, math.nan)
 PARKED = 600.0  # s without speed, then it is another drive
 SILENT_NS = NANOSECONDS  # without a measured sample, then energy is predicted
 
 
-class _CarPower(NamedTuple):
-    """Power of the car without the trim, and its 1-sigma, W."""
+class _Ahead:
+    """Power of the car without the trim at samples, W, and its 1-sigma with noise, W.
 
-    power: float
-    sigma: float
+    They are computed some samples ahead, by one product, and anew once the car is another.
+    """
+
+    def __init__(self, samples: Samples) -> None:
+        self.samples, self.inputs = samples, list(inputs_of(samples))
+        self.speed, self.stamps = samples.speed.tolist(), samples.stamp_ns.tolist()
+        self.power, self.sigma = [0.0] * samples.size, [0.0] * samples.size
+        self.known = 0  # so many of them are
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +104,7 @@ class SavedPinn:
 class PinnLearner(Saveable[SavedPinn]):
     """Learner of `mode: hybrid`."""
 
-    learns: type[LearningEvent] = Interval
+    learns_samples = False
 
     def __init__(self, vehicle: Vehicle, *, seed: int = 0, keep_drives: bool = False) -> None:
         """Start at the vehicle's priors, with a network whose output is zero."""
@@ -109,10 +117,9 @@ class PinnLearner(Saveable[SavedPinn]):
         self._last_ns: int | None = None  # of what was learned from
         self._seen_ns: int | None = None  # of what was predicted
         self._passed = 0.0  # s that the newest predicted sample stands for
-        # Of the present car, by stamp and whether that was the newest moment.
-        self._powers: dict[tuple[int, bool], _CarPower] = {}
         self.gated: Counter[str] = Counter()
         self._tail = Tail(self._equation)
+        self.begin(NO_MOMENTS)
         self._measured_ns: int | None = None  # newest measured sample
         self._trimmed = 0.0  # J that the trim gave since then
         self._before: Journey | None = None  # from the last interval measured to that sample
@@ -120,59 +127,94 @@ class PinnLearner(Saveable[SavedPinn]):
         self._projected: tuple[ParameterSet, dict[str, float]] | None
         self._use(LearnedCar.new(self._equation))
 
-    def advance(self, sample: Sample) -> None:
+    def begin(self, moments: Moments) -> Predictions:
+        """Begin to follow a block; gives the predictions, which `follow` fills."""
+        self._moments, self._predictions = moments, Predictions()
+        self._newest, self._smoothed = _Ahead(moments.newest), _Ahead(moments.smoothed)
+        self._measured = _Ahead(moments.measured)
+        self._gates = gates(moments.measured, moments.power)
+        self._powers = moments.power.tolist()
+        self._accelerations = moments.measured.acceleration.tolist()
+        self._in_tail = 0  # smoothed samples of the block that are in the tail
+        self._silent: list[tuple[int, int | None, float]] = []
+        return self._predictions
+
+    def follow(self, first: int, last: int) -> None:
+        """Let the steps from one place to before another happen: predict, and learn."""
+        predictions = self._predictions
+        for kind, index in self._moments.steps[first:last]:
+            if kind is Step.NEWEST:
+                predictions.newest.append(self._predicted(self._newest, index)[0])
+            elif kind is Step.SMOOTHED:
+                self._advance(index)
+                prediction, correction = self._predicted(self._smoothed, index)
+                predictions.smoothed.append(prediction)
+                predictions.energies.append(NO_ENERGY)
+                self._follow_dropout(index, correction)
+            elif kind is Step.MEASURED:
+                self._observe(index)
+            else:
+                if self._silent:
+                    self._add_energies()
+                self._measured_ns = self._moments.battery_ns[index]
+                self._before, self._trimmed = None, 0.0
+        self._add_energies()
+
+    def _advance(self, index: int) -> None:
         """Let time pass up to a smoothed sample.
 
         After a pause of `PARKED`, or before what was last seen, the road is another. It is
         another drive when the two are that far apart: a clock that is set right by some seconds
         ends none.
         """
-        seen_ns, self._seen_ns = self._seen_ns, sample.stamp_ns
-        passed = 0.0 if seen_ns is None else (sample.stamp_ns - seen_ns) / NANOSECONDS
+        stamp_ns = self._smoothed.stamps[index]
+        seen_ns, self._seen_ns = self._seen_ns, stamp_ns
+        passed = 0.0 if seen_ns is None else (stamp_ns - seen_ns) / NANOSECONDS
         if abs(passed) > PARKED:
+            self._add_energies()
             self._begin_drive(goes_on=True)
         elif passed < 0.0:
+            self._add_energies()
             self._begin_tail()
             self._use(self._car.forget_road())
         self._passed = min(max(passed, 0.0), PARKED)
         self._trim.advance(self._passed)
 
-    def expect(self, samples: Sequence[Sample]) -> None:
-        """Compute the power of the car at samples, W, and its variance, W^2, at once."""
-        latest = islice(self._powers.items(), max(0, len(self._powers) - POWERS_KEPT), None)
-        self._powers = dict(latest)
-        self._compute(samples)
+    def _predicted(self, ahead: _Ahead, index: int) -> tuple[tuple[float, float], float]:
+        """Power of car and trim with its 1-sigma, W, and the trim's share of it, W."""
+        if index >= ahead.known:
+            self._compute(ahead, index)
+        correction = self._trim.correct(ahead.inputs[index], ahead.speed[index])
+        power = ahead.power[index] + correction.power
+        return (power, math.hypot(ahead.sigma[index], correction.sigma)), correction.power
 
-    def predict(self, sample: Sample) -> PowerPrediction:
-        """Power of car and trim, W, and the energy since the battery was last measured, J."""
-        car, correction = self._power(sample), self._trim.correct(sample)
-        noise = FORCE_NOISE * math.sqrt(self._model.noise[1]) * sample.speed
-        sigma = math.hypot(car.sigma, noise, POWER_NOISE, correction.sigma)
-        if sample.newest:
-            return PowerPrediction(car.power + correction.power, sigma)
-        self._tail.add(sample)
-        if self._measured_ns is not None and sample.stamp_ns > self._measured_ns:
-            since = (sample.stamp_ns - self._measured_ns) / NANOSECONDS
-            self._trimmed += correction.power * min(self._passed, since, MAX_STEP)
-        energy = self._energy_since_battery(sample.stamp_ns)
-        return PowerPrediction(car.power + correction.power, sigma, *energy)
+    def _follow_dropout(self, index: int, correction: float) -> None:
+        """Follow what the trim gives since the battery was last measured, W."""
+        stamp_ns, begin_ns = self._smoothed.stamps[index], self._measured_ns
+        if begin_ns is not None and stamp_ns > begin_ns:
+            since = (stamp_ns - begin_ns) / NANOSECONDS
+            self._trimmed += correction * min(self._passed, since, MAX_STEP)
+        if begin_ns is None or stamp_ns - begin_ns >= SILENT_NS:
+            self._silent.append((index, begin_ns, self._trimmed))
 
-    def battery_measured(self, stamp_ns: int) -> None:
-        """Count the energy of a dropout from here on."""
-        self._measured_ns, self._before, self._trimmed = stamp_ns, None, 0.0
-
-    def observe(self, sample: Sample, power: float) -> None:
+    def _observe(self, index: int) -> None:
         """Let the trim learn from a measured sample."""
-        step = self._step(sample)
-        reason = gate(sample, power)
-        if reason is not None:
+        ahead, power = self._measured, self._powers[index]
+        step = self._step(ahead.stamps[index])
+        if (reason := self._gates[index]) is not None:
             self.gated[reason] += 1
             return
-        self._sign = self._sign.after(sample, power, step)
+        speed = ahead.speed[index]
+        self._sign = self._sign.after(speed, self._accelerations[index], power, step)
         if (fault := self._sign.detected) is not None:
             self.gated[fault] += 1
             return
-        self._trim.learn(sample, power - self._power(sample).power, step)
+        latest = len(self._predictions.smoothed) - 1
+        if latest >= 0 and self._smoothed.stamps[latest] == ahead.stamps[index]:
+            ahead, index = self._smoothed, latest  # whose output the trim has
+        if index >= ahead.known:
+            self._compute(ahead, index)
+        self._trim.learn(ahead.inputs[index], speed, power - ahead.power[index], step)
 
     def add_interval(self, interval: Interval) -> bool:
         """Keep an interval for the next update."""
@@ -292,60 +334,63 @@ class PinnLearner(Saveable[SavedPinn]):
         """Use this car from now on."""
         self._car, self._model = car, car.model()
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
-        self._powers.clear()
+        for ahead in (self._newest, self._smoothed, self._measured):
+            ahead.known = 0
         self._projected = None
+
+    def _compute(self, ahead: _Ahead, first: int) -> None:
+        """Power of the car alone at the next samples, by one product for all."""
+        chosen, model = slice(first, first + AT_ONCE), self._model
+        samples = ahead.samples.where(chosen)
+        rows = self._equation.rows_of(samples, self._warmth)
+        left, _, _ = wandered(self._car.dropout.seconds)
+        rows[:, State.LOAD] = left
+        variance = np.einsum("ij,ij->i", rows @ model.covariance, rows)
+        variance += (1.0 - left**2) * model.load_variance
+        noise = POWER_NOISE**2 + FORCE_NOISE**2 * model.noise[1] * samples.speed**2
+        ahead.power[chosen] = (rows @ model.mean).tolist()
+        ahead.sigma[chosen] = np.sqrt(np.maximum(variance, 0.0) + noise).tolist()
+        ahead.known = first + samples.size
 
     def _begin_tail(self) -> None:
         """Join nothing to the samples before."""
         self._tail, self._trimmed = Tail(self._equation), 0.0
         self._measured_ns, self._before = None, None
 
-    def _energy_since_battery(self, stamp_ns: int) -> tuple[float, float]:
-        """Energy since the battery was last measured or a drive began, J, and its 1-sigma.
+    def _add_energies(self) -> None:
+        """Energies since the battery was last measured or a drive began, J, of silent samples.
 
-        NaN while the battery is measured.
+        All samples so far are in the tail then.
         """
-        car, begin_ns = self._car, self._measured_ns
-        if begin_ns is not None and stamp_ns - begin_ns < SILENT_NS:
-            return math.nan, math.nan
+        end = len(self._predictions.smoothed)
+        self._tail.extend(self._moments.smoothed.where(slice(self._in_tail, end)))
+        self._in_tail = end
+        silent, self._silent = self._silent, []
+        if not silent:
+            return
+        places, begins, trimmed = zip(*silent, strict=True)
+        stamps = self._moments.smoothed.stamp_ns[list(places)]
+        car, begin_ns = self._car, begins[0]
         if car.measured:
-            driven = self._driven(begin_ns or 0, stamp_ns)
+            driven = self._tail.between(begin_ns or 0, stamps, self._warmth)
         else:
             # Intervals begin where the battery was last known, a little before its last sample.
-            before = self._before or self._driven(car.known_ns, begin_ns or 0)
-            self._before = before
-            driven = car.dropout.plus(self._driven(car.end_ns, stamp_ns)).less(before)
-        energy, sigma = self._model.predicted(driven)
-        return energy + self._trimmed, sigma
+            if self._before is None:
+                end_ns = np.array([begin_ns or 0])
+                self._before = self._tail.between(car.known_ns, end_ns, self._warmth)
+            driven = self._tail.between(car.end_ns, stamps, self._warmth)
+            driven = driven.plus(car.dropout).less(self._before)
+        energies, sigmas = self._model.predicted(driven)
+        rows = zip(places, (energies + trimmed).tolist(), sigmas.tolist(), strict=True)
+        for place, energy, sigma in rows:
+            self._predictions.energies[place] = energy, sigma
 
-    def _driven(self, start_ns: int, end_ns: int) -> Journey:
-        """Journey of the newest samples between two stamps."""
-        return self._tail.between(start_ns, end_ns, self._warmth)
-
-    def _power(self, sample: Sample) -> _CarPower:
-        """Power of the car alone at a sample."""
-        key = sample.stamp_ns, sample.newest
-        if key not in self._powers:  # of an earlier car
-            self._compute([sample])
-        return self._powers[key]
-
-    def _compute(self, samples: Sequence[Sample]) -> None:
-        """Power of the car alone at samples, by one product for all."""
-        rows, model = self._equation.rows_of(samples, self._warmth), self._model
-        left, _, _ = wandered(self._car.dropout.seconds)
-        rows[:, State.LOAD] = left
-        variance = np.einsum("ij,ij->i", rows @ model.covariance, rows)
-        variance += (1.0 - left**2) * model.load_variance
-        powers, sigmas = rows @ model.mean, np.sqrt(np.maximum(variance, 0.0))
-        for sample, power, sigma in zip(samples, powers.tolist(), sigmas.tolist(), strict=True):
-            self._powers[sample.stamp_ns, sample.newest] = _CarPower(power, sigma)
-
-    def _step(self, sample: Sample) -> float:
-        """Seconds this sample stands for."""
-        last, self._last_ns = self._last_ns, sample.stamp_ns
+    def _step(self, stamp_ns: int) -> float:
+        """Seconds a measured sample stands for."""
+        last, self._last_ns = self._last_ns, stamp_ns
         if last is None:
             return SAMPLE_STEP
-        return min(MAX_STEP, max(1e-3, (sample.stamp_ns - last) / NANOSECONDS))
+        return min(MAX_STEP, max(1e-3, (stamp_ns - last) / NANOSECONDS))
 
 
 def new_learner(vehicle: Vehicle, settings: EstimatorSettings) -> PinnLearner:

@@ -10,6 +10,7 @@ Speeds and accelerations stay as they are.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, TypeVar, overload
 
@@ -23,6 +24,7 @@ from evpinn_ros.core.estimation.learner import LearnerReport
 from evpinn_ros.core.estimation.posterior import initial_state
 from evpinn_ros.core.estimation.states import SIZE, State
 from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.signals.block import FIELDS, Block
 from evpinn_ros.core.signals.readings import (
     AuxiliaryReading,
     BatteryReading,
@@ -33,7 +35,7 @@ from evpinn_ros.core.vehicle.files import EXTENSIVE, Vehicle
 
 PURE = ("1", "1/(10 K)")  # units of states that are the same of all sizes
 Value = TypeVar("Value")
-EXTENSIVE_FIELDS = {
+EXTENSIVE_FIELDS: Mapping[type[Reading], tuple[str, ...]] = {
     BatteryReading: ("current", "power_std"),
     AuxiliaryReading: ("heating", "others"),
     MotorReading: ("torque",),
@@ -55,11 +57,17 @@ class Similarity:
         self._states = np.full(SIZE, self.size)  # vehicle over car
         self._states[[state for state in State if state.unit in PURE]] = 1.0
 
-    def reading(self, reading: Reading) -> Reading:
-        """A reading of the vehicle as the car would have given it."""
+    def block(self, block: Block) -> Block:
+        """Readings of the vehicle as the car would have given them."""
         if self.size == 1.0:
-            return reading
-        return _scaled(reading, 1.0 / self.size, *EXTENSIVE_FIELDS.get(type(reading), ()))
+            return block
+        for kind, names in EXTENSIVE_FIELDS.items():
+            if kind in block.rows:
+                rows = block.rows[kind]
+                values = rows.values.copy()
+                values[[FIELDS[kind].index(name) for name in names]] *= 1.0 / self.size
+                block = block.with_rows(kind, rows._replace(values=values))
+        return block
 
     @overload
     def estimate(self, estimate: PowerEstimate) -> PowerEstimate: ...

@@ -9,17 +9,16 @@ beyond what that car with its sigmas allows, a vehicle of another size takes its
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import math
 from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.core.signals.block import Block, joined
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     BatteryReading,
-    Reading,
     SpeedReading,
     drawn_power,
 )
@@ -90,33 +89,39 @@ class Sizing:
     """Looks for the size of a vehicle during its first drive.
 
     Attributes:
-        readings: of the drive so far.
+        blocks: of the drive so far.
         over: True once nothing more is asked.
     """
 
     def __init__(self) -> None:
-        self.readings: list[Reading] = []
+        self.blocks: list[Block] = []
         self.over = False
         self._begin_ns: int | None = None
         self._look_ns = 0
 
-    def is_due(self, reading: Reading) -> bool:
-        """True if the time has come to `look` before this reading."""
-        if self._begin_ns is None:
-            self._begin_ns, self._look_ns = reading.stamp_ns, reading.stamp_ns + FIRST_LOOK_NS
-        if reading.stamp_ns < self._look_ns:
-            return False
-        passed_ns = reading.stamp_ns - self._begin_ns
-        self._look_ns = self._begin_ns + int(LATER_LOOK * passed_ns)
-        return True
+    def until_due(self, block: Block) -> int:
+        """How many readings of a block come before the time to `look`; all if it does not come."""
+        stamps = np.empty(block.length, np.int64)
+        for rows in block.rows.values():
+            stamps[rows.order] = rows.stamps
+        if self._begin_ns is None and len(stamps):
+            self._begin_ns = int(stamps[0])
+            self._look_ns = self._begin_ns + FIRST_LOOK_NS
+        due = np.flatnonzero(stamps >= self._look_ns)
+        if not len(due):
+            return block.length
+        passed_ns = int(stamps[due[0]]) - (self._begin_ns or 0)
+        self._look_ns = (self._begin_ns or 0) + int(LATER_LOOK * passed_ns)
+        return int(due[0])
 
     def look(self) -> Size | None:
         """A size that is no passenger car's; None while none is known."""
-        intervals = _intervals(self.readings)
+        readings = joined(self.blocks)
+        intervals = _intervals(readings)
         size, count = size_of(intervals), len(intervals.energy)
         is_car = size is not None and size.log_odds < 0.0 and count >= CAR_INTERVALS
         is_another = size is not None and size.is_another
-        spent = count > MOST_INTERVALS or len(self.readings) > MOST_READINGS
+        spent = count > MOST_INTERVALS or readings.length > MOST_READINGS
         self.over = is_another or is_car or spent
         return size if is_another else None
 
@@ -175,22 +180,19 @@ def _normal(value: float, mean: float, std: float) -> float:
     return -0.5 * ((value - mean) / std) ** 2 - math.log(std)
 
 
-def _intervals(readings: Sequence[Reading]) -> Intervals:
+def _intervals(readings: Block) -> Intervals:
     nothing = Intervals(np.empty((0, 5)), np.empty(0), math.nan)
-    speed = np.array([(r.stamp_ns, abs(r.speed)) for r in readings if isinstance(r, SpeedReading)])
-    battery = [
-        (r.stamp_ns, r.voltage, r.current) for r in readings if isinstance(r, BatteryReading)
-    ]
-    if not battery:
-        return nothing
-    stamps, voltage, current = np.array(battery).T
+    speeds, battery = readings.of_kind(SpeedReading), readings.of_kind(BatteryReading)
+    altitudes = readings.of_kind(AltitudeReading)
+    speed = np.column_stack((speeds.stamps, np.abs(speeds.values[0])))
+    stamps, (voltage, current, *_) = battery.stamps.astype(float), battery.values
     volts = np.flatnonzero(np.isfinite(voltage))
     use = np.isfinite(current)
     if min(len(speed), len(volts), int(np.count_nonzero(use))) < 2:
         return nothing
     paired = np.interp(stamps[use], stamps[volts], voltage[volts])  # each may come by itself
     power = np.column_stack((stamps[use], drawn_power(paired, current[use])))
-    height = [(r.stamp_ns, r.altitude) for r in readings if isinstance(r, AltitudeReading)]
+    height = np.column_stack((altitudes.stamps, altitudes.values[0]))
     begin_ns = max(speed[0, 0], power[0, 0])
     speed, power = _seconds(speed, begin_ns), _seconds(power, begin_ns)
     count = int((min(speed[-1, 0], power[-1, 0]) - 1.0) // INTERVAL)
@@ -203,7 +205,7 @@ def _intervals(readings: Sequence[Reading]) -> Intervals:
     step = (at[1:] + at[:-1]) / 2.0
     gain = np.diff(at**2) / 2.0
     if len(height) > 1:
-        levels = _seconds(np.array(height), begin_ns)
+        levels = _seconds(height, begin_ns)
         climb = np.diff(np.interp(second[::INTERVAL], *levels.T))
         gain = gain + GRAVITY * np.repeat(climb / INTERVAL, INTERVAL)
     columns = (np.maximum(gain, 0.0), np.maximum(-gain, 0.0), GRAVITY * step, 0.6 * step**3,

@@ -25,7 +25,6 @@ physics.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import IntEnum
 from functools import lru_cache
 import math
@@ -42,7 +41,7 @@ from evpinn_ros.core.estimation.network import (
 from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State, prior_of
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import Conditions
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import Samples
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.physics import GRAVITY
 
@@ -346,15 +345,35 @@ class Equation:
         apart[:, State.CLIMB] = np.abs(steps.distance) / max(np.abs(steps.distance).sum(), 1e-9)
         return np.stack((wheels.driving @ apart, (1.0 - wheels.driving) @ apart))
 
-    def rows_of(self, samples: Sequence[Sample], warmth: Warmth) -> np.ndarray:
+    def rows_of(self, samples: Samples, warmth: Warmth) -> np.ndarray:
         """Power at n samples by each state, W per unit, shape (n, SIZE): the energy of 1 s."""
-        rows = np.empty((len(samples), SIZE))
-        steps, conditions, motor = unit_steps(samples)
+        v = np.abs(samples.speed)
+        flow = v + samples.head_wind
+        kinetic = samples.speed * samples.acceleration
+        climb = samples.speed * np.sin(samples.grade)
+        power = samples.motor_power
+        drive, brake = np.maximum(power, 0.0), np.maximum(-power, 0.0)
+        moved = np.ones_like(v), v, flow * np.abs(flow) * v, kinetic, climb, drive, brake
+        return self.rows_along(moved, samples, warmth)
+
+    def rows_along(
+        self, moved: tuple[np.ndarray, ...], samples: Samples, warmth: Warmth
+    ) -> np.ndarray:
+        """Energy of n steps by each state, J per unit, shape (n, SIZE).
+
+        Args:
+            moved: columns of `Steps`, shape (n,) each.
+            samples: the ends of the steps.
+            warmth: of tyres and cabin.
+        """
+        motor, conditions = motor_of(samples), conditions_of(samples)
+        if not motor.any():
+            return self.rows(Steps._make((*moved, True)), conditions, warmth)
+        rows = np.empty((samples.size, SIZE))
         for kind in np.unique(motor).tolist():
             chosen = motor == kind
-            columns = (column[chosen] for column in steps)
-            of_kind = Steps._make((*columns, kind != Motor.UNSCALED))
-            rows[chosen] = self.rows(of_kind, chosen_rows(conditions, chosen), warmth)
+            steps = Steps._make((*(c[chosen] for c in moved), kind != Motor.UNSCALED))
+            rows[chosen] = self.rows(steps, chosen_rows(conditions, chosen), warmth)
         return rows
 
     def of_steps(self, steps: Steps, conditions: Conditions) -> Wheels:
@@ -409,30 +428,10 @@ class Motor(IntEnum):
     KNOWN = 2
 
 
-def unit_steps(
-    samples: Sequence[Sample],
-) -> tuple[tuple[np.ndarray, ...], Conditions, np.ndarray]:
-    """Samples as steps of 1 s, so that energy is power.
-
-    Returns:
-        The columns of `Steps`, the conditions as arrays, and the `Motor` of each, shape (n,) each.
-    """
-    columns = np.array([
-        (
-            s.speed, s.acceleration, s.grade, s.motor_power, s.motor_scaled, s.air_density,
-            s.head_wind, MILD_CELSIUS if s.celsius is None else s.celsius,
-            s.known_auxiliary, s.doubted_load,
-        ) for s in samples
-    ]).T  # fmt: skip
-    speed, acceleration, grade, power, scaled, density, wind, celsius, load, doubted = columns
-    v = np.abs(speed)
-    flow = v + wind
-    motor = np.where(np.isnan(power), Motor.UNKNOWN, np.where(scaled, Motor.KNOWN, Motor.UNSCALED))
-    kinetic, climb = speed * acceleration, speed * np.sin(grade)
-    drive, brake = np.maximum(power, 0.0), np.maximum(-power, 0.0)
-    known = (load > 0.0) | (doubted > 0.0)
-    steps = np.ones_like(v), v, flow * np.abs(flow) * v, kinetic, climb, drive, brake
-    return steps, Conditions(density, wind, celsius, load, known, doubted), motor
+def motor_of(samples: Samples) -> np.ndarray:
+    """What is known of the motor's power at each sample (`Motor`), shape (n,)."""
+    known = np.where(samples.motor_scaled, Motor.KNOWN, Motor.UNSCALED)
+    return np.where(np.isnan(samples.motor_power), Motor.UNKNOWN, known)
 
 
 @lru_cache(maxsize=16)
@@ -447,13 +446,9 @@ def coldness(celsius: Any) -> Any:
     return below * (below > 0.0) / 10.0
 
 
-def conditions_of(sample: Sample) -> Conditions:
-    """Surroundings of a sample."""
-    return Conditions(
-        sample.air_density,
-        sample.head_wind,
-        sample.celsius,
-        sample.known_auxiliary,
-        sample.known_auxiliary > 0.0 or sample.doubted_load > 0.0,
-        sample.doubted_load,
-    )
+def conditions_of(samples: Samples) -> Conditions:
+    """Surroundings of samples; a temperature that is not known is that of a mild day."""
+    celsius = np.where(np.isnan(samples.celsius), MILD_CELSIUS, samples.celsius)
+    load, doubted = samples.known_auxiliary, samples.doubted_load
+    known = (load > 0.0) | (doubted > 0.0)
+    return Conditions(samples.air_density, samples.head_wind, celsius, load, known, doubted)

@@ -21,7 +21,7 @@ import numpy as np
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.journey import FORCE_NOISE, POWER_NOISE
 from evpinn_ros.core.signals.kinematics import PROFILE
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import Samples
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 UNITS = 16
@@ -116,22 +116,22 @@ class Trim:
         self._away = np.zeros(len(self._prior))  # of the weights from where they start
         # The covariance is `_scale` times `_shape`: to let all of it fade costs one product.
         self._shape, self._scale = np.diag(self._prior), 1.0
-        self._buffer = np.empty_like(self._shape)
+        self._buffer, self._gradient = np.empty_like(self._shape), np.ones(len(self._prior))
         self.evidence, self.persistence = 0.0, Persistence()
         self._age = 0.0  # s since it last learned
         # Weights at a moment and the s since, to be compared with what comes.
         self._snapshot: tuple[np.ndarray, float] | None = None
-        self._newest: tuple[Sample, _Output] | None = None  # at these weights
+        self._newest: tuple[np.ndarray, _Output] | None = None  # at these weights
 
     @property
     def share(self) -> float:
         """Probability that the trim explains more than none."""
         return 1.0 / (1.0 + math.exp(-min(max(self.evidence, -MOST_ODDS), MOST_ODDS)))
 
-    def correct(self, sample: Sample) -> Correction:
-        """Power that the trim adds at a sample, weighted by its evidence."""
-        output = self._output(sample)
-        reach = self.share * abs(sample.speed)
+    def correct(self, inputs: np.ndarray, speed: float) -> Correction:
+        """Power that the trim adds at a row of `inputs_of` and a speed, m/s, by its evidence."""
+        output = self._output(inputs)
+        reach = self.share * abs(speed)
         power = reach * output.force * self.persistence.share_after(self._age)
         return Correction(power, reach * math.sqrt(max(0.0, output.variance)))
 
@@ -149,18 +149,17 @@ class Trim:
             self._shape, self._scale = self._scale * self._shape, 1.0
         self._shape.flat[:: len(self._prior) + 1] += (1.0 - keep**2) / self._scale * self._prior
 
-    def learn(self, sample: Sample, residual: float, duration: float) -> None:
+    def learn(self, inputs: np.ndarray, speed: float, residual: float, duration: float) -> None:
         """Learn what the car leaves of power, W, at a sample that stands for some s."""
-        v = abs(sample.speed)
+        v = abs(speed)
         if v < STANDSTILL_SPEED:
             return
-        self._compare(sample, residual / v)
-        output, self._newest = self._output(sample), None
+        self._compare(inputs, residual / v)
+        output, self._newest = self._output(inputs), None
         error = residual - v * output.force
         noise = POWER_NOISE**2 + (FORCE_NOISE * v) ** 2
-        with_it, without = (
-            min(0.5 * miss**2 / (noise * TEMPERATURE), MOST_LOSS) for miss in (error, residual)
-        )
+        blunt = 0.5 / (noise * TEMPERATURE)
+        with_it, without = min(blunt * error**2, MOST_LOSS), min(blunt * residual**2, MOST_LOSS)
         evidence = self.evidence * math.exp(-duration / EVIDENCE_TIME)
         self.evidence = evidence + duration * (without - with_it)
         variance = v**2 * output.variance + noise * CORRELATED
@@ -168,44 +167,43 @@ class Trim:
         gain = (v * self._scale / (variance * beyond**2)) * output.along
         self._away = self._away + error * gain
         np.dot(gain[:, None], v * output.along[None], out=self._buffer)
-        self._shape -= self._buffer
+        np.subtract(self._shape, self._buffer, out=self._shape)
         self._age = 0.0
         self._snapshot = self._snapshot or (self._away, 0.0)
 
-    def _compare(self, sample: Sample, force: float) -> None:
+    def _compare(self, inputs: np.ndarray, force: float) -> None:
         """Compare the force that is measured, N, with what the trim gave `AHEAD` before."""
         if self._snapshot is None or self._snapshot[1] < AHEAD:
             return
         (away, age), self._snapshot = self._snapshot, None
         if age < TRIM_SECONDS:
-            hidden, outer = self._hidden(_inputs(sample), math.exp(-age / TRIM_SECONDS) * away)
+            hidden, outer = self._hidden(inputs, math.exp(-age / TRIM_SECONDS) * away)
             self.persistence.learn(float(outer[:-1] @ hidden + outer[-1]), force, age)
 
-    def _output(self, sample: Sample) -> _Output:
-        """Output at a sample; that of the newest one is learned from next, at the same weights."""
-        if self._newest is not None and self._newest[0] is sample:
+    def _output(self, inputs: np.ndarray) -> _Output:
+        """Output at a row; that of the last one is learned from next, at the same weights."""
+        if self._newest is not None and self._newest[0] is inputs:
             return self._newest[1]
-        inputs, count = _inputs(sample), self._start.size
+        count = self._start.size
         hidden, outer = self._hidden(inputs, self._away)
-        gradient = np.ones(len(self._prior))
+        gradient = self._gradient
         slope = outer[:-1] * (1.0 - hidden * hidden)
         np.multiply(slope[:, None], inputs, out=gradient[:count].reshape(self._start.shape))
         gradient[count:-1] = hidden
-        along = self._shape @ gradient
-        variance = self._scale * float(gradient @ along)
-        output = _Output(float(outer[:-1] @ hidden + outer[-1]), variance, along)
-        self._newest = sample, output
+        along = np.dot(self._shape, gradient)
+        variance = self._scale * float(np.dot(gradient, along))
+        output = _Output(float(np.dot(outer[:-1], hidden) + outer[-1]), variance, along)
+        self._newest = inputs, output
         return output
 
     def _hidden(self, inputs: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Output of each unit, (UNITS,), and the weights of these, the last of a constant."""
         count = self._start.size
         inner = self._start + away[:count].reshape(self._start.shape)
-        return np.tanh(inner @ inputs), away[count:]
+        return np.tanh(np.dot(inner, inputs)), away[count:]
 
 
-def _inputs(sample: Sample) -> np.ndarray:
-    """Inputs of the units at a sample, the last for their bias, shape (INPUTS + 1,)."""
-    profile = sample.profile or (0.0,) * PROFILE
-    raw = np.array((sample.speed, sample.acceleration, *profile, 1.0))
-    return np.asarray((raw - INPUT_CENTRE) / INPUT_SCALE)
+def inputs_of(samples: Samples) -> np.ndarray:
+    """Inputs of the units at samples, the last for their bias, shape (n, INPUTS + 1)."""
+    columns = samples.speed, samples.acceleration, samples.profile, np.ones(samples.size)
+    return np.asarray((np.column_stack(columns) - INPUT_CENTRE) / INPUT_SCALE)

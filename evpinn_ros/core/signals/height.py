@@ -13,7 +13,7 @@ from evpinn_ros.core.signals.detector import ALTITUDE_STUCK, ONE_ALTITUDE
 
 REACH = 75.0  # m to either side over which heights are averaged; GNSS and barometers stray
 LEAST_STEP = 0.5  # m between two heights that are kept; a standing car adds none
-LENGTH = 2000.0  # m of road kept
+MARGIN = 4.0 * REACH  # m of road kept behind, where a car may reverse
 KNOWN_WITHIN = 300.0  # m since the last height, then the height counts as unknown
 STEEPEST = 0.3  # rise over run of the steepest streets
 LEAP = 30.0  # m more than that between two altitudes; GNSS strays less once it has a fix
@@ -80,30 +80,31 @@ class HeightProfile:
             before = self._integral[-1] + step * (height + self._height[-1]) / 2
         for column, value in zip(self._columns, (odometer, height, before), strict=True):
             column.append(value)
-        if self._odometer[len(self._odometer) // 2] < odometer - LENGTH:
-            surplus = bisect_left(self._odometer, odometer - LENGTH)
+
+    def forget_before(self, odometer: float) -> None:
+        """Forget the heights that no average from this place on needs."""
+        surplus = bisect_left(self._odometer, odometer - MARGIN) - 1
+        if surplus > 0:
             for column in self._columns:
                 del column[:surplus]
 
-    def known_at(self, odometer: float) -> bool:
-        """True if heights are measured where the car is."""
-        return bool(self._odometer) and odometer - self._odometer[-1] < KNOWN_WITHIN
+    @property
+    def known(self) -> tuple[int, float]:
+        """How many heights are known, and up to where, m by the odometer."""
+        return len(self._odometer), self._odometer[-1] if self._odometer else -math.inf
 
-    def reaches(self, odometer: float) -> bool:
-        """True if heights are measured up to a place, so that its average changes no more."""
-        return bool(self._odometer) and self._odometer[-1] >= odometer
-
-    def means_around(self, odometers: np.ndarray) -> np.ndarray | None:
+    def means_around(self, odometers: np.ndarray, known: int) -> np.ndarray | None:
         """Heights averaged `REACH` to either side of places, m, as far as known, shape (n,).
 
-        None where one of them is not known.
+        By the first `known` of them; None where one of the places is not among these.
         """
-        if not self._odometer:
+        if not known:
             return None
-        begin, end = self._odometer[0], self._odometer[-1]
+        begin, end = self._odometer[0], self._odometer[known - 1]
         if odometers.min() < begin - REACH or odometers.max() > end + REACH:
             return None
-        road, height, integral = map(np.array, self._columns)
+        near = slice(max(0, bisect_left(self._odometer, odometers.min() - REACH) - 1), known)
+        road, height, integral = (np.array(column[near]) for column in self._columns)
         low, high = np.maximum(odometers - REACH, begin), np.minimum(odometers + REACH, end)
         length = high - low
         mean = (np.interp(high, road, integral) - np.interp(low, road, integral)) / np.maximum(

@@ -13,20 +13,20 @@ Within an interval, steps of at least `STEP` keep driving and braking apart.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.core.signals.height import REACH, HeightProfile
+from evpinn_ros.core.signals.height import KNOWN_WITHIN, REACH, HeightProfile
 from evpinn_ros.core.signals.kinematics import LAG_TOLERANCE_NS, SpeedTrack
 from evpinn_ros.core.signals.power import BatteryTrack, MotorTrack
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.signals.road import Conditions, Road
+from evpinn_ros.core.signals.track import BEFORE, LATER
 
 STEP = 0.5  # s, shortest step within an interval
 DURATION = 10.0  # s, shortest interval, but for one that a dropout or a gap ends
@@ -106,15 +106,38 @@ class Interval:
 
 @dataclass(slots=True)
 class _Edge:
-    """The border between two steps."""
+    """The border between two steps.
+
+    Attributes:
+        stamp_ns: the moment.
+        order: place in the order of arrival at which it was added.
+        odometer: m.
+        air: integral of the air's flow since the start, m^3/s^2.
+        motor: energy of driving and of braking since the edge before, J.
+        conditions: around it.
+        leapt: whether speed did since the edge before, by more than tyres can.
+        heights: how many heights were known once it was added.
+        seen: how far heights were known then, m by the odometer.
+        speed: m/s, once an interval ends.
+    """
 
     stamp_ns: int
+    order: int
     odometer: float
     air: float
     motor: tuple[float, float]
     conditions: Conditions
-    leapt: bool  # speed, by more than tyres can, since the edge before
-    speed: float = math.nan  # m/s, once an interval ends
+    leapt: bool
+    heights: int
+    seen: float
+    speed: float = math.nan
+
+
+class _Complete(NamedTuple):
+    """Edges of an interval that waits for what lies around it."""
+
+    edges: Sequence[_Edge]
+    order: int
 
 
 class IntervalBuilder:
@@ -138,17 +161,35 @@ class IntervalBuilder:
         self._height = HeightProfile()
         self._settled_ns = max(late_ns, EDGE_AHEAD_NS)
         self._edges: list[_Edge] = []
-        self._complete: deque[list[_Edge]] = deque()
-        self._passed: deque[tuple[int, float]] = deque(maxlen=PASSED)
-        self._odometer = self._air = 0.0
+        self._complete: deque[_Complete] = deque()
+        self._passed: deque[_Edge] = deque(maxlen=PASSED)
+        self._last: _Edge | None = None
 
-    def intervals(self) -> Iterator[Interval]:
-        """Take what the tracks hold since the last call; give the intervals that are ready."""
-        settled_ns = self._speed.newest_ns - self._settled_ns
-        for stamp_ns in self._next_edges(settled_ns):
-            self._add_edge(stamp_ns)
-        while self._complete and self._ready(self._complete[0][-1]):
-            yield from self._split(self._complete.popleft())
+    @property
+    def needed_ns(self) -> int:
+        """Earliest moment that intervals yet to come look at, ns."""
+        first = self._complete[0].edges if self._complete else self._edges
+        return first[0].stamp_ns if first else LATER
+
+    def intervals(self, orders: np.ndarray, stamps: np.ndarray) -> Iterator[tuple[int, Interval]]:
+        """Take what the tracks hold since the last call; give the intervals that are ready.
+
+        Each with the place in the order of arrival at which it is.
+
+        Args:
+            orders: places of the new speeds.
+            stamps: of them, ns.
+        """
+        added = self._add_edges(orders, stamps)
+        ready = 0
+        while self._complete:
+            ready = self._ready(self._complete[0], added, orders, stamps, ready)
+            if ready == len(orders):
+                return
+            order = int(orders[ready])
+            known = next(edge.heights for edge in reversed(added) if edge.order <= order)
+            for interval in self._split(self._complete.popleft().edges, order, known):
+                yield order, interval
 
     def finish(self) -> Iterator[Interval]:
         """The intervals that are waiting, with what is known now: the drive ends, or a gap."""
@@ -156,92 +197,146 @@ class IntervalBuilder:
             self._end()
         self._edges = []
         while self._complete:
-            yield from self._split(self._complete.popleft())
+            yield from self._split(self._complete.popleft().edges, LATER, self._height.known[0])
 
-    @property
-    def duration(self) -> float:
-        """Shortest interval at the rates of the signals, s."""
-        period = max(self._speed.cadence.period, self._battery.period)
-        return max(DURATION, READINGS * period)
+    def settle(self) -> None:
+        """Take all as come before."""
+        self._complete = deque(part._replace(order=BEFORE) for part in self._complete)
+        pending = self._complete[0].edges if self._complete else self._edges
+        if pending:
+            self._height.forget_before(pending[0].odometer)
+        if self._last is not None:
+            self._last.order, self._last.heights = BEFORE, self._height.known[0]
 
-    def _next_edges(self, settled_ns: int) -> list[int]:
+    def _add_edges(self, orders: np.ndarray, stamps: np.ndarray) -> list[_Edge]:
+        """Take the edges up to the moments from which more may come; give the last and them."""
+        edge_ns = self._next_edges(int(stamps[-1]) - self._settled_ns)
+        last = self._last
+        added = [] if last is None else [last]
+        if not len(edge_ns):
+            return added
+        by = orders[np.searchsorted(stamps, edge_ns + self._settled_ns)]
+        conditions = self._road.conditions(edge_ns, by)
+        motion = self._speed.driven(
+            edge_ns if last is None else np.append(last.stamp_ns, edge_ns),
+            conditions.head_wind[last is None :],
+        )
+        distance, air, leaps = (column.tolist() for column in motion)
+        if last is None:
+            distance, air, leaps = [0.0, *distance], [0.0, *air], [False, *leaps]
+        rows = zip(*(column.tolist() for column in conditions), strict=True)
+        for place, (stamp_ns, order, row) in enumerate(
+            zip(edge_ns.tolist(), by.tolist(), rows, strict=True)
+        ):
+            around = Conditions(*row)
+            if math.isnan(around.celsius):
+                around = around._replace(celsius=None)
+            way = (self._last.odometer if self._last else 0.0) + distance[place]
+            flow = (self._last.air if self._last else 0.0) + air[place]
+            motor = math.nan, math.nan
+            if self._edges:
+                motor = self._motor.energy(self._edges[-1].stamp_ns, stamp_ns, order)
+            edge = _Edge(stamp_ns, order, way, flow, motor, around, leaps[place], 0, -math.inf)
+            self._add_edge(edge)
+            added.append(edge)
+        return added
+
+    def _next_edges(self, settled_ns: int) -> np.ndarray:
         """Stamps of speed at least `STEP` apart, up to the moment from which more may come."""
         stamps = self._speed.stamps
-        last = self._edges[-1].stamp_ns if self._edges else None
-        first = 0 if last is None else bisect_right(stamps, last)
-        edges = []
-        for stamp_ns in stamps[first : bisect_right(stamps, settled_ns)]:
-            if last is None or stamp_ns - last >= STEP * NANOSECONDS - LAG_TOLERANCE_NS:
-                edges.append(stamp_ns)
-                last = stamp_ns
-        return edges
+        stamps = stamps[: np.searchsorted(stamps, settled_ns, side="right")]
+        least_ns = int(STEP * NANOSECONDS) - LAG_TOLERANCE_NS
+        if self._last is None:
+            place = 0
+        else:
+            place = int(np.searchsorted(stamps, self._last.stamp_ns + least_ns))
+        places = []
+        while place < len(stamps):
+            places.append(place)
+            place = int(np.searchsorted(stamps, stamps[place] + least_ns))
+        return np.asarray(stamps[places])
 
-    def _add_edge(self, stamp_ns: int) -> None:
-        conditions = self._road.conditions(stamp_ns)
-        motor, leapt = (math.nan, math.nan), False
-        if self._edges:
-            last = self._edges[-1].stamp_ns
-            leapt = self._speed.leaps(last, stamp_ns)
-            distance, air = self._speed.travelled(last, stamp_ns, conditions.head_wind)
-            self._odometer, self._air = self._odometer + distance, self._air + air
-            motor = self._motor.energy(last, stamp_ns)
-        edge = _Edge(stamp_ns, self._odometer, self._air, motor, conditions, leapt)
-        self._passed.append((stamp_ns, self._odometer))
-        stamps, odometers = zip(*self._passed, strict=True)
-        for place, height in self._road.heights(stamps, odometers):
-            self._height.add(place, height)
+    def _add_edge(self, edge: _Edge) -> None:
+        self._passed.append(edge)
+        if self._road.shows_heights:
+            stamps = [passed.stamp_ns for passed in self._passed]
+            odometers = [passed.odometer for passed in self._passed]
+            for place, height in self._road.heights(stamps, odometers, edge.order):
+                self._height.add(place, height)
+        edge.heights, edge.seen = self._height.known
+        self._last = edge
         self._edges.append(edge)
-        whole_ns = int(self.duration * NANOSECONDS) - LAG_TOLERANCE_NS
-        if stamp_ns - self._edges[0].stamp_ns >= whole_ns:
+        period = max(self._speed.period(edge.order), self._battery.period(edge.order))
+        whole_ns = int(max(DURATION, READINGS * period) * NANOSECONDS) - LAG_TOLERANCE_NS
+        if edge.stamp_ns - self._edges[0].stamp_ns >= whole_ns:
             self._end()
             self._edges = [edge]
 
     def _end(self) -> None:
         """Let the edges so far be an interval; smooth speed at those where it is not known."""
         new = [edge for edge in self._edges if math.isnan(edge.speed)]
-        speeds, _ = self._speed.smoothed([edge.stamp_ns for edge in new], EDGE_AHEAD_NS)
+        speeds = self._speed.smoothed(np.array([edge.stamp_ns for edge in new]), EDGE_AHEAD_NS)
         for edge, speed in zip(new, speeds.tolist(), strict=True):
             edge.speed = speed
-        self._complete.append(self._edges)
+        self._complete.append(_Complete(self._edges, self._edges[-1].order))
 
-    def _ready(self, end: _Edge) -> bool:
-        """True if all is known, by what may come no more: whatever the order of arrival."""
-        settled_ns = self._speed.newest_ns - self._settled_ns
-        if settled_ns - end.stamp_ns > WAIT_NS:
-            return True
-        after_ns = self._battery.next_ns(end.stamp_ns)
-        battery = after_ns is not None and after_ns <= settled_ns
-        dropout = settled_ns - end.stamp_ns > self._battery.gap_ns
-        known = self._height.known_at(self._odometer)
-        height = not known or self._height.reaches(end.odometer + REACH)
-        return (battery or dropout) and height
+    def _ready(
+        self,
+        part: _Complete,
+        added: Sequence[_Edge],
+        orders: np.ndarray,
+        stamps: np.ndarray,
+        first: int,
+    ) -> int:
+        """Which of the new speeds, from `first` on, makes a part ready; their number if none.
 
-    def _split(self, edges: list[_Edge]) -> Iterator[Interval]:
-        """The interval between edges, or two of it where the battery drops out or comes back."""
-        stamps = [edge.stamp_ns for edge in edges]
-        measured = self._battery.covered(stamps).tolist()
+        All is known then, by what may come no more, whatever the order of arrival.
+        """
+        end = part.edges[-1]
+        first = max(first, int(np.searchsorted(orders, part.order)))
+        settled_ns = stamps[first:] - self._settled_ns - end.stamp_ns
+        waited = int(np.searchsorted(settled_ns, WAIT_NS, side="right"))
+        settled_ns, by = settled_ns[:waited], orders[first : first + waited]
+        (after_ns,), (came,) = self._battery.first_after(np.array([end.stamp_ns]))
+        battery = (came <= by) & (after_ns - end.stamp_ns <= settled_ns)
+        dropout = settled_ns > self._battery.gap_ns(by)
+        edge = np.searchsorted([edge.order for edge in added], by, side="right") - 1
+        way = np.array([edge.odometer for edge in added])[edge]
+        seen = np.array([edge.seen for edge in added])[edge]
+        height = (way - seen >= KNOWN_WITHIN) | (seen >= end.odometer + REACH)
+        ready = np.flatnonzero((battery | dropout) & height)
+        return first + (int(ready[0]) if len(ready) else waited)
+
+    def _split(self, edges: Sequence[_Edge], by: int, heights: int) -> Iterator[Interval]:
+        """The interval between edges, or two of it where the battery drops out or comes back.
+
+        By a place in the order of arrival, when so many heights are known.
+        """
+        stamps = np.array([edge.stamp_ns for edge in edges])
+        measured = self._battery.covered(stamps, by).tolist()
         first = 0
         for last in range(1, len(edges)):
             if last == len(edges) - 1 or measured[last] != measured[last - 1]:
-                yield self._interval(edges[first : last + 1])
+                yield self._interval(edges[first : last + 1], by, heights)
                 first = last
 
-    def _interval(self, edges: list[_Edge]) -> Interval:
+    def _interval(self, edges: Sequence[_Edge], by: int, known: int) -> Interval:
         start, end = edges[0], edges[-1]
-        measured = self._battery.energy(start.stamp_ns, end.stamp_ns)
-        heights = self._height.means_around(np.array([edge.odometer for edge in edges]))
+        measured = self._battery.energy(start.stamp_ns, end.stamp_ns, by)
+        odometers = np.array([edge.odometer for edge in edges])
+        heights = self._height.means_around(odometers, known)
         climb = np.zeros(len(edges) - 1) if heights is None else np.diff(heights)
         drive, brake = np.array([edge.motor for edge in edges[1:]]).T
         speed = np.array([edge.speed for edge in edges])
         steps = Steps(
             duration=np.diff([edge.stamp_ns for edge in edges]) / NANOSECONDS,
-            distance=np.diff([edge.odometer for edge in edges]),
+            distance=np.diff(odometers),
             air=np.diff([edge.air for edge in edges]),
             kinetic=np.diff(speed**2) / 2,
             climb=climb,
             motor_drive=drive,
             motor_brake=brake,
-            motor_scaled=self._motor.scaled,
+            motor_scaled=bool(self._motor.scaled(by)),
         )
         return Interval(
             start_ns=start.stamp_ns,

@@ -9,11 +9,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
-from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import pairwise
-import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +18,7 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.signals.track import SignalTrack
 
 SMOOTHING_BACK = 0.5  # s of past speed in the local quadratic
+SMOOTHED_AT_ONCE = 2000  # moments
 MIN_POINTS = 3  # of a local quadratic: as many as it has coefficients
 MAX_ACCELERATION = 15.0  # m/s^2, beyond tyres: a fault of the speed signal
 LEAST_LEAP = 1.0  # m/s, beyond the resolution of any bus
@@ -29,6 +26,7 @@ LAG_TOLERANCE_NS = 10_000_000  # ns a reading may come early and still count as 
 
 # Spans around a moment whose slope of speed is in the acceleration profile, s after it.
 PROFILE_EDGES = np.array([(0.1, 0.3), (-0.3, -0.1), (-0.6, -0.4)])
+PROFILE_NS = np.rint(PROFILE_EDGES * NANOSECONDS).astype(np.int64)
 PROFILE = len(PROFILE_EDGES)
 
 TAPS = 10  # speed differences in the causal differentiator
@@ -36,81 +34,72 @@ TAP_PERIOD = 0.1  # s between them
 INITIAL_TAPS = 4  # the first guess is the mean slope over this many
 TAP_STD = 0.2  # 1-sigma of a weight before learning
 LOOK_BACK_NS = int((TAPS + 2) * TAP_PERIOD * NANOSECONDS)  # of speed that a moment rests on
+LEARNED_AT_ONCE = 2000  # accelerations
 TARGET_STD = 0.2  # m/s^2, how far smoothed and causal acceleration lie apart
+
+
+class Driven(NamedTuple):
+    """What was driven between moments, shape (n - 1,) each.
+
+    Attributes:
+        distance: m.
+        air: integral of the air's flow, m^3/s^2.
+        leaps: whether speed changed by more than tyres can between two readings: wheels that slip
+            or lock do that, and a fault of the signal; its resolution does not.
+    """
+
+    distance: np.ndarray
+    air: np.ndarray
+    leaps: np.ndarray
 
 
 class SpeedTrack(SignalTrack):
     """The latest speeds, m/s, in order of stamps."""
 
-    def __len__(self) -> int:
-        return len(self.stamps)
-
-    def leaps(self, begin_ns: int, end_ns: int) -> bool:
-        """True if speed changed by more than tyres can between two readings from begin to end.
-
-        Wheels that slip or lock do that, and a fault of the signal; its resolution does not.
-        """
-        first, last = bisect_left(self.stamps, begin_ns), bisect_right(self.stamps, end_ns)
-        return any(
-            abs(after - before)
-            > LEAST_LEAP + MAX_ACCELERATION * abs(next_ns - stamp_ns) / NANOSECONDS
-            for (stamp_ns, before), (next_ns, after) in pairwise(
-                zip(self.stamps[first:last], self.values[first:last], strict=True)
-            )
-        )
-
     @property
     def newest_ns(self) -> int:
         """Stamp of the newest speed; the track must not be empty."""
-        return self.stamps[-1]
+        return int(self.stamps[-1])
 
-    @property
-    def newest(self) -> float:
-        """The newest speed, m/s; the track must not be empty."""
-        return self.values[-1]
+    def driven(self, stamps: np.ndarray, head_wind: np.ndarray) -> Driven:
+        """What was driven between the stamps of n speeds.
 
-    def restart(self, gap: float) -> None:
-        """Forget the speeds before a gap, s; of a slow signal it is a step like others."""
-        self.cadence.add_step(gap)
-        self.stamps.clear()
-        self.values.clear()
-
-    def travelled(self, start_ns: int, end_ns: int, head_wind: float) -> tuple[float, float]:
-        """Distance, m, and integral of the air's flow, m^3/s^2, between two speeds' stamps.
-
-        Between readings speed is linear, so both are exact while the flow keeps its sign
-        (Simpson's rule is, for cubes).
+        Between readings speed is linear, so distance and flow are exact while the flow keeps its
+        sign (Simpson's rule is, for cubes).
 
         Args:
-            start_ns: stamp of a speed.
-            end_ns: the same, later.
-            head_wind: m/s, see `Sample`.
+            stamps: ns, in order.
+            head_wind: between them, m/s, see `Sample`, shape (n - 1,).
         """
-        first, last = bisect_left(self.stamps, start_ns), bisect_right(self.stamps, end_ns)
-        speed = np.array(self.values[first:last])
-        step = np.diff(self.stamps[first:last]) / NANOSECONDS
-        middle = (speed[1:] + speed[:-1]) / 2
+        places = np.searchsorted(self.stamps, stamps)
+        chosen = slice(places[0], places[-1] + 1)
+        speed, steps = self.values[chosen], np.diff(self.stamps[chosen]) / NANOSECONDS
+        middle, wind = (speed[1:] + speed[:-1]) / 2, np.repeat(head_wind, np.diff(places))
 
         def drag(v: np.ndarray) -> np.ndarray:
-            flow = v + head_wind
+            flow = v + wind
             return np.asarray(flow * np.abs(flow) * v)
 
         air = (drag(speed[:-1]) + 4 * drag(middle) + drag(speed[1:])) / 6
-        return float(middle @ step), float(air @ step)
+        leaps = np.abs(np.diff(speed)) > LEAST_LEAP + MAX_ACCELERATION * steps
+        begins = places[:-1] - places[0]
+        return Driven(
+            np.add.reduceat(middle * steps, begins),
+            np.add.reduceat(air * steps, begins),
+            np.logical_or.reduceat(leaps, begins),
+        )
 
-    def smoothed(self, stamps: Sequence[int], ahead_ns: int) -> tuple[np.ndarray, np.ndarray]:
-        """`Speeds.smoothed` at moments in order, each from speeds up to `ahead_ns` after it."""
-        zero_ns = stamps[0]
-        speeds = self.since(zero_ns - LOOK_BACK_NS, zero_ns)
-        moments = np.array([stamp_ns - zero_ns for stamp_ns in stamps], np.int64)
+    def smoothed(self, stamps: np.ndarray, ahead_ns: int) -> np.ndarray:
+        """Speeds of `Speeds.smoothed` at moments in order, from those up to `ahead_ns` after."""
+        zero_ns = int(stamps[0])
+        speeds, moments = self.since(zero_ns - LOOK_BACK_NS, zero_ns), stamps - zero_ns
         until = np.searchsorted(speeds.stamps, moments + ahead_ns, side="right")
-        return speeds.smoothed(moments, until)
+        return speeds.smoothed(moments, until)[0]
 
     def since(self, oldest_ns: int, zero_ns: int) -> Speeds:
         """The speeds from a moment on, and some before, with stamps since `zero_ns`."""
-        first = max(0, bisect_left(self.stamps, oldest_ns) - MIN_POINTS)
-        stamps = [stamp_ns - zero_ns for stamp_ns in self.stamps[first:]]
-        return Speeds(np.array(stamps, np.int64), np.array(self.values[first:]))
+        first = max(0, int(np.searchsorted(self.stamps, oldest_ns)) - MIN_POINTS)
+        return Speeds(self.stamps[first:] - zero_ns, self.values[first:])
 
 
 class Speeds(NamedTuple):
@@ -138,6 +127,12 @@ class Speeds(NamedTuple):
             Both, shape (m,), or NaN for the acceleration where there are fewer than `MIN_POINTS`
             speeds, or these lie too close together to determine it.
         """
+        if len(moments) > SMOOTHED_AT_ONCE:  # so that memory stays bounded
+            parts = range(0, len(moments), SMOOTHED_AT_ONCE)
+            some = (slice(begin, begin + SMOOTHED_AT_ONCE) for begin in parts)
+            found = zip(*(self.smoothed(moments[s], until[s]) for s in some), strict=True)
+            speeds, accelerations = map(np.concatenate, found)
+            return speeds, accelerations
         back_ns = int(SMOOTHING_BACK * NANOSECONDS) + 1
         first = np.minimum(np.searchsorted(self.stamps, moments - back_ns), until - MIN_POINTS)
         index = np.maximum(first, 0)[:, None] + np.arange((until - np.maximum(first, 0)).max())
@@ -170,8 +165,10 @@ class Speeds(NamedTuple):
         last = time[until - 1][:, None]
         ends = (np.interp(np.minimum(seconds + e, last), time, self.values) for e in (begin, end))
         before, after = ends
-        known = seconds + end <= last + LAG_TOLERANCE_NS / NANOSECONDS
-        known &= seconds + begin >= time[0]
+        # In whole ns, for a reading may come just as early as is tolerated.
+        begin_ns, end_ns = moments[:, None] + PROFILE_NS[:, 0], moments[:, None] + PROFILE_NS[:, 1]
+        known = end_ns <= self.stamps[until - 1][:, None] + LAG_TOLERANCE_NS
+        known &= begin_ns >= self.stamps[0]
         return np.where(known, (after - before) / (end - begin), np.nan)
 
     def differences(self, moments: np.ndarray) -> np.ndarray:
@@ -184,12 +181,12 @@ class Speeds(NamedTuple):
         return np.asarray((speed[:, :-1] - speed[:, 1:]) / TAP_PERIOD)
 
 
-def profile(slopes: Iterable[float], acceleration: float) -> tuple[float, ...]:
-    """Acceleration profile around a moment: what one number for it leaves out.
+def profile(slopes: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+    """Acceleration profiles around moments: what one number for it leaves out.
 
-    Slopes less the acceleration, m/s^2, shape (PROFILE,); 0 where they are not known.
+    Slopes, shape (n, PROFILE), less the acceleration, shape (n,), m/s^2; 0 where not known.
     """
-    return tuple(0.0 if math.isnan(slope) else slope - acceleration for slope in slopes)
+    return np.asarray(np.nan_to_num(slopes - acceleration[:, None], nan=0.0))
 
 
 def _ones(*arrays: np.ndarray) -> Iterator[list[np.ndarray]]:
@@ -201,33 +198,65 @@ class CausalDifferentiator:
     """Acceleration of the newest moment from the speeds up to it, learned while driving.
 
     Recursive least squares (Haykin, Adaptive Filter Theory, ch. 10, without forgetting) of the
-    smoothed acceleration on the last speed differences. No battery signal is used, so it works
-    and goes on learning during a dropout.
+    smoothed acceleration on the last speed differences, in its information form, whose sums of a
+    block are cumulative. No battery signal is used, so it works and goes on learning during a
+    dropout.
     """
 
     def __init__(self) -> None:
-        self.weights = np.zeros(TAPS)
-        self.weights[:INITIAL_TAPS] = 1.0 / INITIAL_TAPS
-        self.covariance = np.eye(TAPS) * TAP_STD**2
-        self._pending: deque[tuple[int, np.ndarray]] = deque(maxlen=1000)
-
-    def acceleration(self, stamp_ns: int, differences: np.ndarray) -> float:
-        """Acceleration now, m/s^2; the differences, shape (TAPS,), are kept to learn from."""
-        self._pending.append((stamp_ns, differences))
-        return float(differences @ self.weights)
-
-    def learn(self, stamp_ns: int, smoothed_acceleration: float) -> None:
-        """Learn from the acceleration, m/s^2, that the smoother found for an earlier stamp."""
-        while self._pending and self._pending[0][0] < stamp_ns:
-            self._pending.popleft()
-        if not self._pending or self._pending[0][0] != stamp_ns:
-            return
-        _, x = self._pending.popleft()
-        along = self.covariance @ x
-        gain = along / (x @ along + TARGET_STD**2)
-        self.weights = self.weights + gain * (smoothed_acceleration - x @ self.weights)
-        self.covariance = self.covariance - gain[:, None] * along
+        weights = np.zeros(TAPS)
+        weights[:INITIAL_TAPS] = 1.0 / INITIAL_TAPS
+        self._information = np.eye(TAPS) / TAP_STD**2
+        self._products = weights / TAP_STD**2
+        self.forget_pending()
 
     def forget_pending(self) -> None:
         """Drop what waits for the smoother, after a gap or a jump of time."""
-        self._pending.clear()
+        self._stamps, self._differences = np.empty(0, np.int64), np.empty((0, TAPS))
+
+    def accelerations(
+        self,
+        stamps: np.ndarray,
+        differences: np.ndarray,
+        smoothed: tuple[np.ndarray, np.ndarray],
+        learned: np.ndarray,
+    ) -> np.ndarray:
+        """Accelerations at n moments, m/s^2, each by what was learned before it.
+
+        Args:
+            stamps: of the moments, ns, shape (n,).
+            differences: of speed before them, shape (n, TAPS).
+            smoothed: stamps and accelerations, m/s^2, that the smoother has meanwhile, (m,) each.
+            learned: how many of these each moment comes after, shape (n,).
+        """
+        self._stamps = np.concatenate((self._stamps, stamps))
+        self._differences = np.concatenate((self._differences, differences))
+        found = np.empty(len(stamps))
+        counts, begin = np.unique(learned, return_index=True)
+        ends, done = np.append(begin[1:], len(stamps)), 0
+        for first in range(0, len(counts), LEARNED_AT_ONCE):  # so that memory stays bounded
+            chosen = slice(first, first + LEARNED_AT_ONCE)
+            until = int(counts[chosen][-1])
+            informations, products = self._learn(*(part[done:until] for part in smoothed))
+            at = counts[chosen] - done
+            weights = np.linalg.solve(informations[at], products[at][..., None])[..., 0]
+            done, rows = until, slice(begin[chosen][0], ends[chosen][-1])
+            of_each = np.repeat(weights, (ends - begin)[chosen], axis=0)
+            found[rows] = np.einsum("ij,ij->i", differences[rows], of_each)
+        self._learn(*(part[done:] for part in smoothed))
+        if len(smoothed[0]):
+            kept = int(np.searchsorted(self._stamps, smoothed[0][-1], side="right"))
+            self._stamps, self._differences = self._stamps[kept:], self._differences[kept:]
+        return found
+
+    def _learn(
+        self, stamps: np.ndarray, accelerations: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Information and its products before these and after each of them."""
+        x = self._differences[np.searchsorted(self._stamps, stamps)]
+        squares = x[:, :, None] * x[:, None, :] / TARGET_STD**2
+        informations = np.cumsum(np.concatenate((self._information[None], squares)), axis=0)
+        along = x * accelerations[:, None] / TARGET_STD**2
+        products = np.cumsum(np.concatenate((self._products[None], along)), axis=0)
+        self._information, self._products = informations[-1], products[-1]
+        return informations, products

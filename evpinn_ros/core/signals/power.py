@@ -7,14 +7,14 @@ power. How far apart two readings may be to be joined follows the rate at which 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.core.signals.readings import NANOSECONDS, MotorReading, drawn_power
-from evpinn_ros.core.signals.track import SignalTrack
+from evpinn_ros.core.signals.block import FIELDS, Rows
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, drawn_power
+from evpinn_ros.core.signals.track import BEFORE, LATER, NEVER, SignalTrack
 
 BRIDGE_SHARE = 1.0 / 12.0  # variance of the integral of a Brownian bridge, per step^2 and rise^2
 TIMING = 0.2  # of a signal's usual step, 1-sigma by which its stamps are off
@@ -42,63 +42,91 @@ class BatteryTrack:
     """Voltage and current of the latest seconds."""
 
     def __init__(self, max_gap: float) -> None:
-        """Never interpolate across gaps (see `Cadence`)."""
-        self._power_std = 0.0  # W, of a coarse reading
-        self._voltage, self._current = self._tracks = SignalTrack(max_gap), SignalTrack(max_gap)
+        """Never interpolate across gaps (see `SignalTrack`)."""
+        self.voltage, self.current = self.tracks = SignalTrack(max_gap), SignalTrack(max_gap)
+        # W, of a coarse reading, and the place of each
+        self._orders, self._power_std = np.array([BEFORE]), np.zeros(1)
 
-    @property
-    def newest_ns(self) -> int | None:
-        """Latest stamp up to which both are known, None before."""
-        if not (self._voltage.stamps and self._current.stamps):
-            return None
-        return min(self._voltage.stamps[-1], self._current.stamps[-1])
+    def newest_ns(self, by: Any = LATER) -> Any:
+        """Latest stamp up to which both were known, by places; `NEVER` before."""
+        newest = []
+        for track in self.tracks:
+            stamps = np.concatenate(([NEVER], track.stamps))
+            newest.append(stamps[track.count(by)])
+        return np.minimum(*newest)
 
-    @property
-    def period(self) -> float:
+    def period(self, by: Any = LATER) -> Any:
         """Usual step between readings of the slower of the two, s."""
-        return max(track.cadence.period for track in self._tracks)
+        return np.maximum(*(track.period(by) for track in self.tracks))
 
-    @property
-    def gap_ns(self) -> int:
-        """Nanoseconds beyond which nothing is joined."""
-        return max(track.cadence.gap_ns for track in self._tracks)
+    def gap_ns(self, by: Any = LATER) -> Any:
+        """Nanoseconds beyond which nothing is joined, by places."""
+        return np.maximum(*(track.gap_ns(by) for track in self.tracks))
 
-    def add(
-        self, stamp_ns: int, voltage: float, current: float, power_std: float = math.nan
-    ) -> bool:
-        """Insert V and A, either NaN where not measured; False when nothing was new.
+    def in_order(self, rows: Rows) -> int:
+        """How many readings, from the first on, come after those before them."""
+        count = len(rows.order)
+        if not count:
+            return 0
+        for track, values in zip(self.tracks, rows.values[:2], strict=True):
+            there = np.flatnonzero(~np.isnan(values))
+            in_order = track.in_order(rows.stamps[there])
+            if in_order < len(there):
+                count = min(count, int(there[in_order]))
+        return count
 
-        `power_std` is that of a coarse reading, W, NaN of others.
-        """
+    def extend(self, rows: Rows) -> None:
+        """Take V and A of readings in order, either NaN where not measured."""
+        if not len(rows.order):
+            return
+        for track, values in zip(self.tracks, rows.values[:2], strict=True):
+            there = ~np.isnan(values)
+            track.extend(rows.order[there], rows.stamps[there], values[there])
+        coarse = rows.values[FIELDS[BatteryReading].index("power_std")]
+        self._orders = np.concatenate((self._orders, rows.order))
+        self._power_std = np.concatenate((self._power_std, np.where(coarse > 0.0, coarse, 0.0)))
+
+    def insert(self, reading: BatteryReading) -> bool:
+        """Take a reading of any stamp between blocks; False when nothing was new."""
         new = False
-        self._power_std = power_std if power_std > 0.0 else 0.0
-        for track, value in zip(self._tracks, (voltage, current), strict=True):
-            new |= not math.isnan(value) and track.add(stamp_ns, value)
+        self._power_std[-1] = reading.power_std if reading.power_std > 0.0 else 0.0
+        for track, value in zip(self.tracks, (reading.voltage, reading.current), strict=True):
+            new |= not math.isnan(value) and track.insert(reading.stamp_ns, value)
         return new
 
-    def latest_voltage(self, stamp_ns: int) -> float:
-        """Last voltage before a moment, V; NaN where it is too long ago."""
-        return self._voltage.last(stamp_ns)
+    def settle(self, needed_ns: int) -> None:
+        """See `SignalTrack.settle`."""
+        for track in self.tracks:
+            track.settle(needed_ns)
+        if len(self._orders) > 1:
+            self._orders, self._power_std = np.array([BEFORE]), self._power_std[-1:]
 
-    def next_ns(self, stamp_ns: int) -> int | None:
-        """First moment from which on both are known at `stamp_ns`, None while one is not."""
-        after = [track.next_ns(stamp_ns) for track in self._tracks]
-        known = [stamp_ns for stamp_ns in after if stamp_ns is not None]
-        return max(known) if len(known) == 2 else None
+    def first_after(self, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First moments from which on both are known at others, and the places then.
 
-    def at(self, stamp_ns: int) -> float:
-        """Power drawn, W, at a moment; NaN where it was not measured."""
-        return drawn_power(self._voltage.at(stamp_ns), self._current.at(stamp_ns))
+        `LATER` while one of them is not.
+        """
+        stamps, orders = zip(*(track.first_after(moments) for track in self.tracks), strict=True)
+        return np.maximum(*stamps), np.maximum(*orders)
 
-    def covers(self, start_ns: int, end_ns: int) -> bool:
-        """True if power was measured from one moment to another without a gap."""
-        return bool(self.covered([start_ns, end_ns])[0])
+    def at(self, moments: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Power drawn, W, at moments; NaN where it was not measured. Shape (n,)."""
+        return drawn_power(self.voltage.at(moments, by), self.current.at(moments, by))
 
-    def covered(self, moments: Sequence[int]) -> np.ndarray:
+    def told(self, rows: Rows) -> np.ndarray:
+        """Power that readings tell, W, or NaN; of a current alone, with the last voltage."""
+        voltage, current = rows.values[:2]
+        alone = np.isnan(voltage)
+        last = self.voltage.last(rows.stamps[alone], rows.order[alone])
+        voltage = voltage.copy()
+        voltage[alone] = last
+        return drawn_power(voltage, current)
+
+    def covered(self, moments: np.ndarray, by: int = LATER) -> np.ndarray:
         """`SignalTrack.covered` of both, shape (n - 1,)."""
-        return np.asarray(self._voltage.covered(moments) & self._current.covered(moments))
+        return np.asarray(self.voltage.covered(moments, by) & self.current.covered(moments, by))
 
-    def energy(self, start_ns: int, end_ns: int) -> Energy:
+    def energy(self, start_ns: int, end_ns: int, by: int = LATER) -> Energy:
         """Energy drawn between two moments.
 
         The trapezoid between readings of the current. Power moves between them as it moves from
@@ -106,56 +134,66 @@ class BatteryTrack:
         slow signal shows was so some part of its step ago, which moves the ends of the interval.
         Coarse readings that repeat have one error, the others each its own.
         """
-        if not self.covers(start_ns, end_ns):
+        if not self.covered(np.array([start_ns, end_ns]), by)[0]:
             return UNMEASURED
-        stamps = [start_ns, *self._current.within(start_ns, end_ns), end_ns]
-        power = drawn_power(*(track.between(stamps) for track in self._tracks))
+        stamps = np.concatenate(([start_ns], self.current.within(start_ns, end_ns, by), [end_ns]))
+        power = drawn_power(*(track.between(stamps, by) for track in self.tracks))
         step = np.diff(stamps) / NANOSECONDS
         bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ step**2)
-        period = max(track.step_around(end_ns) for track in self._tracks)
+        period = max(track.step_around(end_ns, by) for track in self.tracks)
         ends = (TIMING * period) ** 2 * float(power[0] ** 2 + power[-1] ** 2)
-        coarse = self._power_std**2 * _square_of_runs(power, step) if self._power_std else 0.0
+        std = float(self._power_std[np.searchsorted(self._orders, by, side="right") - 1])
+        coarse = std**2 * _square_of_runs(power, step) if std else 0.0
         returned = _trapezoid(np.maximum(-power, 0.0), step)
         return Energy(_trapezoid(power, step), bridge + ends + coarse, returned)
 
 
 class MotorTrack:
-    """Power at the motor shaft, W, positive when it drives, where a bus reports its torque.
-
-    Attributes:
-        scaled: whether it is in W; else up to a factor, for neither gear nor speed is known.
-    """
+    """Power at the motor shaft, W, positive when it drives, where a bus reports its torque."""
 
     def __init__(self, max_gap: float, ratio: float) -> None:
         """Take the motor's turning from its own speed, else from the car's.
 
         Args:
-            max_gap: s, see `Cadence`.
+            max_gap: s, see `SignalTrack`.
             ratio: rad that the motor turns per m of road; `NOMINAL_RATIO` where it is NaN.
         """
-        self._power = SignalTrack(max_gap)
-        self.scaled = not math.isnan(ratio)
-        self._ratio = ratio if self.scaled else NOMINAL_RATIO
+        self.power = SignalTrack(max_gap)
+        self._scaled_from = LATER if math.isnan(ratio) else BEFORE
+        self._ratio = NOMINAL_RATIO if math.isnan(ratio) else ratio
 
-    def add(self, reading: MotorReading, car_speed: float) -> None:
-        """Take a reading at a speed of the car, m/s."""
-        known = not math.isnan(reading.speed)
-        self.scaled = self.scaled or known
-        turning = reading.speed if known else self._ratio * car_speed
-        self._power.add(reading.stamp_ns, reading.torque * turning)
+    def scaled(self, by: Any = LATER) -> Any:
+        """Whether it is in W; else up to a factor, for neither gear nor speed is known."""
+        return np.less_equal(self._scaled_from, by) & (self._scaled_from < LATER)
 
-    def at(self, stamp_ns: int) -> float:
-        """Power at a moment, W, that of the last reading where it is the newest; NaN unknown."""
-        stamps = self._power.stamps
-        newest = bool(stamps) and stamp_ns > stamps[-1]
-        return self._power.last(stamp_ns) if newest else self._power.at(stamp_ns)
+    def powers(self, rows: Rows, car_speed: np.ndarray) -> np.ndarray:
+        """Power of readings at speeds of the car, m/s, W; of any order."""
+        torque, turning = rows.values
+        known = ~np.isnan(turning)
+        if known.any():
+            self._scaled_from = min(self._scaled_from, int(rows.order[known][0]))
+        return np.asarray(torque * np.where(known, turning, self._ratio * car_speed))
 
-    def energy(self, start_ns: int, end_ns: int) -> tuple[float, float]:
+    def settle(self, needed_ns: int) -> None:
+        """See `SignalTrack.settle`."""
+        self.power.settle(needed_ns)
+        self._scaled_from = BEFORE if self._scaled_from < LATER else LATER
+
+    def at(self, moments: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Power at moments, W, that of the last reading where it is the newest; NaN unknown."""
+        if not len(self.power):
+            return np.full(len(moments), np.nan)
+        come = self.power.count(by)
+        newest = (come > 0) & (moments > self.power.stamps[np.maximum(come - 1, 0)])
+        return np.where(newest, self.power.last(moments, by), self.power.at(moments, by))
+
+    def energy(self, start_ns: int, end_ns: int, by: int = LATER) -> tuple[float, float]:
         """Energy of driving and of braking between two moments, positive J; NaN where unknown."""
-        if not self._power.covers(start_ns, end_ns):
+        track = self.power
+        if not len(track) or not track.covered(np.array([start_ns, end_ns]), by)[0]:
             return math.nan, math.nan
-        stamps = [start_ns, *self._power.within(start_ns, end_ns), end_ns]
-        power = self._power.between(stamps)
+        stamps = np.concatenate(([start_ns], track.within(start_ns, end_ns, by), [end_ns]))
+        power = track.between(stamps, by)
         step = np.diff(stamps) / NANOSECONDS
         drive, brake = np.maximum(power, 0.0), np.maximum(-power, 0.0)
         return _trapezoid(drive, step), _trapezoid(brake, step)

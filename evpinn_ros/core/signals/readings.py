@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -43,9 +43,16 @@ def drawn_power(volts: Numbers, amperes: Numbers) -> Numbers:
     return drawn
 
 
-def sensor_sigma(power: float, coarse: float) -> float:
+def sensor_sigma(power: Any, coarse: Any) -> Any:
     """1-sigma of measured power, W; coarse: what its resolution adds, NaN where that is fine."""
-    return math.hypot(SENSOR_STD, SENSOR_SHARE * power, 0.0 if math.isnan(coarse) else coarse)
+    square = SENSOR_STD**2 + (SENSOR_SHARE * power) ** 2
+    return np.sqrt(square + np.nan_to_num(coarse, nan=0.0) ** 2)
+
+
+def has_position(latitude: Any, longitude: Any) -> Any:
+    """Whether degrees are of a place on Earth; a receiver without a fix tells 0, 0."""
+    possible = (abs(latitude) <= 90.0) & (abs(longitude) <= 180.0)
+    return possible & ((latitude != 0.0) | (longitude != 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +104,8 @@ class AltitudeReading:
 
     @property
     def has_position(self) -> bool:
-        """True for a place on Earth; a receiver without a fix tells 0, 0."""
-        possible = abs(self.latitude) <= 90.0 and abs(self.longitude) <= 180.0
-        return possible and (self.latitude, self.longitude) != (0.0, 0.0)
+        """See `has_position`."""
+        return bool(has_position(self.latitude, self.longitude))
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.core.signals.block import Block, Rows
 from evpinn_ros.core.signals.height import LEAP, STEEPEST, AltitudeDetector
 from evpinn_ros.core.signals.readings import (
     GRADE_LIMIT,
@@ -22,7 +23,7 @@ from evpinn_ros.core.signals.readings import (
     TemperatureReading,
     WindReading,
 )
-from evpinn_ros.core.signals.track import SignalTrack
+from evpinn_ros.core.signals.track import BEFORE, NEVER, SignalTrack
 
 SLOPE_STD = 0.015  # 1-sigma of the slope of roads, between a plain and hills
 SLOPE_LENGTH = 300.0  # m of road over which slopes are alike
@@ -38,18 +39,17 @@ KELVIN = 273.15
 GAS_CONSTANT = 287.05  # J/(kg K), of dry air
 
 
-def density_of_air(reference: float, celsius: float | None, pascal: float | None) -> float:
-    """Density of dry air, an ideal gas, kg/m^3; what is None is that of the vehicle file.
+def density_of_air(reference: float, celsius: Any, pascal: Any) -> Any:
+    """Density of dry air, an ideal gas, kg/m^3; what is NaN is that of the vehicle file.
 
     Args:
         reference: density that the vehicle file has at `REFERENCE_CELSIUS`, kg/m^3.
-        celsius: temperature, degrees Celsius.
-        pascal: pressure, Pa.
+        celsius: temperatures, degrees Celsius, a number or an array.
+        pascal: pressures, Pa, of the same shape.
     """
-    kelvin = KELVIN + (REFERENCE_CELSIUS if celsius is None else celsius)
-    if pascal is not None:
-        return pascal / (GAS_CONSTANT * kelvin)
-    return reference * (REFERENCE_CELSIUS + KELVIN) / kelvin
+    kelvin = KELVIN + np.where(np.isnan(celsius), REFERENCE_CELSIUS, celsius)
+    of_file = reference * (REFERENCE_CELSIUS + KELVIN) / kelvin
+    return np.where(np.isnan(pascal), of_file, pascal / (GAS_CONSTANT * kelvin))
 
 
 class GradeSource(str, Enum):
@@ -62,7 +62,7 @@ class GradeSource(str, Enum):
 
 
 class Conditions(NamedTuple):
-    """Surroundings at a moment.
+    """Surroundings at a moment, or at n of them: shape (n,) each, where None is NaN.
 
     Attributes:
         air_density: kg/m^3.
@@ -73,92 +73,174 @@ class Conditions(NamedTuple):
         doubted_load: heating that it reports on a warm day, W, which is often not drawn.
     """
 
-    air_density: float
-    head_wind: float
-    celsius: float | None
-    load: float
-    load_known: bool
-    doubted_load: float = 0.0
+    air_density: Any
+    head_wind: Any
+    celsius: Any
+    load: Any
+    load_known: Any
+    doubted_load: Any = 0.0
+
+
+class _Told:
+    """What readings of one kind told last, by places in the order of arrival."""
+
+    def __init__(self, width: int) -> None:
+        self.orders, self.stamps = np.array([BEFORE]), np.array([NEVER])
+        self._values = np.full((width, 1), np.nan)
+
+    def extend(self, rows: Rows) -> None:
+        """Take what came."""
+        self.orders = np.concatenate((self.orders, rows.order))
+        self.stamps = np.concatenate((self.stamps, rows.stamps))
+        self._values = np.concatenate((self._values, rows.values[: len(self._values)]), axis=1)
+
+    def settle(self) -> None:
+        """Take all as come before."""
+        if len(self.orders) > 1:
+            self.orders, self.stamps = np.array([BEFORE]), self.stamps[-1:]
+            self._values = self._values[:, -1:]
+
+    def at(self, by: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Stamps, `NEVER` before the first, and values told last by places, (n,) each."""
+        index = np.searchsorted(self.orders, by, side="right") - 1
+        return self.stamps[index], *self._values[:, index]
+
+    @property
+    def is_told(self) -> bool:
+        """True once there was a reading."""
+        return bool(self.stamps[-1] != NEVER)
 
 
 class Road:
-    """Grade, air density and known loads at a moment, from optional readings."""
+    """Grade, air density and known loads at moments, from optional readings.
+
+    What is asked is asked by a place in the order of arrival (`signals.track`).
+    """
 
     def __init__(self, grade_source: GradeSource, reference_density: float) -> None:
         """Take the air density, kg/m^3, of the vehicle file as that at `REFERENCE_CELSIUS`."""
         self._source = grade_source
         self._reference_density = reference_density
-        self._celsius: float | None = None
-        self._pascal: float | None = None
-        self._wind: WindReading | None = None
+        self._celsius, self._pascal, self._wind = _Told(1), _Told(1), _Told(1)
         self.forget()
 
     def forget(self) -> None:
         """Drop what may not be joined across a gap or a jump of time."""
-        self._auxiliary: AuxiliaryReading | None = None
-        self._pitch: deque[tuple[int, float]] = deque()
+        self._auxiliary = _Told(2)
+        self._window: deque[tuple[int, float]] = deque()  # of pitch
+        self._sum = 0.0  # over it
+        self._pitch, self._slope = _Told(1), _Told(1)
         self._hill = _Hill()
-        self._altitude_ns: int | None = None
-        self._altitudes = SignalTrack(STALE_AFTER)
+        self.altitudes = SignalTrack(STALE_AFTER)
         self._odometer = self._height = 0.0  # m
         self._altitude = AltitudeDetector()
-        self._placed_ns = -(2**63)  # up to here heights were given
+        self._placed_ns = NEVER  # up to here heights were given
 
-    def add_reading(self, reading: Reading) -> None:
-        """Take a reading; those that are not of road, air or loads are passed over."""
-        match reading:
-            case TemperatureReading():
-                self._celsius = reading.celsius
-            case PressureReading():
-                self._pascal = reading.pascal
-            case WindReading():
-                self._wind = reading
-            case AuxiliaryReading():
-                self._auxiliary = reading
-            case GradeReading():
-                self._pitch.append((reading.stamp_ns, reading.grade))
-                oldest = reading.stamp_ns - int(GRADE_WINDOW * NANOSECONDS)
-                while not oldest <= self._pitch[0][0] <= reading.stamp_ns:
-                    self._pitch.popleft()
-            case AltitudeReading():
-                self._hill.see(reading.altitude)
-                self._altitude_ns = reading.stamp_ns
-                self._altitudes.add(reading.stamp_ns, reading.altitude)
+    def extend(self, block: Block, orders: np.ndarray, distances: np.ndarray) -> None:
+        """Take readings of a block, and distances, m, that were driven by places in it.
 
-    def travel(self, distance: float) -> None:
-        """Move on by a distance, m."""
-        self._hill.travel(distance)
+        Altitudes come in the order of their stamps.
+        """
+        kinds: Mapping[type[Reading], _Told] = {
+            TemperatureReading: self._celsius,
+            PressureReading: self._pascal,
+            WindReading: self._wind,
+            AuxiliaryReading: self._auxiliary,
+        }
+        for kind, told in kinds.items():
+            if kind in block.rows:
+                told.extend(block.rows[kind])
+        if GradeReading in block.rows:
+            self._pitch.extend(self._mean_pitch(block.rows[GradeReading]))
+        altitudes = block.of_kind(AltitudeReading)
+        if not (len(altitudes.order) or len(orders)):
+            return
+        self._slope.extend(self._slopes(altitudes, orders, distances))
+        self.altitudes.extend(altitudes.order, altitudes.stamps, altitudes.values[0])
 
-    def grade(self, stamp_ns: int) -> float:
-        """Road incline angle, rad, 0 while unknown."""
-        if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._fresh_pitch(stamp_ns):
-            return float(np.mean([grade for _, grade in self._pitch]))
-        if self._source in (GradeSource.AUTO, GradeSource.FIX):
-            return self._altitude_grade(stamp_ns)
-        return 0.0
+    def insert(self, reading: AltitudeReading) -> None:
+        """Take an altitude of any stamp between blocks."""
+        rows = Block.of([reading]).rows[AltitudeReading]
+        self._slope.extend(self._slopes(rows, np.empty(0), np.empty(0)))
+        self._slope.settle()
+        self.altitudes.insert(reading.stamp_ns, reading.altitude)
 
-    def conditions(self, stamp_ns: int) -> Conditions:
-        """The surroundings at a moment.
+    def settle(self, needed_ns: int) -> None:
+        """Take all as come before; see `SignalTrack.settle`."""
+        for told in (self._celsius, self._pascal, self._wind, self._auxiliary, self._pitch,
+                     self._slope):  # fmt: skip
+            told.settle()
+        self.altitudes.settle(needed_ns)
+
+    def _mean_pitch(self, rows: Rows) -> Rows:
+        """Readings of pitch as the mean of the last `GRADE_WINDOW`."""
+        window, means = self._window, []
+        for stamp_ns, grade in zip(rows.stamps.tolist(), rows.values[0].tolist(), strict=True):
+            window.append((stamp_ns, grade))
+            self._sum += grade
+            oldest = stamp_ns - int(GRADE_WINDOW * NANOSECONDS)
+            while not oldest <= window[0][0] <= stamp_ns:
+                self._sum -= window.popleft()[1]
+            if len(window) == 1:
+                self._sum = grade  # nothing is left of rounding
+            means.append(self._sum / len(window))
+        return rows._replace(values=np.array([means]))
+
+    def _slopes(self, altitudes: Rows, orders: np.ndarray, distances: np.ndarray) -> Rows:
+        """Altitudes as the slope of the road once each is seen, with the distances between."""
+        slopes, driven = [], distances.tolist()
+        passed = np.searchsorted(orders, altitudes.order).tolist()
+        begin = 0
+        for end, altitude in zip(passed, altitudes.values[0].tolist(), strict=True):
+            self._hill.travel(driven[begin:end])
+            self._hill.see(altitude)
+            slopes.append(self._hill.slope)
+            begin = end
+        self._hill.travel(driven[begin:])
+        return altitudes._replace(values=np.array([slopes]))
+
+    def grades(self, moments: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Road incline angles, rad, 0 while unknown, shape (n,)."""
+        grades = np.zeros(len(moments))
+        if self._source in (GradeSource.AUTO, GradeSource.FIX) and self._slope.is_told:
+            stamps, slopes = self._slope.at(by)
+            slope = np.arctan(slopes)
+            known = (_age(moments, stamps) <= STALE_AFTER) & (np.abs(slope) < GRADE_LIMIT)
+            grades = np.where(known, slope, 0.0)
+        if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._pitch.is_told:
+            stamps, pitches = self._pitch.at(by)
+            grades = np.where(_age(moments, stamps) < STALE_AFTER, pitches, grades)
+        return grades
+
+    def conditions(self, moments: np.ndarray, by: np.ndarray) -> Conditions:
+        """The surroundings at moments, shape (n,) each; a temperature that is unknown is NaN.
 
         A heater that reports kilowatts on a warm day is not plausible: on five of six real drives
         above 20 degrees none of it was drawn, below all of it. So it is `doubted_load` there.
         """
-        wind, loads = self._wind, self._auxiliary
-        blows = wind is not None and _age(stamp_ns, wind.stamp_ns) <= WIND_STALE_AFTER
-        fresh = loads is not None and _age(stamp_ns, loads.stamp_ns) <= STALE_AFTER
-        heating, others = (loads.heating, loads.others) if loads and fresh else (0.0, 0.0)
-        warm = self._celsius is not None and self._celsius >= HEATED_BELOW
+        told_ns, winds = self._wind.at(by)
+        blows = _age(moments, told_ns) <= WIND_STALE_AFTER
+        told_ns, heating, others = self._auxiliary.at(by)
+        fresh = _age(moments, told_ns) <= STALE_AFTER
+        heating, others = np.where(fresh, heating, 0.0), np.where(fresh, others, 0.0)
+        celsius, pascal = self._celsius.at(by)[1], self._pascal.at(by)[1]
+        warm = celsius >= HEATED_BELOW
         return Conditions(
-            density_of_air(self._reference_density, self._celsius, self._pascal),
-            wind.head if wind and blows else 0.0,
-            self._celsius,
-            load=others + heating * (not warm),
-            load_known=loads is not None,
-            doubted_load=heating * warm,
+            density_of_air(self._reference_density, celsius, pascal),
+            np.where(blows, winds, 0.0),
+            celsius,
+            load=others + np.where(warm, 0.0, heating),
+            load_known=told_ns != NEVER,
+            doubted_load=np.where(warm, heating, 0.0),
         )
 
+    @property
+    def shows_heights(self) -> bool:
+        """True if any reading tells of the road's height."""
+        return self._pitch.is_told or len(self.altitudes) > 0
+
     def heights(
-        self, stamps: Sequence[int], odometers: Sequence[float]
+        self, stamps: Sequence[int], odometers: Sequence[float], by: int
     ) -> Iterator[tuple[float, float]]:
         """Places, m by the odometer, and heights of the road there, m, not yet given.
 
@@ -168,18 +250,27 @@ class Road:
         Args:
             stamps: ns, increasing, of moments up to now.
             odometers: m, at these.
+            by: place in the order of arrival.
         """
-        step, self._odometer = odometers[-1] - self._odometer, odometers[-1]
-        if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._fresh_pitch(stamps[-1]):
-            self._height += step * math.sin(self.grade(stamps[-1]))
-            self._altitude, self._placed_ns = AltitudeDetector(), stamps[-1]
+        now_ns, way = stamps[-1], odometers[-1] - self._odometer
+        self._odometer = odometers[-1]
+        told_ns, pitch = (float(column[0]) for column in self._pitch.at(np.array([by])))
+        fresh = _age(now_ns, told_ns) < STALE_AFTER
+        if self._source in (GradeSource.AUTO, GradeSource.IMU) and fresh:
+            self._height += way * math.sin(pitch)
+            self._altitude, self._placed_ns = AltitudeDetector(), now_ns
             yield odometers[-1], self._height
         elif self._source in (GradeSource.AUTO, GradeSource.FIX):
             since_ns = max(self._placed_ns, stamps[0] - 1)
-            for stamp_ns in self._altitudes.within(since_ns, stamps[-1] + 1):
-                place = float(np.interp(stamp_ns, stamps, odometers))
-                self._altitude = self._altitude.after(place, self._altitudes.at(stamp_ns))
-                self._placed_ns, rise = stamp_ns, self._altitude.rise
+            new = self.altitudes.within(since_ns, now_ns + 1, by)
+            if not len(new):
+                return
+            values = self.altitudes.values[np.searchsorted(self.altitudes.stamps, new)]
+            places = np.interp(new - stamps[0], np.array(stamps) - stamps[0], odometers)
+            self._placed_ns = int(new[-1])
+            for place, altitude in zip(places.tolist(), values.tolist(), strict=True):
+                self._altitude = self._altitude.after(place, altitude)
+                rise = self._altitude.rise
                 if rise is not None:
                     yield rise.since, self._height  # not given yet where the altitude was stuck
                     self._height += rise.height
@@ -187,23 +278,15 @@ class Road:
 
     def unknown(self, stamp_ns: int) -> tuple[str, ...]:
         """Those of grade, temperature, pressure, wind and loads that no input gives."""
+        told_ns = int(self._pitch.stamps[-1])
         given = {
-            "grade": self._fresh_pitch(stamp_ns) or not self._altitude.detected,
-            "temperature": self._celsius is not None,
-            "pressure": self._pascal is not None,
-            "wind": self._wind is not None,
-            "loads": self._auxiliary is not None,
+            "grade": _age(stamp_ns, told_ns) < STALE_AFTER or not self._altitude.detected,
+            "temperature": self._celsius.is_told,
+            "pressure": self._pascal.is_told,
+            "wind": self._wind.is_told,
+            "loads": self._auxiliary.is_told,
         }
         return tuple(name for name, known in given.items() if not known)
-
-    def _fresh_pitch(self, stamp_ns: int) -> bool:
-        return bool(self._pitch) and _age(stamp_ns, self._pitch[-1][0]) < STALE_AFTER
-
-    def _altitude_grade(self, stamp_ns: int) -> float:
-        if self._altitude_ns is None or _age(stamp_ns, self._altitude_ns) > STALE_AFTER:
-            return 0.0
-        slope = math.atan(self._hill.slope)
-        return slope if abs(slope) < GRADE_LIMIT else 0.0
 
 
 class _Hill:
@@ -221,15 +304,17 @@ class _Hill:
         self._variance, self._joint, self._of_slope = ALTITUDE_STD**2, 0.0, SLOPE_STD**2
         self._road = 0.0  # m since the last altitude
 
-    def travel(self, distance: float) -> None:
-        """Move on by a distance, m."""
-        self._road += distance
+    def travel(self, distances: Sequence[float]) -> None:
+        """Move on by distances, m, one after another."""
         if math.isnan(self._altitude):
+            self._road += sum(distances)
             return
-        self._altitude += distance * self.slope
-        self._variance += distance * (2.0 * self._joint + distance * self._of_slope)
-        self._joint += distance * self._of_slope
-        self._of_slope += 2.0 * SLOPE_STD**2 * distance / SLOPE_LENGTH
+        for distance in distances:
+            self._road += distance
+            self._altitude += distance * self.slope
+            self._variance += distance * (2.0 * self._joint + distance * self._of_slope)
+            self._joint += distance * self._of_slope
+            self._of_slope += 2.0 * SLOPE_STD**2 * distance / SLOPE_LENGTH
 
     def see(self, altitude: float) -> None:
         """Take an altitude, m; those of one place add nothing."""
@@ -252,6 +337,6 @@ class _Hill:
         self._variance -= gain * self._variance
 
 
-def _age(now_ns: int, stamp_ns: int) -> float:
-    """Seconds between two stamps; a stamp from the future is as far from now as an old one."""
+def _age(now_ns: Any, stamp_ns: Any) -> Any:
+    """Seconds between stamps; a stamp from the future is as far from now as an old one."""
     return abs(now_ns - stamp_ns) / NANOSECONDS

@@ -1,16 +1,18 @@
-"""One moment of driving, as the learners see it."""
+"""Moments of driving, as the learners see them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 import math
-from typing import TypeAlias
+from typing import NamedTuple
+
+import numpy as np
 
 from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.kinematics import PROFILE
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """The state of the car at one moment, everything but the battery.
 
     Attributes:
@@ -21,14 +23,12 @@ class Sample:
         air_density: kg/m^3.
         known_auxiliary: power of auxiliary loads the car reports, W; 0 while unknown.
         profile: its acceleration profile as far as it is known, shape (`kinematics.PROFILE`,),
-            m/s^2; empty where nothing of it is.
+            m/s^2; 0 where it is not.
         head_wind: wind against the car, m/s over ground; 0 while unknown.
-        celsius: temperature of the air outside, None while unknown.
+        celsius: temperature of the air outside, NaN while unknown.
         doubted_load: heating that the car reports on a warm day, W, which is often not drawn.
         motor_power: mechanical power of the motor, W, NaN where no bus reports it.
         motor_scaled: whether that is in W; else up to a factor, for the gear is not known.
-        newest: whether it is the newest moment, whose acceleration is causal (`power/predicted`);
-            else it lies `smoothing_lag` back and is smoothed (`power/smoothed`).
     """
 
     stamp_ns: int
@@ -37,21 +37,111 @@ class Sample:
     grade: float
     air_density: float
     known_auxiliary: float
-    profile: tuple[float, ...] = ()
+    profile: tuple[float, ...] = (0.0,) * PROFILE
     head_wind: float = 0.0
-    celsius: float | None = None
+    celsius: float = math.nan
     doubted_load: float = 0.0
     motor_power: float = math.nan
     motor_scaled: bool = True
-    newest: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuredSample:
-    """A smoothed sample and the battery power, W, measured at its moment: to learn from."""
+class Samples(NamedTuple):
+    """n moments of driving: `Sample` as columns of shape (n,), the profile (n, PROFILE)."""
 
-    sample: Sample
-    power: float
+    stamp_ns: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    grade: np.ndarray
+    air_density: np.ndarray
+    known_auxiliary: np.ndarray
+    profile: np.ndarray
+    head_wind: np.ndarray
+    celsius: np.ndarray
+    doubted_load: np.ndarray
+    motor_power: np.ndarray
+    motor_scaled: np.ndarray
+
+    @classmethod
+    def of(cls, samples: Sequence[Sample]) -> Samples:
+        """Samples as columns."""
+        if not samples:
+            return NO_SAMPLES
+        stamps, *columns = zip(*samples, strict=True)
+        return cls._make((np.array(stamps, np.int64), *map(np.array, columns)))
+
+    @property
+    def size(self) -> int:
+        """How many there are."""
+        return len(self.stamp_ns)
+
+    def where(self, chosen: np.ndarray | slice) -> Samples:
+        """The chosen ones."""
+        return Samples._make(column[chosen] for column in self)
+
+    def and_then(self, later: Samples) -> Samples:
+        """These, and those that follow."""
+        if not self.size:
+            return later
+        return Samples._make(map(np.concatenate, zip(self, later, strict=True)))
+
+    def rows(self) -> Iterator[Sample]:
+        """Give them one by one."""
+        columns = [column.tolist() for column in self]
+        columns[6] = [tuple(row) for row in columns[6]]
+        return map(Sample, *columns)
 
 
-StreamEvent: TypeAlias = Sample | MeasuredSample | Interval
+NO_SAMPLES = Samples._make((
+    np.empty(0, np.int64), *(np.empty(0) for _ in range(5)), np.empty((0, PROFILE)),
+    *(np.empty(0) for _ in range(4)), np.empty(0, dtype=bool),
+))  # fmt: skip
+
+
+class Measured(NamedTuple):
+    """Smoothed samples whose battery power was measured, in order: to learn from.
+
+    Attributes:
+        order: places in the block at which both were known, shape (n,).
+        place: how many smoothed samples of the block come before each, shape (n,).
+        samples: n of them.
+        power: W, shape (n,).
+    """
+
+    order: np.ndarray
+    place: np.ndarray
+    samples: Samples
+    power: np.ndarray
+
+    def where(self, chosen: np.ndarray | slice) -> Measured:
+        """The chosen ones."""
+        samples = self.samples.where(chosen)
+        return Measured(self.order[chosen], self.place[chosen], samples, self.power[chosen])
+
+
+class Events(NamedTuple):
+    """What the readings of a block complete, with places in its order.
+
+    Attributes:
+        newest: the newest moments, whose acceleration is causal (`power/predicted`).
+        newest_order: their places, shape (n,).
+        smoothed: the moments `smoothing_lag` back (`power/smoothed`).
+        smoothed_order: their places, shape (m,).
+        measured: those of them whose battery power is known.
+        intervals: to learn the car from, each with its place.
+        told: places, stamps and power, W, NaN where unknown, of the battery readings used, and
+            the 1-sigma, W, of coarse ones.
+        moments: places of all speeds, and the stamp of the newest used by then.
+        battery: places of the battery readings, the newest stamp of both, and the gap, ns.
+        taken: whether each reading was used, and all that it completed, shape (length,).
+    """
+
+    newest: Samples
+    newest_order: np.ndarray
+    smoothed: Samples
+    smoothed_order: np.ndarray
+    measured: Measured
+    intervals: Sequence[tuple[int, Interval]]
+    told: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+    moments: tuple[np.ndarray, np.ndarray]
+    battery: tuple[np.ndarray, np.ndarray, np.ndarray]
+    taken: np.ndarray

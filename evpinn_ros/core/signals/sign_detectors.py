@@ -18,7 +18,6 @@ from evpinn_ros.core.signals.detector import (
     GRADE_SIGN,
 )
 from evpinn_ros.core.signals.interval import Interval
-from evpinn_ros.core.signals.sample import Sample
 
 MEMORY = 60.0  # s of pulling away and braking that the verdict rests on
 HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
@@ -64,13 +63,13 @@ class SignDetector:
         """`CURRENT_SIGN` or None."""
         return CURRENT_SIGN if self.verdict else None
 
-    def after(self, sample: Sample, power: float, step: float) -> SignDetector:
+    def after(self, speed: float, acceleration: float, power: float, step: float) -> SignDetector:
         """The detector after a measured power, W, that stands for `step` seconds."""
-        if abs(sample.acceleration) < HARD or sample.speed < MOVING:
+        if abs(acceleration) < HARD or speed < MOVING:
             return self
         keep = math.exp(-step / MEMORY)
         signed, size, seconds = (keep * total for total in self.sums)
-        signed += math.copysign(power, power * sample.acceleration) * step
+        signed += math.copysign(power, power * acceleration) * step
         size += abs(power) * step
         seconds += step
         against = -signed / size if size > 0.0 else math.nan

@@ -1,33 +1,38 @@
-"""Readings in, one time-ordered stream of samples and intervals out.
+"""Readings in, one time-ordered stream of samples and intervals out: a block at a time.
 
-Speed sets the pace. Each new speed gives a newest `Sample` at once; each moment that lies
-`smoothing_lag` back gives a smoothed one (at most one each `SAMPLE_PERIOD`), and a
-`MeasuredSample` once battery readings on both sides of it are known, not before the smoothed
+Speed sets the pace. Each new speed gives a newest sample at once; each moment that lies
+`smoothing_lag` back gives a smoothed one (at most one each `SAMPLE_PERIOD`), and it is measured
+once battery readings on both sides of it are known, not before the smoothed
 moments up to the later one, so that no prediction rests on a battery reading of its own moment or
 after, and not before `allowed_lateness` has passed since the later one, so that the samples are
 the same in whatever order battery readings come until then. Voltage and current may come apart.
 Beside the samples, which predict and follow power, stand the intervals that the car is learned
 from (`signals.interval`). What is late, doubled or impossible is dropped and counted by reason.
 Time that jumps is not this module's: whoever feeds a stream puts a `signals.time_jump.StampGuard`
-before it. Who knows which readings come next says so (`look_ahead`), and the arithmetic of all
-their samples is done together.
+before it.
+
+The arithmetic of a block is done in arrays, each value by the readings that had come by then
+(`signals.track`). A block is cut where a reading comes out of order or after a gap; how it is cut
+changes nothing.
 """
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.core.signals.block import NO_ROWS, Block, Rows, impossible
 from evpinn_ros.core.signals.interval import Interval, IntervalBuilder
 from evpinn_ros.core.signals.kinematics import (
     LAG_TOLERANCE_NS,
     LOOK_BACK_NS,
     MAX_ACCELERATION,
+    PROFILE,
     CausalDifferentiator,
     Speeds,
     SpeedTrack,
@@ -37,17 +42,18 @@ from evpinn_ros.core.signals.power import BatteryTrack, MotorTrack
 from evpinn_ros.core.signals.readings import (
     MAX_SPEED,
     NANOSECONDS,
+    AltitudeReading,
     BatteryReading,
     MotorReading,
     Reading,
     SpeedReading,
-    drawn_power,
-    why_impossible,
 )
 from evpinn_ros.core.signals.road import GradeSource, Road
-from evpinn_ros.core.signals.sample import MeasuredSample, Sample, StreamEvent
+from evpinn_ros.core.signals.sample import NO_SAMPLES, Events, Measured, Samples
+from evpinn_ros.core.signals.track import BEFORE, LATER, NEVER
 
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
+PERIOD_NS = int(SAMPLE_PERIOD * NANOSECONDS) - LAG_TOLERANCE_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +65,7 @@ class StreamSettings:
         allowed_lateness: s by which a reading may be older than the newest of its kind. Power is
             learned this much later; beyond `smoothing_lag` that costs accuracy.
         max_gap: s without speed (or battery) across which nothing is joined; signals that come
-            slowly are joined across some of their own steps (`track.Cadence`).
+            slowly are joined across some of their own steps (`track.SignalTrack`).
         grade_source: where grade comes from.
     """
 
@@ -70,25 +76,30 @@ class StreamSettings:
 
 
 class _Smoothed(NamedTuple):
-    """Speed, m/s, and acceleration, m/s^2, at a moment, and `Speeds.slopes` around it."""
+    """Moments that lie `smoothing_lag` back, shape (n,) each, slopes (n, PROFILE)."""
 
-    speed: float
-    acceleration: float
-    slopes: list[float]
+    order: np.ndarray
+    stamps: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    slopes: np.ndarray
 
 
-class _Row(NamedTuple):
-    """What rests on speed alone once a speed has come.
+class _Part(NamedTuple):
+    """What a part of a block gave, by places in the whole block."""
 
-    Attributes:
-        differences: of the speeds before it, shape (TAPS,).
-        slopes: around it, as far as they are known.
-        smoothed: the moments that lie `smoothing_lag` back from then on, by stamp.
-    """
-
-    differences: np.ndarray
-    slopes: list[float]
-    smoothed: dict[int, _Smoothed]
+    newest: Samples = NO_SAMPLES
+    newest_order: np.ndarray = np.empty(0, np.int64)
+    smoothed: Samples = NO_SAMPLES
+    smoothed_order: np.ndarray = np.empty(0, np.int64)
+    measured: Samples = NO_SAMPLES
+    measured_order: np.ndarray = np.empty(0, np.int64)
+    measured_place: np.ndarray = np.empty(0, np.int64)
+    measured_power: np.ndarray = np.empty(0)
+    told: np.ndarray = np.empty((2, 0), np.int64)
+    powers: np.ndarray = np.empty((2, 0))
+    moments: np.ndarray = np.empty((2, 0), np.int64)
+    battery: np.ndarray = np.empty((3, 0), np.int64)
 
 
 class SampleStream:
@@ -96,7 +107,6 @@ class SampleStream:
 
     Attributes:
         dropped: readings not used, by reason.
-        taken: whether the last reading was used, and all that it completed.
     """
 
     def __init__(
@@ -113,7 +123,7 @@ class SampleStream:
             settings: how to align.
             air_density: kg/m^3, used while no temperature is known.
             motor_ratio: rad that the motor turns per m of road, NaN where unknown.
-            intervals_alone: give no samples, which take half of the time.
+            intervals_alone: give no samples.
         """
         self._intervals_alone = intervals_alone
         self._settings = settings
@@ -124,7 +134,6 @@ class SampleStream:
         self._differentiator = CausalDifferentiator()
         self._road = Road(settings.grade_source, air_density)
         self.dropped: Counter[str] = Counter()
-        self.taken = True
         self.reset()
 
     def reset(self) -> None:
@@ -132,11 +141,9 @@ class SampleStream:
         gap = self._settings.max_gap
         self._speed, self._battery = SpeedTrack(gap), BatteryTrack(gap)
         self._motor = MotorTrack(gap, self._motor_ratio)
-        self._moments: deque[int] = deque()
-        self._coming: deque[SpeedReading] = deque()
-        self._rows: deque[_Row] = deque()
-        self._unmeasured: deque[Sample] = deque()
-        self._last_moment_ns: int | None = None
+        self._moments = np.empty(0, np.int64)  # that no smoothed sample was made of yet
+        self._unmeasured = NO_SAMPLES
+        self._last_moment_ns = NEVER
         self._begin_stretch()
 
     def _begin_stretch(self) -> None:
@@ -160,204 +167,377 @@ class SampleStream:
     @property
     def battery_ns(self) -> int | None:
         """Stamp of the newest battery reading, None before the first."""
-        return self._battery.newest_ns
+        newest_ns = int(self._battery.newest_ns())
+        return None if newest_ns == NEVER else newest_ns
 
     @property
     def battery_gap_ns(self) -> int:
         """Nanoseconds without the battery after which a dropout begins, by its own rate."""
-        return self._battery.gap_ns
-
-    def measured_power(self, reading: BatteryReading) -> float:
-        """Power that a reading measures, W, or NaN; of a current alone, with the last voltage."""
-        voltage = reading.voltage
-        if math.isnan(voltage):
-            voltage = self._battery.latest_voltage(reading.stamp_ns)
-        return drawn_power(voltage, reading.current)
-
-    def look_ahead(self, readings: Iterable[Reading]) -> None:
-        """Say which readings come next, so that what rests on speed is computed together."""
-        speeds = (reading for reading in readings if isinstance(reading, SpeedReading))
-        self._coming = deque(speed for speed in speeds if why_impossible(speed) is None)
-        self._rows.clear()
-
-    def add_reading(self, reading: Reading) -> list[StreamEvent]:
-        """Take one reading and give what it completes, in order."""
-        events: list[StreamEvent] = []
-        self.taken = True
-        if (reason := why_impossible(reading)) is not None:
-            self._drop(reason)
-        elif isinstance(reading, SpeedReading):
-            self._add_speed(reading, events)
-        elif isinstance(reading, BatteryReading):
-            self._add_battery(reading)
-            self._match_power(self._last_moment_ns, events)
-        elif isinstance(reading, MotorReading) and len(self._speed):
-            self._motor.add(reading, self._speed.newest)
-        else:
-            self._road.add_reading(reading)
-        return events
+        return int(self._battery.gap_ns())
 
     def finish(self) -> Iterator[Interval]:
         """The intervals that wait for more of a drive that is over."""
         if len(self._speed):
             yield from self._intervals.finish()
 
-    def _drop(self, reason: str) -> None:
-        """Count a reading that is not used, or not whole."""
-        self.dropped[reason] += 1
-        self.taken = False
+    def add_block(self, block: Block) -> Events:
+        """Take readings in the order they came, and give what they complete."""
+        self._taken = np.ones(block.length, dtype=bool)
+        self._ended: list[tuple[int, Interval]] = []
+        self._smoothed_before = 0  # in this block
+        block = self._possible(block)
+        parts, first = [], 0
+        while first < block.length:
+            count = self._in_order(block.part(first, block.length))
+            if count:
+                parts.append(self._add(block.part(first, first + count), first))
+            elif not self._is_gap(block, first):
+                parts.append(self._add_stray(next(block.part(first, first + 1).readings()), first))
+                count = 1
+            first += count
+        return self._events(parts)
 
-    def _add_speed(self, reading: SpeedReading, events: list[StreamEvent]) -> None:
-        """Take a speed, with which samples and intervals may be complete."""
-        if self._coming and self._coming[0] is reading:
-            self._coming.popleft()
-        self._move_on(reading, events)
-        self._match_power(self._last_moment_ns, events)
-        if len(self._speed):
-            self._drop_hopeless()
-            events.extend(self._intervals.intervals())
+    def _events(self, parts: list[_Part]) -> Events:
+        parts = parts or [_Part()]
+        whole: list[Any] = []
+        for column in zip(*parts, strict=True):
+            if isinstance(column[0], Samples):
+                joined = NO_SAMPLES
+                if any(samples.size for samples in column):
+                    joined = Samples(*map(np.concatenate, zip(*column, strict=True)))
+                whole.append(joined)
+            else:
+                whole.append(np.concatenate(column, axis=-1))
+        found = _Part(*whole)
+        measured = Measured(
+            found.measured_order, found.measured_place, found.measured, found.measured_power
+        )
+        return Events(
+            found.newest, found.newest_order, found.smoothed, found.smoothed_order, measured,
+            self._ended, (*found.told, *found.powers), tuple(found.moments),
+            tuple(found.battery), self._taken,
+        )  # fmt: skip
 
-    def _move_on(self, reading: SpeedReading, events: list[StreamEvent]) -> None:
-        newest = self.newest_ns
-        if newest is not None and newest - reading.stamp_ns > self._late_ns:
-            self._drop("speed_late")
-            return
-        if newest is not None and reading.stamp_ns <= newest:
-            self._rows.clear()
-            if not self._speed.add(reading.stamp_ns, reading.speed):
-                self._drop("speed_doubled")
-            return
-        if newest is not None and reading.stamp_ns - newest > self._speed.cadence.gap_ns:
-            events.extend(self._intervals.finish())
-            self._speed.restart((reading.stamp_ns - newest) / NANOSECONDS)
-            self._moments.clear()
-            self._begin_stretch()
-        elif newest is not None:
-            self._road.travel(abs(reading.speed) * (reading.stamp_ns - newest) / NANOSECONDS)
-        if not (self._intervals_alone or self._rows):
-            self._compute_rows(reading)
-        self._speed.add(reading.stamp_ns, reading.speed)
-        if self._intervals_alone:
-            return
-        self._moments.append(reading.stamp_ns)
-        row = self._rows.popleft()
-        self._newest_sample(reading, row, events)
-        self._smoothed_samples(row, events)
+    def _possible(self, block: Block) -> Block:
+        """The block without readings that are impossible, or hold nothing."""
+        for kind, rows in block.rows.items():
+            wrong = impossible(kind, rows)
+            if kind is BatteryReading:
+                unmeasured = np.isnan(rows.values[:2]).all(axis=0)
+                seen = np.zeros(len(unmeasured), dtype=bool)
+                for _, which in wrong:
+                    seen |= which
+                if (unmeasured & ~seen).any():
+                    wrong = [*wrong, ("battery_unmeasured", unmeasured & ~seen)]
+            for reason, which in wrong:
+                self._drop(reason, rows.order[which])
+            if wrong:
+                block = block.with_rows(kind, rows.where(self._taken[rows.order]))
+        return block
 
-    def _compute_rows(self, reading: SpeedReading) -> None:
-        """Compute what rests on speed alone for this one and those that follow it in order."""
-        zero_ns = reading.stamp_ns
-        run = [reading, *self._following(reading)]
-        stamps = np.array([speed.stamp_ns - zero_ns for speed in run], np.int64)
-        pending = np.array([moment_ns - zero_ns for moment_ns in self._moments], np.int64)
-        oldest_ns = min([zero_ns, *self._moments]) - LOOK_BACK_NS
-        before = self._speed.since(oldest_ns, zero_ns)
-        values = np.concatenate((before.values, [speed.speed for speed in run]))
-        speeds = Speeds(np.concatenate((before.stamps, stamps)), values)
-        own = len(before.stamps) + 1 + np.arange(len(run))  # speeds up to each
-        differences, slopes = speeds.differences(stamps), speeds.slopes(stamps, own)
-        self._rows = deque(map(_Row, differences, slopes.tolist(), ({} for _ in run)))
-        moments = np.concatenate((pending, stamps))
-        passed = np.searchsorted(stamps, moments + self._lag_ns)
-        passed[len(pending) :] = np.maximum(passed[len(pending) :], np.arange(len(run)))
-        moments, passed = moments[passed < len(run)], passed[passed < len(run)]
+    def _drop(self, reason: str, orders: Any) -> None:
+        """Count readings that are not used, or not whole."""
+        self.dropped[reason] += np.size(orders)
+        self._taken[orders] = False
+
+    def _in_order(self, block: Block) -> int:
+        """How many readings of a block, from the first on, come in order and without a gap."""
+        count = block.length
+        speeds = block.of_kind(SpeedReading)
+        in_order = self._speed.in_order(speeds.stamps)
+        if in_order:
+            stamps = speeds.stamps[:in_order]
+            _, gaps = self._speed.rates(stamps)
+            before = np.concatenate(([self._speed.gap_ns()], gaps[:-1]))
+            newest = self._speed.newest_ns if len(self._speed) else stamps[0]
+            apart = np.flatnonzero(np.diff(stamps, prepend=newest) > before)
+            in_order = int(apart[0]) if len(apart) else in_order
+        tracks = (
+            (speeds, in_order),
+            (rows := block.of_kind(BatteryReading), self._battery.in_order(rows)),
+            (rows := block.of_kind(MotorReading), self._motor.power.in_order(rows.stamps)),
+            (rows := block.of_kind(AltitudeReading), self._road.altitudes.in_order(rows.stamps)),
+        )
+        for rows, ordered in tracks:
+            if ordered < len(rows.order):
+                count = min(count, int(rows.order[ordered]))
+        return count
+
+    def _is_gap(self, block: Block, place: int) -> bool:
+        """Begin another stretch where a speed comes after a gap; False where it does not."""
+        speeds = block.of_kind(SpeedReading)
+        index = int(np.searchsorted(speeds.order, place))
+        here = index < len(speeds.order) and speeds.order[index] == place
+        if not here or speeds.stamps[index] <= self._speed.newest_ns:
+            return False
+        self._ended += [(place, interval) for interval in self._intervals.finish()]
+        gap = (int(speeds.stamps[index]) - self._speed.newest_ns) / NANOSECONDS
+        self._speed.restart(gap)
+        self._moments = np.empty(0, np.int64)
+        self._begin_stretch()
+        return True
+
+    def _add_stray(self, reading: Reading, order: int) -> _Part:
+        """Take a reading that comes out of order."""
+        if isinstance(reading, SpeedReading):
+            if self._speed.newest_ns - reading.stamp_ns > self._late_ns:
+                self._drop("speed_late", order)
+            elif not self._speed.insert(reading.stamp_ns, reading.speed):
+                self._drop("speed_doubled", order)
+            return _Part(moments=np.array([[order], [self._speed.newest_ns]]))
+        if isinstance(reading, AltitudeReading):
+            self._road.insert(reading)
+        elif isinstance(reading, MotorReading):
+            if len(self._speed):
+                power = self._motor.powers(_row_of(reading), self._speed.values[-1:])
+                self._motor.power.insert(reading.stamp_ns, float(power[0]))
+        elif isinstance(reading, BatteryReading):
+            return self._add_stray_battery(reading, order)
+        return _Part()
+
+    def _add_stray_battery(self, reading: BatteryReading, order: int) -> _Part:
+        newest_ns = int(self._battery.newest_ns())
+        if newest_ns - reading.stamp_ns > self._late_ns and newest_ns != NEVER:
+            self._drop("battery_late", order)
+            return _Part()
+        if not self._battery.insert(reading):
+            self._drop("battery_doubled", order)
+            return _Part()
+        rows = _row_of(reading)._replace(order=np.array([LATER]))
+        part = _Part(
+            told=np.array([[order], [reading.stamp_ns]]),
+            powers=np.array([self._battery.told(rows), rows.values[3]]),
+            battery=np.array([[order], [self._battery.newest_ns()], [self._battery.gap_ns()]]),
+        )
+        return self._with_measured(part, NO_ROWS[SpeedReading], order, self._last_moment_ns)
+
+    def _add(self, block: Block, first: int) -> _Part:
+        """Take readings in order, whose places begin at `first`."""
+        speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
+        travelled = np.diff(speeds.stamps, prepend=self._speed.stamps[-1:]) / NANOSECONDS
+        distances = np.abs(speeds.values[0][len(speeds.stamps) - len(travelled) :]) * travelled
+        self._road.extend(block, speeds.order[len(speeds.order) - len(travelled) :], distances)
+        self._battery.extend(battery)
+        self._speed.extend(speeds.order, speeds.stamps, speeds.values[0])
+        self._add_motor(block.of_kind(MotorReading))
+        part = self._battery_part(battery, first)
+        last_moment_ns = self._last_moment_ns
+        if len(speeds.order):
+            part = part._replace(moments=np.stack((speeds.order + first, speeds.stamps)))
+            if not self._intervals_alone:
+                part = self._sampled(part, speeds, first)
+            ready = self._intervals.intervals(speeds.order, speeds.stamps)
+            self._ended += [(order + first, interval) for order, interval in ready]
+        part = self._with_measured(part, speeds, first, last_moment_ns)
+        self._settle()
+        return part
+
+    def _settle(self) -> None:
+        """Take all as come before the next part."""
+        needed_ns = self._intervals.needed_ns
+        if self._unmeasured.size:
+            needed_ns = min(needed_ns, int(self._unmeasured.stamp_ns[0]))
+        for track in (self._speed, self._battery, self._motor, self._road):
+            track.settle(needed_ns)
+        self._intervals.settle()
+
+    def _add_motor(self, rows: Rows) -> None:
+        """Take readings of the motor's torque; before the first speed they tell nothing."""
+        if not len(self._speed) or not len(rows.order):
+            return
+        index = self._speed.count(rows.order) - 1
+        rows, index = rows.where(index >= 0), index[index >= 0]
+        power = self._motor.powers(rows, self._speed.values[index])
+        self._motor.power.extend(rows.order, rows.stamps, power)
+
+    def _battery_part(self, rows: Rows, first: int) -> _Part:
+        if not len(rows.order):
+            return _Part()
+        order = rows.order + first
+        newest, gap = self._battery.newest_ns(rows.order), self._battery.gap_ns(rows.order)
+        return _Part(
+            told=np.stack((order, rows.stamps)),
+            powers=np.stack((self._battery.told(rows), rows.values[3])),
+            battery=np.stack((order, newest, gap)),
+        )
+
+    def _sampled(self, part: _Part, speeds: Rows, first: int) -> _Part:
+        """The part with its newest and its smoothed samples."""
+        zero_ns = int(speeds.stamps[0])
+        oldest_ns = min([zero_ns, *self._moments[:1].tolist()]) - LOOK_BACK_NS
+        track = self._speed.since(oldest_ns, zero_ns)
+        own = len(track.stamps) - len(speeds.order) + 1 + np.arange(len(speeds.order))
+        stamps = speeds.stamps - zero_ns
+        smoothed, impossible_orders = self._due(self._smoothed(track, speeds, own, zero_ns))
+        if impossible_orders:
+            self._drop("acceleration_impossible", np.array(impossible_orders) + first)
+        learned = np.searchsorted(smoothed.order, speeds.order)
+        acceleration = self._differentiator.accelerations(
+            speeds.stamps,
+            track.differences(stamps),
+            (smoothed.stamps, smoothed.acceleration),
+            learned,
+        )
+        slopes = track.slopes(stamps, own)
+        possible = np.abs(acceleration) <= MAX_ACCELERATION
+        if not possible.all():
+            self._drop("acceleration_impossible", speeds.order[~possible] + first)
+        newest = _Smoothed(speeds.order, speeds.stamps, speeds.values[0], acceleration, slopes)
+        newest = _Smoothed(*(column[possible] for column in newest))
+        return part._replace(
+            newest=self._samples(newest),
+            newest_order=newest.order + first,
+            smoothed=self._samples(smoothed),
+            smoothed_order=smoothed.order + first,
+        )
+
+    def _smoothed(self, track: Speeds, speeds: Rows, own: np.ndarray, zero_ns: int) -> _Smoothed:
+        """The moments that lie `smoothing_lag` back by now.
+
+        Args:
+            track: the speeds, with stamps since `zero_ns`.
+            speeds: the new ones.
+            own: how many of the track there are up to each of them, shape (n,).
+            zero_ns: ns.
+        """
+        pending, count = len(self._moments), len(speeds.order)
+        moments = np.concatenate((self._moments, speeds.stamps))
+        passed = np.searchsorted(speeds.stamps, moments + self._lag_ns)
+        passed[pending:] = np.maximum(passed[pending:], np.arange(count))
+        passed = np.maximum.accumulate(passed)
+        now = passed < count
+        self._moments = moments[~now]
+        moments, passed = moments[now], passed[now]
         if not len(moments):
-            return
-        columns = (*speeds.smoothed(moments, own[passed]), speeds.slopes(moments, own[passed]))
-        rows = zip(moments.tolist(), passed.tolist(), *(c.tolist() for c in columns), strict=True)
-        for moment, row, *smoothed in rows:
-            self._rows[row].smoothed[moment + zero_ns] = _Smoothed(*smoothed)
+            nothing = np.empty(0)
+            return _Smoothed(moments, moments, nothing, nothing, np.empty((0, PROFILE)))
+        at = moments - zero_ns, own[passed]
+        speed, acceleration = track.smoothed(*at)
+        order = speeds.order[passed]
+        return _Smoothed(order, moments, speed, acceleration, track.slopes(*at))
 
-    def _following(self, reading: SpeedReading) -> Iterator[SpeedReading]:
-        """Speeds that come next and are surely joined to those before them."""
-        newest_ns, gap_ns = reading.stamp_ns, int(self._settings.max_gap * NANOSECONDS)
-        for coming in self._coming:
-            step_ns = coming.stamp_ns - newest_ns
-            if not 0 < step_ns <= gap_ns:
-                return
-            yield coming
-            newest_ns = coming.stamp_ns
-
-    def _newest_sample(self, reading: SpeedReading, row: _Row, events: list[StreamEvent]) -> None:
-        acceleration = self._differentiator.acceleration(reading.stamp_ns, row.differences)
-        if abs(acceleration) > MAX_ACCELERATION:
-            self._drop("acceleration_impossible")
-            return
-        moved = reading.speed, acceleration, row.slopes
-        events.append(self._sample(reading.stamp_ns, _Smoothed(*moved), newest=True))
-
-    def _smoothed_samples(self, row: _Row, events: list[StreamEvent]) -> None:
-        newest = self._speed.newest_ns
-        while self._moments and newest - self._moments[0] >= self._lag_ns:
-            stamp_ns = self._moments.popleft()
-            if not self._due(stamp_ns):
+    def _due(self, found: _Smoothed) -> tuple[_Smoothed, list[int]]:
+        """Those that are possible and far enough from the last one; places of the impossible."""
+        known = ~np.isnan(found.acceleration)
+        possible = np.abs(found.acceleration) <= MAX_ACCELERATION
+        possible &= np.abs(found.speed) <= MAX_SPEED
+        chosen: list[int] = []
+        impossible_orders: list[int] = []
+        last = self._last_moment_ns
+        rows = zip(found.stamps.tolist(), known.tolist(), possible.tolist(), strict=True)
+        for index, (stamp_ns, is_known, is_possible) in enumerate(rows):
+            if stamp_ns - last < PERIOD_NS or not is_known:
                 continue
-            moved = row.smoothed[stamp_ns]
-            if math.isnan(moved.acceleration):
+            if not is_possible:
+                impossible_orders.append(int(found.order[index]))
                 continue
-            if abs(moved.acceleration) > MAX_ACCELERATION or abs(moved.speed) > MAX_SPEED:
-                self._drop("acceleration_impossible")
-                continue
-            self._match_power(stamp_ns - 1, events)
-            self._last_moment_ns = stamp_ns
-            self._differentiator.learn(stamp_ns, moved.acceleration)
-            sample = self._sample(stamp_ns, moved)
-            self._unmeasured.append(sample)
-            events.append(sample)
+            chosen.append(index)
+            last = stamp_ns
+        self._last_moment_ns = last
+        return _Smoothed(*(column[chosen] for column in found)), impossible_orders
 
-    def _due(self, stamp_ns: int) -> bool:
-        """True if a moment is far enough from the last one sampled."""
-        if self._last_moment_ns is None:
-            return True
-        step = stamp_ns - self._last_moment_ns
-        return step >= int(SAMPLE_PERIOD * NANOSECONDS) - LAG_TOLERANCE_NS
-
-    def _sample(self, stamp_ns: int, moved: _Smoothed, *, newest: bool = False) -> Sample:
-        around = self._road.conditions(stamp_ns)
-        return Sample(
-            stamp_ns=stamp_ns,
+    def _samples(self, moved: _Smoothed) -> Samples:
+        by, stamps = moved.order, moved.stamps
+        around = self._road.conditions(stamps, by)
+        return Samples(
+            stamp_ns=stamps,
             speed=moved.speed,
             acceleration=moved.acceleration,
-            grade=self._road.grade(stamp_ns),
+            grade=self._road.grades(stamps, by),
             air_density=around.air_density,
             known_auxiliary=around.load,
             profile=profile(moved.slopes, moved.acceleration),
             head_wind=around.head_wind,
             celsius=around.celsius,
             doubted_load=around.doubted_load,
-            motor_power=self._motor.at(stamp_ns),
-            motor_scaled=self._motor.scaled,
-            newest=newest,
+            motor_power=self._motor.at(stamps, by),
+            motor_scaled=self._motor.scaled(by),
         )
 
-    def _add_battery(self, reading: BatteryReading) -> None:
-        if math.isnan(reading.voltage) and math.isnan(reading.current):
-            self._drop("battery_unmeasured")
-            return
-        newest = self._battery.newest_ns
-        if newest is not None and newest - reading.stamp_ns > self._late_ns:
-            self._drop("battery_late")
-            return
-        if not self._battery.add(
-            reading.stamp_ns, reading.voltage, reading.current, reading.power_std
-        ):
-            self._drop("battery_doubled")
+    def _with_measured(self, part: _Part, speeds: Rows, first: int, last_moment_ns: int) -> _Part:
+        """The part with the samples whose power its readings determine.
 
-    def _match_power(self, until_ns: int | None, events: list[StreamEvent]) -> None:
-        """Samples whose power battery readings up to a moment, and none to come, determine."""
-        while self._unmeasured and until_ns is not None:
-            after = self._battery.next_ns(self._unmeasured[0].stamp_ns)
-            if after is None or after > min(until_ns, self._speed.newest_ns - self._late_ns):
-                return
-            sample = self._unmeasured.popleft()
-            power = self._battery.at(sample.stamp_ns)
-            if not math.isnan(power):
-                events.append(MeasuredSample(sample, power))
+        Args:
+            part: of the block.
+            speeds: of it, with places within it.
+            first: place of the part in the block.
+            last_moment_ns: of the last smoothed sample before it.
+        """
+        waiting = self._unmeasured.and_then(part.smoothed)
+        begin = self._smoothed_before
+        self._smoothed_before += part.smoothed.size
+        if not waiting.size:
+            return part
+        orders, stamps = part.smoothed_order - first, part.smoothed.stamp_ns
+        after, came = self._battery.first_after(waiting.stamp_ns)
+        place = np.searchsorted(stamps, after)
+        passed = np.append(orders, LATER)[place]
+        place = place + (np.append(stamps, NEVER)[place] == after)
+        passed[last_moment_ns >= after] = BEFORE
+        by = np.maximum(np.maximum(came, passed), self._settled_by(after, speeds))
+        given, dropped, by = _in_turn(by, self._hopeless(waiting.stamp_ns, speeds))
+        self._unmeasured = waiting.where(~(given | dropped))
+        measured, by = waiting.where(given), np.maximum(by[given], 0)
+        place = np.maximum(place[given], np.searchsorted(orders, by))
+        place = np.maximum.accumulate(place)
+        power = self._battery.at(measured.stamp_ns, by)
+        known = ~np.isnan(power)
+        return part._replace(
+            measured=measured.where(known),
+            measured_order=by[known] + first,
+            measured_place=place[known] + begin,
+            measured_power=power[known],
+        )
 
-    def _drop_hopeless(self) -> None:
-        """Stop waiting for the battery at moments that no two readings to be joined settled."""
-        while self._unmeasured:
-            age_ns = self._speed.newest_ns - self._unmeasured[0].stamp_ns
-            if age_ns <= self._battery.gap_ns + self._late_ns + self._lag_ns:
-                return
-            self._unmeasured.popleft()
+    def _settled_by(self, after: np.ndarray, speeds: Rows) -> np.ndarray:
+        """Places from which on nothing older than moments, ns, may come."""
+        before_ns = self._speed.stamps[: len(self._speed) - len(speeds.order)][-1:]
+        index = np.searchsorted(speeds.stamps, after + self._late_ns)
+        by = np.append(speeds.order, LATER)[index]
+        if len(before_ns):
+            by[before_ns[0] >= after + self._late_ns] = BEFORE
+        return by
+
+    def _hopeless(self, stamps: np.ndarray, speeds: Rows) -> np.ndarray:
+        """Places from which on no two readings to be joined can settle moments, ns."""
+        never = np.full(len(stamps), LATER)
+        if not len(speeds.order):
+            return never
+        longest = self._battery.gap_ns(speeds.order) + self._late_ns + self._lag_ns
+        if speeds.stamps[-1] - stamps[0] <= longest.min():
+            return never
+        earliest = np.searchsorted(speeds.stamps, stamps + longest.min(), side="right")
+        latest = np.searchsorted(speeds.stamps, stamps + longest.max(), side="right")
+        orders = np.append(speeds.order, LATER)
+        for index in np.flatnonzero(earliest < latest).tolist():
+            some = slice(earliest[index], latest[index])
+            too_old = speeds.stamps[some] - stamps[index] > longest[some]
+            if too_old.any():
+                latest[index] = earliest[index] + int(too_old.argmax())
+        return np.asarray(orders[latest])
+
+
+def _in_turn(by: np.ndarray, hopeless: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which samples are given and which dropped, and the places: each waits for those before it.
+
+    Args:
+        by: places from which on each could be given, shape (n,).
+        hopeless: places from which on each is dropped, shape (n,).
+    """
+    in_order, nothing = np.maximum.accumulate(by), np.zeros(len(by), dtype=bool)
+    if (in_order <= hopeless).all():
+        return in_order < LATER, nothing, in_order
+    given, dropped, now, turn = nothing.copy(), nothing, BEFORE, BEFORE
+    for index, (known, given_up) in enumerate(zip(by.tolist(), hopeless.tolist(), strict=True)):
+        known, given_up = max(known, turn), max(given_up, now)
+        if min(known, given_up) >= LATER:
+            break
+        given[index], dropped[index] = known <= given_up, known > given_up
+        by[index] = now = min(known, given_up)
+        turn = now + dropped[index]
+    return given, dropped, by
+
+
+def _row_of(reading: Reading) -> Rows:
+    """One reading as rows."""
+    return Block.of([reading]).rows[type(reading)]

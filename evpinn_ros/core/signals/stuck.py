@@ -7,11 +7,16 @@ and between speeding up and slowing down any car does.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from bisect import bisect_right
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from evpinn_ros.core.signals.block import Block, Rows
 from evpinn_ros.core.signals.detector import (
     BATTERY_REPEATS,
     BATTERY_STUCK,
@@ -23,10 +28,17 @@ from evpinn_ros.core.signals.detector import (
     SPEED_STUCK,
     Hysteresis,
 )
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+    drawn_power,
+)
 
 FINE = 0.1  # m/s, a step of finer speeds
 OFTEN = 10  # readings of one value before it is suspected
+FEW = 8  # readings that are followed one by one: arrays take longer
 WINDOW_NS = 15 * NANOSECONDS  # beyond, a hilly road under cruise control would look the same
 LEAST_HANG = 0.35  # s; less is a gap between readings
 LEAP, LEAP_STEPS, MOST_ACCELERATION = 0.5, 2.5, 3.0  # m/s, steps of the signal, m/s^2
@@ -135,6 +147,57 @@ class StuckDetector:
                 return reason
         return None
 
+    def course(self, speeds: Rows, battery: Rows) -> StuckCourse:
+        """The detectors along the readings of a block, whose power is finite.
+
+        They are followed one by one where a value repeats so long, while the other signal moves
+        so far, that it may be suspected; else only how the block ends matters.
+        """
+        if len(speeds.order) + len(battery.order) <= FEW:
+            return self._followed(speeds, battery)
+        power = drawn_power(*battery.values[:2])
+        # Robots send a current of 0 for want of a sensor, beside a voltage that is measured.
+        volts = np.where(battery.values[1] == 0.0, 0.0, battery.values[0])
+        moved = _Runs.of(speeds, speeds.values[:1], self.speed, battery.order, power)
+        drew = _Runs.of(
+            battery, np.stack((volts, battery.values[1])), self.battery, speeds.order,
+            speeds.values[0],
+        )  # fmt: skip
+        if self._may_suspect(moved, drew):
+            return self._followed(speeds, battery)
+        speed = [v for (v,) in speeds.values[:1, -1:].T.tolist()]
+        drawn = [(v, a) if a else (a,) for v, a in battery.values[:2, -1:].T.tolist()]
+        detector = replace(
+            self,
+            speed=_ended(self.speed, moved, speed, battery, power),
+            battery=_ended(self.battery, drew, drawn, speeds, speeds.values[0]),
+            step=min([self.step, *moved.changes.tolist()]),
+        )
+        return StuckCourse((), (detector,))
+
+    def _may_suspect(self, moved: _Runs, drew: _Runs) -> bool:
+        """True if a repetition in a block could be suspected, or was before it."""
+        doubted = (moved.seconds >= FINE_DOUBT.least) & (moved.swing > FINE_DOUBT.on)
+        doubted &= np.abs(moved.values[0]) > MOVING
+        hung = moved.seconds[:-1] >= LEAST_HANG
+        hung &= moved.changes > LEAP + MOST_ACCELERATION * moved.gaps
+        stuck = (drew.times >= OFTEN) & (drew.seconds >= BATTERY_REPEATS.least)
+        stuck &= drew.swing > BATTERY_REPEATS.on
+        if self.detected or self.speed.doubted or doubted.any() or hung.any() or stuck.any():
+            return True
+        return not (moved.in_order and drew.in_order)
+
+    def _followed(self, speeds: Rows, battery: Rows) -> StuckCourse:
+        """The detectors after each of the readings."""
+        ends = [int(rows.order[-1]) for rows in (speeds, battery) if len(rows.order)]
+        if not ends:
+            return StuckCourse((), (self,))
+        length = 1 + max(ends)
+        block = Block(length, {SpeedReading: speeds, BatteryReading: battery})
+        places = np.sort(np.concatenate((speeds.order, battery.order)))
+        detectors = accumulate(block.readings(), StuckDetector.after, initial=self)
+        return StuckCourse(tuple(places.tolist()), tuple(detectors))
+
     def _moved(self, reading: SpeedReading) -> StuckDetector:
         """The detector after the step to another speed; a leap shows that the speed did hang."""
         before = self.speed.value
@@ -179,3 +242,115 @@ class StuckDetector:
             before = before[:-1]
         last = Spoilt(reason, repetition.since_ns, repetition.newest_ns)
         return replace(self, spoilt=(*before, last)[-SPOILT_KEPT:])
+
+
+class StuckCourse(NamedTuple):
+    """Detectors along a block: the first from its begin, each further one from a place on.
+
+    Where nothing was suspected there is one, of the end.
+    """
+
+    places: tuple[int, ...]
+    detectors: tuple[StuckDetector, ...]
+
+    @property
+    def last(self) -> StuckDetector:
+        """The detector after the block."""
+        return self.detectors[-1]
+
+    def at(self, place: int) -> StuckDetector:
+        """The detector after the reading at a place."""
+        return self.detectors[bisect_right(self.places, place)]
+
+    @property
+    def is_quiet(self) -> bool:
+        """True if nothing in the block is suspected, nor was lately."""
+        return not any(detector.spoilt for detector in self.detectors)
+
+
+class _Runs(NamedTuple):
+    """The m runs of equal values of a signal, the first of which may go on from before.
+
+    Attributes:
+        values: of each, shape (k, m).
+        order: place of the first reading of each, shape (m,).
+        times: readings, shape (m,).
+        since: stamp of the first, ns, shape (m,).
+        until: stamp of the last, ns, shape (m,).
+        swing: of the other signal meanwhile, shape (m,).
+        in_order: whether no stamp goes back.
+    """
+
+    values: np.ndarray
+    order: np.ndarray
+    times: np.ndarray
+    since: np.ndarray
+    until: np.ndarray
+    swing: np.ndarray
+    in_order: bool
+
+    @classmethod
+    def of(
+        cls,
+        rows: Rows,
+        values: np.ndarray,
+        before: Repetition,
+        other_order: np.ndarray,
+        other: np.ndarray,
+    ) -> _Runs:
+        """Runs of readings, after what repeated before, beside another signal."""
+        order, stamps = rows.order, rows.stamps
+        if before.times:
+            value = np.atleast_1d(before.value)
+            value = np.concatenate((np.zeros(len(values) - len(value)), value))
+            values = np.column_stack((value, values))
+            order, stamps = np.append(-1, order), np.append(before.newest_ns, stamps)
+        changed = (np.diff(values) != 0.0).any(axis=0)
+        first = np.flatnonzero(np.append(True, changed)) if len(order) else np.empty(0, int)
+        last = np.append(first[1:], len(order))[: len(first)] - 1
+        begins = np.searchsorted(other_order, order[first])
+        ends = np.append(begins[1:], len(other_order))[: len(first)]
+        high, low = np.full(len(first), -np.inf), np.full(len(first), np.inf)
+        some = np.flatnonzero(ends > begins)
+        if len(some):
+            high[some] = np.maximum.reduceat(other, begins[some])
+            low[some] = np.minimum.reduceat(other, begins[some])
+        since, times = stamps[first], last - first + 1
+        if before.times:
+            since[0], times[0] = before.since_ns, times[0] + before.times - 1
+            high[0], low[0] = max(high[0], before.high), min(low[0], before.low)
+        in_order = not (np.diff(stamps) < 0).any()
+        runs = values[:, first], order[first], times, since, stamps[last], high - low
+        return cls(*runs, in_order)
+
+    @property
+    def seconds(self) -> np.ndarray:
+        """Durations, s."""
+        return np.asarray((self.until - self.since) / NANOSECONDS)
+
+    @property
+    def changes(self) -> np.ndarray:
+        """Size of the steps of the value from one to the next, shape (m - 1,)."""
+        return np.asarray(np.abs(np.diff(self.values[0])))
+
+    @property
+    def gaps(self) -> np.ndarray:
+        """Seconds from the last reading of one to the first of the next, shape (m - 1,)."""
+        return np.asarray((self.since[1:] - self.until[:-1]) / NANOSECONDS)
+
+
+def _ended(
+    before: Repetition, runs: _Runs, last: Sequence[Hashable], others: Rows, other: np.ndarray
+) -> Repetition:
+    """The repetition at the end of a block, whose last value is in a list; none if it has none."""
+    repetition, begin = before, -1
+    if last and len(runs.order) > bool(before.times) and runs.order[-1] >= 0:
+        since_ns, begin = int(runs.since[-1]), int(runs.order[-1])
+        times = int(runs.times[-1])
+        repetition = Repetition(last[0], since_ns, int(runs.until[-1]), times, since_ns)
+    elif last:
+        repetition = before._replace(newest_ns=int(runs.until[-1]), times=int(runs.times[-1]))
+    after = slice(np.searchsorted(others.order, begin), None)
+    for stamp_ns, value in zip(others.stamps[after].tolist(), other[after].tolist(), strict=True):
+        repetition = repetition.beside(stamp_ns, value)
+    return repetition

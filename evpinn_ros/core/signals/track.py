@@ -1,140 +1,213 @@
-"""The latest readings of one quantity, and the rate at which they come."""
+"""The latest readings of one quantity, and the rate at which they come.
+
+A block of readings is taken at once, but nothing may rest on a reading before it has come: so each
+reading keeps its place in the order of arrival, and whatever is asked is asked `by` such a place.
+"""
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
-from collections import deque
-from collections.abc import Sequence
-import math
+from typing import Any
 
 import numpy as np
 
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
-TRACK_LENGTH = 90.0  # s of readings kept; an interval waits no longer for its energy
+TRACK_NS = 90 * NANOSECONDS  # of readings kept at least
 RATE_READINGS = 15  # steps whose median is the rate of a signal
 GAP_STEPS = 6.0  # median steps across which readings are still joined
+BEFORE = -1  # the place of a reading that came before the present block
+LATER = 2**62  # a place, and a moment in ns, that is never reached
+NEVER = -LATER  # ns, of what did not come yet
 
 
-class Cadence:
-    """The usual step between readings of one signal, from the latest ones."""
+def medians(steps: np.ndarray, new: int) -> np.ndarray:
+    """Median of the latest `RATE_READINGS` steps up to each of the last `new`, shape (new,).
+
+    Of an even number of steps the larger of the two in the middle.
+    """
+    count = np.minimum(np.arange(len(steps) - new, len(steps)) + 1, RATE_READINGS)
+    padded = np.concatenate((np.full(RATE_READINGS, np.inf), steps))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, RATE_READINGS)[-new:]
+    return np.asarray(np.sort(windows, axis=1)[np.arange(new), count // 2])
+
+
+class SignalTrack:
+    """The latest readings of one quantity in order of stamps, shape (n,) each.
+
+    Attributes:
+        stamps: ns, increasing.
+        values: of the same length.
+        orders: places in the order of arrival, `BEFORE` for those of earlier blocks.
+        periods: usual step once each had come, s; 0 before the second reading.
+        gaps: ns between readings beyond which nothing is joined, once each had come.
+    """
 
     def __init__(self, max_gap: float) -> None:
         """Join readings up to max_gap, s, apart, and slow ones up to `GAP_STEPS` usual steps."""
         self._max_gap = max_gap
-        self._steps: deque[float] = deque(maxlen=RATE_READINGS)
-        self._period: float | None = 0.0  # None until it is asked for after a step
+        self._steps = np.empty(0)
+        self._period, self._gap_ns = 0.0, int(max_gap * NANOSECONDS)
+        self._forget()
 
-    @property
-    def period(self) -> float:
-        """Usual step, s; 0 before the second reading."""
-        if self._period is None:
-            self._period = sorted(self._steps)[len(self._steps) // 2]
-        return self._period
+    def _forget(self) -> None:
+        self.stamps, self.orders = np.empty(0, np.int64), np.empty(0, np.int64)
+        self.gaps, self.values, self.periods = np.empty(0, np.int64), np.empty(0), np.empty(0)
 
-    @property
-    def gap_ns(self) -> int:
-        """Nanoseconds between readings beyond which nothing is joined."""
-        return int(max(self._max_gap, GAP_STEPS * self.period) * NANOSECONDS)
+    def __len__(self) -> int:
+        return len(self.stamps)
 
-    def add_step(self, step: float) -> None:
-        """Take the time, s, from one reading to the next."""
-        self._steps.append(step)
-        self._period = None
+    def in_order(self, stamps: np.ndarray) -> int:
+        """How many of these stamps, from the first on, each come after the one before."""
+        if not len(stamps):
+            return 0
+        before = np.concatenate((self.stamps[-1:], stamps))
+        wrong = np.flatnonzero(np.diff(before) <= 0)
+        return int(wrong[0]) + (not len(self.stamps)) if len(wrong) else len(stamps)
 
+    def rates(self, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Usual step, s, and gap, ns, once each of more readings in order has come."""
+        steps = np.diff(np.concatenate((self.stamps[-1:], stamps))) / NANOSECONDS
+        periods = np.full(len(stamps), self._period)
+        if len(steps):
+            periods[-len(steps) :] = medians(np.concatenate((self._steps, steps)), len(steps))
+        return periods, self._gaps(periods)
 
-class SignalTrack:
-    """The latest readings of one quantity in order of stamps.
+    def _gaps(self, periods: np.ndarray) -> np.ndarray:
+        gaps = np.maximum(self._max_gap, GAP_STEPS * periods) * NANOSECONDS
+        return np.asarray(np.minimum(gaps, LATER).astype(np.int64))
 
-    Attributes:
-        cadence: their rate, and the gap across which none are joined.
-        stamps: ns.
-        values: of the same length.
-    """
+    def extend(self, orders: np.ndarray, stamps: np.ndarray, values: np.ndarray) -> None:
+        """Take readings that come in order of stamps, after all before."""
+        if not len(stamps):
+            return
+        periods, gaps = self.rates(stamps)
+        steps = np.diff(np.concatenate((self.stamps[-1:], stamps))) / NANOSECONDS
+        self._steps = np.concatenate((self._steps, steps))[-RATE_READINGS:]
+        self._period, self._gap_ns = float(periods[-1]), int(gaps[-1])
+        self.stamps = np.concatenate((self.stamps, stamps))
+        self.values = np.concatenate((self.values, values))
+        self.orders = np.concatenate((self.orders, orders))
+        self.periods = np.concatenate((self.periods, periods))
+        self.gaps = np.concatenate((self.gaps, gaps))
 
-    def __init__(self, max_gap: float) -> None:
-        """Join readings up to max_gap, s, apart, and slow ones as `Cadence` allows."""
-        self.cadence = Cadence(max_gap)
-        self.stamps: list[int] = []
-        self.values: list[float] = []
-
-    def add(self, stamp_ns: int, value: float) -> bool:
-        """Insert one value in order; False when this stamp is already there."""
-        index = bisect_left(self.stamps, stamp_ns)
-        if index < len(self.stamps) and self.stamps[index] == stamp_ns:
+    def insert(self, stamp_ns: int, value: float) -> bool:
+        """Take one reading of any stamp between blocks; False when this stamp is already there."""
+        place = int(np.searchsorted(self.stamps, stamp_ns))
+        if place == len(self.stamps):
+            self.extend(np.array([BEFORE]), np.array([stamp_ns]), np.array([value]))
+            return True
+        if self.stamps[place] == stamp_ns:
             return False
-        if index == len(self.stamps) and index:
-            self.cadence.add_step((stamp_ns - self.stamps[-1]) / NANOSECONDS)
-        self.stamps.insert(index, stamp_ns)
-        self.values.insert(index, value)
-        oldest = self.stamps[-1] - int(TRACK_LENGTH * NANOSECONDS)
-        if self.stamps[len(self.stamps) // 2] < oldest:  # halved at once: deleting is not free
-            surplus = bisect_left(self.stamps, oldest)
-            del self.stamps[:surplus], self.values[:surplus]
+        self.stamps = np.insert(self.stamps, place, stamp_ns)
+        self.values = np.insert(self.values, place, value)
+        self.orders = np.insert(self.orders, place, BEFORE)
+        self.periods = np.insert(self.periods, place, self._period)
+        self.gaps = np.insert(self.gaps, place, self._gap_ns)
         return True
 
-    def next_ns(self, stamp_ns: int) -> int | None:
-        """Stamp of the first reading at a moment or after it, None while there is none."""
-        index = bisect_left(self.stamps, stamp_ns)
-        return self.stamps[index] if index < len(self.stamps) else None
+    def settle(self, needed_ns: int) -> None:
+        """Take all as come before; drop what no moment from `needed_ns` on can rest on."""
+        if not len(self.stamps) or self.orders[-1] == BEFORE:
+            return
+        oldest = min(needed_ns, int(self.stamps[-1]) - TRACK_NS)
+        first = max(0, int(np.searchsorted(self.stamps, oldest)) - RATE_READINGS - 1)
+        kept = slice(first, None)
+        self.stamps, self.values = self.stamps[kept], self.values[kept]
+        self.orders = np.full(len(self.stamps), BEFORE)
+        self.periods = np.full(len(self.stamps), self._period)
+        self.gaps = np.full(len(self.stamps), self._gap_ns)
 
-    def last(self, stamp_ns: int) -> float:
-        """Last value at a moment or before it; NaN where it is too long ago."""
-        index = bisect_right(self.stamps, stamp_ns) - 1
-        if index < 0 or stamp_ns - self.stamps[index] > self.cadence.gap_ns:
-            return math.nan
-        return self.values[index]
+    def restart(self, gap: float) -> None:
+        """Forget the readings before a gap, s; of a slow signal it is a step like others."""
+        self._steps = np.append(self._steps, gap)[-RATE_READINGS:]
+        self._period = float(medians(self._steps, 1)[0])
+        self._gap_ns = int(self._gaps(np.array([self._period]))[0])
+        self._forget()
 
-    def at(self, stamp_ns: int) -> float:
-        """Value at a moment, linear between its neighbours; NaN where it was not measured."""
-        index = bisect_left(self.stamps, stamp_ns)
-        if index == len(self.stamps):
-            return math.nan
-        if self.stamps[index] == stamp_ns:
-            return self.values[index]
-        if index == 0 or self.stamps[index] - self.stamps[index - 1] > self.cadence.gap_ns:
-            return math.nan
-        before, after = self.stamps[index - 1], self.stamps[index]
-        share = (stamp_ns - before) / (after - before)
-        return self.values[index - 1] + share * (self.values[index] - self.values[index - 1])
+    def count(self, by: Any) -> Any:
+        """How many had come by places in the order of arrival, of the same shape."""
+        return np.searchsorted(self.orders, by, side="right")
 
-    def covers(self, start_ns: int, end_ns: int) -> bool:
-        """True if readings around and within a span leave no gap."""
-        return bool(self.covered([start_ns, end_ns])[0])
+    def period(self, by: Any = LATER) -> Any:
+        """Usual step by places in the order of arrival, s."""
+        return self._by(self.periods, self._period, by)
 
-    def covered(self, moments: Sequence[int]) -> np.ndarray:
+    def gap_ns(self, by: Any = LATER) -> Any:
+        """Nanoseconds beyond which nothing is joined, by places in the order of arrival."""
+        return self._by(self.gaps, self._gap_ns, by)
+
+    def _by(self, column: np.ndarray, without: float, by: Any) -> Any:
+        if not len(column):
+            return np.full(np.shape(by), without)[()]
+        return column[np.maximum(self.count(by) - 1, 0)]
+
+    def first_after(self, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stamps and places of the first readings from moments on, `LATER` where there is none."""
+        index = np.searchsorted(self.stamps, moments)
+        stamps, orders = np.append(self.stamps, LATER), np.append(self.orders, LATER)
+        return stamps[index], orders[index]
+
+    def last(self, moments: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Last values at moments or before; NaN where they are too long ago. Shape (n,)."""
+        index = np.minimum(np.searchsorted(self.stamps, moments, side="right"), self.count(by)) - 1
+        if not len(self.stamps):
+            return np.full(len(moments), np.nan)
+        there = np.maximum(index, 0)
+        fresh = (index >= 0) & (moments - self.stamps[there] <= self.gap_ns(by))
+        return np.where(fresh, self.values[there], np.nan)
+
+    def at(self, moments: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Values at moments, linear between neighbours; NaN where not measured. Shape (n,)."""
+        if not len(self.stamps):
+            return np.full(len(moments), np.nan)
+        after = np.searchsorted(self.stamps, moments)
+        known = after < self.count(by)
+        after = np.minimum(after, len(self.stamps) - 1)
+        before = np.maximum(after - 1, 0)
+        step = self.stamps[after] - self.stamps[before]
+        share = (moments - self.stamps[before]) / np.maximum(step, 1)
+        value = self.values[before] + share * (self.values[after] - self.values[before])
+        exact = self.stamps[after] == moments
+        joined = (step > 0) & (step <= self.gap_ns(by)) & (moments > self.stamps[before])
+        value = np.where(exact, self.values[after], np.where(joined, value, np.nan))
+        return np.where(known, value, np.nan)
+
+    def covered(self, moments: np.ndarray, by: int = LATER) -> np.ndarray:
         """Whether readings around and within each step between n moments leave no gap.
 
         The moments, ns, rise; shape (n - 1,).
         """
-        stamps = self._around(moments)[0]
+        stamps = self._around(moments, by)[0]
         if not len(stamps):
             return np.zeros(len(moments) - 1, dtype=bool)
-        gaps = np.append(0, np.cumsum(np.diff(stamps) > self.cadence.gap_ns))
+        gaps = np.append(0, np.cumsum(np.diff(stamps) > self.gap_ns(by)))
         first = np.searchsorted(stamps, moments[:-1], side="right") - 1
         last = np.searchsorted(stamps, moments[1:])
         inside = (first >= 0) & (last < len(stamps))
         return np.asarray(inside & (gaps[np.minimum(last, len(gaps) - 1)] == gaps[first]))
 
-    def between(self, moments: Sequence[int]) -> np.ndarray:
+    def between(self, moments: np.ndarray, by: int = LATER) -> np.ndarray:
         """Values at n moments in order, linear between readings on both sides, shape (n,)."""
-        stamps, values = self._around(moments)
+        stamps, values = self._around(moments, by)
         zero_ns = moments[0]
-        return np.asarray(np.interp(np.array(moments) - zero_ns, stamps - zero_ns, values))
+        return np.asarray(np.interp(moments - zero_ns, stamps - zero_ns, values))
 
-    def _around(self, moments: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    def _around(self, moments: np.ndarray, by: int) -> tuple[np.ndarray, np.ndarray]:
         """Stamps, ns, and values of the readings around and within moments in order."""
-        first = max(0, bisect_right(self.stamps, moments[0]) - 1)
-        last = bisect_left(self.stamps, moments[-1]) + 1
-        return np.array(self.stamps[first:last], np.int64), np.array(self.values[first:last])
+        come = self.count(by)
+        first = max(0, int(np.searchsorted(self.stamps[:come], moments[0], side="right")) - 1)
+        last = int(np.searchsorted(self.stamps[:come], moments[-1])) + 1
+        chosen = slice(first, min(last, come))
+        return self.stamps[chosen], self.values[chosen]
 
-    def step_around(self, stamp_ns: int) -> float:
+    def step_around(self, stamp_ns: int, by: int = LATER) -> float:
         """Usual step between the readings up to a moment, s, whatever their order of arrival."""
-        last = bisect_left(self.stamps, stamp_ns) + 1
+        last = min(int(np.searchsorted(self.stamps, stamp_ns)) + 1, int(self.count(by)))
         latest = self.stamps[max(0, last - RATE_READINGS - 1) : last]
         return float(np.median(np.diff(latest))) / NANOSECONDS if len(latest) > 1 else 0.0
 
-    def within(self, start_ns: int, end_ns: int) -> list[int]:
+    def within(self, start_ns: int, end_ns: int, by: int = LATER) -> np.ndarray:
         """Stamps strictly between two moments."""
-        first, last = bisect_right(self.stamps, start_ns), bisect_left(self.stamps, end_ns)
-        return self.stamps[first:last]
+        stamps = self.stamps[: self.count(by)]
+        first = np.searchsorted(stamps, start_ns, side="right")
+        return np.asarray(stamps[first : np.searchsorted(stamps, end_ns)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 import time
@@ -67,30 +67,40 @@ class BridgedCar:
     def add_readings(self, readings: Iterable[Reading]) -> bool:
         """Take readings in order; give whether another drive began with them."""
         began = False
+        waiting: list[Reading | Jump] = []
         for reading in readings:
             self.readings += 1
             # Only what passes the guard of time counts: one wild stamp ends no drive.
             for item in self.chain.follow(reading):
-                if isinstance(item, SpeedReading):
-                    began |= self._begins(item)
+                if isinstance(item, SpeedReading) and self._is_next(item):
+                    self._take(waiting)
+                    waiting = []
+                    self._begin()
+                    began = True
                 if not isinstance(item, Jump):
                     self.newest_ns = item.stamp_ns
-                for output in chain.from_iterable(self.chain.take([item])):
-                    if isinstance(output, PowerEstimate):
-                        self._power[output.kind] = output
+                waiting.append(item)
+        self._take(waiting)
         return began
 
-    def _begins(self, reading: SpeedReading) -> bool:
-        """Begin the next drive where the car moves after a long stop."""
+    def _take(self, items: Sequence[Reading | Jump]) -> None:
+        """Take readings of one drive, and jumps of time."""
+        for output in chain.from_iterable(self.chain.take(items)):
+            if isinstance(output, PowerEstimate):
+                self._power[output.kind] = output
+
+    def _is_next(self, reading: SpeedReading) -> bool:
+        """True if the car moves after a long stop: another drive begins."""
         if abs(reading.speed) < STANDS:
             return False
         moved_ns, self._moved_ns = self._moved_ns, reading.stamp_ns
-        if moved_ns is None or reading.stamp_ns - moved_ns < DRIVE_GAP_NS:
-            return False
+        return moved_ns is not None and reading.stamp_ns - moved_ns >= DRIVE_GAP_NS
+
+    def _begin(self) -> None:
+        """Begin the next drive."""
         self.save()
         self._power.clear()
         self.chain.begin_next_drive()
-        return True
 
     def save(self) -> None:
         """Write what was learned and counted, if there is anything new."""

@@ -11,9 +11,9 @@ import numpy as np
 
 from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, Reading, SpeedReading
 from evpinn_ros.core.signals.road import GradeSource
-from evpinn_ros.core.signals.sample import MeasuredSample
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -105,25 +105,22 @@ def _read(
     stream, guard = SampleStream(settings, vehicle.air_density), StampGuard(SpeedReading)
     source = open_source(path, vehicle, options)
     earlier_ns = round(delay * NANOSECONDS)
-    rows = []
+    readings = []
     for reading in source.readings():
         for item in guard.follow(reading):
             if isinstance(item, Jump):
                 raise InputError(f"{path}: time goes back within the log; cut it there")
-            for event in stream.add_reading(_earlier(item, earlier_ns)):
-                if isinstance(event, MeasuredSample):
-                    sample = event.sample
-                    rows.append((sample.stamp_ns, sample.speed, sample.acceleration, event.power))
+            readings.append(_earlier(item, earlier_ns))
+    _, _, samples, power = stream.add_block(Block.of(readings)).measured
     dropped = {**source.dropped, **guard.dropped, **stream.dropped}
-    if len(rows) < MIN_SAMPLES:
+    if samples.size < MIN_SAMPLES:
         why = ", ".join(f"{count} {reason}" for reason, count in dropped.items())
         raise InputError(
-            f"{path}: {len(rows)} samples with speed and power, the experiment needs "
+            f"{path}: {samples.size} samples with speed and power, the experiment needs "
             f"{MIN_SAMPLES}{f' (dropped: {why})' if why else ''}"
         )
-    stamps, speed, acceleration, power = zip(*rows, strict=True)
-    time = (np.array(stamps) - stamps[0]) / NANOSECONDS
-    return DriveLog(time, np.array(speed), np.array(acceleration), np.array(power)), dropped
+    time = (samples.stamp_ns - samples.stamp_ns[0]) / NANOSECONDS
+    return DriveLog(time, samples.speed, samples.acceleration, power), dropped
 
 
 def _earlier(reading: Reading, shift_ns: int) -> Reading:

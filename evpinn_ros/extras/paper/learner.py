@@ -28,6 +28,7 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
 from itertools import pairwise
+import math
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -36,10 +37,10 @@ import torch
 from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, PaperOptimizer
-from evpinn_ros.core.estimation.learner import Learner, LearningEvent, PowerPrediction, gate
+from evpinn_ros.core.estimation.learner import Learner, Moments, Predictions, Step, gates
 from evpinn_ros.core.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import MeasuredSample, Sample
+from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable, identifiable
 from evpinn_ros.core.vehicle.parameters import LIMITS, Parameters
@@ -121,7 +122,7 @@ class SavedPaper:
 class PaperLearner(Saveable[SavedPaper], Learner):
     """Learner of `mode: paper`."""
 
-    learns: type[LearningEvent] = MeasuredSample
+    learns_samples = True
 
     def __init__(
         self,
@@ -153,25 +154,45 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         self._last_ns: int | None = None
         self.gated: Counter[str] = Counter()
 
-    def predict(self, sample: Sample) -> PowerPrediction:
-        """Power of the network, W: the prior's physics until the first update."""
+    def begin(self, moments: Moments) -> Predictions:
+        """Begin to follow a block; gives the predictions, which `follow` fills."""
+        self._moments, self._predictions = moments, Predictions()
+        columns = moments.newest, moments.smoothed, moments.measured
+        self._samples = [list(samples.rows()) for samples in columns]
+        self._gates = gates(moments.measured, moments.power)
+        return self._predictions
+
+    def follow(self, first: int, last: int) -> None:
+        """Let the steps from one place to before another happen: predict, and learn."""
+        newest, smoothed, measured = self._samples
+        for kind, index in self._moments.steps[first:last]:
+            if kind is Step.NEWEST:
+                self._predictions.newest.append(self._predict(newest[index]))
+            elif kind is Step.SMOOTHED:
+                self._predictions.smoothed.append(self._predict(smoothed[index]))
+                self._predictions.energies.append((math.nan, math.nan))
+            elif kind is Step.MEASURED:
+                power, reason = float(self._moments.power[index]), self._gates[index]
+                self._observe(measured[index], power, reason)
+
+    def _predict(self, sample: Sample) -> tuple[float, float]:
+        """Power of the network, W: the prior's physics until the first update; its 1-sigma."""
         sigma = float(np.sqrt(self._variance))
         if self._fresh:
-            return PowerPrediction(float(self._physics(sample, self._values())), sigma)
+            return float(self._physics(sample, self._values())), sigma
         newest = self._last_ns if self._last_ns is not None else sample.stamp_ns
         age = max(0.0, (newest - sample.stamp_ns) / NANOSECONDS)
         inputs = torch.tensor([[sample.speed / SPEED_SCALE, -age / WINDOW]])
         with torch.inference_mode():
             output = self._trained.network(inputs)
-        return PowerPrediction(float(output) * POWER_SCALE, sigma)
+        return float(output) * POWER_SCALE, sigma
 
-    def observe(self, sample: Sample, power: float) -> None:
-        """Take a measured sample into the window."""
-        reason = gate(sample, power)
+    def _observe(self, sample: Sample, power: float, reason: str | None) -> None:
+        """Take a measured sample into the window, unless there is a reason not to."""
         if reason is not None:
             self.gated[reason] += 1
             return
-        residual = power - self.predict(sample).power
+        residual = power - self._predict(sample)[0]
         self._variance += (residual**2 - self._variance) / NOISE_MEMORY
         self._window.append((sample, power))
         self._last_ns = sample.stamp_ns

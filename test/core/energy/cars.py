@@ -36,7 +36,6 @@ def plain(combined: Identifiable = COMBINED, sigmas: Identifiable = EXACT) -> Po
 def taught(seconds: float = 200.0) -> PowerModel:
     """A car as an estimator learned it from a drive in town."""
     chain = CarChain(CAR)
-    for reading in simulate(DriveKind.URBAN, CAR, seconds, 4).readings:
-        chain.add_reading(reading)
+    chain.add_readings(simulate(DriveKind.URBAN, CAR, seconds, 4).readings)
     car = chain.car.begin_drive()
     return PowerModel(car.model())

@@ -33,12 +33,10 @@ def trip(seed, points=600):
 def withheld():
     """Intervals of a drive after another one, and the car without their battery."""
     chain = CarChain(CAR)
-    for reading in simulate(DriveKind.URBAN, CAR, 300.0, 4).readings:
-        chain.add_reading(reading)
+    chain.add_readings(simulate(DriveKind.URBAN, CAR, 300.0, 4).readings)
     car, another, taken = chain.car.begin_drive(), CarChain(CAR), []
     model, another.take = car.state.model(car.equation), taken.append
-    for reading in simulate(DriveKind.URBAN, CAR, 300.0, 5).readings:
-        another.add_reading(reading)
+    another.add_readings(simulate(DriveKind.URBAN, CAR, 300.0, 5).readings)
     return model, car.after([replace(each, energy=np.nan) for each in taken]), taken
 
 

@@ -178,10 +178,7 @@ def taught(vehicle, drive) -> Callable[[float], OnlineEstimator]:
             first, last = (
                 readings[0].stamp_ns + round(each * NANOSECONDS) for each in (earlier, seconds)
             )
-            for reading in readings:
-                if first <= reading.stamp_ns < last:
-                    for _ in estimator.add_reading(reading):
-                        pass
+            estimator.add_readings(r for r in readings if first <= r.stamp_ns < last)
             kept[seconds] = estimator
         return deepcopy(kept[seconds])
 
@@ -202,7 +199,7 @@ def powers() -> Callable[..., list[PowerEstimate]]:
 @pytest.fixture
 def play() -> Callable[..., list]:
     """Everything an estimator says of readings."""
-    return lambda estimator, readings: [o for r in readings for o in estimator.add_reading(r)]
+    return lambda estimator, readings: estimator.add_readings(readings)
 
 
 @pytest.fixture

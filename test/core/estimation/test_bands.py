@@ -15,6 +15,7 @@ from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.journey import Journey
 from evpinn_ros.core.estimation.posterior import passed
 from evpinn_ros.core.estimation.terms import Equation, equation_of
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
@@ -78,10 +79,8 @@ def intervals_of(readings, vehicle: Vehicle) -> list[Interval]:
     stream = SampleStream(
         StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
     )
-    events = (event for reading in readings for event in stream.add_reading(reading))
-    return [
-        event for event in events if isinstance(event, Interval) and not math.isnan(event.energy)
-    ]
+    intervals = (interval for _, interval in stream.add_block(Block.of(readings)).intervals)
+    return [each for each in intervals if not math.isnan(each.energy)]
 
 
 def errors(equation: Equation, states: list[LearnedCar], drive: list[Interval], count: int):

@@ -1,19 +1,27 @@
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE, RATIO_RANGE, BandCalibration
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.estimation.calibration import (
+    GAUSSIAN_QUANTILE,
+    RATIO_RANGE,
+    BandCalibration,
+    Checked,
+)
 
-MOVING = Sample(0, 10.0, 0.0, 0.0, 1.2, 0.0)
-STANDING = Sample(0, 0.05, 0.0, 0.0, 1.2, 0.0)
+NOTHING = np.empty(0)
 
 
-def coverage(errors, sample=MOVING, model_sigma=100.0, last=0.5) -> float:
+def learn(band: BandCalibration, moving: bool, error: float, sigma: float) -> None:
+    """Hold a prediction against its measurement."""
+    band.calibrated(NOTHING, NOTHING, [Checked(0, moving, error, sigma)])
+
+
+def coverage(errors, model_sigma=100.0, last=0.5) -> float:
     """Share of the last part of errors within 1.645 sigma, each judged before it is learned."""
-    band, inside = BandCalibration(), []
-    for error in errors:
-        inside.append(abs(error) <= GAUSSIAN_QUANTILE * band.sigma(sample, model_sigma))
-        band.learn(sample, error, model_sigma)
+    checked = [Checked(k + 1, True, abs(error), model_sigma) for k, error in enumerate(errors)]
+    moving, sigma = np.ones(len(errors), dtype=bool), np.full(len(errors), model_sigma)
+    calibrated = BandCalibration().calibrated(moving, sigma, checked)
+    inside = np.abs(errors) <= GAUSSIAN_QUANTILE * calibrated
     return float(np.mean(inside[round((1 - last) * len(inside)) :]))
 
 
@@ -36,8 +44,8 @@ def test_bands_follow_errors_that_grow():
 def test_the_ratio_stays_in_its_range():
     band = BandCalibration()
     for _ in range(5000):
-        band.learn(MOVING, 1e9, 1.0)
-        band.learn(STANDING, 0.0, 1.0)
+        learn(band, True, 1e9, 1.0)
+        learn(band, False, 0.0, 1.0)
     assert band.export() == [RATIO_RANGE[1], RATIO_RANGE[0]]
 
 
@@ -45,8 +53,8 @@ def test_coverage_is_told_of_the_last_minute():
     band = BandCalibration()
     assert np.isnan(band.coverage)
     for error in [1e6] * 300 + [0.0] * 300:
-        band.learn(MOVING, error, 100.0)
+        learn(band, True, error, 100.0)
     assert band.coverage == 0.5
     for _ in range(300):
-        band.learn(STANDING, 0.0, 100.0)
+        learn(band, False, 0.0, 100.0)
     assert band.coverage == 1.0

@@ -6,9 +6,10 @@ import pytest
 
 from evpinn_ros.core.estimation.estimate import ParameterSet, PowerKind, Trust
 from evpinn_ros.core.estimation.estimator import Activity, Mode
+from evpinn_ros.core.estimation.learner import NO_MOMENTS, Step
 from evpinn_ros.core.signals.interval import DURATION
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import Sample, Samples
 from evpinn_ros.core.vehicle.identifiable import combined_power, identifiable
 
 MODES = [Mode.HYBRID, pytest.param(Mode.PAPER, marks=pytest.mark.torch)]
@@ -168,9 +169,12 @@ def test_energy_of_a_dropout_begins_where_the_battery_was_last_measured(
 
 def probe_sigma(estimator) -> float:
     """Sigma at 10 m/s, band included, without letting time pass."""
-    sample = Sample(0, 10.0, 0.2, 0.0, 1.17, 0.0)
-    prediction = estimator._learner.predict(sample)
-    return estimator._bands[PowerKind.SMOOTHED].sigma(sample, prediction.sigma)
+    learner, newest = estimator._learner, Samples.of([Sample(0, 10.0, 0.2, 0.0, 1.17, 0.0)])
+    predictions = learner.begin(replace(NO_MOMENTS, newest=newest, steps=[(Step.NEWEST, 0)]))
+    learner.follow(0, 1)
+    band = estimator._bands[PowerKind.SMOOTHED]
+    sigma = np.array([predictions.newest[0][1]])
+    return float(band.calibrated(np.array([True]), sigma, [])[0])
 
 
 @pytest.mark.slow

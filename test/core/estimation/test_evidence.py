@@ -64,8 +64,7 @@ def test_a_mean_that_was_pushed_is_no_evidence():
 @pytest.fixture(scope="module")
 def driven() -> LearnedCar:
     chain = CarChain(LEAF)
-    for reading in simulate(DriveKind.URBAN, LEAF, 240.0, 3).readings:
-        chain.add_reading(reading)
+    chain.add_readings(simulate(DriveKind.URBAN, LEAF, 240.0, 3).readings)
     return chain.car
 
 

@@ -35,11 +35,9 @@ def test_hours_without_excitation_move_nothing(vehicle, drive, speed, power, sec
     chain = CarChain(vehicle)
     town = drive(3, 240.0).readings
     later = town[-1].stamp_ns + 10 * NANOSECONDS
-    for reading in (*town, *steady(later, 180, speed, power)):
-        chain.add_reading(reading)
+    chain.add_readings((*town, *steady(later, 180, speed, power)))
     before, known = chain.car.state.mixture(), chain.parameters()
-    for reading in steady(later + 180 * NANOSECONDS, seconds - 180, speed, power):
-        chain.add_reading(reading)
+    chain.add_readings(steady(later + 180 * NANOSECONDS, seconds - 180, speed, power))
     moved_by = chain.car.state.mixture().mean - before.mean
     for state in (State.MASS, State.BACK):
         std = math.sqrt(before.covariance[state, state])
@@ -62,8 +60,7 @@ def test_a_heavier_car_has_the_ratio_of_its_mass(vehicle):
     found = []
     for driven in (first, heavier):
         chain = CarChain(vehicle)
-        for reading in driven.readings:
-            chain.add_reading(reading)
+        chain.add_readings(driven.readings)
         found.append(chain.parameters().identifiable.mass_over_eta)
     true = heavier.truth.identifiable.mass_over_eta / first.truth.identifiable.mass_over_eta
     assert true == pytest.approx(1.1, rel=0.01)

@@ -1,16 +1,15 @@
 """The newest samples as journeys: what an interval of the same driving would be."""
 
-from dataclasses import replace
 import math
 
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.journey import MAX_STEP, NOWHERE, SAMPLES_KEPT, Tail
+from evpinn_ros.core.estimation.journey import MAX_STEP, NOWHERE, SAMPLES_KEPT, Journey, Tail
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import Warmth, equation_of
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import Sample, Samples
 from evpinn_ros.core.vehicle.files import load_vehicle
 
 EQUATION = equation_of(load_vehicle("bmw_i3"))
@@ -30,15 +29,19 @@ def town(count: int, *, grade: float = 0.01, **others) -> list[Sample]:
 
 def tail_of(samples) -> Tail:
     tail = Tail(EQUATION)
-    for sample in samples:
-        tail.add(sample)
+    tail.extend(Samples.of(samples))
     return tail
+
+
+def between(tail: Tail, start_ns: int, end_ns: int) -> Journey:
+    """The journey from one stamp to another."""
+    return Journey(*(column[0] for column in tail.between(start_ns, np.array([end_ns]), WARM)))
 
 
 def test_its_energy_is_the_integral_of_power():
     samples = town(600)
-    whole = tail_of(samples).between(0, samples[-1].stamp_ns, WARM)
-    powers = EQUATION.rows_of(samples, WARM) @ EQUATION.mean
+    whole = between(tail_of(samples), 0, samples[-1].stamp_ns)
+    powers = EQUATION.rows_of(Samples.of(samples), WARM) @ EQUATION.mean
     assert whole.seconds == pytest.approx(59.9)
     assert float(whole.row @ EQUATION.mean) == pytest.approx(
         np.trapezoid(powers, dx=0.1), rel=2e-3
@@ -50,8 +53,8 @@ def test_its_energy_is_the_integral_of_power():
 def test_two_journeys_one_after_the_other_are_one(middle):
     tail = tail_of(town(600))
     end = 50 * NANOSECONDS
-    first, second = tail.between(0, middle, WARM), tail.between(middle, end, WARM)
-    both, whole = first.plus(second), tail.between(0, end, WARM)
+    first, second = between(tail, 0, middle), between(tail, middle, end)
+    both, whole = first.plus(second), between(tail, 0, end)
     np.testing.assert_allclose(both.row, whole.row, rtol=1e-9, atol=1e-6)
     assert both.seconds == pytest.approx(whole.seconds)
     np.testing.assert_allclose(both.noise, whole.noise, rtol=1e-9)
@@ -61,36 +64,35 @@ def test_two_journeys_one_after_the_other_are_one(middle):
 def test_a_road_of_unknown_height_is_unseen_by_its_length():
     seen, unseen = (tail_of(town(100, grade=grade)) for grade in (0.01, 0.0))
     end = 9 * NANOSECONDS
-    way = unseen.between(0, end, WARM).row[State.ROLLING]
-    assert seen.between(0, end, WARM).unseen == 0.0
-    assert unseen.between(0, end, WARM).unseen == pytest.approx(way / 9.80665, rel=0.2)
+    way = between(unseen, 0, end).row[State.ROLLING]
+    assert between(seen, 0, end).unseen == 0.0
+    assert between(unseen, 0, end).unseen == pytest.approx(way / 9.80665, rel=0.2)
 
 
 def test_the_motor_stands_in_for_the_wheels_and_heating_is_counted():
     end = 9 * NANOSECONDS
-    motor = tail_of(town(100, motor_power=5e3)).between(0, end, WARM)
+    motor = between(tail_of(town(100, motor_power=5e3)), 0, end)
     assert motor.row[State.MOTOR_DRIVE] == pytest.approx(45e3)
     assert motor.row[State.MASS] == 0.0 and motor.noise[2] > 0.0 == motor.noise[1]
-    cold = tail_of(town(100, celsius=0.0)).between(0, end, WARM)
+    cold = between(tail_of(town(100, celsius=0.0)), 0, end)
     assert cold.row[State.COLD] == pytest.approx(20.0 * 9.0)
 
 
 def test_after_a_gap_a_sample_stands_for_no_more_than_some_seconds():
     samples = town(100)
-    late = [*samples[:50], *(replace(s, stamp_ns=s.stamp_ns + 10**12) for s in samples[50:])]
-    assert tail_of(late).between(0, 10**13, WARM).seconds <= 10.0 + MAX_STEP
+    late = [*samples[:50], *(s._replace(stamp_ns=s.stamp_ns + 10**12) for s in samples[50:])]
+    assert between(tail_of(late), 0, 10**13).seconds <= 10.0 + MAX_STEP
 
 
 @pytest.mark.slow
 def test_of_hours_the_newest_are_kept_and_before_any_there_is_nothing():
-    assert Tail(EQUATION).between(0, 10**18, WARM) is NOWHERE
+    assert between(Tail(EQUATION), 0, 10**18).seconds == NOWHERE.seconds
     samples = town(3 * SAMPLES_KEPT)
     tail = Tail(EQUATION)
-    for sample in samples:
-        tail.add(sample)
-        if sample.stamp_ns % (50 * NANOSECONDS) == 0:
-            tail.between(0, sample.stamp_ns, WARM)  # its sums stay in step
+    for first in range(0, len(samples), 500):
+        tail.extend(Samples.of(samples[first : first + 500]))
+        between(tail, 0, first * TENTH)  # its sums stay in step
     end = samples[-1].stamp_ns
-    kept = tail.between(end - 60 * NANOSECONDS, end, WARM)
-    fresh = tail_of(samples[-700:]).between(end - 60 * NANOSECONDS, end, WARM)
+    kept = between(tail, end - 60 * NANOSECONDS, end)
+    fresh = between(tail_of(samples[-700:]), end - 60 * NANOSECONDS, end)
     np.testing.assert_allclose(kept.row, fresh.row, rtol=1e-9, atol=1e-6)

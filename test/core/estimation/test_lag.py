@@ -1,5 +1,7 @@
 """Speed and battery stamped at different moments: the lag is learned and taken out."""
 
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import islice, pairwise
@@ -8,10 +10,11 @@ from operator import attrgetter
 import pytest
 
 from evpinn_ros.common.saved_fields import plain
-from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind, Trust
+from evpinn_ros.core.estimation.estimate import Trust
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.core.estimation.lag import SLEW, Alignment, Lag, LagLearner
+from evpinn_ros.core.estimation.lag import SLEW, Aligned, Alignment, Lag, LagLearner
 from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.replays.simulation.sensors import BATTERY_LAG, SPEED_LAG
 
@@ -41,11 +44,19 @@ def polled(readings, every) -> list:
     return [*islice(speeds, 0, None, every), *islice(batteries, every // 2, None, every)]
 
 
+def parts(alignment: Alignment, readings) -> Iterator[Aligned]:
+    """The aligned parts of readings."""
+    block, first = Block.of(readings), 0
+    while first < block.length:
+        part = alignment.add_part(block.part(first, block.length))
+        first += part.block.length
+        yield part
+
+
 def learned(readings) -> LagLearner:
-    learner = LagLearner()
-    for reading in readings:
-        learner.add_reading(reading)
-    return learner
+    alignment = Alignment()
+    deque(parts(alignment, readings), maxlen=0)
+    return alignment._learner
 
 
 @pytest.mark.parametrize("lag", [0.0, *LAGS])
@@ -68,10 +79,8 @@ def drives_of(vehicle, drive):
     @cache
     def learn(lag) -> OnlineEstimator:
         estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
-        for outputs in estimator.add_block(later(drive(1, 600.0).readings, lag)):
-            for output in outputs:
-                if isinstance(output, PowerEstimate) and output.kind is PowerKind.MEASURED:
-                    assert output.stamp_ns in stamps
+        outputs = estimator.add_block(Block.of(later(drive(1, 600.0).readings, lag)))
+        assert set(outputs.measured.stamp_ns.tolist()) <= stamps
         estimator.finish()
         return estimator
 
@@ -108,7 +117,7 @@ def test_another_logger_has_another_lag(drive):
     """What is saved is left at once, for the drive so far is learned anew."""
     alignment = Alignment(Lag(1.0, 0.01))
     assert alignment.shift_ns == NANOSECONDS
-    jumps = [alignment.add_reading(reading) for reading in drive(1, SECONDS).readings]
+    jumps = [part.jumps for part in parts(alignment, drive(1, SECONDS).readings)]
     assert sum(jumps) == 1 and alignment.shift_ns == 0 and alignment.settled
 
 
@@ -117,12 +126,17 @@ def test_the_shift_moves_slowly_and_never_in_a_dropout(drive):
     readings = later(drive(1, SECONDS).readings, 0.25)
     alignment = Alignment(Lag(0.42, 0.01))
     shifts = [(readings[0].stamp_ns, alignment.shift_ns)]
-    for reading in readings:
-        silent = 300 <= (reading.stamp_ns - readings[0].stamp_ns) // NANOSECONDS < 400
-        if isinstance(reading, SpeedReading) or not silent:
-            assert not alignment.add_reading(reading)
-        if isinstance(reading, BatteryReading) and not silent:
-            shifts.append((reading.stamp_ns, alignment.shift_ns))
+    begin_ns = readings[0].stamp_ns
+    told = [
+        reading
+        for reading in readings
+        if isinstance(reading, SpeedReading)
+        or not 300 <= (reading.stamp_ns - begin_ns) // NANOSECONDS < 400
+    ]
+    for part in parts(alignment, told):
+        stamps = part.block.of_kind(BatteryReading).stamps - part.shifts
+        shifts += zip(stamps.tolist(), part.shifts.tolist(), strict=True)
+        assert not part.jumps
     for (begin_ns, before), (end_ns, after) in pairwise(shifts):
         dropout = end_ns - begin_ns > 3 * NANOSECONDS
         assert abs(after - before) <= (0.0 if dropout else SLEW * (end_ns - begin_ns) + 1)

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from evpinn_ros.core.estimation.operating_range import OperatingRange
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import Sample, Samples
 
 
 @pytest.mark.parametrize(
@@ -21,6 +21,6 @@ from evpinn_ros.core.signals.sample import Sample
 )
 def test_a_sample_has_its_place(kmh, acceleration, place):
     seen = OperatingRange()
-    seen.add(Sample(0, kmh / 3.6, acceleration, 0.0, 1.2, math.nan))
+    seen.add(Samples.of([Sample(0, kmh / 3.6, acceleration, 0.0, 1.2, math.nan)]))
     counts = seen.counts()
     assert counts[place] == 1 and sum(counts.values()) == 1 and len(counts) == 15

@@ -43,8 +43,7 @@ class Driver:
         leg = simulate(DriveKind.URBAN, self._vehicle, seconds, seed, car=car, start_ns=start_ns)
         self._car = self._car or leg.car
         self._seconds += seconds + 10
-        for reading in leg.readings:
-            self.chain.add_reading(reading)
+        self.chain.add_readings(leg.readings)
 
 
 @pytest.fixture(scope="module")

@@ -4,17 +4,18 @@ from copy import deepcopy
 from dataclasses import replace
 import json
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.learner import PowerPrediction
+from evpinn_ros.core.estimation.learner import NO_MOMENTS, Predictions, Step
 from evpinn_ros.core.estimation.pinn import PARKED, PinnLearner
 from evpinn_ros.core.estimation.states import NAMES, State
 from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.signals.kinematics import PROFILE
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import Sample, Samples
 from evpinn_ros.replays.simulation.drive import DriveKind
 
 STEP = NANOSECONDS // 10
@@ -23,6 +24,37 @@ STEP = NANOSECONDS // 10
 def sample(tick: int, speed=15.0, **others) -> Sample:
     values = {"profile": (0.0,) * PROFILE, **others}
     return Sample(tick * STEP, speed, 0.0, 0.0, 1.17, 0.0, **values)
+
+
+class Predicted(NamedTuple):
+    power: float
+    sigma: float
+    energy: float
+    energy_sigma: float
+
+
+def followed(learner: PinnLearner, kind: Step, count: int = 1, **moments) -> Predictions:
+    """The predictions after so many steps of a kind."""
+    steps = [(kind, place) for place in range(count)]
+    predictions = learner.begin(replace(NO_MOMENTS, steps=steps, **moments))
+    learner.follow(0, count)
+    return predictions
+
+
+def predicted(learner: PinnLearner, tick: int) -> Predicted:
+    """The prediction of a smoothed sample, up to which time passes."""
+    found = followed(learner, Step.SMOOTHED, smoothed=Samples.of([sample(tick)]))
+    return Predicted(*found.smoothed[0], *found.energies[0])
+
+
+def battery_measured(learner: PinnLearner, tick: int) -> None:
+    followed(learner, Step.BATTERY, battery_ns=[sample(tick).stamp_ns])
+
+
+def observe(learner: PinnLearner, one: Sample, power: float) -> None:
+    """Let it learn from a measured sample."""
+    measured = Samples.of([one])
+    followed(learner, Step.MEASURED, measured=measured, power=np.array([power]))
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +107,8 @@ def test_what_is_not_finite_or_of_a_drive_that_ended_is_not_taken(learner, town)
     assert learner.consider(broken) == "not_finite"
     assert json.dumps(learner.export()) == before
     # The car parks while the update is under way: it may not bring the last drive back.
-    learner.advance(sample(0))
-    learner.advance(sample(10 * round(PARKED) + 10))
+    predicted(learner, 0)
+    predicted(learner, 10 * round(PARKED) + 10)
     assert learner._car.state.intervals == 0
     assert learner.consider(candidate) == "outdated"
     assert learner._car.state.intervals == 0
@@ -89,11 +121,11 @@ def test_what_is_not_finite_or_of_a_drive_that_ended_is_not_taken(learner, town)
 @pytest.mark.parametrize("jumped", [True, False])
 def test_a_clock_that_is_set_right_ends_no_drive(learner, seconds, same, jumped):
     """`jumped`: the stream saw the jump and had the window forgotten."""
-    learner.advance(sample(20_000))
+    predicted(learner, 20_000)
     before = learner.parameters().identifiable
     if jumped:
         learner.forget_window()
-    learner.advance(sample(20_000 + round(10 * seconds)))
+    predicted(learner, 20_000 + round(10 * seconds))
     assert (learner._car.state.intervals > 0) == same
     after = learner.parameters().identifiable
     assert after.mass_over_eta == pytest.approx(before.mass_over_eta, rel=1e-9)
@@ -101,9 +133,9 @@ def test_a_clock_that_is_set_right_ends_no_drive(learner, seconds, same, jumped)
 
 def test_the_breakdown_goes_on_over_a_long_stop_and_begins_with_another_drive(learner):
     """A log of some trips, with hours between them: its breakdown is of all of them."""
-    learner.advance(sample(0))
+    predicted(learner, 0)
     before = learner.breakdowns().of(-1)
-    learner.advance(sample(10 * round(PARKED) + 10))
+    predicted(learner, 10 * round(PARKED) + 10)
     assert learner._car.state.intervals == 0
     after = learner.breakdowns().of(-1).energy
     # What is of the first part alone is as the states of the car say of it.
@@ -122,41 +154,36 @@ def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(lea
         )
         for one in town
     ]
-    learner.predict(sample(0))
+    predicted(learner, 0)
     sigmas = []
     for one in silent:
         learner.add_interval(one)
         learner.consider(learner.prepare_update()())
-        sigmas.append(learner.predict(sample(one.end_ns // STEP)).energy_sigma)
-    total = learner.predict(sample(silent[-1].end_ns // STEP + 1)).energy
+        sigmas.append(predicted(learner, one.end_ns // STEP).energy_sigma)
+    total = predicted(learner, silent[-1].end_ns // STEP + 1).energy
     truth = sum(one.energy for one in town)
     assert sigmas[-1] > sigmas[0] > 0.0 and abs(total - truth) < 2 * sigmas[-1]
     learner.add_interval(replace(silent[-1], energy=town[-1].energy))
     learner.consider(learner.prepare_update()())
-    learner.battery_measured(sample(9000).stamp_ns)
-    assert math.isnan(learner.predict(sample(9001)).energy)
+    battery_measured(learner, 9000)
+    assert math.isnan(predicted(learner, 9001).energy)
 
 
 @pytest.fixture(scope="module")
 def drew_more(learned) -> PinnLearner:
     """For a minute, to its tick 600, the car drew 3 kW more than it does alone."""
     found = deepcopy(learned)
-    alone = found.predict(sample(0)).power
+    alone = predicted(deepcopy(found), 0).power
     for tick in range(1, 600):
         predicted(found, tick)
-        found.battery_measured(sample(tick).stamp_ns)
-        found.observe(sample(tick), alone + 3000.0)
+        battery_measured(found, tick)
+        observe(found, sample(tick), alone + 3000.0)
     return found
-
-
-def predicted(learner, tick: int) -> PowerPrediction:
-    learner.advance(sample(tick))
-    return learner.predict(sample(tick))
 
 
 def test_a_dropout_begins_with_what_the_last_seconds_had_beyond_the_car(learner, drew_more):
     """Energy of its first seconds is the integral of the power that is published."""
-    alone, learner = learner.predict(sample(0)).power, deepcopy(drew_more)
+    alone, learner = predicted(deepcopy(learner), 0).power, deepcopy(drew_more)
     found = [predicted(learner, tick) for tick in range(600, 630)]
     assert found[0].power - alone > 1000.0
     assert found[-1].energy == pytest.approx(0.1 * sum(each.power for each in found), rel=0.03)
@@ -165,15 +192,15 @@ def test_a_dropout_begins_with_what_the_last_seconds_had_beyond_the_car(learner,
 def test_of_a_step_that_the_battery_saw_in_part_the_rest_counts(drew_more):
     learner = deepcopy(drew_more)
     predicted(learner, 610)
-    learner.battery_measured(sample(619).stamp_ns)
+    battery_measured(learner, 619)
     first, second = predicted(learner, 620), predicted(learner, 630)
     assert second.energy == pytest.approx(0.1 * first.power + second.power, rel=0.03)
 
 
 def test_the_newest_sample_is_predicted_and_nothing_follows_it(learner):
-    newest = replace(sample(5), profile=(), newest=True)
-    first = learner.predict(newest)
-    assert learner.predict(newest).power == first.power and math.isnan(first.energy)
+    newest = Samples.of([sample(5), sample(5)])
+    first, again = followed(learner, Step.NEWEST, 2, newest=newest).newest
+    assert first == again
 
 
 def saved_car(learner) -> dict:

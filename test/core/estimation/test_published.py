@@ -123,8 +123,7 @@ def test_an_efficiency_map_is_published_by_energy():
 
 def learned(vehicle, readings) -> LearnedCar:
     chain = CarChain(vehicle)
-    for reading in readings:
-        chain.add_reading(reading)
+    chain.add_readings(readings)
     return chain.car
 
 
@@ -170,9 +169,7 @@ def test_motor_torque_tells_the_mass_in_kilograms(name, most):
     drive = simulate(DriveKind.MIXED, model, 900.0, 4, motor_torque=True, can_profile=PROFILE)
     for torque in (False, True):
         chain = CarChain(model)
-        for reading in drive.readings:
-            if torque or not isinstance(reading, MotorReading):
-                chain.add_reading(reading)
+        chain.add_readings(r for r in drive.readings if torque or not isinstance(r, MotorReading))
         mass = chain.parameters().parameters["mass"]
         shares[torque] = mass.prior_share
     assert shares[True] < most and shares[True] < 0.7 * shares[False]
@@ -246,9 +243,7 @@ def test_motor_torque_without_heights_tells_the_same_car():
     found = {}
     for seen in (True, False):
         chain = CarChain(model)
-        for reading in drive.readings:
-            if seen or not isinstance(reading, AltitudeReading):
-                chain.add_reading(reading)
+        chain.add_readings(r for r in drive.readings if seen or not isinstance(r, AltitudeReading))
         found[seen] = chain.parameters().parameters["eta"]
     assert found[True].trust.value == "valid"
     assert abs(found[False].value - drive.truth.parameters.eta) < 2.0 * found[False].std

@@ -42,7 +42,7 @@ def smaller(vehicle: Vehicle) -> Vehicle:
 def run(vehicle, readings):
     """An estimator after some readings, with the powers it gave."""
     estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
-    found = [each for reading in readings for each in estimator.add_reading(reading)]
+    found = estimator.add_readings(readings)
     return estimator, found
 
 

@@ -1,6 +1,6 @@
 """A vehicle without a file is learned as one of its size; a passenger car is not touched."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 import json
 import math
 
@@ -9,8 +9,9 @@ import pytest
 
 from evpinn_ros.core.estimation.estimate import PowerEstimate
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.core.estimation.sizing import Sizing, _intervals, size_of
+from evpinn_ros.core.estimation.sizing import Intervals, Sizing, _intervals, size_of
 from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import (
     DRIVE_START_NS,
     NANOSECONDS,
@@ -63,25 +64,30 @@ def robot_readings() -> Iterator[Reading]:
             yield BatteryReading(stamp_ns, now.voltage, -now.current)
 
 
+def intervals(drive: Iterable[Reading]) -> Intervals:
+    """Intervals of a drive."""
+    return _intervals(Block.of(drive))
+
+
 def learned(drive: list[Reading], block: int = 1000) -> tuple[OnlineEstimator, list[float]]:
     """An estimator of a vehicle without a file, after a drive, and the powers it predicted."""
     settings = EstimatorSettings()
     estimator = OnlineEstimator(load_vehicle("generic"), settings, InlineWorker(lambda: 0.0))
     blocks = (drive[begin : begin + block] for begin in range(0, len(drive), block))
-    outputs = [o for part in blocks for of_one in estimator.add_block(part) for o in of_one]
+    outputs = [output for part in blocks for output in estimator.add_readings(part)]
     estimator.finish()
     return estimator, [output.power for output in outputs if isinstance(output, PowerEstimate)]
 
 
 @pytest.mark.parametrize("name", ["eco", "quad", "bus"])
 def test_a_vehicle_of_another_size_is_known_by_its_first_drive(name):
-    size = size_of(_intervals([*readings(name)]))
+    size = size_of(intervals(readings(name)))
     assert size is not None and size.is_another
     assert abs(math.log(size.value * 2040.0 / VEHICLES[name][0])) < 3.0 * size.std < 1.5
 
 
 def test_a_robot_is_known():
-    size = size_of(_intervals([*robot_readings()]))
+    size = size_of(intervals(robot_readings()))
     assert size is not None and size.is_another
     assert 30.0 < 2040.0 * size.value < 250.0
 
@@ -90,20 +96,20 @@ def test_a_robot_is_known():
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_passenger_car_or_van_is_none_of_another_size(name, seed):
     for seconds in (200.0, 300.0, 600.0):
-        size = size_of(_intervals([*readings(name, seconds, seed)]))
+        size = size_of(intervals(readings(name, seconds, seed)))
         assert size is None or not size.is_another
 
 
 def test_nothing_is_known_of_too_little_or_of_stamps_that_leap():
     drive = [*readings("bus")]
-    assert size_of(_intervals([])) is None
-    assert size_of(_intervals(drive[:200])) is None
+    assert size_of(intervals([])) is None
+    assert size_of(intervals(drive[:200])) is None
     later_ns = DRIVE_START_NS + 10**18
     later = SpeedReading(later_ns, 3.0)
     leapt = [*drive, later, BatteryReading(later_ns, 600.0, -1.0)]
-    assert size_of(_intervals(leapt)) is None
+    assert size_of(intervals(leapt)) is None
     sizing = Sizing()
-    assert not sizing.is_due(drive[0]) and sizing.is_due(later)
+    assert sizing.until_due(Block.of([drive[0]])) == 1 and not sizing.until_due(Block.of([later]))
 
 
 @pytest.mark.slow

@@ -35,10 +35,7 @@ def learned(drive, taught, new_of):
         if mode is Mode.HYBRID:
             return taught(LEARNED_FOR)
         estimator = new_of(mode)
-        for reading in readings:
-            if reading.stamp_ns < cut:
-                for _ in estimator.add_reading(reading):
-                    pass
+        estimator.add_readings(r for r in readings if r.stamp_ns < cut)
         return estimator
 
     return of

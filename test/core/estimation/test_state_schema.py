@@ -215,10 +215,9 @@ def test_the_ends_of_a_range_are_refused_or_good_for_finite_predictions(new, sta
                 estimator.restore(spoilt(states[mode], path, change))
             except ValueError:
                 continue
-            for reading in readings:
-                for output in estimator.add_reading(reading):
-                    if hasattr(output, "power"):
-                        assert math.isfinite(output.power) and math.isfinite(output.sigma)
+            for output in estimator.add_readings(readings):
+                if hasattr(output, "power"):
+                    assert math.isfinite(output.power) and math.isfinite(output.sigma)
             again = new(mode)
             again.restore(estimator.export())
 

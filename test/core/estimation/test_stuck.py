@@ -1,5 +1,6 @@
 """A sensor that hangs: nothing is learned from it, and a stuck battery is not measured."""
 
+from bisect import bisect_right
 from copy import deepcopy
 from dataclasses import replace
 import math
@@ -61,16 +62,12 @@ def undisturbed(readings) -> dict[float, OnlineEstimator]:
     """Cars that learned from the first 60 and the first 75 s of the drive."""
     car = load_vehicle("tesla_model_3_lr")
     estimator = OnlineEstimator(car, EstimatorSettings(), InlineWorker(time.perf_counter))
-    found: dict[float, OnlineEstimator] = {}
-    for reading in readings:
-        now = (reading.stamp_ns - readings[0].stamp_ns) / NANOSECONDS
-        for until in (60.0, 75.0):
-            if now > until and until not in found:
-                found[until] = deepcopy(estimator)
-        if now > 75.0:
-            break
-        for _ in estimator.add_reading(reading):
-            pass
+    seconds = [(reading.stamp_ns - readings[0].stamp_ns) / NANOSECONDS for reading in readings]
+    first, found = 0, {}
+    for until in (60.0, 75.0):
+        last = bisect_right(seconds, until)
+        estimator.add_readings(readings[first:last])
+        first, found[until] = last, deepcopy(estimator)
     return found
 
 
@@ -89,6 +86,7 @@ def test_a_speed_that_hangs_for_seconds_moves_next_to_nothing(
     estimators = []
     for hangs in (False, True):
         estimator, held = deepcopy(undisturbed[begin]), value
+        given: list[Reading] = []
         for reading in readings:
             now = (reading.stamp_ns - readings[0].stamp_ns) / NANOSECONDS
             if not begin < now <= begin + 9.0:
@@ -99,8 +97,8 @@ def test_a_speed_that_hangs_for_seconds_moves_next_to_nothing(
             if disturbed and hangs and isinstance(reading, SpeedReading):
                 held = reading.speed if held is None else held
                 reading = replace(reading, speed=held)
-            for _ in estimator.add_reading(reading):
-                pass
+            given.append(reading)
+        estimator.add_readings(given)
         estimators.append(estimator)
     silent, hung = map(mass_over_eta, estimators)
     assert abs(hung / silent - 1.0) < most

@@ -3,13 +3,16 @@ import pytest
 
 from evpinn_ros.core.signals.detector import ALTITUDE_STUCK, ONE_ALTITUDE
 from evpinn_ros.core.signals.height import (
-    KNOWN_WITHIN,
     LEAP,
-    LENGTH,
     REACH,
     AltitudeDetector,
     HeightProfile,
 )
+
+
+def means(profile: HeightProfile, *places: float):
+    """Means around places by all heights that are known."""
+    return profile.means_around(np.array(places), profile.known[0])
 
 
 def driven(height, places) -> HeightProfile:
@@ -21,34 +24,35 @@ def driven(height, places) -> HeightProfile:
 
 def test_a_height_is_the_average_around_a_place():
     slope = driven(lambda x: 100.0 + 0.05 * x, np.arange(0.0, 1000.0, 5.0))
-    assert slope.means_around(np.array([400.0, 500.0])) == pytest.approx([120.0, 125.0])
+    assert means(slope, 400.0, 500.0) == pytest.approx([120.0, 125.0])
     rng = np.random.default_rng(0)
     noisy = driven(lambda x: rng.standard_normal(), np.arange(0.0, 1000.0, 10.0))
     # Fifteen readings within 150 m.
-    errors = noisy.means_around(np.arange(100.0, 900.0, 10.0))
+    errors = means(noisy, *np.arange(100.0, 900.0, 10.0))
     assert np.std(errors) == pytest.approx(15**-0.5, rel=0.5)
 
 
 def test_near_the_ends_it_is_of_what_is_known_and_beyond_unknown():
     slope = driven(lambda x: x, np.arange(0.0, 501.0, 5.0))
-    ends = slope.means_around(np.array([0.0, 500.0]))
+    ends = means(slope, 0.0, 500.0)
     assert ends == pytest.approx([REACH / 2, 500.0 - REACH / 2])
     for beyond in (500.0 + REACH + 1, -REACH - 1):
-        assert slope.means_around(np.array([250.0, beyond])) is None
-    assert slope.known_at(500.0 + KNOWN_WITHIN - 1) and not slope.known_at(500.0 + KNOWN_WITHIN)
+        assert means(slope, 250.0, beyond) is None
+    assert slope.known == (101, 500.0)
 
 
 def test_a_standing_car_tells_nothing_new():
     parked = driven(lambda x: 7.0, [0.0])
     for _ in range(100):
         parked.add(0.2, 99.0)
-    assert parked.means_around(np.zeros(1)) == [7.0]
+    assert means(parked, 0.0) == [7.0]
 
 
-def test_only_so_much_road_is_kept():
+def test_the_road_behind_is_forgotten_and_no_average_changes():
     slope = driven(lambda x: 0.1 * x, np.arange(0.0, 20_000.0, 5.0))
-    assert slope.means_around(np.array([19_000.0])) == pytest.approx([1900.0])
-    assert slope.means_around(np.array([20_000.0 - 3 * LENGTH])) is None
+    slope.forget_before(18_000.0)
+    assert means(slope, 18_000.0, 19_000.0) == pytest.approx([1800.0, 1900.0])
+    assert means(slope, 10_000.0) is None and slope.known[0] < 500
 
 
 def rises(*altitudes) -> list:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.height import REACH
 from evpinn_ros.core.signals.interval import DURATION, WAIT_NS, Interval
 from evpinn_ros.core.signals.readings import (
@@ -172,7 +173,7 @@ def test_a_silent_battery_is_not_waited_for(new_stream, journey, at):
     """An interval without energy is given within seconds of its end, not after `WAIT_NS`."""
     stream, waits = new_stream(), []
     for reading in journey(100.0, silent_from=30.0, altitude_step=None):
-        for interval in stream.add_reading(reading):
+        for _, interval in stream.add_block(Block.of([reading])).intervals:
             if math.isnan(interval.energy):
                 waits.append((stream.newest_ns - interval.end_ns) / NANOSECONDS)
     assert len(waits) >= 8 and sorted(waits)[-2] < 5.0 < WAIT_NS / NANOSECONDS
@@ -182,7 +183,7 @@ def test_a_standing_car_waits_for_no_road(new_stream, journey):
     """Heights around it never come: after a minute it is given as it is."""
     stream, waits = new_stream(), []
     for reading in journey(150.0, speed=lambda t: 10.0 if t < 20.0 else 0.0):
-        for interval in stream.add_reading(reading):
+        for _, interval in stream.add_block(Block.of([reading])).intervals:
             waits.append((stream.newest_ns - interval.end_ns) / NANOSECONDS)
     assert len(waits) >= 9 and max(waits) <= WAIT_NS / NANOSECONDS + 1.0
 

@@ -1,4 +1,3 @@
-from itertools import pairwise
 import math
 
 from hypothesis import given, settings
@@ -6,16 +5,20 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.kinematics import (
     INITIAL_TAPS,
     PROFILE,
     PROFILE_EDGES,
+    TAP_STD,
     TAPS,
+    TARGET_STD,
     CausalDifferentiator,
     SpeedTrack,
     profile,
 )
 from evpinn_ros.core.signals.readings import NANOSECONDS, SpeedReading
+from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
@@ -24,14 +27,20 @@ from test.core.signals.conftest import stamp_at as at
 
 def track(times, speeds) -> SpeedTrack:
     found = SpeedTrack(2.5)
-    for time, speed in zip(times, speeds, strict=True):
-        found.add(at(time), speed)
+    stamps = np.array([at(time) for time in times], np.int64)
+    if (np.diff(stamps) > 0).all():
+        found.extend(np.zeros(len(stamps), int), stamps, np.array(speeds, dtype=float))
+        return found
+    for stamp_ns, speed in zip(stamps.tolist(), speeds, strict=True):
+        found.insert(stamp_ns, speed)
     return found
 
 
 def smoothed(found: SpeedTrack, moment: float, until: float) -> tuple[float, float]:
     """Speed and acceleration at a moment from speeds up to another, s."""
-    speed, acceleration = found.smoothed([at(moment)], at(until) - at(moment))
+    speeds = found.since(at(0.0), at(0.0))
+    last = np.searchsorted(speeds.stamps, at(until) - at(0.0), side="right")
+    speed, acceleration = speeds.smoothed(np.array([at(moment) - at(0.0)]), np.array([last]))
     return float(speed[0]), float(acceleration[0])
 
 
@@ -39,8 +48,8 @@ def profile_of(found: SpeedTrack, moment: float, until: float, acceleration: flo
     """Acceleration profile at a moment from speeds up to another, s."""
     speeds = found.since(at(0.0), at(0.0))
     last = np.searchsorted(speeds.stamps, at(until) - at(0.0), side="right")
-    (slopes,) = speeds.slopes(np.array([at(moment) - at(0.0)]), np.array([last]))
-    return profile(slopes.tolist(), acceleration)
+    slopes = speeds.slopes(np.array([at(moment) - at(0.0)]), np.array([last]))
+    return profile(slopes, np.array([acceleration]))[0].tolist()
 
 
 def differences(found: SpeedTrack) -> np.ndarray:
@@ -97,9 +106,10 @@ def test_distance_and_flow_are_exact_where_speed_is_linear(gaps, head_wind):
     times = np.cumsum(gaps)
     found = track(times, 5.0 + 2.0 * times)
     stamps = [at(time) for time in times]
-    whole = found.travelled(stamps[0], stamps[-1], head_wind)
-    pieces = [found.travelled(*pair, head_wind) for pair in pairwise(stamps)]
-    assert np.sum(pieces, axis=0) == pytest.approx(whole, rel=1e-9)
+    ends = np.array([stamps[0], stamps[-1]])
+    whole = [column[0] for column in found.driven(ends, np.array([head_wind]))[:2]]
+    pieces = found.driven(np.array(stamps), np.full(len(stamps) - 1, head_wind))[:2]
+    assert np.sum(pieces, axis=1) == pytest.approx(whole, rel=1e-9)
     fine = np.linspace(times[0], times[-1], 20_001)
     speed = 5.0 + 2.0 * fine
     flow = speed + head_wind
@@ -145,29 +155,25 @@ def test_differences_by_hand():
     assert slow == pytest.approx([2.0] * TAPS)
 
 
-def test_the_differentiator_finds_a_linear_rule():
-    rng = np.random.default_rng(2)
+def test_the_differentiator_learns_a_rule_that_is_linear():
+    rng = np.random.default_rng(0)
     rule = rng.standard_normal(TAPS) / TAPS
-    learner = CausalDifferentiator()
-    for k in range(3000):
-        slopes = rng.standard_normal(TAPS)
-        learner.acceleration(k, slopes)
-        learner.learn(k, float(slopes @ rule))
+    slopes = rng.standard_normal((3001, TAPS))
+    stamps, learner = np.arange(3001), CausalDifferentiator()
+    smoothed_ones = stamps[:3000], slopes[:3000] @ rule
+    found = learner.accelerations(stamps, slopes, smoothed_ones, stamps)
     # Ridge regression with penalty (0.2 / 0.2)^2 = 1 on about 3000 unit rows: 1/3000 is left.
-    np.testing.assert_allclose(learner.weights, rule, atol=1e-3)
-
-
-def test_what_is_not_pending_teaches_nothing():
-    learner = CausalDifferentiator()
-    start = learner.weights.copy()
-    learner.learn(1, 3.0)
-    learner.acceleration(2, np.ones(TAPS))
-    learner.learn(1, 3.0)  # older than all that waits
-    learner.learn(3, 3.0)  # newer: what waited is over
-    learner.acceleration(4, np.ones(TAPS))
-    learner.forget_pending()
-    learner.learn(4, 3.0)
-    assert learner.weights.tolist() == start.tolist()
+    assert found[-1] == pytest.approx(float(slopes[-1] @ rule), abs=TAPS * 1e-3)
+    # By hand: all sums up to each.
+    for k in (0, 1, 7, 200):
+        weights = np.zeros(TAPS)
+        weights[:INITIAL_TAPS] = 1.0 / INITIAL_TAPS
+        information = np.eye(TAPS) / TAP_STD**2
+        products = information @ weights
+        information = information + slopes[:k].T @ slopes[:k] / TARGET_STD**2
+        products = products + slopes[:k].T @ (slopes[:k] @ rule) / TARGET_STD**2
+        expected = slopes[k] @ np.linalg.solve(information, products)
+        assert found[k] == pytest.approx(float(expected), rel=1e-9)
 
 
 def test_the_learned_differentiator_beats_a_plain_difference():
@@ -177,18 +183,13 @@ def test_the_learned_differentiator_beats_a_plain_difference():
     times = (np.array([r.stamp_ns for r in readings]) - readings[0].stamp_ns) / NANOSECONDS
     times += (readings[0].stamp_ns - 1_735_689_600 * NANOSECONDS) / NANOSECONDS
     truth = np.interp(times, drive.trace.motion.time, drive.trace.motion.acceleration)
-    speeds, learner = SpeedTrack(2.5), CausalDifferentiator()
-    found, first_guess = [], []
-    for k, reading in enumerate(readings):
-        speeds.add(reading.stamp_ns, reading.speed)
-        slopes = differences(speeds)
-        first_guess.append(slopes[:INITIAL_TAPS].mean())
-        found.append(learner.acceleration(reading.stamp_ns, slopes))
-        if k >= 3:
-            past = readings[k - 3].stamp_ns
-            smooth = float(speeds.smoothed([past], reading.stamp_ns - past)[1][0])
-            if not math.isnan(smooth):
-                learner.learn(past, smooth)
+    stream = SampleStream(StreamSettings(), 1.2)
+    found = stream.add_block(Block.of(readings)).newest.acceleration
+    speeds = track([], [])
+    first_guess = []
+    for reading in readings:
+        speeds.insert(reading.stamp_ns, reading.speed)
+        first_guess.append(differences(speeds)[:INITIAL_TAPS].mean())
     raw = np.diff([r.speed for r in readings], prepend=0.0) / np.diff(times, prepend=-1.0)
 
     def error(estimate) -> float:

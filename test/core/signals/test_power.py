@@ -5,8 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.power import NOMINAL_RATIO, UNMEASURED, BatteryTrack, MotorTrack
 from evpinn_ros.core.signals.readings import BatteryReading, MotorReading
+from evpinn_ros.core.signals.track import LATER, NEVER
+from test.core.signals.conftest import now
 from test.core.signals.conftest import stamp_at as at
 
 
@@ -23,10 +26,10 @@ def track(step=0.1, shift=0.0, paired=True, seconds=40.0) -> BatteryTrack:
     found = BatteryTrack(2.5)
     for t in np.arange(0.0, seconds, step).tolist():
         if paired:
-            found.add(at(t), voltage(t), float(current(t)))
+            found.insert(BatteryReading(at(t), voltage(t), float(current(t))))
         else:
-            found.add(at(t), voltage(t), math.nan)
-            found.add(at(t + shift), math.nan, float(current(t + shift)))
+            found.insert(BatteryReading(at(t), voltage(t), math.nan))
+            found.insert(BatteryReading(at(t + shift), math.nan, float(current(t + shift))))
     return found
 
 
@@ -40,8 +43,8 @@ def test_power_is_positive_when_drawn_from_the_battery():
     assert BatteryReading(0, 350.0, -20.0).power == 7000.0
     assert BatteryReading(0, 350.0, 20.0).power == -7000.0
     found = BatteryTrack(2.5)
-    found.add(at(0.0), 350.0, 20.0)
-    assert found.at(at(0.0)) == -7000.0
+    found.insert(BatteryReading(at(0.0), 350.0, 20.0))
+    assert found.at(*now(at(0.0))) == [-7000.0]
 
 
 def test_energy_of_separate_rows_is_that_of_pairs():
@@ -49,8 +52,9 @@ def test_energy_of_separate_rows_is_that_of_pairs():
     expected = drawn(5.0, 11.0)
     for found in (paired, apart):
         assert found.energy(at(5.0), at(11.0)).energy == pytest.approx(expected, rel=1e-4)
-    assert apart.at(at(5.02)) == pytest.approx(-voltage(5.02) * current(5.02), rel=1e-3)
-    assert apart.newest_ns == at(39.9)
+    expected = -voltage(5.02) * current(5.02)
+    assert apart.at(*now(at(5.02))) == pytest.approx([expected], rel=1e-3)
+    assert apart.newest_ns() == at(39.9)
 
 
 def test_the_slower_the_less_certain_and_the_error_is_within():
@@ -72,19 +76,23 @@ def test_the_slower_the_less_certain_and_the_error_is_within():
 def test_what_was_not_measured_has_no_energy():
     found = track(seconds=20.0)
     assert found.energy(at(-1.0), at(5.0)) is UNMEASURED is found.energy(at(18.0), at(24.0))
-    found.add(at(30.0), 380.0, -1.0)
+    found.insert(BatteryReading(at(30.0), 380.0, -1.0))
     assert found.energy(at(18.0), at(24.0)) is UNMEASURED, "across a gap nothing is joined"
     only_voltage = BatteryTrack(2.5)
-    only_voltage.add(at(0.0), 380.0, math.nan)
-    assert only_voltage.newest_ns is None and only_voltage.next_ns(at(0.0)) is None
+    only_voltage.insert(BatteryReading(at(0.0), 380.0, math.nan))
+    after, _ = only_voltage.first_after(np.array([at(0.0)]))
+    assert only_voltage.newest_ns() == NEVER and after == [LATER]
 
 
 def test_the_latest_voltage_serves_a_current_alone():
     found = track(step=1.2, shift=0.6, paired=False, seconds=6.0)
-    assert found.latest_voltage(at(5.5)) == pytest.approx(voltage(4.8))
-    assert all(math.isnan(found.latest_voltage(at(t))) for t in (-0.1, 60.0))
-    assert found.next_ns(at(1.0)) == at(1.8) and found.next_ns(at(5.5)) is None
-    assert not found.add(at(4.8), 99.0, math.nan), "doubled"
+    alone = [BatteryReading(at(t), math.nan, -10.0) for t in (5.5, -0.1, 60.0)]
+    rows = Block.of(alone).rows[BatteryReading]
+    told = found.told(rows._replace(order=np.full(3, LATER)))
+    assert told[0] == pytest.approx(10.0 * voltage(4.8)) and np.isnan(told[1:]).all()
+    after, _ = found.first_after(np.array([at(1.0), at(5.5)]))
+    assert after.tolist() == [at(1.8), LATER]
+    assert not found.insert(BatteryReading(at(4.8), 99.0, math.nan)), "doubled"
 
 
 def test_whole_kilowatts_are_as_unsure_as_their_energies_are_off():
@@ -99,16 +107,24 @@ def test_whole_kilowatts_are_as_unsure_as_their_energies_are_off():
         )
         exact, coarse, plain = BatteryTrack(2.5), BatteryTrack(2.5), BatteryTrack(2.5)
         for second, watts in enumerate(power.tolist()):
-            exact.add(at(second), 400.0, -watts / 400.0)
+            exact.insert(BatteryReading(at(second), 400.0, -watts / 400.0))
             whole = -1000.0 * round(watts / 1000.0) / 400.0
-            coarse.add(at(second), 400.0, whole, std)
-            plain.add(at(second), 400.0, whole)
+            coarse.insert(BatteryReading(at(second), 400.0, whole, power_std=std))
+            plain.insert(BatteryReading(at(second), 400.0, whole))
         found, known = coarse.energy(at(0), at(10)), plain.energy(at(0), at(10))
         own = found.variance - known.variance
         deviates.append((found.energy - exact.energy(at(0), at(10)).energy) / math.sqrt(own))
         shares.append(math.sqrt(own) / (std * 10.0))
     assert 0.8 < np.std(deviates) < 1.2
     assert min(shares) < 0.4 and max(shares) == pytest.approx(1.0)
+
+
+def insert(found: MotorTrack, reading: MotorReading, car_speed: float) -> None:
+    """Take a reading at a speed of the car."""
+    rows = Block.of([reading]).rows[MotorReading]
+    (power,) = found.powers(rows, np.array([car_speed]))
+    found.power.insert(reading.stamp_ns, float(power))
+    found.settle(LATER)
 
 
 def torque(t):
@@ -119,7 +135,7 @@ def test_energy_of_driving_and_braking_stand_apart():
     """A torque that changes its sign, at 200 rad/s: 2 s of either sign, 100 N m at most."""
     found = MotorTrack(2.5, math.nan)
     for t in np.arange(0.0, 2 * math.pi + 0.02, 0.01).tolist():
-        found.add(MotorReading(at(t), float(torque(t)), 200.0), math.nan)
+        insert(found, MotorReading(at(t), float(torque(t)), 200.0), math.nan)
     drive, brake = found.energy(at(0.0), at(2 * math.pi))
     assert drive == pytest.approx(200.0 * 200.0, rel=1e-4)
     assert brake == pytest.approx(200.0 * 200.0, rel=1e-4)
@@ -130,14 +146,14 @@ def test_energy_of_driving_and_braking_stand_apart():
 def test_turning_comes_from_the_car_where_the_motor_is_silent(ratio, taken):
     found = MotorTrack(2.5, ratio)
     for t in (0.0, 0.5, 1.0):
-        found.add(MotorReading(at(t), 100.0), 15.0)
-    assert found.scaled != math.isnan(ratio)
-    assert found.at(at(0.7)) == pytest.approx(100.0 * taken * 15.0)
+        insert(found, MotorReading(at(t), 100.0), 15.0)
+    assert found.scaled() != math.isnan(ratio)
+    assert found.at(*now(at(0.7))) == pytest.approx([100.0 * taken * 15.0])
 
 
 def test_the_last_reading_holds_for_a_while_and_no_longer():
     found = MotorTrack(2.5, math.nan)
-    found.add(MotorReading(at(0.0), 50.0, 100.0), math.nan)
-    assert found.at(at(2.0)) == 5000.0 and math.isnan(found.at(at(3.0)))
-    assert math.isnan(found.at(at(-1.0)))
+    insert(found, MotorReading(at(0.0), 50.0, 100.0), math.nan)
+    held, late, early = found.at(*now(at(2.0), at(3.0), at(-1.0)))
+    assert held == 5000.0 and math.isnan(late) and math.isnan(early)
     assert all(map(math.isnan, found.energy(at(0.0), at(1.0))))

@@ -6,7 +6,6 @@ import pytest
 
 from evpinn_ros.common.saved_fields import StateError, plain, read
 from evpinn_ros.core.signals.detector import CURRENT_SIGN
-from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.signals.sign_detectors import ChargeDetector, GradeDetector, SignDetector
 
 
@@ -75,7 +74,7 @@ def pulling(wrong: float, seconds: int, detector=None) -> SignDetector:
     detector = detector or SignDetector()
     for k in range(seconds):
         power = 1e4 if k % 10 < round(10 * (1 - wrong)) else -1e4
-        detector = detector.after(Sample(0, 10.0, 1.0, 0.0, 1.17, 0.0), power, 1.0)
+        detector = detector.after(10.0, 1.0, power, 1.0)
     return detector
 
 

@@ -17,9 +17,10 @@ from evpinn_ros.core.signals.readings import (
     Reading,
     SpeedReading,
 )
-from evpinn_ros.core.signals.sample import MeasuredSample, Sample
+from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
+from test.core.signals.conftest import MeasuredSample, Newest, Smoothed, completed
 
 START = 1_700_000_000 * NANOSECONDS
 COUNT = 150  # readings, 15 s
@@ -47,18 +48,29 @@ def test_batteries_that_come_up_to_the_allowed_lateness_late_change_nothing(
         arrivals = [(speed.stamp_ns, 0, speed) for speed in speeds]
         arrivals += [(b.stamp_ns + d, 1, b) for b, d in zip(batteries, held_up, strict=True)]
         stream = SampleStream(StreamSettings(), 1.2)
-        events = [
-            e
-            for *_, reading in sorted(arrivals, key=lambda a: a[:2])
-            for e in stream.add_reading(reading)
-        ]
+        events = completed(stream, [r for *_, r in sorted(arrivals, key=lambda a: a[:2])])
         assert not stream.dropped
         kept = [event for event in events if isinstance(event, (MeasuredSample, Interval))]
-        return [repr(event) for event in kept]
+        kept.sort(key=lambda event: (type(event).__name__, stamp_of(event)))
+        return kept
 
     in_order = measured([0] * COUNT)
-    assert len(in_order) > 50 and any("Interval(" in event for event in in_order)
-    assert sorted(measured(delays)) == sorted(in_order)
+    assert len(in_order) > 50 and any(isinstance(event, Interval) for event in in_order)
+    late = measured(delays)
+    assert [*map(stamp_of, late)] == [*map(stamp_of, in_order)]
+    for one, other in zip(late, in_order, strict=True):
+        if isinstance(one, Interval):
+            assert one.energy == pytest.approx(other.energy, rel=1e-9, nan_ok=True)
+            assert one.returned == pytest.approx(other.returned, rel=1e-9, nan_ok=True)
+            for column, same in zip(one.steps[:5], other.steps[:5], strict=True):
+                np.testing.assert_allclose(column, same, rtol=1e-9, atol=1e-12)
+        else:
+            assert one.power == pytest.approx(other.power, rel=1e-9)
+
+
+def stamp_of(event) -> int:
+    """Begin of an interval, or moment of a sample."""
+    return event.start_ns if isinstance(event, Interval) else event.sample.stamp_ns
 
 
 numbers = st.one_of(
@@ -74,13 +86,6 @@ onwards = st.one_of(
     st.integers(-3_000_000_000, 3_000_000_000),
 )
 anywhere = st.one_of(st.integers(-(2**63), 2**63), st.sampled_from([0, -1, 2**63 - 1, -(2**63)]))
-
-
-def kind_of(event):
-    """Kind of a sample, or type of another event."""
-    if isinstance(event, Sample):
-        return "newest" if event.newest else "smoothed"
-    return type(event)
 
 
 @st.composite
@@ -107,9 +112,9 @@ def test_nonsense_gives_finite_samples_in_order_and_no_exception(readings, lag):
     stream = SampleStream(StreamSettings(smoothing_lag=0.1 * lag), 1.2)
     last: dict[object, int] = {}
     for reading in readings:
-        for event in stream.add_reading(reading):
+        for event in completed(stream, [reading]):
             check(event)
-            if (kind := kind_of(event)) is not Interval:
+            if (kind := type(event)) is not Interval:
                 stamp_ns = (event if isinstance(event, Sample) else event.sample).stamp_ns
                 assert stamp_ns > last.get(kind, -(2**64))
                 last[kind] = stamp_ns
@@ -132,10 +137,10 @@ def test_after_any_nonsense_a_good_drive_is_taken(readings):
             if isinstance(item, Jump):
                 stream.reset()
                 continue
-            for event in stream.add_reading(item):
+            for event in completed(stream, [item]):
                 if k >= len(readings):
-                    kinds_seen.add(kind_of(event))
-    assert {"newest", "smoothed", MeasuredSample} <= kinds_seen
+                    kinds_seen.add(type(event))
+    assert {Newest, Smoothed, MeasuredSample} <= kinds_seen
 
 
 def check(event) -> None:

@@ -1,11 +1,14 @@
 """A sensor that hangs at one value, told from a car that does."""
 
+from itertools import accumulate
 import math
 
 from hypothesis import given
 from hypothesis import strategies as st
+import numpy as np
 import pytest
 
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.detector import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.signals.stuck import StuckDetector
@@ -142,3 +145,36 @@ def test_any_readings_are_survived(items):
         reading = BatteryReading(stamp_ns, first, second) if battery else None
         detector = detector.after(reading or SpeedReading(stamp_ns, first))
     assert detector.detected in (None, SPEED_STUCK, BATTERY_STUCK)
+
+
+@given(st.integers(0, 10_000), st.integers(1, 80), st.sampled_from([0.0, 0.2, 1.0]))
+def test_a_block_is_judged_as_its_readings_one_by_one(seed, size, coarse):
+    """Of random drives with values that hang, whatever the cuts."""
+    rng, readings = np.random.default_rng(seed), []
+    hung = rng.integers(0, 300, 2)
+    for tick in range(300):
+        stamp_ns = round(tick * 1e8 + rng.uniform(0.0, 3e7))
+        speed = 12.0 + 8.0 * math.sin(tick / 20.0) + rng.normal(0.0, 0.02)
+        current = -50.0 - 120.0 * math.cos(tick / 20.0)
+        if coarse:
+            speed = coarse * round(speed / coarse)
+        if hung[0] < tick < hung[0] + 60:
+            speed = 9.0
+        if hung[1] < tick < hung[1] + 60:
+            current = -30.0 if seed % 2 else 0.0
+        readings += [BatteryReading(stamp_ns, 350.0, current), SpeedReading(stamp_ns, speed)]
+    alone = [*accumulate(readings, StuckDetector.after, initial=StuckDetector())]
+    detector, first = StuckDetector(), 0
+    while first < len(readings):
+        block = Block.of(readings[first : first + size])
+        course = detector.course(block.of_kind(SpeedReading), block.of_kind(BatteryReading))
+        for place in range(len(block)):
+            expected, one = alone[first + place + 1], course.at(place)
+            if course.places:
+                assert (one.detected, one.spoilt) == (expected.detected, expected.spoilt)
+            else:  # nothing is suspected in it
+                assert expected.detected is None and expected.spoilt == detector.spoilt
+        detector, first = course.last, first + len(block)
+        same = alone[first]
+        assert detector.speed[:8] == same.speed[:8] and detector.battery[:8] == same.battery[:8]
+        assert detector.step == same.step

@@ -103,8 +103,7 @@ def test_priors_are_a_vehicle_file(tmp_path):
 def driven():
     """A car after four minutes in town, whose network and copper count as well."""
     chain = CarChain(LEAF)
-    for reading in simulate(DriveKind.URBAN, LEAF, 240.0, 3).readings:
-        chain.add_reading(reading)
+    chain.add_readings(simulate(DriveKind.URBAN, LEAF, 240.0, 3).readings)
     return chain
 
 
