@@ -17,7 +17,7 @@ from evpinn_ros.core.estimation.state_file import Half
 from evpinn_ros.core.estimation.worker import ThreadWorker
 from evpinn_ros.core.signals.admission import Admission, CarLimits
 from evpinn_ros.core.signals.block import Block
-from evpinn_ros.core.signals.readings import Reading
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.arrivals import StampWatch
 from evpinn_ros.nodes.base import GuardedNode
@@ -33,7 +33,7 @@ from evpinn_ros.topics.settings import estimator_settings, imu_mounting
 
 MODEL_PERIOD = 10.0  # s
 FOR_PLOTS = (topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
-WAKE = (topics.SPEED, topics.BATTERY)
+SPEED_COMES_NS = NANOSECONDS // 2  # within it the next speed is waited for
 LISTENS_TO = tuple(topic for topic in topics.INPUTS if topic not in FOR_PLOTS)
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
 
@@ -127,8 +127,10 @@ class EstimatorNode(GuardedNode):
         for item in self.kept.in_order(topic, reading.stamp_ns, reading):
             if self._admission.admits(item):
                 self._waiting.append(item)
-        # What comes beside speed and battery is looked at with the next of them.
-        if topic in WAKE:
+        # What comes beside speed is looked at with the next speed; a battery, if none comes soon.
+        speed_ns = self.estimator.newest_ns
+        silent = speed_ns is None or abs(reading.stamp_ns - speed_ns) > SPEED_COMES_NS
+        if topic is topics.SPEED or (topic is topics.BATTERY and silent):
             self._learn()
 
     def _learn(self) -> None:

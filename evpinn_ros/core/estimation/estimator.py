@@ -246,6 +246,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._be(self._file)
 
     @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest speed, None before the first."""
+        return self._stream.newest_ns
+
+    @property
     def vehicle(self) -> Vehicle:
         """What it is learned as: the vehicle file, or a vehicle of another size."""
         return self._vehicle
@@ -414,11 +419,14 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Take readings of the similar car by one clock."""
         before = self._clock
         events = self._stream.add_block(aligned.block)
+        if not (len(events.moments[0]) or len(events.battery[0])):
+            return Outputs()  # nothing moved, and nothing was measured
         stuck = self._followed_stuck(aligned.block, events.taken)
         told = self._told(events, stuck)
         measured = self._admitted(events.measured, stuck)
         learned_from = measured if self.enabled else measured.where(slice(0))
-        self._seen.add(learned_from.samples.where(admitted(learned_from)))
+        if len(learned_from.order):
+            self._seen.add(learned_from.samples.where(admitted(learned_from)))
         moments = Moments.of(events, learned_from, told[:2])
         predictions = self._learner.begin(moments)
         learned = self._learned(moments, events, stuck, self._ticks(events, aligned, before))
@@ -429,9 +437,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             PowerKind.SMOOTHED, events.smoothed, events.smoothed_order, predictions.smoothed,
             measured,
         )  # fmt: skip
-        energies = np.array(predictions.energies).reshape(-1, 2).T
-        smoothed = smoothed._replace(energy=energies[0], energy_sigma=energies[1])
-        told = told._replace(stamp_ns=told.stamp_ns - aligned.shift_ns(told.order))
+        if predictions.energies:
+            energies = np.array(predictions.energies).T
+            smoothed = smoothed._replace(energy=energies[0], energy_sigma=energies[1])
+        if aligned.shifts.any():
+            told = told._replace(stamp_ns=told.stamp_ns - aligned.shift_ns(told.order))
         size = self._similarity.size
         return Outputs(told.times(size), newest.times(size), smoothed.times(size), learned)
 
@@ -448,6 +458,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     def _told(self, events: Events, stuck: StuckCourse) -> PowerRows:
         """Power that the battery readings measure, by the clock of speed."""
         order, stamps, power, coarse = events.told
+        if not len(order):
+            return NO_POWERS
         used = ~np.isnan(power)
         if not stuck.is_quiet:
             detected = [stuck.at(place).detected for place in order.tolist()]

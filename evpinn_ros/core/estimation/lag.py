@@ -393,6 +393,8 @@ class Alignment:
         Where the shift jumps, what was before shall be learned anew.
         """
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
+        if not (len(speeds.order) or len(battery.order)):
+            return self.aligned(block)
         if len(speeds.order) and speeds.order[0] == 0 and self._learner.is_due(speeds.stamps[0]):
             self._learner.add_due(int(speeds.stamps[0]), float(speeds.values[0, 0]))
             speeds = speeds.where(slice(1, None))

@@ -28,6 +28,8 @@ class PowerRows(NamedTuple):
 
     def times(self, size: float) -> PowerRows:
         """Those of a car of another size (`estimation.size`)."""
+        if size == 1.0:
+            return self
         return PowerRows._make((*self[:2], *(size * column for column in self[2:])))
 
 

@@ -79,7 +79,7 @@ class _Ahead:
     """
 
     def __init__(self, samples: Samples) -> None:
-        self.samples, self.inputs = samples, list(inputs_of(samples))
+        self.samples, self.inputs = samples, list(inputs_of(samples)) if samples.size else []
         self.speed, self.stamps = samples.speed.tolist(), samples.stamp_ns.tolist()
         self.power, self.sigma = [0.0] * samples.size, [0.0] * samples.size
         self.known = 0  # so many of them are

@@ -19,7 +19,7 @@ changes nothing.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 import math
 from typing import Any, NamedTuple
@@ -198,17 +198,7 @@ class SampleStream:
         return self._events(parts)
 
     def _events(self, parts: list[_Part]) -> Events:
-        parts = parts or [_Part()]
-        whole: list[Any] = []
-        for column in zip(*parts, strict=True):
-            if isinstance(column[0], Samples):
-                joined = NO_SAMPLES
-                if any(samples.size for samples in column):
-                    joined = Samples(*map(np.concatenate, zip(*column, strict=True)))
-                whole.append(joined)
-            else:
-                whole.append(np.concatenate(column, axis=-1))
-        found = _Part(*whole)
+        found = parts[0] if len(parts) == 1 else _joined_parts(parts)
         measured = Measured(
             found.measured_order, found.measured_place, found.measured, found.measured_power
         )
@@ -314,6 +304,11 @@ class SampleStream:
     def _add(self, block: Block, first: int) -> _Part:
         """Take readings in order, whose places begin at `first`."""
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
+        if not (len(speeds.order) or len(battery.order)):
+            self._road.extend(block, speeds.order, speeds.values[0])
+            self._add_motor(block.of_kind(MotorReading))
+            self._settle()
+            return _Part()
         travelled = np.diff(speeds.stamps, prepend=self._speed.stamps[-1:]) / NANOSECONDS
         distances = np.abs(speeds.values[0][len(speeds.stamps) - len(travelled) :]) * travelled
         self._road.extend(block, speeds.order[len(speeds.order) - len(travelled) :], distances)
@@ -515,6 +510,19 @@ class SampleStream:
             if too_old.any():
                 latest[index] = earliest[index] + int(too_old.argmax())
         return np.asarray(orders[latest])
+
+
+def _joined_parts(parts: Sequence[_Part]) -> _Part:
+    """Parts of a block, one after another."""
+    whole: list[Any] = []
+    for column in zip(*(parts or [_Part()]), strict=True):
+        if not isinstance(column[0], Samples):
+            whole.append(np.concatenate(column, axis=-1))
+        elif any(samples.size for samples in column):
+            whole.append(Samples._make(map(np.concatenate, zip(*column, strict=True))))
+        else:
+            whole.append(NO_SAMPLES)
+    return _Part(*whole)
 
 
 def _in_turn(by: np.ndarray, hopeless: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

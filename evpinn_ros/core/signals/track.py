@@ -25,6 +25,9 @@ def medians(steps: np.ndarray, new: int) -> np.ndarray:
 
     Of an even number of steps the larger of the two in the middle.
     """
+    if new == 1:
+        latest = np.sort(steps[-RATE_READINGS:])
+        return latest[len(latest) // 2 :][:1]
     count = np.minimum(np.arange(len(steps) - new, len(steps)) + 1, RATE_READINGS)
     padded = np.concatenate((np.full(RATE_READINGS, np.inf), steps))
     windows = np.lib.stride_tricks.sliding_window_view(padded, RATE_READINGS)[-new:]
