@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.core.signals.interval import DURATION, Interval
+from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.kinematics import MAX_ACCELERATION
 from evpinn_ros.core.signals.readings import (
     MAX_SPEED,
@@ -147,7 +147,7 @@ def check(event) -> None:
     """Nothing that is not finite, nor beyond what can be."""
     if isinstance(event, Interval):
         assert all(np.isfinite(column).all() for column in event.steps[:5])
-        assert event.duration >= 0.9 * DURATION and (event.steps.duration > 0).all()
+        assert (event.steps.duration > 0).all()  # a gap ends an interval early
         return
     if isinstance(event, MeasuredSample):
         assert math.isfinite(event.power)
