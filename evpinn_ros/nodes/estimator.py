@@ -33,6 +33,7 @@ from evpinn_ros.topics.settings import estimator_settings, imu_mounting
 
 MODEL_PERIOD = 10.0  # s
 FOR_PLOTS = (topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
+LONGEST_WAIT = 0.2  # s that a reading waits for the next speed
 SPEED_COMES_NS = NANOSECONDS // 2  # within it the next speed is waited for
 LISTENS_TO = tuple(topic for topic in topics.INPUTS if topic not in FOR_PLOTS)
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
@@ -69,6 +70,7 @@ class EstimatorNode(GuardedNode):
             self.listen(topic, partial(self._take, topic))
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.every(MODEL_PERIOD, self.publish_model)
+        self.every(LONGEST_WAIT, self._learn)
         self.publish_model()
         car = f"{self._vehicle.key} ({self.values['mode']})"
         self.begun(f"{car} {self.kept.start}; waiting for vehicle/speed", self.phases())
