@@ -10,8 +10,10 @@ import sys
 
 from mcap.writer import Writer
 import pytest
+from typer.testing import CliRunner
 
 from evpinn_ros.cli.console import write_json
+from evpinn_ros.cli.main import app
 
 ROOT = Path(__file__).parents[2]
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\r\b\x9b1m\u202e"
@@ -114,3 +116,10 @@ def test_numbers_of_base_60_are_none(evpinn, tmp_path, number):
     ended = evpinn("check-params", "mine.yaml", cwd=tmp_path)
     assert ended.returncode == 1 and "Traceback" not in ended.stderr
     assert len(ended.stderr.splitlines()) == 1
+
+
+def test_a_command_after_one_that_gave_json_prints_its_tables(tmp_path):
+    """In one process, as notebooks and tests run them."""
+    assert CliRunner().invoke(app, ["vehicles", "search", "leaf", "--json", "-"]).exit_code == 0
+    drive = str(tmp_path / "drive")
+    assert drive in CliRunner().invoke(app, ["simulate", drive, "--duration", "60"]).stdout
