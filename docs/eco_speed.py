@@ -70,7 +70,7 @@ def drive_messages() -> Iterator[tuple[Topic, Any]]:
     estimator = OnlineEstimator(load_vehicle(VEHICLE), EstimatorSettings(), worker)
     with BagReader(share_directory() / "bags" / DRIVE) as bag:
         for reading in BagReadings(bag):
-            for output in estimator.add_reading(reading):
+            for output in estimator.add_readings([reading]):
                 for topic, message in output_messages(new_message, output):
                     if topic in HEARD:
                         yield topic, message

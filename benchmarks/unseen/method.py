@@ -40,7 +40,11 @@ class Prediction(NamedTuple):
 
 
 class Method(Protocol):
-    """Method that is scored."""
+    """Method that is scored.
+
+    One that also has `add_readings(readings)`, which gives the predictions of several readings,
+    gets many at once.
+    """
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction] | None:
         """Take one reading; give the predictions it completes, in order of time; None if none."""

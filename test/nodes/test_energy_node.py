@@ -121,7 +121,7 @@ def drive_unevenly(estimator):
         stamp, speed = NOW + second * NANOSECONDS, 14.0 + 8.0 * math.sin(second / 4)
         watts = 8e3 + 2000.0 * speed * math.cos(second / 4)
         for reading in (BatteryReading(stamp, 350.0, -watts / 350.0), SpeedReading(stamp, speed)):
-            list(estimator.add_reading(reading))
+            estimator.add_readings([reading])
 
 
 def test_forecasts_follow_the_model_and_expect_the_uneven_speed_that_the_car_has_shown(bench):

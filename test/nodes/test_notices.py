@@ -70,11 +70,11 @@ def test_a_battery_that_falls_silent_brings_no_news_of_long_ago(bench, monkeypat
         battery = BatteryReading(stamp_ns, 350.0, -20.0)
         charge = BatteryReading(stamp_ns, math.nan, math.nan, 0.5)
         for reading in (SpeedReading(stamp_ns, 10.0), battery, charge):
-            list(node.estimator.add_reading(reading))
+            node.estimator.add_readings([reading])
     for later in (0.0, 20.0, 21.0):
         monkeypatch.setattr(node, "steady_s", lambda later=later: later)
         last = SpeedReading(NOW + round((10 + later) * NANOSECONDS), 10.0)
-        list(node.estimator.add_reading(last))
+        node.estimator.add_readings([last])
         (status,) = node.statuses()
     assert status.values["activity"] == "predicting"
     assert status.values["dropped.battery_unmeasured"] == 100

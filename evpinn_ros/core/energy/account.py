@@ -360,10 +360,6 @@ class EnergyAccount(Saveable[SavedAccount]):
             values = reading.voltage, reading.current, reading.state_of_charge
             self._arrived.add(_Kind.BATTERY, reading.stamp_ns, values)
 
-    def add_charge(self, stamp_ns: int, charge: float) -> None:
-        """Take a state of charge, 0..1; NaN says nothing."""
-        self._arrived.add(_Kind.BATTERY, stamp_ns, (math.nan, math.nan, charge))
-
     def count(self) -> EnergyState:
         """Count what has arrived; gives the states at each prediction of it."""
         if not self._arrived:

@@ -311,10 +311,6 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._remembered = 0
         self._before: _Learned | None = None
 
-    def add_reading(self, reading: Reading) -> list[Output]:
-        """Take one reading; give what it leads to, in order."""
-        return self.add_readings([reading])
-
     def add_readings(self, readings: Iterable[Reading]) -> list[Output]:
         """Take readings in the order they came; give what they lead to, in order."""
         return [output for _, output in self.add_block(Block.of(readings)).by_place()]
@@ -484,16 +480,16 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         learned: list[Learned] = []
         breaks: list[tuple[int, Interval | _Tick]] = [*events.intervals]
         breaks = sorted([*breaks, *((tick.place, tick) for tick in ticks)], key=itemgetter(0))
-        done = 0
+        followed = 0
         for place, what in breaks:
             until = bisect_right(moments.orders, place)
-            self._follow(moments, done, until)
-            done = until
+            self._follow(moments, followed, until)
+            followed = until
             if isinstance(what, Interval):
                 self._add_interval(what, stuck.at(place))
             else:
                 learned.append(self._told_learned(place, self._tick(what.clock)))
-        self._follow(moments, done, len(moments.orders))
+        self._follow(moments, followed, len(moments.orders))
         return learned
 
     def _told_learned(self, place: int, parameters: ParameterSet) -> Learned:
@@ -540,16 +536,16 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         power, sigma = np.array(predicted, dtype=float).reshape(-1, 2).T
         new = Waiting(samples.stamp_ns, power, sigma, np.abs(samples.speed) > STANDSTILL_SPEED)
         waiting = self._predictions[kind].and_then(new)
-        known = admitted(measured)
+        checkable = admitted(measured)
         stamps = measured.samples.stamp_ns
         index = np.searchsorted(waiting.stamp_ns, stamps)
-        known &= np.append(waiting.stamp_ns, NEVER)[index] == stamps
+        checkable &= np.append(waiting.stamp_ns, NEVER)[index] == stamps
         if kind is PowerKind.PREDICTED:
             place = np.searchsorted(order, measured.order, side="right")
         else:
             place = measured.place
-        index, place = index[known], place[known]
-        error = np.abs(measured.power[known] - waiting.power[index])
+        index, place = index[checkable], place[checkable]
+        error = np.abs(measured.power[checkable] - waiting.power[index])
         columns = place, waiting.moving[index], error, waiting.sigma[index]
         checked = map(Checked, *(column.tolist() for column in columns))
         self._predictions[kind] = waiting.after(index)

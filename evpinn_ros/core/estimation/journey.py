@@ -52,6 +52,7 @@ class Journey(NamedTuple):
 
 
 NOWHERE = Journey(np.zeros(SIZE), 0.0, np.zeros(3), 0.0)
+NOWHERE_ARRAYS = tuple(map(np.asarray, NOWHERE))
 
 
 def journey_of(interval: Interval, row: np.ndarray) -> Journey:
@@ -149,16 +150,16 @@ class Tail:
 
     def _sum(self, count: int, warmth: Warmth) -> None:
         """Compute the sums up to so many samples."""
-        done, count = len(self._sums.seconds), min(count, self._samples.size)
-        if count <= done:
+        summed, count = len(self._sums.seconds), min(count, self._samples.size)
+        if count <= summed:
             return
-        first = max(done - 1, 0)
+        first = max(summed - 1, 0)
         steps = self._steps(self._samples.where(slice(first, count)), warmth)
         before = (
-            (column[-1:] for column in self._sums) if done else (c[None] for c in NOWHERE_ARRAYS)
+            (column[-1:] for column in self._sums) if summed else (c[None] for c in NOWHERE_ARRAYS)
         )
         new = (
-            np.cumsum(np.concatenate(pair), axis=0)[bool(done) :]
+            np.cumsum(np.concatenate(pair), axis=0)[bool(summed) :]
             for pair in zip(before, steps, strict=True)
         )
         self._sums = Journey(*map(np.concatenate, zip(self._sums, new, strict=True)))
@@ -202,6 +203,3 @@ class Tail:
             return np.asarray(column[before] + along * (column[after] - column[before]))
 
         return Journey(*map(part, self._sums))
-
-
-NOWHERE_ARRAYS = np.zeros(SIZE), np.array(0.0), np.zeros(3), np.array(0.0)

@@ -82,7 +82,7 @@ class _Ahead:
         self.samples, self.inputs = samples, list(inputs_of(samples)) if samples.size else []
         self.speed, self.stamps = samples.speed.tolist(), samples.stamp_ns.tolist()
         self.power, self.sigma = [0.0] * samples.size, [0.0] * samples.size
-        self.known = 0  # so many of them are
+        self.computed = 0  # so many of them are
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +182,7 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def _predicted(self, ahead: _Ahead, index: int) -> tuple[tuple[float, float], float]:
         """Power of car and trim with its 1-sigma, W, and the trim's share of it, W."""
-        if index >= ahead.known:
+        if index >= ahead.computed:
             self._compute(ahead, index)
         correction = self._trim.correct(ahead.inputs[index], ahead.speed[index])
         power = ahead.power[index] + correction.power
@@ -212,7 +212,7 @@ class PinnLearner(Saveable[SavedPinn]):
         latest = len(self._predictions.smoothed) - 1
         if latest >= 0 and self._smoothed.stamps[latest] == ahead.stamps[index]:
             ahead, index = self._smoothed, latest  # whose output the trim has
-        if index >= ahead.known:
+        if index >= ahead.computed:
             self._compute(ahead, index)
         self._trim.learn(ahead.inputs[index], speed, power - ahead.power[index], step)
 
@@ -335,7 +335,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._car, self._model = car, car.model()
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
         for ahead in (self._newest, self._smoothed, self._measured):
-            ahead.known = 0
+            ahead.computed = 0
         self._projected = None
 
     def _compute(self, ahead: _Ahead, first: int) -> None:
@@ -350,7 +350,7 @@ class PinnLearner(Saveable[SavedPinn]):
         noise = POWER_NOISE**2 + FORCE_NOISE**2 * model.noise[1] * samples.speed**2
         ahead.power[chosen] = (rows @ model.mean).tolist()
         ahead.sigma[chosen] = np.sqrt(np.maximum(variance, 0.0) + noise).tolist()
-        ahead.known = first + samples.size
+        ahead.computed = first + samples.size
 
     def _begin_tail(self) -> None:
         """Join nothing to the samples before."""

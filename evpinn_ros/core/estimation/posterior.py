@@ -228,17 +228,17 @@ def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[Ca
     return condition(state, done.journey, interval.energy, _sampling_variance(state, done))
 
 
-def _sampling_variance(state: CarState, done: PassedInterval) -> float:
+def _sampling_variance(state: CarState, passed: PassedInterval) -> float:
     """Variance of the energy of an interval due to the rate of its readings, J^2.
 
     Of a log with seconds between its rows it is that of the predicted power. By the measured one
     an interval that missed a burst of power would be trusted, and one that caught it doubted.
     """
-    duration = done.interval.steps.duration
+    duration = passed.interval.steps.duration
     step = float(np.median(duration))
     if step < SPARSE:
-        return done.interval.sampling_variance
-    power = done.rows @ (state.weights @ state.mean) / duration
+        return passed.interval.sampling_variance
+    power = passed.rows @ (state.weights @ state.mean) / duration
     apart = (duration[1:] + duration[:-1]) / 2.0
     bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ apart**2)
     return bridge + (TIMING * step) ** 2 * float(power[0] ** 2 + power[-1] ** 2)

@@ -93,17 +93,17 @@ class HeightProfile:
         """How many heights are known, and up to where, m by the odometer."""
         return len(self._odometer), self._odometer[-1] if self._odometer else -math.inf
 
-    def means_around(self, odometers: np.ndarray, known: int) -> np.ndarray | None:
+    def means_around(self, odometers: np.ndarray, count: int) -> np.ndarray | None:
         """Heights averaged `REACH` to either side of places, m, as far as known, shape (n,).
 
-        By the first `known` of them; None where one of the places is not among these.
+        By the first `count` of them; None where one of the places is not among these.
         """
-        if not known:
+        if not count:
             return None
-        begin, end = self._odometer[0], self._odometer[known - 1]
+        begin, end = self._odometer[0], self._odometer[count - 1]
         if odometers.min() < begin - REACH or odometers.max() > end + REACH:
             return None
-        near = slice(max(0, bisect_left(self._odometer, odometers.min() - REACH) - 1), known)
+        near = slice(max(0, bisect_left(self._odometer, odometers.min() - REACH) - 1), count)
         road, height, integral = (np.array(column[near]) for column in self._columns)
         low, high = np.maximum(odometers - REACH, begin), np.minimum(odometers + REACH, end)
         length = high - low

@@ -187,8 +187,8 @@ class IntervalBuilder:
             if ready == len(orders):
                 return
             order = int(orders[ready])
-            known = next(edge.heights for edge in reversed(added) if edge.order <= order)
-            for interval in self._split(self._complete.popleft().edges, order, known):
+            heights = next(edge.heights for edge in reversed(added) if edge.order <= order)
+            for interval in self._split(self._complete.popleft().edges, order, heights):
                 yield order, interval
 
     def finish(self) -> Iterator[Interval]:
@@ -320,11 +320,11 @@ class IntervalBuilder:
                 yield self._interval(edges[first : last + 1], by, heights)
                 first = last
 
-    def _interval(self, edges: Sequence[_Edge], by: int, known: int) -> Interval:
+    def _interval(self, edges: Sequence[_Edge], by: int, count: int) -> Interval:
         start, end = edges[0], edges[-1]
         measured = self._battery.energy(start.stamp_ns, end.stamp_ns, by)
         odometers = np.array([edge.odometer for edge in edges])
-        heights = self._height.means_around(odometers, known)
+        heights = self._height.means_around(odometers, count)
         climb = np.zeros(len(edges) - 1) if heights is None else np.diff(heights)
         drive, brake = np.array([edge.motor for edge in edges[1:]]).T
         speed = np.array([edge.speed for edge in edges])

@@ -130,8 +130,8 @@ class Speeds(NamedTuple):
         if len(moments) > SMOOTHED_AT_ONCE:  # so that memory stays bounded
             parts = range(0, len(moments), SMOOTHED_AT_ONCE)
             some = (slice(begin, begin + SMOOTHED_AT_ONCE) for begin in parts)
-            found = zip(*(self.smoothed(moments[s], until[s]) for s in some), strict=True)
-            speeds, accelerations = map(np.concatenate, found)
+            columns = zip(*(self.smoothed(moments[s], until[s]) for s in some), strict=True)
+            speeds, accelerations = map(np.concatenate, columns)
             return speeds, accelerations
         back_ns = int(SMOOTHING_BACK * NANOSECONDS) + 1
         first = np.minimum(np.searchsorted(self.stamps, moments - back_ns), until - MIN_POINTS)
@@ -231,23 +231,23 @@ class CausalDifferentiator:
         """
         self._stamps = np.concatenate((self._stamps, stamps))
         self._differences = np.concatenate((self._differences, differences))
-        found = np.empty(len(stamps))
+        accelerations = np.empty(len(stamps))
         counts, begin = np.unique(learned, return_index=True)
-        ends, done = np.append(begin[1:], len(stamps)), 0
+        ends, taken = np.append(begin[1:], len(stamps)), 0
         for first in range(0, len(counts), LEARNED_AT_ONCE):  # so that memory stays bounded
             chosen = slice(first, first + LEARNED_AT_ONCE)
             until = int(counts[chosen][-1])
-            informations, products = self._learn(*(part[done:until] for part in smoothed))
-            at = counts[chosen] - done
+            informations, products = self._learn(*(part[taken:until] for part in smoothed))
+            at = counts[chosen] - taken
             weights = np.linalg.solve(informations[at], products[at][..., None])[..., 0]
-            done, rows = until, slice(begin[chosen][0], ends[chosen][-1])
+            taken, rows = until, slice(begin[chosen][0], ends[chosen][-1])
             of_each = np.repeat(weights, (ends - begin)[chosen], axis=0)
-            found[rows] = np.einsum("ij,ij->i", differences[rows], of_each)
-        self._learn(*(part[done:] for part in smoothed))
+            accelerations[rows] = np.einsum("ij,ij->i", differences[rows], of_each)
+        self._learn(*(part[taken:] for part in smoothed))
         if len(smoothed[0]):
             kept = int(np.searchsorted(self._stamps, smoothed[0][-1], side="right"))
             self._stamps, self._differences = self._stamps[kept:], self._differences[kept:]
-        return found
+        return accelerations
 
     def _learn(
         self, stamps: np.ndarray, accelerations: np.ndarray

@@ -198,14 +198,14 @@ class SampleStream:
         return self._events(parts)
 
     def _events(self, parts: list[_Part]) -> Events:
-        found = parts[0] if len(parts) == 1 else _joined_parts(parts)
+        part = parts[0] if len(parts) == 1 else _joined_parts(parts)
         measured = Measured(
-            found.measured_order, found.measured_place, found.measured, found.measured_power
+            part.measured_order, part.measured_place, part.measured, part.measured_power
         )
         return Events(
-            found.newest, found.newest_order, found.smoothed, found.smoothed_order, measured,
-            self._ended, (*found.told, *found.powers), tuple(found.moments),
-            tuple(found.battery), self._taken,
+            part.newest, part.newest_order, part.smoothed, part.smoothed_order, measured,
+            self._ended, (*part.told, *part.powers), tuple(part.moments),
+            tuple(part.battery), self._taken,
         )  # fmt: skip
 
     def _possible(self, block: Block) -> Block:
@@ -361,9 +361,9 @@ class SampleStream:
         zero_ns = int(speeds.stamps[0])
         oldest_ns = min([zero_ns, *self._moments[:1].tolist()]) - LOOK_BACK_NS
         track = self._speed.since(oldest_ns, zero_ns)
-        own = len(track.stamps) - len(speeds.order) + 1 + np.arange(len(speeds.order))
+        until = len(track.stamps) - len(speeds.order) + 1 + np.arange(len(speeds.order))
         stamps = speeds.stamps - zero_ns
-        smoothed, impossible_orders = self._due(self._smoothed(track, speeds, own, zero_ns))
+        smoothed, impossible_orders = self._due(self._smoothed(track, speeds, until, zero_ns))
         if impossible_orders:
             self._drop("acceleration_impossible", np.array(impossible_orders) + first)
         learned = np.searchsorted(smoothed.order, speeds.order)
@@ -373,7 +373,7 @@ class SampleStream:
             (smoothed.stamps, smoothed.acceleration),
             learned,
         )
-        slopes = track.slopes(stamps, own)
+        slopes = track.slopes(stamps, until)
         possible = np.abs(acceleration) <= MAX_ACCELERATION
         if not possible.all():
             self._drop("acceleration_impossible", speeds.order[~possible] + first)
@@ -386,13 +386,13 @@ class SampleStream:
             smoothed_order=smoothed.order + first,
         )
 
-    def _smoothed(self, track: Speeds, speeds: Rows, own: np.ndarray, zero_ns: int) -> _Smoothed:
+    def _smoothed(self, track: Speeds, speeds: Rows, until: np.ndarray, zero_ns: int) -> _Smoothed:
         """The moments that lie `smoothing_lag` back by now.
 
         Args:
             track: the speeds, with stamps since `zero_ns`.
             speeds: the new ones.
-            own: how many of the track there are up to each of them, shape (n,).
+            until: how many of the track there are up to each of them, shape (n,).
             zero_ns: ns.
         """
         pending, count = len(self._moments), len(speeds.order)
@@ -406,30 +406,30 @@ class SampleStream:
         if not len(moments):
             nothing = np.empty(0)
             return _Smoothed(moments, moments, nothing, nothing, np.empty((0, PROFILE)))
-        at = moments - zero_ns, own[passed]
+        at = moments - zero_ns, until[passed]
         speed, acceleration = track.smoothed(*at)
         order = speeds.order[passed]
         return _Smoothed(order, moments, speed, acceleration, track.slopes(*at))
 
-    def _due(self, found: _Smoothed) -> tuple[_Smoothed, list[int]]:
+    def _due(self, moved: _Smoothed) -> tuple[_Smoothed, list[int]]:
         """Those that are possible and far enough from the last one; places of the impossible."""
-        known = ~np.isnan(found.acceleration)
-        possible = np.abs(found.acceleration) <= MAX_ACCELERATION
-        possible &= np.abs(found.speed) <= MAX_SPEED
+        known = ~np.isnan(moved.acceleration)
+        possible = np.abs(moved.acceleration) <= MAX_ACCELERATION
+        possible &= np.abs(moved.speed) <= MAX_SPEED
         chosen: list[int] = []
         impossible_orders: list[int] = []
         last = self._last_moment_ns
-        rows = zip(found.stamps.tolist(), known.tolist(), possible.tolist(), strict=True)
+        rows = zip(moved.stamps.tolist(), known.tolist(), possible.tolist(), strict=True)
         for index, (stamp_ns, is_known, is_possible) in enumerate(rows):
             if stamp_ns - last < PERIOD_NS or not is_known:
                 continue
             if not is_possible:
-                impossible_orders.append(int(found.order[index]))
+                impossible_orders.append(int(moved.order[index]))
                 continue
             chosen.append(index)
             last = stamp_ns
         self._last_moment_ns = last
-        return _Smoothed(*(column[chosen] for column in found)), impossible_orders
+        return _Smoothed(*(column[chosen] for column in moved)), impossible_orders
 
     def _samples(self, moved: _Smoothed) -> Samples:
         by, stamps = moved.order, moved.stamps
@@ -536,12 +536,12 @@ def _in_turn(by: np.ndarray, hopeless: np.ndarray) -> tuple[np.ndarray, np.ndarr
     if (in_order <= hopeless).all():
         return in_order < LATER, nothing, in_order
     given, dropped, now, turn = nothing.copy(), nothing, BEFORE, BEFORE
-    for index, (known, given_up) in enumerate(zip(by.tolist(), hopeless.tolist(), strict=True)):
-        known, given_up = max(known, turn), max(given_up, now)
-        if min(known, given_up) >= LATER:
+    for index, (given_by, given_up) in enumerate(zip(by.tolist(), hopeless.tolist(), strict=True)):
+        given_by, given_up = max(given_by, turn), max(given_up, now)
+        if min(given_by, given_up) >= LATER:
             break
-        given[index], dropped[index] = known <= given_up, known > given_up
-        by[index] = now = min(known, given_up)
+        given[index], dropped[index] = given_by <= given_up, given_by > given_up
+        by[index] = now = min(given_by, given_up)
         turn = now + dropped[index]
     return given, dropped, by
 

@@ -12,7 +12,7 @@ from evpinn_ros.core.energy.meter import EnergyMeter
 from evpinn_ros.core.energy.plan import Plan
 from evpinn_ros.core.energy.rknn import Rknn
 from evpinn_ros.core.signals.admission import MAX_POWER
-from evpinn_ros.core.signals.readings import MAX_SPEED, SpeedReading
+from evpinn_ros.core.signals.readings import MAX_SPEED, BatteryReading, SpeedReading
 
 START = 1_700_000_000_000_000_000
 CAPACITY = 70e6  # J
@@ -42,7 +42,8 @@ def drive(
         t, stamp = tick / 2, START + tick * 500_000_000
         if not silent.start < t < silent.stop:
             charge = first_charge - power * t / CAPACITY
-            to.add_charge(stamp, round(charge * 500) / 500)
+            charge_shown = round(charge * 500) / 500
+            to.add_reading(BatteryReading(stamp, math.nan, math.nan, charge_shown))
             to.add_measured(stamp, power, 30.0)
         if not blind.start < t < blind.stop:
             to.add_speed(stamp, SPEED)

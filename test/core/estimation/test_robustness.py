@@ -80,7 +80,7 @@ def rides(draw):
 def test_hybrid_takes_anything(new_estimator, readings):
     estimator = new_estimator()
     for reading in readings:
-        check(estimator.add_reading(reading))
+        check(estimator.add_readings([reading]))
     check([estimator.parameters()])
     estimator.export()
 
@@ -96,5 +96,5 @@ def test_paper_takes_a_drive_full_of_nonsense(new_estimator, drive):
         readings.insert(int(rng.integers(0, len(readings))), kind(stamp, float(value)))
     estimator = new_estimator(mode=Mode.PAPER)
     for reading in readings:
-        check(estimator.add_reading(reading))
+        check(estimator.add_readings([reading]))
     assert estimator.status().updates > 0

@@ -34,7 +34,7 @@ def test_a_stuck_sensor_teaches_nothing(stuck):
             current = -40.0 if stuck == BATTERY_STUCK else current
         stamp_ns = NANOSECONDS + round(now * NANOSECONDS)
         for reading in (BatteryReading(stamp_ns, 350.0, current), SpeedReading(stamp_ns, speed)):
-            outputs = estimator.add_reading(reading)
+            outputs = estimator.add_readings([reading])
             kinds += [(now, o.kind) for o in outputs if isinstance(o, PowerEstimate)]
     status = estimator.status()
     assert status.stuck == stuck and status.gated[stuck] > 20
@@ -126,7 +126,7 @@ def test_a_speed_that_hangs_leaves_no_hole_in_the_energy_of_a_silent_battery(
                 continue
             if isinstance(reading, SpeedReading) and 60.0 < now < 68.0:
                 reading = replace(reading, speed=12.0)
-            for output in estimator.add_reading(reading):
+            for output in estimator.add_readings([reading]):
                 if getattr(output, "kind", None) is PowerKind.SMOOTHED:
                     energy = output.energy
         energies.append(energy)

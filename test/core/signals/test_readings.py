@@ -2,8 +2,11 @@
 
 import math
 
+from hypothesis import given
+from hypothesis import strategies as st
 import pytest
 
+from evpinn_ros.core.signals.block import FIELDS, KINDS, Block, impossible
 from evpinn_ros.core.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
@@ -18,10 +21,24 @@ from evpinn_ros.core.signals.readings import (
 )
 
 NAN, INF = math.nan, math.inf
+BEYOND = st.floats() | st.sampled_from([-100.0, 100.0, 0.3, 50e3, 2000.0, -5000.0, NAN])
+
+
+@given(st.data(), st.sampled_from(KINDS))
+def test_a_block_judges_as_each_of_its_readings(data, kind):
+    rows = st.tuples(*(BEYOND for _ in FIELDS[kind]))
+    readings = [kind(0, *row) for row in data.draw(st.lists(rows, max_size=8))]
+    reasons: list[str | None] = [None] * len(readings)
+    block = Block.of(readings)
+    for reason, which in impossible(kind, block.of_kind(kind)):
+        for place in which.nonzero()[0].tolist():
+            reasons[place] = reason
+    assert reasons == [*map(why_impossible, readings)]
+    assert repr([*block.readings()]) == repr(readings)
 
 
 @pytest.mark.parametrize(
-    ("kind", "what", "possible", "impossible"),
+    ("kind", "what", "possible", "refused"),
     [
         (SpeedReading, "speed", [-100.0, 0.0, 100.0], [-100.1, 100.1]),
         (GradeReading, "grade", [-0.3, 0.3], [-0.31, 0.31]),
@@ -33,9 +50,9 @@ NAN, INF = math.nan, math.inf
         (MotorReading, "motor_torque", [-20e3, 20e3], [-20_001.0, 20_001.0]),
     ],
 )
-def test_what_cannot_be_is_named(kind, what, possible, impossible):
+def test_what_cannot_be_is_named(kind, what, possible, refused):
     assert [why_impossible(kind(0, value)) for value in possible] == [None] * len(possible)
-    for value in (*impossible, NAN, INF, -INF, 1e9, -1e9):
+    for value in (*refused, NAN, INF, -INF, 1e9, -1e9):
         assert why_impossible(kind(0, value)) == f"{what}_out_of_range"
 
 
