@@ -97,7 +97,6 @@ class RateColumn(ProgressColumn):
     """Rate of the work: times real time for seconds of a drive, else the amount per second."""
 
     def __init__(self, unit: str) -> None:
-        """Show the rate of a unit."""
         super().__init__()
         self._unit = unit
 

@@ -25,7 +25,6 @@ class Readable:
     """Help that joins the lines of each paragraph of a docstring before it wraps them."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """Take the arguments of a click command."""
         super().__init__(*args, **kwargs)
         self.help: str | None = "\n\n".join(
             " ".join(paragraph.split()) for paragraph in (self.help or "").split("\n\n")

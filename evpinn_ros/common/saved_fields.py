@@ -36,21 +36,14 @@ State = TypeVar("State")
 
 
 class Range(NamedTuple):
-    """What is declared of a number or array, beside its type in `Annotated`.
+    """What is declared of a number or array, beside its type in `Annotated`."""
 
-    Attributes:
-        least: the smallest number.
-        most: the largest number.
-        unknown: whether a number may be NaN, which is saved as null.
-        shape: of an array; empty: a row of any length.
-        by_state: whether an array is saved as a row of any length: its states are named beside
-            it, for another version has others.
-    """
-
-    least: float
-    most: float
-    unknown: bool = False
-    shape: tuple[int, ...] = ()
+    least: float  # the smallest number
+    most: float  # the largest number
+    unknown: bool = False  # whether a number may be NaN, which is saved as null
+    shape: tuple[int, ...] = ()  # of an array; empty: a row of any length
+    # whether an array is saved as a row of any length: its states are named beside it, for another
+    # version has others
     by_state: bool = False
 
     def __get_pydantic_core_schema__(self, source: Any, _: Any) -> Any:
@@ -75,15 +68,10 @@ class Range(NamedTuple):
 
 
 class Figure(NamedTuple):
-    """What is declared of a field that files, tables and pages show, beside its type.
+    """What is declared of a field that files, tables and pages show, beside its type."""
 
-    Attributes:
-        unit: empty for text and plain numbers.
-        meaning: one sentence for people.
-    """
-
-    unit: str
-    meaning: str
+    unit: str  # empty for text and plain numbers
+    meaning: str  # one sentence for people
 
 
 class StateError(InputError, ValueError):
@@ -172,19 +160,12 @@ def _adapter(kind: Any) -> Any:
 
 
 class Declared(NamedTuple):
-    """A declared field.
+    """A declared field."""
 
-    Attributes:
-        kind: its type, without None.
-        range: of its numbers, None where none is declared.
-        optional: whether it may be None.
-        lackable: whether it has a default, so that a file may lack it.
-    """
-
-    kind: Any
-    range: Range | None
-    optional: bool
-    lackable: bool
+    kind: Any  # its type, without None
+    range: Range | None  # of its numbers, None where none is declared
+    optional: bool  # whether it may be None
+    lackable: bool  # whether it has a default, so that a file may lack it
 
 
 @cache

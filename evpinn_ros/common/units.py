@@ -40,33 +40,19 @@ def _as_exact(value: float, sigma: float) -> str:
 
 
 class Units(NamedTuple):
-    """Names of units, and what one of each is in SI.
+    """Names of units, and what one of each is in SI."""
 
-    Attributes:
-        distance: name.
-        metres: of one distance.
-        speed: name of one distance an hour.
-        speed_step: speeds that stand apart on a chart.
-        height: name.
-        height_metres: of one height.
-        temperature: name.
-        degrees: of the temperature in one kelvin.
-        zero: temperature at 0 degrees Celsius.
-        rate: name of energy over distance, which adds up.
-        rate_joules: a metre of one rate.
-    """
-
-    distance: str
-    metres: float
-    speed: str
-    speed_step: float
-    height: str
-    height_metres: float
-    temperature: str
-    degrees: float
-    zero: float
-    rate: str
-    rate_joules: float
+    distance: str  # name
+    metres: float  # of one distance
+    speed: str  # name of one distance an hour
+    speed_step: float  # speeds that stand apart on a chart
+    height: str  # name
+    height_metres: float  # of one height
+    temperature: str  # name
+    degrees: float  # of the temperature in one kelvin
+    zero: float  # temperature at 0 degrees Celsius
+    rate: str  # name of energy over distance, which adds up
+    rate_joules: float  # a metre of one rate
 
     @property
     def speeds(self) -> float:

@@ -31,27 +31,16 @@ SECONDS_PER_HOUR = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class RmfEnergy:
-    """Parameters of energy that a fleet adapter of RMF takes.
+    """Parameters of energy that a fleet adapter of RMF takes."""
 
-    Attributes:
-        voltage: of the battery, V.
-        capacity: A h that it holds at this voltage, and 1-sigma; NaN where not known.
-        mass: kg, with which RMF finds the energy, not that of the scales.
-        friction: coefficient.
-        ambient: power whether it moves or not, W.
-        speed: at which these hold, m/s.
-        trip: energy of the longer trip that they were found by, J, and its 1-sigma.
-        trip_metres: length of that trip, m.
-    """
-
-    voltage: float
-    capacity: Uncertain
-    mass: float
-    friction: float
-    ambient: float
-    speed: float
-    trip: Uncertain
-    trip_metres: float
+    voltage: float  # of the battery, V
+    capacity: Uncertain  # A h that it holds at this voltage, and 1-sigma; NaN where not known
+    mass: float  # kg, with which RMF finds the energy, not that of the scales
+    friction: float  # coefficient
+    ambient: float  # power whether it moves or not, W
+    speed: float  # at which these hold, m/s
+    trip: Uncertain  # energy of the longer trip that they were found by, J, and its 1-sigma
+    trip_metres: float  # length of that trip, m
 
 
 def rmf_energy(

@@ -17,15 +17,10 @@ LEAP = (
 
 
 class NumberCheck(NamedTuple):
-    """Loss that the number of a message shows.
+    """Loss that the number of a message shows."""
 
-    Attributes:
-        lost: messages of its publisher, right before it.
-        by_turns: another publisher of the topic may speak in between.
-    """
-
-    lost: int
-    by_turns: bool
+    lost: int  # messages of its publisher, right before it
+    by_turns: bool  # another publisher of the topic may speak in between
 
 
 class MessageNumbers:
@@ -39,7 +34,6 @@ class MessageNumbers:
     """
 
     def __init__(self) -> None:
-        """No message yet."""
         self._numbers: dict[Hashable, dict[bytes, int]] = {}
         self._newest: dict[Hashable, int] = {}
         self._fell: dict[Hashable, float] = {}
@@ -76,7 +70,6 @@ class StampWatch:
     """Check of one stream's stamps against the clocks of this computer."""
 
     def __init__(self) -> None:
-        """No stamp yet."""
         self._last: tuple[int, float] | None = None
 
     def check(self, stamp_ns: int, now_ns: int, steady: float) -> str | None:

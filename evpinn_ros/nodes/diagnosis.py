@@ -29,49 +29,32 @@ class Status(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Faults of a node.
+    """Faults of a node."""
 
-    Attributes:
-        bad: messages not used, by reason.
-        faults: of our own, by text.
-        notices: what a person should know now, a few words each.
-        fault: the newest of our own, None when it is longer ago than `LATELY`.
-        calls: of services, by name.
-    """
-
-    bad: Mapping[str, int]
-    faults: Mapping[str, int]
-    notices: tuple[str, ...] = ()
-    fault: str | None = None
-    calls: Mapping[str, int] = field(default_factory=dict)
+    bad: Mapping[str, int]  # messages not used, by reason
+    faults: Mapping[str, int]  # of our own, by text
+    notices: tuple[str, ...] = ()  # what a person should know now, a few words each
+    fault: str | None = None  # the newest of our own, None when it is longer ago than `LATELY`
+    calls: Mapping[str, int] = field(default_factory=dict)  # of services, by name
 
 
 WELL = Health({}, {})
 
 
 class Condition(NamedTuple):
-    """Condition of a node whose core is kept in a file.
+    """Condition of a node whose core is kept in a file."""
 
-    Attributes:
-        health: of the node.
-        age: s since the last message of its leading input, NaN before the first.
-        jumps: times that time went back.
-        file_problem: why the file was not used or not written, None if all is well.
-        silent: who publishes its leading input, and why nothing of it is used.
-    """
-
-    health: Health
-    age: float
-    jumps: int
-    file_problem: str | None
-    silent: str = ""
+    health: Health  # of the node
+    age: float  # s since the last message of its leading input, NaN before the first
+    jumps: int  # times that time went back
+    file_problem: str | None  # why the file was not used or not written, None if all is well
+    silent: str = ""  # who publishes its leading input, and why nothing of it is used
 
 
 class Lately:
     """Counters of the last seconds, from counters since the start."""
 
     def __init__(self) -> None:
-        """Nothing counted yet."""
         self._looks: deque[tuple[float, Mapping[str, int]]] = deque([(-math.inf, {})])
 
     def update(self, now: float, counts: Mapping[str, int]) -> dict[str, int]:

@@ -23,16 +23,11 @@ ANEW = {Half.LEARNED: "begins with the vehicle file", Half.ENERGY: "counts from 
 
 
 class Actions(NamedTuple):
-    """What a node does with its core.
+    """What a node does with its core."""
 
-    Attributes:
-        reset: as a person asks for; gives the answer.
-        begin_anew: time jumped, and the policy is `reset`.
-        hold: time jumped; join nothing across, and keep what was learned or counted.
-    """
-
-    reset: Callable[[], str]
-    begin_anew: Callable[[], object]
+    reset: Callable[[], str]  # as a person asks for; gives the answer
+    begin_anew: Callable[[], object]  # time jumped, and the policy is `reset`
+    # time jumped; join nothing across, and keep what was learned or counted
     hold: Callable[[], object]
 
 

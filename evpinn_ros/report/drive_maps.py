@@ -28,21 +28,13 @@ Chart = dict[str, Any]
 
 
 class Moments(NamedTuple):
-    """Moments whose power was measured; shape (n,) each.
+    """Moments whose power was measured; shape (n,) each."""
 
-    Attributes:
-        time: s.
-        speed: m/s.
-        acceleration: m/s^2.
-        seconds: that each stands for.
-        error: predicted less measured power, kW.
-    """
-
-    time: np.ndarray
-    speed: np.ndarray
-    acceleration: np.ndarray
-    seconds: np.ndarray
-    error: np.ndarray
+    time: np.ndarray  # s
+    speed: np.ndarray  # m/s
+    acceleration: np.ndarray  # m/s^2
+    seconds: np.ndarray  # that each stands for
+    error: np.ndarray  # predicted less measured power, kW
 
 
 def moments(drive: Drive) -> Moments:

@@ -72,23 +72,15 @@ COMBINATIONS = {  # combination: what it is, its digits and unit, what kind of d
 
 @dataclass(frozen=True, slots=True)
 class ReportedDrive:
-    """A drive to report.
+    """A drive to report."""
 
-    Attributes:
-        drive: its series.
-        metrics: its scores (`scoring.metrics`).
-        vehicle: whose drive it is.
-        warm_up: s at the start that were not scored.
-        withheld_from: s from which on the battery was withheld, None if it was not.
-        truth: true parameters of a simulated car.
-    """
-
-    drive: Drive
-    metrics: Mapping[str, Any]
-    vehicle: Vehicle
-    warm_up: float
+    drive: Drive  # its series
+    metrics: Mapping[str, Any]  # its scores (`scoring.metrics`)
+    vehicle: Vehicle  # whose drive it is
+    warm_up: float  # s at the start that were not scored
+    # s from which on the battery was withheld, None if it was not
     withheld_from: float | None = None
-    truth: Parameters | None = None
+    truth: Parameters | None = None  # true parameters of a simulated car
 
 
 def write_replayed(

@@ -173,19 +173,12 @@ def _predicted(metrics: Iterable[Mapping[str, Any]]) -> float | None:
 
 
 class Figures(NamedTuple):
-    """Figures of a drive, or sums of them.
+    """Figures of a drive, or sums of them."""
 
-    Attributes:
-        distance: m.
-        duration: s.
-        joules: measured, where it was, else predicted; NaN where neither is known.
-        metres: distance over which that is, m.
-    """
-
-    distance: float
-    duration: float
-    joules: float
-    metres: float
+    distance: float  # m
+    duration: float  # s
+    joules: float  # measured, where it was, else predicted; NaN where neither is known
+    metres: float  # distance over which that is, m
 
 
 def _figures(drive: Drive, total: Counted, metrics: Mapping[str, Any]) -> Figures:

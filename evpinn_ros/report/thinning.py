@@ -16,15 +16,10 @@ PER_BUCKET = 2  # points kept of a bucket
 
 
 class Grid(NamedTuple):
-    """Buckets of equal width in time, each of which keeps `PER_BUCKET` points.
+    """Buckets of equal width in time, each of which keeps `PER_BUCKET` points."""
 
-    Attributes:
-        width: of a bucket, s.
-        buckets: their number.
-    """
-
-    width: float
-    buckets: int
+    width: float  # of a bucket, s
+    buckets: int  # their number
 
     @property
     def times(self) -> dict[str, float | int]:

@@ -43,25 +43,15 @@ class Qos:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic.
+    """One topic."""
 
-    Attributes:
-        name: relative to the namespace, or absolute.
-        source: who publishes it.
-        description: content, in one line.
-        unit: of the content; empty where it has several or none.
-        type_name: `package/msg/Type`.
-        latched: a late subscriber gets the last message.
-        depth: of its queues, unless it is latched.
-    """
-
-    name: str
-    source: str
-    description: str
-    unit: str = ""
-    type_name: str = NAMED_VECTOR_TYPE
-    latched: bool = False
-    depth: int = QUEUE_DEPTH
+    name: str  # relative to the namespace, or absolute
+    source: str  # who publishes it
+    description: str  # content, in one line
+    unit: str = ""  # of the content; empty where it has several or none
+    type_name: str = NAMED_VECTOR_TYPE  # `package/msg/Type`
+    latched: bool = False  # a late subscriber gets the last message
+    depth: int = QUEUE_DEPTH  # of its queues, unless it is latched
 
     @property
     def package(self) -> str:

@@ -32,28 +32,17 @@ TYPE_NAMES: Mapping[type, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of a node.
+    """One parameter of a node."""
 
-    Attributes:
-        name: as in the parameter file.
-        default: also tells the type.
-        description: one line for people.
-        unit: SI, empty where it has none.
-        lower: smallest value of a number.
-        upper: largest value of a number.
-        choices: every word that a text may be, empty if any.
-        read_only: fixed once the node runs.
-        verify: raises InputError for a text that is wrong otherwise; not asked when empty.
-    """
-
-    name: str
-    default: Value
-    description: str
-    unit: str = ""
-    lower: float = -math.inf
-    upper: float = math.inf
-    choices: tuple[str, ...] = ()
-    read_only: bool = True
+    name: str  # as in the parameter file
+    default: Value  # also tells the type
+    description: str  # one line for people
+    unit: str = ""  # SI, empty where it has none
+    lower: float = -math.inf  # smallest value of a number
+    upper: float = math.inf  # largest value of a number
+    choices: tuple[str, ...] = ()  # every word that a text may be, empty if any
+    read_only: bool = True  # fixed once the node runs
+    # raises InputError for a text that is wrong otherwise; not asked when empty
     verify: Callable[[str], object] | None = None
 
     def problem(self, value: object) -> str | None:

@@ -35,24 +35,15 @@ WAIT_S = 0.5  # longest wait for a message
 
 @dataclass(frozen=True, slots=True)
 class BridgeSettings:
-    """Settings of a bridge.
+    """Settings of a bridge."""
 
-    Attributes:
-        layout: topics that it reads.
-        vehicles: of cars by name.
-        other: vehicle of all other cars; None ignores them.
-        estimator: settings of each chain.
-        base: topic below which it publishes.
-        discovery: prefix of Home Assistant's discovery; empty for none.
-        state: folder that keeps what was learned, `NAME.json` of each car; None keeps nothing.
-    """
-
-    layout: Layout
-    vehicles: Mapping[str, Vehicle]
-    other: Vehicle | None
-    estimator: EstimatorSettings
-    base: str = "evpinn"
-    discovery: str = "homeassistant"
+    layout: Layout  # topics that it reads
+    vehicles: Mapping[str, Vehicle]  # of cars by name
+    other: Vehicle | None  # vehicle of all other cars; None ignores them
+    estimator: EstimatorSettings  # settings of each chain
+    base: str = "evpinn"  # topic below which it publishes
+    discovery: str = "homeassistant"  # prefix of Home Assistant's discovery; empty for none
+    # folder that keeps what was learned, `NAME.json` of each car; None keeps nothing
     state: Path | None = None
 
     @property

@@ -86,19 +86,12 @@ class Value(NamedTuple):
 
 
 class Parsed(NamedTuple):
-    """Content of a message.
+    """Content of a message."""
 
-    Attributes:
-        car: its name.
-        values: by quantity.
-        stamp_ns: None if the message has none.
-        user: level above the car's that stands for any, as of OVMS; empty without one.
-    """
-
-    car: str
-    values: Mapping[Measurand, Value]
-    stamp_ns: int | None = None
-    user: str = ""
+    car: str  # its name
+    values: Mapping[Measurand, Value]  # by quantity
+    stamp_ns: int | None = None  # None if the message has none
+    user: str = ""  # level above the car's that stands for any, as of OVMS; empty without one
 
 
 class Layout:

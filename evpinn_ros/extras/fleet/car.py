@@ -108,17 +108,11 @@ class StoppedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class CarTask:
-    """Task of a worker.
+    """Task of a worker."""
 
-    Attributes:
-        drives: of which car.
-        folder: of its files; every worker must see it, as the drives themselves.
-        stop: a file; once it exists the car is left as it is.
-    """
-
-    drives: CarDrives
-    folder: Path
-    stop: Path
+    drives: CarDrives  # of which car
+    folder: Path  # of its files; every worker must see it, as the drives themselves
+    stop: Path  # a file; once it exists the car is left as it is
 
 
 @dataclass(frozen=True, slots=True)

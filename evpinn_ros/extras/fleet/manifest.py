@@ -24,17 +24,11 @@ MOST_BYTES = 10_000_000  # of a CSV: 100 000 drives
 
 @dataclass(frozen=True, slots=True)
 class CarDrives:
-    """One car of the fleet.
+    """One car of the fleet."""
 
-    Attributes:
-        car: its name.
-        vehicle: the model.
-        drives: absolute paths, in no order yet.
-    """
-
-    car: str
-    vehicle: Vehicle
-    drives: tuple[Path, ...]
+    car: str  # its name
+    vehicle: Vehicle  # the model
+    drives: tuple[Path, ...]  # absolute paths, in no order yet
 
     @property
     def folder_name(self) -> str:

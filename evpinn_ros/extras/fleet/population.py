@@ -39,21 +39,13 @@ COMBINATIONS = {
 
 @dataclass(frozen=True, slots=True)
 class PopulationValue:
-    """One parameter, or combination, of a population; logarithms but for p_aux.
+    """One parameter, or combination, of a population; logarithms but for p_aux."""
 
-    Attributes:
-        mean: of the cars.
-        mean_std: 1-sigma of the mean.
-        spread: standard deviation from car to car.
-        spread_std: 1-sigma of the spread.
-        cars: how many fully known cars would determine the spread as well.
-    """
-
-    mean: float
-    mean_std: float
-    spread: float
-    spread_std: float
-    cars: float
+    mean: float  # of the cars
+    mean_std: float  # 1-sigma of the mean
+    spread: float  # standard deviation from car to car
+    spread_std: float  # 1-sigma of the spread
+    cars: float  # how many fully known cars would determine the spread as well
 
     @property
     def new_car_std(self) -> float:

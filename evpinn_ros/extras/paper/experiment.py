@@ -78,7 +78,6 @@ class PowerTraining:
     """
 
     def __init__(self, name: OptimizerName, problem: Problem, epochs: int, seed: int) -> None:
-        """Begin at epoch 0 of `epochs`."""
         self.problem = problem
         self.optimizer = OPTIMIZERS[name](problem, seed)
         self.epoch = 0

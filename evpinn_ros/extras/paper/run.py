@@ -53,23 +53,14 @@ QUICK_ENERGY_EPOCHS = 1000
 
 
 class Training(NamedTuple):
-    """A training as the command line has it; None stands for the default.
+    """A training as the command line has it; None stands for the default."""
 
-    Attributes:
-        optimizer: of the power network.
-        epochs: of it.
-        form: reading of eq. 21.
-        seed: of split, networks and batches.
-        device: "cpu" or "cuda".
-        quick: whether to take a first look.
-    """
-
-    optimizer: OptimizerName | None
-    epochs: int | None
-    form: RegenForm
-    seed: int
-    device: str
-    quick: bool
+    optimizer: OptimizerName | None  # of the power network
+    epochs: int | None  # of it
+    form: RegenForm  # reading of eq. 21
+    seed: int  # of split, networks and batches
+    device: str  # "cpu" or "cuda"
+    quick: bool  # whether to take a first look
 
     def settings(self) -> Settings:
         """Settings of the experiment."""

@@ -24,7 +24,6 @@ class PowerHistory:
     """
 
     def __init__(self) -> None:
-        """Begin without power."""
         self.newest_ns: int | None = None
         self._bins: dict[str, dict[int, tuple[float, int]]] = {}
 
