@@ -91,9 +91,8 @@ def record(out: Path) -> None:
                 well = Condition(Health({}, {}), 0.0, 0, None)
                 name, *rest = estimator_status(chain.estimator.status(), well)
                 status = (f"{NAMESPACE}/estimator: {name}", *rest)
-                hardware = f"{VEHICLE} {NAMESPACE}"
                 messages.append(
-                    (DIAGNOSTICS, diagnostics(new_message, now_ns, [status], hardware))
+                    (DIAGNOSTICS, diagnostics(new_message, now_ns, [status], NAMESPACE))
                 )
                 if now_ns - asked_ns >= PLAN_PERIOD_NS:
                     asked_ns = now_ns

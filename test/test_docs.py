@@ -9,6 +9,7 @@ import subprocess
 import pytest
 
 from evpinn_ros.can.profile import profile_names
+from evpinn_ros.core.vehicle.files import vehicle_names
 from evpinn_ros.topics import NAMESPACE, TOPICS
 
 pytestmark = pytest.mark.build
@@ -93,6 +94,7 @@ def test_the_ready_layouts_show_topics_that_exist(name):
     topics = {topic.under(NAMESPACE) for topic in TOPICS}
     shown = re.findall(r"/ev/\w+/\w+", re.sub(r"/studio_script/ev/\w+", "", text))
     assert len(set(shown)) > 9 and set(shown) <= topics
+    assert not [vehicle for vehicle in vehicle_names() if vehicle in text], "they suit any car"
 
 
 def equations_named(text: str) -> set[int]:

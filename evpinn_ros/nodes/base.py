@@ -378,7 +378,10 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
     def _diagnostics(self) -> Iterator[tuple[Topic, Any]]:
         waits = Status("lifecycle", Level.WARN, f"{NOT_ACTIVE}: {self._waits_for}", {})
         statuses = self.statuses() if self.configured else [waits]
-        yield topics.DIAGNOSTICS, self.status_message(statuses)
+        vehicle = self.values.get("vehicle")  # a name, or the path of a file
+        car = {"vehicle": Path(vehicle).stem} if vehicle else {}
+        told = [status._replace(values=car | dict(status.values)) for status in statuses]
+        yield topics.DIAGNOSTICS, self.status_message(told)
 
     def status_message(self, statuses: Iterable[Status]) -> Any:
         """diagnostic_msgs/DiagnosticArray that says of which node and car its statuses are."""
@@ -387,10 +390,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             (f"{node}: {status.name}", status.level, status.text, status.values)
             for status in statuses
         ]
-        # A vehicle may be named by the path of its file.
-        car = Path(str(self.values.get("vehicle", ""))).stem
-        hardware = f"{car} {self.get_namespace()}".strip()
-        return diagnostics(new_message, self.now_ns(), named, hardware)
+        return diagnostics(new_message, self.now_ns(), named, self.get_namespace())
 
     def _log_changes(self) -> None:
         """Log a phase, once, when it is new and has lasted since the last look.

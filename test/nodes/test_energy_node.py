@@ -236,7 +236,7 @@ def test_a_plan_that_cannot_be_driven_is_refused_with_the_reason(bench):
         bench.pump(lambda n=number: len(answers) == n)
         (status,) = answers[-1].status
         assert answers[-1].header == message.header and reason in status.message
-        assert (status.name, status.hardware_id) == ("/ev/energy: plan", "tesla_model_3_lr /ev")
+        assert (status.name, status.hardware_id) == ("/ev/energy: plan", "/ev")
         assert int.from_bytes(status.level, "little") == Level.WARN
         level, text, values = bench.diagnosis(node)["plan"]
         assert level is Level.OK and reason not in text, "the car is well: the asker was told"

@@ -111,13 +111,16 @@ def test_two_cars_in_one_graph_have_estimates_and_diagnostics_of_their_own(
     learned = {name: bench.hear(topics.IDENTIFIABLE, name) for name in names}
     said = bench.hear(topics.DIAGNOSTICS)
     cars = {
-        (f"{name}/{node}", f"{vehicle} {name}")
+        (f"{name}/{node}", name, vehicle)
         for name, vehicle in zip(names, ("tesla_model_3_lr", "generic"), strict=True)
         for node in ("can_bridge", "estimator", "energy")
     }
 
     def those_who_spoke():
-        return {(s.name.partition(":")[0], s.hardware_id) for m in said for s in m.status}
+        return {
+            (s.name.partition(":")[0], s.hardware_id, entry.value)
+            for m in said for s in m.status for entry in s.values if entry.key == "vehicle"
+        }  # fmt: skip
 
     def fastest(name):
         return max((m.twist.twist.linear.x for m in speeds[name]), default=0.0)
@@ -136,7 +139,7 @@ def test_two_cars_in_one_graph_have_estimates_and_diagnostics_of_their_own(
         graph = {f"{space}/{name}".replace("//", "/")
                  for name, space in bench.node.get_node_names_and_namespaces()}  # fmt: skip
         topic_names = {name for name, _ in bench.node.get_topic_names_and_types()}
-    assert {node for node, _ in cars} <= graph
+    assert {node for node, *_ in cars} <= graph
     assert not [name for name in topic_names if name.startswith("/ev/power")]
     assert fastest(names[0]) != pytest.approx(fastest(names[1]), abs=0.1)
     last = [numbers(learned[name][-1]) for name in names]
