@@ -11,7 +11,6 @@ import subprocess
 import sys
 from tempfile import TemporaryDirectory
 import time
-from types import FrameType
 
 import typer
 
@@ -19,7 +18,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.cli.console import note
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import check_file
-from evpinn_ros.common.stopping import STOPS, at_stop, leave_terminal
+from evpinn_ros.common.stopping import stopped_by
 from evpinn_ros.common.writer import copy_file
 from evpinn_ros.core.estimation.state_file import account_path
 
@@ -82,15 +81,7 @@ def _run(command: list[str]) -> int:
     are those of the nodes. Whoever sent SIGTERM or closed the terminal will not wait for long.
     """
     asked_s: list[float] = []
-
-    def ask(number: int, _: FrameType | None) -> None:
-        if number == signal.SIGHUP:
-            leave_terminal()
-        asked_s.append(time.monotonic())
-
-    before = {number: signal.getsignal(number) for number in STOPS}
-    at_stop(ask)
-    try:
+    with stopped_by(lambda *_: asked_s.append(time.monotonic())):
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
         signalled_s = -math.inf
         while True:
@@ -104,9 +95,6 @@ def _run(command: list[str]) -> int:
                     process.send_signal(signal.SIGINT)
             else:
                 return code if code >= 0 else TERMINATED
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler or signal.SIG_DFL)
 
 
 def _is_empty(bag: Path) -> bool:

@@ -5,7 +5,8 @@ Imports nothing that takes time, for signals may come before anything else is th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 import os
 import signal
 import stat
@@ -17,10 +18,32 @@ Handler = Callable[[int, FrameType | None], object]
 
 
 def at_stop(handler: Handler) -> None:
-    """Call a handler at each signal to stop; a hang-up that is ignored, as by nohup, stays so."""
+    """Call a handler at each signal to stop; a hang-up that is ignored, as by nohup, stays so.
+
+    A terminal that was closed gets no more lines, before the handler runs.
+    """
+
+    def leave_and_handle(number: int, frame: FrameType | None) -> None:
+        leave_terminal()
+        handler(number, frame)
+
     for number in STOPS:
-        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+        if number != signal.SIGHUP:
             signal.signal(number, handler)
+        elif signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, leave_and_handle)
+
+
+@contextmanager
+def stopped_by(handler: Handler) -> Iterator[None]:
+    """Call a handler at each signal to stop within a block, as `at_stop` does."""
+    before = {number: signal.getsignal(number) for number in STOPS}
+    at_stop(handler)
+    try:
+        yield
+    finally:
+        for number, earlier in before.items():
+            signal.signal(number, earlier or signal.SIG_DFL)
 
 
 def leave_terminal() -> None:

@@ -29,7 +29,7 @@ from rclpy.signals import (
 from rclpy.utilities import try_shutdown
 
 from evpinn_ros.common.errors import InputError, printable
-from evpinn_ros.common.stopping import at_stop, leave_terminal
+from evpinn_ros.common.stopping import at_stop
 from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.discovery import announce_often
 
@@ -84,11 +84,10 @@ def run(
 
 
 def _at_signals(act: Callable[[int], object]) -> None:
-    """Act at signals; a terminal that was closed gets no more lines, and stops as SIGTERM does."""
+    """Act at signals; a terminal that was closed stops as SIGTERM does."""
 
     def handler(number: int, _: FrameType | None) -> None:
         if number == signal.SIGHUP:
-            leave_terminal()
             signal.raise_signal(signal.SIGTERM)  # which wakes rclpy up
         else:
             act(number)

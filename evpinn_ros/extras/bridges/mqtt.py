@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-import signal
 import threading
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -15,7 +13,7 @@ from evpinn_ros.cli.console import note
 from evpinn_ros.cli.options import ParamsOption, complete_vehicle
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import read_whole
-from evpinn_ros.common.stopping import at_stop, leave_terminal
+from evpinn_ros.common.stopping import at_stop
 
 if TYPE_CHECKING:
     from evpinn_ros.core.estimation.estimator import EstimatorSettings
@@ -109,13 +107,7 @@ def mqtt(
 
 def _serve(bridge: MqttBridge, connection: Connection) -> None:
     stop = threading.Event()
-
-    def end(number: int, _: FrameType | None) -> None:
-        if number == signal.SIGHUP:
-            leave_terminal()
-        stop.set()
-
-    at_stop(end)
+    at_stop(lambda *_: stop.set())
     address, shown = connection.settings.address, ""
     connection.start()
     try:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-import signal
 import time
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,7 +11,7 @@ import typer
 from evpinn_ros.cli.console import note
 from evpinn_ros.cli.options import KeptStateOption, VehicleOption
 from evpinn_ros.common.optional import optional_imports
-from evpinn_ros.common.stopping import at_stop, leave_terminal
+from evpinn_ros.common.stopping import at_stop
 from evpinn_ros.extras.bridges.mqtt import secret_of, split_address
 
 if TYPE_CHECKING:
@@ -51,9 +49,7 @@ def vss(
     with optional_imports():
         from kuksa_client.grpc import VSSClient, VSSClientError
     limit_blas_threads()
-    token = None
-    if token_file is not None:
-        token = secret_of(token_file).strip()
+    token = None if token_file is None else secret_of(token_file).strip()
     host, port = split_address(databroker, "--databroker", PORT)
     car = BridgedCar("vehicle", load_vehicle(vehicle), EstimatorSettings(), state)
     if car.problem is not None:
@@ -74,11 +70,9 @@ def vss(
         car.save()
 
 
-def _end(number: int, _: FrameType | None) -> None:
+def _end(*_: object) -> None:
     """End at the first signal; a later one shall not interrupt the saving."""
     at_stop(lambda *_: None)
-    if number == signal.SIGHUP:
-        leave_terminal()
     raise KeyboardInterrupt
 
 
