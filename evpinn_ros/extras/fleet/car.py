@@ -125,6 +125,11 @@ class CarDone:
     failed: int
 
 
+def car_folder(out: Path, car: CarDrives) -> Path:
+    """Folder of a car's files, in that of the results."""
+    return out / "cars" / car.folder_name
+
+
 def learn_car(task: CarTask) -> CarDone:
     """Learn the drives of a car that are not learned yet.
 

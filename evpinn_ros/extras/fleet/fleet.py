@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 import signal
 from typing import Annotated, Any
@@ -12,10 +14,11 @@ from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, 
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.common.stopping import STOPS, at_stop
-from evpinn_ros.common.writer import check_outputs
+from evpinn_ros.common.stopping import stopped_by
+from evpinn_ros.common.writer import Held, check_outputs, mark
 from evpinn_ros.core.vehicle.files import write_vehicle
-from evpinn_ros.extras.fleet.executor import DaskExecutor, Executor, LocalExecutor
+from evpinn_ros.extras.fleet.car import CarDone, CarTask, car_folder, learn_car
+from evpinn_ros.extras.fleet.executor import DaskExecutor, Executor, LocalExecutor, TaskOutcome
 from evpinn_ros.extras.fleet.manifest import (
     CarDrives,
     cars_by_folder,
@@ -28,7 +31,6 @@ from evpinn_ros.extras.fleet.page import (
     population_cells,
     write_fleet_page,
 )
-from evpinn_ros.extras.fleet.run import claimed, learn_fleet
 from evpinn_ros.extras.fleet.tables import (
     FleetSummary,
     population_rows,
@@ -36,7 +38,7 @@ from evpinn_ros.extras.fleet.tables import (
     write_tables,
 )
 
-REPORT = "report.html"
+REPORT, LOCK, STOP = "report.html", ".lock", ".stop"
 MOST_SHOWN = 20  # problems printed; the tables hold all
 
 
@@ -101,6 +103,37 @@ def fleet(
         raise typer.Exit(1)
 
 
+@contextmanager
+def claimed(out: Path) -> Iterator[None]:
+    """Make the folder of the results, for this run alone.
+
+    Raises:
+        InputError: it cannot be made, or another run writes there.
+    """
+    with as_input_error(out):
+        out.mkdir(parents=True, exist_ok=True)
+    with as_input_error(out / LOCK):
+        lock = Held(out / LOCK, f"{out}: another evpinn fleet writes there")
+    with lock:
+        with as_input_error(out):
+            (out / STOP).unlink(missing_ok=True)
+        yield
+
+
+def learn_fleet(
+    cars: Sequence[CarDrives], out: Path, executor: Executor
+) -> Generator[TaskOutcome[CarTask, CarDone], None, None]:
+    """Learn every car; whatever ends the iteration, what was begun ends soon after, in order."""
+    tasks = (CarTask(car, car_folder(out, car), out / STOP) for car in cars)
+    try:
+        yield from executor.outcomes(learn_car, tasks)
+    except BaseException:
+        mark(out / STOP)
+        raise
+    finally:
+        executor.close()
+
+
 def _cars(bags: list[str], vehicle: str, manifest: Path | None) -> list[CarDrives]:
     if manifest is not None:
         if bags:
@@ -119,10 +152,11 @@ def _refuse_one_file_for_many(path: Path | None, cars: list[CarDrives]) -> None:
 
 def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
     """Learn all; False when a person stopped it."""
-    before = {number: signal.getsignal(number) for number in STOPS}
-    at_stop(signal.default_int_handler)  # all end it as Ctrl-C does
     try:
-        with progress_bar("evpinn fleet", len(cars), unit="cars") as progress:
+        with (
+            stopped_by(signal.default_int_handler),  # all end it as Ctrl-C does
+            progress_bar("evpinn fleet", len(cars), unit="cars") as progress,
+        ):
             for finished, outcome in enumerate(
                 learn_fleet(cars, out.resolve(), executor), start=1
             ):
@@ -131,9 +165,6 @@ def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[st
                     failed[outcome.task.drives.car] = outcome.problem
     except KeyboardInterrupt:
         return False
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     return True
 
 

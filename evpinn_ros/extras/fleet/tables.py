@@ -22,13 +22,13 @@ from evpinn_ros.extras.fleet.car import (
     NUMBERS,
     PARAMETERS,
     POINT,
+    car_folder,
     impossible,
     point_of,
     read_result,
 )
 from evpinn_ros.extras.fleet.manifest import CarDrives
 from evpinn_ros.extras.fleet.population import COMBINATIONS, Population, PopulationValue
-from evpinn_ros.extras.fleet.run import car_folder
 from evpinn_ros.replays.trends import DrivePoint
 
 DRIVES, CARS, POPULATION = "drives.parquet", "cars.parquet", "population.parquet"
