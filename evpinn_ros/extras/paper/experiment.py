@@ -27,7 +27,6 @@ from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.energy_network import EnergyTraining, StepData, step_data
 from evpinn_ros.extras.paper.log_parameters import standing_load
-from evpinn_ros.extras.paper.optimizer_name import OptimizerName
 from evpinn_ros.extras.paper.optimizers import INPUTS, OPTIMIZERS
 from evpinn_ros.extras.paper.problem import (
     Problem,
@@ -47,6 +46,7 @@ from evpinn_ros.extras.paper.scores import (
     parameter_rows,
     power_score,
 )
+from evpinn_ros.extras.paper.settings import OptimizerName, Settings
 
 CHECKPOINT_EVERY = 100  # epochs
 CHECKPOINT_VERSION = 2  # of what a file holds and of the constants it was trained with
@@ -128,18 +128,6 @@ class PowerTraining:
         if not all(math.isfinite(loss) for loss in (*row.training, *row.validation)):
             raise InputError(f"the training diverged before epoch {self.epoch}")
         self.rows.append(row)
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Settings of a run."""
-
-    optimizer: OptimizerName  # of the power network
-    epochs: int  # of the power network
-    energy_epochs: int  # of the energy networks
-    seed: int = 0  # of split, networks and batches
-    device: str = "cpu"  # `cpu` or `cuda`
-    form: RegenForm = RegenForm.RECOVERY  # reading of eq. 21
 
 
 class Scored(NamedTuple):

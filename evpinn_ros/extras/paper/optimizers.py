@@ -29,8 +29,8 @@ from evpinn_ros.extras.paper.network import (
     paper_adam,
     spread_over_time,
 )
-from evpinn_ros.extras.paper.optimizer_name import OptimizerName
 from evpinn_ros.extras.paper.problem import InputForm, Problem
+from evpinn_ros.extras.paper.settings import OptimizerName
 
 ADAM_EPOCHS_BEFORE_LBFGS = 1000
 LBFGS_MEMORY = 50
@@ -167,9 +167,9 @@ class GaussNewton(Optimizer):
             fit = self.problem.fit(samples, network(samples.inputs), self.log_scale)
             self.log_scale = fit.log_scale
         self._steps += 1
-        rows = torch.randperm(len(samples), generator=self._generator)[:BATCH]
+        rows = torch.randperm(len(samples.power), generator=self._generator)[:BATCH]
         rows = rows.to(self.problem.device)
-        physics = self.problem.physics(samples.motion, self.log_scale)[rows]
+        physics = self.problem.physics(samples, self.log_scale)[rows]
         target = (samples.power[rows] + PHYSICS_LOSS * physics) / (1.0 + PHYSICS_LOSS)
         step = gauss_newton_step(network, samples.inputs[rows], target, DAMPING)
         share = STEP * min(1.0, FULL_STEPS / self._steps)

@@ -89,35 +89,13 @@ class Scale(NamedTuple):
 RAW = Scale(0.0, 1.0)  # as it is
 
 
-class PhysicsInputs(NamedTuple):
-    """Inputs of eq. 21: speed, m/s, and acceleration, m/s^2, shape (n,) each."""
+class Samples(NamedTuple):
+    """Samples of a drive as tensors: what eq. 21 and the network take, and shall give."""
 
-    speed: torch.Tensor
-    acceleration: torch.Tensor
-
-
-class Samples:
-    """Samples of a drive as tensors: what the network takes and what it shall give."""
-
-    def __init__(
-        self,
-        log: DriveLog,
-        inputs: tuple[Scale, Scale],
-        scale: Scale,
-        device: torch.device,
-        dtype: torch.dtype,
-    ) -> None:
-        columns = (torch.as_tensor(column, dtype=dtype, device=device) for column in log)
-        time, speed, acceleration, power = columns
-        self.motion = PhysicsInputs(speed, acceleration)
-        scaled = (
-            standard.normalised(raw) for standard, raw in zip(inputs, (speed, time), strict=True)
-        )
-        self.inputs = torch.stack(list(scaled), dim=1)
-        self.power = scale.normalised(power)
-
-    def __len__(self) -> int:
-        return len(self.power)
+    speed: torch.Tensor  # m/s, shape (n,)
+    acceleration: torch.Tensor  # m/s^2, shape (n,)
+    inputs: torch.Tensor  # of the network: speed and time, shape (n, 2)
+    power: torch.Tensor  # normalised, shape (n,)
 
 
 class Problem:
@@ -150,10 +128,10 @@ class Problem:
         """The parameters at z, shape (5,); at z = 0 the initial values of eq. 24 and 25."""
         return self._parameters.values(log_scale, self.p_aux)
 
-    def physics(self, motion: PhysicsInputs, log_scale: torch.Tensor) -> torch.Tensor:
+    def physics(self, samples: Samples, log_scale: torch.Tensor) -> torch.Tensor:
         """Normalised P_physics of eq. 21 and 23, shape (n,)."""
         parameters = self._parameters.tensors(log_scale, self.p_aux)
-        power = self.vehicle.power(motion.speed, motion.acceleration, parameters, self.form)
+        power = self.vehicle.power(samples.speed, samples.acceleration, parameters, self.form)
         return self.scale.normalised(power)
 
     def fit(
@@ -167,14 +145,14 @@ class Problem:
         if start is None:
             start = torch.zeros(len(LEARNED), dtype=self.dtype, device=self.device)
         return self._parameters.fit(
-            lambda z: self.physics(samples.motion, z), power, start, self.scale.half_range
+            lambda z: self.physics(samples, z), power, start, self.scale.half_range
         )
 
     def covariance(self, log_scale: torch.Tensor) -> np.ndarray:
         """Covariance of z, shape (5, 5), by the power that was trained on and the priors."""
         training = self.training
         return self._parameters.covariance(
-            lambda z: self.physics(training.motion, z),
+            lambda z: self.physics(training, z),
             training.power,
             log_scale,
             self.scale.half_range,
@@ -186,7 +164,7 @@ class Problem:
         """Data and physics term of eq. 22; their sum is the loss."""
         predicted = network(samples.inputs)
         data = torch.mean((samples.power - predicted) ** 2)
-        physics = torch.mean((self.physics(samples.motion, log_scale) - predicted) ** 2)
+        physics = torch.mean((self.physics(samples, log_scale) - predicted) ** 2)
         return data, PHYSICS_LOSS * physics
 
     @torch.no_grad()
@@ -201,4 +179,10 @@ class Problem:
         return self.scale.restored(network(self._samples(log).inputs))
 
     def _samples(self, log: DriveLog) -> Samples:
-        return Samples(log, self.inputs, self.scale, self.device, self.dtype)
+        columns = (torch.as_tensor(column, dtype=self.dtype, device=self.device) for column in log)
+        time, speed, acceleration, power = columns
+        scaled = [
+            scale.normalised(raw) for scale, raw in zip(self.inputs, (speed, time), strict=True)
+        ]
+        inputs = torch.stack(scaled, dim=1)
+        return Samples(speed, acceleration, inputs, self.scale.normalised(power))

@@ -14,7 +14,7 @@ import typer
 
 from evpinn_ros.cli.options import VehicleOption, with_read_options
 from evpinn_ros.core.vehicle.physics import RegenForm
-from evpinn_ros.extras.paper.optimizer_name import OptimizerName
+from evpinn_ros.extras.paper.settings import OptimizerName, Settings
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 
 
@@ -66,7 +66,9 @@ def reproduce(
 
     Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick
     """
-    from evpinn_ros.extras.paper.run import Training, run_reproduction
+    from evpinn_ros.extras.paper.run import run_reproduction
 
-    training = Training(optimizer, epochs, regen_form, seed, device.value, quick)
-    run_reproduction(log, vehicle, training, out, read_options)
+    settings = Settings.chosen(
+        optimizer, epochs, quick, seed=seed, device=device.value, form=regen_form
+    )
+    run_reproduction(log, vehicle, settings, out, read_options, quick=quick)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 
@@ -24,67 +24,42 @@ from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.core.vehicle.physics import RegenForm
 from evpinn_ros.extras.paper.drive_log import ReadLog, read_drive_log
-from evpinn_ros.extras.paper.experiment import (
-    TRAININGS,
-    Experiment,
-    OnProgress,
-    Outcome,
-    Settings,
-)
-from evpinn_ros.extras.paper.optimizer_name import DEFAULT_EPOCHS, OptimizerName
+from evpinn_ros.extras.paper.experiment import TRAININGS, Experiment, OnProgress, Outcome
 from evpinn_ros.extras.paper.page import write_reproduction
 from evpinn_ros.extras.paper.published import LossRow
 from evpinn_ros.extras.paper.saved import write_estimator_state, write_vehicle_file
 from evpinn_ros.extras.paper.scores import TableFiveRow
+from evpinn_ros.extras.paper.settings import (
+    ENERGY_EPOCHS,
+    PUBLISHED_EPOCHS,
+    OptimizerName,
+    Settings,
+)
 from evpinn_ros.extras.paper.tables import ResultTable, all_tables
 from evpinn_ros.extras.paper.verdict import CRITERIA, verdict
 from evpinn_ros.logs.read_options import ReadOptions
 
-ENERGY_EPOCHS = PUBLISHED_EPOCHS = 10_000
-QUICK_EPOCHS = {
-    OptimizerName.ADAM: 300,
-    OptimizerName.ADAM_LBFGS: 1200,
-    OptimizerName.GAUSS_NEWTON: 200,
-}
 FILE_WIDTH = 100  # characters of a table where no terminal limits it
-QUICK_ENERGY_EPOCHS = 1000
-
-
-class Training(NamedTuple):
-    """A training as the command line has it; None stands for the default."""
-
-    optimizer: OptimizerName | None  # of the power network
-    epochs: int | None  # of it
-    form: RegenForm  # reading of eq. 21
-    seed: int  # of split, networks and batches
-    device: str  # "cpu" or "cuda"
-    quick: bool  # whether to take a first look
-
-    def settings(self) -> Settings:
-        """Settings of the experiment."""
-        default = OptimizerName.GAUSS_NEWTON if self.quick else OptimizerName.ADAM
-        chosen = self.optimizer or default
-        return Settings(
-            optimizer=chosen,
-            epochs=self.epochs or (QUICK_EPOCHS if self.quick else DEFAULT_EPOCHS)[chosen],
-            energy_epochs=QUICK_ENERGY_EPOCHS if self.quick else ENERGY_EPOCHS,
-            seed=self.seed,
-            device=self.device,
-            form=self.form,
-        )
 
 
 def run_reproduction(
-    log: Path, vehicle: str, training: Training, out: Path | None, options: ReadOptions
+    log: Path,
+    vehicle: str,
+    settings: Settings,
+    out: Path | None,
+    options: ReadOptions,
+    *,
+    quick: bool,
 ) -> None:
     """Train, print verdict and tables, and write report, results, state and vehicle file.
+
+    `quick` says that the training is shortened, for a first look.
 
     Raises:
         InputError: the log cannot be read, the folder not written, or there is no such device.
     """
-    if training.device == "cuda" and not torch.cuda.is_available():
+    if settings.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: torch finds no CUDA device here")
     # One thread: small matrices gain nothing from two, and the same run gives the same bits.
     limit_blas_threads()
@@ -94,8 +69,7 @@ def run_reproduction(
     with as_input_error(f"{folder}: cannot be written"):
         folder.mkdir(parents=True, exist_ok=True)
     note(_what_was_read(read))
-    settings = training.settings()
-    label = _label(settings, training.quick)
+    label = _label(settings, quick)
     begin = time.perf_counter()
     with training_progress() as on_progress:
         outcome = Experiment(read.drive, car, settings, folder).run(on_progress)

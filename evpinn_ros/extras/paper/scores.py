@@ -57,7 +57,7 @@ def least_squares_power(problem: Problem) -> tuple[np.ndarray, Parameters]:
     Five numbers against the network's 50 049, and no time among its inputs.
     """
     fit = problem.fit(problem.training, problem.training.power)
-    power = problem.physics(problem.validation.motion, fit.log_scale)
+    power = problem.physics(problem.validation, fit.log_scale)
     return problem.scale.restored(power), problem.values(fit.log_scale)
 
 

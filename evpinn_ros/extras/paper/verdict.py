@@ -18,9 +18,9 @@ from evpinn_ros.extras.paper.experiment import (
     WHOLE,
     Outcome,
 )
-from evpinn_ros.extras.paper.optimizer_name import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.extras.paper.published import ENERGY_LOSSES, POWER_LOSSES
 from evpinn_ros.extras.paper.scores import PowerScore
+from evpinn_ros.extras.paper.settings import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.extras.paper.tables import r2_text
 
 GOOD_R2 = 0.9  # of power, for it to count as predicted

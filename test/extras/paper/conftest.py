@@ -9,7 +9,8 @@ from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.extras.paper.drive_log import DriveLog
-from evpinn_ros.extras.paper.experiment import Experiment, Settings
+from evpinn_ros.extras.paper.experiment import Experiment
+from evpinn_ros.extras.paper.settings import Settings
 from test.core.estimation.conftest import synthetic  # noqa: F401
 
 pytestmark = pytest.mark.torch

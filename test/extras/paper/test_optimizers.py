@@ -8,10 +8,10 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.vehicle.physics import RegenForm
 from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.extras.paper.experiment import PowerTraining
-from evpinn_ros.extras.paper.optimizer_name import OptimizerName
 from evpinn_ros.extras.paper.optimizers import INPUTS
 from evpinn_ros.extras.paper.problem import Problem, random_split
 from evpinn_ros.extras.paper.scores import combinations
+from evpinn_ros.extras.paper.settings import OptimizerName
 from test.extras.paper.conftest import TRUE
 
 

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 from evpinn_ros.cli.main import app
 from evpinn_ros.core.estimation.state_file import read_state
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.extras.paper import run as command
-from evpinn_ros.extras.paper.optimizer_name import OptimizerName
+from evpinn_ros.extras.paper import settings
+from evpinn_ros.extras.paper.settings import OptimizerName
 
 pytestmark = pytest.mark.nightly
 
@@ -37,8 +37,8 @@ def run(*arguments):
 @pytest.fixture
 def quick(monkeypatch):
     """A look that is quicker still."""
-    monkeypatch.setattr(command, "QUICK_ENERGY_EPOCHS", 30)
-    monkeypatch.setitem(command.QUICK_EPOCHS, OptimizerName.GAUSS_NEWTON, 15)
+    monkeypatch.setattr(settings, "QUICK_ENERGY_EPOCHS", 30)
+    monkeypatch.setitem(settings.QUICK_EPOCHS, OptimizerName.GAUSS_NEWTON, 15)
 
 
 def test_everything_the_issue_names_is_written(quick, drive, tmp_path):

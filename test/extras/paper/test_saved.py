@@ -12,7 +12,7 @@ from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
-from evpinn_ros.extras.paper.experiment import Experiment, Settings
+from evpinn_ros.extras.paper.experiment import Experiment
 from evpinn_ros.extras.paper.optimizers import OptimizerName
 from evpinn_ros.extras.paper.run import results_of
 from evpinn_ros.extras.paper.saved import (
@@ -20,6 +20,7 @@ from evpinn_ros.extras.paper.saved import (
     write_estimator_state,
     write_vehicle_file,
 )
+from evpinn_ros.extras.paper.settings import Settings
 
 
 @pytest.fixture(scope="module", params=list(OptimizerName))
