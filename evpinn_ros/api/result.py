@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 import os
@@ -11,10 +12,12 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.saved_fields import figures
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.power_model import PowerModel
+from evpinn_ros.core.estimation.breakdown import Amount
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.estimate import TRACKED
+from evpinn_ros.core.estimation.estimate import FIGURES, TRACKED
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.forecasts import forecast_outcomes, known_model
@@ -22,15 +25,6 @@ from evpinn_ros.replays.history import PowerSeries
 from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import measured_at, running_total
 from evpinn_ros.report.owner_text import owner_line
-
-with optional_imports():
-    import pandas as pd
-from collections.abc import Mapping
-
-from evpinn_ros.common.optional import optional_imports
-from evpinn_ros.common.saved_fields import figures
-from evpinn_ros.core.estimation.breakdown import Amount
-from evpinn_ros.core.estimation.estimate import FIGURES
 
 with optional_imports():
     import pandas as pd

@@ -43,12 +43,11 @@ class WrittenFile:
     start_ns: int = 0
     end_ns: int = 0
 
-    def add(self, start_ns: int, end_ns: int, count: int) -> None:
-        """Count messages of these log times; those of none are none."""
-        if count:
-            self.start_ns = min(self.start_ns, start_ns) if self.count else start_ns
-            self.end_ns = max(self.end_ns, end_ns) if self.count else end_ns
-            self.count += count
+    def add(self, log_time_ns: int) -> None:
+        """Count a message."""
+        self.start_ns = min(self.start_ns, log_time_ns) if self.count else log_time_ns
+        self.end_ns = max(self.end_ns, log_time_ns) if self.count else log_time_ns
+        self.count += 1
 
 
 def qos_profiles(topic_name: str) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import zstandard
 
-from evpinn_ros.bags.limits import LONGEST_MESSAGE
+from evpinn_ros.bags.limits import LONGEST_CHUNK, LONGEST_MESSAGE, unpacked
 from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
 from evpinn_ros.bags.names import PACKED
@@ -288,25 +288,11 @@ class CompressedMessages:
         left = most_unpacked(self.path.stat().st_size)
         for log_time_ns, channel, packed in self._file.messages(wanted):
             try:
-                data = unpack_zstd(packed, min(left, most_unpacked(len(packed))))
+                data = unpacked(
+                    "zstd", packed, min(left, most_unpacked(len(packed)), LONGEST_CHUNK)
+                )
             except ValueError:
                 self._lost += 1
                 continue
             left -= len(data)
             yield log_time_ns, channel, data
-
-
-def unpack_zstd(packed: bytes, most_bytes: int) -> bytes:
-    """One zstd frame, or what there is of it, unpacked.
-
-    Raises:
-        ValueError: it does not unpack, or to more than `most_bytes`.
-    """
-    try:
-        with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
-            data = reader.read(most_bytes + 1)
-    except (zstandard.ZstdError, MemoryError) as error:
-        raise ValueError(f"not zstd: {error}") from error
-    if len(data) > most_bytes:
-        raise ValueError(f"unpacks to more than {most_bytes} bytes")
-    return data

@@ -258,7 +258,7 @@ class _Copy:
             channel_id, message.log_time, message.data, message.publish_time, message.sequence
         )
         topic.count += 1
-        self.written.add(message.log_time, message.log_time, 1)
+        self.written.add(message.log_time)
 
     def finish(self) -> None:
         """Write the end of the file."""

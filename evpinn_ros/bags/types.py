@@ -16,7 +16,12 @@ from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.topics import AUTOWARE_TRAJECTORY_TYPE, FRAME_TYPE, VELOCITY_REPORT_TYPE
+
+FRAMES_TOPIC = "can/frames"
+"""Topic of raw frames, as ros2_socketcan publishes them, relative to the namespace."""
 
 CDR_BIG_ENDIAN, CDR_LITTLE_ENDIAN = b"\x00\x00", b"\x00\x01"
 
@@ -52,6 +57,11 @@ _OTHERS = {
     """,
 }
 
+CLASSIC = 8  # bytes of data that a `can_msgs/Frame` can hold
+
+# Stamp, empty frame_id with its length and end, id, is_rtr, is_extended, is_error, dlc, data.
+_FRAME = struct.Struct("<4siII4xI???B8s")
+
 
 @cache
 def typestore() -> Any:
@@ -82,6 +92,20 @@ def new_message(type_name: str, /, **fields: Any) -> Any:
 def encode(message: Any) -> bytes:
     """The CDR bytes of a message made by `new_message` or by `decode`."""
     return bytes(typestore().serialize_cdr(message, message.__msgtype__))
+
+
+def encode_frame(frame: CanFrame) -> bytes:
+    """The CDR bytes of a frame as `can_msgs/Frame`; a struct, for thousands a second.
+
+    Raises:
+        ValueError: a CAN FD frame of more than 8 bytes, or a stamp outside ROS time.
+    """
+    seconds, nanoseconds = divmod(frame.stamp_ns, NANOSECONDS)
+    if len(frame.data) > CLASSIC or not 0 <= seconds < 2**31:
+        raise ValueError(f"{FRAME_TYPE} cannot hold {frame}")
+    header = (CDR_LITTLE_ENDIAN + b"\0\0", seconds, nanoseconds, 1)
+    flags = (False, frame.extended, False)
+    return _FRAME.pack(*header, frame.can_id, *flags, len(frame.data), frame.data)
 
 
 def decode(type_name: str, data: bytes) -> Any:

@@ -218,7 +218,7 @@ class McapPart:
             publish_time=log_time_ns,
             sequence=topic.count,
         )
-        self.written.add(log_time_ns, log_time_ns, 1)
+        self.written.add(log_time_ns)
 
     def chunk_is_over(self, log_time_ns: int) -> bool:
         """True if a message of this time begins another chunk."""

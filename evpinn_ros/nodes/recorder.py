@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from evpinn_ros.bags.can_frames import FRAMES_TOPIC, encode_frame
+from evpinn_ros.bags.types import FRAMES_TOPIC, encode_frame
 from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.can.frame import RawFrames
 from evpinn_ros.nodes.base import GuardedNode

@@ -11,22 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from evpinn_ros import topics
+from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.common.writer import replaced
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.vehicle.identifiable import Identifiable
 from evpinn_ros.replays.energy_metrics import MEANINGS
-from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.replays.scoring import longest_step, running_total
-
-with optional_imports():
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-from evpinn_ros import topics
-from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.replays.history import History
 from evpinn_ros.topics import Topic, topic_of
 from evpinn_ros.topics.estimates import (
     POWER_KINDS,
@@ -37,6 +31,10 @@ from evpinn_ros.topics.estimates import (
 )
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.readings import ChargeScale, to_reading
+
+with optional_imports():
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def recorded_drive(bag: Path) -> Drive:

@@ -8,9 +8,8 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from evpinn_ros.bags.can_frames import encode_frame
 from evpinn_ros.bags.convert import write_readings
-from evpinn_ros.bags.types import decode, encode, new_message, typestore
+from evpinn_ros.bags.types import decode, encode, encode_frame, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame

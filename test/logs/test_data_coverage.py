@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
-from evpinn_ros.bags.can_frames import FRAMES_TOPIC, encode_frame
+from evpinn_ros.bags.types import FRAMES_TOPIC, encode_frame
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading

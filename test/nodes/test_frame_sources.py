@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from evpinn_ros.bags.can_frames import encode_frame
+from evpinn_ros.bags.types import encode_frame
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
