@@ -210,15 +210,10 @@ def _is_named(connection: Connection) -> bool:
 
 
 def _check_database(path: Path, source: Path, size: int) -> None:
-    """Refuse a database that computes, or whose tables hold more than its file.
+    """Refuse a database, perhaps a copy of the bag's, that computes or holds more than its file.
 
     A view in place of a table can run for ever. So can pages that lead to one another, and many
     rows may share the pages of one: SQLite follows both. Damage is reported when it is read.
-
-    Args:
-        path: of the bag.
-        source: of the database, perhaps a copy of it.
-        size: of `source`, bytes.
     """
     address = f"file:{quote(str(source))}?immutable=1"
     periods = iter(range((FREE_STEPS + STEPS_A_BYTE * size) // PERIOD))

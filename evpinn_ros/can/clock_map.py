@@ -37,9 +37,8 @@ class ClockMap:
     def convert(self, device_ns: int, now_ns: int) -> int:
         """The moment of a frame on the node's clock, ns.
 
-        Args:
-            device_ns: the adapter's stamp, from a zero of its own.
-            now_ns: the node's clock when the frame was read.
+        `device_ns` is the adapter's stamp, from a zero of its own; `now_ns` the node's clock when
+        the frame was read.
         """
         difference = now_ns - device_ns
         elapsed = device_ns - self._device_ns

@@ -114,10 +114,7 @@ def progress_bar(
 ) -> AbstractContextManager[Report]:
     """Show progress, rate and time left: a bar on a terminal, in a pipe a line every 10 s.
 
-    Args:
-        title: of the bar.
-        total: how much there is to do, None if unknown.
-        unit: of the amount.
+    `total` is how much there is to do, in the unit of the amount; None if unknown.
     """
     amount = TextColumn(f"{{task.completed:.0f}} {unit}", markup=False)
     columns = (TaskProgressColumn(), amount, RateColumn(unit))
@@ -127,10 +124,7 @@ def progress_bar(
 def progress_lines(title: str, total: float | None, amount: Callable[[float], str]) -> Report:
     """Progress as lines on stderr, none within the first `LINE_PERIOD_S`.
 
-    Args:
-        title: at the beginning of each line.
-        total: how much there is to do, None if unknown.
-        amount: makes the text of the amount done.
+    `amount` makes the text of the amount done.
     """
     begun = due = time.monotonic()
 

@@ -26,13 +26,8 @@ class PlainTable(Table):
     ) -> None:
         """A table in the style of all.
 
-        Args:
-            title: above it.
-            columns: their headers. The first column is aligned left, as words are, the others
-                right, as numbers are.
-            rows: a cell for each column.
-            words: other columns that are aligned left.
-            unbroken: columns whose cells are not folded.
+        The first column is aligned left, as `words` are, the others right, as numbers are. Cells
+        of `unbroken` columns are not folded.
         """
         shown = Text(printable(title), style="table.title") if title else None
         super().__init__(title=shown, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)

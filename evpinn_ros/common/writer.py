@@ -51,14 +51,8 @@ def replaced(path: Path, *, private: bool = False) -> Iterator[BinaryIO]:
     """A draft that takes the place of a file when it is whole; of one that is not nothing stays.
 
     The draft is new and this process's own (`mkstemp`: O_EXCL, O_NOFOLLOW), on the disk before it
-    takes the place. What is no file, such as a pipe, is written to as it is.
-
-    Args:
-        path: of the file.
-        private: whether a new file is for its owner alone.
-
-    Yields:
-        The draft, open; it stays open.
+    takes the place. What is no file, such as a pipe, is written to as it is. A new file that is
+    `private` is for its owner alone.
 
     Raises:
         OSError: the file cannot be written, or its links lead in a circle.
@@ -222,9 +216,7 @@ def resolved(path: Path) -> Path:
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
     """Refuse, before work begins, what would write over an input or two outputs into one file.
 
-    Args:
-        outputs: files and folders to write; None and `-` are none.
-        inputs: files and folders that are read.
+    Both are files and folders; the outputs None and `-` are none.
 
     Raises:
         InputError: with both names.

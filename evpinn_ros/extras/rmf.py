@@ -48,11 +48,7 @@ def rmf_energy(
 ) -> RmfEnergy:
     """The parameters with which RMF computes the energy that a vehicle's forecasts have.
 
-    Args:
-        model: of the vehicle.
-        vehicle: its file.
-        capacity: of its battery, J.
-        speed: m/s, None for `nominal_speed` of the file.
+    The capacity is that of its battery, J; the speed, m/s, if None, `nominal_speed` of its file.
 
     Raises:
         InputError: by what is known now it costs nothing to speed up or to roll.

@@ -39,12 +39,9 @@ class MessageNumbers:
         self._fell: dict[Hashable, float] = {}
 
     def record(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> NumberCheck:
-        """Take what rclpy tells of a message.
+        """Take what rclpy tells of a message, at a time of the monotonic clock, s.
 
-        Args:
-            topic: of the message.
-            info: of rclpy; where it tells no number nothing is known, and nothing excluded.
-            steady: s of the monotonic clock.
+        Where it tells no number nothing is known, and nothing excluded.
         """
         number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
         if not number:
@@ -73,12 +70,9 @@ class StampWatch:
         self._last: tuple[int, float] | None = None
 
     def check(self, stamp_ns: int, now_ns: int, steady: float) -> str | None:
-        """Fault of a stamp, None when there is none.
+        """Fault of a stamp at a time of the monotonic clock, s; None when there is none.
 
-        Args:
-            stamp_ns: of a message.
-            now_ns: of the clock that stamps should be of, 0 while it is not known.
-            steady: s of the monotonic clock.
+        `now_ns` is of the clock that stamps should be of, 0 while it is not known.
         """
         last, self._last = self._last, (stamp_ns, steady)
         if now_ns and (stamp_ns - now_ns) / NANOSECONDS > FUTURE:

@@ -300,12 +300,10 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         shown_elsewhere: Mapping[str, int] | None = None,
         usual: Collection[str] = (),
     ) -> Health:
-        """Faults so far.
+        """Faults so far, with messages that the node `dropped`, by reason.
 
-        Args:
-            dropped: messages that were not used, by reason.
-            shown_elsewhere: those that the status has among its values already.
-            usual: reasons that need no attention now; they are counted all the same.
+        Those `shown_elsewhere` are among the values of the status already. `usual` reasons need no
+        attention now, and are counted all the same.
         """
         bad = {**self.bad, **(dropped or {})}
         lately = self._lately.update(self.steady_s(), {**bad, **(shown_elsewhere or {})})

@@ -48,11 +48,9 @@ class CanBridgeNode(GuardedNode):
     """
 
     def __init__(self, *, record: RawFrames | None = None, **kwargs: Any) -> None:
-        """Start to read.
+        """Start to read; `record` takes every frame beside, with the time of its arrival.
 
-        Args:
-            record: takes every frame beside, with the time of its arrival.
-            kwargs: go to rclpy's Node.
+        `kwargs` go to rclpy's Node.
 
         Raises:
             InputError: a parameter is wrong, or the log is not there.

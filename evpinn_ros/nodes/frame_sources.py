@@ -32,13 +32,10 @@ class LogPlayer:
     def __init__(
         self, path: Path, rate: float, delay: float, on_frame: Callable[[CanFrame], None]
     ) -> None:
-        """Find the log.
+        """Find a log, or a bag with raw frames, to play `delay` s later at `rate` times real time.
 
-        Args:
-            path: of the log, or of a bag with raw frames.
-            rate: of real time, 0 for as fast as possible.
-            delay: s to wait before the first frame.
-            on_frame: called in the thread of `run`; must not raise.
+        At rate 0 it is played as fast as possible. `on_frame` is called in the thread of `run`,
+        and must not raise.
 
         Raises:
             InputError: no such file, or no CAN log.
@@ -94,12 +91,9 @@ class FrameTopic:
     def __init__(
         self, name: str, on_frame: Callable[[CanFrame], None], publishers: Callable[[], int]
     ) -> None:
-        """Begin before the first frame.
+        """Begin before the first frame of a topic, which has a name for people.
 
-        Args:
-            name: of the topic, for people.
-            on_frame: called by `take`.
-            publishers: counts those of the topic.
+        `take` calls `on_frame`; `publishers` counts those of the topic.
         """
         self._name, self._on_frame, self._publishers = name, on_frame, publishers
         self._counters: Counter[str] = Counter()

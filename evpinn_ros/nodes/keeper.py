@@ -49,14 +49,10 @@ class Keeper:
         leaders: tuple[Topic, ...],
         actions: Actions,
     ) -> None:
-        """Load the core's state, and keep it from now on.
+        """Load the state of a node's core, and keep its half of the file that a parameter names.
 
-        Args:
-            node: whose core it is; its parameters name the file.
-            core: what is kept.
-            half: what it keeps there.
-            leaders: inputs either of which it needs; stamps of the first decide on jumps of time.
-            actions: of the node.
+        `leaders` are inputs either of which the node needs; stamps of the first decide on jumps of
+        time.
 
         Raises:
             InputError: a manager asks for it, and the file can never be written, or another
@@ -97,13 +93,7 @@ class Keeper:
         return Condition(health, age, self.guard.jumps, self.file.problem, silent)
 
     def in_order(self, topic: Topic, stamp_ns: int, item: Any) -> Iterator[Any]:
-        """Yields ready items in order; handles time jumps first.
-
-        Args:
-            topic: of the item.
-            stamp_ns: of the item.
-            item: given out once its stamp is not in doubt.
-        """
+        """Yields items in order, each once its stamp is not in doubt; handles time jumps first."""
         for ready in self.guard.admit(topic, stamp_ns, item, jump_rule(self._node.values)):
             if isinstance(ready, Jump):
                 self._on_jump(ready)

@@ -142,10 +142,8 @@ def describe(
 ) -> LaunchDescription:
     """The description of a launch file.
 
-    Args:
-        actions: what it starts, once the arguments are known.
-        own: arguments it has beside the common ones.
-        simulated: its `use_sim_time`.
+    `actions` gives what it starts, once the arguments are known: its `own`, the common ones and
+    `use_sim_time`.
     """
     arguments = (*own, *COMMON, simulated)
     names = [argument.name for argument in arguments]

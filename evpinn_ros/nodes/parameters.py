@@ -59,11 +59,9 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
 
 
 def unknown_parameters(node: Node, table: tuple[Parameter, ...]) -> list[str]:
-    """A line for each parameter that the node was given and no node here has; rclpy ignores it.
+    """A line for each parameter that a node was given and no node here has; rclpy ignores it.
 
-    Args:
-        node: that was given them.
-        table: of those it has.
+    The table is of those that the node has.
     """
     known = {parameter.name for table in TABLES.values() for parameter in table}
     own = [parameter.name for parameter in table]

@@ -98,12 +98,9 @@ class PlanCall:
     """
 
     def __init__(self, request: Any, limits: CallLimits, log: PlanLog) -> None:
-        """Begin with the first plan.
+        """Begin with the first plan of a service's request or an action's goal.
 
-        Args:
-            request: of the service, or goal of the action: plans and their conditions.
-            limits: plans beyond are refused.
-            log: counts the plans.
+        Plans beyond the limits are refused; the log counts all.
         """
         self._plans, self._given = request.plans, request.conditions
         self._limits, self._log = limits, log
@@ -120,11 +117,9 @@ class PlanCall:
         return len(self.results) == len(self._plans)
 
     def answer(self, forecaster: Forecaster, moment: Moment) -> None:
-        """Answer the next plan, or refuse it with its reason.
+        """Answer the next plan, or refuse it with its reason; the moment is that of the call.
 
-        Args:
-            forecaster: compares it with those of this call that it has answered.
-            moment: battery and clock of the call.
+        The forecaster compares it with those of this call that it has answered.
         """
         index, self._basis = len(self.results), forecaster.basis.value
         asked = self._plans[index]

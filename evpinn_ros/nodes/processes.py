@@ -41,12 +41,8 @@ def record_through_nodes(
 ) -> None:
     """Play a CAN log through the three executables over DDS and record all their topics.
 
-    Args:
-        parameters: by name, for each node that has them; `log_file` names the log.
-        end_ns: stamp of the log's last frame.
-        folder: of the new bag.
-        progress: takes seconds of the drive done.
-        stopped: whether to stop before the end.
+    Each node takes its own of the parameters, by name; `log_file` is the log, and `end_ns` the
+    stamp of its last frame. `progress` takes seconds of the drive done.
 
     Raises:
         InputError: it was stopped, or a node ended or fell silent, before the end of the log.

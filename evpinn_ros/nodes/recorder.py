@@ -40,11 +40,8 @@ class RecorderNode(GuardedNode):
     ) -> None:
         """Begin the bag.
 
-        Args:
-            folder: of the bag.
-            frames: filled by a bridge, emptied here.
-            split: when the bag goes on in another file; None for never.
-            kwargs: go to rclpy's Node.
+        `frames` are filled by a bridge and emptied here; `split` says when the bag goes on in
+        another file, None never. `kwargs` go to rclpy's Node.
 
         Raises:
             InputError: the folder is in use, or cannot be made.

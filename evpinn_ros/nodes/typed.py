@@ -56,12 +56,7 @@ def quantities(message: Any) -> list[str]:
 
 
 def typed_message(topic: Topic, vector: Any) -> Any:
-    """The typed message of a named vector, whose header and numbers it repeats.
-
-    Args:
-        topic: of the vector, a key of `TYPED`.
-        vector: sensor_msgs/JointState.
-    """
+    """The typed message of a topic of `TYPED`: the header and the numbers of its named vector."""
     known = {
         f"{name}{end}": value
         for end, values in (("", vector.position), (RATE, vector.velocity), (SIGMA, vector.effort))

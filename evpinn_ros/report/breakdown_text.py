@@ -50,12 +50,9 @@ class KnownPart(NamedTuple):
 
 
 def shown(breakdown: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """The parts by their names for people; parts that the data do not separate are joined.
+    """Parts in the metrics of a breakdown by their names for people; those not separated joined.
 
     What no input tells of is left out: heating of a car that knows no temperature, say.
-
-    Args:
-        breakdown: the metrics of that name.
     """
     groups = {group["parts"][0]: group for group in breakdown["together"]}
     hidden = {name for group in breakdown["together"] for name in group["parts"]}

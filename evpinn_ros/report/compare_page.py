@@ -163,17 +163,7 @@ CURVES = {
 def write_comparison(
     path: Path, comparison: Comparison, command: str, units: Units = METRIC
 ) -> None:
-    """Write the page.
-
-    Args:
-        path: of the new file.
-        comparison: what to show.
-        command: that made it, text.
-        units: of distances.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write the page; OSError where it cannot be written."""
     parts = comparison.parts()
     write_page(
         path,

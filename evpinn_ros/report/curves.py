@@ -22,10 +22,7 @@ class Curve(NamedTuple):
 def curve(title: str, lines: Sequence[Curve], *, from_zero: bool) -> dict[str, Any] | None:
     """Lines in a box of 1000 by 1000, for the macro `curve`; None where no value is finite.
 
-    Args:
-        title: text.
-        lines: to draw, NaN where unknown.
-        from_zero: whether the axis holds zero.
+    What is unknown is NaN; `from_zero` says that the axis holds zero.
     """
     spans = [line.up + sign * (0.0 if line.half is None else line.half)
              for line in lines for sign in (-1.0, 1.0)]  # fmt: skip

@@ -116,12 +116,7 @@ def write_drives(
 ) -> None:
     """Write the report; of several drives each can be opened, the first is open.
 
-    Args:
-        path: of the new file.
-        drives: in order.
-        command: that made it, text.
-        units: of distances.
-        breakdown: of several drives together, as in the metrics of each.
+    `breakdown` is that of several drives together, as in the metrics of each.
 
     Raises:
         OSError: it cannot be written.

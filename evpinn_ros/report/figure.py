@@ -101,13 +101,7 @@ def drive_figure(
     title: str,
     truth: Identifiable | None = None,
 ) -> Figure:
-    """Draw a drive.
-
-    Args:
-        drive: what was replayed, with its breakdown.
-        title: of the picture.
-        truth: of a simulated car, drawn as lines.
-    """
+    """Draw a drive with its breakdown; the truth of a simulated car is drawn as lines."""
     figure = Figure(figsize=(12, 11.5), layout="constrained")
     figure.suptitle(title, parse_math=False)  # it may be the name of a file
     grid = figure.add_gridspec(5, 6, height_ratios=(1.35, 0.7, 1.2, 1, 1))

@@ -36,14 +36,7 @@ class PlannedTrip(NamedTuple):
 def write_forecasts(
     path: Path, trips: Sequence[PlannedTrip], assumed: str, command: str, units: Units = METRIC
 ) -> None:
-    """Write the page.
-
-    Args:
-        path: of the new file.
-        trips: to show.
-        assumed: sentences on the car and the conditions.
-        command: that made it, text.
-        units: of distances, speeds and heights.
+    """Write the page; `assumed` are sentences on the car and the conditions.
 
     Raises:
         OSError: it cannot be written.
@@ -126,13 +119,7 @@ def _curves(planned: PlannedEnergy, units: Units) -> Any:
 def speed_along(
     planned: PlannedEnergy, shown: np.ndarray, units: Units = METRIC
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances, and the speeds there: of legs their means, in steps.
-
-    Args:
-        planned: with n points.
-        shown: numbers of the points to show.
-        units: of both.
-    """
+    """Distances and the speeds there, at points given by their numbers: of legs, mean speeds."""
     trip = planned.trip
     along = (trip.distance - trip.distance[0]) / units.metres
     if not isinstance(planned.given, Legs):

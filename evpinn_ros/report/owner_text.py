@@ -141,10 +141,7 @@ def drives_rows(
 ) -> list[tuple[str, ...]]:
     """A row under `drives_columns` for each name, drive and its metrics, and one of all.
 
-    Args:
-        drives: in order.
-        breakdown: of all of them together, as in the metrics of each; None where not known.
-        units: of distances.
+    `breakdown` is of all of them together, as in the metrics of each; None where not known.
     """
     figures = [_figures(drive, counted(drive), metrics) for _, drive, metrics in drives]
     rows: list[tuple[str, ...]] = [

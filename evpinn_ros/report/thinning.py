@@ -29,12 +29,9 @@ class Grid(NamedTuple):
 
 
 def grid_for(time: np.ndarray, duration: float, points: int) -> Grid:
-    """A grid over a drive on which a series loses nothing, or as fine as `points` allow.
+    """A grid over a drive, whose duration is in s, on which a series loses nothing.
 
-    Args:
-        time: s, of the series, shape (n,).
-        duration: of the drive, s.
-        points: at most so many are kept.
+    Its points are fewer where it would keep more than `points`.
     """
     steps = np.diff(np.unique(time))
     period = float(np.median(steps)) if len(steps) else 1.0
@@ -44,14 +41,10 @@ def grid_for(time: np.ndarray, duration: float, points: int) -> Grid:
 
 
 def thinned(time: np.ndarray, values: np.ndarray, grid: Grid) -> np.ndarray:
-    """The least and the greatest value of each bucket, in the order they came.
+    """The least and the greatest value of each bucket, as they came.
 
-    Buckets between two values that are near enough are filled by a line, others hold NaN.
-
-    Args:
-        time: s, in any order, shape (n,).
-        values: shape (n,); those that are not finite are left out.
-        grid: where to.
+    Buckets between two values that are near enough are filled by a line, others hold NaN. Times,
+    s, may be in any order; values that are not finite are left out.
 
     Returns:
         Shape (PER_BUCKET * buckets,).

@@ -39,13 +39,9 @@ Decode: TypeAlias = Callable[[str, bytes], Any]
 def plan_of_message(
     type_name: str, data: bytes, decode: Decode, nominal_speed: float = NOMINAL_SPEED
 ) -> Plan:
-    """The plan in the bytes of a message, of whose points not too many are unpacked.
+    """The plan in CDR bytes of one of `PLAN_TYPES`, of whose points not too many are unpacked.
 
-    Args:
-        type_name: one of `PLAN_TYPES`.
-        data: CDR.
-        decode: unpacks it.
-        nominal_speed: m/s at which a path without times is driven.
+    A path without times is driven at `nominal_speed`, m/s.
 
     Raises:
         PlanError: it is no plan, has too many points or cannot be driven.
@@ -116,16 +112,11 @@ def forecast_message(
 ) -> Any:
     """trajectory_msgs/JointTrajectory of the joint `energy`, the header of the plan echoed.
 
-    Args:
-        new: makes messages.
-        header: of the plan that is answered, std_msgs/Header.
-        times: of each point since the start of the plan, s, shape (n,), not negative.
-        energies: J since the start of the plan; drawn is positive.
-        powers: W.
-        sigmas: 1-sigma of the energies, J, not negative.
+    Times, s, and energies, J, of shape (n,), count since the start of the plan; power, W, is drawn
+    where positive; sigmas are those of the energies.
 
     Raises:
-        ValueError: a number is not finite, or no such number.
+        ValueError: a number is not finite, or a time or a sigma negative.
     """
     whole = np.isfinite(np.stack((energies, powers, sigmas))).all()
     if not whole or (sigmas < 0).any() or not 0 <= times.min() <= times.max() < 2**31 - 1:

@@ -166,12 +166,7 @@ def reading_message(new: NewMessage, reading: Reading) -> Any:
 
 
 def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -> Reading:
-    """The reading in a message of one of the input types.
-
-    Args:
-        type_name: of the message.
-        message: of rclpy or of a bag.
-        mounting: of an Imu, see `grade_reading`.
+    """The reading in a message of rclpy or of a bag; of an Imu by its mounting (`grade_reading`).
 
     Raises:
         BadMessage: no usable value, no stamp, or no input type; `reason` says which.
@@ -221,12 +216,10 @@ def rotation(roll: float, pitch: float, yaw: float) -> Rotation:
 
 
 def grade_reading(message: Any, mounting: Rotation | None = None) -> GradeReading:
-    """Grade of an Imu. Positive pitch is nose down (REP-103), so grade = -pitch.
+    """Grade of a sensor_msgs/Imu. Positive pitch is nose down (REP-103), so grade = -pitch.
 
-    Args:
-        message: sensor_msgs/Imu.
-        mounting: rotation from `base_link` to the frame of the message; without it only an
-            orientation of `base_link` itself is used.
+    `mounting` is the rotation from `base_link` to the frame of the message; without it only an
+    orientation of `base_link` itself is used.
     """
     if message.orientation_covariance[0] == NOT_PROVIDED:
         raise BadMessage("no_orientation", lasting=True)

@@ -89,13 +89,7 @@ class MqttBridge:
         connection: Connection,
         note: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """Begin without cars.
-
-        Args:
-            settings: what to read and to write.
-            connection: to the broker, not started.
-            note: says a line to the person.
-        """
+        """Begin without cars; the connection is not started. `note` says a line to the person."""
         self.settings, self._connection = settings, connection
         self._clock, self._note = connection.clock, note
         self._seen: dict[str, _Seen] = {}

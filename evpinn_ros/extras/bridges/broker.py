@@ -85,13 +85,10 @@ class Connection:
         status_topic: str,
         clock: Callable[[], int] = time.time_ns,
     ) -> None:
-        """Prepare a client whose last will says `offline` on `status_topic`.
+        """Prepare a client whose last will says `offline` on the topic of its status.
 
-        Args:
-            settings: whom to connect to, and as whom.
-            subscriptions: topic filters.
-            status_topic: of birth and last will.
-            clock: ns since 1970, of the moments at which messages come.
+        Subscriptions are topic filters; the clock, ns since 1970, gives the moments at which
+        messages come.
 
         Raises:
             InputError: paho-mqtt is missing, or a certificate cannot be used.

@@ -78,14 +78,9 @@ SENSORS = (
 def discovery(
     prefix: str, base: str, status_topic: str, car: str, model: str
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Topic and content of each discovery message of a car.
+    """Topic and content of each discovery message of a car; none where the prefix is empty.
 
-    Args:
-        prefix: of Home Assistant's discovery, `homeassistant`; empty gives none.
-        base: topic of the car.
-        status_topic: of birth and last will.
-        car: its name in topics.
-        model: its name for people.
+    `base` is the topic of the car, `car` its name in topics, `model` that for people.
     """
     device = f"evpinn_{car}"
     of_all = {

@@ -39,9 +39,8 @@ class Snapshots:
     def __init__(self, nominal_voltage: float, *, on_change: bool) -> None:
         """Begin without any value.
 
-        Args:
-            nominal_voltage: V, with which power alone becomes a current.
-            on_change: whether a value is sent only when it changes, and holds until then.
+        The nominal voltage, V, makes a current of power alone. `on_change` says that a value is
+        sent only when it changes, and holds until then.
         """
         self._nominal_voltage, self._on_change = nominal_voltage, on_change
         self._held: dict[Measurand, Value] = {}
@@ -62,10 +61,7 @@ class Snapshots:
     def add(self, parsed: Parsed, arrived_ns: int, *, retained: bool) -> list[Reading]:
         """Take a message; returns the readings that are complete.
 
-        Args:
-            parsed: its content.
-            arrived_ns: the moment it came.
-            retained: whether the broker kept it from before.
+        `retained` says that the broker kept it from before.
         """
         if retained:
             if self._on_change:

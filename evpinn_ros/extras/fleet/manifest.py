@@ -48,12 +48,9 @@ class _Line(NamedTuple):
 def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
     """One car for each folder directly below a given one, or for the given folder itself.
 
-    A drive that lies in a given folder itself, or is given itself, is of the car with the name of
+    Inputs are files, folders or patterns such as `data/2025-*`; all cars are of one vehicle. A
+    drive that lies in a given folder itself, or is given itself, is of the car with the name of
     the folder around it.
-
-    Args:
-        inputs: files, folders or patterns such as `data/2025-*`.
-        vehicle: the model of all.
 
     Raises:
         InputError: nothing is there, or two folders of one name would become one car.

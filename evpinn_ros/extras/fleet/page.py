@@ -119,12 +119,7 @@ class Whisker(NamedTuple):
 
 
 def fleet_charts(population: Population, cars: Mapping[str, Evidence]) -> list[dict[str, Any]]:
-    """A chart for each of `CHART_TITLES`: the vehicle file, the cars, the next car of the model.
-
-    Args:
-        population: of the model.
-        cars: evidence of the cars to show, by name.
-    """
+    """Charts of `CHART_TITLES`: the vehicle file, cars by name, and the next car of the model."""
     return [
         {"title": title, "rows": _rows(name, population, cars)}
         for name, title in CHART_TITLES.items()

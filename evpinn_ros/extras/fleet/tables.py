@@ -96,12 +96,9 @@ def require_extra() -> None:
 
 
 def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str]) -> FleetSummary:
-    """Write the tables of drives, cars and populations from the cars' files.
+    """Write the tables of drives, cars and populations from the cars' files, in one folder.
 
-    Args:
-        out: folder of the results.
-        fleet: all cars; those not begun yet are left out.
-        failed: cars that failed as a whole, and why.
+    Cars not begun yet are left out; `failed` are those that failed as a whole, and why.
 
     Raises:
         InputError: a table cannot be written.

@@ -64,14 +64,10 @@ class Linearised:
 def gauss_newton_step(
     network: PowerNetwork, inputs: torch.Tensor, target: torch.Tensor, damping: float
 ) -> torch.Tensor:
-    """The step of all weights, shape (weights,), that brings the output to a target.
+    """The step of all weights that brings the output for some inputs to a target, shape (n,).
 
-    Args:
-        network: at its present weights; it is not changed.
-        inputs: shape (n, inputs).
-        target: wanted output, shape (n,).
-        damping: see `Linearised.step`. Where single precision cannot factor the system it is
-            raised tenfold.
+    The network is not changed. Where single precision cannot factor the system, the damping of
+    `Linearised.step` is raised tenfold.
 
     Returns:
         The step, in the order of `PowerNetwork.vector`; zero where no damping helps.
@@ -93,17 +89,11 @@ def levenberg_marquardt(
     steps: int,
     damping: float,
 ) -> float:
-    """Move the output of a network towards a target in a fixed number of trials.
+    """Move the output of a network towards a target, shape (n,), in a fixed number of trials.
 
-    A step is taken only when it lessens the mean square of the residual; the damping falls after
-    such a step and rises after any other (Marquardt, 1963).
-
-    Args:
-        network: changed in place, never for the worse.
-        inputs: shape (n, inputs).
-        target: wanted output, shape (n,).
-        steps: solutions of the system of n unknowns.
-        damping: to begin with, see `Linearised.step`.
+    The network is changed in place, never for the worse: a step is taken only when it lessens the
+    mean square of the residual; the damping of `Linearised.step` falls after such a step and rises
+    after any other (Marquardt, 1963). Each trial solves a system of n unknowns.
 
     Returns:
         The damping to go on with.

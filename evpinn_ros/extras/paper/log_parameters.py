@@ -79,11 +79,8 @@ class LogParameters:
     ) -> ParameterFit:
         """The z at which a physics fits a power and the priors best, by Gauss-Newton.
 
-        Args:
-            physics: of what z gives at the samples.
-            power: measured or what a network says there, shape (n,).
-            start: z to begin at, shape (5,).
-            unit: of both, W.
+        The power, measured or what a network says, has shape (n,), and `unit` W as that of the
+        physics; `start` is the z to begin at, shape (5,).
         """
         log_scale, converged = start.detach().clone(), False
         for _ in range(ITERATIONS):

@@ -87,14 +87,10 @@ def spread_over_time(
     last: float,
     sharpness: float,
 ) -> None:
-    """Spread the bends of the first layer's units evenly between two times.
+    """Spread the bends of the first layer's units evenly between two times, in place.
 
-    Args:
-        network: whose second input is time; changed in place.
-        generator: draws the way in which each unit bends.
-        first: the earliest time, as the network takes it.
-        last: the latest.
-        sharpness: distance of two bends over the width of one.
+    Time is the second input of the network. The generator draws the way in which each unit bends;
+    `sharpness` is the distance of two bends over the width of one.
     """
     layer = network.layers[0]
     units = len(layer.bias)

@@ -192,13 +192,10 @@ class OriginGate:
     def __init__(
         self, host: str, port: int, server: tuple[str, int], origins: Collection[str]
     ) -> None:
-        """Begin to listen.
+        """Listen on an interface, by name or address; port 0 is any that is free.
 
-        Args:
-            host: name or address of the interface.
-            port: 0 for any that is free.
-            server: host and port that connections are passed on to.
-            origins: of pages that may connect; what sends no origin is no page, and may.
+        Connections are passed on to `server`, host and port. Only pages of `origins` may connect;
+        what sends no origin is no page, and may.
 
         Raises:
             InputError: nothing can listen there.

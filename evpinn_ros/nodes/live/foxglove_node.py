@@ -18,13 +18,9 @@ class FoxgloveNode(GuardedNode):
     """Passes messages on to a server, with the time of their arrival by the node's clock."""
 
     def __init__(self, host: str, port: int, origins: Collection[str] = (), **kwargs: Any) -> None:
-        """Begin to serve.
+        """Begin to serve on an interface; port 0 is any that is free.
 
-        Args:
-            host: to listen on.
-            port: to listen on, 0 for any.
-            origins: of web pages that may connect beside Foxglove's own.
-            kwargs: go to rclpy's Node.
+        Web pages of `origins` may connect beside Foxglove's own. `kwargs` go to rclpy's Node.
 
         Raises:
             InputError: the extra is not installed, or nothing can listen there.

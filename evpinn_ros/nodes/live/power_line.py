@@ -66,13 +66,10 @@ def power_axis(values: Sequence[float]) -> tuple[float, float]:
 def braille_line(
     values: Sequence[float], width: int, height: int, axis: tuple[float, float]
 ) -> list[str]:
-    """A line through values, as rows of Braille characters from the top.
+    """A line through values, as `height` rows of `width` Braille characters from the top.
 
-    Args:
-        values: two for each character, oldest first; NaN leaves a gap.
-        width: characters of a row.
-        height: rows.
-        axis: values at the bottom and at the top.
+    There are two values for each character, oldest first; NaN leaves a gap. The axis has the
+    values at the bottom and at the top.
     """
     low, high = axis
     cells = [[0] * width for _ in range(height)]

@@ -84,11 +84,8 @@ def watch(
 ) -> None:
     """Show a running system until SIGINT or SIGTERM, or until the parent process has gone.
 
-    Args:
-        namespace: of its topics.
-        plain: lines also on a terminal.
-        json_file: receives one JSON object a second, each on one line; `-` is stdout, without
-            the view.
+    With `plain` it prints lines also on a terminal. The file receives a JSON object a second, each
+    on one line; `-` is stdout, without the view.
 
     Raises:
         InputError: the namespace is none, ROS does not start, or the file is there already.
