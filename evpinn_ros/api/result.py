@@ -153,8 +153,14 @@ class Result:
         # Here, for pictures take longer to import than all else together.
         from evpinn_ros.report.drive_page import write_replayed
 
-        replays = [self.replayed]
-        write_replayed(Path(path), replays, self.vehicle, self.options, "evpinn_ros.replay")
+        write_replayed(
+            Path(path),
+            [self.replayed],
+            self.vehicle,
+            self.options,
+            "evpinn_ros.replay",
+            gauge=self.account.gauge,
+        )
 
 
 def _predictions(series: PowerSeries, name: str) -> pd.DataFrame:

@@ -46,7 +46,7 @@ from evpinn_ros.replays.run import (
 from evpinn_ros.replays.simulation.truth_file import read_truth
 from evpinn_ros.report.breakdown_text import breakdown_lines
 from evpinn_ros.report.dropped_text import dropped_text
-from evpinn_ros.report.owner_text import expert_note, owner_line, owner_notes
+from evpinn_ros.report.owner_text import expert_note, health_line, owner_line, owner_notes
 from evpinn_ros.report.tables import energy_lines
 
 WIDE = 110  # characters of the table of drives
@@ -148,7 +148,13 @@ def replay(
                 for source, folder in zip(chain(first, again), folders, strict=True):
                     if interruption.asked:
                         break
-                    replayed = _one(car, source, folder, lambda: interruption.asked)
+                    try:
+                        replayed = _one(car, source, folder, lambda: interruption.asked)
+                    except InputError as error:
+                        if len(folders) == 1:
+                            raise
+                        unreadable.append(str(error))
+                        continue
                     if len(folders) > 1:
                         _show_briefly(replayed, source, car.vehicle, said, units.units)
                     else:
@@ -156,12 +162,15 @@ def replay(
             finally:
                 # Whatever ends a later drive, the results of those before it are kept.
                 written = _write(car, (state, metrics, report), units.units, len(inputs) > 1)
+        if not car.done:
+            raise InputError("; ".join(unreadable))
         if len(car.done) > 1:
             rows = [(result.drive, result.metrics) for result in car.done]
             show(drives_table(rows, breakdown := car.breakdown(), units.units), at_least=WIDE)
             _show_breakdown(breakdown, units.units, "the energy of all drives")
             show(parameter_table(car.done[-1].metrics))
             say("To see these drives side by side, use evpinn compare.")
+        say(health_line(car.chain.account.gauge, [result.drive for result in car.done]))
         if (line := expert_note(car.done[-1].drive)) is not None:
             say(line)
         for line in unreadable:
@@ -313,4 +322,7 @@ def _write_report(path: Path, car: CarReplay, units: Units) -> None:
     from evpinn_ros.report.drive_page import write_replayed
 
     of_all = car.breakdown() if len(car.done) > 1 else None
-    write_replayed(path, car.done, car.vehicle, car.options, command_line(), units, of_all)
+    gauge = car.chain.account.gauge
+    write_replayed(
+        path, car.done, car.vehicle, car.options, command_line(), units, of_all, gauge=gauge
+    )

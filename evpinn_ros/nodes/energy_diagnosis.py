@@ -89,6 +89,8 @@ def charge_status(account: EnergyAccount) -> Status:
         "capacity_wh": _wh(summary.capacity.value),
         "capacity_sigma_wh": _wh(summary.capacity.sigma),
         "capacity_learned_from": account.gauge.learned,
+        "state_of_health": rounded(account.gauge.health.value),
+        "state_of_health_sigma": rounded(account.gauge.health.sigma),
         "usable_wh": _wh(summary.usable.value),
     }
     if summary.remaining is not None:

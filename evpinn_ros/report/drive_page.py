@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
+from evpinn_ros.core.energy.charge import ChargeGauge
 from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -37,6 +38,7 @@ from evpinn_ros.report.owner_text import (
     drives_columns,
     drives_rows,
     expert_note,
+    health_line,
     lone_note,
     owner_notes,
     part_text,
@@ -91,6 +93,8 @@ def write_replayed(
     command: str,
     units: Units = METRIC,
     breakdown: Mapping[str, Any] | None = None,
+    *,
+    gauge: ChargeGauge,
 ) -> None:
     """Write the report of replayed drives, with the truth that lies beside simulated ones."""
     drives = [
@@ -104,7 +108,8 @@ def write_replayed(
         )
         for replayed in replays
     ]
-    write_drives(path, drives, command, units, breakdown)
+    health = health_line(gauge, [replayed.drive for replayed in replays])
+    write_drives(path, drives, command, units, breakdown, health)
 
 
 def write_drives(
@@ -113,10 +118,12 @@ def write_drives(
     command: str,
     units: Units = METRIC,
     breakdown: Mapping[str, Any] | None = None,
+    health: str = "",
 ) -> None:
     """Write the report; of several drives each can be opened, the first is open.
 
-    `breakdown` is that of several drives together, as in the metrics of each.
+    `breakdown` is that of several drives together, as in the metrics of each; `health` a sentence
+    on the battery after them.
 
     Raises:
         OSError: it cannot be written.
@@ -146,6 +153,7 @@ def write_drives(
             (*row[:DATED_AT], date, *row[DATED_AT:])
             for row, date in zip(rows, began, strict=False)
         ],
+        health=health,
         whole=breakdown and {"breakdown": breakdown_values(breakdown, units)},
         trends=trend_intervals([drive_point(drive.drive) for drive in drives], units),
         score_columns=SCORE_COLUMNS,

@@ -10,13 +10,14 @@ import numpy as np
 
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, kwh_digits
 from evpinn_ros.common.units import counted as counted_text
+from evpinn_ros.core.energy.charge import ChargeGauge
 from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES
 from evpinn_ros.core.estimation.posterior import SPARSE
 from evpinn_ros.core.signals.road import HEATED_BELOW
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.driven import Counted, counted, without_lone
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.vehicle_fit import size_note, vehicle_doubt
+from evpinn_ros.replays.vehicle_fit import DOUBTFUL, size_note, vehicle_doubt
 from evpinn_ros.report.breakdown_text import (
     CONTRADICTED,
     SHORT,
@@ -94,6 +95,26 @@ def owner_notes(vehicle: Vehicle, drive: Drive, metrics: Mapping[str, Any]) -> l
 def expert_note(drive: Drive) -> str | None:
     """Sentence on what forecasts rest on if not on the learned car; else None."""
     return None if drive.model is None else drive.model.experts.sentence
+
+
+def health_line(gauge: ChargeGauge, drives: Iterable[Drive]) -> str:
+    """Sentence on the state of health of the battery, or on why the drives do not show it."""
+    unknown = "State of health of the battery: not known yet"
+    if not gauge.learned:
+        if not any(len(drive.charge) for drive in drives):
+            return f"{unknown}: the log has no state of charge."
+        least = f"{100 * gauge.least_change:.0f} %"
+        return f"{unknown}: no drive or charge of {least} was measured without a gap."
+    kwh, sigma = (joules / JOULES_PER_KWH for joules in gauge.capacity)
+    holds = f"a full battery gives {kwh:.1f} +- {sigma:.1f} kWh by energy and state of charge"
+    health = gauge.health
+    if not health.known:
+        return f"{unknown}: {holds}, and its vehicle file has no battery_capacity to compare."
+    rated = f"{kwh / health.value:.1f} kWh of its vehicle file"
+    if health.value - DOUBTFUL * health.sigma > 1.0:
+        return f"{unknown}: {holds}, more than the {rated}, so one of the two is of another range."
+    percent, spread = (100 * share for share in health)
+    return f"State of health of the battery: {percent:.0f} +- {spread:.0f} %: {holds}, of {rated}."
 
 
 def heating_note(drive: Drive, breakdown: Mapping[str, Any]) -> str | None:

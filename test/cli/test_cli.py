@@ -104,12 +104,17 @@ def test_state_is_taken_up_and_another_car_refuses_it(evpinn, folder):
     assert_fails_in_one_line(other, "kept.json", "nissan_leaf")
 
 
-def test_results_before_a_bad_input_are_kept(evpinn, folder):
+def test_a_bad_input_does_not_cost_the_drives_beside_it(evpinn, folder):
     (folder / "wrong.csv").write_text("t_s,speed_mps,power_w\n0,,700\n")
-    ended = evpinn("replay", "drive", "wrong.csv", "--metrics", "kept_metrics.json", cwd=folder)
-    assert_fails_in_one_line(ended, "wrong.csv")
-    (kept,) = json.loads((folder / "kept_metrics.json").read_text())
-    assert kept["input"]["path"] == "drive"
+    inputs = ("drive", "wrong.csv", "speed.csv")
+    ended = evpinn("replay", *inputs, "--metrics", "kept_metrics.json", cwd=folder)
+    assert ended.returncode == 1 and "Traceback" not in ended.stderr
+    (line,) = [line for line in ended.stderr.splitlines() if "not replayed: " in line]
+    assert "wrong.csv" in line and "all 2" in ended.stdout
+    kept = json.loads((folder / "kept_metrics.json").read_text())
+    assert [drive["input"]["path"] for drive in kept] == ["drive", "speed.csv"]
+    both = evpinn("replay", "wrong.csv", "wrong.csv", cwd=folder)
+    assert_fails_in_one_line(both, "wrong.csv")
 
 
 def test_one_output_that_cannot_be_written_does_not_cost_the_others(evpinn, folder):

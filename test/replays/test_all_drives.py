@@ -52,9 +52,10 @@ def test_the_last_row_and_the_page_have_the_totals(car, tmp_path):
         )
     assert len(drives_rows(named[:1], None)) == 1  # one drive is its own total
     page = tmp_path / "all.html"
-    write_replayed(page, car.done, car.vehicle, car.options, "x", breakdown=car.breakdown())
+    gauge, whole = car.chain.account.gauge, car.breakdown()
+    write_replayed(page, car.done, car.vehicle, car.options, "x", breakdown=whole, gauge=gauge)
     text = re.sub(r"<[^>]*>", " ", page.read_text().partition("<details")[0])
-    assert car.vehicle.name in text
+    assert car.vehicle.name in text and "State of health of the battery: not known yet" in text
     # On a narrow screen the first columns are seen: energy, and that over distance.
     assert re.search(r"drive\s+kWh\s+kWh/100 km\s+km\s+min\s+began", text)
     assert "all 2" in text and "Where the energy of all went" in text and "kWh/100 km" in text

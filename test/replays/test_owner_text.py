@@ -7,7 +7,9 @@ import time
 import numpy as np
 import pytest
 
+import evpinn_ros as ev
 from evpinn_ros.common.units import JOULES_PER_KWH, US
+from evpinn_ros.core.energy.charge import ChargeGauge
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.readings import BatteryReading
@@ -16,15 +18,24 @@ from evpinn_ros.replays.comparison import distance_until
 from evpinn_ros.replays.driven import charged, counted, measured_steps
 from evpinn_ros.replays.energy_metrics import INVALID
 from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
-from evpinn_ros.report.owner_text import owner_line
+from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
+from evpinn_ros.report.owner_text import health_line, owner_line
 from test.replays.test_replay import Recorded
 
 pytestmark = pytest.mark.slow
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+RATED = 1.4 * JOULES_PER_KWH  # a battery that minutes in town empty by tenths
+NOTHING = np.empty((0, 2))
 
 
-def replayed(vehicle, readings) -> Replayed:
-    chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
+def chain_of(vehicle) -> Chain:
+    return Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
+
+
+def replayed(vehicle, readings, chain=None) -> Replayed:
     source, options = Recorded(list(readings), Path("town")), ReplayOptions(warm_up=30.0)
+    chain = chain or chain_of(vehicle)
     return replay(source, chain, options, vehicle=vehicle.key, mode="hybrid")
 
 
@@ -97,3 +108,40 @@ def test_regeneration_of_a_battery_that_is_never_charged_is_not_learned(vehicle,
     mu = replayed(vehicle, one_way).metrics["parameters"]["mu"]
     assert mu["state"] == "unestimated" and mu["prior_share"] == 1.0
     assert town.metrics["parameters"]["mu"]["prior_share"] < 0.8
+
+
+def test_the_state_of_health_is_that_of_the_battery_or_the_reason_why_not(vehicle):
+    aged = replace(vehicle, battery_capacity=0.7 * RATED)
+    chain = chain_of(replace(vehicle, battery_capacity=RATED))
+    readings = simulate(DriveKind.URBAN, aged, 240.0, seed=11).readings
+    drive, gauge = replayed(vehicle, readings, chain).drive, chain.account.gauge
+    health, sigma = gauge.health
+    assert abs(health - 0.7) < 2.0 * sigma < 0.15
+    line = health_line(gauge, [drive])
+    assert f"{100 * health:.0f} +- {100 * sigma:.0f} %" in line and "of 1.4 kWh of its" in line
+    reasons = {
+        "the log has no state of charge": (ChargeGauge(RATED), replace(drive, charge=NOTHING)),
+        "no drive or charge of 10 % was measured": (ChargeGauge(RATED), drive),
+        "no battery_capacity to compare": (of_rated(gauge, float("nan")), drive),
+        "more than the 0.7 kWh of its vehicle file": (of_rated(gauge, 0.5 * RATED), drive),
+    }
+    for reason, (known, seen) in reasons.items():
+        line = health_line(known, [seen])
+        assert line.startswith("State of health of the battery: not known yet: ")
+        assert reason in line
+
+
+def of_rated(gauge: ChargeGauge, capacity: float) -> ChargeGauge:
+    """What a gauge has learned, of a car whose file says this capacity, J."""
+    other = ChargeGauge(capacity)
+    other.take(gauge.saved())
+    return other
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
+def test_the_state_of_health_of_an_e208_is_near_that_which_the_car_reports():
+    """It reports 98 to 99 %, of a capacity that it does not tell."""
+    log = DATA / "peugeot_e208_car_scanner" / "2023-12-16_08-53-55.csv.gz"
+    health, sigma = ev.replay(log, vehicle="peugeot_e_208_50_kwh_2020").account.gauge.health
+    assert abs(health - 0.99) < 2.0 * sigma < 0.12

@@ -115,6 +115,18 @@ class ChargeGauge(Saveable[SavedGauge]):
         """1-sigma of one reading, 0..1, from the size of its steps."""
         return self._step / math.sqrt(12.0)
 
+    @property
+    def least_change(self) -> float:
+        """Change of the state of charge, 0..1, from which on it tells the capacity."""
+        return max(LEAST_CHANGE, LEAST_STEPS * self._step)
+
+    @property
+    def health(self) -> Uncertain:
+        """Learned capacity over that of the vehicle file, with its 1-sigma; else unknown."""
+        if not self.learned:
+            return UNKNOWN
+        return Uncertain(*(joules / self._prior.value for joules in self.capacity))
+
     def is_new(self, charge: float, unmeasured_s: float | None) -> bool:
         """True if `update` would learn anything of this but that it is the newest."""
         last, anchor = self._last, self._anchor
@@ -154,7 +166,7 @@ class ChargeGauge(Saveable[SavedGauge]):
 
     def _learn(self, anchor: _ChargeSample, sample: _ChargeSample) -> None:
         change = anchor.charge - sample.charge
-        if abs(change) < max(LEAST_CHANGE, LEAST_STEPS * self._step):
+        if abs(change) < self.least_change:
             return
         self._anchor = sample
         capacity = (sample.consumed - anchor.consumed) / change
