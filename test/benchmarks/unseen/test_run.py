@@ -11,16 +11,20 @@ EXAMPLE = ROOT / "examples" / "methods" / "least_squares.py"
 MINE = '''
 """A method of somebody else."""
 from benchmarks.unseen.method import Prediction
-from evpinn_ros.core.signals.readings import SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 
 class Flat:
-    """Ten kilowatts, always."""
+    """Ten kilowatts, always; a copy, which predicts, may see no battery reading."""
 
-    def __init__(self, vehicle):
-        """Take nothing from it."""
+    def __init__(self, vehicle, is_copy=False):
+        self.is_copy = is_copy
+
+    def __deepcopy__(self, memo):
+        return Flat(None, is_copy=True)
 
     def add_reading(self, reading):
         """Ten kilowatts."""
+        assert not (self.is_copy and isinstance(reading, BatteryReading))
         if isinstance(reading, SpeedReading):
             yield Prediction(reading.stamp_ns, 1e4)
 
