@@ -72,14 +72,6 @@ def test_the_test_fails_before_the_change_and_passes_after_it(with_new_test):
     assert after.returncode == 0 and "1 passed" in after.stdout, after.stdout + after.stderr
 
 
-@pytest.mark.nightly
-def test_after_the_first_change_the_tests_of_its_folder_pass(with_new_test):
-    apply(with_new_test, block("diff"))
-    for command in ("ruff check", "pytest --quick --hypothesis-profile=quick test/logs"):
-        ended = run(with_new_test, *shlex.split(command))
-        assert ended.returncode == 0, ended.stdout + ended.stderr
-
-
 @pytest.fixture
 def with_term(copy) -> Path:
     apply(copy, block("patch"), "--unidiff-zero")
@@ -90,35 +82,3 @@ def with_term(copy) -> Path:
 def test_a_term_is_two_lines(with_term):
     ended = run(with_term, "python", "-c", block("py"))
     assert ended.stdout == "J for 1 N/(m/s): 800.0\n", ended.stderr
-
-
-@pytest.mark.nightly
-@pytest.mark.timeout(1800)
-def test_with_a_term_the_core_passes_and_what_changes_is_what_the_page_says(with_term):
-    files = {path: path.read_bytes() for path in (*with_term.glob("docs/**/*.md"),)}
-    core, generate, golden = (
-        run(with_term, "sh", "-c", line) for line in block("sh").splitlines()
-    )
-    assert core.returncode == 0 and " passed" in core.stdout, core.stdout
-    assert generate.returncode == 0, generate.stderr
-    changed = {path.name for path, old in files.items() if path.read_bytes() != old}
-    assert changed == {"states.md", "one_interval.md"}
-    assert golden.returncode == 0, golden.stderr
-    counts = dict(re.findall(r"^(\w+\.csv): \d+ numbers, (\d+) changed$", golden.stdout, re.M))
-    assert {name for name, count in counts.items() if count != "0"} == {
-        "urban_hybrid.csv",
-        "highway_hybrid.csv",
-    }
-    topics = set(re.findall(r"^  \('([^']+)'", golden.stdout, re.M))
-    may, may_not = re.search(r"may change are (.+?)\. If (.+?) changes,", PAGE, re.S).groups()
-    assert not topics & {*re.findall(r"`([^`]+)`", may_not)}
-    allowed = re.findall(r"`([^`]+?)(?:\.\.\.)?`", may)
-    assert all(topic.startswith(tuple(allowed)) for topic in topics), topics
-    ended = run(
-        with_term,
-        "pytest",
-        "-q",
-        "test/replays/test_golden.py",
-        "test/core/estimation/test_published.py",
-    )
-    assert ended.returncode == 0, ended.stdout

@@ -2,9 +2,7 @@
 
 import ast
 from collections.abc import Iterable, Iterator
-from configparser import ConfigParser
 from email import message_from_string
-from importlib import import_module
 import os
 from pathlib import Path
 import re
@@ -66,15 +64,6 @@ NAMES = {
     "udsoncan": ("udsoncan", None),
     "yaml": ("pyyaml", "python3-yaml"),
     "zstandard": ("zstandard", None),
-}
-
-# Seen in rosdep/python.yaml of rosdistro, in its fork InvincibleRMC/rosdistro at commit 30d139d7
-# (numpy and msgpack: ros/rosdistro at 000730dc).
-ROSDEP_KEYS = {
-    *("python3-can", "python3-cantools-pip", "python3-hypothesis", "python3-msgpack"),
-    *("python3-numpy", "python3-pytest", "python3-pytest-timeout", "python3-rich"),
-    *("python3-rosbags-pip", "python3-scipy", "python3-serial", "python3-torch"),
-    *("python3-typer", "python3-yaml"),
 }
 
 
@@ -168,11 +157,6 @@ def test_manifest_declares_what_every_installation_has(wheel: ZipFile) -> None:
     assert {*named} == {name for name in required if keys[name] is None}
 
 
-def test_every_key_is_one_that_rosdep_knows() -> None:
-    named = {tag.text for kind in ("exec", "test") for tag in MANIFEST.iter(f"{kind}_depend")}
-    assert {key for key in named if key.startswith("python3-")} <= ROSDEP_KEYS
-
-
 def test_wheel_declares_what_is_imported(wheel: ZipFile) -> None:
     imported = third_party_imports("evpinn_ros") | third_party_imports("examples")
     needed = {NAMES[name][0] for name in imported - ROS_PACKAGES}
@@ -225,16 +209,6 @@ def test_a_release_is_what_its_tag_says_and_needs_its_tests() -> None:
         named = os.environ | {"GITHUB_REF_NAME": tag}
         ended = subprocess.run([sys.executable, "-c", check], cwd=ROOT, env=named)
         assert (ended.returncode == 0) == accepted
-
-
-def test_every_executable_has_its_function(wheel: ZipFile) -> None:
-    entry_points = ConfigParser()
-    entry_points.read_string(read_info(wheel, "entry_points.txt"))
-    scripts = dict(entry_points["console_scripts"])
-    assert scripts.keys() == EXECUTABLES
-    for target in scripts.values():
-        module, _, function = target.partition(":")
-        assert callable(getattr(import_module(module), function)), target
 
 
 def test_colcon_installs_the_package(installed: Path) -> None:
