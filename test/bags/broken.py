@@ -1,23 +1,16 @@
-"""Bags that are broken in every way, saved again, and compared with the whole ones."""
+"""Bags of every storage, the messages in their parts, and copies that are broken."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 import random
-import shutil
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from rosbags.rosbag2 import Reader
 
-from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.types import encode, new_message, typestore
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.topics.messages import scalar
 
@@ -30,19 +23,6 @@ STORAGES = ("zstd", "lz4", "chunks", "loose")
 FAULTS = ("bit flipped", "cut", "no end")
 
 Identity = tuple[str, int, int, bytes]  # topic, log time, sequence, data
-
-
-@dataclass(slots=True)
-class Tally:
-    """Results of the cases of one storage and fault."""
-
-    cases: int = 0  # that were tried
-    # of undamaged chunks, and of whole records outside of chunks, to be returned
-    messages: int = 0
-    missing: int = 0  # those that were not
-    altered: int = 0  # messages returned that are not in the original
-    miscounted: int = 0  # cases whose report differs from what is in the new bag
-    unread: int = 0  # cases whose new bag rosbags does not read
 
 
 @dataclass(slots=True)
@@ -129,51 +109,3 @@ def damaged(data: bytes, fault: str, rng: random.Random) -> tuple[bytes, int, in
         return bytes(broken), at, at + 1
     lost = rng.randrange(1, 60) if fault == "no end" else rng.randrange(1, len(data) - 7)
     return data[:-lost], len(data) - lost, len(data)
-
-
-def campaign(cases: int, size: int) -> Iterator[tuple[str, str, Tally]]:
-    """Break bags in every way and save them again; gives storage, fault and what became of it.
-
-    The cases are dealt out to storages and faults; each bag has at least `size` bytes.
-    """
-    rng = random.Random(0)
-    kinds = [(storage, fault) for storage in STORAGES for fault in FAULTS]
-    with TemporaryDirectory() as folder:
-        for storage, fault in kinds:
-            whole = Path(folder) / "whole.mcap"
-            write_bag(whole, storage, size, rng)
-            data, blocks = whole.read_bytes(), blocks_of(whole, storage == "loose")
-            tally = Tally()
-            for _ in range(cases // len(kinds)):
-                _try(data, blocks, fault, rng, Path(folder), tally)
-            yield storage, fault, tally
-
-
-def _try(
-    data: bytes,
-    blocks: list[LostBlock],
-    fault: str,
-    rng: random.Random,
-    folder: Path,
-    tally: Tally,
-) -> None:
-    broken, begin, end = damaged(data, fault, rng)
-    (folder / "broken.mcap").write_bytes(broken)
-    new = folder / "new"
-    shutil.rmtree(new, ignore_errors=True)
-    sound = [block for block in blocks if block.end <= begin or block.begin >= end]
-    expected = [message for block in sound for message in block.messages]
-    tally.cases += 1
-    tally.messages += len(expected)
-    try:
-        (report,) = recover(folder / "broken.mcap", new)
-    except InputError:  # nothing could be saved
-        tally.missing += len(expected)
-        return
-    messages = Counter(messages_of(new / "new_0.mcap"))
-    original = Counter(message for block in blocks for message in block.messages)
-    tally.missing += (Counter(expected) - messages).total()
-    tally.altered += (messages - original).total()
-    tally.miscounted += report.messages != messages.total()
-    with Reader(new) as reader:
-        tally.unread += sum(1 for _ in reader.messages()) != report.messages

@@ -7,17 +7,14 @@ import subprocess
 import sys
 
 import pytest
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
-from rosbags.rosbag2 import Writer as RosbagsWriter
 import yaml
 
 from evpinn_ros.bags import rosbags_file
 from evpinn_ros.bags.metadata import INFORMATION, METADATA
-from evpinn_ros.bags.names import is_bag
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.rosbags_file import SUPER_JOURNAL
 from evpinn_ros.bags.storage import Storage, change_storage
-from evpinn_ros.bags.types import encode, new_message, typestore
+from evpinn_ros.bags.types import encode, new_message
 from evpinn_ros.bags.writer import BagWriter, Split
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.topics.messages import scalar
@@ -169,18 +166,3 @@ def test_databases_beside_mcap_files_are_named(tmp_path):
     killed_recording(tmp_path / "bag" / "other.db3", "WAL")
     values, problem = numbers(tmp_path / "bag")
     assert values == [1.0] and "other.db3 beside MCAP files, not read" in problem
-
-
-@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
-@pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE])
-def test_one_file_of_a_compressed_bag_is_unpacked(tmp_path, plugin, mode):
-    writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=plugin)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection("/a", "std_msgs/msg/Float64", typestore=typestore())
-        for i in range(COUNT):
-            writer.write(connection, START + i * STEP, encode(scalar(new_message, i)))
-    (path,) = (path for path in (tmp_path / "bag").iterdir() if path.name != METADATA)
-    assert is_bag(path) and numbers(path) == (list(range(COUNT)), None)
-    with Reader(tmp_path / "bag") as reader:
-        assert reader.message_count == COUNT

@@ -9,6 +9,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 import zstandard
 
+from evpinn_ros.bags.metadata import METADATA
+from evpinn_ros.bags.names import is_bag
 from evpinn_ros.bags.reader import BagReader, TopicInfo
 from evpinn_ros.bags.types import encode, new_message, typestore
 from evpinn_ros.bags.writer import BagWriter
@@ -110,10 +112,9 @@ def test_a_folder_its_file_and_a_folder_without_metadata(drive, tmp_path):
 def test_bags_of_rosbags(tmp_path, plugin, compressed):
     compression = (compressed, CompressionFormat.ZSTD) if compressed else ()
     folder = write_rosbags(tmp_path / "bag", plugin, *compression)
-    assert numbers(folder) == (list(range(COUNT)), None)
-    if compressed is None:
-        (file,) = (path for path in folder.iterdir() if path.suffix in (".db3", ".mcap"))
-        assert numbers(file) == (list(range(COUNT)), None)
+    (file,) = (path for path in folder.iterdir() if path.name != METADATA)
+    for path in (folder, file):
+        assert is_bag(path) and numbers(path) == (list(range(COUNT)), None)
 
 
 def test_a_compressed_recording_that_the_power_ended(tmp_path):

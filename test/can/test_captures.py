@@ -119,17 +119,6 @@ def test_leaf_equals_the_table(name):
     assert not decoder.dropped
 
 
-def test_profiles_of_other_cars_do_not_fit():
-    for profile, log, _ in TESLA:
-        others = {"tesla_model_s", "tesla_model_3", "nissan_leaf"} - {profile}
-        for other in others:
-            bridge = CanBridge(load_profile(other))
-            for frame in frames(log)[:5000]:
-                bridge.decode(frame)
-            status = bridge.status(frame.stamp_ns)
-            assert not status.ok, (profile, other, status)
-
-
 CAPTURES = [
     *((profile, log) for profile, log, _ in TESLA),
     *(("nissan_leaf", DATA / "nissan_leaf_62kwh" / f"{name}.candump.log") for name in LEAF),

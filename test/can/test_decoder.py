@@ -129,33 +129,6 @@ def test_garbage_ids_fill_no_memory(tesla):
     assert (len(tesla.unknown), tesla.uncounted) == (MOST_IDS, 10)
 
 
-MULTIPLEXED = """VERSION ""
-
-BU_: X
-
-BO_ 100 M: 4 X
- SG_ Page M : 0|8@1+ (1,0) [0|255] "" X
- SG_ Speed m1 : 8|16@1+ (0.01,0) [0|600] "km/h" X
- SG_ Other m2 : 8|16@1+ (1,0) [0|0] "" X
-"""
-
-
-def test_other_pages_of_a_multiplexed_message_are_no_fault(tmp_path):
-    (tmp_path / "m.dbc").write_text(MULTIPLEXED)
-    (tmp_path / "m.yaml").write_text(
-        "name: m\nsource: s\nverified_by: v\ndbc: m.dbc\n"
-        "speed: {message: M, signal: Speed, unit: km/h, valid: [0, 300]}\n"
-    )
-    decoder = Decoder(load_profile(tmp_path / "m.yaml"))
-    assert decoder.decode(frame(100, "01E80300"))[0].speed == pytest.approx(10 / 3.6)
-    assert decoder.decode(frame(100, "02E80300")) == ()
-    assert decoder.decode(frame(100, "02E803")) == () and decoder.decode(frame(100, "02E8")) == ()
-    assert not decoder.dropped
-    assert decoder.decode(frame(100, "09E80300")) == ()
-    assert decoder.decode(frame(100, "01E8")) == ()
-    assert decoder.dropped.total() == 2
-
-
 def model_3_motor(can_id: int, axle_torque: int, stamp_ns: int) -> CanFrame:
     """0x108, 0x186 by hand: 13 bits at bit 27 of 2 N m at the axle, 100.0 rpm at bit 40."""
     rest = ((axle_torque // 2 & 0x1FFF) << 19 | 1000 << 32).to_bytes(7, "little")

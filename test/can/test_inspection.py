@@ -3,11 +3,9 @@ import math
 
 import pytest
 
-from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.inspection import MOST_IDS, Inspection, frame_bits
-from evpinn_ros.can.profile import MOTORS, load_profile
-from evpinn_ros.core.signals.readings import BatteryReading
+from evpinn_ros.can.profile import MOTORS
 from test.can.conftest import ALL, KONA, PROFILES
 
 pytestmark = pytest.mark.slow
@@ -66,19 +64,6 @@ def test_ids_without_end_do_not_fill_the_memory():
     frames = (CanFrame(i, i, b"", True) for i in range(MOST_IDS + 100))
     report = inspected(frames).report()
     assert len(report.ids) == MOST_IDS and report.uncounted == 100
-
-
-def test_values_as_the_profile_reads_them():
-    encoder = Encoder(load_profile("nissan_leaf"))
-    currents = [-20.0, 5.0, -60.0]
-    frames = [
-        encoder.battery(BatteryReading(10 * MS * i, 390.0, current))
-        for i, current in enumerate(currents)
-    ]
-    values = inspected(frames).report().best.values
-    assert values.keys() == {"voltage", "current"}
-    current = values["current"]
-    assert (current.count, current.newest, current.lowest, current.highest) == (3, -60, -60, 5)
 
 
 def test_what_another_tester_asks_for_is_told():

@@ -22,7 +22,6 @@ from test.waiting import pause, wait_until
 CHANNELS = (f"poller-{number}" for number in itertools.count())
 KONA = load_profile("hyundai_kia")
 DRIVE, PACK = KONA.requests
-I3 = load_profile("bmw_i3")
 
 
 @pytest.fixture
@@ -120,23 +119,6 @@ def test_a_kona_on_the_bus(channel, unit):
     assert all(len(unit.asked) <= most for unit in units)
     assert [set(unit.asked) for unit in units] == [{PACK.payload}, {DRIVE.payload}]
     assert car.bridge.status(stamps[-1]).ok
-
-
-def test_voltage_and_current_of_two_answers_are_of_one_moment(channel, unit):
-    speed, voltage, current = I3.requests
-    drives = unit(speed.address, {speed.payload: lambda: [speed.echo + b"\x01\xf4"]})
-    pack = unit(
-        voltage.address,
-        {
-            voltage.payload: lambda: [voltage.echo + b"\x8c\xa0"],
-            current.payload: lambda: [current.echo + (-5000).to_bytes(4, "big", signed=True)],
-        },
-    )
-    with live(channel, I3, [drives, pack]) as car:
-        car.wait_until(lambda: len(car.of(BatteryReading)) >= 3 and car.of(SpeedReading))
-    assert {(r.voltage, r.current) for r in car.of(BatteryReading)} == {(360.0, -50.0)}
-    assert car.of(SpeedReading)[0].speed == pytest.approx(50 / 3.6)
-    assert not car.bridge.status(0).dropped
 
 
 def test_without_leave_nothing_is_ever_sent(channel, unit):
