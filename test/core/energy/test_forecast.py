@@ -111,21 +111,6 @@ def test_hills_never_save_energy(speed, grade):
 
 
 @FEW
-@given(speed_lists, st.sampled_from(["mass_over_eta", "drag_area_over_eta", "c_rr", "p_aux"]))
-def test_more_of_anything_is_never_cheaper(speeds, name):
-    plan = stop_to_stop(speeds)
-    more = COMBINED._replace(**{name: 1.2 * getattr(COMBINED, name)})
-    assert energy(plan, more) >= energy(plan) - 1e-6
-
-
-@FEW
-@given(speed_lists)
-def test_better_regeneration_is_never_dearer(speeds):
-    plan = stop_to_stop(speeds)
-    assert energy(plan, COMBINED._replace(regeneration=0.8)) <= energy(plan) + 1e-6
-
-
-@FEW
 @given(speed_lists, st.data())
 def test_a_plan_cut_in_two_adds_up(speeds, data):
     plan = stop_to_stop(speeds)
@@ -159,31 +144,6 @@ def test_sigma_of_one_combination_against_sampling(name):
     energies = [energy(plan, COMBINED._replace(**{name: sample})) for sample in drawn]
     result = forecast(plan, COMBINED, sigma)
     assert result.sigma[-1] == pytest.approx(np.std(energies), rel=0.1)
-
-
-def test_parts_of_sigma_add_as_variances():
-    plan, parts = cruise(15.0, 300.0), []
-    for name in IDENTIFIABLE_NAMES:
-        only = EXACT._replace(**{name: getattr(SIGMAS, name)})
-        parts.append(forecast(plan, COMBINED, only).sigma)
-    whole = forecast(plan, COMBINED, SIGMAS).sigma
-    assert whole == pytest.approx(np.sqrt(np.square(parts).sum(axis=0)), rel=1e-3)
-    assert (np.diff(whole) > 0).all()
-    assert parts[IDENTIFIABLE_NAMES.index("p_aux")][-1] == pytest.approx(100.0 * 300)
-
-
-@FEW
-@given(st.floats(2, 40), st.floats(1.1, 4))
-def test_the_same_way_more_slowly(speed, slower):
-    """Rolling costs as before, drag less by the square of speed, auxiliaries more by the time."""
-    length = 3000.0
-    quick, slow = cruise(speed, length / speed), cruise(speed / slower, length * slower / speed)
-    _, area, c_rr, _, p_aux = COMBINED
-    rolling = 2200.0 * c_rr * GRAVITY * length
-    drag = 0.5 * CAR.air_density * area * speed**2 * length
-    assert energy(quick) == pytest.approx(rolling + drag + p_aux * length / speed)
-    standing = p_aux * length * slower / speed
-    assert energy(slow) == pytest.approx(rolling + drag / slower**2 + standing)
 
 
 def test_wind_that_was_measured_counts_less_the_farther_the_car_goes():

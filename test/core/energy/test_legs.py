@@ -6,7 +6,6 @@ from functools import cache
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import pytest
 
 from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import Plan, legs_of_trip, points_of
@@ -87,23 +86,6 @@ def test_at_one_mean_speed_longer_legs_never_take_less(name, seed, speed, counts
     )
     assert long - even >= (short - other) * (1.0 - 1e-9) >= 0.0
     assert long >= 0.985 * short
-
-
-@pytest.mark.parametrize("name", ["bmw_i3", "tesla_model_3_lr"])
-@pytest.mark.parametrize("speed", [3.0, 14.0, 33.0])
-def test_short_legs_take_what_steady_ones_do(name, speed):
-    model, tenths = car_of(name, 1), np.full(1000, 0.1)
-    path = Path(
-        tenths,
-        speed * tenths,
-        0.0 * tenths,
-        0.0 * tenths,
-        0.0 * tenths,
-        0.0 * tenths + 1.2,
-        0.0 * tenths,
-    )
-    whole, beyond = (rows.sum(0) @ model.car.mean for rows in model.leg_rows(path, Weather(1.2)))
-    assert 0.0 <= beyond < 0.01 * whole
 
 
 def test_a_coarse_plan_costs_more_than_even_speed_and_is_less_sure():

@@ -7,16 +7,12 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from benchmarks.truth import CarChain
 from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.core.estimation.journey import noise_of
 from evpinn_ros.core.estimation.states import TABLE, WEIGHTS, State
-from evpinn_ros.core.estimation.terms import WARM, Warmth
+from evpinn_ros.core.estimation.terms import WARM
 from evpinn_ros.core.signals.interval import Steps
-from evpinn_ros.replays.simulation.drive import DriveKind
-from evpinn_ros.replays.simulation.simulate import simulate
 from test.core.energy.cars import CAR, taught
 
 MILD = Weather(1.2, 20.0)
@@ -28,36 +24,6 @@ def trip(seed, points=600):
     speed = np.maximum(12 + np.cumsum(rng.normal(0, 0.9, points)) * 0.8, 0.0).clip(0, 34)
     climb = speed * np.sin(0.03 * np.sin(np.arange(points) / 60.0 + seed))
     return Steps(np.ones(points), speed, speed**3, speed * np.gradient(speed), climb)
-
-
-def withheld():
-    """Intervals of a drive after another one, and the car without their battery."""
-    chain = CarChain(CAR)
-    chain.add_readings(simulate(DriveKind.URBAN, CAR, 300.0, 4).readings)
-    car, another, taken = chain.car.begin_drive(), CarChain(CAR), []
-    model, another.take = car.state.model(car.equation), taken.append
-    another.add_readings(simulate(DriveKind.URBAN, CAR, 300.0, 5).readings)
-    return model, car.after([replace(each, energy=np.nan) for each in taken]), taken
-
-
-@pytest.mark.slow
-def test_the_forecast_of_a_driven_speed_is_the_drive_without_its_battery():
-    """Energy and sigma: the same rows, the same posterior."""
-    model, car, intervals = withheld()
-    predicted, sigma = car.state.model(car.equation).predicted(car.dropout)
-    rows, noise, unseen = [], 0.0, 0.0
-    weather = Weather(intervals[0].conditions.air_density, intervals[0].conditions.celsius)
-    for interval in intervals:
-        steps = interval.steps
-        now = replace(model, seconds=sum(e.duration for e in intervals[: len(rows)]))
-        rows.append(PowerModel(now).rows(steps, weather).sum(0))
-        noise += float(model.noise @ noise_of(steps))
-        unseen += 0.0 if interval.height_known else abs(interval.distance)
-    elapsed = sum(interval.duration for interval in intervals)
-    energy, spread = PowerModel(model).predicted(np.sum(rows, 0), elapsed, noise, unseen)
-    gross = float(np.nansum([abs(interval.energy) for interval in intervals]))
-    assert energy == pytest.approx(predicted, abs=0.005 * gross)
-    assert spread == pytest.approx(sigma, rel=0.01)
 
 
 @settings(max_examples=20, deadline=None)
@@ -107,20 +73,6 @@ def test_the_table_of_the_network_is_as_good_as_the_network(seed):
     car = model.car
     gross = float(np.abs(model.rows(motion, MILD) @ car.mean).sum())
     assert looked_up @ car.mean == pytest.approx(exact @ car.mean, abs=1e-3 * gross)
-
-
-def test_cold_weather_heats_and_stiffens_tyres_and_heating_given_is_what_it_takes():
-    model, motion = vehicle_model(CAR), trip(1)
-
-    def energy(weather):
-        return float(model.rows(motion, weather).sum(0) @ model.car.mean)
-
-    mild, cold = energy(MILD), energy(Weather(1.2, -10.0))
-    assert cold > mild + 600 * 1000.0
-    off, on = (energy(Weather(1.2, 20.0, watts)) for watts in (0.0, 2000.0))
-    assert on - off == pytest.approx(600 * 2000.0)
-    cold = Weather(1.2, 20.0, start=Warmth(1.0, 1.0))
-    assert energy(cold) > energy(cold._replace(start=WARM))
 
 
 @pytest.mark.parametrize("along", [True, False])
