@@ -19,13 +19,6 @@ EDGES = pd.DataFrame(
 FOUND = ev.edge_energies(EDGES, "bmw_i3")
 
 
-def test_a_row_an_edge_downhill_gives_back():
-    energy = FOUND.table.energy_j
-    assert FOUND.table.index.equals(EDGES.index)
-    assert energy["a", "b"] > 0 > energy["b", "a"]
-    assert (FOUND.table.sigma_j > 0).all()
-
-
 def test_a_route_is_the_forecast_of_its_edges():
     route = [("a", "b"), ("b", "c"), ("a", "c")]
     for conditions in ({}, {"temperature_c": -5.0, "head_wind": 4.0, "payload_kg": 90.0}):
@@ -33,14 +26,6 @@ def test_a_route_is_the_forecast_of_its_edges():
         trip = ev.forecast(EDGES.loc[route], "bmw_i3", **conditions)
         assert network.route(route).value == pytest.approx(trip.energy_j.iloc[-1], rel=1e-9)
         assert network.route(route).sigma == pytest.approx(trip.sigma_j.iloc[-1], rel=1e-9)
-
-
-def test_what_two_routes_share_cancels():
-    first, other = [("a", "b"), ("b", "c")], [("a", "b"), ("b", "c"), ("a", "c")]
-    more = FOUND.difference(other, first)
-    assert more.value == pytest.approx(FOUND.route(other).value - FOUND.route(first).value)
-    assert more.sigma < FOUND.route([("a", "c")]).sigma * 1.01
-    assert FOUND.difference(first, first) == (0.0, 0.0)
 
 
 def test_a_route_over_no_such_edge_is_refused():

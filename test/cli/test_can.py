@@ -49,19 +49,6 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_a_log_for_people(evpinn, folder):
-    ended = evpinn("can", "inspect", "tesla_model_3.log", cwd=folder, columns=80)
-    assert ended.returncode == 0, ended.stderr
-    assert max(map(len, ended.stdout.splitlines())) <= 80
-    assert ended.stdout.rstrip().splitlines()[-2:] == [
-        "Fits: tesla_model_3",
-        "Sign of the current: too little driving to judge",
-    ]
-    assert "1800 frames of 2 ids in 12.0 s" in ended.stdout
-    assert " 132 " in ended.stdout and "battery" in ended.stdout
-    assert "contradicted" in ended.stdout
-
-
 def test_a_log_for_scripts(evpinn, folder):
     ended = evpinn(
         "can", "inspect", "tesla_model_3.log", "--json", "-", "--seconds", 2, cwd=folder

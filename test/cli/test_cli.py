@@ -153,13 +153,6 @@ def test_the_state_is_written_before_all_that_can_be_made_again(folder):
     assert learned
 
 
-def test_output_is_never_overwritten(evpinn, folder):
-    evpinn("replay", "speed.csv", "--out", "once", cwd=folder)
-    ended = evpinn("replay", "speed.csv", "--out", "once", cwd=folder)
-    assert ended.returncode == 1
-    assert "once" in ended.stderr.strip().splitlines()[-1]
-
-
 def test_check_params_knows_the_three_kinds(evpinn, tmp_path):
     for path, kind in (
         (ROOT / "config" / "evpinn.param.yaml", "parameter file"),

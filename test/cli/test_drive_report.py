@@ -1,28 +1,19 @@
 """The report of a live drive, from the bag that the nodes would have left."""
 
-from itertools import islice
 import os
 from pathlib import Path
-import pty
 import shutil
 import signal
-import sys
 import threading
 
 import pytest
 import typer
 
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.can.encoder import Encoder
-from evpinn_ros.can.logs import write_log
-from evpinn_ros.can.profile import load_profile
 from evpinn_ros.cli.drive_report import reported
 from evpinn_ros.cli.run import learned_before
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.core.estimation.state_file import read_state
-from evpinn_ros.core.signals.readings import SpeedReading
-from evpinn_ros.topics.readings import to_reading
 from test.waiting import wait_until
 
 URBAN = share_directory() / "bags" / "urban"
@@ -108,34 +99,3 @@ def test_the_report_starts_from_the_state_that_the_nodes_start_from(tmp_path):
     assert learned_before(None, None) is None
     params.write_text("/**/estimator:\n  ros__parameters:\n    vehicle: bmw_i3\n")
     assert learned_before(None, params) is None
-
-
-@pytest.mark.nightly
-@pytest.mark.slow
-def test_a_closed_terminal_loses_neither_state_nor_report_nor_account(tmp_path):
-    """The kernel sends SIGHUP to all of the terminal's foreground, and each later line fails."""
-    state, report, log = tmp_path / "car.json", tmp_path / "drive.html", tmp_path / "drive.log"
-    encoder, frames = Encoder(load_profile("tesla_model_3")), []
-    with BagReader(URBAN) as bag:
-        for record in islice(bag.records(("/ev/vehicle/speed", "/ev/battery/state")), 2000):
-            reading = to_reading(record.type_name, record.message)
-            encode = encoder.speed if isinstance(reading, SpeedReading) else encoder.battery
-            frames.append(encode(reading))
-    write_log(log, frames)
-    params = tmp_path / "params.yaml"
-    params.write_text(f"/**/can_bridge:\n  ros__parameters: {{log_file: {log}, log_rate: 4.0}}\n")
-    command = [sys.executable, "-m", "evpinn_ros", "run", "--vehicle", "tesla_model_3_lr"]
-    command += ["--params", str(params), "--state", str(state), "--report", str(report)]
-    child, terminal = pty.fork()
-    if child == 0:
-        os.execv(sys.executable, [*command, "--no-view"])
-    written = b""
-    while b"measuring" not in written and b"at its end" not in written:
-        written += os.read(terminal, 65536)
-    os.close(terminal)
-    _, status = os.waitpid(child, 0)
-    assert os.waitstatus_to_exitcode(status) == 0
-    assert set(read_state(state)) == {"learned", "energy"} and report.exists()
-    assert {path.name for path in tmp_path.iterdir()} == {
-        *("car.json", "drive.html", "drive.log", "params.yaml")
-    }

@@ -7,7 +7,6 @@ import sys
 
 import pytest
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.optional import EXTRA_OF, optional_imports
 from evpinn_ros.common.package_data import share_directory
 
@@ -97,9 +96,3 @@ def test_from_python_too_a_missing_extra_is_named(tmp_path):
 def test_a_missing_package_of_no_extra_is_no_wrong_input():
     with pytest.raises(ModuleNotFoundError), optional_imports():
         import no_such_package  # noqa: F401
-
-
-def test_ros_may_also_be_sourced():
-    said = r"^rclpy is not installed: source a ROS 2, or pip install 'evpinn_ros\[ros\]'$"
-    with pytest.raises(InputError, match=said), optional_imports():
-        raise ModuleNotFoundError(name="rclpy.node")

@@ -16,7 +16,7 @@ from evpinn_ros.core.estimation.lag import Lag
 from evpinn_ros.core.estimation.learner import LearnerReport
 from evpinn_ros.core.signals.detector import BATTERY_STUCK, SPEED_STUCK
 from evpinn_ros.nodes.can_bridge import bus_status, log_status
-from evpinn_ros.nodes.diagnosis import WELL, Condition, Health
+from evpinn_ros.nodes.diagnosis import WELL, Condition
 from evpinn_ros.nodes.energy_diagnosis import answered_status, plan_status
 from evpinn_ros.nodes.estimator_diagnosis import estimator_status
 from evpinn_ros.topics.messages import Level
@@ -60,19 +60,6 @@ def estimator(status=STATUS, health=WELL, age=0.1, problem=None):
 def test_states_of_the_estimator(change, age, level, text):
     status = estimator(dataclasses.replace(STATUS, **change), age=age)
     assert status.level is level and text in status.text
-
-
-def test_bad_messages_are_counted_and_faults_outweigh_all():
-    bad = Health({"vehicle/speed: not_finite": 3}, {})
-    assert estimator(health=bad).values["bad.vehicle/speed: not_finite"] == 3
-    assert estimator(health=bad).level is Level.OK
-    counted = {"vehicle/speed: KeyError('x')": 1}
-    fault = estimator(health=Health({}, counted, fault="vehicle/speed: KeyError('x')"))
-    assert fault.level is Level.ERROR and "KeyError" in fault.text
-    long_ago = estimator(health=Health({}, counted))
-    assert (
-        long_ago.level is Level.OK and long_ago.values["fault.vehicle/speed: KeyError('x')"] == 1
-    )
 
 
 def test_states_of_planning():

@@ -5,14 +5,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from evpinn_ros.bags.types import encode_frame
-from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.nodes import frame_sources
 from evpinn_ros.nodes.frame_sources import LogPlayer
-from evpinn_ros.topics import FRAME_TYPE
 
 NOW = 1_700_000_000 * 10**9
 FRAMES = [CanFrame(NOW + i * 50_000_000, 0x132, bytes([i])) for i in range(20)]
@@ -76,13 +73,3 @@ def test_a_stamp_beyond_all_time_ends_it(log):
     player = LogPlayer(log, 0.5, 0.0, lambda frame: None)
     player.run()
     assert player.problem.startswith(f"{log}: ") and player.problem.endswith("frame 2")
-
-
-def test_the_frames_of_a_bag_play_too(tmp_path):
-    with BagWriter(tmp_path / "bag") as writer:
-        for frame in FRAMES:
-            writer.write_raw("/from_can_bus", FRAME_TYPE, encode_frame(frame), frame.stamp_ns)
-    heard = []
-    player = LogPlayer(tmp_path / "bag", 0.0, 0.0, heard.append)
-    player.run()
-    assert heard == FRAMES and player.problem is None

@@ -30,7 +30,6 @@ HEARD = (
     topics.ENERGY_STATE,
     topics.ENERGY_CONSUMED,
 )
-SECONDS = 34.0  # of each bag: two intervals are learned from
 
 
 def chain(rule=DEFAULT_RULE):
@@ -65,12 +64,6 @@ def messages_of(outputs):
 
 OTHERS = (JumpPolicy.RESET, JumpPolicy.HOLD, JumpPolicy.IGNORE)
 POLICIES = [JumpPolicy.AUTO, *(pytest.param(other, marks=pytest.mark.nightly) for other in OTHERS)]
-
-
-@pytest.mark.nightly
-def test_nodes_over_topics_equal_the_cores(bench, bundled):
-    """As the drive is; every run of the tests has the loop below."""
-    equal(bench, list(bundled("highway", SECONDS)), JumpPolicy.RESET)
 
 
 @pytest.mark.parametrize("policy", POLICIES)

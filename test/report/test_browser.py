@@ -66,8 +66,7 @@ def zoom(browser, plot: str, begin: float, end: float) -> None:
     browser.settle()
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("width", [1100, 500, 390])
+@pytest.mark.parametrize(("width", "dark"), [(1100, False), (500, True), (390, False)])
 def test_every_plot_is_drawn_without_a_word(browser, page, width, dark):
     browser.open(page, width=width, dark=dark)
     inked = browser.run(INKED)

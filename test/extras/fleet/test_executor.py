@@ -4,9 +4,7 @@ from functools import partial
 import math
 import operator
 import os
-import shutil
 import socket
-import subprocess
 import threading
 
 import pytest
@@ -67,30 +65,3 @@ def test_what_does_not_answer_leaves_nothing_that_a_later_cluster_could_wait_for
             with pytest.raises(InputError, match=r"no scheduler answers: ."):
                 DaskExecutor(address)
     wait_until(lambda: threading.active_count() == before)
-
-
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
-def test_a_scheduler_that_wants_the_certificates_of_dasks_configuration(tmp_path):
-    distributed = pytest.importorskip("distributed", reason="the extra fleet is not installed")
-    import dask
-
-    pair = {"cert": str(tmp_path / "cert.pem"), "key": str(tmp_path / "key.pem")}
-    subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
-         "-nodes", "-subj", "/CN=localhost", "-keyout", pair["key"], "-out", pair["cert"]],
-        check=True, capture_output=True,
-    )  # fmt: skip
-    parts = {
-        f"{part}.{key}": pair[key] for part in ("client", "scheduler", "worker") for key in pair
-    }
-    files = {"ca-file": pair["cert"], **parts}
-    with (
-        dask.config.set({f"distributed.comm.tls.{key}": file for key, file in files.items()}),
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, protocol="tls://",
-            security=distributed.Security(), dashboard_address="127.0.0.1:0",
-        ) as cluster,
-    ):  # fmt: skip
-        executor = DaskExecutor(cluster.scheduler_address)
-        assert [outcome.result for outcome in executor.outcomes(math.sqrt, [4.0])] == [2.0]
-        executor.close()

@@ -157,13 +157,6 @@ def test_few_rows_of_a_plan_are_no_gaps(read, time):
     assert plan.distance[-1] == pytest.approx(8050.0, rel=0.001)
 
 
-def test_a_cycle_as_vehicle_simulators_have_it_is_a_plan(read):
-    """The columns of FASTSim's cycles."""
-    rows = "".join(f"{t},{min(t, 20, 60 - t)},0,0\n" for t in range(61))
-    plan = read("cycSecs,cycMps,cycGrade,cycRoadType\n" + rows, "cycle.csv")
-    assert plan.speed.max() == 20.0 and plan.distance[-1] == pytest.approx(800.0, abs=2.0)
-
-
 @pytest.mark.parametrize(
     ("content", "name", "reason"),
     [
