@@ -15,6 +15,8 @@ import sys
 from evpinn_ros.common.stopping import STOPS, at_stop
 
 ADDRESS_SPACE = 1_500_000_000  # bytes that libraries reserve; they use a tenth
+OPENSSL = ("_hashlib", "_ssl")
+"""What `numpy.random` and `asyncio` load and do without: 4 to 6 MB of each node."""
 NODES = {"can_bridge": "CanBridgeNode", "energy": "EnergyNode", "estimator": "EstimatorNode"}
 
 
@@ -61,6 +63,8 @@ def _node(name: str) -> int:
     _check_address_space()
     at_stop(lambda *_: os._exit(0))
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)  # where `node_process` has held them back
+    for module in OPENSSL:
+        sys.modules.setdefault(module, None)  # type: ignore[arg-type]
     from evpinn_ros.nodes.running import run
 
     return run(getattr(import_module(f"evpinn_ros.nodes.{name}"), NODES[name]))

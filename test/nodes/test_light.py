@@ -17,8 +17,15 @@ BUILDS = ("em", "lark")  # what rclpy loads to make Python of message definition
 
 @pytest.mark.parametrize("nodes", ["estimator, energy", "can_bridge"])
 def test_no_default_node_loads_what_it_does_not_need(loads_without, nodes):
-    bus = () if nodes == "can_bridge" else ("can", "cantools")
-    loads_without(f"from evpinn_ros.nodes import {nodes}", *HEAVY, *RECORDINGS, *bus)
+    others = ("evpinn_ros.core.estimation",) if nodes == "can_bridge" else ("can", "cantools")
+    loads_without(f"from evpinn_ros.nodes import {nodes}", *HEAVY, *RECORDINGS, *others)
+
+
+@pytest.mark.parametrize("node", ["estimator", "energy", "can_bridge"])
+def test_an_executable_loads_no_openssl(loads_without, node):
+    load = "from evpinn_ros import executables; from evpinn_ros.nodes import running"
+    code = f"{load}; running.run = lambda node: 0; executables.{node}(); import numpy.random"
+    loads_without(f"{code}; assert not sys.modules['_hashlib'] and not sys.modules['_ssl']", "ssl")
 
 
 def test_a_node_that_is_up_has_loaded_nothing_that_builds_messages(loads_without):
