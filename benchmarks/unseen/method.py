@@ -19,7 +19,7 @@ from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.core.signals.time_jump import Jump
 from evpinn_ros.core.vehicle.files import Vehicle
-from evpinn_ros.replays.chain import Chain, blocks_of
+from evpinn_ros.replays.chain import Chain
 
 Estimate: TypeAlias = tuple[float, float]  # value and 1-sigma
 AT_ONCE = 20_000  # readings
@@ -72,8 +72,8 @@ class OnlineChain:
 
     def add_readings(self, readings: Sequence[Reading]) -> Iterator[Prediction]:
         """The same of several readings."""
-        items = (item for reading in readings for item in self._chain.follow(reading))
-        for block in blocks_of(items, AT_ONCE):
+        whole = Block.of(readings).parts(AT_ONCE)
+        for block in (item for part in whole for item in self._chain.follow(part)):
             if isinstance(block, Jump):
                 self._chain.jump()
                 continue

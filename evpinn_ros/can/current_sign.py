@@ -50,7 +50,7 @@ class CurrentSign:
 
     def add_reading(self, reading: Reading) -> None:
         """Learn from a reading; where time jumps nothing is joined."""
-        for item in self._time.follow(reading):
+        for item in self._time.admit(type(reading), reading.stamp_ns, reading):
             if isinstance(item, Jump):
                 self._follow()
                 self._stream.reset()

@@ -8,7 +8,7 @@ from pathlib import Path
 from evpinn_ros.bags.convert import BagReadings, NoTopicsError
 from evpinn_ros.bags.metadata import stated_seconds
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.core.signals.readings import Reading
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.logs.battery_watch import BatteryWatch
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.source import Source
@@ -48,14 +48,14 @@ class BagSource(Source):
         """Topics that are nearly those that are missing, and what the battery cannot be."""
         return *self._readings.notes, *self._watch.notes
 
-    def readings(self) -> Iterator[Reading]:
+    def blocks(self) -> Iterator[Block]:
         """The readings in order of log time."""
         if self._is_read:  # a broken bag can be gone through once
             self._open()
         self._is_read = True
         with self._reader:
-            readings = self._watch.on(self._readings)
-            yield from readings if self._terrain is None else self._terrain.on(readings)
+            blocks = self._watch.on(self._readings)
+            yield from blocks if self._terrain is None else map(self._terrain.over, blocks)
 
 
 def bag_of_topics(path: Path, options: ReadOptions) -> BagSource | None:

@@ -8,20 +8,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
-import math
 
 import numpy as np
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.block import FIELDS, Block, Rows, impossible, joined
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
-    AltitudeReading,
     BatteryReading,
     Reading,
     SpeedReading,
     drawn_power,
-    why_impossible,
 )
 from evpinn_ros.logs.quantities import PLACES
 from evpinn_ros.logs.signal import Signal, at_times, pull, speeds_up_and_down
@@ -32,8 +29,7 @@ from evpinn_ros.logs.values import drawn_at_rest, never_back, wrong_sign
 STATED = "it is negative while the battery discharges, and every energy has the other sign"
 BLOCK = 20_000  # readings that are judged together
 QUANTITIES = ("speed", "voltage", "current", *PLACES)
-NONE = (math.nan,) * len(QUANTITIES)
-MOST_KEPT = 30_000  # readings of each signal, by which the sign is judged: 50 min at 10 Hz
+MOST_KEPT = 60_000  # readings by which the sign is judged: 50 min of speed and battery at 10 Hz
 
 
 class BatteryWatch:
@@ -47,13 +43,11 @@ class BatteryWatch:
         """Begin; what stands still is counted in `dropped`."""
         self.notes: tuple[str, ...] = ()
         self._standing = Standing(dropped)
-        self._speed: list[tuple[int, float]] = []
-        self._voltage: list[tuple[int, float]] = []
-        self._current: list[tuple[int, float]] = []
-        self._flows_back, self._zero_ns = False, 0
+        self._kept: list[Block] = []
+        self._flows_back = False
 
-    def on(self, readings: Iterable[Reading]) -> Iterator[Reading]:
-        """The readings, block by block, without those that stand still while the car does not.
+    def on(self, readings: Iterable[Reading]) -> Iterator[Block]:
+        """Blocks of the readings, without those that stand still while the car does not.
 
         What came before an error of the source is passed on before it.
         """
@@ -64,47 +58,47 @@ class BatteryWatch:
                 if isinstance(reading, SpeedReading):
                     back, newest = reading.stamp_ns < newest - STRAGGLING_NS, reading.stamp_ns
                     if back or len(block) >= BLOCK:
-                        yield from self._measured(block)
+                        yield self._measured(Block.of(block))
                         block = []
                 block.append(reading)
         except InputError as broken:
             error = broken
-        yield from self._measured(block)
+        if block:
+            yield self._measured(Block.of(block))
         self.notes = (*self._standing.notes, *self._doubts())
         if error is not None:
             raise error
 
-    def _measured(self, block: list[Reading]) -> Iterator[Reading]:
-        stamps = np.array([reading.stamp_ns for reading in block], np.int64)
-        table = np.array([_row(reading) for reading in block], float).reshape(-1, len(QUANTITIES))
-        values = {name: table[:, i] for i, name in enumerate(QUANTITIES)}
+    def _measured(self, block: Block) -> Block:
+        """The block without speeds and currents that are none, which are noted."""
+        stamps = block.stamps()
+        values = {name: np.full(block.length, np.nan) for name in QUANTITIES}
+        for kind, names in FIELDS.items():
+            order, _, fields = block.of_kind(kind)
+            for name, column in zip(names, fields, strict=False):
+                if name in values:
+                    values[name][order] = -column if name == "current" else column
         self._standing.drop(stamps, values, np.argsort(stamps, kind="stable"))
-        for reading, speed, current in zip(
-            block, values["speed"].tolist(), values["current"].tolist(), strict=True
-        ):
-            if isinstance(reading, SpeedReading) and math.isnan(speed - reading.speed):
-                continue
-            if isinstance(reading, BatteryReading) and math.isnan(current):
-                reading = replace(reading, current=current)
-            self._take(reading)
-            yield reading
-
-    def _take(self, reading: Reading) -> None:
-        if why_impossible(reading) is not None:
-            return
-        self._zero_ns = self._zero_ns or reading.stamp_ns
-        if isinstance(reading, SpeedReading):
-            _keep(self._speed, reading.stamp_ns, reading.speed)
-        elif isinstance(reading, BatteryReading):
-            self._flows_back |= reading.current > 0.0
-            _keep(self._voltage, reading.stamp_ns, reading.voltage)
-            _keep(self._current, reading.stamp_ns, reading.current)
+        speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
+        if len(battery.order):
+            fields = battery.values.copy()
+            fields[1, np.isnan(values["current"][battery.order])] = np.nan
+            block = block.with_rows(BatteryReading, battery._replace(values=fields))
+        moves = ~np.isnan(values["speed"][speeds.order]) | np.isnan(speeds.values[0])
+        block = block.only({SpeedReading: moves})
+        if sum(map(len, self._kept)) < MOST_KEPT:
+            self._kept.append(block)
+        self._flows_back |= bool((_possible(block, BatteryReading).values[1] > 0.0).any())
+        return block
 
     def _doubts(self) -> Iterator[str]:
-        speed = _signal(self._speed, self._zero_ns)
-        current = _signal(self._current, self._zero_ns)
-        voltage = at_times(_signal(self._voltage, self._zero_ns), current.time)
-        drawn = Signal(current.time, drawn_power(voltage, current.value))
+        kept = joined(self._kept)
+        speeds, battery = (_possible(kept, kind) for kind in (SpeedReading, BatteryReading))
+        zero_ns = kept.stamps()[:1]
+        speed = Signal((speeds.stamps - zero_ns) / NANOSECONDS, speeds.values[0])
+        time = (battery.stamps - zero_ns) / NANOSECONDS
+        voltage = at_times(Signal(time, battery.values[0]), time)
+        drawn = Signal(time, drawn_power(voltage, battery.values[1]))
         yield from drawn_at_rest(drawn, speed)
         if pull(speed, drawn) < 0.0:
             yield wrong_sign("the current", STATED)
@@ -112,24 +106,10 @@ class BatteryWatch:
             yield from never_back(drawn, speed)
 
 
-def _keep(rows: list[tuple[int, float]], stamp_ns: int, value: float) -> None:
-    """Append to a signal, unless enough is known of it."""
-    if len(rows) < MOST_KEPT:
-        rows.append((stamp_ns, value))
-
-
-def _signal(rows: list[tuple[int, float]], zero_ns: int) -> Signal:
-    """Rows of stamp, ns, and value, with time in s since a stamp."""
-    time = np.array([stamp_ns - zero_ns for stamp_ns, _ in rows], float) / NANOSECONDS
-    return Signal(time, np.array([value for _, value in rows], float))
-
-
-def _row(reading: Reading) -> tuple[float, ...]:
-    """The values of a reading, by `QUANTITIES`."""
-    if isinstance(reading, SpeedReading):
-        return reading.speed, *NONE[1:]
-    if isinstance(reading, BatteryReading):
-        return NONE[0], reading.voltage, -reading.current, *NONE[3:]
-    if isinstance(reading, AltitudeReading):
-        return *NONE[:3], reading.latitude, reading.longitude
-    return NONE
+def _possible(block: Block, kind: type[Reading]) -> Rows:
+    """The readings of a kind that are possible."""
+    rows = block.of_kind(kind)
+    possible = np.ones(len(rows.order), dtype=bool)
+    for _, wrong in impossible(kind, rows):
+        possible[wrong] = False
+    return rows.where(possible)

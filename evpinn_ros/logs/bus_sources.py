@@ -20,6 +20,7 @@ from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import bundled_profiles, load_profile
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.logs.bag_source import frame_topics
@@ -146,7 +147,7 @@ class CanLogSource(Source):
         """What the battery cannot be."""
         return self._watch.notes
 
-    def readings(self) -> Iterator[Reading]:
+    def blocks(self) -> Iterator[Block]:
         """The readings frame by frame, up to where the log contradicts the profile.
 
         Raises:

@@ -36,6 +36,12 @@ class Signal:
         return self.value[np.isfinite(self.value)]
 
 
+def last_known(values: FloatArray) -> FloatArray:
+    """Each value until the next that is finite; NaN before the first."""
+    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))
+    return np.asarray(values[last])
+
+
 def pull(speed: Signal, power: Signal) -> float:
     """Power over speed times acceleration in these units; NaN where they are not alike.
 

@@ -1,4 +1,4 @@
-"""A recorded drive of any kind, as one stream of readings."""
+"""A recorded drive of any kind, as one stream of readings in blocks."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.logs.column import Column
 
@@ -63,9 +64,14 @@ class Source(ABC):
         return ()
 
     @abstractmethod
-    def readings(self) -> Iterator[Reading]:
-        """The readings in recorded order, up to where the drive can be read.
+    def blocks(self) -> Iterator[Block]:
+        """The readings in recorded order, in blocks, up to where the drive can be read.
 
         Raises:
             InputError: there is none in it.
         """
+
+    def readings(self) -> Iterator[Reading]:
+        """The same one by one."""
+        for block in self.blocks():
+            yield from block.readings()

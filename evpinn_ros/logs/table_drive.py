@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.signals.readings import DRIVE_START_NS, NANOSECONDS, Reading
+from evpinn_ros.core.signals.block import Block
+from evpinn_ros.core.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.logs.cars import table_of_car
 from evpinn_ros.logs.clock import LAST_TIME_NS, NONE, Clock, Order
 from evpinn_ros.logs.clock_choice import RELATIVE_BELOW_S, clocks_of
@@ -36,8 +37,8 @@ from evpinn_ros.logs.column import (
 from evpinn_ros.logs.numbers import is_missing, to_floats
 from evpinn_ros.logs.quantities import NEEDED, PLACES, QUANTITIES, Unit, is_engine_speed
 from evpinn_ros.logs.read_options import ReadOptions
-from evpinn_ros.logs.rows_to_readings import MOST, HeldSignals, RowOrder, RowReadings
-from evpinn_ros.logs.signal import LEAST_EVENTS, Signal
+from evpinn_ros.logs.rows_to_blocks import MOST, HeldSignals, RowBlocks, RowOrder
+from evpinn_ros.logs.signal import LEAST_EVENTS, Signal, last_known
 from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.split_numbers import joined_table
 from evpinn_ros.logs.standing import Standing, measured_alone
@@ -73,7 +74,7 @@ FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed
 Stamps = NDArray[np.int64]
 Batch = tuple[Row, ...]
 Numbers = dict[str, NDArray[np.float64]]
-Block = tuple[Stamps, Numbers]  # times of some rows, and their values, SI
+Timed = tuple[Stamps, Numbers]  # times of some rows, and their values, SI
 
 
 class TableDrive(Source):
@@ -227,8 +228,8 @@ class TableDrive(Source):
             )
         return (*notes, self.first_bad) if self.first_bad else tuple(notes)
 
-    def readings(self) -> Iterator[Reading]:
-        """The readings in order of time, up to where the file can be read.
+    def blocks(self) -> Iterator[Block]:
+        """The readings in order of time, in blocks, up to where the file can be read.
 
         An empty cell makes none.
 
@@ -237,9 +238,10 @@ class TableDrive(Source):
         """
         begun, self.problem = False, None
         try:
-            for reading in self._readings():
-                begun = True
-                yield reading
+            for block in self._read():
+                if len(block):
+                    begun = True
+                    yield block
         except InputError as error:
             if not begun:
                 raise
@@ -293,14 +295,14 @@ class TableDrive(Source):
             raise InputError(f"{self.path}: {_no_time(columns, survey)}")
         return clocks
 
-    def _readings(self) -> Iterator[Reading]:
+    def _read(self) -> Iterator[Block]:
         self.dropped.clear()
         self.rows = self.used = 0
         self.first_bad = None
         order = RowOrder()
-        makers = RowReadings(self.rules, self._nominal_voltage, self.dropped)
+        maker = RowBlocks(self._nominal_voltage, self.dropped)
         held, self._standing = HeldSignals(self._held), Standing(self.dropped)
-        for stamps, values in self._blocks():
+        for stamps, values in self._timed():
             there = stamps != NONE
             stamps = np.where(there, stamps, 0) + self._start_ns
             late = there & ((stamps >= LAST_TIME_NS) | (stamps <= 0))
@@ -311,15 +313,15 @@ class TableDrive(Source):
             rows = order.sorted(stamps, np.flatnonzero(there & ~late))
             held.drop_repeats(stamps, values, rows)
             self._standing.drop(stamps, values, rows)
-            yield from makers.readings(stamps, values, rows)
-        self.used, self._at_nominal_voltage = makers.used, makers.at_nominal_voltage
+            yield maker.block(stamps, values, rows)
+        self.used, self._at_nominal_voltage = maker.used, maker.at_nominal_voltage
         self.rows += self._table.torn
         self.dropped["time_not_increasing"] += order.dropped
         self.dropped["wrong_number_of_cells"] += self._table.torn
         for reason in [reason for reason, count in self.dropped.items() if not count]:
             del self.dropped[reason]
 
-    def _blocks(self) -> Iterator[Block]:
+    def _timed(self) -> Iterator[Timed]:
         """Times by the clock, which run on, and numbers of whole rows, some thousand at a time.
 
         What a broken file still gives comes before the error.
@@ -331,8 +333,8 @@ class TableDrive(Source):
         timed = (
             (b, np.array(self.clock.stamps({i: _cells(b, i) for i in places}))) for b in batches
         )
-        blocks = ((stamps, self._values(batch, stamps)) for batch, stamps in timed)
-        for stamps, values in _oldest_first(blocks, self.clock.order):
+        parts = ((stamps, self._values(batch, stamps)) for batch, stamps in timed)
+        for stamps, values in _oldest_first(parts, self.clock.order):
             yield running.add(stamps), values
         if broken:
             raise broken[0]
@@ -486,16 +488,10 @@ def _heights(
 ) -> NDArray[np.float64]:
     """Heights of the ground where the place is new, m; of a place in two rows at the second."""
     new = np.isfinite(latitude) | np.isfinite(longitude)
-    place = [_held(degrees)[new] for degrees in (latitude, longitude)]
+    place = [last_known(degrees)[new] for degrees in (latitude, longitude)]
     heights = np.full(latitude.shape, np.nan)
     heights[new] = terrain.heights(*place)
     return heights
-
-
-def _held(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Each value until the next."""
-    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))
-    return np.asarray(values[last])
 
 
 def _batches(rows: Iterator[Row]) -> Iterator[Batch]:
@@ -512,24 +508,24 @@ def _batches(rows: Iterator[Row]) -> Iterator[Batch]:
         yield tuple(batch)
 
 
-def _oldest_first(blocks: Iterator[Block], order: Order) -> Iterator[Block]:
-    """Blocks in order of time; in any other order all numbers are held, though no text."""
+def _oldest_first(parts: Iterator[Timed], order: Order) -> Iterator[Timed]:
+    """Parts in order of time; in any other order all numbers are held, though no text."""
     if order is Order.OLDEST_FIRST:
-        yield from blocks
+        yield from parts
         return
     if order is Order.NEWEST_FIRST:  # times of a day may begin anew, so they are not sorted
-        for stamps, values in reversed(list(blocks)):
+        for stamps, values in reversed(list(parts)):
             yield stamps[::-1], {name: numbers[::-1] for name, numbers in values.items()}
         return
-    held = list(blocks)
+    held = list(parts)
     stamps = np.concatenate([part for part, _ in held] or [np.empty(0, np.int64)])
     names = held[0][1] if held else {}
     values = {name: np.concatenate([part[name] for _, part in held]) for name in names}
     del held
     rows = order.rows(stamps)
     for begin in range(0, rows.size, BATCH):
-        block = rows[begin : begin + BATCH]
-        yield stamps[block], {name: part[block] for name, part in values.items()}
+        some = rows[begin : begin + BATCH]
+        yield stamps[some], {name: part[some] for name, part in values.items()}
 
 
 def _cells(batch: Batch, place: int) -> list[str]:

@@ -8,9 +8,7 @@ extent and projection; GDAL reads it apart (`common.apart`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
 from functools import lru_cache
 import math
 from pathlib import Path
@@ -25,7 +23,8 @@ from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import open_file, open_unpacked
 from evpinn_ros.common.optional import optional_imports
-from evpinn_ros.core.signals.readings import AltitudeReading, Reading
+from evpinn_ros.core.signals.block import Block
+from evpinn_ros.core.signals.readings import AltitudeReading
 
 with suppress(ImportError):  # at once, for the process is limited from what it took until then
     import rasterio  # noqa: F401
@@ -85,15 +84,15 @@ class Terrain:
             heights[left] = grid.at(latitude[left], longitude[left])
         return heights
 
-    def on(self, readings: Iterator[Reading]) -> Iterator[Reading]:
-        """Readings whose altitudes are those of the ground at their place, where that is known."""
-        for reading in readings:
-            if isinstance(reading, AltitudeReading):
-                place = np.array([reading.latitude]), np.array([reading.longitude])
-                height = float(self.heights(*place)[0])
-                yield reading if math.isnan(height) else replace(reading, altitude=height)
-            else:
-                yield reading
+    def over(self, block: Block) -> Block:
+        """The block with altitudes of the ground at their place, where that is known."""
+        rows = block.of_kind(AltitudeReading)
+        if not len(rows.order):
+            return block
+        altitude, *place = rows.values
+        ground = self.heights(*place)
+        altitude = np.where(np.isnan(ground), altitude, ground)
+        return block.with_rows(AltitudeReading, rows._replace(values=np.array([altitude, *place])))
 
 
 class HeightGrid(NamedTuple):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from itertools import pairwise, takewhile
+from itertools import pairwise
 import math
 from typing import NamedTuple
 
@@ -19,13 +19,15 @@ import numpy as np
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.core.signals.block import Block
+from evpinn_ros.core.signals.block import joined as joined_blocks
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
-    Reading,
     SpeedReading,
     drawn_power,
 )
+from evpinn_ros.logs.signal import last_known
 from evpinn_ros.logs.source import STRAGGLING_NS, Source
 
 LONGEST_PAUSE = 600.0  # s
@@ -82,10 +84,10 @@ class JoinedLog(Source):
         """Notes of all files, each once."""
         return tuple(dict.fromkeys(note for file in self._files for note in file.notes))
 
-    def readings(self) -> Iterator[Reading]:
+    def blocks(self) -> Iterator[Block]:
         """The readings of all files in order."""
         for file in self._files:
-            yield from file.readings()
+            yield from file.blocks()
         self.dropped.clear()
         for file in self._files:
             self.dropped.update(file.dropped)
@@ -115,8 +117,9 @@ def _span(log: Source) -> tuple[int, int] | None:
     if not log.rules or not log.dated or seconds is None:
         return None
     with suppress(InputError):
-        if (first := next(log.readings(), None)) is not None:
-            return first.stamp_ns, first.stamp_ns + round(seconds * NANOSECONDS)
+        if (first := next(log.blocks(), None)) is not None:
+            begin_ns = int(first.stamps()[0])
+            return begin_ns, begin_ns + round(seconds * NANOSECONDS)
     return None
 
 
@@ -146,13 +149,22 @@ class TripSource(Source):
         """Notes on how the log was read; the last trip has them, for then it was read whole."""
         return self._log.notes if self._last else ()
 
-    def readings(self) -> Iterator[Reading]:
+    def blocks(self) -> Iterator[Block]:
         """Readings of the trip in recorded order; what the log lost counts with its last trip."""
         begin, end = self._trip.begin_ns, self._trip.end_ns
         until = math.inf if self._last else end + STRAGGLING_NS
-        for reading in takewhile(lambda reading: reading.stamp_ns <= until, self._log.readings()):
-            if begin <= reading.stamp_ns <= end:
-                yield reading
+        for block in self._log.blocks():
+            beyond = block.stamps() > until
+            read = int(beyond.argmax()) if beyond.any() else block.length
+            part = block.part(0, read)
+            inside = {
+                kind: (rows.stamps >= begin) & (rows.stamps <= end)
+                for kind, rows in part.rows.items()
+            }
+            if len(trip := part.only(inside)):
+                yield trip
+            if read < block.length:
+                break
         if self._last:
             self.dropped.update(self._log.dropped)
 
@@ -165,7 +177,7 @@ def split(log: Source, *, whole: bool = False) -> tuple[Sequence[Source], float]
     Raises:
         InputError: it cannot be read, or the car stood in all of it and was charged.
     """
-    trips = trips_of(log.readings())
+    trips = trips_of(log.blocks())
     if trips.charged and trips.distance < MANOEUVRE:
         kwh = trips.charged / JOULES_PER_KWH
         raise InputError(f"{log.path}: no drive: the car stood and was charged with {kwh:.2f} kWh")
@@ -175,20 +187,17 @@ def split(log: Source, *, whole: bool = False) -> tuple[Sequence[Source], float]
     return [TripSource(log, 1 + i, trips.trips) for i in range(count)], trips.charged
 
 
-def trips_of(readings: Iterable[Reading]) -> Trips:
+def trips_of(blocks: Iterable[Block]) -> Trips:
     """Find the trips among readings in recorded order."""
-    speed, power, voltage = [], [], math.nan
-    for reading in readings:
-        if isinstance(reading, SpeedReading) and math.isfinite(reading.speed):
-            speed.append((reading.stamp_ns, abs(reading.speed)))
-        elif isinstance(reading, BatteryReading):
-            voltage = reading.voltage if math.isfinite(reading.voltage) else voltage
-            power.append((reading.stamp_ns, drawn_power(voltage, reading.current)))
-    if len(speed) < 2:
+    whole = joined_blocks(list(blocks))
+    speeds, battery = whole.of_kind(SpeedReading), whole.of_kind(BatteryReading)
+    speeds = speeds.where(np.isfinite(speeds.values[0]))
+    if len(speeds.stamps) < 2:
         return Trips(())
-    start_ns = speed[0][0]
-    time, fast = _series(speed, start_ns)
-    drawn = _series(power, start_ns)
+    start_ns = int(speeds.stamps[0])
+    time, fast = _series(speeds.stamps - start_ns, np.abs(speeds.values[0]))
+    voltage, current = battery.values[:2]
+    drawn = _series(battery.stamps - start_ns, drawn_power(last_known(voltage), current))
     breaks, charged = [(-math.inf, -math.inf)], 0.0
     for begin, end in sorted([*_pauses(time), *stands(time, fast)]):
         taken = _charged(*drawn, begin, end)
@@ -209,11 +218,10 @@ def trips_of(readings: Iterable[Reading]) -> Trips:
     return Trips(tuple(trips), charged, float(way[-1]))
 
 
-def _series(rows: Sequence[tuple[int, float]], start_ns: int) -> tuple[np.ndarray, np.ndarray]:
+def _series(after_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times, s since a start, and values in order of time, shape (n,) each."""
-    stamps = np.array([stamp - start_ns for stamp, _ in rows], dtype=float) / NANOSECONDS
-    order = np.argsort(stamps, kind="stable")
-    return stamps[order], np.array([value for _, value in rows], dtype=float)[order]
+    order = np.argsort(after_ns, kind="stable")
+    return after_ns[order] / NANOSECONDS, values[order]
 
 
 def _steps(time: np.ndarray) -> np.ndarray:

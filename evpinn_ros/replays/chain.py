@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain
+from itertools import chain, groupby
 import math
 from typing import Any, TypeAlias
 
@@ -20,7 +20,7 @@ from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstima
 from evpinn_ros.core.estimation.outputs import Output, Outputs
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.admission import CarLimits
-from evpinn_ros.core.signals.block import Block
+from evpinn_ros.core.signals.block import Block, joined
 from evpinn_ros.core.signals.readings import Reading, SpeedReading
 from evpinn_ros.core.signals.time_jump import (
     DEFAULT_RULE,
@@ -74,33 +74,33 @@ class Chain:
 
     def add_readings(self, readings: Iterable[Reading]) -> Iterator[ChainOutput]:
         """Take readings in the order they came; give all that is said of them, in order."""
-        items = [item for reading in readings for item in self.follow(reading)]
-        return chain.from_iterable(self.take(items))
+        return chain.from_iterable(self.take(self.follow(Block.of(readings))))
 
-    def follow(self, reading: Reading) -> Iterator[Reading | Jump]:
-        """Take one reading; give what `take` shall have now: none that is refused or in doubt."""
-        for item in self._guard.follow(reading, self._rule):
-            if isinstance(item, Jump) or self.account.admission.admits(item):
-                yield item
+    def follow(self, block: Block) -> Iterator[Block | Jump]:
+        """Take readings; give what `take` shall have now: none that is refused or in doubt."""
+        for passed in self._guard.follow(block, self._rule):
+            if isinstance(passed, Jump):
+                yield passed
+            elif len(admitted := self.account.admission.admit(passed)):
+                yield admitted
 
     def take(
-        self, items: Sequence[Reading | Jump], *, breakdowns: bool = False
+        self, items: Iterable[Block | Jump], *, breakdowns: bool = False
     ) -> Iterator[list[ChainOutput]]:
-        """Take readings that may be used, and jumps of time; give the outputs of each item.
+        """Take readings that may be used, and jumps of time; give the outputs of each.
 
         The account is among them after each prediction, and the breakdown beside the parameters
         where it is asked for.
         """
-        readings: list[Reading] = []
-        for item in items:
-            if not isinstance(item, Jump):
-                readings.append(item)
-                continue
-            yield from self.take_block(Block.of(readings), breakdowns=breakdowns)
-            readings = []
-            self.jump()
-            yield []
-        yield from self.take_block(Block.of(readings), breakdowns=breakdowns)
+        for _, alike in groupby(items, type):
+            blocks = []
+            for item in alike:
+                if isinstance(item, Block):
+                    blocks.append(item)
+                else:
+                    self.jump()
+                    yield []
+            yield from self.take_block(joined(blocks), breakdowns=breakdowns)
 
     def read(self, block: Block) -> Outputs:
         """Take readings that may be used; `account.count` then gives the states of the account."""
@@ -161,21 +161,6 @@ class Chain:
         self.account.begin_after_jump()
         self.account.reset_trip()
         self.account.refused.clear()
-
-
-def blocks_of(items: Iterable[Reading | Jump], size: int) -> Iterator[Block | Jump]:
-    """Blocks of at most this size, and the jumps of time between them."""
-    readings: list[Reading] = []
-    for item in items:
-        if readings and (len(readings) == size or isinstance(item, Jump)):
-            yield Block.of(readings)
-            readings = []
-        if isinstance(item, Jump):
-            yield item
-        else:
-            readings.append(item)
-    if readings:
-        yield Block.of(readings)
 
 
 def _powers(outputs: Outputs) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:

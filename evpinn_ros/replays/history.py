@@ -195,9 +195,7 @@ class History:
 
         What is known now is what was known before the first of them.
         """
-        stamps = np.empty(block.length, np.int64)
-        for rows in block.rows.values():
-            stamps[rows.order] = rows.stamps
+        stamps = block.stamps()
         if self._start_ns is None:
             self._start_ns = self._newest_ns = int(stamps[0])
         if self._jumped is not None:

@@ -18,10 +18,10 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.breakdown import Breakdown
 from evpinn_ros.core.signals.block import Block
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading
 from evpinn_ros.core.signals.time_jump import Jump
 from evpinn_ros.logs.source import STRAGGLING_NS, Source
-from evpinn_ros.replays.chain import Chain, ChainOutput, blocks_of
+from evpinn_ros.replays.chain import Chain, ChainOutput
 from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.replays.scoring import metrics
 from evpinn_ros.topics import NAMESPACE
@@ -88,7 +88,7 @@ def replay(
 ) -> Replayed:
     """Run one drive through the chain, which keeps what it learned.
 
-    `stopped` is asked at each reading whether the drive shall end there.
+    `stopped` is asked at each block whether the drive shall end there.
 
     Raises:
         InputError: the source holds no speed at all, or too few to predict from.
@@ -98,11 +98,11 @@ def replay(
     history.add_detections(chain.estimator.detections())
     not_recorded: Counter[str] = Counter()
     started = time.perf_counter()
-    whole = takewhile(lambda _: not stopped(), source.readings())
-    readings = span(whole, options.start, options.duration)
-    items = (item for reading in readings for item in chain.follow(reading))
+    size = BLOCK if options.rate is None else 1
+    parts = (part for block in source.blocks() for part in block.parts(size))
+    blocks = takewhile(lambda _: not stopped(), span(parts, options.start, options.duration))
     pace = _Pace(options.rate, progress)
-    for block in blocks_of(items, BLOCK if options.rate is None else 1):
+    for block in (item for some in blocks for item in chain.follow(some)):
         if isinstance(block, Jump):
             chain.jump()
             history.add_jump(block)
@@ -163,22 +163,23 @@ def _too_seldom(drive: Drive) -> str:
     return f"{len(drive.speed)} speeds, {np.median(steps):.3g} s apart in the median"
 
 
-def span(readings: Iterator[Reading], start: float, duration: float | None) -> Iterator[Reading]:
+def span(blocks: Iterable[Block], start: float, duration: float | None) -> Iterator[Block]:
     """The readings of a part of a drive, by their stamps: from `start` on, for `duration`, s.
 
     Reading ends where stamps are `STRAGGLING_NS` beyond the part.
     """
     if start == 0 and duration is None:
-        yield from readings
+        yield from blocks
         return
     first_ns: int | None = None
     end = math.inf if duration is None else start + duration
-    for reading in readings:
-        first_ns = reading.stamp_ns if first_ns is None else first_ns
-        seconds = (reading.stamp_ns - first_ns) / NANOSECONDS
-        if start <= seconds < end:
-            yield reading
-        elif seconds >= end + STRAGGLING_NS / NANOSECONDS:
+    for block in blocks:
+        first_ns = int(block.stamps()[0]) if first_ns is None else first_ns
+        after = {kind: (rows.stamps - first_ns) / NANOSECONDS for kind, rows in block.rows.items()}
+        inside = {kind: (start <= seconds) & (seconds < end) for kind, seconds in after.items()}
+        if len(part := block.only(inside)):
+            yield part
+        if max(seconds.max() for seconds in after.values()) >= end + STRAGGLING_NS / NANOSECONDS:
             return
 
 

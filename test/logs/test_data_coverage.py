@@ -10,6 +10,7 @@ import pytest
 from evpinn_ros.bags.types import FRAMES_TOPIC, encode_frame
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import LogFile
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.logs.contents import contents
 from evpinn_ros.logs.data_coverage import ReadingFlow, data_coverage
@@ -93,14 +94,19 @@ def test_a_signal_every_five_seconds_is_bridged_over_its_own_steps():
 
 
 def test_a_part_of_a_drive():
-    readings = drive([0.5 * i for i in range(100)], [])
-    part = list(span(iter(readings), 10.0, 5.0))
-    assert [(r.stamp_ns - START) / 1e9 for r in part] == [10.0 + 0.5 * i for i in range(10)]
-    assert list(span(iter(readings), 0.0, None)) == readings
-    assert list(span(iter(readings), 49.0, None)) == readings[98:]
-    assert list(span(iter(readings), 60.0, 1.0)) == []
-    endless = span(iter([*readings[:4], *drive([100], []), *[None] * 9]), 0.0, 1.0)
-    assert len(list(endless)) == 2  # reading ends behind the part
+    whole = [0.5 * i for i in range(100)]
+
+    def of(times, start, duration, size=7):
+        """Times that are in the part of a drive."""
+        blocks = Block.of(reading for at in times for reading in drive([at], [])).parts(size)
+        readings = [r for block in span(blocks, start, duration) for r in block.readings()]
+        return [(r.stamp_ns - START) / 1e9 for r in readings]
+
+    assert of(whole, 10.0, 5.0) == [10.0 + 0.5 * i for i in range(10)]
+    assert of(whole, 0.0, None) == whole
+    assert of(whole, 49.0, None) == whole[98:]
+    assert of(whole, 60.0, 1.0) == []
+    assert of([*whole[:4], 100.0, 0.6], 0.0, 1.0, size=1) == whole[:2]  # ends behind the part
 
 
 def test_a_bag():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import AltitudeReading
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_drive
@@ -81,8 +82,8 @@ def test_a_place_may_come_in_two_rows_as_apps_write_one_signal_a_row(tmp_path, t
 def test_recorded_altitudes_give_way_to_the_ground(tiles):
     reading = AltitudeReading(1, 5.0, 48.5, 11.5)
     beyond = AltitudeReading(2, 5.0, 50.5, 11.5)
-    found = list(Terrain(tiles).on(iter([reading, beyond])))
-    assert [each.altitude for each in found] == [pytest.approx(700.0, abs=1.0), 5.0]
+    over = Terrain(tiles).over(Block.of([reading, beyond]))
+    assert [each.altitude for each in over.readings()] == [pytest.approx(700.0, abs=1.0), 5.0]
 
 
 def test_folders_without_tiles_and_broken_tiles_are_refused(tmp_path):

@@ -50,7 +50,7 @@ def test_red_lights_and_manoeuvres_are_no_trips(tmp_path: Path) -> None:
     text = rows(0, 300, 10.0, 20.0) + rows(300, 200, 0.0, 2.0) + rows(500, 300, 10.0, 20.0)
     text += rows(800, 900, 0.0, 2.0) + rows(1700, 20, 2.0, 5.0)
     path.write_text(HEADER + text)
-    assert len(trips_of(open_drive(path).readings()).trips) == 1
+    assert len(trips_of(open_drive(path).blocks()).trips) == 1
 
 
 def torn(folder: Path, *begins: int, header: str = "time") -> list[Path]:

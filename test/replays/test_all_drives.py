@@ -9,7 +9,7 @@ from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.run import ReplayOptions
 from evpinn_ros.report.drive_page import write_replayed
 from evpinn_ros.report.owner_text import drives_rows
-from test.replays.test_replay import Recorded
+from test.recorded import Recorded
 
 pytestmark = pytest.mark.slow
 

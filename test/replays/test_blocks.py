@@ -12,7 +12,6 @@ from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.core.signals.time_jump import Jump
 from evpinn_ros.replays.chain import Chain, ChainOutput
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
@@ -77,12 +76,11 @@ def numbers(value: Any) -> Iterator[float]:
 def outputs(drive: list[Reading], sizes: Iterator[int], vehicle: Any) -> list[ChainOutput]:
     """Outputs of the chain for a drive cut into blocks of these sizes."""
     chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
-    items: list[Reading | Jump] = [item for reading in drive for item in chain.follow(reading)]
     found: list[ChainOutput] = []
     begin = 0
-    while begin < len(items):
+    while begin < len(drive):
         end = begin + next(sizes)
-        found += [output for group in chain.take(items[begin:end]) for output in group]
+        found += chain.add_readings(drive[begin:end])
         begin = end
     assert chain.estimator.status().accepted > 1
     return found

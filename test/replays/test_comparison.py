@@ -19,7 +19,7 @@ from evpinn_ros.replays.run import ReplayOptions
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.report.compare_page import part_rows, sentences, trip_rows, write_comparison
-from test.replays.test_replay import Recorded
+from test.recorded import Recorded
 
 pytestmark = pytest.mark.slow
 

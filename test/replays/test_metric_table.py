@@ -1,6 +1,5 @@
 """Every key of a real replay's metrics has a meaning, and no meaning is without its key."""
 
-from collections import Counter
 from collections.abc import Iterator
 import re
 import time
@@ -10,9 +9,9 @@ import pytest
 from docs.metric_table import METRICS
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
-from evpinn_ros.logs.source import Source
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.run import ReplayOptions, replay
+from test.recorded import Recorded
 
 pytestmark = pytest.mark.slow
 
@@ -23,19 +22,6 @@ ANY_NAME = {
     "updates.rejected": "<reason>",
     "by_battery_age": "<seconds>",
 }
-
-
-class Recorded(Source):
-    """Readings in memory, as a source, of which two could not be read."""
-
-    problem, seconds, path = None, None, "drive"
-
-    def __init__(self, readings) -> None:
-        self._readings = readings
-        self.dropped = Counter({"short_frame": 2})
-
-    def readings(self):
-        yield from self._readings
 
 
 def keys(value, path: str = "") -> Iterator[str]:
@@ -52,7 +38,7 @@ def keys(value, path: str = "") -> Iterator[str]:
 def test_the_table_is_what_a_replay_writes(readings, vehicle):
     chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
     options = ReplayOptions(withhold_battery_after=60.0, warm_up=10.0)
-    source = Recorded(readings)
+    source = Recorded(readings, short_frame=2)
     found = replay(source, chain, options, vehicle=vehicle.key, mode="hybrid").metrics
     found["updates"]["rejected"]["overrun"] = 1  # a computer that keeps up rejects nothing
     assert set(keys(found)) == {metric.key for metric in METRICS}

@@ -21,7 +21,7 @@ from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.report.owner_text import health_line, owner_line
-from test.replays.test_replay import Recorded
+from test.recorded import Recorded
 
 pytestmark = pytest.mark.slow
 DATA = Path(__file__).parents[2].parent / "shared" / "data"

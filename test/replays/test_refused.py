@@ -19,7 +19,7 @@ from evpinn_ros.replays.driven import counted, without_lone
 from evpinn_ros.replays.history import History
 from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.report.owner_text import owner_line, part_text
-from test.replays.test_replay import Recorded
+from test.recorded import Recorded
 
 SECONDS = 900
 PREDICTED = {"energy": {"measured_j": 1.0, "predicted_j": None}}

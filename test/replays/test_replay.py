@@ -1,6 +1,5 @@
 """The chain over recorded drives: L0 of the replay tests."""
 
-from collections import Counter
 import hashlib
 import json
 import math
@@ -15,26 +14,13 @@ from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.signals.time_jump import JumpPolicy, JumpRule
-from evpinn_ros.logs.source import Source
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.events import EventKind, drive_events
 from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.topics.readings import to_reading
+from test.recorded import Recorded
 
 pytestmark = pytest.mark.slow
-
-
-class Recorded(Source):
-    """Readings in memory, as a source."""
-
-    problem = seconds = None
-
-    def __init__(self, readings, path) -> None:
-        self.path, self._readings = path, readings
-        self.dropped: Counter[str] = Counter()
-
-    def readings(self):
-        yield from self._readings
 
 
 def chain(vehicle, mode=Mode.HYBRID) -> Chain:

@@ -1,7 +1,6 @@
 """A real browser, driven over its debugging pipe, and a drive to report."""
 
 import base64
-from collections import Counter
 from collections.abc import Iterator
 import json
 import os
@@ -16,15 +15,15 @@ import pytest
 
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.logs.source import Source
 from evpinn_ros.replays import history
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.run import ReplayOptions, replay
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.report.drive_page import ReportedDrive
+from test.recorded import Recorded
 from test.waiting import wait_until
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
@@ -181,16 +180,3 @@ def reported() -> ReportedDrive:
             Recorded(heard), chain, ReplayOptions(warm_up=30.0), vehicle=car.key, mode="hybrid"
         )
     return ReportedDrive(replayed.drive, replayed.metrics, car, 30.0, truth=drive.truth.parameters)
-
-
-class Recorded(Source):
-    """Readings in memory, as a source."""
-
-    problem = seconds = None
-
-    def __init__(self, readings: list[Reading]) -> None:
-        self.path, self._readings = Path("out/town"), readings
-        self.dropped: Counter[str] = Counter()
-
-    def readings(self) -> Iterator[Reading]:
-        yield from self._readings

@@ -8,9 +8,13 @@ that leap as no car does. A speed that leaps counts again once a second reading 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from evpinn_ros.core.signals.block import Block, Rows, impossible
 from evpinn_ros.core.signals.kinematics import LEAST_LEAP
 from evpinn_ros.core.signals.readings import (
     MAX_CURRENT,
@@ -19,6 +23,7 @@ from evpinn_ros.core.signals.readings import (
     BatteryReading,
     Reading,
     SpeedReading,
+    drawn_power,
     why_impossible,
 )
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -37,6 +42,7 @@ SENTINELS = frozenset(
     for integer in ((1 << bits) - 1, 1 << (bits - 1))
     for resolution in (1.0, 0.1, 0.01, 0.001)
 )
+SENTINEL_THOUSANDTHS = np.rint(1000.0 * np.array(sorted(SENTINELS)))
 HARDEST = 10.0  # m/s^2, of braking on a dry road; what is beyond waits for a second reading
 SPEED_UNITS = (1.0, 3.6, 3600.0 / 1609.344)  # of a bus: m/s, km/h, mph
 LEAST_SENTINEL = 100.0  # A, and by which the current leaps: a car also has smaller ones in earnest
@@ -58,10 +64,11 @@ class CarLimits(NamedTuple):
         voltage = VOLTAGES * vehicle.nominal_voltage
         return cls(power, min(voltage, MAX_VOLTAGE), min(current, MAX_CURRENT))
 
-    def allow(self, reading: BatteryReading) -> bool:
-        """True if the car can do what a battery reading says; NaN is unknown, and allowed."""
-        values = reading.power, reading.voltage, reading.current
-        return not any(abs(value) > most for value, most in zip(values, self, strict=True))
+    def allow(self, voltage: Any, current: Any) -> Any:
+        """True where the car can do what a battery says, V and A; NaN is unknown, and allowed."""
+        beyond = abs(drawn_power(voltage, current)) > self.power
+        beyond |= (abs(voltage) > self.voltage) | (abs(current) > self.current)
+        return np.logical_not(beyond)
 
 
 ANY_CAR = CarLimits()
@@ -81,44 +88,85 @@ class Admission:
 
     def begin_anew(self) -> None:
         """Compare the next readings with none before: time jumped."""
-        self._speed: SpeedReading | None = None
-        self._leapt: SpeedReading | None = None  # refused until a second one confirms it
+        self._speed: tuple[int, float] | None = None  # stamp, ns, and speed
+        self._leapt: tuple[int, float] | None = None  # refused until a second one confirms it
         self._voltage = self._current = math.nan
 
     def admits(self, reading: Reading) -> bool:
         """True if a reading counts."""
-        reason = self._why_refused(reading)
+        reason = why_impossible(reading)
+        if reason is None and isinstance(reading, SpeedReading):
+            reason = self._why_not_speed(reading.stamp_ns, reading.speed)
+        elif reason is None and isinstance(reading, BatteryReading):
+            reason = self._why_not_battery(reading.voltage, reading.current)
         if reason is not None:
             self.refused[reason] += 1
         return reason is None
 
-    def _why_refused(self, reading: Reading) -> str | None:
-        reason = why_impossible(reading)
-        if isinstance(reading, SpeedReading):
-            return reason or self._why_not_speed(reading)
-        if isinstance(reading, BatteryReading):
-            return reason or self._why_not_battery(reading)
-        return reason
+    def admit(self, block: Block) -> Block:
+        """The readings of a block that count, as `admits` decides."""
+        chosen = {}
+        for kind, rows in block.rows.items():
+            counts = np.ones(len(rows.order), dtype=bool)
+            for reason, wrong in impossible(kind, rows):
+                self.refused[reason] += int(wrong.sum())
+                counts[wrong] = False
+            if kind in (SpeedReading, BatteryReading):
+                possible = np.flatnonzero(counts)
+                ask = self._ask_speeds if kind is SpeedReading else self._ask_batteries
+                for index, reason in ask(rows.where(possible)):
+                    self.refused[reason] += 1
+                    counts[possible[index]] = False
+            chosen[kind] = counts
+        return block.only(chosen)
 
-    def _why_not_speed(self, reading: SpeedReading) -> str | None:
+    def _ask_speeds(self, rows: Rows) -> Iterator[tuple[int, str]]:
+        """Speeds that are refused, and why; a speed near the one before needs no asking."""
+        leaps = _leaps(rows.stamps[:-1], rows.values[0, :-1], rows.stamps[1:], rows.values[0, 1:])
+        speeds = list(zip(rows.stamps.tolist(), rows.values[0].tolist(), strict=True))
+        after = 0  # the last that was asked
+        for index in (0, *(np.flatnonzero(leaps) + 1).tolist()):
+            if index < after:
+                continue
+            if index > after:
+                self._speed, self._leapt = speeds[index - 1], None
+            for after in range(index + 1, len(speeds) + 1):
+                if (reason := self._why_not_speed(*speeds[after - 1])) is None:
+                    break
+                yield after - 1, reason
+        if after < len(speeds):
+            self._speed, self._leapt = speeds[-1], None
+
+    def _ask_batteries(self, rows: Rows) -> Iterator[tuple[int, str]]:
+        """Battery readings that are refused, and why; most need no asking."""
+        voltage, current = rows.values[:2]
+        asked = ~self.limits.allow(voltage, current) | _may_be_sentinel(voltage)
+        asked |= _may_be_sentinel(current) & (np.abs(current) > LEAST_SENTINEL)
+        after = 0
+        for index in np.flatnonzero(asked).tolist():
+            self._know_battery(voltage[after:index], current[after:index])
+            if (reason := self._why_not_battery(*rows.values[:2, index].tolist())) is not None:
+                yield index, reason
+            after = index + 1
+        self._know_battery(voltage[after:], current[after:])
+
+    def _why_not_speed(self, stamp_ns: int, speed: float) -> str | None:
         near = [self._speed, self._leapt]
         self._leapt = None
-        if any(other is not None and not _leaps(other, reading) for other in near):
-            self._speed = reading
+        if self._speed is None or any(
+            other is not None and not _leaps(*other, stamp_ns, speed) for other in near
+        ):
+            self._speed = stamp_ns, speed
             return None
-        if self._speed is None:
-            self._speed = reading
-            return None
-        self._leapt = reading
+        self._leapt = stamp_ns, speed
         for unit in SPEED_UNITS:
-            if (name := _sentinel(reading.speed * unit)) is not None:
+            if (name := _sentinel(speed * unit)) is not None:
                 return f"speed_sentinel_{name}"
         return "speed_leaps"
 
-    def _why_not_battery(self, reading: BatteryReading) -> str | None:
-        if not self.limits.allow(reading):
+    def _why_not_battery(self, voltage: float, current: float) -> str | None:
+        if not self.limits.allow(voltage, current):
             return "battery_beyond_car"
-        voltage, current = reading.voltage, reading.current
         leap = abs(voltage - self._voltage) > VOLTAGE_LEAP * self._voltage
         if leap and (name := _sentinel(voltage)) is not None:
             return f"voltage_sentinel_{name}"
@@ -129,14 +177,27 @@ class Admission:
         self._current = self._current if math.isnan(current) else current
         return None
 
+    def _know_battery(self, voltage: np.ndarray, current: np.ndarray) -> None:
+        """Compare the next readings with the last that are known of these."""
+        self._voltage = [self._voltage, *voltage[~np.isnan(voltage)][-1:].tolist()][-1]
+        self._current = [self._current, *current[~np.isnan(current)][-1:].tolist()][-1]
 
-def _leaps(before: SpeedReading, after: SpeedReading) -> bool:
-    """True if speed changed by more than tyres can between two readings."""
-    seconds = abs(after.stamp_ns - before.stamp_ns) / NANOSECONDS
-    return abs(after.speed - before.speed) > LEAST_LEAP + HARDEST * seconds
+
+def _leaps(before_ns: Any, before: Any, after_ns: Any, after: Any) -> Any:
+    """True if speed changed by more than tyres can between two readings, of stamps in ns."""
+    seconds = abs(after_ns - before_ns) / NANOSECONDS
+    return abs(after - before) > LEAST_LEAP + HARDEST * seconds
 
 
 def _sentinel(value: float) -> str | None:
     """The value as it is written, if a bus sends it in place of a measurement."""
     rounded = round(value, 3)
     return f"{rounded:g}" if abs(value - rounded) < 1e-6 and abs(rounded) in SENTINELS else None
+
+
+def _may_be_sentinel(values: np.ndarray) -> np.ndarray:
+    """True where `_sentinel` is to be asked, shape (n,)."""
+    thousandths = np.abs(values) * 1000.0
+    whole = np.rint(thousandths)
+    near = np.abs(thousandths - whole) < 0.01
+    return np.asarray(near & np.isin(whole, SENTINEL_THOUSANDTHS))

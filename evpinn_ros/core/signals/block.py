@@ -102,6 +102,39 @@ class Block:
         """The block with other rows of a kind, at places that were theirs."""
         return replace(self, rows={**self.rows, kind: rows})
 
+    def parts(self, size: int) -> Iterator[Block]:
+        """The block in parts of at most this many places."""
+        for first in range(0, self.length, size):
+            yield self.part(first, min(first + size, self.length))
+
+    def only(self, chosen: Mapping[type[Reading], np.ndarray]) -> Block:
+        """The chosen rows of some kinds, a mask of shape (n,) each, and all of the others.
+
+        No place is left free.
+        """
+        if all(mask.all() for mask in chosen.values()):
+            return self
+        taken = np.zeros(self.length, dtype=bool)
+        rows = {
+            kind: some.where(chosen.get(kind, slice(None))) for kind, some in self.rows.items()
+        }
+        for some in rows.values():
+            taken[some.order] = True
+        places = np.cumsum(taken) - 1
+        rows = {
+            kind: some._replace(order=places[some.order])
+            for kind, some in rows.items()
+            if len(some.order)
+        }
+        return Block(int(taken.sum()), rows)
+
+    def stamps(self) -> np.ndarray:
+        """Stamps by place, ns, shape (length,); of a place that is free 0."""
+        stamps = np.zeros(self.length, np.int64)
+        for rows in self.rows.values():
+            stamps[rows.order] = rows.stamps
+        return stamps
+
     def readings(self) -> Iterator[Reading]:
         """Give them one by one."""
         placed: list[Reading | None] = [None] * self.length

@@ -25,7 +25,10 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
-from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+import numpy as np
+
+from evpinn_ros.core.signals.block import Block, joined
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 AGREE_NS = 600 * NANOSECONDS  # two stamps of the leader this close confirm each other
 SKEW_NS = 15 * NANOSECONDS  # a source this far behind the others is late, and its clock right
@@ -33,6 +36,7 @@ LEFT_NS = 60 * NANOSECONDS  # a time that was left goes on within this
 SILENT_NS = 15 * NANOSECONDS  # a publisher that says nothing for so long is none
 USUAL_STEPS = 3  # of the leader, which a stamp may be ahead: phones log at 5 s and slower
 MOST_HELD = 1000
+LOOKED_AT = 500  # readings whose stamps are judged at once where others of their block leap
 MOST_LEFT = 8  # times that were left and may speak on
 TAKES_OVER = 20  # stamps of a left time in a row, after which the present one counts as ended
 SECOND_PUBLISHER = "stamps_of_a_second_publisher"
@@ -128,9 +132,50 @@ class StampGuard:
         """Items held back in doubt."""
         return len(self._held)
 
-    def follow(self, reading: Reading, rule: JumpRule = DEFAULT_RULE) -> Iterator[Reading | Jump]:
-        """`admit` for readings, each kind of which is a source."""
-        return self.admit(type(reading), reading.stamp_ns, reading, rule)
+    def follow(self, block: Block, rule: JumpRule = DEFAULT_RULE) -> Iterator[Block | Jump]:
+        """`admit` for readings, each kind of which is a source, with as many as go on at once."""
+        threshold_ns = round(rule.threshold * NANOSECONDS)
+        if len(block) and self._goes_on(block, threshold_ns):
+            yield block
+            return
+        passed: list[Block] = []
+        for part in block.parts(LOOKED_AT):
+            if self._goes_on(part, threshold_ns):
+                passed.append(part)
+                continue
+            for reading in part.readings():
+                for item in self.admit(type(reading), reading.stamp_ns, reading, rule):
+                    if isinstance(item, Jump):
+                        if passed:
+                            yield joined(passed)
+                        passed = []
+                        yield item
+                    else:
+                        passed.append(Block.of([item]))
+        if passed:
+            yield joined(passed)
+
+    def _goes_on(self, block: Block, threshold_ns: int) -> bool:
+        """Pass on all of a block and know so, if nothing speaks against any stamp of it."""
+        stamps = block.stamps()
+        newest_ns = int(stamps[0]) if self._newest_ns is None else self._newest_ns
+        newest = np.maximum(np.maximum.accumulate(stamps), newest_ns)
+        ahead = stamps - np.append(newest_ns, newest[:-1])
+        if ahead.max() > threshold_ns or ahead.min() < -max(SKEW_NS, threshold_ns):
+            return False
+        for kind, rows in block.rows.items():
+            own = np.append(self._own_ns.get(kind, rows.stamps[0]), rows.stamps)
+            if (own[1:] - np.maximum.accumulate(own)[:-1]).min() < -threshold_ns:
+                return False
+        for kind, rows in block.rows.items():
+            self._ahead_ns.pop(kind, None)
+            newest_ns = int(rows.stamps.max())
+            self._own_ns[kind] = max(newest_ns, self._own_ns.get(kind, newest_ns))
+            if kind == self._leader:  # whose last two steps count
+                for stamp_ns in np.unique(np.maximum.accumulate(rows.stamps))[-3:].tolist():
+                    self._go_on(stamp_ns)
+        self._newest_ns = int(newest[-1])
+        return True
 
     def admit(
         self, source: object, stamp_ns: int, item: Any, rule: JumpRule = DEFAULT_RULE

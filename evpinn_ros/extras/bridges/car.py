@@ -8,10 +8,13 @@ from pathlib import Path
 import time
 from typing import Any
 
+import numpy as np
+
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.state_file import Half
 from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, Reading, SpeedReading
 from evpinn_ros.core.signals.time_jump import Jump, JumpPolicy, JumpRule
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -67,34 +70,36 @@ class BridgedCar:
     def add_readings(self, readings: Iterable[Reading]) -> bool:
         """Take readings in order; give whether another drive began with them."""
         began = False
-        waiting: list[Reading | Jump] = []
+        waiting: list[Block | Jump] = []
         for reading in readings:
             self.readings += 1
             # Only what passes the guard of time counts: one wild stamp ends no drive.
-            for item in self.chain.follow(reading):
-                if isinstance(item, SpeedReading) and self._is_next(item):
-                    self._take(waiting)
-                    waiting = []
-                    self._begin()
-                    began = True
-                if not isinstance(item, Jump):
-                    self.newest_ns = item.stamp_ns
+            for item in self.chain.follow(Block.of([reading])):
+                if isinstance(item, Block):
+                    if self._is_next(item):
+                        self._take(waiting)
+                        waiting = []
+                        self._begin()
+                        began = True
+                    self.newest_ns = int(item.stamps()[-1])
                 waiting.append(item)
         self._take(waiting)
         return began
 
-    def _take(self, items: Sequence[Reading | Jump]) -> None:
+    def _take(self, items: Sequence[Block | Jump]) -> None:
         """Take readings of one drive, and jumps of time."""
         for output in chain.from_iterable(self.chain.take(items)):
             if isinstance(output, PowerEstimate):
                 self._power[output.kind] = output
 
-    def _is_next(self, reading: SpeedReading) -> bool:
+    def _is_next(self, block: Block) -> bool:
         """True if the car moves after a long stop: another drive begins."""
-        if abs(reading.speed) < STANDS:
+        speeds = block.of_kind(SpeedReading)
+        moving_ns = speeds.stamps[np.abs(speeds.values[0]) >= STANDS]
+        if not len(moving_ns):
             return False
-        moved_ns, self._moved_ns = self._moved_ns, reading.stamp_ns
-        return moved_ns is not None and reading.stamp_ns - moved_ns >= DRIVE_GAP_NS
+        moved_ns, self._moved_ns = self._moved_ns, int(moving_ns[-1])
+        return moved_ns is not None and int(moving_ns[0]) - moved_ns >= DRIVE_GAP_NS
 
     def _begin(self) -> None:
         """Begin the next drive."""

@@ -106,11 +106,10 @@ def _read(
     source = open_source(path, vehicle, options)
     earlier_ns = round(delay * NANOSECONDS)
     readings = []
-    for reading in source.readings():
-        for item in guard.follow(reading):
-            if isinstance(item, Jump):
-                raise InputError(f"{path}: time goes back within the log; cut it there")
-            readings.append(_earlier(item, earlier_ns))
+    for item in (item for block in source.blocks() for item in guard.follow(block)):
+        if isinstance(item, Jump):
+            raise InputError(f"{path}: time goes back within the log; cut it there")
+        readings += [_earlier(reading, earlier_ns) for reading in item.readings()]
     _, _, samples, power = stream.add_block(Block.of(readings)).measured
     dropped = {**source.dropped, **guard.dropped, **stream.dropped}
     if samples.size < MIN_SAMPLES:

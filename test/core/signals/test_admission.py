@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.signals.admission import MAX_POWER, Admission, CarLimits
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import (
     MAX_CURRENT,
     MAX_VOLTAGE,
@@ -135,3 +136,30 @@ def test_no_speed_that_tyres_allow_is_refused(accelerations, step):
 def test_other_readings_are_judged_by_their_range():
     kept, refused = admitted([TemperatureReading(0, 20.0), TemperatureReading(0, 200.0)])
     assert len(kept) == 1 and refused == Counter(temperature_out_of_range=1)
+
+
+likely = st.sampled_from(
+    [0.0, 10.0, 10.5, 20.0, 70.0, 255.0, 255.0 / 3.6, 327.67, 400.0, math.nan]
+)
+tense = st.sampled_from([350.0, 360.0, 204.7, 409.5, 655.35, 2000.0, math.nan])
+drawn = st.sampled_from([-20.0, 60.0, -204.7, 204.7, -327.67, 1638.3, 4000.0, math.nan])
+moments = st.integers(0, 12)  # half seconds
+any_readings = st.lists(
+    st.builds(lambda at, speed: SpeedReading(stamp(at / 2), speed), moments, likely)
+    | st.builds(lambda at, *of: battery(*of, at / 2), moments, tense, drawn)
+    | st.builds(lambda at, celsius: TemperatureReading(stamp(at / 2), celsius), moments, likely)
+)
+
+
+@given(any_readings, st.integers(1, 50))
+def test_blocks_are_admitted_as_their_readings_are_one_by_one(readings, size):
+    """Two ways to the one rule: nodes ask of a reading, files of thousands."""
+    alone, refused = admitted(readings)
+    in_blocks = Admission(LIMITS)
+    found = [
+        reading
+        for part in Block.of(readings).parts(size)
+        for reading in in_blocks.admit(part).readings()
+    ]
+    assert list(map(repr, found)) == list(map(repr, alone))
+    assert in_blocks.refused == refused

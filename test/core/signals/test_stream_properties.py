@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.kinematics import MAX_ACCELERATION
 from evpinn_ros.core.signals.readings import (
@@ -133,11 +134,11 @@ def test_after_any_nonsense_a_good_drive_is_taken(readings):
         for reading in (SpeedReading(stamp, 5.0), BatteryReading(stamp, 350.0, -10.0))
     ]
     for k, reading in enumerate([*readings, *good]):
-        for item in guard.follow(reading):
+        for item in guard.follow(Block.of([reading])):
             if isinstance(item, Jump):
                 stream.reset()
                 continue
-            for event in completed(stream, [item]):
+            for event in completed(stream, list(item.readings())):
                 if k >= len(readings):
                     kinds_seen.add(type(event))
     assert {Newest, Smoothed, MeasuredSample} <= kinds_seen

@@ -1,12 +1,13 @@
 """Time that jumps back, told from wrong stamps: the one rule, without nodes."""
 
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
-from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.block import Block
+from evpinn_ros.core.signals.readings import NANOSECONDS, SpeedReading, TemperatureReading
 from evpinn_ros.core.signals.time_jump import DEFAULT_RULE, Jump, JumpPolicy, JumpRule, StampGuard
 
 S = NANOSECONDS
@@ -186,3 +187,37 @@ def test_nothing_is_doubled_and_all_is_accounted_for(items):
     found = [item for item in passed(guard, items) if not isinstance(item, Jump)]
     assert len(found) + guard.dropped.total() + len(guard._held) == len(items)
     assert all(found.count(item) <= items.count(item) for item in found)
+
+
+steps = st.lists(
+    st.tuples(
+        st.sampled_from([SpeedReading, TemperatureReading]),
+        st.sampled_from([0.0, 0.1, 0.1, 0.1, 0.1, -0.1, 1.9, 2.1, -1.9, -2.1, 7.0, 40.0, -40.0]),
+    ),
+    max_size=60,
+)
+
+
+@given(steps, st.integers(1, 30), st.sampled_from([DEFAULT_RULE, JumpRule(JumpPolicy.IGNORE)]))
+def test_a_block_passes_as_its_readings_do_one_by_one(steps, size, rule):
+    """Where nothing speaks against the stamps of a block they are judged at once."""
+    ends = accumulate(step for _, step in steps)
+    readings = [
+        kind(START + round(at * S), 1.0) for (kind, _), at in zip(steps, ends, strict=True)
+    ]
+    alone, together = StampGuard(SpeedReading), StampGuard(SpeedReading)
+    passed_alone = [
+        item
+        for reading in readings
+        for item in alone.admit(type(reading), reading.stamp_ns, reading, rule)
+    ]
+    found = []
+    for part in Block.of(readings).parts(size):
+        for item in together.follow(part, rule):
+            found += [item] if isinstance(item, Jump) else item.readings()
+    assert list(map(repr, found)) == list(map(repr, passed_alone))
+    assert (together.dropped, together.jumps, together.held) == (
+        alone.dropped,
+        alone.jumps,
+        alone.held,
+    )

@@ -1,0 +1,226 @@
+"""Rows of numbers in order of time, and into blocks, in which no kind goes back in time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evpinn_ros.core.signals.block import Block, Rows
+from evpinn_ros.core.signals.readings import (
+    AltitudeReading,
+    AuxiliaryReading,
+    BatteryReading,
+    MotorReading,
+    Reading,
+    SpeedReading,
+    TemperatureReading,
+)
+from evpinn_ros.logs.source import STRAGGLING_NS
+
+AMBIENT_C = (-60.0, 70.0)  # what lies outside is no weather but a sensor that says nothing
+
+# A value that repeats longer is taken again, as of a steady car.
+LONGEST_HELD_NS = 1_500_000_000
+BATTERY = ("voltage", "current", "power", "charge")
+LOADS = ("heating", "aircon", "auxiliary")
+MOST = 1e12  # of anything in SI; beyond, products would be infinite
+
+FloatArray = NDArray[np.float64]
+Columns = dict[str, FloatArray]
+
+
+class RowOrder:
+    """Takes rows batch by batch and gives those that are not too late, by their stamps.
+
+    Attributes:
+        dropped: rows that were too late, or alone in the future.
+    """
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._newest = -1
+
+    def sorted(self, stamps: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Some rows in order, none older than those of the batches before.
+
+        `stamps`, ns, shape (n,), are those of all rows of the batch; `rows` those that have one.
+        """
+        kept = rows[~_alone(stamps[rows])]
+        times = stamps[kept]
+        newest = np.maximum.accumulate(times) if times.size else times
+        late = (times < newest - STRAGGLING_NS) | (times < self._newest)
+        kept = kept[~late]
+        kept = kept[np.argsort(stamps[kept], kind="stable")]
+        if kept.size:
+            self._newest = int(stamps[kept[-1]])
+        self.dropped += rows.size - kept.size
+        return kept
+
+
+def _alone(times: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """True if a row is in the future of its neighbours: one broken digit of a date."""
+    alone = np.zeros(times.size, dtype=bool)
+    if times.size > 2:
+        ahead = times[1:-1] - times[2:] > STRAGGLING_NS
+        alone[1:-1] = ahead & (times[2:] >= times[:-2])
+    return alone
+
+
+class HeldSignals:
+    """Takes repeated cells out of held columns, batch by batch."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        """Begin, for these quantities."""
+        self._last: dict[str, tuple[int, float]] = dict.fromkeys(names, (0, np.nan))
+
+    def drop_repeats(
+        self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
+    ) -> None:
+        """Set repeated cells to NaN.
+
+        Args:
+            stamps: of all rows of the batch, ns, shape (n,).
+            values: of these, by quantity; changed here.
+            rows: those that are used, in order of time.
+        """
+        for name, (since_ns, last) in self._last.items():
+            told = rows[~np.isnan(values[name][rows])]
+            columns = told.tolist(), stamps[told].tolist(), values[name][told].tolist()
+            for row, stamp_ns, value in zip(*columns, strict=True):
+                if value == last and stamp_ns - since_ns < LONGEST_HELD_NS:
+                    values[name][row] = np.nan
+                else:
+                    since_ns, last = stamp_ns, value
+            self._last[name] = since_ns, last
+
+
+class RowBlocks:
+    """Makes blocks of rows, batch by batch.
+
+    Attributes:
+        used: rows that gave a reading.
+        at_nominal_voltage: battery readings of power alone.
+    """
+
+    def __init__(self, nominal_voltage: float, dropped: Counter[str]) -> None:
+        """Begin; what is left out is counted in `dropped`."""
+        self.used = self.at_nominal_voltage = 0
+        self._nominal_voltage = nominal_voltage
+        self._dropped = dropped
+        self._last_ns: dict[str, int] = {}
+
+    def block(
+        self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
+    ) -> Block:
+        """The readings of some rows: of each row in the order of `_columns`.
+
+        `stamps`, ns, and `values`, SI, NaN where there is none, are those of all rows of the
+        batch, shape (n,); `rows` are those to take, in order of time.
+        """
+        self._limit(values)
+        stamps = stamps[rows]
+        columns = {
+            kind: (there, fields)
+            for kind, there, fields in self._columns(
+                stamps, {name: column[rows] for name, column in values.items()}
+            )
+            if there.any()
+        }
+        if not columns:
+            return Block(0, {})
+        told = np.array([there for there, _ in columns.values()]).T
+        order = np.cumsum(told).reshape(told.shape) - 1
+        self.used += int(told.any(axis=1).sum())
+        return Block(
+            int(told.sum()),
+            {
+                kind: Rows(order[there, i], stamps[there], np.array(fields)[:, there])
+                for i, (kind, (there, fields)) in enumerate(columns.items())
+            },
+        )
+
+    def _columns(
+        self, stamps: NDArray[np.int64], values: Columns
+    ) -> Iterator[tuple[type[Reading], NDArray[np.bool_], tuple[FloatArray, ...]]]:
+        """Each kind of reading, in which rows it is, and its fields, shape (n,) each."""
+        empty = np.full(stamps.size, np.nan)
+
+        def told(name: str, *quantities: str) -> NDArray[np.bool_]:
+            """Rows in which any of the quantities is known for the first time at their stamp."""
+            known = np.isfinite([values.get(quantity, empty) for quantity in quantities])
+            return self._new(name, stamps, np.asarray(known.any(axis=0)))
+
+        def fields(*quantities: str) -> tuple[FloatArray, ...]:
+            return tuple(values.get(quantity, empty) for quantity in quantities)
+
+        if "speed" in values:
+            yield SpeedReading, told("speed", "speed"), (values["speed"], empty)
+        if values.keys() & {*BATTERY}:
+            yield BatteryReading, *self._batteries(stamps, *fields(*BATTERY))
+        if "elevation" in values:
+            places = fields("elevation", "latitude", "longitude")
+            yield AltitudeReading, told("elevation", "elevation"), places
+        if "ambient" in values:
+            yield TemperatureReading, told("ambient", "ambient"), fields("ambient")
+        if values.keys() & {*LOADS}:
+            heating, *others = (np.nan_to_num(column) for column in fields(*LOADS))
+            yield AuxiliaryReading, told("loads", *LOADS), (heating, others[0] + others[1])
+        if "motor_torque" in values:
+            torque = fields("motor_torque", "motor_speed")
+            yield MotorReading, told("motor", "motor_torque"), torque
+
+    def _limit(self, values: Mapping[str, FloatArray]) -> None:
+        """Take out what no sensor measures."""
+        self._drop(values, "charge", 0.0, 100.0, "soc_pct_out_of_range")
+        self._drop(values, "ambient", *AMBIENT_C, "ambient_c_out_of_range")
+        if "voltage" in values:
+            off = values["voltage"] <= 0  # a sensor that is off: its current is none either
+            self._dropped["voltage_not_positive"] += int(off.sum())
+            for name in ("voltage", "current", "power"):
+                if name in values:
+                    values[name][off] = np.nan
+
+    def _drop(
+        self, values: Mapping[str, FloatArray], name: str, least: float, most: float, why: str
+    ) -> None:
+        if name in values:
+            outside = (values[name] < least) | (values[name] > most)
+            self._dropped[why] += int(outside.sum())
+            values[name][outside] = np.nan
+
+    def _batteries(
+        self,
+        stamps: NDArray[np.int64],
+        volts: FloatArray,
+        amperes: FloatArray,
+        power: FloatArray,
+        charge: FloatArray,
+    ) -> tuple[NDArray[np.bool_], tuple[FloatArray, ...]]:
+        """Voltage and current as measured; where one is missing, the current from power."""
+        from_power = np.isfinite(power) & np.isnan(volts + amperes)
+        unknown = from_power & np.isnan(volts)
+        self.at_nominal_voltage += int(unknown.sum())
+        volts = np.where(unknown, self._nominal_voltage, volts)
+        amperes = np.where(from_power, power / volts, amperes)
+        told = np.ones(stamps.size, dtype=bool)
+        columns = {"voltage": volts, "current": amperes, "charge": charge}
+        for name, column in columns.items():
+            known = told & np.isfinite(column)
+            told &= ~known | self._new(name, stamps, known)
+        told &= np.isfinite(list(columns.values())).any(axis=0)
+        return told, (volts, -amperes, charge / 100.0, np.full(stamps.size, np.nan))
+
+    def _new(
+        self, name: str, stamps: NDArray[np.int64], known: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """The known values that are later than the last of their name; the others are counted."""
+        times = stamps[known]
+        later = np.diff(times, prepend=self._last_ns.get(name, -1)) > 0
+        self._dropped["time_not_increasing"] += int((~later).sum())
+        self._last_ns[name] = max([self._last_ns.get(name, -1), *times[-1:].tolist()])
+        new = known.copy()
+        new[known] = later
+        return new
