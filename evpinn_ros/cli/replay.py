@@ -24,30 +24,40 @@ from evpinn_ros.cli.options import (
     with_read_options,
 )
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
-from evpinn_ros.cli.tables import breakdown_table, drives_table, parameter_table, score_table
 from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.core.estimation.estimator import Mode, PaperOptimizer
 from evpinn_ros.core.estimation.state_file import StateClaim
 from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.logs.formats import files_of
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.trips import joined, split
 from evpinn_ros.replays.car import CarReplay
-from evpinn_ros.replays.run import (
-    WARM_UP,
-    Replayed,
-    ReplayOptions,
-    has_battery,
-    output_folders,
-)
+from evpinn_ros.replays.drive_names import short_names
+from evpinn_ros.replays.history import Drive
+from evpinn_ros.replays.run import WARM_UP, Replayed, ReplayOptions, has_battery, output_folders
 from evpinn_ros.replays.simulation.truth_file import read_truth
-from evpinn_ros.report.breakdown_text import breakdown_lines
+from evpinn_ros.report.breakdown_text import breakdown_columns, breakdown_lines, breakdown_rows
 from evpinn_ros.report.dropped_text import dropped_text
-from evpinn_ros.report.owner_text import expert_note, health_line, owner_line, owner_notes
-from evpinn_ros.report.tables import energy_lines
+from evpinn_ros.report.owner_text import (
+    drives_columns,
+    drives_rows,
+    expert_note,
+    health_line,
+    owner_line,
+    owner_notes,
+)
+from evpinn_ros.report.tables import (
+    SCORE_COLUMNS,
+    energy_lines,
+    parameter_columns,
+    parameter_rows,
+    score_rows,
+)
 
 WIDE = 110  # characters of the table of drives
 
@@ -61,14 +71,8 @@ def replay(
         ),
     ],
     vehicle: VehicleOption = "generic",
-    mode: Annotated[
-        Mode | None,
-        typer.Option(help="How to learn; hybrid if not given."),
-    ] = None,
-    optimizer: Annotated[
-        PaperOptimizer | None,
-        typer.Option(help="For --mode paper."),
-    ] = None,
+    mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
+    optimizer: Annotated[PaperOptimizer | None, typer.Option(help="For --mode paper.")] = None,
     params: ParamsOption = None,
     out: Annotated[
         Path | None,
@@ -165,9 +169,7 @@ def replay(
         if not car.done:
             raise InputError("; ".join(unreadable))
         if len(car.done) > 1:
-            rows = [(result.drive, result.metrics) for result in car.done]
-            show(drives_table(rows, breakdown := car.breakdown(), units.units), at_least=WIDE)
-            _show_breakdown(breakdown, units.units, "the energy of all drives")
+            _show_together(car, units.units)
             show(parameter_table(car.done[-1].metrics))
             say("To see these drives side by side, use evpinn compare.")
         say(health_line(car.chain.account.gauge, [result.drive for result in car.done]))
@@ -278,11 +280,38 @@ def _show(
     show(parameter_table(metrics, read_truth(source.path)))
 
 
+def _show_together(car: CarReplay, units: Units) -> None:
+    """Print a row for each drive, one for all, and their breakdown."""
+    breakdown = car.breakdown()
+    names = short_names([Path(result.metrics["input"]["path"]) for result in car.done])
+    named = [
+        (name, result.drive, result.metrics) for name, result in zip(names, car.done, strict=True)
+    ]
+    rows = drives_rows(named, breakdown, units)
+    table = PlainTable("Drives", drives_columns(units), rows, words=("took most",))
+    show(table, at_least=WIDE)
+    _show_breakdown(breakdown, units, "the energy of all drives")
+
+
 def _show_breakdown(breakdown: Mapping[str, Any], units: Units, of: str = "the energy") -> None:
     if breakdown["unknown"] is None:
-        show(breakdown_table(breakdown, units, of))
+        rows = breakdown_rows(breakdown, units)
+        show(PlainTable(f"Where {of} went", breakdown_columns(units), rows))
     for line in breakdown_lines(breakdown, units):
         say(line)
+
+
+def parameter_table(metrics: Mapping[str, Any], truth: Parameters | None = None) -> PlainTable:
+    """Live value, 1-sigma, prior share and state of each parameter, and the truth if known."""
+    columns = parameter_columns(truth)
+    rows = parameter_rows(metrics, truth)
+    return PlainTable("Parameters of the car", columns, rows, words=("state",))
+
+
+def score_table(drive: Drive, metrics: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
+    """Scores of power and energy, with the baselines that say what they are worth."""
+    title = f"Power, predicted before it was learned from; the first {warm_up:.0f} s not scored"
+    return PlainTable(title, SCORE_COLUMNS, score_rows(drive, metrics, warm_up))
 
 
 def _write(
