@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from evpinn_ros.core.signals.time_jump import SECOND_PUBLISHER
+
 # What was not lost: a state of charge that came without voltage and current is used as such.
 NO_LOSS = ("battery_unmeasured",)
 WORDS = {
@@ -16,7 +18,7 @@ WORDS = {
     "engine_on": "rows in which the engine turns",
     "no_time": "rows without a time",
     "power_stands_still": "powers that stand still while the car does not",
-    "second_publisher": "readings from a second source of the same signal",
+    SECOND_PUBLISHER: "readings from a second source of the same signal",
     "soc_pct_out_of_range": "states of charge outside of 0 to 100 %",
     "speed_doubled": "speeds with the same time as another",
     "speed_leaps": "speeds that leap as no car does",
