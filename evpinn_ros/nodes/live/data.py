@@ -17,7 +17,6 @@ from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.core.estimation.operating_range import MANNERS, SPEEDS
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
-from evpinn_ros.nodes.live.power_line import PowerHistory
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.estimates import POWER, bounds_of
 from evpinn_ros.topics.messages import BadMessage, Level, NamedVector, read_named_vector
@@ -42,6 +41,9 @@ RATE_WINDOW = 5.0  # s over which messages are counted
 MOST_ARRIVALS = 5000  # of a topic, for its rate
 MOST_PARTS = 50  # of all nodes that are followed; ours have ten
 LEAST_DISTANCE = 100.0  # m; over less a consumption says nothing
+BIN_NS = 500_000_000  # of the power line
+KEPT_BINS = 600  # five minutes
+STARTED_OVER_NS = 10 * 10**9  # stamps that go back further are no stragglers
 NOTHING = "nothing received yet: are nodes up (evpinn run), with this ROS_DOMAIN_ID?"
 
 
@@ -65,6 +67,39 @@ class PartStatus(NamedTuple):
     text: str
     values: Mapping[str, str]
     arrived: float
+
+
+class PowerHistory:
+    """The mean power of each half second, of several kinds beside each other."""
+
+    def __init__(self) -> None:
+        self.newest_ns: int | None = None  # the newest stamp of any kind, None before the first
+        self._bins: dict[str, dict[int, tuple[float, int]]] = {}
+
+    def add(self, kind: str, stamp_ns: int, power: float) -> None:
+        """Add one value, W; when time starts over, so does the line."""
+        if self.newest_ns is not None and stamp_ns < self.newest_ns - STARTED_OVER_NS:
+            self._bins.clear()
+            self.newest_ns = None
+        self.newest_ns = max(stamp_ns, self.newest_ns or stamp_ns)
+        bins = self._bins.setdefault(kind, {})
+        index = stamp_ns // BIN_NS
+        total, count = bins.get(index, (0.0, 0))
+        bins[index] = total + power, count + 1
+        while len(bins) > KEPT_BINS:
+            del bins[min(bins)]
+
+    def last(self, kind: str, count: int) -> list[float]:
+        """The newest bins, W, oldest first; NaN where nothing was received."""
+        bins = self._bins.get(kind, {})
+        if self.newest_ns is None:
+            return [math.nan] * count
+        end = self.newest_ns // BIN_NS + 1
+        sums = (bins.get(index) for index in range(end - count, end))
+        return [
+            math.nan if sum_and_count is None else sum_and_count[0] / sum_and_count[1]
+            for sum_and_count in sums
+        ]
 
 
 class LiveData:

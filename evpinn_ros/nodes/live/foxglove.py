@@ -39,11 +39,7 @@ logging.getLogger("foxglove").setLevel(logging.CRITICAL)
 
 
 class FoxgloveServer:
-    """A server for any number of clients: a context manager, which stops it.
-
-    Attributes:
-        address: as Foxglove wants it, `ws://host:port`.
-    """
+    """A server for any number of clients: a context manager, which stops it."""
 
     def __init__(
         self,
@@ -99,7 +95,7 @@ class FoxgloveServer:
             self._server.stop()
             raise
         shown = f"[{host}]" if ":" in host else host
-        self.address = f"ws://{shown}:{self._gate.port}"
+        self.address = f"ws://{shown}:{self._gate.port}"  # as Foxglove wants it, `ws://host:port`
 
     def __enter__(self) -> FoxgloveServer:
         return self
@@ -183,11 +179,7 @@ def is_welcome(head: bytes, origins: Collection[str]) -> bool:
 
 
 class OriginGate:
-    """Passes connections on to a server, in a thread of its own.
-
-    Attributes:
-        port: on which it listens.
-    """
+    """Passes connections on to a server, in a thread of its own."""
 
     def __init__(
         self, host: str, port: int, server: tuple[str, int], origins: Collection[str]
@@ -211,7 +203,7 @@ class OriginGate:
             self._loop.close()
             where = f"cannot serve Foxglove at {host}:{port}"
             raise InputError(f"{where}: {reason_of(error)}") from error
-        self.port: int = self._door.sockets[0].getsockname()[1]
+        self.port: int = self._door.sockets[0].getsockname()[1]  # on which it listens
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
@@ -14,17 +14,11 @@ from evpinn_ros.common.errors import printable
 from evpinn_ros.core.estimation.estimate import FIGURES
 from evpinn_ros.core.estimation.operating_range import MANNERS
 from evpinn_ros.core.vehicle.parameters import QUANTITIES
-from evpinn_ros.nodes.live.data import NOTHING, POWERS, LiveData, ParameterRow
-from evpinn_ros.nodes.live.power_line import BIN_NS, DOT_COLUMNS, braille_line, power_axis
+from evpinn_ros.nodes.live.data import BIN_NS, NOTHING, POWERS, LiveData, ParameterRow
 from evpinn_ros.topics.messages import Level
 
 TITLE, HEADING, FAINT = "bold reverse", "bold", "dim"
-STATE_STYLES = {
-    "valid": "green",
-    "estimating": "yellow",
-    "stale": "red",
-    "invalid": "bold red",
-}
+STATE_STYLES = {"valid": "green", "estimating": "yellow", "stale": "red", "invalid": "bold red"}
 LEVEL_STYLES = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "bold red"}
 POWER_STYLES = {"measured": "cyan", "predicted": "magenta"}
 SPEED_HEADINGS = ("<30", "<60", "<90", "<120", ">120")  # of operating_range.SPEEDS
@@ -42,6 +36,11 @@ MOST_CHART_ROWS, MOST_PROBLEMS, MOST_BREAKDOWN_ROWS = 6, 3, 2
 BESIDE = {"measured", "regained"}  # of the breakdown: not parts that add up
 UNKNOWN = "-"
 GREATEST = 1e7  # shown in full
+BEYOND_ANY_CAR = 1e9  # W
+BRAILLE = 0x2800  # the character without dots
+# Bit of each dot of a character: column, then row from the top.
+DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
+DOT_COLUMNS, DOT_ROWS = len(DOTS), len(DOTS[0])  # of one character
 
 
 class ScreenColumn(NamedTuple):
@@ -91,7 +90,10 @@ def screen(data: LiveData, now: float, width: int, height: int) -> Text:
         "parameters": _parameters(data, width),
         "power": _power(data, now, width, chart_rows),
         "coverage": _coverage(data, now, width),
-        "problems": _problems(problems[: 1 + more_problems]),
+        "problems": [
+            Text(f"! {printable(text)}", LEVEL_STYLES.get(level, LEVEL_STYLES[Level.ERROR]))
+            for level, text in problems[: 1 + more_problems]
+        ],
     }
     lines = [line for name, part in parts.items() if name in kept for line in part]
     for line in lines:
@@ -129,7 +131,8 @@ def _title(data: LiveData, now: float, width: int) -> Text:
         drawn = f"{_number(0.0 - battery.current, 1)} A drawn"  # as power: + is drawn
         right = f"{_number(battery.voltage, 0)} V  {drawn}  {right}"
     room = max(width - len(right) - 1, 0)
-    left = set_cell_size(f" evpinn  {data.activity(now) or _silent(data)}", room)
+    silent = "estimator silent" if data.received else "no nodes"
+    left = set_cell_size(f" evpinn  {data.activity(now) or silent}", room)
     return Text(f"{left} {right}", style=TITLE)
 
 
@@ -180,6 +183,44 @@ def _power(data: LiveData, now: float, width: int, rows: int) -> Iterable[Text]:
             )
 
 
+def power_axis(values: Sequence[float]) -> tuple[float, float]:
+    """Round ends, W, of an axis that holds zero and all values a car can have; NaN are none."""
+    known = [value for value in values if abs(value) < BEYOND_ANY_CAR]
+    low, high = min([0.0, *known]), max([0.0, *known])
+    span = max(high - low, 1000.0)
+    step = 10.0 ** math.floor(math.log10(span))
+    step = next((step / n for n in (5, 2) if span / step * n <= 8), step)
+    return math.floor(low / step) * step, max(math.ceil(high / step), 1) * step
+
+
+def braille_line(
+    values: Sequence[float], width: int, height: int, axis: tuple[float, float]
+) -> list[str]:
+    """A line through values, as `height` rows of `width` Braille characters from the top.
+
+    There are two values for each character, oldest first; NaN leaves a gap. The axis has the
+    values at the bottom and at the top.
+    """
+    low, high = axis
+    cells = [[0] * width for _ in range(height)]
+    last_row = height * DOT_ROWS - 1
+    before: int | None = None
+    for column, value in enumerate(values[: width * DOT_COLUMNS]):
+        if not math.isfinite(value):
+            before = None
+            continue
+        share = min(max((value - low) / (high - low), 0.0), 1.0)
+        row = round((1.0 - share) * last_row)
+        # Joined to the value before, without a second dot beside that one.
+        step = 0 if before is None or before == row else (1 if row > before else -1)
+        first = row if before is None or not step else before + step
+        for dot in range(min(first, row), max(first, row) + 1):
+            cell, bit = column // DOT_COLUMNS, DOTS[column % DOT_COLUMNS][dot % DOT_ROWS]
+            cells[dot // DOT_ROWS][cell] |= bit
+        before = row
+    return ["".join(chr(BRAILLE + cell) for cell in row) for row in cells]
+
+
 def _owner(data: LiveData) -> Text:
     """An owner's line: charge, range with its 90 % band, consumption, energy of the trip."""
     energy = data.vector(topics.ENERGY_STATE)
@@ -228,10 +269,6 @@ def _amounts(data: LiveData) -> list[str]:
     ]
 
 
-def _silent(data: LiveData) -> str:
-    return "estimator silent" if data.received else "no nodes"
-
-
 def _coverage(data: LiveData, now: float, width: int) -> Iterable[Text]:
     """Data coverage, and beside it the rates of messages."""
     seen = data.seen()
@@ -249,11 +286,6 @@ def _coverage(data: LiveData, now: float, width: int) -> Iterable[Text]:
         for count in row:
             line.append(_cell(_count(count, most), cell, right=True), "" if count > 0 else FAINT)
         yield line.append(rate, FAINT)
-
-
-def _problems(problems: Iterable[tuple[Level, str]]) -> Iterable[Text]:
-    for level, text in problems:
-        yield Text(f"! {printable(text)}", LEVEL_STYLES.get(level, LEVEL_STYLES[Level.ERROR]))
 
 
 def _count(count: float, most: float) -> str:

@@ -13,7 +13,7 @@ import signal
 import sys
 import tempfile
 import time
-from typing import Any, TextIO
+from typing import TextIO
 
 import rclpy
 from rclpy.exceptions import NameValidationException, NotInitializedException
@@ -38,11 +38,7 @@ Show = Callable[[LiveData, float], None]
 
 
 class LiveListener(Node):
-    """Receives what the view shows and sends nothing itself.
-
-    Attributes:
-        data: received messages.
-    """
+    """Receives what the view shows and sends nothing itself."""
 
     def __init__(self, namespace: str) -> None:
         """Subscribe, best effort: a view that falls behind must not hold up a publisher."""
@@ -52,12 +48,12 @@ class LiveListener(Node):
             enable_rosout=False,
             start_parameter_services=False,
         )
-        self.data = LiveData(self.get_namespace())
+        self.data = LiveData(self.get_namespace())  # received messages
         profile = qos_profile(Qos(reliable=False, transient_local=False, depth=QUEUE_DEPTH))
         self._inputs = {
             topic: self.create_subscription(
-                message_class(topic.type_name), topic.name, self._never_called, profile
-            )
+                message_class(topic.type_name), topic.name, lambda _: None, profile
+            )  # never called back: there is no executor
             for topic in installed(WATCHED)
         }
 
@@ -74,9 +70,6 @@ class LiveListener(Node):
                 if taken is None:
                     break
                 self.data.take(topic, taken[0], time.monotonic())
-
-    def _never_called(self, _: Any) -> None:
-        """There is no executor."""
 
 
 def watch(
@@ -113,7 +106,8 @@ def watch(
         with ExitStack() as stack:
             shows: list[tuple[float, Show]] = []
             if json_file is not None:
-                out = sys.stdout if to_stdout else stack.enter_context(_new_lines(json_file))
+                with as_input_error(json_file):
+                    out = sys.stdout if to_stdout else stack.enter_context(new_table(json_file))
                 shows.append((PLAIN_PERIOD, partial(_write_json, out)))
             if to_stdout:
                 pass
@@ -131,11 +125,6 @@ def watch(
         rclpy.try_shutdown()
     if multiprocessing.parent_process() is None:
         print(printable(_ending(listener.data)), file=sys.stderr)
-
-
-def _new_lines(path: Path) -> TextIO:
-    with as_input_error(path):
-        return new_table(path)
 
 
 def _ending(data: LiveData) -> str:
