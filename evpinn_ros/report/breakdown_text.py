@@ -7,11 +7,7 @@ import math
 from typing import Any, NamedTuple
 
 from evpinn_ros.common.units import METRIC, Units, kwh_digits
-from evpinn_ros.core.estimation.breakdown import (
-    MOSTLY_UNSEEN,
-    REGAINED,
-    UNEXPLAINED,
-)
+from evpinn_ros.core.estimation.breakdown import MOSTLY_UNSEEN, REGAINED, UNEXPLAINED
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.estimation.terms import LOSSES, WHOLE, Part
 from evpinn_ros.replays.energy_metrics import MEANINGS
@@ -28,10 +24,7 @@ SHORT = {  # in a column of a table
     MEANINGS["standing"]: "standing load",
 }
 # How a sentence on a part begins.
-TOOK = {
-    MEANINGS["slope"]: "climbing took",
-    MEANINGS["brakes"]: "braking lost",
-}
+TOOK = {MEANINGS["slope"]: "climbing took", MEANINGS["brakes"]: "braking lost"}
 SHORTEST_MINUTES = 90.0  # s; what is shorter is given in seconds
 WORTH_SAYING = 0.1  # of a drive: from here on heating is named, for it can be turned down
 # From here on what took energy is given as shares of all that did: a drive that went down takes

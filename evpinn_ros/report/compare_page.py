@@ -20,9 +20,8 @@ from evpinn_ros.replays.comparison import Comparison, over_distance
 from evpinn_ros.replays.driven import travelled
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.report.breakdown_text import name_of
-from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
-from evpinn_ros.report.intervals import IntervalRow, interval_rows
+from evpinn_ros.report.shapes import Curve, IntervalRow, curve, interval_rows
 
 SURE = 2.0  # sigmas of a part beyond which it explains a difference
 WORTH_NAMING = 0.1  # of the difference
@@ -177,11 +176,7 @@ def write_comparison(
         rows=trip_rows(comparison, units) + part_rows(parts, units=units),
         bars=_bars(comparison.names, parts, units),
         differences=[
-            (
-                name,
-                _whiskers(difference, units),
-                part_rows([difference], signed=True, units=units),
-            )
+            (name, _whiskers(difference, units), part_rows([difference], signed=True, units=units))
             for name, difference in zip(
                 comparison.names[1:], comparison.differences(), strict=True
             )

@@ -123,13 +123,7 @@ def outcome_chart(parts: Iterable[ForecastOutcome]) -> Chart:
 
 
 def _time_chart(grid: Grid, axis: str, decimals: int, series: list[Chart]) -> Chart:
-    return {
-        "kind": "time",
-        **grid.times,
-        "axis": axis,
-        "decimals": decimals,
-        "series": series,
-    }
+    return {"kind": "time", **grid.times, "axis": axis, "decimals": decimals, "series": series}
 
 
 def _line(label: str, role: str, time: np.ndarray, values: np.ndarray, grid: Grid) -> Chart:

@@ -25,7 +25,7 @@ from evpinn_ros.report.breakdown_text import (
     shown,
 )
 from evpinn_ros.report.drive_charts import Chart
-from evpinn_ros.report.intervals import IntervalRow, interval_rows
+from evpinn_ros.report.shapes import IntervalRow, interval_rows
 from evpinn_ros.report.thinning import packed
 
 LEAST_DISTANCE = 100.0  # m in a bin of speed before its energy is shown,

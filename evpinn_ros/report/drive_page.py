@@ -31,7 +31,6 @@ from evpinn_ros.report.drive_energy import breakdown_values, running_totals, spe
 from evpinn_ros.report.drive_maps import FAST_SPEED, SLOW_SPEED
 from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.report.html import write_page
-from evpinn_ros.report.intervals import trend_intervals
 from evpinn_ros.report.owner_text import (
     LEAST_CHARGED,
     NEARLY_WHOLE,
@@ -43,6 +42,7 @@ from evpinn_ros.report.owner_text import (
     owner_notes,
     part_text,
 )
+from evpinn_ros.report.shapes import trend_intervals
 from evpinn_ros.report.tables import (
     SCORE_COLUMNS,
     energy_lines,
@@ -124,9 +124,6 @@ def write_drives(
 
     `breakdown` is that of several drives together, as in the metrics of each; `health` a sentence
     on the battery after them.
-
-    Raises:
-        OSError: it cannot be written.
     """
     points = max(POINTS // len(drives), LEAST_POINTS)
     names = short_names([Path(drive.metrics["input"]["path"]) for drive in drives])
@@ -171,8 +168,7 @@ def _drive(
     steps = travelled(drive), measured_steps(drive)
     parts = forecast_outcomes(drive, reported.vehicle.air_density)
     moments = drive_maps.moments(drive)
-    charts = dict(_energy_charts(reported, steps[1], units))
-    charts |= dict(_curves(reported, steps[1], points, units))
+    charts = dict(_curves(reported, steps[1], points, units))
     charts |= dict(_maps(reported, moments, units))
     if parts:
         charts["outcome"] = drive_charts.outcome_chart(parts)
@@ -216,16 +212,12 @@ def _shaded(reported: ReportedDrive) -> Iterator[tuple[float, float]]:
         yield reported.withheld_from, reported.drive.duration
 
 
-def _energy_charts(reported: ReportedDrive, measured: DrivenSteps, units: Units) -> Charts:
-    drive = reported.drive
+def _curves(reported: ReportedDrive, measured: DrivenSteps, points: int, units: Units) -> Charts:
+    """Energy by speed, the road, and the curves over time."""
+    drive, few = reported.drive, points // SMALL
     yield "by_speed", speed_energy_chart(drive, reported.vehicle, measured, units)
     if len(drive.position) > 1:
         yield "map", drive_maps.route_map(drive, measured, units)
-
-
-def _curves(reported: ReportedDrive, measured: DrivenSteps, points: int, units: Units) -> Charts:
-    """The curves over time."""
-    drive, few = reported.drive, points // SMALL
     speed = drive.speed * (1.0, units.speeds)
     yield "speed", drive_charts.line_chart(drive, "speed", f"speed, {units.speed}", speed, points)
     yield "power", drive_charts.power_chart(drive, points)

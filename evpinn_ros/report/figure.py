@@ -21,7 +21,7 @@ from evpinn_ros.core.vehicle.identifiable import Identifiable
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.replays.scoring import longest_step, running_total
-from evpinn_ros.topics import Topic, topic_of
+from evpinn_ros.topics import topic_of
 from evpinn_ros.topics.estimates import (
     POWER_KINDS,
     read_breakdown,
@@ -38,11 +38,7 @@ with optional_imports():
 
 
 def recorded_drive(bag: Path) -> Drive:
-    """The series of a bag that was recorded from the nodes, or written by a replay.
-
-    Raises:
-        InputError: it is no bag.
-    """
+    """The series of a bag that was recorded from the nodes, or written by a replay."""
     history, charge = History(), ChargeScale()
     parameters: Any = None
     combined: Any = None
@@ -63,18 +59,13 @@ def recorded_drive(bag: Path) -> Drive:
                     history.add_output(read_parameters(parameters, combined, record.message))
                 elif topic is topics.ENERGY_BREAKDOWN:
                     history.add_breakdown(read_breakdown(record.message))
-                elif topic is not None:
-                    _add_output(history, topic, record.message)
+                elif topic is topics.ENERGY_STATE:
+                    history.add_output(read_energy(record.message))
+                elif topic is not None and topic in POWER_KINDS:
+                    history.add_output(read_power(topic, record.message))
             except BadMessage:
                 continue  # a message of somebody else's: there is nothing of ours to draw
     return history.drive()
-
-
-def _add_output(history: History, topic: Topic, message: Any) -> None:
-    if topic in POWER_KINDS:
-        history.add_output(read_power(topic, message))
-    elif topic is topics.ENERGY_STATE:
-        history.add_output(read_energy(message))
 
 
 MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"
@@ -91,26 +82,26 @@ TITLES = {
     "p_aux": "auxiliary power, W",
 }
 OUTSIDE: Mapping[str, Any] = {
-    **{"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2},
-    **{"frameon": False, "fontsize": "small"},
+    "loc": "lower right",
+    "bbox_to_anchor": (1.0, 1.0),
+    "borderaxespad": 0.2,
+    "frameon": False,
+    "fontsize": "small",
 }
 
 
-def drive_figure(
-    drive: Drive,
-    title: str,
-    truth: Identifiable | None = None,
-) -> Figure:
+def drive_figure(drive: Drive, title: str, truth: Identifiable | None = None) -> Figure:
     """Draw a drive with its breakdown; the truth of a simulated car is drawn as lines."""
     figure = Figure(figsize=(12, 11.5), layout="constrained")
     figure.suptitle(title, parse_math=False)  # it may be the name of a file
     grid = figure.add_gridspec(5, 6, height_ratios=(1.35, 0.7, 1.2, 1, 1))
     _draw_breakdown(figure.add_subplot(grid[0, :]), drive.breakdown)
     over_time = [figure.add_subplot(grid[row, :]) for row in (1, 2)]
-    cells = [grid[row, columns] for row in (3, 4) for columns in _thirds()]
+    cells = [grid[row, 2 * third : 2 * third + 2] for row in (3, 4) for third in range(3)]
     over_time += [figure.add_subplot(cell) for cell in cells]
     speed, power, energy, *combinations = over_time
-    _draw_speed(speed, drive)
+    speed.plot(drive.speed[:, 0], drive.speed[:, 1] * 3.6, color="tab:blue", lw=1)
+    speed.set_title("speed, km/h", loc="left", fontsize="medium")
     _draw_power(power, drive)
     _draw_energy(energy, drive)
     for axes, name in zip(combinations, TITLES, strict=True):
@@ -135,10 +126,6 @@ def save_figure(figure: Figure, path: Path) -> None:
         figure.savefig(draft, dpi=110, format="png")
 
 
-def _thirds() -> tuple[slice, ...]:
-    return slice(0, 2), slice(2, 4), slice(4, 6)
-
-
 def _draw_breakdown(axes: Axes, amounts: Mapping[str, tuple[float, float]]) -> None:
     """A bar for each part with its 95 % interval."""
     names = [name for name in MEANINGS if any(amounts.get(name, ()))]
@@ -161,11 +148,6 @@ def _draw_breakdown(axes: Axes, amounts: Mapping[str, tuple[float, float]]) -> N
     axes.grid(axis="x", alpha=0.3)
     axes.errorbar([], [], xerr=[], color=PREDICTED, elinewidth=2, label="estimate, 95 % interval")
     axes.legend(**OUTSIDE, ncols=2)
-
-
-def _draw_speed(axes: Axes, drive: Drive) -> None:
-    axes.plot(drive.speed[:, 0], drive.speed[:, 1] * 3.6, color="tab:blue", lw=1)
-    axes.set_title("speed, km/h", loc="left", fontsize="medium")
 
 
 def _draw_power(axes: Axes, drive: Drive) -> None:

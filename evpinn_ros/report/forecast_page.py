@@ -17,9 +17,8 @@ from evpinn_ros.core.estimation.experts import Expert
 from evpinn_ros.core.estimation.terms import Part
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.report.breakdown_text import least_of
-from evpinn_ros.report.curves import Curve, curve
 from evpinn_ros.report.html import write_page
-from evpinn_ros.report.intervals import IntervalRow, interval_rows
+from evpinn_ros.report.shapes import Curve, IntervalRow, curve, interval_rows
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
 LEAST_SHOWN = 0.0005  # kWh, which would read 0.000
@@ -36,11 +35,7 @@ class PlannedTrip(NamedTuple):
 def write_forecasts(
     path: Path, trips: Sequence[PlannedTrip], assumed: str, command: str, units: Units = METRIC
 ) -> None:
-    """Write the page; `assumed` are sentences on the car and the conditions.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write the page; `assumed` are sentences on the car and the conditions."""
     names = " and ".join(trip.name for trip in trips)
     shown = [_trip(trip, units) for trip in trips]
     title = f"Forecast of {names}"
@@ -147,11 +142,7 @@ def _parts(planned: PlannedEnergy) -> list[dict[str, Any]]:
     return interval_rows(
         [
             IntervalRow(
-                name,
-                _kwh(amount),
-                amount.value,
-                GAUSSIAN_QUANTILE * amount.sigma,
-                least_of(name),
+                name, _kwh(amount), amount.value, GAUSSIAN_QUANTILE * amount.sigma, least_of(name)
             )
             for name, amount in rows
         ]

@@ -16,7 +16,7 @@ from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.extras.fleet.population import COMBINATIONS, Population, PopulationValue
 from evpinn_ros.extras.fleet.tables import CHARTED, SHOWN, FleetSummary
 from evpinn_ros.report.html import write_page
-from evpinn_ros.report.intervals import trend_intervals
+from evpinn_ros.report.shapes import trend_intervals
 
 POPULATION_HEAD = (
     *("", "vehicle file", "mean of the cars", "from car to car", "next car", "worth, cars"),
@@ -33,11 +33,7 @@ MARGIN = 0.04  # of the width, on both sides
 
 
 def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
-    """Write the report.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write the report; OSError where it cannot be written."""
     write_page(
         path,
         "fleet.html.j2",
