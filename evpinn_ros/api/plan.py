@@ -132,10 +132,7 @@ def forecast(
 
 
 def planned_energy(
-    plan: Any,
-    car: Any,
-    conditions: PlanConditions = UNSAID,
-    air_density: float | None = None,
+    plan: Any, car: Any, conditions: PlanConditions = UNSAID, air_density: float | None = None
 ) -> PlannedEnergy:
     """The forecast as a value, with the arguments and errors of `forecast`."""
     vehicle, model, account = known_car(car)

@@ -289,21 +289,18 @@ class McapRecords:
         records = StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records
         with suppress(*PARSE_ERRORS):
             for record in records:
-                _take(summary.content, record)
+                match record:
+                    case Schema():
+                        summary.content.schemas.setdefault(record.id, record)
+                    case Channel():
+                        summary.content.channels.setdefault(record.id, record)
+                    case ChunkIndex():
+                        summary.content.chunk_indexes.append(record)
+                    case Statistics():
+                        summary.content.statistics = record
         return summary
 
 
 def _parsed(opcode: int, body: bytes) -> Any:
     """The record of `mcap.records` in these bytes."""
     return _PARSED[opcode].read(ReadDataStream(BytesIO(body)))
-
-
-def _take(summary: Summary, record: Any) -> None:
-    if isinstance(record, Schema):
-        summary.schemas.setdefault(record.id, record)
-    elif isinstance(record, Channel):
-        summary.channels.setdefault(record.id, record)
-    elif isinstance(record, ChunkIndex):
-        summary.chunk_indexes.append(record)
-    elif isinstance(record, Statistics):
-        summary.statistics = record

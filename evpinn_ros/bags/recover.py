@@ -155,11 +155,7 @@ def _nothing(source: Path, files: list[RecoveredFile]) -> str:
 
 
 def broken_files(source: Path) -> list[Path]:
-    """The MCAP files of a bag, in the order of their numbers.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The MCAP files of a bag, in the order of their numbers."""
     if not source.exists():
         raise InputError(f"{source}: no such file or folder")
     if source.is_file():
@@ -224,22 +220,17 @@ def _save(item: McapItem, records: McapRecords, report: RecoveredFile, copy: _Co
 
 
 class _Copy:
-    """A new file of what was saved.
-
-    Attributes:
-        writer: of the library.
-        written: number and log times of its messages.
-    """
+    """A new file of what was saved."""
 
     def __init__(self, path: Path, topics: dict[str, WrittenTopic]) -> None:
         """Make the file; its messages are counted in `topics` too."""
-        self.written = WrittenFile(path.name)
+        self.written = WrittenFile(path.name)  # number and log times of its messages
         self._topics = topics
         self._ids: dict[int, tuple[int, WrittenTopic]] = {}  # new id and topic by the old id
         self._schemas = {0: 0}  # new ids by the old ones
         with as_input_error(path):
             self._file = new_file(path)
-        self.writer = Writer(self._file)
+        self.writer = Writer(self._file)  # of the library
         # Readers that know ROS 2 refuse any other profile; the types are in the schemas.
         self.writer.start(profile="ros2", library=LIBRARY)
 

@@ -246,10 +246,7 @@ def _holds_more(database: sqlite3.Connection, kind: str, name: str, size: int) -
             (held,) = database.execute(MESSAGE_BYTES).fetchone()
             return bool(held > size)
         rows = database.execute(f"SELECT * FROM {quoted} NOT INDEXED")
-        return any(held > size for held in accumulate(sum(map(_size, row)) for row in rows))
+        sizes = (sum(len(cell) for cell in row if isinstance(cell, str | bytes)) for row in rows)
+        return any(held > size for held in accumulate(sizes))
     except sqlite3.DatabaseError as error:
         return str(error) == "interrupted"
-
-
-def _size(value: object) -> int:
-    return len(value) if isinstance(value, str | bytes) else 0

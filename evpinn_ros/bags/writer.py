@@ -89,11 +89,7 @@ class BagWriter:
         self.close()
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Add a message made by `new_message` or read by `BagReader`.
-
-        Raises:
-            ValueError: the topic was written with another type before.
-        """
+        """Add a message made by `new_message` or read by `BagReader`."""
         self.write_raw(topic, message.__msgtype__, encode(message), log_time_ns)
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
@@ -182,11 +178,7 @@ class McapPart:
     """
 
     def __init__(self, path: Path) -> None:
-        """Make the file.
-
-        Raises:
-            OSError: it is there, or cannot be made.
-        """
+        """Make the file."""
         self.written = WrittenFile(path.name)
         self._folder = path.parent
         self._file = new_file(path)

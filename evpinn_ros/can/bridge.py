@@ -187,30 +187,23 @@ class _Arrivals:
     def record(self, stamp_ns: int) -> None:
         self._count += 1
         if self._last_ns is not None:
-            self._learn(stamp_ns - self._last_ns)
+            # Average the intervals, plainly at first; a pause counts as one long period at most.
+            clipped = min(max(stamp_ns - self._last_ns, 0), LONGEST_PERIOD_NS)
+            intervals = self._count - 1
+            if intervals == 1:
+                self._period_ns = clipped
+            else:
+                weight = max(PERIOD_WEIGHT, 1 / intervals)
+                self._period_ns += weight * (clipped - self._period_ns)
         self._last_ns = max(stamp_ns, self._last_ns or stamp_ns)
 
     def status(self, now_ns: int) -> SignalStatus:
         age_ns = math.nan if self._last_ns is None else now_ns - self._last_ns
+        period_ns = self._period_ns if math.isfinite(self._period_ns) else LONGEST_PERIOD_NS
+        patience_ns = STALE_PERIODS * max(period_ns, SHORTEST_PERIOD_NS)
         return SignalStatus(
             count=self._count,
             rate=NANOSECONDS / self._period_ns if self._period_ns else math.nan,
             age=age_ns / NANOSECONDS,
-            stale=not age_ns <= self._patience_ns,  # NaN, never came, is stale too
+            stale=not age_ns <= patience_ns,  # NaN, never came, is stale too
         )
-
-    @property
-    def _patience_ns(self) -> float:
-        has_period = math.isfinite(self._period_ns)
-        period_ns = self._period_ns if has_period else LONGEST_PERIOD_NS
-        return STALE_PERIODS * max(period_ns, SHORTEST_PERIOD_NS)
-
-    def _learn(self, interval_ns: int) -> None:
-        """Average the intervals, plainly at first; a pause counts as one long period at most."""
-        clipped = min(max(interval_ns, 0), LONGEST_PERIOD_NS)
-        intervals = self._count - 1
-        if intervals == 1:
-            self._period_ns = clipped
-        else:
-            weight = max(PERIOD_WEIGHT, 1 / intervals)
-            self._period_ns += weight * (clipped - self._period_ns)

@@ -212,7 +212,9 @@ class BusReader:
                 self._was_off = True
                 self._lose(self._explained(BusCondition.OFF), BusCondition.OFF)
             elif message is None:
-                self._note_quiet()
+                self._silent_s += RECEIVE_TIMEOUT_S
+                if self._silent_s >= SILENT_AFTER_S:
+                    self._condition = BusCondition.OFF if self._was_off else BusCondition.SILENT
             else:
                 self._take(message)
 
@@ -240,11 +242,6 @@ class BusReader:
             self._lose(self._problem)
         else:
             self._wait(GARBLED_PAUSE_S)
-
-    def _note_quiet(self) -> None:
-        self._silent_s += RECEIVE_TIMEOUT_S
-        if self._silent_s >= SILENT_AFTER_S:
-            self._condition = BusCondition.OFF if self._was_off else BusCondition.SILENT
 
     def _take(self, message: Any) -> None:
         self._silent_s = 0.0

@@ -160,15 +160,15 @@ class FitGuard:
         return held
 
     def _review(self, frame: CanFrame) -> None:
-        own, contradiction = self.fit, self._judge()
+        messages, contradiction = self.fit.messages, self._judge()
         if contradiction is not None:
             self._refuse(contradiction)
         elif self.contradiction is not None:
             wrong = self.contradiction.wrong
-            if all(message.came_right for message in own.messages if message.quantity in wrong):
+            if all(message.came_right for message in messages if message.quantity in wrong):
                 self._trust()
         # Others are decoded only where they could tell: that costs as much as our own profile.
-        spotless = own.proven and not any(message.bad for message in own.messages)
+        spotless = self.fit.proven and not any(message.bad for message in messages)
         self._comparing = self.verdict is ProfileVerdict.REFUSED or not spotless
         self._begin(frame)
 

@@ -57,10 +57,6 @@ _METHOD = struct.Struct("<H14x")
 logging.getLogger("can.io").setLevel(logging.CRITICAL)
 
 
-class TwoCarsError(InputError):
-    """A recording holds the buses of two cars."""
-
-
 class LogFile:
     """A CAN log on disk, read once by `frames()`; the attributes are complete after that.
 
@@ -144,7 +140,7 @@ class LogFile:
             # thing, that the log ends here. Whoever takes the frames is not inside the try.
             try:
                 yield from self._read(lines or file)
-            except TwoCarsError:
+            except InputError:  # two cars
                 raise
             except Exception as error:
                 place = f"{self.path}:{lines.number}" if lines else str(self.path)
@@ -185,7 +181,7 @@ class LogFile:
             ):
                 self.skipped["other_bus"] += 1
                 if cars := self._first_bus.cars:
-                    raise TwoCarsError(f"{self.path}: {cars}")
+                    raise InputError(f"{self.path}: {cars}")
             else:
                 yield CanFrame.of(message, nanoseconds(message.timestamp))
         # These readers stop where the file stops and are content; gzip notices by itself.
@@ -281,9 +277,6 @@ def write_log(path: str | Path, frames: Iterable[CanFrame]) -> int:
 
     Returns:
         how many were written.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     count = 0
     with as_input_error(path), replaced(Path(path)) as draft:

@@ -193,19 +193,13 @@ class Poller:
         return sent
 
     def _record_traffic(self, frame: CanFrame, now_s: float) -> None:
-        if self._is_foreign(frame, now_s):
+        sent_s = self._sent_s.get((frame.key, frame.data), -math.inf)
+        if frame.key in self._asked_ids and now_s - sent_s > ECHO_S:  # not ours, as an echo is
             self._shared_id = frame.can_id
         if self._restraint.record_frame(frame.can_id, frame.extended, now_s):
             for unit in self._units.values():
                 unit.revive()
             self._changed.notify()
-
-    def _is_foreign(self, frame: CanFrame, now_s: float) -> bool:
-        """True if somebody else sends where we do; some adapters echo what we sent ourselves."""
-        if frame.key not in self._asked_ids:
-            return False
-        sent_s = self._sent_s.get((frame.key, frame.data), -math.inf)
-        return now_s - sent_s > ECHO_S
 
     def _observe(self, readings: Iterable[Reading], now_s: float) -> None:
         for reading in readings:

@@ -51,16 +51,11 @@ class Leave(Enum):
 
 
 class Restraint:
-    """Watches what comes back; all times in s of the monotonic clock.
-
-    Attributes:
-        reason: why not to ask, None while asking is fine.
-        leave: what may be asked.
-    """
+    """Watches what comes back; all times in s of the monotonic clock."""
 
     def __init__(self) -> None:
-        self.reason: str | None = None
-        self.leave = Leave.ALL
+        self.reason: str | None = None  # why not to ask, None while asking is fine
+        self.leave = Leave.ALL  # what may be asked
         self._low = False
         self._patience_s = UNANSWERED_S
         self._unanswered_since_s: float | None = None

@@ -17,16 +17,7 @@ from evpinn_ros.common.errors import InputError
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
-COMMANDS = (
-    "unseen",
-    "ablation",
-    "settings",
-    "plans",
-    "truth",
-    "breakdown",
-    "speed",
-    "soak",
-)
+COMMANDS = ("unseen", "ablation", "settings", "plans", "truth", "breakdown", "speed", "soak")
 
 
 class BenchCommands(LazyCommands):
@@ -35,11 +26,7 @@ class BenchCommands(LazyCommands):
     modules: ClassVar[Mapping[str, str]] = {name: f"benchmarks.cli.{name}" for name in COMMANDS}
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of a name, None when there is none.
-
-        Raises:
-            InputError: this is no checkout.
-        """
+        """The command of a name, None when there is none."""
         if not (CHECKOUT / "benchmarks" / "cli").is_dir():
             raise InputError("the benchmarks are not installed; run evpinn bench in a checkout")
         if str(CHECKOUT) not in sys.path:
@@ -48,10 +35,7 @@ class BenchCommands(LazyCommands):
 
 
 bench = typer.Typer(
-    cls=BenchCommands,
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
+    cls=BenchCommands, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
 )
 
 

@@ -45,8 +45,7 @@ def group() -> None:
 @can.command(cls=ReadableCommand)
 def inspect(
     source: Annotated[
-        Path | None,
-        typer.Argument(help="CAN log or bag of raw frames; not for a live bus."),
+        Path | None, typer.Argument(help="CAN log or bag of raw frames; not for a live bus.")
     ] = None,
     interface: Annotated[
         str | None,
@@ -58,11 +57,7 @@ def inspect(
     ] = None,
     channel: Annotated[
         str | None,
-        typer.Option(
-            "--channel",
-            "--can-channel",
-            help="can0, /dev/ttyACM0... of a live bus.",
-        ),
+        typer.Option("--channel", "--can-channel", help="can0, /dev/ttyACM0... of a live bus."),
     ] = None,
     elm327: Elm327Option = None,
     bitrate: Annotated[
@@ -70,8 +65,7 @@ def inspect(
         typer.Option(min=1, help=f"Bit rate of the bus, bit/s; {BITRATE} if not given."),
     ] = None,
     bus_option: Annotated[
-        str,
-        typer.Option("--bus-options", help="Options 'name=value ...' for the driver."),
+        str, typer.Option("--bus-options", help="Options 'name=value ...' for the driver.")
     ] = "",
     seconds: Annotated[
         float | None,
@@ -80,11 +74,7 @@ def inspect(
         ),
     ] = None,
     can_profile: Annotated[
-        str | None,
-        typer.Option(
-            help="Rank this profile too.",
-            autocompletion=complete_profile,
-        ),
+        str | None, typer.Option(help="Rank this profile too.", autocompletion=complete_profile)
     ] = None,
     json_file: JsonOption = None,
 ) -> None:

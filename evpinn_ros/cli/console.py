@@ -81,9 +81,6 @@ def write_json(path: Path, document: Any) -> None:
     """Write results for scripts to stdout or a file, whose folder is made if need be.
 
     A number that is not finite becomes null.
-
-    Raises:
-        InputError: it cannot be written.
     """
     text = json_text(document, indent=1)
     if str(path) == STDOUT:

@@ -57,7 +57,11 @@ def convert(
     Example: evpinn convert out/drive out/drive_sqlite3 --storage sqlite3
     """
     if storage is not None:
-        _change_storage(source_path, out, storage)
+        seconds = stated_seconds(source_path)
+        with Interruption() as interruption:
+            with writing(out), progress_bar(source_path.name, seconds) as progress:
+                change_storage(source_path, out, storage, progress, lambda: interruption.asked)
+            say(f"{out}")
         return
     car = load_vehicle(vehicle)
     source = open_source(source_path, car, read_options)
@@ -85,10 +89,3 @@ def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str
         kept = takewhile(lambda _: not interruption.asked, chain(begun, readings))
         with writing(out), BagWriter(out) as writer:
             return write_readings(kept, writer)
-
-
-def _change_storage(source: Path, out: Path, storage: Storage) -> None:
-    with Interruption() as interruption:
-        with writing(out), progress_bar(source.name, stated_seconds(source)) as progress:
-            change_storage(source, out, storage, progress, lambda: interruption.asked)
-        say(f"{out}")

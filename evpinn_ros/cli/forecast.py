@@ -67,8 +67,7 @@ def forecast(
         typer.Option(min=-60.0, max=60.0, help="Head wind, m/s; negative is a tail wind."),
     ] = None,
     payload: Annotated[
-        float | None,
-        typer.Option(min=0.0, max=5000.0, help="Additional people and luggage, kg."),
+        float | None, typer.Option(min=0.0, max=5000.0, help="Additional people and luggage, kg.")
     ] = None,
     stood: Annotated[
         float | None,
@@ -79,8 +78,7 @@ def forecast(
         ),
     ] = None,
     prewarmed: Annotated[
-        bool,
-        typer.Option("--prewarmed", help="The cabin was heated or cooled while plugged in."),
+        bool, typer.Option("--prewarmed", help="The cabin was heated or cooled while plugged in.")
     ] = False,
     steady: Annotated[
         bool | None,

@@ -22,13 +22,10 @@ class Interruption:
     signal's number. A second Ctrl-C does not wait. Other signals come more than once by
     themselves, as that of a closed terminal from its shell and from the kernel. Where one is
     ignored, as Ctrl-C in the background of a script, it stays so.
-
-    Attributes:
-        asked: whether to stop.
     """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.asked = False  # whether to stop
         self._code = INTERRUPTED
         self._before: dict[int, Any] = {}
 

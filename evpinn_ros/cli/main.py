@@ -102,7 +102,3 @@ def _drop_output() -> None:
     """Discard buffered stdout, which Python would otherwise write at exit."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-if __name__ == "__main__":
-    main()

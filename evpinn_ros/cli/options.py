@@ -108,8 +108,7 @@ JsonOption = Annotated[
     Path | None, typer.Option("--json", help=_JSON_HELP, callback=_check_json_file)
 ]
 MetricsOption = Annotated[
-    Path | None,
-    typer.Option("--metrics", "--json", help=_JSON_HELP, callback=_check_json_file),
+    Path | None, typer.Option("--metrics", "--json", help=_JSON_HELP, callback=_check_json_file)
 ]
 ReportOption = Annotated[
     Path | None, typer.Option(help="Write this HTML report.", callback=check_report)

@@ -76,8 +76,7 @@ def run(
         int | None, typer.Option(min=0, help="Bit rate of the bus, bit/s; 500000 if not given.")
     ] = None,
     bus_option: Annotated[
-        str | None,
-        typer.Option("--bus-options", help="Options 'name=value ...' for the driver."),
+        str | None, typer.Option("--bus-options", help="Options 'name=value ...' for the driver.")
     ] = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
@@ -96,8 +95,7 @@ def run(
     ] = None,
     report: ReportOption = None,
     split_size: Annotated[
-        float | None,
-        typer.Option(min=0.1, help="Begin a new file of the bag at this size in MB."),
+        float | None, typer.Option(min=0.1, help="Begin a new file of the bag at this size in MB.")
     ] = None,
     split_time: Annotated[
         float | None, typer.Option(min=1.0, help="Start a new file of the bag after this time, s.")

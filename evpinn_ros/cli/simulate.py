@@ -43,8 +43,7 @@ def simulate(
         float, typer.Option(help="Root mean square slope of the road in percent, 0 is flat.")
     ] = 100 * RMS_GRADE,
     start: Annotated[
-        datetime,
-        typer.Option(help="Start of the drive, UTC.", show_default=False),
+        datetime, typer.Option(help="Start of the drive, UTC.", show_default=False)
     ] = START,
     altitude: Annotated[bool, typer.Option("--altitude", help="Record a barometer too.")] = False,
     temperature: Annotated[
@@ -56,10 +55,7 @@ def simulate(
     ] = False,
     equation: Annotated[
         RegenForm | None,
-        typer.Option(
-            metavar="FORM",
-            help="Obey this form of eq. 21 exactly, on a flat road.",
-        ),
+        typer.Option(metavar="FORM", help="Obey this form of eq. 21 exactly, on a flat road."),
     ] = None,
     can_profile: CanProfileOption = None,
     can_log: Annotated[

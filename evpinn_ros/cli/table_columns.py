@@ -80,11 +80,5 @@ def _stem(name: str) -> str:
 
 def choice(rule: Column) -> str:
     """The column that was chosen for a quantity, with its unit and the reason."""
-    unit = _unit(rule.unit) if rule.unit else ""
-    return ", ".join(filter(None, [repr(rule.name), unit, rule.why]))
-
-
-def _unit(text: str) -> str:
-    """A unit as people write it; the reason beside it gives the sign of `-a`."""
-    bare = text.lstrip("-")
-    return PRETTY.get(bare, bare)
+    unit = (rule.unit or "").lstrip("-")  # the reason beside it gives the sign of `-a`
+    return ", ".join(filter(None, [repr(rule.name), PRETTY.get(unit, unit), rule.why]))

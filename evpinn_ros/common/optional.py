@@ -27,11 +27,7 @@ EXTRA_OF = {
 
 @contextmanager
 def optional_imports() -> Iterator[None]:
-    """Imports optional packages in a block; if one is missing, the error names its extra.
-
-    Raises:
-        InputError: one line, with the command that installs the extra.
-    """
+    """Imports optional packages in a block; if one is missing, the error names its extra."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -23,11 +23,7 @@ def share_directory() -> Path:
 
 
 def bundled_lines(name: str) -> list[str]:
-    """Lines of a text file of the package data, without those that begin with #.
-
-    Raises:
-        FileNotFoundError: the package was installed without its data files.
-    """
+    """Lines of a text file of the package data, without those that begin with #."""
     lines = (share_directory() / name).read_text(encoding="utf-8").splitlines()
     return [line for line in lines if not line.startswith("#")]
 

@@ -3,7 +3,8 @@
 Files are whole or not there, follow no link that somebody laid, and destroy no input.
 
 That holds after a loss of power, a kill, on a full disk, beside another process that writes the
-same file, and in a folder that others may write to as well.
+same file, and in a folder that others may write to as well. Where the system does not write, its
+OSError comes through.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ def replaced(path: Path, *, private: bool = False) -> Iterator[BinaryIO]:
             yield other
         return
     _sweep(target.parent)
-    handle, name = mkstemp(prefix=_prefix(), dir=target.parent)
+    writer = f"{_machine()}-{os.getpid()}-{_start_of(os.getpid())}"
+    handle, name = mkstemp(prefix=f"{DRAFT}{writer}-", dir=target.parent)
     draft = Path(name)
     try:
         with os.fdopen(handle, "w+b") as file:
@@ -79,11 +81,7 @@ def replaced(path: Path, *, private: bool = False) -> Iterator[BinaryIO]:
 
 
 def write_file(path: Path, content: str | bytes, *, private: bool = False) -> None:
-    """Write a whole file as `replaced` does, in UTF-8, and its folder if need be.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write a whole file as `replaced` does, in UTF-8, and its folder if need be."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path, private=private) as draft:
         draft.write(content.encode() if isinstance(content, str) else content)
@@ -93,9 +91,6 @@ def append_to(path: Path, content: str) -> None:
     """Append text to a file that is there, at once: a kill or a full disk leaves all or nothing.
 
     It is not put on the disk: a loss of power may leave a part.
-
-    Raises:
-        OSError: it cannot be written.
     """
     handle, text = os.open(resolved(path), os.O_WRONLY | os.O_APPEND), content.encode()
     try:
@@ -107,39 +102,23 @@ def append_to(path: Path, content: str) -> None:
 
 
 def new_file(path: Path) -> BinaryIO:
-    """A file to write that is not there yet.
-
-    Raises:
-        OSError: it is there, be it as a link, or cannot be made.
-    """
+    """A file to write that is not there yet, not even as a link."""
     return path.open("xb")
 
 
 def new_table(path: Path) -> TextIO:
-    """A file of text to write that is not there yet, for the csv module.
-
-    Raises:
-        OSError: it is there, be it as a link, or cannot be made.
-    """
+    """A file of text to write that is not there yet, for the csv module."""
     return path.open("x", newline="", encoding="utf-8")
 
 
 def mark(path: Path) -> None:
-    """Make an empty file; what is there stays as it is.
-
-    Raises:
-        OSError: it cannot be made.
-    """
+    """Make an empty file; what is there stays as it is."""
     with suppress(FileExistsError), path.open("xb"):
         pass
 
 
 def copy_file(source: Path, target: Path) -> None:
-    """Copy a file to a place where there is none yet.
-
-    Raises:
-        OSError: it cannot be read, or the copy not made.
-    """
+    """Copy a file to a place where there is none yet."""
     with open_file(source) as content, new_file(target) as copy:
         shutil.copyfileobj(content, copy, MEBIBYTE)
 
@@ -254,11 +233,6 @@ def _is_same(path: Path, other: Path) -> bool:
     with suppress(OSError):
         return path == other or path.samefile(other)
     return False
-
-
-def _prefix() -> str:
-    """Begin of a draft's name, which tells who writes it."""
-    return f"{DRAFT}{_machine()}-{os.getpid()}-{_start_of(os.getpid())}-"
 
 
 def _machine() -> str:

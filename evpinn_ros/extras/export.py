@@ -40,9 +40,7 @@ def rmf(
     capacity: Annotated[
         float | None,
         typer.Option(
-            min=0.1,
-            max=1e4,
-            help="Capacity of the battery, A h; else as learned, or by its file.",
+            min=0.1, max=1e4, help="Capacity of the battery, A h; else as learned, or by its file."
         ),
     ] = None,
     charging_current: Annotated[

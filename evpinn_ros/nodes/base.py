@@ -60,9 +60,6 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         """Declare the parameters of the table `name`, and work at once if no manager is wanted.
 
         `kwargs` go to rclpy's Node.
-
-        Raises:
-            InputError: a parameter is wrong.
         """
         self.calls: Counter[str] = Counter()
         self._made: list[Callable[[], object]] = []  # what undoes each endpoint and timer
@@ -110,21 +107,13 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self.trigger_activate()
 
     def configure(self) -> None:
-        """Make all that the node works with, from its parameters and files.
-
-        Raises:
-            InputError: one of them is wrong.
-        """
+        """Make all that the node works with; InputError where a parameter or a file is wrong."""
 
     def let_go(self) -> None:
         """Undo `configure`, but for endpoints and timers, which are undone anyway."""
 
     def begin(self) -> None:
-        """Open what the node holds while it works.
-
-        Raises:
-            InputError: it cannot be opened.
-        """
+        """Open what the node holds while it works; InputError where that fails."""
 
     def end(self) -> str | None:
         """Let go of what the node holds while it works; gives what could not be kept and why."""

@@ -10,14 +10,7 @@ from evpinn_ros.core.estimation.estimator import Activity, EstimatorStatus
 from evpinn_ros.core.estimation.learner import LearnerReport
 from evpinn_ros.core.signals.detector import BATTERY_STUCK, CURRENT_SIGN, GRADE_SIGN, SPEED_STUCK
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.nodes.diagnosis import (
-    MISSING_AFTER,
-    Condition,
-    Status,
-    flat,
-    rounded,
-    with_health,
-)
+from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Condition, Status, flat, rounded, with_health
 from evpinn_ros.topics.messages import Level
 
 WAITING, NO_SPEED = "waiting for vehicle/speed", "no vehicle/speed"
@@ -33,12 +26,13 @@ RECENT = 60  # updates whose median duration is shown
 
 def estimator_status(status: EstimatorStatus, condition: Condition) -> Status:
     """The health of the estimator, from the status of its core."""
+    recent = status.durations[-RECENT:]
     bands = {kind: rounded(share) for kind, share in status.band_coverage.items()}
     values = {
         "activity": status.activity.value,
         "updates": status.updates,
         "accepted": status.accepted,
-        "update_ms": _milliseconds(status.durations),
+        "update_ms": rounded(1000 * statistics.median(recent)) if recent else math.nan,
         "speed_age_s": rounded(condition.age),
         "time_jumps": condition.jumps,
         "inputs_without_data": ", ".join(status.unknown) or "nothing",
@@ -121,8 +115,3 @@ def _lag(status: EstimatorStatus) -> dict[str, object]:
         return {"lag_s": "unknown"}
     values = {"lag_s": status.lag.seconds, "lag_std_s": status.lag.sigma}
     return {name: rounded(value) for name, value in (values | {"shift_s": status.shift}).items()}
-
-
-def _milliseconds(durations: tuple[float, ...]) -> object:
-    recent = durations[-RECENT:]
-    return rounded(1000 * statistics.median(recent)) if recent else math.nan

@@ -55,11 +55,7 @@ def new_message(type_name: str, /, **fields: Any) -> Any:
 
 
 def decode(type_name: str, data: bytes) -> Any:
-    """The message at the beginning of CDR bytes.
-
-    Raises:
-        BadMessage: there is none.
-    """
+    """The message at the beginning of CDR bytes."""
     try:
         return deserialize_message(data, message_class(type_name))
     except RuntimeError as error:

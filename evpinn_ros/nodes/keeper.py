@@ -62,10 +62,8 @@ class Keeper:
             before.release()  # of a configuration that failed
         self._node, self._leaders, self._actions = node, leaders, actions
         self._name = node.values[FILES[half]]
-        self.file, self.guard = (
-            StateFile(state_path(self._name), core, half),
-            StampGuard(leaders[0]),
-        )
+        self.file = StateFile(state_path(self._name), core, half)
+        self.guard = StampGuard(leaders[0])
         self.guards = [self.guard]
         self._clock_went_back = False  # since the last jump
         if unwritable := self.file.why_unwritable():

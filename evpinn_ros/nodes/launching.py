@@ -76,11 +76,7 @@ class Given:
     """
 
     def __init__(self, context: Any, arguments: Iterable[DeclareLaunchArgument]) -> None:
-        """Read and check them.
-
-        Raises:
-            InputError: one is wrong.
-        """
+        """Read and check them."""
         names = [argument.name for argument in arguments]
         self.values: dict[str, str] = {
             name: LaunchConfiguration(name).perform(context) for name in names
@@ -95,8 +91,11 @@ class Given:
             raise InputError(f"params_file:={self.values['params_file']}: no such file")
         if self.values["vehicle"]:
             load_vehicle(self.values["vehicle"])
-        if self.values["record"]:
-            _refuse_folder(self.values["record"])
+        record = self.values["record"]
+        if record.lower() in NO_FOLDERS:
+            raise InputError(f"record:={record}: give a folder, such as record:=./drive")
+        if record and Path(record).exists():
+            raise InputError(f"record:={record}: exists already")
 
     def __getitem__(self, name: str) -> str:
         """The text of one argument."""
@@ -117,22 +116,11 @@ class Given:
         return name
 
     def number(self, name: str) -> float:
-        """One that is a number, also one without a decimal point.
-
-        Raises:
-            InputError: it is none.
-        """
+        """One that is a number, also one without a decimal point."""
         try:
             return float(self.values[name])
         except ValueError as error:
             raise InputError(f"{name}:={self.values[name]}: not a number") from error
-
-
-def _refuse_folder(record: str) -> None:
-    if record.lower() in NO_FOLDERS:
-        raise InputError(f"record:={record}: give a folder, such as record:=./drive")
-    if Path(record).exists():
-        raise InputError(f"record:={record}: exists already")
 
 
 def describe(

@@ -17,22 +17,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from evpinn_ros.common.errors import InputError, near_names
-from evpinn_ros.topics.node_parameters import (
-    OF_EVERY_NODE,
-    TABLES,
-    Parameter,
-    Value,
-    refuse_wrong,
-)
+from evpinn_ros.topics.node_parameters import OF_EVERY_NODE, TABLES, Parameter, Value, refuse_wrong
 
 
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
     """Declare the parameters of a table; give their values, which follow later changes.
 
     Those of a managed node may be anything until it is configured, which refuses wrong ones.
-
-    Raises:
-        InputError: a value is wrong.
     """
     given = node._parameter_overrides.get("managed")
     managed = given is not None and given.value is True

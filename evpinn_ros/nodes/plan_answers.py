@@ -91,11 +91,7 @@ BATCH = CallLimits(1000, 20_000_000)
 
 
 class PlanCall:
-    """The plans of one call, answered one by one.
-
-    Attributes:
-        results: evpinn_msgs/PlanResult of each plan so far, in their order.
-    """
+    """The plans of one call, answered one by one."""
 
     def __init__(self, request: Any, limits: CallLimits, log: PlanLog) -> None:
         """Begin with the first plan of a service's request or an action's goal.
@@ -104,7 +100,7 @@ class PlanCall:
         """
         self._plans, self._given = request.plans, request.conditions
         self._limits, self._log = limits, log
-        self.results: list[Any] = []
+        self.results: list[Any] = []  # evpinn_msgs/PlanResult of each plan so far, in their order
         self._points, self._together = 0, object()
         # What plan i takes more than plan j, and its 1-sigma.
         self._more, self._sigma = np.full((2, *[len(self._plans)] * 2), math.nan)

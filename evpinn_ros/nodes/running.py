@@ -21,11 +21,7 @@ from typing import NoReturn
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.signals import (
-    SignalHandlerOptions,
-    install_signal_handlers,
-    uninstall_signal_handlers,
-)
+from rclpy.signals import SignalHandlerOptions, install_signal_handlers, uninstall_signal_handlers
 from rclpy.utilities import try_shutdown
 
 from evpinn_ros.common.errors import InputError, printable
@@ -116,7 +112,10 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
         # Only now: a node that is shut down while it is made does not end quietly.
         install_signal_handlers()
         if not signals:
-            _supervise(nodes)
+            tell("READY=1")
+            period = watchdog_period()
+            if period is not None and nodes:  # from the thread of the callbacks: these go on
+                nodes[0].every(period, partial(tell, "WATCHDOG=1"))
             for node in nodes:
                 executor.add_node(node)
             # A signal that comes while rclpy installs its handlers reaches ours alone: the report
@@ -178,14 +177,6 @@ def _end(nodes: Sequence[GuardedNode]) -> int:
     if errors:
         raise errors[0]
     return code
-
-
-def _supervise(nodes: Sequence[GuardedNode]) -> None:
-    """Tell systemd that all is up; from the thread of the callbacks, that these go on."""
-    tell("READY=1")
-    period = watchdog_period()
-    if period is not None and nodes:
-        nodes[0].every(period, partial(tell, "WATCHDOG=1"))
 
 
 def _end_process() -> NoReturn:

@@ -7,6 +7,7 @@ put them under `NAMESPACE`; only `/diagnostics` is absolute.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 NAMESPACE = "/ev"
 QUEUE_DEPTH = 100
@@ -335,8 +336,8 @@ DIAGNOSTICS = Topic(
     "/diagnostics", "all", "1 Hz: state, reasons, counters", type_name=DIAGNOSTICS_TYPE
 )
 
-_DEFINED = (each if isinstance(each, tuple) else (each,) for each in tuple(globals().values()))
-TOPICS = tuple(dict.fromkeys(one for each in _DEFINED for one in each if isinstance(one, Topic)))
+_VALUES = (value if isinstance(value, tuple) else (value,) for value in [*globals().values()])
+TOPICS = tuple(dict.fromkeys(topic for topic in chain(*_VALUES) if isinstance(topic, Topic)))
 INPUTS = tuple(topic for topic in TOPICS if topic.source in FROM_THE_CAR)
 
 

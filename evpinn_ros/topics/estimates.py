@@ -74,28 +74,23 @@ def output_messages(
 def _parameter_messages(
     new: NewMessage, parameter_set: ParameterSet
 ) -> Iterator[tuple[Topic, Any]]:
+    stamp_ns = parameter_set.stamp_ns
     parameters = {name: Uncertain(p.value, p.std) for name, p in parameter_set.parameters.items()}
-    live = _vector(new, parameter_set.stamp_ns, parameters)
+    live = _vector(new, stamp_ns, parameters)
     yield topics.PARAMETERS, live
     sums = map(Uncertain, parameter_set.identifiable, parameter_set.identifiable_std)
     combined = dict(zip(IDENTIFIABLE_NAMES, sums, strict=True))
-    yield topics.IDENTIFIABLE, _vector(new, parameter_set.stamp_ns, combined)
+    yield topics.IDENTIFIABLE, _vector(new, stamp_ns, combined)
     bounds = {
         f"{name}_{bound}": getattr(estimate, bound)
         for name, estimate in parameter_set.parameters.items()
         for bound in BOUNDS
     }
-    yield (
-        topics.BOUNDS,
-        named_vector(new, parameter_set.stamp_ns, list(bounds), list(bounds.values())),
-    )
+    yield topics.BOUNDS, named_vector(new, stamp_ns, list(bounds), list(bounds.values()))
     if parameter_set.reliable:
         yield topics.RELIABLE, live
     if (lag := parameter_set.lag) is not None:
-        yield (
-            topics.LAG,
-            _vector(new, parameter_set.stamp_ns, {LAG: Uncertain(lag.seconds, lag.sigma)}),
-        )
+        yield topics.LAG, _vector(new, stamp_ns, {LAG: Uncertain(lag.seconds, lag.sigma)})
     for topic in topics.PARAMETER_SCALARS:
         name = topic.name.rpartition("/")[2]
         yield topic, scalar(new, parameter_set.parameters[name].value)
@@ -238,16 +233,13 @@ def read_parameters(parameters: Any, combined: Any, bounds: Any) -> ParameterSet
     """Parameters, combinations and bounds published together; states are not on the topics."""
     live, limits = read_named_vector(parameters), read_named_vector(bounds).values
     values = _all(live.values, PARAMETER_NAMES)
-    estimates = {
-        name: _estimate(value, live.sigmas.get(name, math.nan), bounds_of(limits, name))
-        for name, value in zip(PARAMETER_NAMES, values, strict=True)
-    }
+    estimates = {}
+    for name, value in zip(PARAMETER_NAMES, values, strict=True):
+        std, bound = live.sigmas.get(name, math.nan), bounds_of(limits, name)
+        estimates[name] = ParameterEstimate(
+            value, std, bound["prior_share"], bound["lower"], bound["upper"], Trust.ESTIMATING
+        )
     return ParameterSet(live.stamp_ns, estimates, *read_identifiable(combined), reliable=False)
-
-
-def _estimate(value: float, std: float, bounds: Mapping[str, float]) -> ParameterEstimate:
-    lower, upper, prior_share = (bounds[name] for name in BOUNDS)
-    return ParameterEstimate(value, std, prior_share, lower, upper, Trust.ESTIMATING)
 
 
 def bounds_of(limits: Mapping[str, float], name: str) -> dict[str, float]:

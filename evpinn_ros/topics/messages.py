@@ -73,14 +73,11 @@ def header(new: NewMessage, stamp_ns: int, frame_id: str = "") -> Any:
     Raises:
         ValueError: the stamp is outside what ROS time holds, 1970 to 2038.
     """
-    return new("std_msgs/msg/Header", stamp=_time(new, stamp_ns), frame_id=frame_id)
-
-
-def _time(new: NewMessage, stamp_ns: int) -> Any:
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
     if not 0 <= seconds < 2**31:
         raise ValueError(f"{stamp_ns} ns is outside ROS time")
-    return new("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    stamp = new("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    return new("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
 
 
 def scalar(new: NewMessage, value: float) -> Any:

@@ -109,9 +109,7 @@ MANAGED = Parameter(
     "lifecycle set ...`. Until it is active it sends only /diagnostics.",
 )
 AUTOSTART = Parameter(
-    "autostart",
-    False,
-    "Let a managed node configure and activate itself at its start.",
+    "autostart", False, "Let a managed node configure and activate itself at its start."
 )
 
 ESTIMATOR = (
@@ -153,14 +151,7 @@ ESTIMATOR = (
         0.0,
         10.0,
     ),
-    Parameter(
-        "max_gap",
-        2.5,
-        "Longest gap of speed or battery that is bridged.",
-        "s",
-        0.1,
-        60.0,
-    ),
+    Parameter("max_gap", 2.5, "Longest gap of speed or battery that is bridged.", "s", 0.1, 60.0),
     Parameter(
         "grade_source",
         "auto",

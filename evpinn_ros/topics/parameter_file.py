@@ -52,7 +52,10 @@ def _read(path: Path) -> dict[str, dict[str, Value]]:
             values_of_node[node] |= {
                 p.name: values[p.name] for p in TABLES[node] if p.name in values
             }
-            _refuse(root, node, values_of_node[node], parameters)
+            try:
+                refuse_wrong(TABLES[node], values_of_node[node])
+            except InputError as error:
+                raise root.error(str(error), parameters) from None
     return values_of_node
 
 
@@ -86,13 +89,6 @@ def _checked(root: Section, nodes: list[str], section: yaml.Node) -> dict[str, A
         if problem := next(p for p in table if p.name == name).problem(values[name]):
             raise root.error(problem, node)
     return values
-
-
-def _refuse(root: Section, node: str, values: dict[str, Value], place: yaml.Node) -> None:
-    try:
-        refuse_wrong(TABLES[node], values)
-    except InputError as error:
-        raise root.error(str(error), place) from None
 
 
 def _items(root: Section, node: yaml.Node) -> list[Item]:

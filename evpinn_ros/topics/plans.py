@@ -144,11 +144,7 @@ def question(header: Any) -> Question:
 
 
 def path_plan(message: Any, nominal_speed: float = NOMINAL_SPEED) -> Plan:
-    """The plan in a nav_msgs/Path; without stamps on its poses it is driven at nominal speed.
-
-    Raises:
-        PlanError: the path cannot be driven.
-    """
+    """The plan in a nav_msgs/Path; without stamps on its poses it is driven at nominal speed."""
     x, y, z = _positions(message.poses)
     seconds = _seconds(pose.header.stamp for pose in message.poses)
     return plan_from_path(x, y, z, seconds, nominal_speed=nominal_speed)

@@ -76,12 +76,7 @@ class _Seen:
 
 
 class MqttBridge:
-    """The cars of one broker, created as their topics arrive.
-
-    Attributes:
-        cars: by name, in the order in which they came.
-        ignored: names of cars without a vehicle, too many, or of a second user.
-    """
+    """The cars of one broker, created as their topics arrive."""
 
     def __init__(
         self,
@@ -93,6 +88,7 @@ class MqttBridge:
         self.settings, self._connection = settings, connection
         self._clock, self._note = connection.clock, note
         self._seen: dict[str, _Seen] = {}
+        # Names of cars without a vehicle, too many, or of a second user.
         self.ignored: set[str] = set()
         # What was retained of a car, and when it arrived, until the car sends.
         self._held: dict[str, list[tuple[Parsed, int]]] = {}
@@ -101,7 +97,7 @@ class MqttBridge:
 
     @property
     def cars(self) -> Mapping[str, BridgedCar]:
-        """Cars that have sent something, by name."""
+        """Cars that have sent something, by name, in the order in which they came."""
         return {name: seen.car for name, seen in self._seen.items()}
 
     def step(self, wait: float = WAIT_S) -> bool:

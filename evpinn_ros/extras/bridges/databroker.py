@@ -76,11 +76,7 @@ def signals(car: BridgedCar) -> Iterator[tuple[str, float]]:
 
 
 class DatabrokerFeed:
-    """Feeds a car from a KUKSA databroker, and the databroker with what is learned.
-
-    Attributes:
-        missing: signals that the databroker does not know.
-    """
+    """Feeds a car from a KUKSA databroker, and the databroker with what is learned."""
 
     def __init__(
         self, client: VSSClient, car: BridgedCar, clock: Callable[[], int] = time.time_ns
@@ -89,7 +85,7 @@ class DatabrokerFeed:
         self._client, self._car, self._clock = client, car, clock
         self._snapshots = Snapshots(car.vehicle.nominal_voltage, on_change=False)
         self._sent_ns = 0
-        self.missing: set[str] = set()
+        self.missing: set[str] = set()  # signals that the databroker does not know
 
     def run(self) -> Iterator[None]:
         """Receives updates and sends signals when due; yields after each.

@@ -132,15 +132,13 @@ class Layout:
             match = expression.fullmatch(topic)
             if match is not None:
                 levels = {"car": "car", "user": "", **match.groupdict()}
-                parsed = self._parsed(levels["car"], payload, rules)
-                return (
-                    parsed._replace(user=levels["user"])
-                    if CAR_NAME.fullmatch(parsed.car)
-                    else None
-                )
+                is_car = CAR_NAME.fullmatch(levels["car"])
+                return self._parsed(levels, payload, rules) if is_car else None
         return None
 
-    def _parsed(self, car: str, payload: bytes, rules: Mapping[str, Rule]) -> Parsed:
+    def _parsed(
+        self, levels: Mapping[str, str], payload: bytes, rules: Mapping[str, Rule]
+    ) -> Parsed:
         text = payload.decode("utf-8", "replace").strip()
         fields: object = {"": text}
         if "" not in rules:
@@ -149,7 +147,7 @@ class Layout:
         fields = fields if isinstance(fields, dict) else {}
         values = [(rule.quantity, rule.value(fields.get(name))) for name, rule in rules.items()]
         measured = {quantity: value for quantity, value in values if not math.isnan(value.value)}
-        return Parsed(car, measured, _stamp_ns(fields.get(self._stamp)))
+        return Parsed(levels["car"], measured, _stamp_ns(fields.get(self._stamp)), levels["user"])
 
 
 def _expression(topic: str) -> re.Pattern[str]:

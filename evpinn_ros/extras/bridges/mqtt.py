@@ -75,12 +75,7 @@ def mqtt(
     from evpinn_ros.common.blas_threads import limit_blas_threads
     from evpinn_ros.core.vehicle.files import load_vehicle
     from evpinn_ros.extras.bridges.bridge import BridgeSettings, MqttBridge
-    from evpinn_ros.extras.bridges.broker import (
-        PORT,
-        TLS_PORT,
-        BrokerSettings,
-        Connection,
-    )
+    from evpinn_ros.extras.bridges.broker import PORT, TLS_PORT, BrokerSettings, Connection
     from evpinn_ros.extras.bridges.layouts import read_layout
 
     if vehicle is None and not car:

@@ -38,11 +38,15 @@ from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.run import Replayed, ReplayOptions, replay
 from evpinn_ros.replays.trends import DrivePoint, drive_point
 
-NUMBERS = (
-    "duration_s",
-    *("power_rmse_w", "power_coverage_90"),
-    *("energy_measured_j", "energy_predicted_j", "energy_error_percent"),
-)
+NUMBERS = {
+    "duration_s": ("input", "duration_s"),
+    "power_rmse_w": ("power", "rmse_w"),
+    "power_coverage_90": ("power", "coverage_90"),
+    "energy_measured_j": ("energy", "measured_j"),
+    "energy_predicted_j": ("energy", "predicted_j"),
+    "energy_error_percent": ("energy", "error_percent"),
+}
+"""Columns of scores, and their places in the metrics."""
 POINT = DrivePoint._fields
 PARAMETERS = {
     name + ("" if figure == "value" else f"_{figure}"): (name, figure)
@@ -52,20 +56,14 @@ PARAMETERS = {
 """Columns of parameters: which figure of which."""
 
 
-def drive_row(done: Replayed) -> dict[str, Any]:
+def drive_row(replayed: Replayed) -> dict[str, Any]:
     """The scores of a drive and the parameters of the car after it."""
-    metrics = done.metrics
-    power, energy = metrics["power"], metrics["energy"]
+    metrics = replayed.metrics
     return {
-        "problem": done.problem,
+        "problem": replayed.problem,
         "samples": metrics["input"]["samples"],
-        "duration_s": metrics["input"]["duration_s"],
-        "power_rmse_w": power["rmse_w"],
-        "power_coverage_90": power["coverage_90"],
-        "energy_measured_j": energy["measured_j"],
-        "energy_predicted_j": energy["predicted_j"],
-        "energy_error_percent": energy["error_percent"],
-        **_point(drive_point(done.drive)),
+        **{column: metrics[part][name] for column, (part, name) in NUMBERS.items()},
+        **_point(drive_point(replayed.drive)),
         **_parameters(metrics["parameters"]),
     }
 
@@ -140,7 +138,7 @@ def learn_car(task: CarTask) -> CarDone:
     limit_blas_threads()
     _stop_if(task.stop)
     vehicle = task.drives.vehicle
-    learned = _Found(task.folder, vehicle)
+    learned = _CarFiles(task.folder, vehicle)
     inputs = [_Input.of(path, learned) for path in task.drives.drives]
     ordered = sorted((drive for drive in inputs if drive.problem is None), key=_Input.order)
     kept = learned.keep([drive.fingerprint for drive in ordered])
@@ -161,7 +159,7 @@ class _Input:
     problem: str | None
 
     @classmethod
-    def of(cls, path: Path, learned: _Found) -> _Input:
+    def of(cls, path: Path, learned: _CarFiles) -> _Input:
         """Look at a drive; what is known of it already is not read again."""
         try:
             fingerprint = _fingerprint(path)
@@ -180,7 +178,7 @@ class _Input:
         return {"path": str(self.path), "fingerprint": self.fingerprint, "start_ns": self.start_ns}
 
 
-class _Found:
+class _CarFiles:
     """The files of a car: what is there, and what is added."""
 
     def __init__(self, folder: Path, vehicle: Vehicle) -> None:
@@ -195,11 +193,12 @@ class _Found:
 
     def keep(self, fingerprints: list[str]) -> int:
         """Keep what is there if the drives begin with it, else begin anew; how many are kept."""
-        done = [row["fingerprint"] for row in self.rows]
-        if fingerprints == done:
-            return len(done)
+        learned = [row["fingerprint"] for row in self.rows]
+        if fingerprints == learned:
+            return len(learned)
         state = _read(self._folder / STATE_FILE)
-        if fingerprints[: len(done)] == done and self._written.get("state") == _digest_of(state):
+        is_same = self._written.get("state") == _digest_of(state)
+        if is_same and fingerprints[: len(learned)] == learned:
             self.state = state or None
         else:
             self.rows, self._written = [], {}
@@ -251,7 +250,7 @@ def _learn(
         if state is not None:
             chain.estimator.restore(state)
             chain.begin_next_drive()
-        done = replay(
+        replayed = replay(
             open_source(drive.path, vehicle),
             chain,
             ReplayOptions(),
@@ -260,7 +259,9 @@ def _learn(
             progress=progress,
         )
         # As JSON has it, so that a run goes on from the same state whether read back or not.
-        return drive_row(done), json.loads(json.dumps(chain.estimator.export(), allow_nan=False))
+        return drive_row(replayed), json.loads(
+            json.dumps(chain.estimator.export(), allow_nan=False)
+        )
     except StoppedError:
         raise
     except Exception as error:  # whatever is wrong with one drive, the others go on

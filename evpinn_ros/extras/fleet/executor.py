@@ -18,7 +18,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from evpinn_ros.common.errors import InputError, one_line, with_kind
 from evpinn_ros.common.optional import optional_imports
@@ -37,18 +37,6 @@ class TaskOutcome(Generic[Task, Result]):
     task: Task
     result: Result | None
     problem: str | None
-
-
-class Executor(Protocol):
-    """Runs a function over tasks."""
-
-    def outcomes(
-        self, work: Callable[[Task], Result], tasks: Iterable[Task]
-    ) -> Iterator[TaskOutcome[Task, Result]]:
-        """Outcome of each task, in order of their ends."""
-
-    def close(self) -> None:
-        """Begin nothing more, and wait for what has begun."""
 
 
 class LocalExecutor:
@@ -141,7 +129,9 @@ class DaskExecutor:
                 begun = self._begin(work, following)
                 self._running[begun] = following
                 done.add(begun)
-            error = None if future.status == "finished" else _dask_error(future)
+            error: BaseException | None = RuntimeError("the scheduler lost the task")
+            if future.status in ("finished", "error"):
+                error = future.exception()
             yield _outcome(task, future, error)
 
     def close(self) -> None:
@@ -157,6 +147,9 @@ class DaskExecutor:
 
     def _begin(self, work: Callable[[Task], Any], task: Task) -> Any:
         return self._client.submit(work, task, pure=False)
+
+
+Executor: TypeAlias = LocalExecutor | DaskExecutor
 
 
 async def _identify(address: str) -> None:
@@ -179,13 +172,6 @@ def _outcome(task: Task, future: Any, error: BaseException | None) -> TaskOutcom
     if isinstance(error, BrokenProcessPool):
         return TaskOutcome(task, None, "the worker died; is there enough memory?")
     return TaskOutcome(task, None, with_kind(error))
-
-
-def _dask_error(future: Any) -> BaseException:
-    if future.status == "error":
-        error: BaseException = future.exception()
-        return error
-    return RuntimeError("the scheduler lost the task")
 
 
 def _end_with_parent() -> None:

@@ -52,8 +52,7 @@ def fleet(
     ] = Path("fleet"),
     vehicle: VehicleOption = "generic",
     manifest: Annotated[
-        Path | None,
-        typer.Option(help="YAML or CSV with the car and model of each drive."),
+        Path | None, typer.Option(help="YAML or CSV with the car and model of each drive.")
     ] = None,
     workers: Annotated[
         int | None,

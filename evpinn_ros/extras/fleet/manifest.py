@@ -102,11 +102,7 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
 
 
 def load_model(name: str, base: Path) -> Vehicle:
-    """A vehicle by its name, or by the absolute path of its file.
-
-    Raises:
-        InputError: there is none, or it is wrong.
-    """
+    """A vehicle by its name, or by the absolute path of its file."""
     return load_vehicle((base / name).resolve() if Path(name).suffix in YAML else name)
 
 

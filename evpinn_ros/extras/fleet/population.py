@@ -65,7 +65,7 @@ class Population:
         self._prior, self._scale = file_prior(vehicle)
         self._spread = _spread(precision, information)
         weight = _weight(precision, self._spread)
-        self._mean, self._doubt = _mean(precision, information, self._spread, weight)
+        self._mean, self._doubt = _mean(precision, information, weight)
         self._root = np.linalg.cholesky(self._spread)
         self._spread_doubt = _spread_doubt(self._root.T @ weight @ precision @ self._root)
 
@@ -131,9 +131,9 @@ def _weight(precision: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 
 def _mean(
-    precision: np.ndarray, information: np.ndarray, spread: np.ndarray, weight: np.ndarray
+    precision: np.ndarray, information: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of the population, shape (6,), and its covariance, for a given spread."""
+    """Mean of the population, shape (6,), and its covariance, for the weights of a spread."""
     doubt = np.linalg.inv(np.eye(SIZE) / FILE_SHARE + (weight @ precision).sum(axis=0))
     return doubt @ np.einsum("nij,nj->i", weight, information), (doubt + doubt.T) / 2
 
@@ -159,7 +159,7 @@ def _spread(precision: np.ndarray, information: np.ndarray) -> np.ndarray:
     spread = start
     for _ in range(MOST_STEPS):
         weight = _weight(precision, spread)
-        mean, doubt = _mean(precision, information, spread, weight)
+        mean, doubt = _mean(precision, information, weight)
         left = spread @ weight
         away = np.einsum("nij,nj->ni", left, information - precision @ mean)
         pulled = left @ precision

@@ -85,11 +85,7 @@ class FleetSummary:
 
 
 def require_extra() -> None:
-    """Check that the extra is installed, before hours of work.
-
-    Raises:
-        InputError: the extra `fleet` is not installed.
-    """
+    """Check that the extra is installed, before hours of work."""
     with optional_imports():
         import jinja2  # noqa: F401
         import pyarrow.parquet  # noqa: F401
@@ -99,9 +95,6 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
     """Write the tables of drives, cars and populations from the cars' files, in one folder.
 
     Cars not begun yet are left out; `failed` are those that failed as a whole, and why.
-
-    Raises:
-        InputError: a table cannot be written.
     """
     summary = FleetSummary()
     evidence_of_model: dict[str, list[Evidence]] = defaultdict(list)

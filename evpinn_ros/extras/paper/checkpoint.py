@@ -23,9 +23,6 @@ def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]
 
     The path ends in `.npz`; `settings` is what the state belongs to, and `load_checkpoint` asks
     for it again.
-
-    Raises:
-        InputError: it cannot be written.
     """
     arrays = {name: tensor.detach().cpu().numpy() for name, tensor in state.items()}
     with as_input_error(f"{path}: cannot be written"):

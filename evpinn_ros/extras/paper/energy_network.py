@@ -159,17 +159,12 @@ class _Networks(nn.Module):
 
 
 class EnergyTraining:
-    """Training of both networks, which can be interrupted and resumed to the same numbers.
-
-    Attributes:
-        epoch: epochs trained.
-        losses: of every epoch in `CURVE_EPOCHS` so far.
-    """
+    """Training of both networks, which can be interrupted and resumed to the same numbers."""
 
     def __init__(self, data: StepData, *, seed: int, device: str = "cpu") -> None:
         """Untrained networks on a device of torch; the seed draws their weights and the split."""
-        self.losses: list[EnergyRow] = []
-        self.epoch = 0
+        self.losses: list[EnergyRow] = []  # of every epoch in `CURVE_EPOCHS` so far
+        self.epoch = 0  # epochs trained
         self._units = _Units(float(data.dt.mean()), float((data.step_energy**2).mean() ** 0.5))
         steps = self._units.scaled(data, torch.float32)
         with torch.random.fork_rng(devices=[]):  # the caller's random numbers stay as they were

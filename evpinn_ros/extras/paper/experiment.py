@@ -70,19 +70,14 @@ def curve_epochs(last: int) -> list[int]:
 
 
 class PowerTraining:
-    """One optimiser on one problem.
-
-    Attributes:
-        epoch: how far it is.
-        rows: losses at `curve_epochs` so far.
-    """
+    """One optimiser on one problem."""
 
     def __init__(self, name: OptimizerName, problem: Problem, epochs: int, seed: int) -> None:
         self.problem = problem
         self.optimizer = OPTIMIZERS[name](problem, seed)
-        self.epoch = 0
+        self.epoch = 0  # how far it is
         self.epochs = epochs
-        self.rows: list[LossRow] = []
+        self.rows: list[LossRow] = []  # losses at `curve_epochs` so far
         self._logged = set(curve_epochs(epochs))
 
     def run_to(self, epoch: int, on_epoch: OnEpoch | None = None) -> None:

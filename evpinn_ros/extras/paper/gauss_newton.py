@@ -25,20 +25,15 @@ MOST_DAMPING = 1.0  # of the mean diagonal; beyond it a step is no more than a g
 
 
 class Linearised:
-    """A network linearised at its present weights and samples.
-
-    Attributes:
-        residual: the target less the output, shape (n,).
-        system: J J^T, shape (n, n).
-    """
+    """A network linearised at its present weights and samples."""
 
     @torch.no_grad()
     def __init__(self, network: PowerNetwork, inputs: torch.Tensor, target: torch.Tensor) -> None:
         """Linearise about inputs of shape (n, inputs) and the wanted output, shape (n,)."""
         output, *layers = network.sweep(inputs)
         self._layers = list(zip(*layers, strict=True))
-        self.residual = target - output
-        self.system = inputs.new_zeros(len(inputs), len(inputs))
+        self.residual = target - output  # the target less the output, shape (n,)
+        self.system = inputs.new_zeros(len(inputs), len(inputs))  # J J^T, shape (n, n)
         for entering, derivative in self._layers:
             self.system += (entering @ entering.T + 1.0) * (derivative @ derivative.T)
 
@@ -83,11 +78,7 @@ def gauss_newton_step(
 
 @torch.no_grad()
 def levenberg_marquardt(
-    network: PowerNetwork,
-    inputs: torch.Tensor,
-    target: torch.Tensor,
-    steps: int,
-    damping: float,
+    network: PowerNetwork, inputs: torch.Tensor, target: torch.Tensor, steps: int, damping: float
 ) -> float:
     """Move the output of a network towards a target, shape (n,), in a fixed number of trials.
 

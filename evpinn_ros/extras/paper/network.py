@@ -81,11 +81,7 @@ def paper_adam(network: PowerNetwork, log_scale: torch.Tensor) -> torch.optim.Ad
 
 @torch.no_grad()
 def spread_over_time(
-    network: PowerNetwork,
-    generator: torch.Generator,
-    first: float,
-    last: float,
-    sharpness: float,
+    network: PowerNetwork, generator: torch.Generator, first: float, last: float, sharpness: float
 ) -> None:
     """Spread the bends of the first layer's units evenly between two times, in place.
 

@@ -152,10 +152,7 @@ class Problem:
         """Covariance of z, shape (5, 5), by the power that was trained on and the priors."""
         training = self.training
         return self._parameters.covariance(
-            lambda z: self.physics(training, z),
-            training.power,
-            log_scale,
-            self.scale.half_range,
+            lambda z: self.physics(training, z), training.power, log_scale, self.scale.half_range
         )
 
     def terms(

@@ -123,16 +123,13 @@ def training_progress() -> Iterator[OnProgress]:
         def show(title: str, epoch: int, epochs: int, loss: float) -> None:
             if title not in shown:
                 bar.close()
+                # The time left is that of this training alone.
+                numbered = f"{title}, {TRAININGS.index(title) + 1} of {len(TRAININGS)}"
                 unit = f"of {epochs} epochs"
-                shown[title] = bar.enter_context(progress_bar(_numbered(title), epochs, unit))
+                shown[title] = bar.enter_context(progress_bar(numbered, epochs, unit))
             shown[title](epoch, f"loss {loss:.2e}")
 
         yield show
-
-
-def _numbered(title: str) -> str:
-    """Title of a training and its number, for the time left is that of this training alone."""
-    return f"{title}, {TRAININGS.index(title) + 1} of {len(TRAININGS)}"
 
 
 def _print(table: ResultTable) -> None:
