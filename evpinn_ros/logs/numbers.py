@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 import re
 from typing import NamedTuple
 
@@ -17,7 +16,6 @@ with optional_imports():
 
 # What apps write where a value is missing; NaN is MATLAB's and pandas'.
 MISSING = frozenset(("", "na", "n/a", "nan", "none", "null", "-", "--", "---", "?", "no data"))
-_GROUPS = re.compile(r"[+-]?\d{1,3}(?:([.,])\d{3})(?:\1\d{3})*")
 _SPACES = "[ \u00a0\u202f'\u2019_]"
 
 
@@ -36,35 +34,24 @@ def is_missing(cell: str) -> bool:
     return cell.strip().lower() in MISSING
 
 
-def style_of(cells: Iterable[str]) -> Style | None:
+def style_of(cells: Sequence[str]) -> Style | None:
     """The style that the cells of a column show; None where none is certain.
 
     `12,5` shows a decimal comma and `1,234,567` one between thousands; `12,345` shows neither.
     """
-    votes = Counter(filter(None, map(_certain, map(str.strip, cells))))
+    text = pl.Series("", cells, dtype=pl.String).str.strip_chars()
+    votes = {style: text.str.contains(_certain(style)).sum() for style in (POINT, COMMA)}
     if votes[POINT] == votes[COMMA]:
         return None
     return max(votes, key=lambda style: votes[style])
 
 
-def _certain(cell: str) -> Style | None:
-    """The style of a cell that can be read in one way alone."""
-    point, comma = cell.rfind("."), cell.rfind(",")
-    if point < 0 and comma < 0:
-        return None
-    if point >= 0 and comma >= 0:
-        return POINT if point > comma else COMMA
-    sign = "." if point >= 0 else ","
-    decimal = POINT if sign == "." else COMMA
-    if cell.count(sign) > 1:  # thousands, but for a date
-        grouped = _GROUPS.fullmatch(cell) is not None
-        return (COMMA if sign == "." else POINT) if grouped else None
-    before, after = cell.lstrip("+-").split(sign)
-    if not (before + after).isdigit():
-        return None
-    if len(after) != 3 or before in ("", "0") or len(before) > 3:
-        return decimal
-    return None
+def _certain(style: Style) -> str:
+    """Pattern of the numbers that can be read in this style alone."""
+    decimal, thousands = map(re.escape, style)
+    one_sign = rf"\d+{decimal}(\d{{0,2}}|\d{{4,}})|{decimal}\d+|(0|\d{{4,}}){decimal}\d{{3}}"
+    groups = rf"[+-]?\d{{1,3}}({thousands}\d{{3}}){{2,}}"
+    return rf"{thousands}.*{decimal}[^{thousands}]*$|^[+-]*({one_sign})$|^{groups}$"
 
 
 def to_floats(cells: Sequence[str], style: Style) -> NDArray[np.float64]:

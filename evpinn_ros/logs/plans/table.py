@@ -120,7 +120,7 @@ def table_plan(path: Path) -> Plan | Legs | None:
     for _, row in islice(data_rows(table, head), MAX_POINTS + 1):
         for name, place in places.items():
             cells[name].append(row[place] if place < len(row) else "")
-    style = style_of(chain(*cells.values())) or POINT
+    style = style_of(list(chain(*cells.values()))) or POINT
     return plan_of_columns({name: Cells(texts, style) for name, texts in cells.items()})
 
 
