@@ -55,6 +55,30 @@ class _Output(NamedTuple):
     along: np.ndarray
 
 
+class _Weights(NamedTuple):
+    """Weights, or the gradient by them, shape (n,), and views of its parts.
+
+    Attributes:
+        whole: all of them.
+        inner: of each unit's inputs and its bias, shape (UNITS, INPUTS + 1).
+        outer: of the units, shape (UNITS,).
+    """
+
+    whole: np.ndarray
+    inner: np.ndarray
+    outer: np.ndarray
+
+    @classmethod
+    def of(cls, whole: np.ndarray) -> _Weights:
+        """The views; the last weight is that of a constant."""
+        count = UNITS * (INPUTS + 1)
+        return cls(whole, whole[:count].reshape(UNITS, -1), whole[count:-1])
+
+    def force(self, hidden: np.ndarray) -> float:
+        """Output of the network by those of its units, N."""
+        return float(self.outer.dot(hidden) + self.whole[-1])
+
+
 class Correction(NamedTuple):
     """Power that the trim adds to that of the car, W, and its 1-sigma, W."""
 
@@ -108,15 +132,17 @@ class Trim:
         rng = np.random.default_rng(seed)
         inner = rng.normal(0.0, 1.0, (UNITS, INPUTS)) * SPREAD
         # Weights of a unit's inputs and its bias, of all units, then the outer ones and a force.
-        self._start = np.column_stack((inner, rng.normal(0.0, 1.0, UNITS)))
-        outer_variance = np.full(UNITS, TRIM_FORCE**2 / UNITS)
-        self._prior = np.concatenate((
-            np.full(self._start.size, WEIGHT_STD**2), outer_variance, [TRIM_FORCE**2]
-        ))  # fmt: skip
+        inner = np.column_stack((inner, rng.normal(0.0, 1.0, UNITS))).ravel()
+        self._start = np.append(inner, np.zeros(UNITS + 1))
+        self._prior = np.full(len(self._start), WEIGHT_STD**2)
+        self._prior[inner.size :] = [TRIM_FORCE**2 / UNITS] * UNITS + [TRIM_FORCE**2]
         self._away = np.zeros(len(self._prior))  # of the weights from where they start
+        self._weights = _Weights.of(self._start.copy())
         # The covariance is `_scale` times `_shape`: to let all of it fade costs one product.
         self._shape, self._scale = np.diag(self._prior), 1.0
-        self._buffer, self._gradient = np.empty_like(self._shape), np.ones(len(self._prior))
+        self._diagonal = self._shape.reshape(-1)[:: len(self._prior) + 1]
+        self._buffer = np.empty_like(self._shape)
+        self._gradient = _Weights.of(np.ones(len(self._prior)))
         self.evidence, self.persistence = 0.0, Persistence()
         self._age = 0.0  # s since it last learned
         # Weights at a moment and the s since, to be compared with what comes.
@@ -138,16 +164,16 @@ class Trim:
     def advance(self, duration: float) -> None:
         """Let s pass: weights return to the prior."""
         keep = math.exp(-duration / TRIM_SECONDS)
-        self._newest = None
-        self._away = keep * self._away
+        self._move(keep * self._away)
         self._age += duration
         if self._snapshot is not None:
             away, age = self._snapshot
             self._snapshot = away, age + duration
         self._scale *= keep**2
         if self._scale < LEAST_SCALE:
-            self._shape, self._scale = self._scale * self._shape, 1.0
-        self._shape.flat[:: len(self._prior) + 1] += (1.0 - keep**2) / self._scale * self._prior
+            self._shape *= self._scale
+            self._scale = 1.0
+        self._diagonal += (1.0 - keep**2) / self._scale * self._prior
 
     def learn(self, inputs: np.ndarray, speed: float, residual: float, duration: float) -> None:
         """Learn what the car leaves of power, W, at a sample that stands for some s."""
@@ -155,7 +181,7 @@ class Trim:
         if v < STANDSTILL_SPEED:
             return
         self._compare(inputs, residual / v)
-        output, self._newest = self._output(inputs), None
+        output = self._output(inputs)
         error = residual - v * output.force
         noise = POWER_NOISE**2 + (FORCE_NOISE * v) ** 2
         blunt = 0.5 / (noise * TEMPERATURE)
@@ -165,7 +191,7 @@ class Trim:
         variance = v**2 * output.variance + noise * CORRELATED
         beyond = max(1.0, abs(error) / (OUTLIER * math.sqrt(variance)))
         gain = (v * self._scale / (variance * beyond**2)) * output.along
-        self._away = self._away + error * gain
+        self._move(self._away + error * gain)
         np.dot(gain[:, None], v * output.along[None], out=self._buffer)
         np.subtract(self._shape, self._buffer, out=self._shape)
         self._age = 0.0
@@ -177,30 +203,28 @@ class Trim:
             return
         (away, age), self._snapshot = self._snapshot, None
         if age < TRIM_SECONDS:
-            hidden, outer = self._hidden(inputs, math.exp(-age / TRIM_SECONDS) * away)
-            self.persistence.learn(float(outer[:-1] @ hidden + outer[-1]), force, age)
+            then = _Weights.of(self._start + math.exp(-age / TRIM_SECONDS) * away)
+            self.persistence.learn(then.force(np.tanh(then.inner.dot(inputs))), force, age)
+
+    def _move(self, away: np.ndarray) -> None:
+        """Let the weights be away from where they start by so much."""
+        self._away, self._newest = away, None
+        np.add(self._start, away, out=self._weights.whole)
 
     def _output(self, inputs: np.ndarray) -> _Output:
         """Output at a row; that of the last one is learned from next, at the same weights."""
         if self._newest is not None and self._newest[0] is inputs:
             return self._newest[1]
-        count = self._start.size
-        hidden, outer = self._hidden(inputs, self._away)
-        gradient = self._gradient
-        slope = outer[:-1] * (1.0 - hidden * hidden)
-        np.multiply(slope[:, None], inputs, out=gradient[:count].reshape(self._start.shape))
-        gradient[count:-1] = hidden
-        along = np.dot(self._shape, gradient)
-        variance = self._scale * float(np.dot(gradient, along))
-        output = _Output(float(np.dot(outer[:-1], hidden) + outer[-1]), variance, along)
+        weights, gradient = self._weights, self._gradient
+        hidden = np.tanh(weights.inner.dot(inputs))
+        slope = weights.outer * (1.0 - hidden * hidden)
+        np.dot(slope[:, None], inputs[None], out=gradient.inner)
+        gradient.outer[:] = hidden
+        along = self._shape.dot(gradient.whole)
+        variance = self._scale * float(gradient.whole.dot(along))
+        output = _Output(weights.force(hidden), variance, along)
         self._newest = inputs, output
         return output
-
-    def _hidden(self, inputs: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Output of each unit, (UNITS,), and the weights of these, the last of a constant."""
-        count = self._start.size
-        inner = self._start + away[:count].reshape(self._start.shape)
-        return np.tanh(np.dot(inner, inputs)), away[count:]
 
 
 def inputs_of(samples: Samples) -> np.ndarray:
