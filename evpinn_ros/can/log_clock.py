@@ -14,9 +14,8 @@ import re
 from evpinn_ros.common.months import MONTHS
 
 SAME_MOMENT = 60.0  # s between the date of a log and its first time of day
-LATEST_FIRST = (
-    3600.0  # s: a log whose first time is later counts from something else than its date
-)
+# s: a log whose first time is later counts from something else than its date
+LATEST_FIRST = 3600.0
 EPOCH = 1e6  # s: times above it are not since the line before
 LOOKED_AT = 200  # lines
 GOES_BACK = 0.3  # of the steps between lines

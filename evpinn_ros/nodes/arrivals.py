@@ -11,9 +11,8 @@ from evpinn_ros.nodes.diagnosis import LATELY
 
 MOST_PUBLISHERS = 16  # of one topic, followed at a time
 FUTURE = 0.5  # s
-LEAP = (
-    10.0  # s by which stamps run ahead from one to the next; bags are replayed ten times as fast
-)
+# s by which stamps run ahead from one to the next; bags are replayed ten times as fast
+LEAP = 10.0
 
 
 class NumberCheck(NamedTuple):

@@ -50,7 +50,7 @@ def mqtt(
     ] = None,
     tls: Annotated[
         bool, typer.Option("--tls", help="Encrypt the connection; the port is then 8883.")
-    ] = (False),
+    ] = False,
     ca: Annotated[str | None, typer.Option(help="File of trusted authorities (TLS).")] = None,
     cert: Annotated[
         str | None, typer.Option(help="File of the certificate of this client.")

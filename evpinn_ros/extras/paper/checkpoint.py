@@ -13,9 +13,8 @@ from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.common.opener import check_file
 from evpinn_ros.common.writer import replaced
 
-MOST_BYTES = (
-    256 << 20
-)  # of arrays: 4 x 128 units have 0.4 MB, a hundred steps of an optimiser's memory 80 MB
+# Of arrays: 4 x 128 units have 0.4 MB, a hundred steps of an optimiser's memory 80 MB.
+MOST_BYTES = 256 << 20
 
 
 def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +10,7 @@ import torch
 
 from evpinn_ros.core.estimation.parameter_set import VALID_BELOW
 from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.identifiable import identifiable
 from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm
 from evpinn_ros.extras.paper.energy_network import MAX_GAP
@@ -132,13 +132,8 @@ def combination_rows(
 
 def combinations(parameters: Parameters, area: float, form: RegenForm) -> dict[str, float]:
     """Values of the combinations that enter eq. 21 in a form; area in m^2."""
-    values = parameters._asdict()
-    sums = {
-        name: math.prod(float(values[p]) ** power for p, power in exponents.items())
-        for name, exponents in _exponents(form).items()
-    }
-    sums["drag_area_over_eta"] *= area
-    return sums
+    values = {**identifiable(parameters, area)._asdict(), "mu": parameters.mu}
+    return {name: float(values[name]) for name in _exponents(form)}
 
 
 def _exponents(form: RegenForm) -> Mapping[str, Mapping[str, float]]:
