@@ -14,6 +14,7 @@ from functools import partial
 from inspect import isawaitable
 import math
 from pathlib import Path
+import time
 from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
@@ -281,7 +282,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
 
     def steady_s(self) -> float:
         """Monotonic clock, s."""
-        return float(self._steady.now().nanoseconds) / NANOSECONDS
+        return time.monotonic()
 
     def health(
         self,
