@@ -13,10 +13,17 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import moment, note, progress_bar, say, show, write_json
-from evpinn_ros.cli.options import CanProfileOption, CarOption, ColumnOption, JsonOption
+from evpinn_ros.cli.options import (
+    CanProfileOption,
+    CarOption,
+    ColumnOption,
+    JsonOption,
+    UnitsOption,
+)
 from evpinn_ros.cli.table_columns import choice, shorter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.common.units import Units, UnitSystem
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.logs.column import by_reason
 from evpinn_ros.logs.contents import Contents, contents
@@ -37,6 +44,7 @@ def info(
     car: CarOption = None,
     can_profile: CanProfileOption = None,
     json_file: JsonOption = None,
+    units: UnitsOption = UnitSystem.METRIC,
 ) -> None:
     """Show what recordings contain, and which part of them the estimator can use.
 
@@ -52,23 +60,23 @@ def info(
             problems += 1
             note(f"evpinn: {error}")
             continue
-        _show(recordings[-1])
+        _show(recordings[-1], units.units)
     if json_file is not None:
         write_json(json_file, [_as_json(recording) for recording in recordings])
     if problems:
         raise typer.Exit(1)
 
 
-def _show(recording: Contents) -> None:
+def _show(recording: Contents, units: Units) -> None:
     if recording.topics:
         columns = ("topic", "type", "messages", "Hz", "longest gap")
         rows = [(topic.name, topic.type_name, *_flow(topic.flow)) for topic in recording.topics]
         show(PlainTable(f"{recording.path}", columns, rows, words=("type",)))
-    for line in _lines(recording):
+    for line in _lines(recording, units):
         say(line)
 
 
-def _lines(recording: Contents) -> Iterator[str]:
+def _lines(recording: Contents, units: Units) -> Iterator[str]:
     begin, end = recording.span_ns or (0, 0)
     when = f"{(end - begin) / NANOSECONDS:.1f} s{_start(recording, begin)}" if end else "empty"
     yield f"{recording.path}: {recording.kind}, {when}"
@@ -84,7 +92,7 @@ def _lines(recording: Contents) -> Iterator[str]:
     elif recording.profile:
         yield f"  use: --can-profile {recording.profile}"
     if recording.drive is not None:
-        yield from _drive_lines(recording.drive, begin)
+        yield from _drive_lines(recording.drive, begin, units)
     if lost := dropped_text(recording.dropped or {}):
         yield f"  lost: {lost}"
     for text in recording.notes:
@@ -100,14 +108,14 @@ def _start(recording: Contents, begin_ns: int) -> str:
     return f" from {moment(begin_ns)}{zone}{day}"
 
 
-def _drive_lines(drive: DataCoverage, begin_ns: int) -> Iterator[str]:
+def _drive_lines(drive: DataCoverage, begin_ns: int, units: Units) -> Iterator[str]:
     for kind, flow in drive.flows.items():
         count, rate, gap = _flow(flow)
         yield f"  {kind}: {count} readings, {rate} a second, longest gap {gap}"
     voltage = "" if math.isnan(drive.voltage) else f"; mean voltage {drive.voltage:.0f} V"
     first, last = drive.charge
     charge = "" if math.isnan(first) else f"; state of charge {first:.1%} to {last:.1%}"
-    yield f"  distance: {drive.distance / 1000:.2f} km{voltage}{charge}"
+    yield f"  distance: {drive.distance / units.metres:.2f} {units.distance}{voltage}{charge}"
     yield f"  estimator: {drive.verdict}"
     for first, last in _relative(drive.spans[:MOST_SPANS], begin_ns):
         yield f"    {first:.1f} s to {last:.1f} s"

@@ -24,10 +24,11 @@ from evpinn_ros.cli.options import (
     ParamsOption,
     ReportOption,
     TrustProfileOption,
+    UnitsOption,
     VehicleOption,
     elm327_bus,
 )
-from evpinn_ros.common.units import MEGABYTE
+from evpinn_ros.common.units import MEGABYTE, UnitSystem
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.core.estimation.estimator import Mode
 from evpinn_ros.nodes.live.foxglove import LOOPBACK, PORT
@@ -102,6 +103,7 @@ def run(
     ] = None,
     params: ParamsOption = None,
     state: KeptStateOption = None,
+    units: UnitsOption = UnitSystem.METRIC,
     no_view: Annotated[
         bool, typer.Option("--no-view", help="Print logs in place of the view.")
     ] = False,
@@ -154,12 +156,17 @@ def run(
         kept = record, learned_before(state, params)
         beside.callback(_say_what_is_kept, time.time(), vehicle, *kept)
         if report is not None:
-            learning = {"--vehicle": vehicle, "--mode": mode and mode.value, "--params": params}
-            options = [str(word) for pair in learning.items() if pair[1] for word in pair]
+            given_here = {
+                "--vehicle": vehicle,
+                "--mode": mode and mode.value,
+                "--params": params,
+                "--units": units.value,
+            }
+            options = [str(word) for pair in given_here.items() if pair[1] for word in pair]
             start = learned_before(state, params)
             record = beside.enter_context(reported(report, record, start, options))
         if not no_view and sys.stdout.isatty():
-            beside.enter_context(live_view())
+            beside.enter_context(live_view(units.units))
         code = run_nodes(
             parameters,
             record=record,

@@ -12,18 +12,19 @@ import typer
 
 from evpinn_ros.cli.console import say, show, write_json
 from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
-from evpinn_ros.cli.options import JsonOption, complete_vehicle
+from evpinn_ros.cli.options import JsonOption, UnitsOption, complete_vehicle
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.common.units import JOULES_PER_KWH, METRIC
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, UnitSystem
 from evpinn_ros.core.vehicle.certified import FRONTAL_AREA, certified_cars
 from evpinn_ros.core.vehicle.files import Vehicle, find_vehicles, load_vehicle, write_vehicle
 from evpinn_ros.core.vehicle.rated import cycle_energy, rated_cars
 
+ECONOMY = "kwh_per_100_km"
 COLUMNS = {
     "vehicle": "vehicle",
     "battery kWh": "battery_kwh",
-    "kWh/100 km": "kwh_per_100_km",
+    METRIC.economy: ECONOMY,
     "mass kg": "mass_kg",
     "CAN profile": "can_profile",
     "prior": "from",
@@ -50,6 +51,7 @@ def every(context: typer.Context) -> None:
 def search(
     words: Annotated[list[str], typer.Argument(help="Words that the name must have.")],
     json_file: JsonOption = None,
+    units: UnitsOption = UnitSystem.METRIC,
 ) -> None:
     """List the cars whose names have these words, with the consumption in the WLTP's cycle.
 
@@ -62,8 +64,10 @@ def search(
             "another car use --vehicle generic, or see docs/guides/add_your_car.md"
         )
     lines = [_line(vehicle) for vehicle in cars]
-    rows = [[_cell(line[name]) for name in COLUMNS.values()] for line in lines]
-    table = PlainTable("Vehicles", tuple(COLUMNS), rows, words=("CAN profile", "prior"))
+    economy = units.units.economy
+    titles = tuple(economy if title == METRIC.economy else title for title in COLUMNS)
+    rows = [[_cell(units.units, name, line[name]) for name in COLUMNS.values()] for line in lines]
+    table = PlainTable("Vehicles", titles, rows, words=("CAN profile", "prior"))
     show(table, at_least=108)
     if json_file is not None:
         write_json(json_file, lines)
@@ -91,10 +95,14 @@ def show_vehicle(
             say(line)
 
 
-def _cell(value: str | float | None) -> str:
-    if isinstance(value, float):
-        return f"{value:.1f}".removesuffix(".0") if math.isfinite(value) else ""
-    return value or ""
+def _cell(units: Units, name: str, value: str | float | None) -> str:
+    if not isinstance(value, float):
+        return value or ""
+    if math.isnan(value):
+        return ""
+    if name == ECONOMY:
+        return units.consumption(value * METRIC.rate_joules, 1.0).removesuffix(".0")
+    return f"{value:.1f}".removesuffix(".0")
 
 
 def _line(vehicle: Vehicle) -> dict[str, str | float | None]:
@@ -102,7 +110,7 @@ def _line(vehicle: Vehicle) -> dict[str, str | float | None]:
     return {
         "vehicle": vehicle.key,
         "battery_kwh": vehicle.battery_capacity / JOULES_PER_KWH,
-        "kwh_per_100_km": _consumption(vehicle),
+        ECONOMY: _consumption(vehicle),
         "mass_kg": start.mass,
         "c_rr": start.c_rr,
         "drag_area_m2": start.c_d * vehicle.frontal_area,

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.cli.options import JsonOption
+from evpinn_ros.cli.options import JsonOption, UnitsOption
+from evpinn_ros.common.units import UnitSystem
 from evpinn_ros.topics import NAMESPACE
 
 
@@ -16,6 +17,7 @@ def watch(
         bool, typer.Option("--plain", help="Print one line a second in place of the view.")
     ] = False,
     json_file: JsonOption = None,
+    units: UnitsOption = UnitSystem.METRIC,
 ) -> None:
     """Show what a running system knows: parameters, power, energy, what is missing.
 
@@ -29,4 +31,4 @@ def watch(
     # Imported here: all other commands work where no ROS is.
     from evpinn_ros.nodes.live.view import watch as watch_nodes
 
-    watch_nodes(namespace, plain=plain, json_file=json_file)
+    watch_nodes(namespace, units.units, plain=plain, json_file=json_file)

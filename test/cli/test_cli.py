@@ -3,6 +3,7 @@
 import json
 import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -115,6 +116,15 @@ def test_a_bad_input_does_not_cost_the_drives_beside_it(evpinn, folder):
     assert [drive["input"]["path"] for drive in kept] == ["drive", "speed.csv"]
     both = evpinn("replay", "wrong.csv", "wrong.csv", cwd=folder)
     assert_fails_in_one_line(both, "wrong.csv")
+
+
+@pytest.mark.parametrize("command", [("info", "drive"), ("vehicles", "search", "e208")])
+def test_miles_in_place_of_kilometres(evpinn, folder, command):
+    shown = (
+        evpinn(*command, cwd=folder).stdout,
+        evpinn(*command, "--units", "us", cwd=folder).stdout,
+    )
+    assert "km" in shown[0] and "km" not in shown[1] and re.search(r"\bmi\b", shown[1])
 
 
 def test_one_output_that_cannot_be_written_does_not_cost_the_others(evpinn, folder):

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import printable
+from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.core.estimation.operating_range import MANNERS, SPEEDS
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
@@ -106,6 +107,7 @@ class LiveData:
     """Takes messages, answers what a screen shows.
 
     Attributes:
+        units: those that people see.
         speed: m/s, NaN when not known.
         battery: the last reading, None before the first.
         line: power of the last minutes.
@@ -113,9 +115,9 @@ class LiveData:
         unusable: messages that held no usable value, by topic.
     """
 
-    def __init__(self, namespace: str = topics.NAMESPACE) -> None:
+    def __init__(self, namespace: str = topics.NAMESPACE, units: Units = METRIC) -> None:
         """Begin without messages of the car under a namespace."""
-        self._namespace = namespace.strip("/")
+        self.units, self._namespace = units, namespace.strip("/")
         self.speed = math.nan
         self.battery: BatteryReading | None = None
         self.line = PowerHistory()

@@ -11,8 +11,9 @@ from rich.text import Text
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import printable
+from evpinn_ros.common.units import KMH
 from evpinn_ros.core.estimation.estimate import FIGURES
-from evpinn_ros.core.estimation.operating_range import MANNERS
+from evpinn_ros.core.estimation.operating_range import MANNERS, SPEED_EDGES
 from evpinn_ros.core.vehicle.parameters import QUANTITIES
 from evpinn_ros.nodes.live.data import BIN_NS, NOTHING, POWERS, LiveData, ParameterRow
 from evpinn_ros.topics.messages import Level
@@ -21,7 +22,6 @@ TITLE, HEADING, FAINT = "bold reverse", "bold", "dim"
 STATE_STYLES = {"valid": "green", "estimating": "yellow", "stale": "red", "invalid": "bold red"}
 LEVEL_STYLES = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "bold red"}
 POWER_STYLES = {"measured": "cyan", "predicted": "magenta"}
-SPEED_HEADINGS = ("<30", "<60", "<90", "<120", ">120")  # of operating_range.SPEEDS
 BARS = "▁▂▃▄▅▆▇█"
 RATES = {
     "speed": topics.SPEED,
@@ -105,7 +105,7 @@ def plain_line(data: LiveData, now: float) -> str:
     """The state in one line without styles, for pipes and files."""
     if not data.received:
         return NOTHING
-    parts = [f"{_number(3.6 * data.fresh_speed(now), 1)} km/h", _owner(data).plain]
+    parts = [_speed(data, now), _owner(data).plain]
     for topic, name in POWERS.items():
         power = data.power(topic, now)
         parts.append(f"{name} {_kilowatts(power.value)}{_sigma(power.sigma)} kW drawn")
@@ -126,7 +126,7 @@ def problem_lines(data: LiveData, now: float) -> list[str]:
 
 def _title(data: LiveData, now: float, width: int) -> Text:
     battery = data.fresh_battery(now)
-    right = f"{_number(3.6 * data.fresh_speed(now), 1)} km/h "
+    right = f"{_speed(data, now)} "
     if battery is not None:
         drawn = f"{_number(0.0 - battery.current, 1)} A drawn"  # as power: + is drawn
         right = f"{_number(battery.voltage, 0)} V  {drawn}  {right}"
@@ -134,6 +134,10 @@ def _title(data: LiveData, now: float, width: int) -> Text:
     silent = "estimator silent" if data.received else "no nodes"
     left = set_cell_size(f" evpinn  {data.activity(now) or silent}", room)
     return Text(f"{left} {right}", style=TITLE)
+
+
+def _speed(data: LiveData, now: float) -> str:
+    return f"{_number(data.fresh_speed(now) * data.units.speeds, 1)} {data.units.speed}"
 
 
 def _parameters(data: LiveData, width: int) -> Iterable[Text]:
@@ -227,7 +231,7 @@ def _owner(data: LiveData) -> Text:
     words = (
         f"  {_percent(100 * data.charge())}",
         f"  range {_range(data)}",
-        f"  {_number(data.consumption(), 0)} Wh/km",
+        f"  {_number(data.consumption() * data.units.metres / 1e3, 0)} Wh/{data.units.distance}",
         f"  used {_watt_hours(energy, 'consumed')} Wh",
         f"  regained {_watt_hours(energy, 'regenerated')} Wh",
     )
@@ -238,10 +242,12 @@ def _range(data: LiveData) -> str:
     """Distance to empty with its 90 % band; why there is none, if the charge is known."""
     values = data.vector(topics.ENERGY_RANGE)
     ends = ("to_empty", "lower", "upper")
-    middle, low, high = (_number(values.get(f"distance_{e}", math.nan) / 1e3, 0) for e in ends)
+    metres = (values.get(f"distance_{end}", math.nan) for end in ends)
+    middle, low, high = (_number(far / data.units.metres, 0) for far in metres)
     if "distance_to_empty" in values:
-        return f"{middle} km ({low}-{high})"
-    return UNKNOWN if math.isnan(data.charge()) else "from 10 km on"
+        return f"{middle} {data.units.distance} ({low}-{high})"
+    least = f"from {1e4 / data.units.metres:.0f} {data.units.distance} on"
+    return UNKNOWN if math.isnan(data.charge()) else least
 
 
 def _breakdown(data: LiveData, width: int) -> Iterable[Text]:
@@ -275,9 +281,11 @@ def _coverage(data: LiveData, now: float, width: int) -> Iterable[Text]:
     most = max([1.0, *(n for row in seen for n in row if math.isfinite(n))])
     cell, gap = (8, 4 * " ") if width >= WIDE else (6, " ")
     rates = [f"{gap}{name} {data.rate(topic, now):.1f}/s" for name, topic in RATES.items()]
-    heading = "".join(_cell(title, cell, right=True) for title in SPEED_HEADINGS)
+    limits = [f"{edge * KMH * data.units.speeds:.0f}" for edge in SPEED_EDGES]
+    titles = (*(f"<{limit}" for limit in limits), f">{limits[-1]}")
+    heading = "".join(_cell(title, cell, right=True) for title in titles)
     yield (
-        Text("samples km/h", HEADING)
+        Text(_cell(f"samples {data.units.speed}", 12), HEADING)
         .append(heading, "not bold")
         .append(rates[0], f"not bold {FAINT}")
     )

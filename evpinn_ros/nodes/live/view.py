@@ -23,6 +23,7 @@ from rich.live import Live
 
 from evpinn_ros.common.errors import InputError, as_input_error, printable
 from evpinn_ros.common.json_text import json_text
+from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.common.writer import new_table
 from evpinn_ros.nodes.factory import installed, message_class, qos_profile
 from evpinn_ros.nodes.live.data import NOTHING, WATCHED, LiveData
@@ -40,7 +41,7 @@ Show = Callable[[LiveData, float], None]
 class LiveListener(Node):
     """Receives what the view shows and sends nothing itself."""
 
-    def __init__(self, namespace: str) -> None:
+    def __init__(self, namespace: str, units: Units) -> None:
         """Subscribe, best effort: a view that falls behind must not hold up a publisher."""
         super().__init__(
             f"live_view_{os.getpid()}",
@@ -48,7 +49,7 @@ class LiveListener(Node):
             enable_rosout=False,
             start_parameter_services=False,
         )
-        self.data = LiveData(self.get_namespace())  # received messages
+        self.data = LiveData(self.get_namespace(), units)  # received messages
         profile = qos_profile(Qos(reliable=False, transient_local=False, depth=QUEUE_DEPTH))
         self._inputs = {
             topic: self.create_subscription(
@@ -73,7 +74,11 @@ class LiveListener(Node):
 
 
 def watch(
-    namespace: str = NAMESPACE, *, plain: bool = False, json_file: Path | None = None
+    namespace: str = NAMESPACE,
+    units: Units = METRIC,
+    *,
+    plain: bool = False,
+    json_file: Path | None = None,
 ) -> None:
     """Show a running system until SIGINT or SIGTERM, or until the parent process has gone.
 
@@ -90,7 +95,7 @@ def watch(
     try:
         rclpy.init(args=[])
         started = True
-        listener = LiveListener(namespace)
+        listener = LiveListener(namespace, units)
     except (NameValidationException, NotInitializedException, RuntimeError) as error:
         if started and not rclpy.ok():
             return  # a signal came while the view began
@@ -175,14 +180,14 @@ def _follow(listener: LiveListener, shows: Sequence[tuple[float, Show]]) -> None
 
 
 @contextmanager
-def live_view() -> Iterator[None]:
+def live_view(units: Units) -> Iterator[None]:
     """Show this process's nodes in a view of its own process, which their threads never wait for.
 
     The terminal is the view's until the end; what is written to stderr meanwhile comes after it.
     """
     # Spawned, not forked: ROS and torch have threads.
     view = multiprocessing.get_context("spawn").Process(
-        target=watch, args=(NAMESPACE,), daemon=True
+        target=watch, args=(NAMESPACE, units), daemon=True
     )
     # Ctrl-C reaches the view too. While it imports it shall not receive it, which it inherits.
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN)

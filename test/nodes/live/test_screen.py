@@ -8,12 +8,13 @@ from rich.cells import cell_len
 from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.common.json_text import json_text
-from evpinn_ros.core.signals.readings import BatteryReading
+from evpinn_ros.common.units import US
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.nodes.live.data import NOTHING, LiveData
 from evpinn_ros.nodes.live.screen import as_json, plain_line, problem_lines, screen
 from evpinn_ros.topics.messages import Level, diagnostics, named_vector
-from evpinn_ros.topics.readings import battery_message
+from evpinn_ros.topics.readings import battery_message, speed_message
 
 
 def lines(data, now, width, height):
@@ -66,6 +67,17 @@ def test_never_wider_or_higher_than_asked(width, height, values, power, statuses
     assert all(char.isprintable() or char == "\n" for char in drawn)
     assert "\n" not in plain_line(data, 1.0)
     assert all(line.isprintable() for line in problem_lines(data, 1.0))
+
+
+def test_miles_in_place_of_kilometres_in_view_and_line():
+    data = LiveData(units=US)
+    names = ["distance_to_empty", "distance_lower", "distance_upper"]
+    ranges = named_vector(new_message, 10**9, names, [160_934.4, 80_467.2, 321_868.8])
+    data.take(topics.ENERGY_RANGE, ranges, 1.0)
+    data.take(topics.SPEED, speed_message(new_message, SpeedReading(10**9, 44.704)), 1.0)
+    for text in (screen(data, 1.0, 130, 40).plain, plain_line(data, 1.0)):
+        assert "100.0 mph" in text and "range 100 mi (50-200)" in text and "Wh/mi" in text
+        assert "km" not in text
 
 
 def test_what_is_drawn_has_one_sign_on_screen(well):
