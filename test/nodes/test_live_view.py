@@ -137,10 +137,10 @@ from evpinn_ros.nodes.live import view
 from waiting import wait_until
 
 class Ended(view.LiveListener):
-    def __init__(self, namespace):
+    def __init__(self, *arguments):
         os.kill(os.getpid(), signal.SIGTERM)
         wait_until(lambda: not rclpy.ok())
-        super().__init__(namespace)
+        super().__init__(*arguments)
 
 view.LiveListener = Ended
 view.watch(plain=True)
