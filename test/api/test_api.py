@@ -136,14 +136,13 @@ def test_a_state_that_is_not_there_is_an_error_and_no_new_car():
 
 def test_a_state_keeps_what_was_learned_of_the_battery(tmp_path):
     """Capacity and voltage: the charge after a plan is that of before, but for cold tyres."""
-    car = ev.Estimator(CAR)
-    charge = 90.0
-    for second in range(600):  # full at 40 kWh, half of the vehicle file
-        speed, current = 25.0, 180.0
-        charge -= 100 * 360.0 * current / (40 * 3.6e6)
-        car.add(second, speed, 360.0, current, soc_pct=round(2 * charge) / 2)
+    time = np.arange(600.0)
+    current = 180.0 + np.sin(time)
+    charge = 90.0 - 100 * 360.0 * np.cumsum(current) / (40 * 3.6e6)  # 40 kWh: half of the file
+    columns = {"t_s": time, "speed_mps": 25.0 + np.sin(time) / 9, "voltage_v": 360 + time / 1e3}
+    columns |= {"current_a": current, "soc_pct": np.round(2 * charge) / 2}
+    car = ev.replay(pd.DataFrame(columns), CAR, state=tmp_path / "car.json", warm_up=60.0)
     assert car.account.gauge.capacity.value < 55 * 3.6e6
-    car.save(tmp_path / "car.json")
     again = ev.Estimator(CAR, state=tmp_path / "car.json")
     assert again.account.gauge.capacity == car.account.gauge.capacity
     time = np.arange(0.0, 601.0)

@@ -4,6 +4,7 @@ import json
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import evpinn_ros as ev
@@ -83,10 +84,10 @@ def test_a_battery_that_does_not_last_is_told_with_its_place(evpinn, folder):
 
 
 def test_the_battery_is_that_of_the_state_once_drives_have_shown_it(evpinn, tmp_path):
-    car = ev.Estimator(CAR)
-    for second in range(1200):
-        car.add(second, 25.0, 360.0, 80.0, soc_pct=round(90.0 - second / 50.0, 1))
-    car.save(tmp_path / "car.json")
+    time = np.arange(1200.0)
+    columns = {"t_s": time, "speed_mps": 25.0 + np.sin(time) / 9, "voltage_v": 360 + time / 1e3}
+    columns |= {"current_a": 80.0 + np.sin(time), "soc_pct": np.round(90.0 - time / 50.0, 1)}
+    car = ev.replay(pd.DataFrame(columns), CAR, state=tmp_path / "car.json")
     (tmp_path / "slow.csv").write_text(SLOW)
     given = ("--vehicle", CAR, "--state", "car.json", "--charge", 80)
     ended = evpinn("forecast", "slow.csv", *given, cwd=tmp_path)

@@ -2,8 +2,6 @@
 
 import json
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pandas as pd
@@ -17,6 +15,7 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.topics.messages import named_vector
+from test.cli.conftest import run_here
 from test.nodes.conftest import VEHICLE
 from test.nodes.plans import ANSWERS, NOW, profile
 
@@ -32,20 +31,27 @@ def drive(estimator):
         estimator.add(second, speed, 350.0, watts / 350.0, soc_pct=60.0, ambient_c=COLD)
 
 
-@pytest.mark.parametrize("ended", [False, True], ids=["in a drive", "between drives"])
-def test_command_python_topic_and_range_agree(bench, tmp_path, ended):
-    state, plan, answer = (tmp_path / name for name in ("car.json", "plan.csv", "answer.json"))
-    estimator = ev.Estimator(VEHICLE)
+@pytest.fixture(scope="module")
+def states(tmp_path_factory):
+    """State files of a car in the middle of a drive, and after it."""
+    folder, estimator = tmp_path_factory.mktemp("states"), ev.Estimator(VEHICLE)
     drive(estimator)
-    if ended:
-        estimator.begin_next_drive()
-    estimator.save(state)
+    estimator.save(folder / "in a drive")
+    estimator.begin_next_drive()
+    estimator.save(folder / "between drives")
+    return folder
+
+
+@pytest.mark.parametrize("saved", ["in a drive", "between drives"])
+def test_command_python_topic_and_range_agree(bench, states, tmp_path, saved):
+    state, plan, answer = (tmp_path / name for name in ("car.json", "plan.csv", "answer.json"))
+    state.write_bytes((states / saved).read_bytes())
     table = pd.DataFrame(TRIP, columns=["t_s", "distance_m", "speed_mps"])
     table.to_csv(plan, index=False)
 
     given = f"--vehicle {VEHICLE} --state {state} --temperature {COLD} --stood {STOOD / 3600!r}"
-    evpinn = (sys.executable, "-m", "evpinn_ros", "forecast", plan, *given.split())
-    subprocess.run((*evpinn, "--json", answer), check=True, capture_output=True)
+    ended = run_here("forecast", plan, *given.split(), "--json", answer, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
     (by_command,) = json.loads(answer.read_text())
 
     known = ev.Estimator(VEHICLE, state=state)

@@ -20,7 +20,7 @@ def test_other_policies_keep_what_was_learned(bench, urban, policy):
     estimator = bench.start(EstimatorNode, time_jump_policy=policy)
     energy = bench.start(EnergyNode, time_jump_policy=policy)
     bench.listen(topics.POWER_SMOOTHED, topics.POWER_MEASURED)
-    drive = [(topic, message) for topic, _, message in urban(12.0)]
+    drive = [(topic, message) for topic, _, message in urban(8.0)]
     bench.drive(drive)
     bench.settle()
     learned, consumed = efficiency(estimator), energy.account.state.consumed

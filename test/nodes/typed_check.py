@@ -17,7 +17,6 @@ from evpinn_msgs.action import EstimatePlans
 from evpinn_msgs.msg import Plan, PlanConditions
 from evpinn_msgs.srv import EstimatePlan
 from evpinn_ros import topics
-from evpinn_ros.core.energy.plan import MAX_POINTS
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes import energy
 from evpinn_ros.nodes.base import NOT_ACTIVE
@@ -194,7 +193,7 @@ def batches(bench, node):
     client = ActionClient(bench.node, EstimatePlans, "/ev/energy/estimate_plans")
     between = bench.node.create_client(EstimatePlan, "/ev/energy/estimate_plan")
     bench.pump(lambda: client.server_is_ready() and between.service_is_ready())
-    told, asked = [], batch(30, 2_000).plans
+    told, asked = [], batch(30, 200).plans
 
     def start(plans):
         goal = client.send_goal_async(
@@ -240,13 +239,13 @@ def batches(bench, node):
 def refusals(bench, node):
     """What is too much is refused, an inactive node answers nothing, and the car stays well."""
     name, call = "/ev/energy/estimate_plan", EstimatePlan
-    plans = batch(1, MAX_POINTS).plans * 3
+    plans = batch(1, 200).plans * 3
     node.active = False
     answer = bench.call(call, name, plans=plans[:2])
     assert [result.refusal for result in answer.results] == [NOT_ACTIVE] * 2
     assert all(math.isnan(result.energy) and len(result.more) == 2 for result in answer.results)
     node.active = True
-    with mock.patch.object(energy, "SERVICE", SERVICE._replace(points=2 * MAX_POINTS)):
+    with mock.patch.object(energy, "SERVICE", SERVICE._replace(points=2 * 200)):
         answer = bench.call(call, name, plans=plans)
     *answered, beyond = answer.results
     assert "points" in beyond.refusal and not any(each.refusal for each in answered)
@@ -287,7 +286,7 @@ def test_calls_are_answered_though_nothing_else_wakes_the_node(bench):
         "sys.exit(executables.energy())",
     ))  # fmt: skip
     command = [sys.executable, "-c", bare, *processes.node("energy")[3:]]
-    plans = batch(20, 2_000).plans
+    plans = batch(20, 200).plans
     with processes.started(*command) as process:
         answer = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=plans)
         assert not any(result.refusal for result in answer.results)

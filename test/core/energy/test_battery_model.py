@@ -106,10 +106,10 @@ def test_more_power_than_there_is_and_an_empty_battery_give_finite_ends(learned)
 def test_readings_of_no_battery_change_nothing(wrong):
     model, sound = BatteryModel(CAPACITY), BatteryModel(CAPACITY)
     for to in (model, sound):
-        charge = drive(to.add_reading, 100)
-    model.add_reading(BatteryReading(START + 99_950_000_000, *wrong, charge))
+        charge = drive(to.add_reading, 30)
+    model.add_reading(BatteryReading(START + 29_950_000_000, *wrong, charge))
     for to in (model, sound):
-        drive(to.add_reading, 100, charge, begin=100)
+        drive(to.add_reading, 30, charge, begin=30)
     assert model.export() == sound.export()
 
 

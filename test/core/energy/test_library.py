@@ -94,6 +94,3 @@ def test_the_gradient_is_that_of_finite_differences(model, name, seed):
         ends.append(float(at.energy.sum() + at.sigma.sum()))
     difference = (ends[0] - ends[1]) / (2 * step)
     assert gradient[index] == pytest.approx(difference, rel=1e-4, abs=1.0)
-
-
-# What holds for the physics and for every learned model, exactly.

@@ -26,8 +26,7 @@ class Fed(EnergyMeter):
 
     def add_measured(self, stamp_ns, power, sigma=math.nan):
         row = (0, stamp_ns, power, sigma, math.nan, math.nan)
-        course = self.add(NOTHING, PowerBlock(*(np.array([value]) for value in row)))
-        self.last_dropout = next((each for _, each in course.ended), self.last_dropout)
+        self.add(NOTHING, PowerBlock(*(np.array([value]) for value in row)))
 
     def add_predicted(self, stamp_ns, power, sigma, energy_sigma=math.nan, energy=math.nan):
         row = (0, stamp_ns, power, sigma, energy_sigma, energy)
@@ -49,16 +48,20 @@ def drive(
     sigma=1e3,
     measured_sigma=math.nan,
 ):
-    """Push 10 Hz samples for the seconds of a range.
+    """Push 10 Hz samples for the seconds of a range, in a block.
 
     No battery in those of `silent`, and no speed, so no prediction, in those of `blind`.
     """
-    for tick in range(seconds.start * 10, seconds.stop * 10 + 1):
-        stamp = START + tick * 100_000_000
-        if tick / 10 <= silent.start or tick / 10 > silent.stop:
-            to.add_measured(stamp, measured, measured_sigma)
-        if tick / 10 <= blind.start or tick / 10 > blind.stop:
-            to.add_predicted(stamp, predicted, sigma)
+    ticks = np.arange(seconds.start * 10, seconds.stop * 10 + 1)
+
+    def block(place, power, sigma, missing):
+        at = ticks[(ticks / 10 <= missing.start) | (ticks / 10 > missing.stop)]
+        values = (np.full(len(at), value) for value in (power, sigma, math.nan, math.nan))
+        return PowerBlock(2 * at + place, START + at * 100_000_000, *values)
+
+    powers = block(1, predicted, sigma, blind), block(0, measured, measured_sigma, silent)
+    for _, dropout in to.add(*powers).ended:
+        to.last_dropout = dropout
     return to
 
 

@@ -34,12 +34,6 @@ def test_length_is_measured_along_the_slope():
     assert plan.distance[-1] == pytest.approx(5.0)
 
 
-def test_waiting_is_standing():
-    x = np.array([0.0, 100.0, 100.0, 200.0])
-    plan = plan_from_path(x, ZERO, ZERO, np.array([0.0, 10.0, 40.0, 50.0]))
-    assert plan.speed[1] == plan.speed[2] == 0.0
-
-
 @given(
     st.lists(
         st.tuples(st.floats(0.01, 100.0), st.floats(0.0, 40.0) | st.just(0.0)),

@@ -162,7 +162,7 @@ def served(request):
     server.stop(None)
 
 
-SECONDS = 150  # of the drive: enough to learn m/eta
+SECONDS = 60  # of the drive
 
 
 def feed_drive(broker, seconds=SECONDS):

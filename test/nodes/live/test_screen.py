@@ -32,7 +32,7 @@ NUMBER = st.floats(allow_nan=False, allow_infinity=False)
     power=NUMBER,
     statuses=st.lists(st.tuples(st.sampled_from(Level), TEXT, TEXT, TEXT), max_size=6),
 )
-@settings(max_examples=50, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 def test_never_wider_or_higher_than_asked(width, height, values, power, statuses):
     data = LiveData()
     for topic, names, numbers in (
