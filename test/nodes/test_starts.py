@@ -18,12 +18,12 @@ AT_ONCE = 5
 BUSY = (sys.executable, "-c", "while True: pass")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("starts", "end"),
     [
-        pytest.param(AT_ONCE, signal.SIGINT, marks=pytest.mark.slow),
-        pytest.param(200, signal.SIGINT, marks=pytest.mark.nightly),
-        pytest.param(100, signal.SIGKILL, marks=pytest.mark.nightly),
+        (200, signal.SIGINT),
+        (100, signal.SIGKILL),
     ],
 )
 @pytest.mark.timeout(3600)
