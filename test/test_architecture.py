@@ -4,11 +4,7 @@ import ast
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
-import subprocess
-import sys
 from xml.etree import ElementTree
-
-import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "evpinn_ros"
@@ -118,20 +114,6 @@ def known(names: Iterable[str], packages: set[str]) -> list[tuple[str, str]]:
 
 def test_only_nodes_know_ros() -> None:
     assert known(without_ros(), ros_packages()) == []
-
-
-@pytest.mark.nightly
-@pytest.mark.slow
-def test_everything_but_the_nodes_loads_without_ros() -> None:
-    names = [f"evpinn_ros.{name}".rstrip(".") for name in without_ros() if name != "__main__"]
-    code = (
-        "import importlib, sys\n"
-        f"sys.modules.update(dict.fromkeys({ros_packages()}))\n"
-        f"for name in {names}:\n"
-        "    importlib.import_module(name)"
-    )
-    ended = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stderr
 
 
 def test_cores_read_no_clock() -> None:

@@ -83,16 +83,6 @@ def changes(lines):
     return all(line != other for line, other in itertools.pairwise(lines))
 
 
-@pytest.mark.nightly
-def test_another_bus_is_said_with_what_would_fit(bench, bus, said):
-    node = start(bench, bus, can_profile="nissan_leaf")
-    drive(bench, bus, model_3(), lambda: any("no frame" in line for line in said()))
-    last = node.published[topics.DIAGNOSTICS] + 2
-    drive(bench, bus, model_3(), lambda: node.published[topics.DIAGNOSTICS] >= last)
-    assert changes(said())
-    assert "'tesla_model_3' fits" in next(line for line in said() if "no frame" in line)
-
-
 def test_a_profile_that_contradicts_the_bus_publishes_nothing(bench, bus, said):
     node = start(bench, bus, can_profile="tesla_model_s")
     bench.listen(topics.SPEED, topics.BATTERY)

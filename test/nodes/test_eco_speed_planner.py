@@ -1,8 +1,6 @@
 """The example planner beside the real energy node: over topics alone, with it and without."""
 
 import math
-import signal
-import sys
 
 import pytest
 from trajectory_msgs.msg import JointTrajectory
@@ -18,14 +16,12 @@ from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.plans import speed_profile_plan
 from test.conftest import load_example
-from test.nodes.processes import started, stopped
 from test.waiting import HANG_S
 
 VEHICLE = load_vehicle("tesla_model_3_lr")
 
 
 EXAMPLE = load_example("eco_speed_planner.py")
-FILE = EXAMPLE.__file__
 
 
 @pytest.fixture
@@ -140,13 +136,3 @@ def test_without_an_energy_node_it_says_so_and_goes_on(bench, start, capfd):
     pick = EXAMPLE.cheapest_in_time(planner.candidates, planner.answers, 720.0)
     assert cost((planner.answers[pick], planner.candidates[pick])) < math.inf
     bench.pump(lambda: chosen and chosen[-1].header.frame_id == planner.candidates[pick].name)
-
-
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-def test_as_a_process_it_prints_its_table_and_ends_when_told(stop):
-    options = ("-p", "period:=0.3", "-p", "timeout:=0.2", "-p", "candidates:=1")
-    with started(sys.executable, FILE, "--ros-args", *options) as running:
-        assert running.stdout.readline().split() == [
-            "candidate", "arrival", "energy", "sigma", "more", "battery",
-        ]  # fmt: skip
-        stopped(running, stop)

@@ -25,6 +25,7 @@ from evpinn_ros.topics import (
     DIAGNOSTICS,
     INPUTS,
     PLAN,
+    POWER_SMOOTHED,
     RELIABLE,
     SPEED,
     TOPICS,
@@ -369,5 +370,7 @@ def test_quality_of_service():
     assert all(not topic.subscriber_qos.reliable for topic in INPUTS)
     assert all(topic.publisher_qos.reliable for topic in TOPICS)
     assert PLAN.subscriber_qos.reliable
+    power = POWER_SMOOTHED.subscriber_qos  # a node that rests for four seconds misses none
+    assert power.reliable and power.depth >= 40
     assert RELIABLE.publisher_qos.transient_local and RELIABLE.publisher_qos.depth == 1
     assert RELIABLE.subscriber_qos.transient_local

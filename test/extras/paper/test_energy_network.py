@@ -29,12 +29,6 @@ def trained():
     return run
 
 
-# The quadrature that the networks are to learn
-
-
-# Steps
-
-
 def test_steps_across_gaps_and_beside_unknown_power_are_left_out():
     time, power = drive()
     power[10] = np.nan
@@ -43,9 +37,6 @@ def test_steps_across_gaps_and_beside_unknown_power_are_left_out():
     assert len(data.dt) == 200 - 2 - 1
     assert data.dt.max() < 0.2
     assert data.energy == pytest.approx(np.cumsum(data.step_energy) - data.step_energy)
-
-
-# Training
 
 
 def test_losses_are_eq_30_over_the_mean_square_step():
@@ -75,9 +66,6 @@ def test_interrupted_training_gives_the_same_numbers(trained, tmp_path):
     again.load_state(saved)  # training did not write into what was saved
     again.run_to(EPOCHS)
     assert again.losses == trained.losses
-
-
-# Roll-out
 
 
 def test_roll_out_follows_the_quadrature_and_stands_still_in_gaps(trained):

@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 
+import numpy as np
 import pytest
 import torch
 
@@ -59,3 +60,12 @@ def test_marquardt_never_makes_it_worse_and_comes_near_where_adam_does_not():
         assert LEAST_DAMPING <= damping <= MOST_DAMPING
     assert all(after <= before for before, after in pairwise(errors))
     assert errors[-1] < 0.01 * float(torch.var(target))
+
+
+def test_the_output_by_hand():
+    network = PowerNetwork((2, 1, 1), seed=0, dtype=torch.float64)
+    network.load_vector(torch.tensor([1.0, -2.0, 0.5, 3.0, 0.25], dtype=torch.float64))
+    inputs = torch.tensor([[0.3, 0.1], [0.0, 0.0]], dtype=torch.float64)
+    # tanh(0.3 - 0.2 + 0.5) * 3 + 0.25 and tanh(0.5) * 3 + 0.25
+    expected = [3 * np.tanh(0.6) + 0.25, 3 * np.tanh(0.5) + 0.25]
+    assert network(inputs).tolist() == pytest.approx(expected)

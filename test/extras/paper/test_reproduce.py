@@ -72,18 +72,7 @@ def test_everything_the_issue_names_is_written(quick, drive, tmp_path):
     again = run("reproduce", drive, *options)
     tables = text.index("QUICK LOOK")  # before it stands how long it took
     assert again[again.index("QUICK LOOK") :] == text[tables:]
-
-
-def test_state_is_a_start_for_replay(quick, drive, tmp_path):
-    out = tmp_path / "out"
-    run(
-        *("reproduce", drive, "--vehicle", VEHICLE, "--optimizer", "gauss_newton"),
-        *("--quick", "--out", out),
-    )
-    state, scores = out / "state.json", tmp_path / "scores.json"
-    run(
-        *("replay", drive, "--vehicle", VEHICLE, "--mode", "paper", "--warm-up", 5),
-        *("--state", state, "--metrics", scores),
-    )
+    scores, replay = tmp_path / "scores.json", ("replay", drive, *options[:2], "--mode", "paper")
+    run(*replay, "--warm-up", 5, "--state", out / "state.json", "--metrics", scores)
     assert json.loads(scores.read_text())["power"]["rmse_w"] > 0
     run("check-params", out / "vehicle.yaml")
