@@ -69,6 +69,12 @@ def test_each_promise_names_its_attack():
     assert len(rows) > 50 and set(re.findall(r"`(test_\w+)`", page)) <= names
 
 
+def test_the_files_of_the_core_in_one_hour_are_there():
+    page = (ROOT / "docs" / "explanation" / "architecture.md").read_text()
+    files = re.findall(r"^\| `(core/[\w/]+\.py)` \|", page, re.MULTILINE)
+    assert len(files) == 7 and all((ROOT / "evpinn_ros" / name).is_file() for name in files)
+
+
 @pytest.mark.parametrize("name", ["foxglove.json", "plotjuggler.xml"])
 def test_the_ready_layouts_show_topics_that_exist(name):
     text = (ROOT / "config" / "views" / name).read_text()

@@ -21,7 +21,13 @@ from benchmarks.unseen.run import (
     run_tasks,
 )
 from benchmarks.unseen.sumo_cars import sumo_is_there
-from benchmarks.unseen.table import age_table, energy_table, score_table, truth_table
+from benchmarks.unseen.table import (
+    LEGEND,
+    age_table,
+    energy_table,
+    score_table,
+    truth_table,
+)
 from benchmarks.unseen.truth import KINDS
 from evpinn_ros.cli.console import note, progress_bar, say, show
 from evpinn_ros.cli.options import JsonOption
@@ -78,6 +84,7 @@ def unseen(
             entry = by_car[result.task.car]
             if len(entry["methods"]) == len(names):
                 _show(result.task.car, entry, names)
+    say(LEGEND)
     _show_goals(by_car)
 
 

@@ -26,6 +26,16 @@ TRUTH_COLUMNS = {
     "p_aux": "p_aux",
 }
 AGES = ("0.1", "1", "10", "60", "600")
+LEGEND = """
+carried       whole drives, each predicted from what the drives before it taught
+200 s, 600 s  so long a part of a drive, its battery hidden
+net, gross %  error of the energy in percent of net or gross energy: median; mean
+CRPS %        mean error of the predicted distribution, percent of gross energy
+log           log of the density at the measured energy; larger is better
+in 90 %       share of the 90 % intervals that hold the energy; width: the mean one
+RMSE W        of power: every sample, or means over 1, 10 and 60 s
+W, %          RMSE of power, error of energy, by the age of the last battery reading
+"""
 
 
 def energy_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
