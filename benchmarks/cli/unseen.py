@@ -84,7 +84,8 @@ def unseen(
             entry = by_car[result.task.car]
             if len(entry["methods"]) == len(names):
                 _show(result.task.car, entry, names)
-    say(LEGEND)
+    for line in LEGEND.splitlines():
+        say(line)
     _show_goals(by_car)
 
 
