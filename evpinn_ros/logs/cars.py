@@ -8,10 +8,10 @@ from itertools import takewhile
 import re
 
 from evpinn_ros.common.errors import SAY_CAR, InputError, near_names
+from evpinn_ros.logs.batch import Row
 from evpinn_ros.logs.numbers import is_missing
 from evpinn_ros.logs.quantities import words_of
 from evpinn_ros.logs.survey import Head, Table, data_rows, until_broken
-from evpinn_ros.logs.text_table import Row
 
 # Names of a column that tells cars apart, by their words.
 NAMES = frozenset(

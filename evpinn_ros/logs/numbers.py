@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.logs.batch import Cells
 
 with optional_imports():
     import polars as pl
@@ -54,7 +55,7 @@ def _certain(style: Style) -> str:
     return rf"{thousands}.*{decimal}[^{thousands}]*$|^[+-]*({one_sign})$|^{groups}$"
 
 
-def to_floats(cells: Sequence[str], style: Style) -> NDArray[np.float64]:
+def to_floats(cells: Cells, style: Style) -> NDArray[np.float64]:
     """The numbers of cells, NaN where there is none; shape as the cells."""
     series = pl.Series("", cells, dtype=pl.String).str.strip_chars()
     values = series.cast(pl.Float64, strict=False)

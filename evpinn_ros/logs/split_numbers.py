@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.logs.apps import layout_of
+from evpinn_ros.logs.batch import Row
 from evpinn_ros.logs.numbers import is_missing
 from evpinn_ros.logs.survey import AnotherHeaderError, Head, Table, data_rows, until_broken
-from evpinn_ros.logs.text_table import Row
 
 MOST_LAYOUTS = 5000  # ways to join that are tried
 TRIED_ROWS = 500  # of one width

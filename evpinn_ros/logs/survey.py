@@ -15,13 +15,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.logs.apps import ANNOTATIONS, layout_of
+from evpinn_ros.logs.batch import Batch, Row, batches_of
 from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of
 from evpinn_ros.logs.quantities import BY_COLUMN, QUANTITIES, known_unit, may_be_of_use, score
-from evpinn_ros.logs.text_table import Row
+from evpinn_ros.logs.text_table import TextTable
 
 # The columns of a table with one value a row.
 NAMES = (
@@ -212,58 +213,87 @@ def look_through(
     is how many rows are looked at.
     """
     widths: Counter[int] = Counter()
-    kept: list[tuple[str, ...]] = []
+    kept: list[list[str]] = [[] for _ in wanted]
     most = max(1000, MOST_CELLS // max(1, len(wanted)))
-    stride = 1
+    stride, seen = 1, 0  # rows
     empty = set(range(len(head.names)))
 
-    def seen() -> Survey:
-        columns = list(zip(*kept, strict=True)) if kept else [()] * len(wanted)
-        cells = {place: list(column) for place, column in zip(wanted, columns, strict=True)}
+    def survey() -> Survey:
+        cells = dict(zip(wanted, kept, strict=True))
         return Survey(cells, widths, len(head.names), stride, frozenset(empty))
 
-    looked = islice(data_rows(table, head), limit)
-    for index, (_, row) in enumerate(until_broken(looked)):
-        width = len(row)
-        widths[width] += 1
-        if empty:
-            empty -= {at for at in empty if at < width and not is_missing(row[at])}
-        if index == ROWS_THAT_TELL:
-            early(seen())
-        if index % stride:
-            continue
-        kept.append(tuple(row[i] if i < width else "" for i in wanted))
-        if len(kept) > most:
-            kept, stride = kept[::2], 2 * stride
-    return seen()
+    for whole in until_broken(data_batches(table, head)):
+        batch = whole.part(0, limit - seen)
+        widths.update(batch.widths.tolist())
+        empty = {place for place in empty if all(map(is_missing, batch.cells(place)))}
+        for column, place in zip(kept, wanted, strict=True):
+            column += list(batch.cells(place)[-seen % stride :: stride])
+        while kept and len(kept[0]) > most:
+            kept, stride = [column[::2] for column in kept], 2 * stride
+        if seen <= ROWS_THAT_TELL < seen + len(batch):
+            early(survey())
+        seen += len(batch)
+        if seen >= limit:
+            break
+    return survey()
 
 
-def until_broken(rows: Iterator[Row]) -> Iterator[Row]:
-    """The rows up to where the file breaks off, which is reported on reading."""
+Broken = TypeVar("Broken", Row, Batch)
+
+
+def until_broken(parts: Iterator[Broken]) -> Iterator[Broken]:
+    """The rows, or batches, up to where the file breaks off, which is reported on reading."""
     try:
-        yield from rows
+        yield from parts
     except AnotherHeaderError:
         raise
     except InputError:
         return
 
 
+def data_batches(table: Table, head: Head) -> Iterator[Batch]:
+    """`data_rows` in batches."""
+    below = _Below(head)
+    for batch in table.batches() if isinstance(table, TextTable) else batches_of(table.rows()):
+        within = None
+        if batch.columns is not None and batch.lines[0] > head.row and below.is_as_the_first:
+            within = batch.within(max(len(head.names), 1))
+        yield from [within] if within is not None else batches_of(below.rows(batch.rows()))
+
+
 def data_rows(table: Table, head: Head) -> Iterator[Row]:
     """The rows below the header, without comments and further headers."""
-    begin, width, names = head.row, len(head.names), frozenset(head.written)
-    places: list[int | None] | None = None  # of the header's columns, below one of another order
-    for number, row in table.rows():
-        cell = row[0]
-        if number <= begin or cell[:1] == "#":
-            continue
-        if (cell[:1] not in _NO_NAME or cell in names) and _is_header(row, head):
-            places = _places_below(row, head, number)
-            continue
-        if places is not None:
-            row = [row[at] if at is not None and at < len(row) else "" for at in places]
-        elif len(row) > width and not any(row[width:]):
-            row = row[:width]  # a separator stands at the end of each line
-        yield number, row
+    return _Below(head).rows(table.rows())
+
+
+class _Below:
+    """Rows below a header, in the order of its columns."""
+
+    def __init__(self, head: Head) -> None:
+        self._head, self._names = head, frozenset(head.written)
+        # Of the header's columns, below another header with another order.
+        self._places: list[int | None] | None = None
+
+    @property
+    def is_as_the_first(self) -> bool:
+        """True if rows have the order of the first header, and no header begins with a digit."""
+        return self._places is None and not any(name[:1] in _NO_NAME for name in self._names)
+
+    def rows(self, rows: Iterator[Row]) -> Iterator[Row]:
+        """The next rows, without comments and further headers."""
+        head, width = self._head, len(self._head.names)
+        for number, row in rows:
+            cell = row[0]
+            if number <= head.row or cell[:1] == "#":
+                continue
+            if (cell[:1] not in _NO_NAME or cell in self._names) and _is_header(row, head):
+                self._places = _places_below(row, head, number)
+                continue
+            if self._places is not None:
+                row = [row[at] if at is not None and at < len(row) else "" for at in self._places]
+            elif len(row) > width and not any(row[width:]):
+                row = row[:width]  # a separator stands at the end of each line
+            yield number, row
 
 
 _NO_NAME = frozenset(" 0123456789+-.")  # what a cell of a number or a time begins with

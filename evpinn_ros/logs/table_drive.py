@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import DRIVE_START_NS, NANOSECONDS
+from evpinn_ros.logs.batch import Batch, regrouped
 from evpinn_ros.logs.cars import table_of_car
 from evpinn_ros.logs.clock import LAST_TIME_NS, NONE, Clock, Order
 from evpinn_ros.logs.clock_choice import RELATIVE_BELOW_S, clocks_of
@@ -48,12 +49,11 @@ from evpinn_ros.logs.survey import (
     LongTable,
     Survey,
     Table,
-    data_rows,
+    data_batches,
     find_head,
     long_form,
     look_through,
 )
-from evpinn_ros.logs.text_table import Row
 from evpinn_ros.logs.values import (
     contradictions,
     held_columns,
@@ -67,12 +67,11 @@ from evpinn_ros.logs.values import (
 if TYPE_CHECKING:
     from evpinn_ros.logs.terrain import Terrain
 
-BATCH, BATCH_CELLS = 16_384, 500_000  # rows, and cells of them, converted at once
+AT_ONCE = 16_384  # rows of a table that is not in order of time
 DIGITS = re.compile(r"\d+")
 FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed
 
 Stamps = NDArray[np.int64]
-Batch = tuple[Row, ...]
 Numbers = dict[str, NDArray[np.float64]]
 Timed = tuple[Stamps, Numbers]  # times of some rows, and their values, SI
 
@@ -328,10 +327,10 @@ class TableDrive(Source):
         """
         broken: list[InputError] = []
         running = self.clock.running()
-        batches = _batches(self._until_broken(broken))
         places = self.clock.columns
         timed = (
-            (b, np.array(self.clock.stamps({i: _cells(b, i) for i in places}))) for b in batches
+            (b, np.array(self.clock.stamps({place: b.cells(place) for place in places})))
+            for b in regrouped(self._until_broken(broken))
         )
         parts = ((stamps, self._values(batch, stamps)) for batch, stamps in timed)
         for stamps, values in _oldest_first(parts, self.clock.order):
@@ -344,7 +343,7 @@ class TableDrive(Source):
         self._count_times(batch, stamps)
         if self._engine is not None:
             style = self._survey.styles[self._engine]
-            on = (to_floats(_cells(batch, self._engine), style) > 0) & (stamps != NONE)
+            on = (to_floats(batch.cells(self._engine), style) > 0) & (stamps != NONE)
             self.dropped["engine_on"] += int(on.sum())
             stamps[on] = NONE
         values = {
@@ -358,25 +357,25 @@ class TableDrive(Source):
             values["elevation"] = np.where(np.isnan(heights), recorded, heights)
         return values
 
-    def _until_broken(self, broken: list[InputError]) -> Iterator[Row]:
+    def _until_broken(self, broken: list[InputError]) -> Iterator[Batch]:
         """Rows that are whole; the error that ends the file goes to `broken`."""
-        known: dict[int, bool] = {}
         try:
-            for number, row in data_rows(self._table, self._head):
-                self.rows += 1
-                width = len(row)
-                if width not in known:
-                    known[width] = self._survey.is_whole(width)
-                if known[width]:
-                    yield number, row
-                else:
-                    self.dropped["wrong_number_of_cells"] += 1
+            for batch in data_batches(self._table, self._head):
+                widths = batch.widths
+                self.rows += len(batch)
+                torn = [w for w in np.unique(widths).tolist() if not self._survey.is_whole(w)]
+                if torn:
+                    whole = ~np.isin(widths, torn)
+                    self.dropped["wrong_number_of_cells"] += int((~whole).sum())
+                    batch = batch.where(whole)
+                if len(batch):
+                    yield batch
         except InputError as error:
             broken.append(error)
 
     def _numbers(self, batch: Batch, rule: Column) -> NDArray[np.float64]:
         """SI values of a column; NaN where there is none."""
-        values = to_floats(_cells(batch, rule.place), self._survey.styles[rule.place])
+        values = to_floats(batch.cells(rule.place), self._survey.styles[rule.place])
         self._count_bad(batch, rule, ~np.isfinite(values), "is no number")
         values = np.where(np.abs(values) < MOST, values, math.nan)  # no factor makes it infinite
         values = signed(values, rule.wraps) * rule.factor + rule.offset
@@ -392,9 +391,11 @@ class TableDrive(Source):
 
     def _count_bad(self, batch: Batch, rule: Column, bad: NDArray[np.bool_], what: str) -> None:
         """Count the bad cells of a column that are not just missing, and quote the first."""
-        for i in np.flatnonzero(bad):
-            line, row = batch[i]
-            cell = row[rule.place] if rule.place < len(row) else ""
+        if not bad.any():
+            return
+        cells = batch.cells(rule.place)
+        for i in np.flatnonzero(bad).tolist():
+            line, cell = batch.lines[i], cells[i]
             if is_missing(cell):
                 continue
             self.dropped[f"{QUANTITIES[rule.quantity].column}_not_a_number"] += 1
@@ -494,20 +495,6 @@ def _heights(
     return heights
 
 
-def _batches(rows: Iterator[Row]) -> Iterator[Batch]:
-    """Rows in batches of so many rows or cells."""
-    batch: list[Row] = []
-    cells = 0
-    for row in rows:
-        batch.append(row)
-        cells += len(row[1])
-        if len(batch) == BATCH or cells > BATCH_CELLS:
-            yield tuple(batch)
-            batch, cells = [], 0
-    if batch:
-        yield tuple(batch)
-
-
 def _oldest_first(parts: Iterator[Timed], order: Order) -> Iterator[Timed]:
     """Parts in order of time; in any other order all numbers are held, though no text."""
     if order is Order.OLDEST_FIRST:
@@ -523,13 +510,9 @@ def _oldest_first(parts: Iterator[Timed], order: Order) -> Iterator[Timed]:
     values = {name: np.concatenate([part[name] for _, part in held]) for name in names}
     del held
     rows = order.rows(stamps)
-    for begin in range(0, rows.size, BATCH):
-        some = rows[begin : begin + BATCH]
+    for begin in range(0, rows.size, AT_ONCE):
+        some = rows[begin : begin + AT_ONCE]
         yield stamps[some], {name: part[some] for name, part in values.items()}
-
-
-def _cells(batch: Batch, place: int) -> list[str]:
-    return [row[place] if place < len(row) else "" for _, row in batch]
 
 
 def _seconds(stamps: Stamps) -> NDArray[np.float64]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import codecs
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 import csv
-from io import SEEK_END, TextIOWrapper
-from itertools import islice
+from io import SEEK_END, IncrementalNewlineDecoder
 from pathlib import Path
 import re
 from tempfile import TemporaryDirectory
@@ -16,9 +15,16 @@ from typing import IO, Any
 import weakref
 import zlib
 
+import numpy as np
+
 from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, reason_of
 from evpinn_ros.common.opener import LONGEST_LINE, open_unpacked
+from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.logs.batch import Batch, Row
+
+with optional_imports():
+    import polars as pl
 
 MOST_COLUMNS = 10_000
 LONG_LINE, LONGEST_CELL = 2000, 200  # characters, of a cell in a long line those that are kept
@@ -32,7 +38,8 @@ BLANK = "\r\n\t ,;"  # what a row of nothing is made of
 
 READ_ERRORS = (OSError, EOFError, zlib.error, ValueError, csv.Error)  # ValueError: no text
 
-Row = tuple[int, list[str]]  # the number of its line in the file, its cells
+FIRST, CHUNK = 1 << 14, 1 << 20  # bytes read at once, at the header and below
+DIGITS = np.isin(np.arange(256), list(b"0123456789+-."))  # bytes that a row of data begins with
 
 codecs.register_error(
     "evpinn-cp1252",
@@ -51,7 +58,10 @@ class TextTable:
     Attributes:
         path: of it.
         torn: lines that are no row, for a quote in them is not closed; complete after `rows`.
+        broken: why there is no more of it than there is, or "".
     """
+
+    broken: str | None = ""
 
     def __init__(self, path: Path, content: Path | None = None, separator: str = "") -> None:
         """Find the separator, if it is not given.
@@ -63,6 +73,7 @@ class TextTable:
         """
         self.path, self._content = path, content or path
         self.torn = self._line = 0
+        self._useless = 0  # lines since the last row
         self._encoding = ""
         self._is_long = False  # the line that is read
         self.separator = separator or self._separator()
@@ -73,18 +84,71 @@ class TextTable:
         Raises:
             InputError: it cannot be read further.
         """
-        self.torn, self._line = 0, 0
+        with self._texts() as texts:
+            for text in texts:
+                yield from self._rows_of(text)
+
+    def batches(self) -> Iterator[Batch]:
+        """`rows` in batches: by column where each line begins with a digit and all are alike.
+
+        Raises:
+            InputError: it cannot be read further.
+        """
+        with self._texts() as texts:
+            for text in texts:
+                columns = self._columns(text)
+                if columns is None:
+                    rows: list[Row] = []
+                    try:
+                        rows.extend(self._rows_of(text))
+                    except READ_ERRORS:
+                        yield Batch.of(rows)
+                        raise
+                    yield Batch.of(rows)
+                    continue
+                first, self._line = self._line + 1, self._line + len(columns[0])
+                yield Batch(range(first, self._line + 1), columns=columns)
+
+    @contextmanager
+    def _texts(self) -> Iterator[Iterator[str]]:
+        """The text of the file; an error says in which line it is."""
+        self.torn = self._line = self._useless = 0
         try:
             with self._open() as file:
-                for row in csv.reader(self._whole_lines(file), delimiter=self.separator):
-                    if len(row) > MOST_COLUMNS:
-                        raise ValueError(f"a row of more than {MOST_COLUMNS} columns")
-                    if self._is_long:
-                        row = [cell[:LONGEST_CELL] for cell in row]
-                    yield self._line, row
+                yield self._chunks(file)
         except READ_ERRORS as error:
             where = f"{self.path}:{self._line + 1}" if self._line else str(self.path)
             raise InputError(f"{where}: {reason_of(error)}") from error
+        if self.broken:
+            raise InputError(f"{self.path}: {self.broken}")
+
+    def _rows_of(self, text: str) -> Iterator[Row]:
+        for row in csv.reader(self._whole_lines(text), delimiter=self.separator):
+            if len(row) > MOST_COLUMNS:
+                raise ValueError(f"a row of more than {MOST_COLUMNS} columns")
+            if self._is_long:
+                row = [cell[:LONGEST_CELL] for cell in row]
+            yield self._line, row
+
+    def _columns(self, text: str) -> list[pl.Series] | None:
+        """Text of the columns; None where not all lines are rows of as many unquoted cells."""
+        if '"' in text:
+            return None
+        data = text.encode("utf-8", "replace")
+        signs = np.frombuffer(data, np.uint8)
+        ends = np.flatnonzero(signs == ord("\n"))
+        if signs.size and (not ends.size or ends[-1] != signs.size - 1):
+            ends = np.append(ends, signs.size)
+        starts = np.append(0, ends[:-1] + 1)
+        if not signs.size or not DIGITS[signs[starts]].all() or (ends - starts).max() > LONG_LINE:
+            return None
+        counts = np.add.reduceat(signs == ord(self.separator), starts, dtype=np.int64)
+        if np.ptp(counts) or counts[0] >= MOST_COLUMNS:
+            return None
+        frame = pl.read_csv(
+            data, has_header=False, infer_schema=False, separator=self.separator, quote_char=None
+        )
+        return list(frame.fill_null("").get_columns())
 
     def last_row(self) -> list[str]:
         """The cells of the last line, none where the file does not show its end."""
@@ -99,7 +163,7 @@ class TextTable:
     def _separator(self) -> str:
         """Separator of a line `sep=;`, or the sign that most lines have in the same number."""
         with as_input_error(self.path, *READ_ERRORS), self._open() as file:
-            lines = list(islice(self._lines(file), LOOKED_AT))
+            lines = next(self._chunks(file), "").split("\n", LOOKED_AT)[:LOOKED_AT]
         lines = [line for line in lines if line.strip()]
         if lines and _says_separator(lines[0]):
             rest = lines[0].strip('\ufeff"\r\n ')[4:]
@@ -117,38 +181,56 @@ class TextTable:
     def _open(self) -> IO[bytes]:
         return open_unpacked(self._content)
 
-    def _whole_lines(self, file: IO[bytes]) -> Iterator[str]:
+    def _whole_lines(self, text: str) -> Iterator[str]:
         """The lines that hold a row, counted.
 
         Raises:
             ValueError: a line without an end, or nothing but useless ones.
         """
-        useless = 0  # lines since the last row
-        for line in self._lines(file):
+        for line in text.removesuffix("\n").split("\n"):
+            if len(line) > LONGEST_LINE:
+                raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
             self._line += 1
             quote = '"' in line
             if not line.strip(BLANK):
-                useless += 1
+                self._useless += 1
             # No app writes a cell of two lines; an odd quote would swallow all that follows.
             elif quote and line.count('"') % 2:
-                useless, self.torn = useless + 1, self.torn + 1
+                self._useless, self.torn = self._useless + 1, self.torn + 1
             elif self._line > 1 or not _says_separator(line):
-                useless = 0
+                self._useless = 0
                 self._is_long = len(line) > LONG_LINE
                 yield line
-            if useless > MOST_BLANK:
+            if self._useless > MOST_BLANK:
                 what = "a quote that is never closed" if quote else "nothing"
                 raise ValueError(f"more than {MOST_BLANK} lines of {what}")
 
-    def _lines(self, file: Any) -> Iterator[str]:
-        """The text of the file, line by line; what comes before a damage is not lost."""
+    def _chunks(self, file: Any) -> Iterator[str]:
+        """The text of the file in whole lines; what comes before a damage is not lost."""
         self._encoding = self._encoding or _encoding(file.peek(LOOKED_AT_BYTES)[:LOOKED_AT_BYTES])
         errors = "evpinn-cp1252" if self._encoding == "utf-8-sig" else "replace"
-        with TextIOWrapper(file, self._encoding, errors) as text:
-            while line := text.readline(LONGEST_LINE + 1):
-                if len(line) > LONGEST_LINE and line[-1] != "\n":
-                    raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
-                yield line.replace("\0", "")
+        decode = codecs.getincrementaldecoder(self._encoding)(errors)
+        decoder = IncrementalNewlineDecoder(decode, translate=True)
+        left, size, error = "", FIRST, None
+        while True:
+            data = bytearray()
+            try:
+                while len(data) < size and (more := file.read1(size)):
+                    data += more
+            except READ_ERRORS as broken:
+                error = broken
+            is_last = error is not None or not data
+            text = left + decoder.decode(bytes(data), final=is_last).replace("\0", "")
+            whole, newline, left = ("", "", "") if is_last else text.rpartition("\n")
+            if text := text if is_last else whole + newline:
+                yield text
+            if error is not None:
+                raise error
+            if is_last:
+                return
+            if len(left) > LONGEST_LINE:
+                raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
+            size = CHUNK
 
 
 class ConvertedTable(TextTable):
@@ -167,16 +249,6 @@ class ConvertedTable(TextTable):
         if not content.exists() or (self.broken and content.stat().st_size == 0):
             raise InputError(f"{path}: {self.broken or 'no table in it'}")
         super().__init__(path, content, separator=",")
-
-    def rows(self) -> Iterator[Row]:
-        """The rows up to where the parser came.
-
-        Raises:
-            InputError: it broke off there.
-        """
-        yield from super().rows()
-        if self.broken:
-            raise InputError(f"{self.path}: {self.broken}")
 
 
 def plain_cell(text: str) -> str:

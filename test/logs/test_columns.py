@@ -140,7 +140,8 @@ def test_no_units_at_all_and_milliseconds(tmp_path):
 
 @pytest.mark.parametrize("clock", ["{:.2f}", "2024-03-05 07:08:{:05.2f}"])
 def test_rows_in_no_order_are_sorted(tmp_path, clock, monkeypatch):
-    monkeypatch.setattr("evpinn_ros.logs.table_drive.BATCH", 100)
+    monkeypatch.setattr("evpinn_ros.logs.table_drive.AT_ONCE", 100)
+    monkeypatch.setattr("evpinn_ros.logs.batch.MOST_ROWS", 100)
     lines = [f"{clock.format(t / 2.1)},{3.6 * v:.4f},{u},{i:.4f}" for t, v, u, i in rows()]
     header = "time,speed_kmh,voltage,current"
     drive = drive_of(tmp_path, header, lines)

@@ -123,8 +123,8 @@ class PinnLearner(Saveable[SavedPinn]):
         self._measured_ns: int | None = None  # newest measured sample
         self._trimmed = 0.0  # J that the trim gave since then
         self._before: Journey | None = None  # from the last interval measured to that sample
-        # What the present car publishes, and how far that is from its prior, once asked for.
-        self._projected: tuple[ParameterSet, dict[str, float]] | None
+        # What the present car publishes, suspected or not, once asked for.
+        self._judged: tuple[bool, ParameterSet] | None
         self._use(LearnedCar.new(self._equation))
 
     def begin(self, moments: Moments) -> Predictions:
@@ -242,12 +242,12 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters, in the sense of eq. 12-21."""
-        if self._projected is None:
+        suspected = bool(self._sign.detected)
+        if self._judged is None or self._judged[0] != suspected:
             projected = published(self._car.state, self._equation, self._car.driven)
-            self._projected = parameter_set(0, projected), deviations(projected)
-        now, away = self._projected
-        now = replace(now, stamp_ns=self._last_ns or 0)
-        return self._trust.judge(now, away, suspected=bool(self._sign.detected))
+            now, away = parameter_set(0, projected), deviations(projected)
+            self._judged = suspected, self._trust.judge(now, away, suspected=suspected)
+        return replace(self._judged[1], stamp_ns=self._last_ns or 0)
 
     def drive(self) -> tuple[EndedDrive, ...]:
         """Parts of this drive so far, to be kept for `together`."""
@@ -336,7 +336,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
         for ahead in (self._newest, self._smoothed, self._measured):
             ahead.computed = 0
-        self._projected = None
+        self._judged = None
 
     def _compute(self, ahead: _Ahead, first: int) -> None:
         """Power of the car alone at the next samples, by one product for all."""
