@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import asdict
 import math
 from pathlib import Path
 import threading
@@ -178,14 +179,14 @@ def show_report(name: str, report: BusReport, bitrate: int) -> None:
 
 
 def as_json(report: BusReport) -> dict[str, Any]:
-    """The report as plain values in SI units; null where unknown."""
+    """The report in SI units, ready for `json_text`; NaN where unknown."""
     best = report.best
     low, high = report.load
     return {
-        "duration_s": _plain(report.duration),
+        "duration_s": report.duration,
         "frames": report.frames,
         "frames_of_uncounted_ids": report.uncounted,
-        "bus_load": {"least": _plain(low), "most": _plain(high)},
+        "bus_load": {"least": low, "most": high},
         "ids": [_id_json(traffic) for traffic in report.ids],
         "best": best.fit.profile if best is not None else None,
         "profiles": [_profile_json(profile) for profile in report.profiles],
@@ -280,10 +281,10 @@ def _id_json(traffic: IdStatus) -> dict[str, Any]:
         "id": f"0x{traffic.can_id:X}",
         "extended": traffic.extended,
         "frames": traffic.count,
-        "rate_hz": _plain(traffic.rate),
-        "period_s": _plain(traffic.period),
-        "jitter_s": _plain(traffic.jitter),
-        "age_s": _plain(traffic.age),
+        "rate_hz": traffic.rate,
+        "period_s": traffic.period,
+        "jitter_s": traffic.jitter,
+        "age_s": traffic.age,
         "lengths": {str(length): count for length, count in sorted(traffic.lengths.items())},
     }
 
@@ -292,20 +293,12 @@ def _profile_json(profile: ProfileReport) -> dict[str, Any]:
     return {
         "profile": profile.fit.profile,
         "name": profile.fit.name,
-        "score": _plain(profile.fit.score),
+        "score": profile.fit.score,
         "proven": profile.fit.proven,
         "verdict": verdict(profile),
         "contradicted": profile.contradicted,
         "messages": [_message_json(message) for message in profile.fit.messages],
-        "values": {
-            name: {
-                "count": signal.count,
-                "newest": _plain(signal.newest),
-                "lowest": _plain(signal.lowest),
-                "highest": _plain(signal.highest),
-            }
-            for name, signal in profile.values.items()
-        },
+        "values": {name: asdict(signal) for name, signal in profile.values.items()},
         "dropped": dict(profile.dropped),
         "current_sign": {"told": profile.sign_decided, "suspicion": profile.sign},
     }
@@ -320,10 +313,6 @@ def _message_json(message: MessageFit) -> dict[str, Any]:
         "bad": dict(message.bad),
         "has_checksum": message.has_checksum,
     }
-
-
-def _plain(number: float) -> float | None:
-    return float(f"{number:.6g}") if math.isfinite(number) else None
 
 
 def _text(number: float, decimals: int) -> str:
