@@ -23,7 +23,6 @@ from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 
 MORE = "kWh more than the first"
-LEAST_UNEVEN = 0.005 * JOULES_PER_KWH  # which would read 0.00
 WIDE = 100  # characters of a table that compares
 ENERGIES = ("energy_j", "sigma_j", "more_than_first_j", "more_than_first_sigma_j")
 
@@ -104,7 +103,6 @@ def forecast(
     # Here, for pandas takes longer to import than all else together.
     from evpinn_ros.api.estimator import Estimator
     from evpinn_ros.api.plan import planned_energy, what_if
-    from evpinn_ros.core.energy.forecast import UNEVEN
     from evpinn_ros.core.energy.plan import PlanConditions
     from evpinn_ros.core.estimation.state_file import vehicle_of
     from evpinn_ros.core.vehicle.files import load_vehicle
@@ -146,13 +144,10 @@ def forecast(
     texts = [_texts(row, shown)[: len(columns)] for row in rows]
     table = PlainTable("Forecast", columns, texts)
     show(table, at_least=WIDE if len(rows) > 1 else 0)
-    for row, (name, *_) in zip(rows, texts, strict=True):
-        if row["uneven_j"] > LEAST_UNEVEN:
-            kwh, whole = row["uneven_j"] / JOULES_PER_KWH, row["energy_j"] / JOULES_PER_KWH
-            part = f"{kwh:.2f} of the {whole:.2f} kWh is for {UNEVEN}"
-            say(f"{name}: {part}; --steady leaves it out.")
     level: dict[str, list[str]] = {}
     for planned, (name, *_) in zip(forecasts, texts, strict=True):
+        if uneven := planned.uneven_part:
+            say(f"{name}: {uneven}")
         if (text := planned.no_heights(shown)) is not None:
             level.setdefault(text, []).append(name)
     for text, alike in level.items():

@@ -153,8 +153,8 @@ def run(
     served_at = foxglove_host, foxglove_port, foxglove_origin or ()
     ros_args = ["--params-file", str(params)] if params is not None else []
     with ExitStack() as beside:  # left when the nodes have ended, before this process is
-        kept = record, learned_before(state, params)
-        beside.callback(_say_what_is_kept, time.time(), vehicle, *kept)
+        start = learned_before(state, params)
+        beside.callback(_say_what_is_kept, time.time(), vehicle, record, start)
         if report is not None:
             given_here = {
                 "--vehicle": vehicle,
@@ -163,7 +163,6 @@ def run(
                 "--units": units.value,
             }
             options = [str(word) for pair in given_here.items() if pair[1] for word in pair]
-            start = learned_before(state, params)
             record = beside.enter_context(reported(report, record, start, options))
         if not no_view and sys.stdout.isatty():
             beside.enter_context(live_view(units.units))

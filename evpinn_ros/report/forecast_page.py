@@ -65,8 +65,8 @@ def _sentence(planned: PlannedEnergy, units: Units) -> str:
         f"{np.ptp(trip.distance) / units.metres:.1f} {units.distance} in {minutes:.0f} minutes "
         f"take {kwh:.2f} kWh: 9 times in 10 between {low:.2f} and {high:.2f}."
     )
-    if (uneven := planned.uneven / JOULES_PER_KWH) > LEAST_SHOWN:
-        text += f" {uneven:.2f} kWh of it are for {UNEVEN}; --steady leaves them out."
+    if uneven := planned.uneven_part:
+        text += f" {uneven}"
     if level := planned.no_heights(units):
         text += f" {level[0].upper()}{level[1:]}."
     if better := planned.better_expert:
@@ -106,9 +106,9 @@ def _curves(planned: PlannedEnergy, units: Units) -> Any:
         if title.startswith("Height") and not np.ptp(values):
             continue
         half = None if spread is None else GAUSSIAN_QUANTILE * spread
-        found_curve = curve(title, [Curve(where, values, half)], from_zero=from_zero)
-        if found_curve is not None:
-            yield found_curve
+        drawn = curve(title, [Curve(where, values, half)], from_zero=from_zero)
+        if drawn is not None:
+            yield drawn
 
 
 def speed_along(

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.arrays import namespace
-from evpinn_ros.common.units import METRIC, Units
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
 from evpinn_ros.core.energy.charge import ChargeGauge, Uncertain
 from evpinn_ros.core.energy.plan import COARSE, Legs, Plan, PlanConditions, PlanError, points_of
 from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, Weather, vehicle_model
@@ -170,6 +170,14 @@ class PlannedEnergy(NamedTuple):
         """The part of its energy that uneven speed between its points takes, J."""
         energies, _ = plan_parts(self.given, self.energies, *self.basis)
         return float(energies[-1])
+
+    @property
+    def uneven_part(self) -> str | None:
+        """Sentence on that part; None where it would read 0.00."""
+        part, whole = self.uneven / JOULES_PER_KWH, self.energies.energy[-1] / JOULES_PER_KWH
+        if part < 0.005:
+            return None
+        return f"{part:.2f} of the {whole:.2f} kWh is for {UNEVEN}; --steady leaves it out."
 
     def no_heights(self, units: Units = METRIC) -> str | None:
         """Sentence on the part of the way whose height is not known; None where all is."""
