@@ -165,7 +165,7 @@ class CanBridge:
         if guard is not None and guard.held:
             return f"{guard.verdict.value}: {guard.held} readings held back"
         if self._dropped.total() > sum(signal.count for signal in signals.values()):
-            return "most values are implausible: wrong profile?"
+            return "most values are implausible, as by a wrong profile"
         return None
 
     @property

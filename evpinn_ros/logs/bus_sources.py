@@ -179,8 +179,8 @@ class CanLogSource(Source):
         """Words on the profile that fits the first frames; empty where none does."""
         best = inspected(self._open_log()).best
         if best is None:
-            return f" for this profile; evpinn can inspect {self.path} shows the traffic"
-        return f" for this profile; --can-profile {best.fit.profile} fits"
+            return f"; evpinn can inspect {self.path} shows the traffic"
+        return f"; --can-profile {best.fit.profile} fits"
 
 
 def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Source:
