@@ -79,7 +79,9 @@ class BridgedCar:
                     if self._is_next(item):
                         self._take(waiting)
                         waiting = []
-                        self._begin()
+                        self.save()
+                        self._power.clear()
+                        self.chain.begin_next_drive()
                         began = True
                     self.newest_ns = int(item.stamps()[-1])
                 waiting.append(item)
@@ -100,12 +102,6 @@ class BridgedCar:
             return False
         moved_ns, self._moved_ns = self._moved_ns, int(moving_ns[-1])
         return moved_ns is not None and int(moving_ns[0]) - moved_ns >= DRIVE_GAP_NS
-
-    def _begin(self) -> None:
-        """Begin the next drive."""
-        self.save()
-        self._power.clear()
-        self.chain.begin_next_drive()
 
     def save(self) -> None:
         """Write what was learned and counted, if there is anything new."""

@@ -12,7 +12,7 @@ import numpy as np
 from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.block import Block
-from evpinn_ros.core.signals.readings import NANOSECONDS, Reading, SpeedReading
+from evpinn_ros.core.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.core.signals.road import GradeSource
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
@@ -109,7 +109,10 @@ def _read(
     for item in (item for block in source.blocks() for item in guard.follow(block)):
         if isinstance(item, Jump):
             raise InputError(f"{path}: time goes back within the log; cut it there")
-        readings += [_earlier(reading, earlier_ns) for reading in item.readings()]
+        for reading in item.readings():
+            if isinstance(reading, SpeedReading):  # as if it had not been delayed
+                reading = replace(reading, stamp_ns=reading.stamp_ns - earlier_ns)
+            readings.append(reading)
     _, _, samples, power = stream.add_block(Block.of(readings)).measured
     dropped = {**source.dropped, **guard.dropped, **stream.dropped}
     if samples.size < MIN_SAMPLES:
@@ -120,10 +123,3 @@ def _read(
         )
     time = (samples.stamp_ns - samples.stamp_ns[0]) / NANOSECONDS
     return DriveLog(time, samples.speed, samples.acceleration, power), dropped
-
-
-def _earlier(reading: Reading, shift_ns: int) -> Reading:
-    """Speed as if it had not been delayed; all else as it is."""
-    if isinstance(reading, SpeedReading):
-        return replace(reading, stamp_ns=reading.stamp_ns - shift_ns)
-    return reading
