@@ -61,7 +61,7 @@ from evpinn_ros.core.estimation.trim import MOST_TRIM_EVIDENCE, Persistence, Tri
 from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Samples
+from evpinn_ros.core.signals.sample import NO_SAMPLES, Samples
 from evpinn_ros.core.signals.sign_detectors import GradeDetector, SignDetector
 from evpinn_ros.core.vehicle.files import Vehicle
 
@@ -183,7 +183,8 @@ class PinnLearner(Saveable[SavedPinn]):
     def _predicted(self, ahead: _Ahead, index: int) -> tuple[tuple[float, float], float]:
         """Power of car and trim with its 1-sigma, W, and the trim's share of it, W."""
         if index >= ahead.computed:
-            self._compute(ahead, index)
+            done = self._predictions
+            self._compute((self._newest, len(done.newest)), (self._smoothed, len(done.smoothed)))
         correction = self._trim.correct(ahead.inputs[index], ahead.speed[index])
         power = ahead.power[index] + correction.power
         return (power, math.hypot(ahead.sigma[index], correction.sigma)), correction.power
@@ -213,7 +214,7 @@ class PinnLearner(Saveable[SavedPinn]):
         if latest >= 0 and self._smoothed.stamps[latest] == ahead.stamps[index]:
             ahead, index = self._smoothed, latest  # whose output the trim has
         if index >= ahead.computed:
-            self._compute(ahead, index)
+            self._compute((ahead, index))
         self._trim.learn(ahead.inputs[index], speed, power - ahead.power[index], step)
 
     def add_interval(self, interval: Interval) -> bool:
@@ -338,19 +339,25 @@ class PinnLearner(Saveable[SavedPinn]):
             ahead.computed = 0
         self._judged = None
 
-    def _compute(self, ahead: _Ahead, first: int) -> None:
-        """Power of the car alone at the next samples, by one product for all."""
-        chosen, model = slice(first, first + AT_ONCE), self._model
-        samples = ahead.samples.where(chosen)
+    def _compute(self, *wanted: tuple[_Ahead, int]) -> None:
+        """Power of the car alone at the next samples of each kind, by one product for all."""
+        parts = [(ahead, slice(first, first + AT_ONCE)) for ahead, first in wanted]
+        samples, model = NO_SAMPLES, self._model
+        for ahead, part in parts:
+            samples = samples.and_then(ahead.samples.where(part))
         rows = self._equation.rows_of(samples, self._warmth)
         left, _, _ = wandered(self._car.dropout.seconds)
         rows[:, State.LOAD] = left
         variance = np.einsum("ij,ij->i", rows @ model.covariance, rows)
         variance += (1.0 - left**2) * model.load_variance
         noise = POWER_NOISE**2 + FORCE_NOISE**2 * model.noise[1] * samples.speed**2
-        ahead.power[chosen] = (rows @ model.mean).tolist()
-        ahead.sigma[chosen] = np.sqrt(np.maximum(variance, 0.0) + noise).tolist()
-        ahead.computed = first + samples.size
+        power, sigma = rows @ model.mean, np.sqrt(np.maximum(variance, 0.0) + noise)
+        begin = 0
+        for ahead, part in parts:
+            ahead.computed = min(part.stop, ahead.samples.size)
+            of_kind = slice(begin, begin + ahead.computed - part.start)
+            ahead.power[part], ahead.sigma[part] = power[of_kind].tolist(), sigma[of_kind].tolist()
+            begin = of_kind.stop
 
     def _begin_tail(self) -> None:
         """Join nothing to the samples before."""

@@ -26,6 +26,7 @@ from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 UNITS = 16
 INPUTS = 2 + PROFILE
+INNER = UNITS * (INPUTS + 1)  # weights of inputs and biases; those of the units follow
 INPUT_CENTRE = np.array([10.0, 0.0, *([0.0] * PROFILE), 0.0])  # m/s, m/s^2; of the bias none
 INPUT_SCALE = np.array([15.0, 1.2, *([0.5] * PROFILE), 1.0])
 SPREAD = np.array([1.2, 1.2, *([0.7] * PROFILE)])  # 1-sigma of the first input weights
@@ -53,30 +54,6 @@ class _Output(NamedTuple):
     force: float
     variance: float
     along: np.ndarray
-
-
-class _Weights(NamedTuple):
-    """Weights, or the gradient by them, shape (n,), and views of its parts.
-
-    Attributes:
-        whole: all of them.
-        inner: of each unit's inputs and its bias, shape (UNITS, INPUTS + 1).
-        outer: of the units, shape (UNITS,).
-    """
-
-    whole: np.ndarray
-    inner: np.ndarray
-    outer: np.ndarray
-
-    @classmethod
-    def of(cls, whole: np.ndarray) -> _Weights:
-        """The views; the last weight is that of a constant."""
-        count = UNITS * (INPUTS + 1)
-        return cls(whole, whole[:count].reshape(UNITS, -1), whole[count:-1])
-
-    def force(self, hidden: np.ndarray) -> float:
-        """Output of the network by those of its units, N."""
-        return float(self.outer.dot(hidden) + self.whole[-1])
 
 
 class Correction(NamedTuple):
@@ -137,12 +114,10 @@ class Trim:
         self._prior = np.full(len(self._start), WEIGHT_STD**2)
         self._prior[inner.size :] = [TRIM_FORCE**2 / UNITS] * UNITS + [TRIM_FORCE**2]
         self._away = np.zeros(len(self._prior))  # of the weights from where they start
-        self._weights = _Weights.of(self._start.copy())
+        self._weights = self._start.copy()
         # The covariance is `_scale` times `_shape`: to let all of it fade costs one product.
         self._shape, self._scale = np.diag(self._prior), 1.0
-        self._diagonal = self._shape.reshape(-1)[:: len(self._prior) + 1]
-        self._buffer = np.empty_like(self._shape)
-        self._gradient = _Weights.of(np.ones(len(self._prior)))
+        self._buffer, self._gradient = np.empty_like(self._shape), np.ones(len(self._prior))
         self.evidence, self.persistence = 0.0, Persistence()
         self._age = 0.0  # s since it last learned
         # Weights at a moment and the s since, to be compared with what comes.
@@ -173,7 +148,8 @@ class Trim:
         if self._scale < LEAST_SCALE:
             self._shape *= self._scale
             self._scale = 1.0
-        self._diagonal += (1.0 - keep**2) / self._scale * self._prior
+        diagonal = self._shape.reshape(-1)[:: len(self._prior) + 1]
+        diagonal += (1.0 - keep**2) / self._scale * self._prior
 
     def learn(self, inputs: np.ndarray, speed: float, residual: float, duration: float) -> None:
         """Learn what the car leaves of power, W, at a sample that stands for some s."""
@@ -203,28 +179,39 @@ class Trim:
             return
         (away, age), self._snapshot = self._snapshot, None
         if age < TRIM_SECONDS:
-            then = _Weights.of(self._start + math.exp(-age / TRIM_SECONDS) * away)
-            self.persistence.learn(then.force(np.tanh(then.inner.dot(inputs))), force, age)
+            weights = self._start + math.exp(-age / TRIM_SECONDS) * away
+            hidden = np.tanh(_inner(weights).dot(inputs))
+            self.persistence.learn(_force(weights, hidden), force, age)
 
     def _move(self, away: np.ndarray) -> None:
         """Let the weights be away from where they start by so much."""
         self._away, self._newest = away, None
-        np.add(self._start, away, out=self._weights.whole)
+        np.add(self._start, away, out=self._weights)
 
     def _output(self, inputs: np.ndarray) -> _Output:
         """Output at a row; that of the last one is learned from next, at the same weights."""
         if self._newest is not None and self._newest[0] is inputs:
             return self._newest[1]
         weights, gradient = self._weights, self._gradient
-        hidden = np.tanh(weights.inner.dot(inputs))
-        slope = weights.outer * (1.0 - hidden * hidden)
-        np.dot(slope[:, None], inputs[None], out=gradient.inner)
-        gradient.outer[:] = hidden
-        along = self._shape.dot(gradient.whole)
-        variance = self._scale * float(gradient.whole.dot(along))
-        output = _Output(weights.force(hidden), variance, along)
+        hidden = np.tanh(_inner(weights).dot(inputs))
+        slope = weights[INNER:-1] * (1.0 - hidden * hidden)
+        np.dot(slope[:, None], inputs[None], out=_inner(gradient))
+        gradient[INNER:-1] = hidden
+        along = self._shape.dot(gradient)
+        variance = self._scale * float(gradient.dot(along))
+        output = _Output(_force(weights, hidden), variance, along)
         self._newest = inputs, output
         return output
+
+
+def _inner(weights: np.ndarray) -> np.ndarray:
+    """The weights of each unit's inputs and its bias, shape (UNITS, INPUTS + 1): a view."""
+    return weights[:INNER].reshape(UNITS, -1)
+
+
+def _force(weights: np.ndarray, hidden: np.ndarray) -> float:
+    """Output of the network by that of its units, N."""
+    return float(weights[INNER:-1].dot(hidden) + weights[-1])
 
 
 def inputs_of(samples: Samples) -> np.ndarray:
