@@ -20,6 +20,8 @@ export UV_INDEX_STRATEGY=unsafe-best-match
 # uv does not see the packages of the system, which a sourced ROS 2 brings.
 pinned=(--disable-pip-version-check -c "$(dirname "${BASH_SOURCE[0]}")/../constraints.txt")
 if [ -z "${ROS_DISTRO:-}" ] && "$python" -m pip install -qq "${pinned[@]}" uv; then
-  "$python" -m uv pip install --quiet --python "$python" "$@" && exit
+  quiet=--quiet
+  [ ! -t 2 ] || quiet=  # a person sees what is downloaded
+  "$python" -m uv pip install $quiet --python "$python" "$@" && exit
 fi
 exec "$python" -m pip install -qq --no-input --no-compile --disable-pip-version-check "$@"

@@ -44,6 +44,7 @@ from evpinn_ros.replays.simulation.truth_file import read_truth
 from evpinn_ros.report.breakdown_text import breakdown_columns, breakdown_lines, breakdown_rows
 from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.report.owner_text import (
+    SCORES,
     drives_columns,
     drives_rows,
     expert_note,
@@ -290,6 +291,7 @@ def _show_together(car: CarReplay, units: Units) -> None:
     rows = drives_rows(named, breakdown, units)
     table = PlainTable("Drives", drives_columns(units), rows, words=("took most",))
     show(table, at_least=WIDE)
+    say(SCORES)
     _show_breakdown(breakdown, units, "the energy of all drives")
 
 

@@ -34,6 +34,7 @@ from evpinn_ros.report.html import write_page
 from evpinn_ros.report.owner_text import (
     LEAST_CHARGED,
     NEARLY_WHOLE,
+    SCORES,
     drives_columns,
     drives_rows,
     expert_note,
@@ -151,6 +152,7 @@ def write_drives(
             for row, date in zip(rows, began, strict=False)
         ],
         health=health,
+        about_scores=SCORES,
         whole=breakdown and {"breakdown": breakdown_values(breakdown, units)},
         trends=trend_intervals([drive_point(drive.drive) for drive in drives], units),
         score_columns=SCORE_COLUMNS,

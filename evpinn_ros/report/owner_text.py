@@ -31,6 +31,10 @@ from evpinn_ros.report.tables import signed_percent, watts
 NEARLY_WHOLE = 0.99  # of distance or time, from here on nothing is missing
 SPARSE_BATTERY = 10.0  # s between currents, from where on the energy errs by some percent
 LEAST_HEATING = 300.0  # W that a car reports, worth saying
+SCORES = (
+    "RMSE (of power) and error of energy say how well each drive was predicted, moment by moment, "
+    "before it was learned from."
+)
 LEAST_CHARGED = 0.05 * JOULES_PER_KWH  # J that a charger gave, worth saying
 
 
