@@ -183,8 +183,9 @@ class PinnLearner(Saveable[SavedPinn]):
     def _predicted(self, ahead: _Ahead, index: int) -> tuple[tuple[float, float], float]:
         """Power of car and trim with its 1-sigma, W, and the trim's share of it, W."""
         if index >= ahead.computed:
-            done = self._predictions
-            self._compute((self._newest, len(done.newest)), (self._smoothed, len(done.smoothed)))
+            done, seen = len(self._predictions.newest), len(self._predictions.smoothed)
+            # The last smoothed sample may be measured yet, and is learned from by the present car.
+            self._compute((self._newest, done), (self._smoothed, max(0, seen - 1)))
         correction = self._trim.correct(ahead.inputs[index], ahead.speed[index])
         power = ahead.power[index] + correction.power
         return (power, math.hypot(ahead.sigma[index], correction.sigma)), correction.power
