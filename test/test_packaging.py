@@ -3,6 +3,7 @@
 import ast
 from collections.abc import Iterable, Iterator
 from email import message_from_string
+from functools import cache
 import os
 from pathlib import Path
 import re
@@ -114,8 +115,9 @@ def imports(nodes: Iterable[ast.AST]) -> set[str]:
     return {name.partition(".")[0] for name in names} - sys.stdlib_module_names - OURS
 
 
-def trees(folder: str) -> Iterator[ast.Module]:
-    return (ast.parse(path.read_text()) for path in (ROOT / folder).rglob("*.py"))
+@cache
+def trees(folder: str) -> list[ast.Module]:
+    return [ast.parse(path.read_text()) for path in (ROOT / folder).rglob("*.py")]
 
 
 def third_party_imports(folder: str) -> set[str]:

@@ -63,20 +63,6 @@ def test_completion_is_installed_and_completes_in_a_real_bash(evpinn, tmp_path):
     assert [set(line.split()) for line in offered] == list(completions.values())
 
 
-def test_names_of_commands_complete_without_importing_them():
-    code = (
-        "import sys, os; sys.argv = ['evpinn']\n"
-        "from evpinn_ros.cli.main import main\n"
-        "try:\n    main()\nfinally:\n    assert 'torch' not in sys.modules"
-    )
-    asked = {"_EVPINN_COMPLETE": "complete_bash", "COMP_WORDS": "evpinn ", "COMP_CWORD": "1"}
-    ended = subprocess.run(
-        [sys.executable, "-c", code], env=ENVIRONMENT | asked, capture_output=True, text=True
-    )
-    assert "AssertionError" not in ended.stderr
-    assert {"replay", "run", "check-params"} <= set(ended.stdout.split())
-
-
 def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess:
     command = [sys.executable, "-m", "evpinn_ros", *map(str, arguments)]
     return subprocess.run(
@@ -86,10 +72,10 @@ def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess:
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory) -> Path:
-    """A CSV drive of two hours, more than any test here waits for."""
+    """A CSV drive of an hour, more than any test here waits for."""
     path = tmp_path_factory.mktemp("long") / "long.csv"
     rows = (
-        f"{0.1 * i:.1f},{10 + i % 100 / 20:.2f},{900 + 300 * (i % 100)}\n" for i in range(72_000)
+        f"{0.1 * i:.1f},{10 + i % 100 / 20:.2f},{900 + 300 * (i % 100)}\n" for i in range(36_000)
     )
     path.write_text("t_s,speed_mps,power_w\n" + "".join(rows))
     return path
@@ -161,7 +147,7 @@ def test_ctrl_c_leaves_what_was_replayed(drive, tmp_path):
     )
     assert_stopped(ended)
     metrics = json.loads((tmp_path / "m.json").read_text())
-    assert 10 < metrics["input"]["duration_s"] < 7000
+    assert 10 < metrics["input"]["duration_s"] < 3500
     assert json.loads((tmp_path / "s.json").read_text())["learned"]["vehicle"] == "generic"
     assert read_bag(out) > 1000
 
@@ -171,7 +157,7 @@ def test_ctrl_c_leaves_what_was_converted(drive, tmp_path):
         "convert", drive, "out", cwd=tmp_path, once=lambda: has_data(tmp_path / "out")
     )
     assert_stopped(ended)
-    assert 1000 < read_bag(tmp_path / "out") < 4 * 72_000 - 1000
+    assert 1000 < read_bag(tmp_path / "out") < 4 * 36_000 - 1000
 
 
 @pytest.mark.ros
