@@ -115,10 +115,7 @@ def evpinn(*arguments: object) -> Iterator[str]:
 def test_a_bag_comes_as_it_was_recorded():
     with BagReader(URBAN) as bag:
         recorded = list(islice(bag.raw_records(["/ev/vehicle/speed"]), 20))
-    with (
-        evpinn("view", URBAN, "--port", 0, "--rate", 20) as address,
-        connected(address) as app,
-    ):
+    with evpinn("view", URBAN, "--port", 0, "--rate", 20) as address, connected(address) as app:
         app.subscribe("/ev/vehicle/speed")
         received = list(islice(app.messages(), 20))
     assert [(m.topic, m.time_ns, m.data) for m in received] == [

@@ -5,11 +5,7 @@ import math
 import rclpy
 
 from evpinn_ros import topics
-from evpinn_ros.core.signals.readings import (
-    NANOSECONDS,
-    BatteryReading,
-    SpeedReading,
-)
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode

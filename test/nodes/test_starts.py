@@ -19,13 +19,7 @@ BUSY = (sys.executable, "-c", "while True: pass")
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("starts", "end"),
-    [
-        (200, signal.SIGINT),
-        (100, signal.SIGKILL),
-    ],
-)
+@pytest.mark.parametrize(("starts", "end"), [(200, signal.SIGINT), (100, signal.SIGKILL)])
 @pytest.mark.timeout(3600)
 def test_each_start_under_load_gets_data(bench, starts, end):
     """Those before are stopped in order, or killed: then the network holds them for 20 s more."""

@@ -9,12 +9,7 @@ from evpinn_ros.common.units import JOULES_PER_KWH, METRIC
 from evpinn_ros.core.estimation.breakdown import Breakdown
 from evpinn_ros.core.estimation.terms import COUNT, Part
 from evpinn_ros.replays.energy_metrics import INVALID, NOTHING, PAPER, breakdown_metrics
-from evpinn_ros.report.breakdown_text import (
-    NAMES,
-    breakdown_lines,
-    breakdown_rows,
-    shown,
-)
+from evpinn_ros.report.breakdown_text import NAMES, breakdown_lines, breakdown_rows, shown
 from evpinn_ros.report.drive_energy import breakdown_values
 
 
@@ -62,11 +57,7 @@ def test_no_interval_of_a_loss_begins_below_zero():
 
 @pytest.mark.parametrize(
     ("mode", "mass", "why"),
-    [
-        ("paper", "valid", PAPER),
-        ("hybrid", "estimating", NOTHING),
-        ("hybrid", "invalid", INVALID),
-    ],
+    [("paper", "valid", PAPER), ("hybrid", "estimating", NOTHING), ("hybrid", "invalid", INVALID)],
 )
 def test_no_breakdown_is_null_with_the_reason(mode, mass, why):
     nothing = breakdown_metrics(None, mode, mass)

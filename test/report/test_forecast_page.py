@@ -8,12 +8,7 @@ import pytest
 from evpinn_ros.api.plan import planned_energy, what_if
 from evpinn_ros.common.units import METRIC
 from evpinn_ros.core.energy.forecast import forecast_plan, plan_parts
-from evpinn_ros.core.energy.plan import (
-    Legs,
-    PlanConditions,
-    legs_of_trip,
-    plan_from_speed_profile,
-)
+from evpinn_ros.core.energy.plan import Legs, PlanConditions, legs_of_trip, plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.terms import WHOLE, Part
 from evpinn_ros.report.forecast_page import _sentence

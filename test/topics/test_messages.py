@@ -91,9 +91,7 @@ def test_grade_is_minus_pitch():
     pitch = 0.1  # about the y axis, which points left: the nose goes down
     q = new_message("geometry_msgs/msg/Quaternion", y=math.sin(pitch / 2), w=math.cos(pitch / 2))
     imu = new_message(
-        "sensor_msgs/msg/Imu",
-        header=messages.header(new_message, NOW, "base_link"),
-        orientation=q,
+        "sensor_msgs/msg/Imu", header=messages.header(new_message, NOW, "base_link"), orientation=q
     )
     assert reading_messages.grade_reading(imu).grade == pytest.approx(-0.1)
 

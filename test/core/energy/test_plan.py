@@ -110,13 +110,7 @@ def test_a_path_that_is_no_trip(x, stamps, reason):
         ([0.0, 1.0], [0.0, 1.0], [1.0, np.inf], None, "speed is not finite at point 1"),
         ([0.0, 1.0], [0.0, 1.0], [1.0, 1.0], [0.0, 2.0], "climbs more than it travels"),
         ([0.0, 1.0], None, [1.0], None, "differ in shape"),
-        (
-            [0.0, 10.0],
-            [0.0, 200.0],
-            [72.0, 72.0],
-            None,
-            "make 720 m, its distance is 200 m",
-        ),
+        ([0.0, 10.0], [0.0, 200.0], [72.0, 72.0], None, "make 720 m, its distance is 200 m"),
     ],
 )
 def test_a_profile_that_is_no_trip(time, distance, speed, elevation, reason):

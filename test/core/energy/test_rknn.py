@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from evpinn_ros.core.energy.rknn import (
-    POWER_LIMIT,
-    Rknn,
-    load_rknn,
-)
+from evpinn_ros.core.energy.rknn import POWER_LIMIT, Rknn, load_rknn
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 DRIVES = ["tesla_model3/drive_first_757s.csv"] + [

@@ -308,9 +308,7 @@ def test_what_would_show_a_password_is_no_address():
     assert "secret" not in repr(BrokerSettings("host", password="secret"))
 
 
-def test_a_password_comes_from_the_environment_and_wants_a_user(
-    monkeypatch,
-):
+def test_a_password_comes_from_the_environment_and_wants_a_user(monkeypatch):
     monkeypatch.setenv("EVPINN_MQTT_PASSWORD", "p")
     monkeypatch.setenv("EVPINN_MQTT_USER", "u")
     assert credentials(None, None) == ("u", "p")

@@ -28,12 +28,7 @@ def vehicle():
 def make_log(vehicle):
     """A log of given speed, m/s, at 10 Hz; 40 s of stop and go if none."""
 
-    def make(
-        speed=None,
-        form=RegenForm.RECOVERY,
-        noise=50.0,
-        seed=0,
-    ):
+    def make(speed=None, form=RegenForm.RECOVERY, noise=50.0, seed=0):
         if speed is None:
             time = PERIOD * np.arange(400)
             wave = 12.0 + 9.0 * np.sin(0.45 * time) + 6.0 * np.sin(1.1 * time + seed)

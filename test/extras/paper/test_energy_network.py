@@ -3,11 +3,7 @@ import pytest
 import torch
 
 from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
-from evpinn_ros.extras.paper.energy_network import (
-    MAX_GAP,
-    EnergyTraining,
-    step_data,
-)
+from evpinn_ros.extras.paper.energy_network import MAX_GAP, EnergyTraining, step_data
 
 EPOCHS = 60
 

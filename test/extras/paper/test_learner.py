@@ -12,10 +12,7 @@ from evpinn_ros.core.signals.sample import Sample, Samples
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
-from evpinn_ros.extras.paper.learner import (
-    POWER_SCALE,
-    PaperLearner,
-)
+from evpinn_ros.extras.paper.learner import POWER_SCALE, PaperLearner
 from evpinn_ros.extras.paper.log_parameters import LEARNED
 from evpinn_ros.extras.paper.network import PHYSICS_LOSS
 

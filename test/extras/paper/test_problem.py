@@ -7,10 +7,7 @@ import torch
 from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.extras.paper.network import PHYSICS_LOSS, PowerNetwork
-from evpinn_ros.extras.paper.problem import (
-    Problem,
-    random_split,
-)
+from evpinn_ros.extras.paper.problem import Problem, random_split
 
 WIDTHS = (2, 7, 7, 1)
 Z = torch.tensor([0.1, -0.2, 0.05, 0.03, -0.04], dtype=torch.float64)

@@ -15,11 +15,7 @@ from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.extras.paper.experiment import Experiment
 from evpinn_ros.extras.paper.optimizers import OptimizerName
 from evpinn_ros.extras.paper.run import results_of
-from evpinn_ros.extras.paper.saved import (
-    possible,
-    write_estimator_state,
-    write_vehicle_file,
-)
+from evpinn_ros.extras.paper.saved import possible, write_estimator_state, write_vehicle_file
 from evpinn_ros.extras.paper.settings import Settings
 
 
@@ -89,13 +85,7 @@ def test_finished_trainings_are_not_run_again(make_log, vehicle, tmp_path):
     ],
     ids=["constant speed", "no braking"],
 )
-def test_what_a_poor_drive_does_not_tell_is_said(
-    speed,
-    untold,
-    make_log,
-    vehicle,
-    tmp_path,
-):
+def test_what_a_poor_drive_does_not_tell_is_said(speed, untold, make_log, vehicle, tmp_path):
     settings = Settings(OptimizerName.GAUSS_NEWTON, epochs=4, energy_epochs=2)
     results = results_of(
         Experiment(make_log(speed), vehicle, settings, tmp_path).run(lambda *_: None)

@@ -51,16 +51,10 @@ def heard(now: float) -> list[tuple[Topic, Any]]:
     return [
         (topics.SPEED, speed_message(new_message, SpeedReading(stamp, 12.5))),
         (topics.BATTERY, battery_message(new_message, BatteryReading(stamp, 352.0, -41.5))),
-        (
-            topics.PARAMETERS,
-            named_vector(new_message, stamp, PARAMETER_NAMES, VALUES, sigmas),
-        ),
+        (topics.PARAMETERS, named_vector(new_message, stamp, PARAMETER_NAMES, VALUES, sigmas)),
         (topics.BOUNDS, vector(stamp, **bounds)),
         (topics.POWER_MEASURED, vector(stamp, power=14600.0)),
-        (
-            topics.POWER_PREDICTED,
-            named_vector(new_message, stamp, ["power"], [13900.0], [1200.0]),
-        ),
+        (topics.POWER_PREDICTED, named_vector(new_message, stamp, ["power"], [13900.0], [1200.0])),
         (topics.ENERGY_STATE, vector(stamp, predicted=3.6e6, consumed=3.96e6)),
         (topics.ENERGY_BREAKDOWN, named_vector(new_message, stamp, *zip(*PARTS, strict=True))),
         (topics.ENERGY_CONSUMPTION, vector(stamp, wh_per_km_trip=163.0)),

@@ -4,12 +4,7 @@ import pytest
 
 from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message
-from evpinn_ros.nodes.live.data import (
-    MOST_ARRIVALS,
-    MOST_PARTS,
-    STALE_AFTER,
-    LiveData,
-)
+from evpinn_ros.nodes.live.data import MOST_ARRIVALS, MOST_PARTS, STALE_AFTER, LiveData
 from evpinn_ros.topics.messages import Level, diagnostics, named_vector
 
 
