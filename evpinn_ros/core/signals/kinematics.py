@@ -71,7 +71,7 @@ class SpeedTrack(SignalTrack):
             stamps: ns, in order.
             head_wind: between them, m/s, see `Sample`, shape (n - 1,).
         """
-        places = np.searchsorted(self.stamps, stamps)
+        places = self.stamps.searchsorted(stamps)
         chosen = slice(places[0], places[-1] + 1)
         speed, steps = self.values[chosen], np.diff(self.stamps[chosen]) / NANOSECONDS
         middle, wind = (speed[1:] + speed[:-1]) / 2, np.repeat(head_wind, np.diff(places))
@@ -93,12 +93,12 @@ class SpeedTrack(SignalTrack):
         """Speeds of `Speeds.smoothed` at moments in order, from those up to `ahead_ns` after."""
         zero_ns = int(stamps[0])
         speeds, moments = self.since(zero_ns - LOOK_BACK_NS, zero_ns), stamps - zero_ns
-        until = np.searchsorted(speeds.stamps, moments + ahead_ns, side="right")
+        until = speeds.stamps.searchsorted(moments + ahead_ns, side="right")
         return speeds.smoothed(moments, until)[0]
 
     def since(self, oldest_ns: int, zero_ns: int) -> Speeds:
         """The speeds from a moment on, and some before, with stamps since `zero_ns`."""
-        first = max(0, int(np.searchsorted(self.stamps, oldest_ns)) - MIN_POINTS)
+        first = max(0, int(self.stamps.searchsorted(oldest_ns)) - MIN_POINTS)
         return Speeds(self.stamps[first:] - zero_ns, self.values[first:])
 
 
@@ -134,7 +134,7 @@ class Speeds(NamedTuple):
             speeds, accelerations = map(np.concatenate, columns)
             return speeds, accelerations
         back_ns = int(SMOOTHING_BACK * NANOSECONDS) + 1
-        first = np.minimum(np.searchsorted(self.stamps, moments - back_ns), until - MIN_POINTS)
+        first = np.minimum(self.stamps.searchsorted(moments - back_ns), until - MIN_POINTS)
         index = np.maximum(first, 0)[:, None] + np.arange((until - np.maximum(first, 0)).max())
         used = index < until[:, None]
         index = np.minimum(index, len(self.stamps) - 1)
@@ -245,7 +245,7 @@ class CausalDifferentiator:
             accelerations[rows] = np.einsum("ij,ij->i", differences[rows], of_each)
         self._learn(*(part[taken:] for part in smoothed))
         if len(smoothed[0]):
-            kept = int(np.searchsorted(self._stamps, smoothed[0][-1], side="right"))
+            kept = int(self._stamps.searchsorted(smoothed[0][-1], side="right"))
             self._stamps, self._differences = self._stamps[kept:], self._differences[kept:]
         return accelerations
 
@@ -253,7 +253,7 @@ class CausalDifferentiator:
         self, stamps: np.ndarray, accelerations: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Information and its products before these and after each of them."""
-        x = self._differences[np.searchsorted(self._stamps, stamps)]
+        x = self._differences[self._stamps.searchsorted(stamps)]
         squares = x[:, :, None] * x[:, None, :] / TARGET_STD**2
         informations = np.cumsum(np.concatenate((self._information[None], squares)), axis=0)
         along = x * accelerations[:, None] / TARGET_STD**2

@@ -142,7 +142,7 @@ class BatteryTrack:
         bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ step**2)
         period = max(track.step_around(end_ns, by) for track in self.tracks)
         ends = (TIMING * period) ** 2 * float(power[0] ** 2 + power[-1] ** 2)
-        std = float(self._power_std[np.searchsorted(self._orders, by, side="right") - 1])
+        std = float(self._power_std[self._orders.searchsorted(by, side="right") - 1])
         coarse = std**2 * _square_of_runs(power, step) if std else 0.0
         returned = _trapezoid(np.maximum(-power, 0.0), step)
         return Energy(_trapezoid(power, step), bridge + ends + coarse, returned)

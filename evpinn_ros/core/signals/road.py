@@ -102,7 +102,7 @@ class _Told:
 
     def at(self, by: np.ndarray) -> tuple[np.ndarray, ...]:
         """Stamps, `NEVER` before the first, and values told last by places, (n,) each."""
-        index = np.searchsorted(self.orders, by, side="right") - 1
+        index = self.orders.searchsorted(by, side="right") - 1
         return self.stamps[index], *self._values[:, index]
 
     @property
@@ -265,7 +265,7 @@ class Road:
             new = self.altitudes.within(since_ns, now_ns + 1, by)
             if not len(new):
                 return
-            values = self.altitudes.values[np.searchsorted(self.altitudes.stamps, new)]
+            values = self.altitudes.values[self.altitudes.stamps.searchsorted(new)]
             places = np.interp(new - stamps[0], np.array(stamps) - stamps[0], odometers)
             self._placed_ns = int(new[-1])
             for place, altitude in zip(places.tolist(), values.tolist(), strict=True):

@@ -256,7 +256,7 @@ class SampleStream:
     def _is_gap(self, block: Block, place: int) -> bool:
         """Begin another stretch where a speed comes after a gap; False where it does not."""
         speeds = block.of_kind(SpeedReading)
-        index = int(np.searchsorted(speeds.order, place))
+        index = int(speeds.order.searchsorted(place))
         here = index < len(speeds.order) and speeds.order[index] == place
         if not here or speeds.stamps[index] <= self._speed.newest_ns:
             return False
@@ -379,10 +379,12 @@ class SampleStream:
             self._drop("acceleration_impossible", speeds.order[~possible] + first)
         newest = _Smoothed(speeds.order, speeds.stamps, speeds.values[0], acceleration, slopes)
         newest = _Smoothed(*(column[possible] for column in newest))
+        count, both = len(newest.order), zip(newest, smoothed, strict=True)
+        samples = self._samples(_Smoothed(*map(np.concatenate, both)))
         return part._replace(
-            newest=self._samples(newest),
+            newest=samples.where(slice(count)),
             newest_order=newest.order + first,
-            smoothed=self._samples(smoothed),
+            smoothed=samples.where(slice(count, None)),
             smoothed_order=smoothed.order + first,
         )
 
@@ -397,7 +399,7 @@ class SampleStream:
         """
         pending, count = len(self._moments), len(speeds.order)
         moments = np.concatenate((self._moments, speeds.stamps))
-        passed = np.searchsorted(speeds.stamps, moments + self._lag_ns)
+        passed = speeds.stamps.searchsorted(moments + self._lag_ns)
         passed[pending:] = np.maximum(passed[pending:], np.arange(count))
         passed = np.maximum.accumulate(passed)
         now = passed < count
@@ -487,7 +489,7 @@ class SampleStream:
     def _settled_by(self, after: np.ndarray, speeds: Rows) -> np.ndarray:
         """Places from which on nothing older than moments, ns, may come."""
         before_ns = self._speed.stamps[: len(self._speed) - len(speeds.order)][-1:]
-        index = np.searchsorted(speeds.stamps, after + self._late_ns)
+        index = speeds.stamps.searchsorted(after + self._late_ns)
         by = np.append(speeds.order, LATER)[index]
         if len(before_ns):
             by[before_ns[0] >= after + self._late_ns] = BEFORE
@@ -501,8 +503,8 @@ class SampleStream:
         longest = self._battery.gap_ns(speeds.order) + self._late_ns + self._lag_ns
         if speeds.stamps[-1] - stamps[0] <= longest.min():
             return never
-        earliest = np.searchsorted(speeds.stamps, stamps + longest.min(), side="right")
-        latest = np.searchsorted(speeds.stamps, stamps + longest.max(), side="right")
+        earliest = speeds.stamps.searchsorted(stamps + longest.min(), side="right")
+        latest = speeds.stamps.searchsorted(stamps + longest.max(), side="right")
         orders = np.append(speeds.order, LATER)
         for index in np.flatnonzero(earliest < latest).tolist():
             some = slice(earliest[index], latest[index])

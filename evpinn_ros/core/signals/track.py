@@ -95,7 +95,7 @@ class SignalTrack:
 
     def insert(self, stamp_ns: int, value: float) -> bool:
         """Take one reading of any stamp between blocks; False when this stamp is already there."""
-        place = int(np.searchsorted(self.stamps, stamp_ns))
+        place = int(self.stamps.searchsorted(stamp_ns))
         if place == len(self.stamps):
             self.extend(np.array([BEFORE]), np.array([stamp_ns]), np.array([value]))
             return True
@@ -113,7 +113,7 @@ class SignalTrack:
         if not len(self.stamps) or self.orders[-1] == BEFORE:
             return
         oldest = min(needed_ns, int(self.stamps[-1]) - TRACK_NS)
-        first = max(0, int(np.searchsorted(self.stamps, oldest)) - RATE_READINGS - 1)
+        first = max(0, int(self.stamps.searchsorted(oldest)) - RATE_READINGS - 1)
         kept = slice(first, None)
         self.stamps, self.values = self.stamps[kept], self.values[kept]
         self.orders = np.full(len(self.stamps), BEFORE)
@@ -129,7 +129,7 @@ class SignalTrack:
 
     def count(self, by: Any) -> Any:
         """How many had come by places in the order of arrival, of the same shape."""
-        return np.searchsorted(self.orders, by, side="right")
+        return self.orders.searchsorted(by, side="right")
 
     def period(self, by: Any = LATER) -> Any:
         """Usual step by places in the order of arrival, s."""
@@ -146,13 +146,13 @@ class SignalTrack:
 
     def first_after(self, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stamps and places of the first readings from moments on, `LATER` where there is none."""
-        index = np.searchsorted(self.stamps, moments)
+        index = self.stamps.searchsorted(moments)
         stamps, orders = np.append(self.stamps, LATER), np.append(self.orders, LATER)
         return stamps[index], orders[index]
 
     def last(self, moments: np.ndarray, by: np.ndarray) -> np.ndarray:
         """Last values at moments or before; NaN where they are too long ago. Shape (n,)."""
-        index = np.minimum(np.searchsorted(self.stamps, moments, side="right"), self.count(by)) - 1
+        index = np.minimum(self.stamps.searchsorted(moments, side="right"), self.count(by)) - 1
         if not len(self.stamps):
             return np.full(len(moments), np.nan)
         there = np.maximum(index, 0)
@@ -163,7 +163,7 @@ class SignalTrack:
         """Values at moments, linear between neighbours; NaN where not measured. Shape (n,)."""
         if not len(self.stamps):
             return np.full(len(moments), np.nan)
-        after = np.searchsorted(self.stamps, moments)
+        after = self.stamps.searchsorted(moments)
         known = after < self.count(by)
         after = np.minimum(after, len(self.stamps) - 1)
         before = np.maximum(after - 1, 0)
@@ -205,7 +205,7 @@ class SignalTrack:
 
     def step_around(self, stamp_ns: int, by: int = LATER) -> float:
         """Usual step between the readings up to a moment, s, whatever their order of arrival."""
-        last = min(int(np.searchsorted(self.stamps, stamp_ns)) + 1, int(self.count(by)))
+        last = min(int(self.stamps.searchsorted(stamp_ns)) + 1, int(self.count(by)))
         latest = self.stamps[max(0, last - RATE_READINGS - 1) : last]
         return float(np.median(np.diff(latest))) / NANOSECONDS if len(latest) > 1 else 0.0
 
