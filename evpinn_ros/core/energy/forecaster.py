@@ -113,18 +113,19 @@ class Forecaster:
         self._compared_with: object = None
 
     def set_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
-        """Take an estimate of the car and its 1-sigma.
+        """Take an estimate of the car and its 1-sigma, unless there is a model, which knows more.
 
         Raises:
             ValueError: there is no such car; what was received before stays.
         """
+        if self.basis not in (Basis.VEHICLE_FILE, Basis.COMBINATIONS):
+            return
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not possible
             given = combined_model(combined, sigmas, self._vehicle)
             possible = car_is_possible(given.car)
         if not possible:
             raise ValueError("out_of_range")
-        if self.basis in (Basis.VEHICLE_FILE, Basis.COMBINATIONS):
-            self._model, self.basis = given, Basis.COMBINATIONS
+        self._model, self.basis = given, Basis.COMBINATIONS
 
     def set_model(self, car: CarModel) -> None:
         """Take all that is known of the car's power."""
