@@ -12,7 +12,6 @@ from evpinn_ros.bags.names import BAG_SUFFIXES
 from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import open_unpacked
-from evpinn_ros.logs.text_table import ConvertedTable
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
 SHEET_SUFFIXES = (".xlsx", ".xlsm")
@@ -65,6 +64,8 @@ def is_drive_table(path: Path) -> bool:
 
 def _holds_signals(path: Path) -> bool:
     """True if an .mf4 holds measured signals that may be of use, and not only frames of a bus."""
+    from evpinn_ros.logs.text_table import ConvertedTable  # polars: a car's computer has none
+
     try:
         ConvertedTable(path, CONVERTERS[MEASUREMENT_SUFFIX])
     except InputError:
