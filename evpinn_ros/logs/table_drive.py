@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.logs.batch import Batch, regrouped
@@ -63,6 +64,9 @@ from evpinn_ros.logs.values import (
     signed,
     with_units,
 )
+
+with optional_imports():
+    import polars as pl
 
 if TYPE_CHECKING:
     from evpinn_ros.logs.terrain import Terrain
@@ -391,9 +395,9 @@ class TableDrive(Source):
 
     def _count_bad(self, batch: Batch, rule: Column, bad: NDArray[np.bool_], what: str) -> None:
         """Count the bad cells of a column that are not just missing, and quote the first."""
-        if not bad.any():
-            return
         cells = batch.cells(rule.place)
+        if all(map(is_missing, pl.Series(cells).filter(bad).unique())):
+            return
         for i in np.flatnonzero(bad).tolist():
             line, cell = batch.lines[i], cells[i]
             if is_missing(cell):
