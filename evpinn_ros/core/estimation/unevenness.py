@@ -133,7 +133,7 @@ class Unevenness:
         energy = table @ mean
         for rows, weights, energies in zip(table, weight, energy.tolist(), strict=True):
             for begin, end in _rising(energies, weights.tolist()):
-                common = np.average(rows[begin:end], axis=0, weights=weights[begin:end])
+                common = weights[begin:end] @ rows[begin:end] / weights[begin:end].sum()
                 rows[begin:end] = common * (common @ mean > 0.0)
         return np.asarray(table)
 
