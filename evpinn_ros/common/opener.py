@@ -20,6 +20,7 @@ from evpinn_ros.common.errors import InputError, as_input_error
 LONGEST_LINE = 1_000_000
 """Characters of a line of text, one without an end would fill the memory: a frame of CAN FD takes
 200, a row of a wide table 10 000."""
+MOST_COLUMNS = 10_000  # of a table
 RATIO, FREE_BYTES = 200, 1 << 20
 
 

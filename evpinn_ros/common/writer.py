@@ -47,6 +47,11 @@ def sync(path: Path) -> None:
             os.close(handle)
 
 
+def plain_cell(text: str) -> str:
+    """The text of a cell, on one line."""
+    return " ".join(text.splitlines()).strip()
+
+
 @contextmanager
 def replaced(path: Path, *, private: bool = False) -> Iterator[BinaryIO]:
     """A draft that takes the place of a file when it is whole; of one that is not nothing stays.

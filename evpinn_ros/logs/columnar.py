@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.opener import MOST_COLUMNS, open_file
 from evpinn_ros.common.optional import optional_imports
-from evpinn_ros.logs.text_table import MOST_COLUMNS, plain_cell
+from evpinn_ros.common.writer import plain_cell
 
 with optional_imports():
     import polars as pl

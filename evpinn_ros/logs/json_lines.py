@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.opener import open_file
-from evpinn_ros.common.writer import new_table
-from evpinn_ros.logs.text_table import MOST_COLUMNS, plain_cell
+from evpinn_ros.common.opener import MOST_COLUMNS, open_file
+from evpinn_ros.common.writer import new_table, plain_cell
 
 _decoded = json.JSONDecoder(parse_constant=lambda _: None).decode
 

@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.opener import MOST_COLUMNS, open_file
 from evpinn_ros.common.optional import optional_imports
-from evpinn_ros.common.writer import new_table
+from evpinn_ros.common.writer import new_table, plain_cell
 from evpinn_ros.logs.survey import OTHER_SHEETS, names_some
-from evpinn_ros.logs.text_table import MOST_COLUMNS, plain_cell
 
 with suppress(ImportError):  # at once, for the process is limited from what it took until then
     import openpyxl  # noqa: F401

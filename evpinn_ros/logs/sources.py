@@ -17,7 +17,6 @@ from evpinn_ros.logs.formats import (
 )
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.source import Source
-from evpinn_ros.logs.text_table import ConvertedTable, TextTable
 
 if TYPE_CHECKING:
     from evpinn_ros.logs.table_drive import TableDrive
@@ -61,6 +60,7 @@ def open_drive(
     """
     # polars takes a quarter of a second: whoever opens no table does not wait for it.
     from evpinn_ros.logs.table_drive import TableDrive
+    from evpinn_ros.logs.text_table import ConvertedTable, TextTable
 
     path = Path(path)
     suffix = suffix_of(path)

@@ -19,14 +19,13 @@ import numpy as np
 
 from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, reason_of
-from evpinn_ros.common.opener import LONGEST_LINE, open_unpacked
+from evpinn_ros.common.opener import LONGEST_LINE, MOST_COLUMNS, open_unpacked
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.logs.batch import Batch, Row
 
 with optional_imports():
     import polars as pl
 
-MOST_COLUMNS = 10_000
 LONG_LINE, LONGEST_CELL = 2000, 200  # characters, of a cell in a long line those that are kept
 MOST_BLANK = 100_000  # lines in a row
 SEPARATORS = ",;\t|"
@@ -249,11 +248,6 @@ class ConvertedTable(TextTable):
         if not content.exists() or (self.broken and content.stat().st_size == 0):
             raise InputError(f"{path}: {self.broken or 'no table in it'}")
         super().__init__(path, content, separator=",")
-
-
-def plain_cell(text: str) -> str:
-    """The text of a cell, on one line."""
-    return " ".join(text.splitlines()).strip()
 
 
 def _says_separator(line: str) -> bool:
