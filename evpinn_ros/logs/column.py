@@ -17,12 +17,14 @@ from evpinn_ros.logs.quantities import (
     score,
     speaks_of,
     unit_of,
+    words_of,
 )
 
 SIGNED = ("current", "power")
 LONGEST_LIST = 200  # characters of column names in a message
 EMPTY = "empty"
 NO_USE = "not needed"
+HEALTH = "the state of health is counted from energy and charge"
 OF_PARTS = {
     "voltage": "not of the whole traction battery",
     "current": "not of the whole traction battery",
@@ -273,6 +275,8 @@ def _reason(name: str, taken: Mapping[str, Column]) -> str:
             return f"the unit [{text}] of {quantity} is not known"
     if score("power", name) > 0.0 and {"voltage", "current"} <= taken.keys():
         return "power is voltage times current"
+    if not {"soh", "health"}.isdisjoint(words_of(name)[0].split()):
+        return HEALTH
     parts = (why for quantity, why in OF_PARTS.items() if speaks_of(quantity, name))
     return next(parts, NO_USE)
 
