@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from evpinn_ros.core.energy.plan import COARSE, Plan, plan_from_speed_profile, travelled
 
@@ -44,6 +43,8 @@ def road_height(along: np.ndarray, height: np.ndarray, distance: np.ndarray) -> 
         height: m, shape (m,).
         distance: from 0 on, not falling, shape (n,).
     """
+    from scipy.ndimage import gaussian_filter1d  # here: 30 MB that only heights need
+
     end = max(float(along[-1]), float(distance[-1]))
     step = max(ELEVATION_STEP, end / MOST_STEPS)
     road = np.arange(0.0, end + step, step)
