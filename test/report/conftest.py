@@ -177,6 +177,10 @@ def reported() -> ReportedDrive:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(history, "MODEL_STEP", 60.0)
         replayed = replay(
-            Recorded(heard), chain, ReplayOptions(warm_up=30.0), vehicle=car.key, mode="hybrid"
+            Recorded(heard, Path("out/town")),
+            chain,
+            ReplayOptions(warm_up=30.0),
+            vehicle=car.key,
+            mode="hybrid",
         )
     return ReportedDrive(replayed.drive, replayed.metrics, car, 30.0, truth=drive.truth.parameters)
