@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from functools import partial
+import math
 import time
 from typing import Any
 
@@ -34,6 +35,7 @@ from evpinn_ros.topics.settings import estimator_settings, imu_mounting
 MODEL_PERIOD = 10.0  # s
 FOR_PLOTS = (topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
 LONGEST_WAIT = 0.2  # s that a reading waits for the next speed
+REST = 1.0  # for each second that a block took: with the next ones, half of a core is free
 SPEED_COMES_NS = NANOSECONDS // 2  # within it the next speed is waited for
 LISTENS_TO = tuple(topic for topic in topics.INPUTS if topic not in FOR_PLOTS)
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
@@ -63,6 +65,7 @@ class EstimatorNode(GuardedNode):
         self._mounting = imu_mounting(self.values)
         self._stamps = StampWatch()
         self._waiting: list[Reading] = []
+        self._rested_s = -math.inf  # from when on the node may be busy again
         actions = Actions(self._reset, self._begin_anew, self._after_jump)
         self.kept = Keeper(self, self.estimator, Half.LEARNED, topics.SPEEDS, actions)
         self.advertise(*PUBLISHES)
@@ -132,12 +135,13 @@ class EstimatorNode(GuardedNode):
         # What comes beside speed is looked at with the next speed; a battery, if none comes soon.
         speed_ns = self.estimator.newest_ns
         silent = speed_ns is None or abs(reading.stamp_ns - speed_ns) > SPEED_COMES_NS
-        if topic is topics.SPEED or (topic is topics.BATTERY and silent):
+        due = topic is topics.SPEED or (topic is topics.BATTERY and silent)
+        if due and self.steady_s() >= self._rested_s:
             self._learn()
 
     def _learn(self) -> None:
         """Let the estimator have what came since it last had anything."""
-        waiting, self._waiting = self._waiting, []
+        waiting, self._waiting, begun_s = self._waiting, [], self.steady_s()
         if not waiting:
             return
         outputs = self.estimator.add_block(Block.of(waiting), breakdowns=True)
@@ -146,6 +150,9 @@ class EstimatorNode(GuardedNode):
         for learned in outputs.learned:  # once a second
             stamp_ns = learned.parameters.stamp_ns
             self.publish(breakdown_messages(new_message, stamp_ns, learned.breakdown))
+        # On a slow or busy computer more comes meanwhile, and one block of it costs less.
+        ended_s = self.steady_s()
+        self._rested_s = ended_s + REST * (ended_s - begun_s)
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         self._learn()

@@ -252,7 +252,9 @@ def can_bus() -> Iterator[tuple[Any, dict[str, Any]]]:
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
+def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    """Nodes in this process, of which no estimator rests, however long it took to learn."""
+    monkeypatch.setattr("evpinn_ros.nodes.estimator.REST", 0.0)
     rclpy.init()
     bench = Bench()
     try:

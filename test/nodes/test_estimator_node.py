@@ -28,6 +28,16 @@ def drive(bench, node, begin, end, with_battery=True, rate=10):
         bench.read(node, now)
 
 
+def test_what_comes_while_a_busy_node_rests_is_one_block(bench, monkeypatch):
+    """And it is learned by the timer, or before anybody is told how the node is."""
+    monkeypatch.setattr("evpinn_ros.nodes.estimator.REST", 1e9)
+    node = bench.start(EstimatorNode)
+    drive(bench, node, 0, 2)
+    assert node.published[topics.POWER_PREDICTED] == 0  # the first battery was learned alone
+    bench.pump(lambda: node.published[topics.POWER_PREDICTED] == 20)
+    assert node.estimator.status().dropped == {}
+
+
 def unsure(node):
     """1-sigma of m / eta relative to that of the vehicle file."""
     prior = prior_identifiable(VEHICLE)[1].mass_over_eta
