@@ -185,6 +185,16 @@ def test_a_gap_separates(new_stream, play, ramp, at):
     assert events[0].known_auxiliary == 0.0  # nor are loads
 
 
+def test_speeds_that_all_come_after_a_gap_are_joined_once_their_rate_is_known(new_stream, at):
+    """A phone that asks every 12 s: its first steps are gaps, by which it is known as slow."""
+    stream, intervals = new_stream(), []
+    for seconds in range(0, 480, 12):
+        readings = [SpeedReading(at(seconds), 10.0), BatteryReading(at(seconds), 350.0, -20.0)]
+        intervals += [one for _, one in stream.add_block(Block.of(readings)).intervals]
+    assert len(intervals) >= 5
+    assert all(one.energy == pytest.approx(7e3 * one.steps.duration.sum()) for one in intervals)
+
+
 def test_late_and_doubled_speeds(new_stream, play, ramp, at):
     stream = new_stream()
     play(stream, ramp(10.0, 0.0, 2.0))
