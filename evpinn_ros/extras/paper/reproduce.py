@@ -59,10 +59,11 @@ def reproduce(
 ) -> None:
     """Repeat the experiment of the EV-PINN paper on a drive, and check every claim.
 
-    Shows tables II to VI and figures 5, 8 and 9 (for a Model S 6, 8 and 10) beside the numbers of
-    the paper. Adds what the paper leaves out: a baseline, a chronological split, its published
-    parameters on this drive, and least squares. It takes half an hour of one processor, with
-    --quick a minute or two. If you stop it, the same command continues.
+    Shows the tables II, IV, V and VI and the figures 5, 8 and 9 (for a Model S table III and
+    figures 6, 8 and 10) beside the numbers of the paper. Adds what the paper leaves out: a
+    baseline, a chronological split, its published parameters on this drive, and least squares. It
+    takes half an hour of one processor, with --quick a minute or two. If you stop it, the same
+    command continues.
 
     Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick
     """

@@ -53,8 +53,7 @@ class ResultTable(NamedTuple):
 
 def all_tables(outcome: Outcome) -> Iterator[ResultTable]:
     """Every table in the order of the paper, the honest columns after each."""
-    yield power_loss_table(outcome, "II", "tesla_model_3_lr")
-    yield power_loss_table(outcome, "III", "tesla_model_s")
+    yield power_loss_table(outcome)
     yield energy_loss_table(outcome)
     yield parameter_table(outcome)
     yield combination_table(outcome)
@@ -63,8 +62,11 @@ def all_tables(outcome: Outcome) -> Iterator[ResultTable]:
     yield energy_table(outcome)
 
 
-def power_loss_table(outcome: Outcome, number: str, key: str) -> ResultTable:
-    """Table II or III: this drive beside the paper's drive of one of its two cars."""
+def power_loss_table(outcome: Outcome) -> ResultTable:
+    """Table II, or III of a Model S: this drive beside the paper's drive of that car."""
+    key, number = "tesla_model_3_lr", "II"
+    if outcome.vehicle.key == "tesla_model_s":
+        key, number = outcome.vehicle.key, "III"
     published = {row.epoch: row for row in POWER_LOSSES[key]}
     measured = {row.epoch: row for row in outcome.power_rows}
     last = outcome.power_rows[-1].epoch
