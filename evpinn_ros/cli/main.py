@@ -13,7 +13,7 @@ from typing import ClassVar
 import typer
 
 from evpinn_ros import __version__
-from evpinn_ros.cli.console import note, say, tables_beside
+from evpinn_ros.cli.console import note, say
 from evpinn_ros.cli.interruption import INTERRUPTED
 from evpinn_ros.cli.lazy import LazyCommands
 from evpinn_ros.common.errors import InputError
@@ -65,7 +65,6 @@ def evpinn(
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr
     """
-    tables_beside(None)  # of the command before, where one process runs several
 
 
 def main() -> None:

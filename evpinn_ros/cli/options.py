@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
 import inspect
 from pathlib import Path
 from typing import Annotated, Any
@@ -31,8 +31,8 @@ def complete_profile(incomplete: str) -> list[str]:
     return [name for name in profile_names() if name.startswith(incomplete)]
 
 
-def _check_json_file(path: Path | None) -> Path | None:
-    """Returns where JSON goes; tables go to stderr when that is stdout.
+def _check_json_file(context: typer.Context, path: Path | None) -> Path | None:
+    """Returns where JSON goes; tables go to stderr when that is stdout, until the command ends.
 
     Raises:
         typer.BadParameter: the file exists and is no JSON: `--json` without its path would take
@@ -41,6 +41,7 @@ def _check_json_file(path: Path | None) -> Path | None:
     if path is not None and path.is_file() and path.suffix not in ("", *JSON_SUFFIXES):
         raise typer.BadParameter(f"{path} exists and is not a .json file; - is stdout")
     tables_beside(path)
+    context.call_on_close(partial(tables_beside, None))  # one process may run several commands
     return path
 
 
