@@ -150,8 +150,8 @@ class RowBlocks:
 
         def told(name: str, *quantities: str) -> NDArray[np.bool_]:
             """Rows in which any of the quantities is known for the first time at their stamp."""
-            known = np.isfinite([values.get(quantity, empty) for quantity in quantities])
-            return self._new(name, stamps, np.asarray(known.any(axis=0)))
+            there = np.isfinite([values.get(quantity, empty) for quantity in quantities])
+            return self._new(name, stamps, np.asarray(there.any(axis=0)))
 
         def fields(*quantities: str) -> tuple[FloatArray, ...]:
             return tuple(values.get(quantity, empty) for quantity in quantities)
@@ -208,19 +208,19 @@ class RowBlocks:
         told = np.ones(stamps.size, dtype=bool)
         columns = {"voltage": volts, "current": amperes, "charge": charge}
         for name, column in columns.items():
-            known = told & np.isfinite(column)
-            told &= ~known | self._new(name, stamps, known)
+            there = told & np.isfinite(column)
+            told &= ~there | self._new(name, stamps, there)
         told &= np.isfinite(list(columns.values())).any(axis=0)
         return told, (volts, -amperes, charge / 100.0, np.full(stamps.size, np.nan))
 
     def _new(
-        self, name: str, stamps: NDArray[np.int64], known: NDArray[np.bool_]
+        self, name: str, stamps: NDArray[np.int64], there: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """The known values that are later than the last of their name; the others are counted."""
-        times = stamps[known]
+        """Where values are there and later than the last of their name; the others are counted."""
+        times = stamps[there]
         later = np.diff(times, prepend=self._last_ns.get(name, -1)) > 0
         self._dropped["time_not_increasing"] += int((~later).sum())
         self._last_ns[name] = max([self._last_ns.get(name, -1), *times[-1:].tolist()])
-        new = known.copy()
-        new[known] = later
+        new = there.copy()
+        new[there] = later
         return new

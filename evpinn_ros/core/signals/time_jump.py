@@ -164,8 +164,8 @@ class StampGuard:
         if ahead.max() > threshold_ns or ahead.min() < -max(SKEW_NS, threshold_ns):
             return False
         for kind, rows in block.rows.items():
-            own = np.append(self._own_ns.get(kind, rows.stamps[0]), rows.stamps)
-            if (own[1:] - np.maximum.accumulate(own)[:-1]).min() < -threshold_ns:
+            of_kind = np.append(self._own_ns.get(kind, rows.stamps[0]), rows.stamps)
+            if (of_kind[1:] - np.maximum.accumulate(of_kind)[:-1]).min() < -threshold_ns:
                 return False
         for kind, rows in block.rows.items():
             self._ahead_ns.pop(kind, None)

@@ -156,10 +156,10 @@ def test_blocks_are_admitted_as_their_readings_are_one_by_one(readings, size):
     """Two ways to the one rule: nodes ask of a reading, files of thousands."""
     alone, refused = admitted(readings)
     in_blocks = Admission(LIMITS)
-    found = [
+    together = [
         reading
         for part in Block.of(readings).parts(size)
         for reading in in_blocks.admit(part).readings()
     ]
-    assert list(map(repr, found)) == list(map(repr, alone))
+    assert list(map(repr, together)) == list(map(repr, alone))
     assert in_blocks.refused == refused

@@ -211,11 +211,11 @@ def test_a_block_passes_as_its_readings_do_one_by_one(steps, size, rule):
         for reading in readings
         for item in alone.admit(type(reading), reading.stamp_ns, reading, rule)
     ]
-    found = []
+    passed_together = []
     for part in Block.of(readings).parts(size):
         for item in together.follow(part, rule):
-            found += [item] if isinstance(item, Jump) else item.readings()
-    assert list(map(repr, found)) == list(map(repr, passed_alone))
+            passed_together += [item] if isinstance(item, Jump) else item.readings()
+    assert list(map(repr, passed_together)) == list(map(repr, passed_alone))
     assert (together.dropped, together.jumps, together.held) == (
         alone.dropped,
         alone.jumps,
