@@ -1,8 +1,8 @@
 """The table and the picture of docs/project/benchmarks.md: errors by car and method.
 
 Run: python docs/benchmarks_picture.py (`make docs` does), which draws the picture and prints the
-table. A test compares the table with the page. With a commit and files that `bench unseen --json`
-wrote on it, the scores are taken from these first.
+table. A test compares the table with the page. With COMMIT and files of `bench unseen --json`, it
+first writes unseen.json from them.
 """
 
 from collections.abc import Sequence
@@ -32,14 +32,14 @@ CARS = {
     "i3_speed": "BMW i3, speed alone",
     "e208": "Peugeot e-208, Car Scanner, no heights",
     "leaf2013": "Nissan Leaf 2013, LeafSpy, every 2 to 6 s",
-    "three_wheeler": "Cargo three-wheeler, 1 Hz, no vehicle file",
-    "changchun": "Changchun sedan, 20 Hz, no vehicle file",
+    "three_wheeler": "Cargo three-wheeler, 1 Hz, generic vehicle",
+    "changchun": "Changchun sedan, 20 Hz, generic vehicle",
 }
 RIGHT = (85, 95)  # % of intervals that hold: as many as they promise
 
 
 def taken(commit: str, files: Sequence[Path]) -> dict[str, Any]:
-    """The document of scores, of the cars in files that were written on a commit."""
+    """The contents of unseen.json, from files that were written on one commit."""
     scored = {}
     for file in files:
         scored |= json.loads(file.read_text(encoding="utf-8"))["cars"]
@@ -82,7 +82,7 @@ def table() -> str:
 
 
 def main() -> None:
-    """Draw a line of marks for each car."""
+    """Take new scores if there are any, draw a line of marks for each car, print the table."""
     if len(sys.argv) > 2:
         document = taken(sys.argv[1], [Path(name) for name in sys.argv[2:]])
         SCORES.write_text(

@@ -10,7 +10,7 @@ from evpinn_ros.logs.source import Source
 
 
 class Recorded(Source):
-    """Readings as a source, some of which were dropped on reading."""
+    """Readings as a source, with counts of those that were dropped on reading."""
 
     problem = seconds = None
 

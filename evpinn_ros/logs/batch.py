@@ -1,4 +1,4 @@
-"""Rows of a table that stand one after another, as they are converted at once."""
+"""Consecutive rows of a table, converted together."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Batch:
         return Batch(self.lines[some], self._rows[some], columns)
 
     def within(self, width: int) -> Batch | None:
-        """The batch of columns without what stands beyond a width; None if that is not empty."""
+        """Of a batch of columns the first `width` of them; None if a later one has text."""
         columns = self.columns or ()
         if any((column != "").any() for column in columns[width:]):
             return None
@@ -88,7 +88,7 @@ class Batch:
 
 
 def batches_of(rows: Iterable[Row]) -> Iterator[Batch]:
-    """Rows in batches; what comes before an error of the table is passed on before it."""
+    """Rows in batches; an error of the table is raised after the rows before it."""
     batch: list[Row] = []
     cells = 0
     try:
@@ -106,7 +106,7 @@ def batches_of(rows: Iterable[Row]) -> Iterator[Batch]:
 
 
 def regrouped(batches: Iterable[Batch]) -> Iterator[Batch]:
-    """The rows in batches of the size that `batches_of` gives, however they came."""
+    """The rows in batches as large as those of `batches_of`, however they came."""
     waiting: list[Batch] = []
     for batch in batches:
         waiting.append(batch)

@@ -1,4 +1,4 @@
-"""Rows of numbers in order of time, and into blocks, in which no kind goes back in time."""
+"""Sorts rows of numbers by time, and makes blocks of readings from them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Columns = dict[str, FloatArray]
 
 
 class RowOrder:
-    """Takes rows batch by batch and gives those that are not too late, by their stamps.
+    """Sorts rows by stamp, batch by batch, and drops late ones.
 
     Attributes:
         dropped: rows that were too late, or alone in the future.
@@ -70,7 +70,7 @@ def _alone(times: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 class HeldSignals:
-    """Takes repeated cells out of held columns, batch by batch."""
+    """Blanks cells that repeat a held value, batch by batch."""
 
     def __init__(self, names: Iterable[str]) -> None:
         """Begin, for these quantities."""
@@ -102,7 +102,7 @@ class RowBlocks:
 
     Attributes:
         used: rows that gave a reading.
-        at_nominal_voltage: battery readings of power alone.
+        at_nominal_voltage: battery readings of power without a voltage.
     """
 
     def __init__(self, nominal_voltage: float, dropped: Counter[str]) -> None:
@@ -177,7 +177,7 @@ class RowBlocks:
         self._drop(values, "charge", 0.0, 100.0, "soc_pct_out_of_range")
         self._drop(values, "ambient", *AMBIENT_C, "ambient_c_out_of_range")
         if "voltage" in values:
-            off = values["voltage"] <= 0  # a sensor that is off: its current is none either
+            off = values["voltage"] <= 0  # a sensor that is off, and so its current
             self._dropped["voltage_not_positive"] += int(off.sum())
             for name in ("voltage", "current", "power"):
                 if name in values:
@@ -199,7 +199,7 @@ class RowBlocks:
         power: FloatArray,
         charge: FloatArray,
     ) -> tuple[NDArray[np.bool_], tuple[FloatArray, ...]]:
-        """Voltage and current as measured; where one is missing, the current from power."""
+        """Voltage and current; where one is missing, power by the voltage, measured or nominal."""
         from_power = np.isfinite(power) & np.isnan(volts + amperes)
         unknown = from_power & np.isnan(volts)
         self.at_nominal_voltage += int(unknown.sum())

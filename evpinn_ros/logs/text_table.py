@@ -56,8 +56,8 @@ class TextTable:
 
     Attributes:
         path: of it.
-        torn: lines that are no row, for a quote in them is not closed; complete after `rows`.
-        broken: why there is no more of it than there is, or "".
+        torn: lines that are no row, for a quote in them is not closed; complete after reading.
+        broken: why the file ends early; empty or None where it does not.
     """
 
     broken: str | None = ""
@@ -88,7 +88,7 @@ class TextTable:
                 yield from self._rows_of(text)
 
     def batches(self) -> Iterator[Batch]:
-        """`rows` in batches: by column where each line begins with a digit and all are alike.
+        """`rows` in batches: by column where lines begin with a number, unquoted and equally wide.
 
         Raises:
             InputError: it cannot be read further.
@@ -233,7 +233,7 @@ class TextTable:
 
 
 class ConvertedTable(TextTable):
-    """A table that is no text, as a parser of a foreign library wrote it, apart, as text."""
+    """A table that another library converted to text, in a process of its own."""
 
     def __init__(self, path: Path, function: str) -> None:
         """Have it written by a function `MODULE:NAME` of two paths.
@@ -251,7 +251,7 @@ class ConvertedTable(TextTable):
 
 
 def _says_separator(line: str) -> bool:
-    """True if it is the first line of a file that Excel shall split rightly: `sep=;`."""
+    """True for the line that tells Excel the separator: `sep=;`."""
     return line.lstrip('\ufeff"').lower().startswith("sep=")
 
 

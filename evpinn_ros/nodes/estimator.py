@@ -35,7 +35,7 @@ from evpinn_ros.topics.settings import estimator_settings, imu_mounting
 MODEL_PERIOD = 10.0  # s
 FOR_PLOTS = (topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
 LONGEST_WAIT = 0.2  # s that a reading waits for the next speed
-REST = 1.0  # for each second that a block took: with the next ones, half of a core is free
+REST = 1.0  # s of rest for each second of work; `LONGEST_WAIT` ends it
 SPEED_COMES_NS = NANOSECONDS // 2  # within it the next speed is waited for
 LISTENS_TO = tuple(topic for topic in topics.INPUTS if topic not in FOR_PLOTS)
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
@@ -65,7 +65,7 @@ class EstimatorNode(GuardedNode):
         self._mounting = imu_mounting(self.values)
         self._stamps = StampWatch()
         self._waiting: list[Reading] = []
-        self._rested_s = -math.inf  # from when on the node may be busy again
+        self._rested_s = -math.inf  # when the rest after the last block ends
         actions = Actions(self._reset, self._begin_anew, self._after_jump)
         self.kept = Keeper(self, self.estimator, Half.LEARNED, topics.SPEEDS, actions)
         self.advertise(*PUBLISHES)
@@ -115,11 +115,13 @@ class EstimatorNode(GuardedNode):
     def _begin_anew(self) -> None:
         """Be as at the start."""
         self._waiting.clear()
+        self._admission.begin_anew()
         self.kept.file.start_over()
 
     def _after_jump(self) -> None:
         """Join nothing to what came before a jump of time."""
         self._learn()
+        self._admission.begin_anew()
         self.estimator.handle_time_jump()
 
     def _take(self, topic: Topic, message: Any) -> None:

@@ -122,7 +122,7 @@ class ChargeGauge(Saveable[SavedGauge]):
 
     @property
     def health(self) -> Uncertain:
-        """Learned capacity over that of the vehicle file, with its 1-sigma; else unknown."""
+        """Capacity over that of the vehicle file, averaged with it; unknown if none is learned."""
         if not self.learned:
             return UNKNOWN
         return Uncertain(*(joules / self._prior.value for joules in self.capacity))

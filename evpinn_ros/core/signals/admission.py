@@ -1,8 +1,8 @@
 """Decides which readings of a car count anywhere: a refused one is in no total and no score.
 
-Three kinds are refused: what no sensor of a road vehicle reads (`readings.RANGES`), what this car
-cannot do (`CarLimits`), and values that a bus sends in place of a measurement (`SENTINELS`) or
-that leap as no car does. A speed that leaps counts again once a second reading confirms it.
+Four kinds are refused: what no sensor of a road vehicle reads (`readings.RANGES`), what this car
+cannot do (`CarLimits`), values that a bus sends in place of a measurement (`SENTINELS`), and
+speeds that leap. A speed that leaps counts again once a second reading confirms it.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ SENTINELS = frozenset(
 SENTINEL_THOUSANDTHS = np.rint(1000.0 * np.array(sorted(SENTINELS)))
 HARDEST = 10.0  # m/s^2, of braking on a dry road; what is beyond waits for a second reading
 SPEED_UNITS = (1.0, 3.6, 3600.0 / 1609.344)  # of a bus: m/s, km/h, mph
-LEAST_SENTINEL = 100.0  # A, and by which the current leaps: a car also has smaller ones in earnest
+LEAST_SENTINEL = 100.0  # A; smaller currents, and smaller changes of it, are measured
 VOLTAGE_LEAP = 0.25  # of the last voltage, by which a sentinel differs from it
 
 
@@ -87,7 +87,7 @@ class Admission:
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Compare the next readings with none before: time jumped."""
+        """Forget the last readings, after a jump of time."""
         self._speed: tuple[int, float] | None = None  # stamp, ns, and speed
         self._leapt: tuple[int, float] | None = None  # refused until a second one confirms it
         self._voltage = self._current = math.nan
@@ -124,7 +124,7 @@ class Admission:
         """Speeds that are refused, and why; a speed near the one before needs no asking."""
         leaps = _leaps(rows.stamps[:-1], rows.values[0, :-1], rows.stamps[1:], rows.values[0, 1:])
         speeds = list(zip(rows.stamps.tolist(), rows.values[0].tolist(), strict=True))
-        after = 0  # the last that was asked
+        after = 0  # one past the last that was asked
         for index in (0, *(np.flatnonzero(leaps) + 1).tolist()):
             if index < after:
                 continue

@@ -11,10 +11,10 @@ Each source is judged by its own stamps. Sources whose stamps are up to `SKEW_NS
 time: the one behind is late, as on a busy machine or a slow link, and what it says is passed on to
 be used at its stamp or to be dropped as too late by whoever joins the two.
 
-A time that was left has no more readings: a bag that starts over no longer plays its end. Where
-stamps leap to and fro between two times there are two publishers, and to follow both would be a
-jump at every turn. So from the first return on the one followed now is kept, and what continues
-the other is dropped and counted, until nothing else has come for a while.
+A timeline that was left gives no more readings: a bag that starts over does not play its end.
+Where stamps leap to and fro between two times there are two publishers, and to follow both would
+be a jump at every turn. So from the first return on the one followed now is kept, and what
+continues the other is dropped and counted, until nothing else has come for a while.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 
 AGREE_NS = 600 * NANOSECONDS  # two stamps of the leader this close confirm each other
 SKEW_NS = 15 * NANOSECONDS  # a source this far behind the others is late, and its clock right
-LEFT_NS = 60 * NANOSECONDS  # a time that was left goes on within this
+LEFT_NS = 60 * NANOSECONDS  # a timeline that was left resumes within this
 SILENT_NS = 15 * NANOSECONDS  # a publisher that says nothing for so long is none
 USUAL_STEPS = 3  # of the leader, which a stamp may be ahead: phones log at 5 s and slower
 MOST_HELD = 1000
 LOOKED_AT = 500  # readings whose stamps are judged at once where others of their block leap
-MOST_LEFT = 8  # times that were left and may speak on
+MOST_LEFT = 8  # timelines that were left and are remembered
 TAKES_OVER = 20  # stamps of a left time in a row, after which the present one counts as ended
 SECOND_PUBLISHER = "stamps_of_a_second_publisher"
 
@@ -133,7 +133,7 @@ class StampGuard:
         return len(self._held)
 
     def follow(self, block: Block, rule: JumpRule = DEFAULT_RULE) -> Iterator[Block | Jump]:
-        """`admit` for readings, each kind of which is a source, with as many as go on at once."""
+        """`admit` for a block, each kind of it a source: whole parts where no stamp leaps."""
         threshold_ns = round(rule.threshold * NANOSECONDS)
         if len(block) and self._goes_on(block, threshold_ns):
             yield block
@@ -156,7 +156,7 @@ class StampGuard:
             yield joined(passed)
 
     def _goes_on(self, block: Block, threshold_ns: int) -> bool:
-        """Pass on all of a block and know so, if nothing speaks against any stamp of it."""
+        """True, and its stamps are the newest, if no stamp of a block leaps."""
         stamps = block.stamps()
         newest_ns = int(stamps[0]) if self._newest_ns is None else self._newest_ns
         newest = np.maximum(np.maximum.accumulate(stamps), newest_ns)

@@ -2,7 +2,7 @@ from collections import Counter
 from dataclasses import replace
 import math
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -152,6 +152,7 @@ any_readings = st.lists(
 
 
 @given(any_readings, st.integers(1, 50))
+@example(speeds([0.0, 10.0, 20.0, 0.0, 0.0], step=0.9), 5)  # far from the last, near the first
 def test_blocks_are_admitted_as_their_readings_are_one_by_one(readings, size):
     """Two ways to the one rule: nodes ask of a reading, files of thousands."""
     alone, refused = admitted(readings)

@@ -2,7 +2,7 @@
 
 from itertools import accumulate, pairwise
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 import pytest
 
@@ -198,6 +198,7 @@ steps = st.lists(
 )
 
 
+@example([(SpeedReading, step) for step in (1.9, 1.9, 1.9, 5.0)], 3, DEFAULT_RULE)  # a usual step
 @given(steps, st.integers(1, 30), st.sampled_from([DEFAULT_RULE, JumpRule(JumpPolicy.IGNORE)]))
 def test_a_block_passes_as_its_readings_do_one_by_one(steps, size, rule):
     """Where nothing speaks against the stamps of a block they are judged at once."""
