@@ -433,8 +433,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             PowerKind.SMOOTHED, events.smoothed, events.smoothed_order, predictions.smoothed,
             measured,
         )  # fmt: skip
-        if predictions.energies:
-            energies = np.array(predictions.energies).T
+        if smoothed is not NO_POWERS:
+            energies = predictions.energies.T
             smoothed = smoothed._replace(energy=energies[0], energy_sigma=energies[1])
         if aligned.shifts.any():
             told = told._replace(stamp_ns=told.stamp_ns - aligned.shift_ns(told.order))
@@ -519,7 +519,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         kind: PowerKind,
         samples: Samples,
         order: np.ndarray,
-        predicted: Sequence[tuple[float, float]],
+        predicted: np.ndarray,
         measured: Measured,
     ) -> PowerRows:
         """Predictions with 1-sigma by how errors really spread, each by what was known before.
@@ -528,12 +528,12 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             kind: of the predictions.
             samples: that are predicted.
             order: places at which they are.
-            predicted: power, W, and the model's 1-sigma, W.
+            predicted: power, W, and the model's 1-sigma, W, shape (n, 2).
             measured: samples that are known meanwhile.
         """
-        if not (predicted or len(measured.order)):
+        if not (len(predicted) or len(measured.order)):
             return NO_POWERS
-        power, sigma = np.array(predicted, dtype=float).reshape(-1, 2).T
+        power, sigma = predicted.T
         new = Waiting(samples.stamp_ns, power, sigma, np.abs(samples.speed) > STANDSTILL_SPEED)
         waiting = self._predictions[kind].and_then(new)
         checkable = admitted(measured)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
@@ -94,17 +94,25 @@ class Moments:
 NO_MOMENTS = Moments(NO_SAMPLES, NO_SAMPLES, NO_SAMPLES, np.empty(0), (), (), ())
 
 
-@dataclass(slots=True)
-class Predictions:
-    """Predicted power and the model's own 1-sigma, W, as far as they were followed.
+class Predictions(NamedTuple):
+    """Predicted power and the model's own 1-sigma, W; NaN until they are followed.
 
-    `energies`, J, are predicted since the battery was last measured, with their 1-sigma, J; NaN
-    where they are not known.
+    Attributes:
+        newest: at the newest moments, shape (n, 2).
+        smoothed: at the smoothed samples, shape (m, 2).
+        energies: since the battery was last measured, J, with their 1-sigma, J; NaN where they are
+            not known, shape (m, 2).
     """
 
-    newest: list[tuple[float, float]] = field(default_factory=list)
-    smoothed: list[tuple[float, float]] = field(default_factory=list)
-    energies: list[tuple[float, float]] = field(default_factory=list)
+    newest: np.ndarray
+    smoothed: np.ndarray
+    energies: np.ndarray
+
+    @classmethod
+    def of(cls, moments: Moments) -> Predictions:
+        """None of a block yet."""
+        sizes = moments.newest.size, moments.smoothed.size, moments.smoothed.size
+        return cls(*(np.full((size, 2), np.nan) for size in sizes))
 
 
 class LearnerReport(NamedTuple):

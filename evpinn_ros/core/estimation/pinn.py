@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-import math
 from typing import Annotated
 
 import numpy as np
@@ -57,32 +56,45 @@ from evpinn_ros.core.estimation.saved_car import (
 )
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import Warmth, equation_of
-from evpinn_ros.core.estimation.trim import MOST_TRIM_EVIDENCE, Persistence, Trim, inputs_of
+from evpinn_ros.core.estimation.trim import MOST_TRIM_EVIDENCE, Outputs, Persistence, Trim
 from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.signals.sample import NO_SAMPLES, Samples
 from evpinn_ros.core.signals.sign_detectors import GradeDetector, SignDetector
 from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 SAMPLE_STEP = 0.1  # s that the first sample stands for
 AT_ONCE = 256  # samples whose power is computed together
-NO_ENERGY = (math.nan, math.nan)
 PARKED = 600.0  # s without speed, then it is another drive
 SILENT_NS = NANOSECONDS  # without a measured sample, then energy is predicted
 
 
 class _Ahead:
-    """Power of the car without the trim at samples, W, and its 1-sigma with noise, W.
+    """Samples of a block of one kind, with power of the car without the trim and its 1-sigma, W.
 
-    They are computed some samples ahead, by one product, and anew once the car is another.
+    Power is computed some samples ahead, by one product, and anew once the car is another.
+
+    Attributes:
+        rows: what the trim takes of them.
+        computed: how many powers are those of the present car.
+        passed: how many moments are over.
+        predicted: how many are predicted; those between wait for the trim.
+        ages: s since the trim last learned, of those that wait.
     """
 
-    def __init__(self, samples: Samples) -> None:
-        self.samples, self.inputs = samples, list(inputs_of(samples)) if samples.size else []
-        self.speed, self.stamps = samples.speed.tolist(), samples.stamp_ns.tolist()
-        self.power, self.sigma = [0.0] * samples.size, [0.0] * samples.size
-        self.computed = 0  # so many of them are
+    def __init__(self, samples: Samples, trim: Trim) -> None:
+        self.samples, self.rows = samples, trim.rows_of(samples)
+        self.stamps = samples.stamp_ns.tolist()
+        self.power, self.sigma = np.zeros(samples.size), np.zeros(samples.size)
+        self.computed = self.passed = self.predicted = 0
+        self.ages: list[float] = []
+
+    def let_pass(self, age: float) -> None:
+        """Let the next moment be over, at an age of the trim, s."""
+        self.passed += 1
+        self.ages.append(age)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +133,8 @@ class PinnLearner(Saveable[SavedPinn]):
         self._tail = Tail(self._equation)
         self.begin(NO_MOMENTS)
         self._measured_ns: int | None = None  # newest measured sample
-        self._trimmed = 0.0  # J that the trim gave since then
+        self._trimmed = 0.0  # J that the trim gave since `_trimmed_from`
+        self._trimmed_from: int | None = None
         self._before: Journey | None = None  # from the last interval measured to that sample
         # What the present car publishes, suspected or not, once asked for.
         self._judged: tuple[bool, ParameterSet] | None
@@ -129,35 +142,38 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def begin(self, moments: Moments) -> Predictions:
         """Begin to follow a block; gives the predictions, which `follow` fills."""
-        self._moments, self._predictions = moments, Predictions()
-        self._newest, self._smoothed = _Ahead(moments.newest), _Ahead(moments.smoothed)
-        self._measured = _Ahead(moments.measured)
+        self._moments, self._predictions = moments, Predictions.of(moments)
+        self._newest, self._smoothed, self._measured = (
+            _Ahead(samples, self._trim)
+            for samples in (moments.newest, moments.smoothed, moments.measured)
+        )
         self._gates = gates(moments.measured, moments.power)
-        self._powers = moments.power.tolist()
-        self._accelerations = moments.measured.acceleration.tolist()
+        self._powers, measured = moments.power.tolist(), moments.measured
+        self._speeds, self._accelerations = measured.speed.tolist(), measured.acceleration.tolist()
         self._in_tail = 0  # smoothed samples of the block that are in the tail
-        self._silent: list[tuple[int, int | None, float]] = []
+        # Of smoothed samples: since when the battery is not measured, and s of that.
+        self._dropout: list[tuple[int | None, float]] = []
+        self._trims: list[float] = []  # `_trimmed` at each
+        self._silent: list[int] = []
         return self._predictions
 
     def follow(self, first: int, last: int) -> None:
         """Let the steps from one place to before another happen: predict, and learn."""
-        predictions = self._predictions
         for kind, index in self._moments.steps[first:last]:
             if kind is Step.NEWEST:
-                predictions.newest.append(self._predicted(self._newest, index)[0])
+                self._newest.let_pass(self._trim.age)
             elif kind is Step.SMOOTHED:
                 self._advance(index)
-                prediction, correction = self._predicted(self._smoothed, index)
-                predictions.smoothed.append(prediction)
-                predictions.energies.append(NO_ENERGY)
-                self._follow_dropout(index, correction)
+                self._smoothed.let_pass(self._trim.age)
+                self._follow_dropout(index)
             elif kind is Step.MEASURED:
                 self._observe(index)
             else:
                 if self._silent:
                     self._add_energies()
-                self._measured_ns = self._moments.battery_ns[index]
-                self._before, self._trimmed = None, 0.0
+                self._measured_ns, self._before = self._moments.battery_ns[index], None
+            if len(self._newest.ages) == AT_ONCE:
+                self._predict()
         self._add_energies()
 
     def _advance(self, index: int) -> None:
@@ -180,43 +196,66 @@ class PinnLearner(Saveable[SavedPinn]):
         self._passed = min(max(passed, 0.0), PARKED)
         self._trim.advance(self._passed)
 
-    def _predicted(self, ahead: _Ahead, index: int) -> tuple[tuple[float, float], float]:
-        """Power of car and trim with its 1-sigma, W, and the trim's share of it, W."""
-        if index >= ahead.computed:
-            done, seen = len(self._predictions.newest), len(self._predictions.smoothed)
+    def _predict(self, *learned: np.ndarray) -> Outputs:
+        """Predict the samples that wait; gives the trim's outputs, last at a row to learn from."""
+        kinds = self._newest, self._smoothed
+        if any(ahead.passed > ahead.computed for ahead in kinds):
             # The last smoothed sample may be measured yet, and is learned from by the present car.
-            self._compute((self._newest, done), (self._smoothed, max(0, seen - 1)))
-        correction = self._trim.correct(ahead.inputs[index], ahead.speed[index])
-        power = ahead.power[index] + correction.power
-        return (power, math.hypot(ahead.sigma[index], correction.sigma)), correction.power
+            firsts = self._newest.predicted, max(0, self._smoothed.predicted - 1)
+            self._compute(*zip(kinds, firsts, strict=True))
+        parts = [slice(ahead.predicted, ahead.passed) for ahead in kinds]
+        rows = [ahead.rows[part] for ahead, part in zip(kinds, parts, strict=True)]
+        ages = [*self._newest.ages, *self._smoothed.ages, *(self._trim.age for _ in learned)]
+        outputs = self._trim.outputs(np.concatenate((*rows, *learned)), np.array(ages))
+        begin = 0
+        predictions = self._predictions.newest, self._predictions.smoothed
+        for ahead, part, of_kind in zip(kinds, parts, predictions, strict=True):
+            end = begin + ahead.passed - ahead.predicted
+            of_kind[part, 0] = ahead.power[part] + outputs.power[begin:end]
+            of_kind[part, 1] = np.hypot(ahead.sigma[part], outputs.sigma[begin:end])
+            ahead.predicted, begin = ahead.passed, end
+            ahead.ages.clear()
+        self._follow_trim(outputs.power[end - (parts[1].stop - parts[1].start) : end])
+        return outputs
 
-    def _follow_dropout(self, index: int, correction: float) -> None:
-        """Follow what the trim gives since the battery was last measured, W."""
+    def _follow_dropout(self, index: int) -> None:
+        """Note for how long a smoothed sample stands without the battery."""
         stamp_ns, begin_ns = self._smoothed.stamps[index], self._measured_ns
-        if begin_ns is not None and stamp_ns > begin_ns:
-            since = (stamp_ns - begin_ns) / NANOSECONDS
-            self._trimmed += correction * min(self._passed, since, MAX_STEP)
+        since_ns = stamp_ns if begin_ns is None else begin_ns
         if begin_ns is None or stamp_ns - begin_ns >= SILENT_NS:
-            self._silent.append((index, begin_ns, self._trimmed))
+            self._silent.append(index)
+        seconds = min(self._passed, (stamp_ns - since_ns) / NANOSECONDS, MAX_STEP)
+        self._dropout.append((begin_ns, max(0.0, seconds)))
+
+    def _follow_trim(self, power: np.ndarray) -> None:
+        """Add up what the trim gives since the battery was last measured, by power, W."""
+        first = len(self._trims)
+        for (begin_ns, seconds), given in zip(self._dropout[first:], power.tolist(), strict=True):
+            if begin_ns != self._trimmed_from:
+                self._trimmed, self._trimmed_from = 0.0, begin_ns
+            self._trimmed += given * seconds
+            self._trims.append(self._trimmed)
 
     def _observe(self, index: int) -> None:
         """Let the trim learn from a measured sample."""
-        ahead, power = self._measured, self._powers[index]
+        ahead, power, speed = self._measured, self._powers[index], self._speeds[index]
         step = self._step(ahead.stamps[index])
         if (reason := self._gates[index]) is not None:
             self.gated[reason] += 1
             return
-        speed = ahead.speed[index]
         self._sign = self._sign.after(speed, self._accelerations[index], power, step)
         if (fault := self._sign.detected) is not None:
             self.gated[fault] += 1
             return
-        latest = len(self._predictions.smoothed) - 1
+        if abs(speed) < STANDSTILL_SPEED:
+            return
+        latest = self._smoothed.passed - 1
         if latest >= 0 and self._smoothed.stamps[latest] == ahead.stamps[index]:
-            ahead, index = self._smoothed, latest  # whose output the trim has
+            ahead, index = self._smoothed, latest  # whose power is computed anyway
+        outputs = self._predict(ahead.rows[index : index + 1])
         if index >= ahead.computed:
             self._compute((ahead, index))
-        self._trim.learn(ahead.inputs[index], speed, power - ahead.power[index], step)
+        self._trim.learn(ahead.rows[index], outputs, power - float(ahead.power[index]), step)
 
     def add_interval(self, interval: Interval) -> bool:
         """Keep an interval for the next update."""
@@ -362,23 +401,24 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def _begin_tail(self) -> None:
         """Join nothing to the samples before."""
-        self._tail, self._trimmed = Tail(self._equation), 0.0
-        self._measured_ns, self._before = None, None
+        self._tail, self._measured_ns, self._before = Tail(self._equation), None, None
 
     def _add_energies(self) -> None:
         """Energies since the battery was last measured or a drive began, J, of silent samples.
 
         All samples so far are in the tail then.
         """
-        end = len(self._predictions.smoothed)
+        if self._newest.ages or self._smoothed.ages:
+            self._predict()
+        end = self._smoothed.passed
         self._tail.extend(self._moments.smoothed.where(slice(self._in_tail, end)))
         self._in_tail = end
         silent, self._silent = self._silent, []
         if not silent:
             return
-        places, begins, trimmed = zip(*silent, strict=True)
-        stamps = self._moments.smoothed.stamp_ns[list(places)]
-        car, begin_ns = self._car, begins[0]
+        trimmed = np.array([self._trims[index] for index in silent])
+        stamps = self._moments.smoothed.stamp_ns[silent]
+        car, begin_ns = self._car, self._dropout[silent[0]][0]
         if car.measured:
             driven = self._tail.between(begin_ns or 0, stamps, self._warmth)
         else:
@@ -389,9 +429,7 @@ class PinnLearner(Saveable[SavedPinn]):
             driven = self._tail.between(car.end_ns, stamps, self._warmth)
             driven = driven.plus(car.dropout).less(self._before)
         energies, sigmas = self._model.predicted(driven)
-        rows = zip(places, (energies + trimmed).tolist(), sigmas.tolist(), strict=True)
-        for place, energy, sigma in rows:
-            self._predictions.energies[place] = energy, sigma
+        self._predictions.energies[silent] = np.column_stack((energies + trimmed, sigmas))
 
     def _step(self, stamp_ns: int) -> float:
         """Seconds a measured sample stands for."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.journey import FORCE_NOISE, POWER_NOISE
 from evpinn_ros.core.signals.kinematics import PROFILE
 from evpinn_ros.core.signals.sample import Samples
-from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 UNITS = 16
 INPUTS = 2 + PROFILE
@@ -48,19 +47,22 @@ MOST_SQUARES = 1e15  # N^2, sum over `EVIDENCE_TIME`
 LEAST_SCALE = 1e-30  # of the covariance, before it is taken into its shape
 
 
-class _Output(NamedTuple):
-    """Force of the trim at a sample, N, its variance, N^2, and shape times gradient."""
+class Outputs(NamedTuple):
+    """The trim at n rows.
 
-    force: float
-    variance: float
+    Attributes:
+        power: that it adds to the car's by its evidence, W, shape (n,).
+        sigma: 1-sigma of that, W, shape (n,).
+        force: N, shape (n,).
+        variance: of the force, N^2, shape (n,).
+        along: covariance of the weights times the gradient of the force, shape (n, weights).
+    """
+
+    power: np.ndarray
+    sigma: np.ndarray
+    force: np.ndarray
+    variance: np.ndarray
     along: np.ndarray
-
-
-class Correction(NamedTuple):
-    """Power that the trim adds to that of the car, W, and its 1-sigma, W."""
-
-    power: float
-    sigma: float
 
 
 @dataclass(slots=True)
@@ -86,64 +88,114 @@ class Persistence:
         self.products = keep * self.products + given * measured
         self.delays = keep * self.delays + given**2 * delay
 
-    def share_after(self, seconds: float) -> float:
-        """Share of a correction that holds after some s."""
+    def share_after(self, seconds: np.ndarray) -> np.ndarray:
+        """Shares of a correction that hold after some s, shape (n,) both."""
         squares = PRIOR_SQUARES + self.squares
         share = (PRIOR_SQUARES * PRIOR_SHARE + self.products) / squares
         delay = (PRIOR_SQUARES * AHEAD + self.delays) / squares
-        return float(min(max(share, LEAST_PERSISTENCE), 1.0) ** (seconds / delay))
+        return np.asarray(min(max(share, LEAST_PERSISTENCE), 1.0) ** (seconds / delay))
 
 
 class Trim:
     """One trim, beside one whose output is zero.
 
-    What the weights hold is gone by the next start, so it is not saved.
+    What the weights hold is gone by the next start, so it is not saved. It is kept as when last
+    learned, and fades by the seconds since: so all rows up to the next one that is learned from
+    are computed together.
 
     Attributes:
         evidence: logarithm of the odds against no trim.
         persistence: how soon a correction stops being so.
+        age: s since it last learned.
     """
 
     def __init__(self, seed: int = 0) -> None:
         """Start at the prior, with random input weights."""
         rng = np.random.default_rng(seed)
         inner = rng.normal(0.0, 1.0, (UNITS, INPUTS)) * SPREAD
+        self._start = np.column_stack((inner, rng.normal(0.0, 1.0, UNITS))).T
         # Weights of a unit's inputs and its bias, of all units, then the outer ones and a force.
-        inner = np.column_stack((inner, rng.normal(0.0, 1.0, UNITS))).ravel()
-        self._start = np.append(inner, np.zeros(UNITS + 1))
-        self._prior = np.full(len(self._start), WEIGHT_STD**2)
-        self._prior[inner.size :] = [TRIM_FORCE**2 / UNITS] * UNITS + [TRIM_FORCE**2]
+        self._prior = np.full(INNER + UNITS + 1, WEIGHT_STD**2)
+        self._prior[INNER:] = [TRIM_FORCE**2 / UNITS] * UNITS + [TRIM_FORCE**2]
         self._away = np.zeros(len(self._prior))  # of the weights from where they start
-        self._weights = self._start.copy()
         # The covariance is `_scale` times `_shape`: to let all of it fade costs one product.
         self._shape, self._scale = np.diag(self._prior), 1.0
-        self._buffer, self._gradient = np.empty_like(self._shape), np.ones(len(self._prior))
-        self.evidence, self.persistence = 0.0, Persistence()
-        self._age = 0.0  # s since it last learned
+        self._buffer = np.empty_like(self._shape)
+        self.evidence, self.persistence, self.age = 0.0, Persistence(), 0.0
         # Weights at a moment and the s since, to be compared with what comes.
         self._snapshot: tuple[np.ndarray, float] | None = None
-        self._newest: tuple[np.ndarray, _Output] | None = None  # at these weights
 
     @property
     def share(self) -> float:
         """Probability that the trim explains more than none."""
         return 1.0 / (1.0 + math.exp(-min(max(self.evidence, -MOST_ODDS), MOST_ODDS)))
 
-    def correct(self, inputs: np.ndarray, speed: float) -> Correction:
-        """Power that the trim adds at a row of `inputs_of` and a speed, m/s, by its evidence."""
-        output = self._output(inputs)
-        reach = self.share * abs(speed)
-        power = reach * output.force * self.persistence.share_after(self._age)
-        return Correction(power, reach * math.sqrt(max(0.0, output.variance)))
+    def rows_of(self, samples: Samples) -> np.ndarray:
+        """What the trim takes of samples, shape (n, columns).
+
+        Inputs of the units, the last for their bias; what the units make of them with their first
+        weights; and speed, m/s.
+        """
+        columns = samples.speed, samples.acceleration, samples.profile, np.ones(samples.size)
+        inputs = (np.column_stack(columns) - INPUT_CENTRE) / INPUT_SCALE
+        return np.column_stack((inputs, inputs @ self._start, np.abs(samples.speed)))
+
+    def outputs(self, rows: np.ndarray, ages: np.ndarray) -> Outputs:
+        """The trim at n of `rows_of`, each some s after it last learned, shape (n,)."""
+        keep = np.exp(ages / -TRIM_SECONDS)[:, None]
+        hidden, force = _network(self._away, rows, keep)
+        gradient = np.ones((len(rows), len(self._prior)))
+        slope = keep * self._away[INNER:-1] * (1.0 - hidden * hidden)
+        inner = gradient[:, :INNER].reshape(len(rows), UNITS, INPUTS + 1)  # a view
+        np.multiply(slope[:, :, None], rows[:, None, : INPUTS + 1], out=inner)
+        gradient[:, INNER:-1] = hidden
+        left = keep * keep
+        along = (left * self._scale) * gradient.dot(self._shape)
+        along += (1.0 - left) * self._prior * gradient
+        variance = (gradient * along).sum(axis=1)
+        reach = self.share * rows[:, -1]
+        power = reach * force * self.persistence.share_after(ages)
+        return Outputs(power, reach * np.sqrt(np.maximum(variance, 0.0)), force, variance, along)
 
     def advance(self, duration: float) -> None:
         """Let s pass: weights return to the prior."""
-        keep = math.exp(-duration / TRIM_SECONDS)
-        self._move(keep * self._away)
-        self._age += duration
+        self.age += duration
         if self._snapshot is not None:
             away, age = self._snapshot
             self._snapshot = away, age + duration
+
+    def learn(self, row: np.ndarray, outputs: Outputs, residual: float, duration: float) -> None:
+        """Learn what the car leaves of power at a sample that moves.
+
+        Args:
+            row: of `rows_of`.
+            outputs: the last of them is at this row and age.
+            residual: measured power less that of the car, W.
+            duration: that the sample stands for, s.
+        """
+        v = float(row[-1])
+        self._compare(row, residual / v)
+        force, variance = float(outputs.force[-1]), float(outputs.variance[-1])
+        along = outputs.along[-1]
+        error = residual - v * force
+        noise = POWER_NOISE**2 + (FORCE_NOISE * v) ** 2
+        blunt = 0.5 / (noise * TEMPERATURE)
+        with_it, without = min(blunt * error**2, MOST_LOSS), min(blunt * residual**2, MOST_LOSS)
+        evidence = self.evidence * math.exp(-duration / EVIDENCE_TIME)
+        self.evidence = evidence + duration * (without - with_it)
+        of_power = v**2 * variance + noise * CORRELATED
+        beyond = max(1.0, abs(error) / (OUTLIER * math.sqrt(of_power)))
+        self._fade()
+        gain = (v / (of_power * beyond**2)) * along
+        self._away = self._away + error * gain
+        np.dot(gain[:, None], (v / self._scale) * along[None], out=self._buffer)
+        self._shape -= self._buffer
+        self._snapshot = self._snapshot or (self._away, 0.0)
+
+    def _fade(self) -> None:
+        """Let the weights be what they are at this age, from where they fade anew."""
+        keep, self.age = math.exp(-self.age / TRIM_SECONDS), 0.0
+        self._away = keep * self._away
         self._scale *= keep**2
         if self._scale < LEAST_SCALE:
             self._shape *= self._scale
@@ -151,70 +203,25 @@ class Trim:
         diagonal = self._shape.reshape(-1)[:: len(self._prior) + 1]
         diagonal += (1.0 - keep**2) / self._scale * self._prior
 
-    def learn(self, inputs: np.ndarray, speed: float, residual: float, duration: float) -> None:
-        """Learn what the car leaves of power, W, at a sample that stands for some s."""
-        v = abs(speed)
-        if v < STANDSTILL_SPEED:
-            return
-        self._compare(inputs, residual / v)
-        output = self._output(inputs)
-        error = residual - v * output.force
-        noise = POWER_NOISE**2 + (FORCE_NOISE * v) ** 2
-        blunt = 0.5 / (noise * TEMPERATURE)
-        with_it, without = min(blunt * error**2, MOST_LOSS), min(blunt * residual**2, MOST_LOSS)
-        evidence = self.evidence * math.exp(-duration / EVIDENCE_TIME)
-        self.evidence = evidence + duration * (without - with_it)
-        variance = v**2 * output.variance + noise * CORRELATED
-        beyond = max(1.0, abs(error) / (OUTLIER * math.sqrt(variance)))
-        gain = (v * self._scale / (variance * beyond**2)) * output.along
-        self._move(self._away + error * gain)
-        np.dot(gain[:, None], v * output.along[None], out=self._buffer)
-        np.subtract(self._shape, self._buffer, out=self._shape)
-        self._age = 0.0
-        self._snapshot = self._snapshot or (self._away, 0.0)
-
-    def _compare(self, inputs: np.ndarray, force: float) -> None:
+    def _compare(self, row: np.ndarray, force: float) -> None:
         """Compare the force that is measured, N, with what the trim gave `AHEAD` before."""
         if self._snapshot is None or self._snapshot[1] < AHEAD:
             return
         (away, age), self._snapshot = self._snapshot, None
         if age < TRIM_SECONDS:
-            weights = self._start + math.exp(-age / TRIM_SECONDS) * away
-            hidden = np.tanh(_inner(weights).dot(inputs))
-            self.persistence.learn(_force(weights, hidden), force, age)
-
-    def _move(self, away: np.ndarray) -> None:
-        """Let the weights be away from where they start by so much."""
-        self._away, self._newest = away, None
-        np.add(self._start, away, out=self._weights)
-
-    def _output(self, inputs: np.ndarray) -> _Output:
-        """Output at a row; that of the last one is learned from next, at the same weights."""
-        if self._newest is not None and self._newest[0] is inputs:
-            return self._newest[1]
-        weights, gradient = self._weights, self._gradient
-        hidden = np.tanh(_inner(weights).dot(inputs))
-        slope = weights[INNER:-1] * (1.0 - hidden * hidden)
-        np.dot(slope[:, None], inputs[None], out=_inner(gradient))
-        gradient[INNER:-1] = hidden
-        along = self._shape.dot(gradient)
-        variance = self._scale * float(gradient.dot(along))
-        output = _Output(_force(weights, hidden), variance, along)
-        self._newest = inputs, output
-        return output
+            given = _network(away, row[None], math.exp(-age / TRIM_SECONDS))[1]
+            self.persistence.learn(float(given[0]), force, age)
 
 
-def _inner(weights: np.ndarray) -> np.ndarray:
-    """The weights of each unit's inputs and its bias, shape (UNITS, INPUTS + 1): a view."""
-    return weights[:INNER].reshape(UNITS, -1)
+def _network(away: np.ndarray, rows: np.ndarray, keep: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Outputs of the units, shape (n, UNITS), and their force, N, shape (n,).
 
-
-def _force(weights: np.ndarray, hidden: np.ndarray) -> float:
-    """Output of the network by that of its units, N."""
-    return float(weights[INNER:-1].dot(hidden) + weights[-1])
-
-
-def inputs_of(samples: Samples) -> np.ndarray:
-    """Inputs of the units at samples, the last for their bias, shape (n, INPUTS + 1)."""
-    columns = samples.speed, samples.acceleration, samples.profile, np.ones(samples.size)
-    return np.asarray((np.column_stack(columns) - INPUT_CENTRE) / INPUT_SCALE)
+    Args:
+        away: of the weights from where they start.
+        rows: n of `Trim.rows_of`.
+        keep: share of `away` that is left, shape (n, 1) or one for all.
+    """
+    inner = away[:INNER].reshape(UNITS, INPUTS + 1)
+    hidden = np.tanh(rows[:, INPUTS + 1 : -1] + keep * rows[:, : INPUTS + 1].dot(inner.T))
+    outer = keep * away[INNER:]
+    return hidden, (hidden * outer[..., :-1]).sum(axis=1) + outer[..., -1]

@@ -28,7 +28,6 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
 from itertools import pairwise
-import math
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -156,7 +155,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
 
     def begin(self, moments: Moments) -> Predictions:
         """Begin to follow a block; gives the predictions, which `follow` fills."""
-        self._moments, self._predictions = moments, Predictions()
+        self._moments, self._predictions = moments, Predictions.of(moments)
         columns = moments.newest, moments.smoothed, moments.measured
         self._samples = [list(samples.rows()) for samples in columns]
         self._gates = gates(moments.measured, moments.power)
@@ -167,10 +166,9 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         newest, smoothed, measured = self._samples
         for kind, index in self._moments.steps[first:last]:
             if kind is Step.NEWEST:
-                self._predictions.newest.append(self._predict(newest[index]))
+                self._predictions.newest[index] = self._predict(newest[index])
             elif kind is Step.SMOOTHED:
-                self._predictions.smoothed.append(self._predict(smoothed[index]))
-                self._predictions.energies.append((math.nan, math.nan))
+                self._predictions.smoothed[index] = self._predict(smoothed[index])
             elif kind is Step.MEASURED:
                 power, reason = float(self._moments.power[index]), self._gates[index]
                 self._observe(measured[index], power, reason)

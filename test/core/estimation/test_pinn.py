@@ -200,7 +200,14 @@ def test_of_a_step_that_the_battery_saw_in_part_the_rest_counts(drew_more):
 def test_the_newest_sample_is_predicted_and_nothing_follows_it(learner):
     newest = Samples.of([sample(5), sample(5)])
     first, again = followed(learner, Step.NEWEST, 2, newest=newest).newest
-    assert first == again
+    assert first.tolist() == again.tolist()
+
+
+def test_a_standing_car_teaches_the_trim_nothing(learner):
+    newest = Samples.of([sample(0)])
+    before = followed(learner, Step.NEWEST, newest=newest).newest.tolist()
+    observe(learner, sample(1, speed=0.05), 9000.0)
+    assert followed(learner, Step.NEWEST, newest=newest).newest.tolist() == before
 
 
 def saved_car(learner) -> dict:

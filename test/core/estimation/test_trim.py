@@ -7,9 +7,8 @@ import pytest
 
 from evpinn_ros.core.estimation.trim import (
     TRIM_SECONDS,
-    Correction,
+    Outputs,
     Trim,
-    inputs_of,
 )
 from evpinn_ros.core.signals.kinematics import PROFILE
 from evpinn_ros.core.signals.readings import NANOSECONDS
@@ -18,14 +17,22 @@ from evpinn_ros.core.signals.sample import Sample, Samples
 STEP = 0.1  # s
 
 
-def correct(network: Trim, moment: Sample) -> Correction:
-    """What the trim adds at a moment."""
-    return network.correct(inputs_of(Samples.of([moment]))[0], moment.speed)
+def outputs(network: Trim, *moments: Sample) -> Outputs:
+    """The trim at moments, at its age."""
+    rows = network.rows_of(Samples.of(moments))
+    return network.outputs(rows, np.full(len(moments), network.age))
+
+
+def correct(network: Trim, moment: Sample) -> tuple[float, float]:
+    """Power that the trim adds at a moment, W, and its 1-sigma, W."""
+    now = outputs(network, moment)
+    return float(now.power[0]), float(now.sigma[0])
 
 
 def learn(network: Trim, moment: Sample, residual: float) -> None:
     """Let the trim learn what the car leaves at a moment, W."""
-    network.learn(inputs_of(Samples.of([moment]))[0], moment.speed, residual, STEP)
+    (row,) = network.rows_of(Samples.of([moment]))
+    network.learn(row, outputs(network, moment), residual, STEP)
 
 
 def sample(second: float, speed: float, acceleration: float) -> Sample:
@@ -61,7 +68,7 @@ def test_a_pattern_is_learned_and_followed():
     for moment in drive(120.0):
         network.advance(STEP)
         if moment.stamp_ns > 60 * NANOSECONDS:
-            errors.append(pattern(moment) - correct(network, moment).power)
+            errors.append(pattern(moment) - correct(network, moment)[0])
             left.append(pattern(moment))
         learn(network, moment, pattern(moment))
     assert network.share > 0.99
@@ -74,17 +81,23 @@ def test_it_fades_once_nothing_is_measured():
     before = correct(network, moment)
     network.advance(TRIM_SECONDS)
     later = correct(network, moment)
-    assert abs(later.power) < 0.6 * abs(before.power) and later.sigma > before.sigma
+    assert abs(later[0]) < 0.6 * abs(before[0]) and later[1] > before[1]
     network.advance(20 * TRIM_SECONDS)
-    assert abs(correct(network, moment).power) < 1.0
+    assert abs(correct(network, moment)[0]) < 1.0
 
 
-def test_at_standstill_it_says_nothing_and_learns_nothing():
-    network = taught(pattern)
-    assert correct(network, sample(0.0, 0.0, 0.0)) == (0.0, 0.0)
-    before, moment = correct(network, sample(0.0, 15.0, 1.0)), sample(1.0, 0.05, 0.0)
-    learn(network, moment, 9000.0)
-    assert correct(network, sample(0.0, 15.0, 1.0)) == before
+def test_rows_together_are_rows_one_by_one():
+    network, moments = taught(pattern), list(drive(2.0))
+    rows, ages = network.rows_of(Samples.of(moments)), 0.05 * np.arange(len(moments))
+    together = network.outputs(rows, ages)
+    for index in range(len(moments)):
+        single = network.outputs(rows[index : index + 1], ages[index : index + 1])
+        for column, alone in zip(together, single, strict=True):
+            assert column[index] == pytest.approx(alone[0], rel=1e-9, abs=1e-9)
+
+
+def test_a_standing_car_gets_nothing():
+    assert correct(taught(pattern), sample(0.0, 0.0, 0.0)) == (0.0, 0.0)
 
 
 @pytest.mark.slow
@@ -92,7 +105,7 @@ def test_where_there_is_nothing_to_learn_it_is_silent():
     rng = np.random.default_rng(0)
     network = taught(lambda moment: 2000.0 * rng.standard_normal(), seconds=600.0)
     assert network.share < 0.2
-    said = [abs(correct(network, moment).power) for moment in drive(20.0)]
+    said = [abs(correct(network, moment)[0]) for moment in drive(20.0)]
     assert np.mean(said) < 0.1 * 2000.0
 
 
@@ -103,7 +116,7 @@ def test_one_seed_gives_one_network_and_an_outlier_moves_it_little():
         network = Trim(seed)
         learn(network, moment, residual)
         network.evidence = 20.0
-        return correct(network, moment).power
+        return correct(network, moment)[0]
 
     assert after(3e3) == after(3e3) != after(3e3, seed=1)
     assert 0.0 < after(1e7) < 3 * after(3e4)
