@@ -224,15 +224,16 @@ def begin_drives(
 
 def joined_cells(cells: Sequence[Sequence[str]]) -> pl.Series:
     """Date and time of each row in one cell, their signs made uniform."""
-    text = pl.Series("", cells[0], dtype=pl.String).str.strip_chars()
-    if len(cells) > 1:  # a spreadsheet's date is one of midnight
-        text = text.str.replace(r"[T ]00:00(:00(\.0+)?)?$", "")
-    for other in cells[1:]:
-        more = pl.Series("", other, dtype=pl.String).str.strip_chars()
-        text = text + " " + more
+    columns = pl.DataFrame(
+        {str(i): pl.Series(column, dtype=pl.String) for i, column in enumerate(cells)}
+    )
+    first, *others = (pl.col(name).str.strip_chars() for name in columns.columns)
+    if others:  # a spreadsheet's date is one of midnight
+        first = first.str.replace(r"[T ]00:00(:00(\.0+)?)?$", "")
     # 2024-03-05T07:08:09,5Z and 5.3.2024 7:08:09.5 p.m. become one pattern.
-    return (
-        text.str.replace(r"^(\w{3}) (\w{3}) (\d)", "$1-$2-$3")
+    text = (
+        pl.concat_str(first, *others, separator=" ")
+        .str.replace(r"^(\w{3}) (\w{3}) (\d)", "$1-$2-$3")
         .str.replace(r"^(\d{1,2}[ -]\pL{3,9})\.([ -])", "$1$2")
         .str.replace(r"^(\d{1,4})[./ -]([\w]{1,9})[./ -](\d{1,4})\.?", "$1-$2-$3")
         .str.replace(r"^(\d{1,4}-\w{1,9}-\d{1,4}),?[T ,]+", "$1 ")
@@ -245,6 +246,7 @@ def joined_cells(cells: Sequence[Sequence[str]]) -> pl.Series:
         .str.replace(r"([+-]\d\d)$", "${1}00")
         .str.replace(r"^(\d+:\d+:\d+):(\d{3})\b", "$1.$2")
     )
+    return columns.select(text).to_series()
 
 
 def parsed_times(text: pl.Series, formats: str) -> NDArray[np.int64]:

@@ -74,16 +74,18 @@ def clocks_of(used: Sequence[Column], survey: Survey, days: Collection[int] = ()
     names = {column.place: column.name for column in columns}
     clocks = [clock for column in columns if (clock := _clock(column, survey, days))]
     by_place = {clock.columns[0]: clock for clock in clocks}
+    stamps_of = {clock: clock.stamps(survey.cells) for clock in clocks}
     for date, time in permutations(clocks, 2):
         # A date in one column and the time of day in another; half a clock each.
-        if _is_day_alone(date, survey) and time.kind == "time of day":
+        if _is_day_alone(date, stamps_of[date]) and time.kind == "time of day":
             cells = [survey.cells[date.columns[0]], survey.cells[time.columns[0]]]
             if joined := clock_of_text((date.columns[0], time.columns[0]), cells, days):
                 by_place[date.columns[0]] = joined
+                stamps_of[joined] = joined.stamps(survey.cells)
     merits: dict[Clock, tuple[float, ...]] = {}
     for clock in by_place.values():
-        if not _is_day_alone(clock, survey):
-            stamps = clock.stamps(survey.cells)
+        stamps = stamps_of[clock]
+        if not _is_day_alone(clock, stamps):
             clock = _in_its_order(clock, stamps, survey, names)
             clock = replace(clock, spread=_spread_of(clock, stamps, survey, names))
             merits[clock] = _merit(clock, stamps, names[clock.columns[0]])
@@ -372,11 +374,10 @@ def _forward(times: NDArray[Any]) -> NDArray[Any]:
     return times[::-1] if _is_newest_first(times) else times
 
 
-def _is_day_alone(clock: Clock, survey: Survey) -> bool:
+def _is_day_alone(clock: Clock, stamps: NDArray[np.int64]) -> bool:
     """True if the column holds dates without a clock, or with that of midnight."""
     if clock.kind != "date" or len(clock.columns) > 1:
         return False
-    stamps = clock.stamps(survey.cells)
     known = stamps[stamps != NONE]
     return known.size > 1 and not (known % DAY_NS).any()
 
