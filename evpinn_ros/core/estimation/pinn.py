@@ -130,7 +130,8 @@ class PinnLearner(Saveable[SavedPinn]):
         self._seen_ns: int | None = None  # of what was predicted
         self._passed = 0.0  # s that the newest predicted sample stands for
         self.gated: Counter[str] = Counter()
-        self._tail = Tail(self._equation)
+        self._tail, self._moments, self._in_tail = Tail(self._equation), NO_MOMENTS, 0
+        self._smoothed = _Ahead(NO_SAMPLES, self._trim)
         self.begin(NO_MOMENTS)
         self._measured_ns: int | None = None  # newest measured sample
         self._trimmed = 0.0  # J that the trim gave since `_trimmed_from`
@@ -142,6 +143,7 @@ class PinnLearner(Saveable[SavedPinn]):
 
     def begin(self, moments: Moments) -> Predictions:
         """Begin to follow a block; gives the predictions, which `follow` fills."""
+        self._extend_tail()
         self._moments, self._predictions = moments, Predictions.of(moments)
         self._newest, self._smoothed, self._measured = (
             _Ahead(samples, self._trim)
@@ -174,7 +176,10 @@ class PinnLearner(Saveable[SavedPinn]):
                 self._measured_ns, self._before = self._moments.battery_ns[index], None
             if len(self._newest.ages) == AT_ONCE:
                 self._predict()
-        self._add_energies()
+        if self._silent:
+            self._add_energies()
+        elif self._newest.ages or self._smoothed.ages:
+            self._predict()
 
     def _advance(self, index: int) -> None:
         """Let time pass up to a smoothed sample.
@@ -402,17 +407,19 @@ class PinnLearner(Saveable[SavedPinn]):
     def _begin_tail(self) -> None:
         """Join nothing to the samples before."""
         self._tail, self._measured_ns, self._before = Tail(self._equation), None, None
+        self._in_tail = self._smoothed.passed
 
-    def _add_energies(self) -> None:
-        """Energies since the battery was last measured or a drive began, J, of silent samples.
-
-        All samples so far are in the tail then.
-        """
-        if self._newest.ages or self._smoothed.ages:
-            self._predict()
+    def _extend_tail(self) -> None:
+        """Join the smoothed samples that are over to those before."""
         end = self._smoothed.passed
         self._tail.extend(self._moments.smoothed.where(slice(self._in_tail, end)))
         self._in_tail = end
+
+    def _add_energies(self) -> None:
+        """Energies since the battery was last measured or a drive began, J, of silent samples."""
+        if self._newest.ages or self._smoothed.ages:
+            self._predict()
+        self._extend_tail()
         silent, self._silent = self._silent, []
         if not silent:
             return

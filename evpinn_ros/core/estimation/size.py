@@ -79,6 +79,8 @@ class Similarity:
         """An estimate of the car as one of the vehicle."""
         if isinstance(estimate, PowerEstimate):
             return _scaled(estimate, self.size, "power", "sigma", "energy", "energy_sigma")
+        if self.size == 1.0:
+            return estimate
         parameters = dict(estimate.parameters)
         for name in EXTENSIVE:
             parameters[name] = _scaled(

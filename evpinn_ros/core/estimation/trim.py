@@ -152,7 +152,7 @@ class Trim:
         left = keep * keep
         along = (left * self._scale) * gradient.dot(self._shape)
         along += (1.0 - left) * self._prior * gradient
-        variance = (gradient * along).sum(axis=1)
+        variance = np.einsum("ij,ij->i", gradient, along)
         reach = self.share * rows[:, -1]
         power = reach * force * self.persistence.share_after(ages)
         return Outputs(power, reach * np.sqrt(np.maximum(variance, 0.0)), force, variance, along)
@@ -223,5 +223,4 @@ def _network(away: np.ndarray, rows: np.ndarray, keep: Any) -> tuple[np.ndarray,
     """
     inner = away[:INNER].reshape(UNITS, INPUTS + 1)
     hidden = np.tanh(rows[:, INPUTS + 1 : -1] + keep * rows[:, : INPUTS + 1].dot(inner.T))
-    outer = keep * away[INNER:]
-    return hidden, (hidden * outer[..., :-1]).sum(axis=1) + outer[..., -1]
+    return hidden, (keep * (hidden.dot(away[INNER:-1, None]) + away[-1]))[:, 0]

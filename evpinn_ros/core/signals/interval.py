@@ -133,6 +133,13 @@ class _Edge:
     speed: float = math.nan
 
 
+def _each(conditions: Conditions) -> Iterator[Conditions]:
+    """The conditions at each moment; a temperature that is not known is None."""
+    for row in zip(*(column.tolist() for column in conditions), strict=True):
+        around = Conditions(*row)
+        yield around._replace(celsius=None) if math.isnan(around.celsius) else around
+
+
 class _Complete(NamedTuple):
     """Edges of an interval that waits for what lies around it."""
 
@@ -162,7 +169,8 @@ class IntervalBuilder:
         self._settled_ns = max(late_ns, EDGE_AHEAD_NS)
         self._edges: list[_Edge] = []
         self._complete: deque[_Complete] = deque()
-        self._passed: deque[_Edge] = deque(maxlen=PASSED)
+        # Stamps and odometers of the last edges.
+        self._passed = np.empty(0, np.int64), np.empty(0)
         self._last: _Edge | None = None
 
     @property
@@ -217,29 +225,52 @@ class IntervalBuilder:
             return added
         by = orders[np.searchsorted(stamps, edge_ns + self._settled_ns)]
         conditions = self._road.conditions(edge_ns, by)
-        motion = self._speed.driven(
-            edge_ns if last is None else np.append(last.stamp_ns, edge_ns),
-            conditions.head_wind[last is None :],
+        # The first edge of all ends no step.
+        ends = edge_ns if last is None else np.append(last.stamp_ns, edge_ns)
+        distance, air, leaps = self._speed.driven(ends, conditions.head_wind[last is None :])
+        motor = self._motor.energies(ends, by[last is None :])
+        begin = (0.0, 0.0) if last is None else (last.odometer, last.air)
+        first = 0 if last is None else 1
+        odometers, flows = (
+            np.cumsum(np.append(start, steps))[first:]
+            for start, steps in zip(begin, (distance, air), strict=True)
         )
-        distance, air, leaps = (column.tolist() for column in motion)
         if last is None:
-            distance, air, leaps = [0.0, *distance], [0.0, *air], [False, *leaps]
-        rows = zip(*(column.tolist() for column in conditions), strict=True)
-        for place, (stamp_ns, order, row) in enumerate(
-            zip(edge_ns.tolist(), by.tolist(), rows, strict=True)
-        ):
-            around = Conditions(*row)
-            if math.isnan(around.celsius):
-                around = around._replace(celsius=None)
-            way = (self._last.odometer if self._last else 0.0) + distance[place]
-            flow = (self._last.air if self._last else 0.0) + air[place]
-            motor = math.nan, math.nan
-            if self._edges:
-                motor = self._motor.energy(self._edges[-1].stamp_ns, stamp_ns, order)
-            edge = _Edge(stamp_ns, order, way, flow, motor, around, leaps[place], 0, -math.inf)
-            self._add_edge(edge)
-            added.append(edge)
+            leaps, motor = np.append(False, leaps), np.column_stack(([math.nan] * 2, motor))
+        periods = np.maximum(self._speed.period(by), self._battery.period(by))
+        rows = zip(
+            *(column.tolist() for column in (edge_ns, by, odometers, flows)),
+            map(tuple, motor.T.tolist()), _each(conditions), leaps.tolist(),
+            self._heights(edge_ns, odometers, by), periods.tolist(), strict=True,
+        )  # fmt: skip
+        for *row, known, period in rows:
+            self._last = _Edge(*row, *known)
+            added.append(self._last)
+            self._edges.append(self._last)
+            whole_ns = int(max(DURATION, READINGS * period) * NANOSECONDS) - LAG_TOLERANCE_NS
+            if self._last.stamp_ns - self._edges[0].stamp_ns >= whole_ns:
+                self._end()
+                self._edges = [self._last]
         return added
+
+    def _heights(
+        self, edge_ns: np.ndarray, odometers: np.ndarray, by: np.ndarray
+    ) -> list[tuple[int, float]]:
+        """How many heights are known once each edge is added, and up to where, m."""
+        passed = len(self._passed[0])
+        stamps, ways = (
+            np.append(before, new)
+            for before, new in zip(self._passed, (edge_ns, odometers), strict=True)
+        )
+        self._passed = stamps[1 - PASSED :], ways[1 - PASSED :]
+        if not self._road.shows_heights:
+            return [self._height.known] * len(edge_ns)
+        known = []
+        for heights in self._road.heights(stamps, ways, by, passed, PASSED):
+            for place, height in heights:
+                self._height.add(place, height)
+            known.append(self._height.known)
+        return known
 
     def _next_edges(self, settled_ns: int) -> np.ndarray:
         """Stamps of speed at least `STEP` apart, up to the moment from which more may come."""
@@ -255,22 +286,6 @@ class IntervalBuilder:
             places.append(place)
             place = int(np.searchsorted(stamps, stamps[place] + least_ns))
         return np.asarray(stamps[places])
-
-    def _add_edge(self, edge: _Edge) -> None:
-        self._passed.append(edge)
-        if self._road.shows_heights:
-            stamps = [passed.stamp_ns for passed in self._passed]
-            odometers = [passed.odometer for passed in self._passed]
-            for place, height in self._road.heights(stamps, odometers, edge.order):
-                self._height.add(place, height)
-        edge.heights, edge.seen = self._height.known
-        self._last = edge
-        self._edges.append(edge)
-        period = max(self._speed.period(edge.order), self._battery.period(edge.order))
-        whole_ns = int(max(DURATION, READINGS * period) * NANOSECONDS) - LAG_TOLERANCE_NS
-        if edge.stamp_ns - self._edges[0].stamp_ns >= whole_ns:
-            self._end()
-            self._edges = [edge]
 
     def _end(self) -> None:
         """Let the edges so far be an interval; smooth speed at those where it is not known."""

@@ -187,16 +187,33 @@ class MotorTrack:
         newest = (come > 0) & (moments > self.power.stamps[np.maximum(come - 1, 0)])
         return np.where(newest, self.power.last(moments, by), self.power.at(moments, by))
 
-    def energy(self, start_ns: int, end_ns: int, by: int = LATER) -> tuple[float, float]:
-        """Energy of driving and of braking between two moments, positive J; NaN where unknown."""
+    def energies(self, ends: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Energy of driving and of braking in steps, positive J; NaN where unknown.
+
+        Args:
+            ends: n + 1 moments, rising, ns.
+            by: places in the order of arrival, shape (n,).
+
+        Returns:
+            Shape (2, n).
+        """
         track = self.power
-        if not len(track) or not track.covered(np.array([start_ns, end_ns]), by)[0]:
-            return math.nan, math.nan
-        stamps = np.concatenate(([start_ns], track.within(start_ns, end_ns, by), [end_ns]))
-        power = track.between(stamps, by)
-        step = np.diff(stamps) / NANOSECONDS
-        drive, brake = np.maximum(power, 0.0), np.maximum(-power, 0.0)
-        return _trapezoid(drive, step), _trapezoid(brake, step)
+        if len(ends) < 2 or len(track) < 2:
+            return np.full((2, len(by)), np.nan)
+        first = track.stamps.searchsorted(ends[:-1], side="right") - 1
+        last = track.stamps.searchsorted(ends[1:])
+        known = (first >= 0) & (last < track.count(by))
+        first = np.clip(first, 0, len(track) - 2)
+        around = np.column_stack((first, np.clip(last, first + 1, len(track) - 1)))
+        widest = np.maximum.reduceat(np.append(np.diff(track.stamps), 0), around.ravel())[::2]
+        known &= widest <= track.gap_ns(by)
+        within = slice(*track.stamps.searchsorted(ends[[0, -1]]))
+        knots = np.union1d(ends, track.stamps[within])
+        power = np.interp(knots - ends[0], track.stamps - ends[0], track.values)
+        signed = np.maximum(np.stack((power, -power)), 0.0)
+        steps = (signed[:, 1:] + signed[:, :-1]) * (np.diff(knots) / (2 * NANOSECONDS))
+        energies = np.add.reduceat(steps, knots.searchsorted(ends[:-1]), axis=1)
+        return np.where(known, energies, np.nan)
 
 
 def _trapezoid(power: np.ndarray, step: np.ndarray) -> float:

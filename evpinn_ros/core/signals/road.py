@@ -240,41 +240,60 @@ class Road:
         return self._pitch.is_told or len(self.altitudes) > 0
 
     def heights(
-        self, stamps: Sequence[int], odometers: Sequence[float], by: int
-    ) -> Iterator[tuple[float, float]]:
-        """Places, m by the odometer, and heights of the road there, m, not yet given.
+        self, stamps: np.ndarray, odometers: np.ndarray, by: np.ndarray, passed: int, kept: int
+    ) -> Iterator[list[tuple[float, float]]]:
+        """Places, m by the odometer, and heights of the road there, m, that are new at moments.
 
         Altitudes stand at their own stamps, whenever they come; the integral of pitch stands in
         for them where the IMU gives them, and goes on from the last of them.
 
         Args:
-            stamps: ns, increasing, of moments up to now.
+            stamps: ns, increasing; of moments that passed before, and n new ones.
             odometers: m, at these.
-            by: place in the order of arrival.
+            by: places in the order of arrival of the new ones, shape (n,).
+            passed: how many passed before.
+            kept: moments, the last included, among which altitudes find their place.
         """
-        now_ns, way = stamps[-1], odometers[-1] - self._odometer
-        self._odometer = odometers[-1]
-        told_ns, pitch = (float(column[0]) for column in self._pitch.at(np.array([by])))
-        fresh = _age(now_ns, told_ns) < STALE_AFTER
-        if self._source in (GradeSource.AUTO, GradeSource.IMU) and fresh:
-            self._height += way * math.sin(pitch)
-            self._altitude, self._placed_ns = AltitudeDetector(), now_ns
-            yield odometers[-1], self._height
-        elif self._source in (GradeSource.AUTO, GradeSource.FIX):
-            since_ns = max(self._placed_ns, stamps[0] - 1)
-            new = self.altitudes.within(since_ns, now_ns + 1, by)
-            if not len(new):
-                return
-            values = self.altitudes.values[self.altitudes.stamps.searchsorted(new)]
-            places = np.interp(new - stamps[0], np.array(stamps) - stamps[0], odometers)
-            self._placed_ns = int(new[-1])
-            for place, altitude in zip(places.tolist(), values.tolist(), strict=True):
-                self._altitude = self._altitude.after(place, altitude)
-                rise = self._altitude.rise
-                if rise is not None:
-                    yield rise.since, self._height  # not given yet where the altitude was stuck
-                    self._height += rise.height
-                    yield place, self._height
+        told_ns, pitches = self._pitch.at(by)
+        fresh = _age(stamps[passed:], told_ns) < STALE_AFTER
+        fresh &= self._source in (GradeSource.AUTO, GradeSource.IMU)
+        known, altitudes = self.altitudes.stamps, self.altitudes.values.tolist()
+        upto = known.searchsorted(stamps[passed:], side="right")
+        upto = np.minimum(upto, self.altitudes.count(by))
+        begins = stamps[np.maximum(np.arange(passed, len(stamps)) - (kept - 1), 0)]
+        oldest = known.searchsorted(begins).tolist()
+        places = np.interp(known - stamps[0], stamps - stamps[0], odometers).tolist()
+        if self._source not in (GradeSource.AUTO, GradeSource.FIX):
+            upto = np.zeros_like(upto)
+        rows = zip(
+            fresh.tolist(), pitches.tolist(), stamps[passed:].tolist(),
+            odometers[passed:].tolist(), oldest, upto.tolist(), strict=True,
+        )  # fmt: skip
+        placed = int(known.searchsorted(self._placed_ns, side="right"))
+        for is_fresh, pitch, now_ns, odometer, first, last in rows:
+            way, self._odometer = odometer - self._odometer, odometer
+            if is_fresh:
+                self._height += way * math.sin(pitch)
+                self._altitude, self._placed_ns = AltitudeDetector(), now_ns
+                placed = int(known.searchsorted(now_ns, side="right"))
+                yield [(odometer, self._height)]
+                continue
+            first, placed = max(first, placed), max(last, placed)
+            if first < last:
+                self._placed_ns = int(known[last - 1])
+            yield list(self._risen(places[first:last], altitudes[first:last]))
+
+    def _risen(
+        self, places: Sequence[float], altitudes: Sequence[float]
+    ) -> Iterator[tuple[float, float]]:
+        """Places and heights that altitudes there tell, m."""
+        for place, altitude in zip(places, altitudes, strict=True):
+            self._altitude = self._altitude.after(place, altitude)
+            rise = self._altitude.rise
+            if rise is not None:
+                yield rise.since, self._height  # not given yet where the altitude was stuck
+                self._height += rise.height
+                yield place, self._height
 
     def unknown(self, stamp_ns: int) -> tuple[str, ...]:
         """Those of grade, temperature, pressure, wind and loads that no input gives."""
