@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from evpinn_ros.api.plan import KnownCar, basis_of, columns_of, known_car
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.optional import pandas
 from evpinn_ros.core.energy import edges as energy_edges
 from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.plan import PlanConditions
 from evpinn_ros.core.vehicle.files import Vehicle
 
-with optional_imports():
+if TYPE_CHECKING:
     import pandas as pd
 
 
@@ -30,7 +30,7 @@ class EdgeEnergies:
 
     def __init__(self, index: pd.Index, edges: energy_edges.Edges) -> None:
         """Edges named by an index; `edge_energies` makes them."""
-        self.table = pd.DataFrame({"energy_j": edges.energy, "sigma_j": edges.sigma}, index)
+        self.table = pandas().DataFrame({"energy_j": edges.energy, "sigma_j": edges.sigma}, index)
         self._edges = edges
 
     def route(self, edges: Iterable[Hashable]) -> Uncertain:
@@ -57,7 +57,7 @@ class EdgeEnergies:
 
     def _places(self, edges: Iterable[Hashable]) -> np.ndarray:
         labels = [*edges]
-        places = self.table.index.get_indexer_for(pd.Index(labels, tupleize_cols=True))
+        places = self.table.index.get_indexer_for(pandas().Index(labels, tupleize_cols=True))
         if len(places) != len(labels) or (places < 0).any():
             raise InputError("a route has an edge that is not in the table, or is in it twice")
         return np.asarray(places)
@@ -113,5 +113,6 @@ def edge_energies(
     legs = edges_of_columns(columns_of(edges))
     basis = basis_of(model, given, air_density)
     of_edges = energy_edges.edge_energies(legs, basis.model, basis.weather, basis.head_wind)
-    index = edges.index if isinstance(edges, pd.DataFrame) else pd.RangeIndex(len(legs.length))
+    counted = pandas().RangeIndex(len(legs.length))
+    index = counted if isinstance(edges, Mapping) else edges.index
     return EdgeEnergies(index, of_edges)

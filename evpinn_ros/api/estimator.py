@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from evpinn_ros.api.result import breakdown_frame, parameter_frame
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
@@ -30,7 +29,7 @@ from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.replays.run import ReplayOptions
 from evpinn_ros.replays.scoring import parameter_metrics
 
-with optional_imports():
+if TYPE_CHECKING:
     import pandas as pd
 
 NAN = math.nan

@@ -8,12 +8,12 @@ from dataclasses import replace
 import math
 import os
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.optional import pandas
 from evpinn_ros.common.units import METRIC, Units
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.battery_model import BatteryModel
@@ -24,7 +24,7 @@ from evpinn_ros.core.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.core.estimation.terms import MILD_CELSIUS
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 
-with optional_imports():
+if TYPE_CHECKING:
     import pandas as pd
 
 TEMPERATURE_STEP = 10.0  # K, of `what_if`
@@ -128,6 +128,7 @@ def forecast(
         "charge_pct": 100 * charge[0],
         "charge_sigma_pct": 100 * charge[1],
     }
+    pd = pandas()
     return pd.DataFrame(columns, index=pd.Index(energies.time, name="t_s"))
 
 
@@ -222,9 +223,15 @@ def as_plan(plan: Any, vehicle: Vehicle) -> Plan | Legs:
 
     if isinstance(plan, str | os.PathLike):
         return read_plan(Path(plan), vehicle)
-    if isinstance(plan, pd.DataFrame) and plan.index.name == "t_s":
+    if _is_frame(plan) and plan.index.name == "t_s":
         plan = plan.reset_index()
     return plan_of_columns(columns_of(plan))
+
+
+def _is_frame(table: Any) -> bool:
+    """True for a DataFrame; who has none never loads pandas."""
+    package = type(table).__module__.partition(".")[0]
+    return package == "pandas" and isinstance(table, pandas().DataFrame)
 
 
 def columns_of(table: Any) -> dict[str, Any]:
@@ -233,6 +240,6 @@ def columns_of(table: Any) -> dict[str, Any]:
     Raises:
         TypeError: it is something else.
     """
-    if not isinstance(table, pd.DataFrame | Mapping):
+    if not (_is_frame(table) or isinstance(table, Mapping)):
         raise TypeError(f"a DataFrame, a dict or a file is needed, not {type(table).__name__}")
     return {str(column): table[column] for column in table}

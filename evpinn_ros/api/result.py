@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.optional import pandas
 from evpinn_ros.common.saved_fields import figures
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.power_model import PowerModel
@@ -26,7 +26,7 @@ from evpinn_ros.replays.run import Replayed, ReplayOptions
 from evpinn_ros.replays.scoring import measured_at, running_total
 from evpinn_ros.report.owner_text import owner_line
 
-with optional_imports():
+if TYPE_CHECKING:
     import pandas as pd
 
 TIME = "t_s"
@@ -108,6 +108,7 @@ class Result:
             "predicted_sigma_j": sigma,
             "rknn_j": rknn,
         }
+        pd = pandas()
         return pd.DataFrame(columns, index=pd.Index(time, name=TIME))
 
     @cached_property
@@ -118,6 +119,7 @@ class Result:
     @cached_property
     def learning(self) -> pd.DataFrame:
         """Parameters over time, by `t_s`: columns (parameter; value, std or prior_share)."""
+        pd = pandas()
         columns = {
             name: pd.DataFrame(rows[:, 1:], rows[:, 0], [*TRACKED])
             for name, rows in self.replayed.drive.parameters.items()
@@ -141,7 +143,7 @@ class Result:
             (*outcome.span, outcome.measured, outcome.forecast, outcome.sigma, outcome.covered)
             for outcome in forecast_outcomes(self.replayed.drive, self.vehicle.air_density)
         ]
-        return pd.DataFrame(rows, columns=list(FORECAST_COLUMNS))
+        return pandas().DataFrame(rows, columns=list(FORECAST_COLUMNS))
 
     @property
     def model(self) -> PowerModel:
@@ -165,6 +167,7 @@ class Result:
 
 def _predictions(series: PowerSeries, name: str) -> pd.DataFrame:
     columns = {f"{name}_w": series.power, f"{name}_sigma_w": series.sigma}
+    pd = pandas()
     frame = pd.DataFrame(columns, index=pd.Index(series.time, name=TIME))
     return frame[~frame.index.duplicated()]
 
@@ -183,6 +186,6 @@ def breakdown_frame(breakdown: Mapping[str, Any]) -> pd.DataFrame:
 def _rows(
     values: Mapping[str, Mapping[str, Any]], name: str, columns: tuple[str, ...]
 ) -> pd.DataFrame:
-    table = pd.DataFrame.from_dict(values, orient="index", columns=list(columns))
+    table = pandas().DataFrame.from_dict(values, orient="index", columns=list(columns))
     numbers = [column for column in columns if column != "state"]
     return table.astype(dict.fromkeys(numbers, float)).rename_axis(name)

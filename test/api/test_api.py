@@ -6,6 +6,8 @@ import doctest
 import inspect
 import json
 from pathlib import Path
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
@@ -99,6 +101,17 @@ def test_frames_hold_what_the_scores_are_of(result):
     )  # whole seconds
     for frame in (result.power, result.energy, result.learning):
         assert frame.index.name == "t_s" and frame.index.is_monotonic_increasing
+
+
+def test_pandas_is_loaded_with_the_first_frame(table):
+    code = f"""
+import sys
+import evpinn_ros as ev
+result = ev.replay({str(table)!r})
+assert "pandas" not in sys.modules
+assert len(result.power) and "pandas" in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 
 def test_a_drive_without_a_battery_has_frames_of_what_is_known(table, tmp_path):
