@@ -59,10 +59,7 @@ _CELL_MILLIVOLTS = range(2000, 4500)
 
 
 def layout_of(row: Sequence[str]) -> list[str]:
-    """The names of the columns of a row that a known app wrote; none where it is of no such app.
-
-    LeafSpy's rows begin with a date and have the voltages of 96 cells at their place.
-    """
+    """Column names of a row without header of a known app, as LeafSpy's with 96 cells; or none."""
     begin = len(_LEAFSPY_BEGIN)
     base = begin + _CELLS + len(_LEAFSPY_END)
     most = base + len(_LEAFSPY_LATER) + 1  # the newest of these writes a cell beyond its header

@@ -21,7 +21,6 @@ class BagSource(Source):
     """A rosbag2 folder, a bare `.mcap` or `.db3`."""
 
     def __init__(self, path: Path, options: ReadOptions = READ_DEFAULTS) -> None:
-        """Open the bag; InputError when it is none or has none of our topics."""
         super().__init__(path)
         self._options, self._terrain = options, options.terrain
         self._open()
@@ -59,11 +58,7 @@ class BagSource(Source):
 
 
 def bag_of_topics(path: Path, options: ReadOptions) -> BagSource | None:
-    """A bag by its topics; None where its raw frames are asked for, or are all there is.
-
-    Raises:
-        InputError: it is no bag, has neither, or topics of several cars.
-    """
+    """A bag by its topics; None for raw frames. InputError: no bag, neither, or several cars."""
     if options.can_profile is not None and holds_frames(path, options.car):
         return None
     try:

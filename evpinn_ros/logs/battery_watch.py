@@ -1,8 +1,4 @@
-"""What the values of a bag or a CAN log say against its battery, as `values` does for tables.
-
-Units and signs of both are stated, so none is guessed. But some robots always send 0 A, and some
-device drivers send the current with the sign of a charger.
-"""
+"""Checks a bag's or CAN log's battery: some robots send 0 A, some drivers a charger's sign."""
 
 from __future__ import annotations
 
@@ -33,24 +29,16 @@ MOST_KEPT = 60_000  # readings by which the sign is judged: 50 min of speed and 
 
 
 class BatteryWatch:
-    """Passes on the readings of a drive that are measured, and notes what its battery cannot be.
-
-    Attributes:
-        notes: sentences, complete once all is read.
-    """
+    """Passes on the measured readings of a drive, and notes what its battery cannot be."""
 
     def __init__(self, dropped: Counter[str]) -> None:
-        """Begin; what stands still is counted in `dropped`."""
-        self.notes: tuple[str, ...] = ()
+        self.notes: tuple[str, ...] = ()  # sentences, complete once all is read
         self._standing = Standing(dropped)
         self._kept: list[Block] = []
         self._flows_back = False
 
     def on(self, readings: Iterable[Reading]) -> Iterator[Block]:
-        """Blocks of the readings, without those that stand still while the car does not.
-
-        What came before an error of the source is passed on before it.
-        """
+        """Blocks without readings that stand still while the car moves; then any error."""
         block: list[Reading] = []
         newest, error = 0, None
         try:
@@ -107,7 +95,6 @@ class BatteryWatch:
 
 
 def _possible(block: Block, kind: type[Reading]) -> Rows:
-    """The readings of a kind that are possible."""
     rows = block.of_kind(kind)
     possible = np.ones(len(rows.order), dtype=bool)
     for _, wrong in impossible(kind, rows):

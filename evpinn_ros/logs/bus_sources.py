@@ -35,25 +35,13 @@ INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
 
 
 class BagFrames:
-    """The frames of the `can_msgs/Frame` topics of a bag.
-
-    Of several topics each id is read from one, see `FirstBus`. Stamps are those of the messages'
-    headers, or the log time where a header has none.
-
-    Attributes:
-        path: of the file or folder.
-        count: frames read so far.
-        skipped: what is not a data frame, by kind; complete once all are read.
-    """
+    """Frames of a bag's `can_msgs/Frame` topics, by their headers' stamps or else the log time."""
 
     def __init__(self, path: Path, car: str | None = None) -> None:
-        """Find the topics, of the car with this namespace if given.
-
-        Raises:
-            InputError: it is no bag, or has no frames.
-        """
-        self.path = path
-        self.count = 0
+        """Find the topics of this car or of all; InputError if it is no bag, or has no frames."""
+        self.path = path  # of the file or folder
+        self.count = 0  # frames read so far
+        # what is not a data frame, by kind; complete once all are read
         self.skipped: Counter[str] = Counter()
         self._reader = BagReader(path)
         self._topics = frame_topics(self._reader, car)
@@ -98,12 +86,9 @@ CanLog: TypeAlias = LogFile | BagFrames
 
 
 def open_can_log(path: Path, car: str | None = None) -> CanLog:
-    """A CAN log of any kind: a file of frames, or a bag with a topic of them.
+    """A CAN log, or a bag with frames; of one car or bus (`car`) if given.
 
-    `car` is the namespace of the one that is asked for, or the channel of its bus.
-
-    Raises:
-        InputError: it is neither, or of no such car; the text has the file and the reason.
+    Raises InputError with the file and the reason.
     """
     return BagFrames(path, car) if is_bag(path) else LogFile(path, car)
 
@@ -122,7 +107,6 @@ class CanLogSource(Source):
     def __init__(
         self, open_log: Callable[[], CanLog], make_bridge: Callable[[], CanBridge]
     ) -> None:
-        """Open the log, and again each time it is read."""
         self._open_log, self._make_bridge = open_log, make_bridge
         self._log, self._bridge = open_log(), make_bridge()
         super().__init__(self._log.path)
@@ -148,11 +132,7 @@ class CanLogSource(Source):
         return self._watch.notes
 
     def blocks(self) -> Iterator[Block]:
-        """The readings frame by frame, up to where the log contradicts the profile.
-
-        Raises:
-            InputError: it does from the start, or no frame of the whole log gave a reading.
-        """
+        """Readings up to where the log contradicts the profile; InputError if it gave none."""
         self._log, self._bridge = self._open_log(), self._make_bridge()
         self._watch = BatteryWatch(self.dropped)
         self.dropped.clear()
@@ -184,11 +164,7 @@ class CanLogSource(Source):
 
 
 def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Source:
-    """Open a CAN log, or the raw frames of a bag.
-
-    Raises:
-        InputError: it is neither, or there is no profile.
-    """
+    """Open a CAN log, or a bag's raw frames; InputError if it is neither or has no profile."""
     if not is_bag(path) and suffix_of(path) not in LOG_SUFFIXES:
         raise unknown_kind(path)
     name = options.can_profile or vehicle.can_profile

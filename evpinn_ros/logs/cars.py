@@ -47,7 +47,6 @@ class CarTable:
     """The rows of one car of a table."""
 
     def __init__(self, table: Table, head: Head, place: int, car: str) -> None:
-        """Take the rows that have the car in the column at this place."""
         self._table, self._head, self._place, self._car = table, head, place, car
 
     @property
@@ -68,11 +67,7 @@ class CarTable:
 
 
 def table_of_car(table: Table, head: Head, car: str | None) -> Table:
-    """The table, or of one of several cars the rows of the one that is asked for.
-
-    Raises:
-        InputError: it holds several and none is asked for, or one that it does not hold.
-    """
+    """The table, or the rows of one of several cars; InputError if that is not chosen."""
     rows = _rows_by_car(table, head)
     cars = {place: names for place in rows if (names := _cars(rows[place]))}
     if not cars:
@@ -94,7 +89,6 @@ def table_of_car(table: Table, head: Head, car: str | None) -> Table:
 
 
 def _rows_by_car(table: Table, head: Head) -> dict[int, Counter[str]]:
-    """Number of rows of each car, by the place of a column that may tell cars apart."""
     words = {place: words_of(name) for place, name in enumerate(head.names)}
     # What has a bracket has a unit: `Vin [V]` is a voltage.
     rows: dict[int, Counter[str]] = {

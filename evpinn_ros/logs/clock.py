@@ -1,7 +1,4 @@
-"""The clock of a table: cells of dates and times, or numbers, to stamps that run on.
-
-polars reads the cells by one format for the whole column; `logs.clock_choice` finds it.
-"""
+"""The clock of a table: cells of dates and times, or numbers, to stamps that run on."""
 
 from __future__ import annotations
 
@@ -97,10 +94,7 @@ class Clock:
         return self.kind == "date" or (self.kind == "number" and self.zoned)
 
     def stamps(self, cells: Mapping[int, Sequence[str]]) -> NDArray[np.int64]:
-        """Times of n rows, ns since 1970, midnight or the start; `NONE` where there is none.
-
-        `cells` are n of each of `columns`, and of others perhaps, by the place of the column.
-        """
+        """Times, ns since 1970, midnight or the start, `NONE` if unknown; of cells by column."""
         own = [cells[place] for place in self.columns]
         if self.as_written:
             return parsed_times(pl.Series("", own[0], dtype=pl.String), self.formats)
@@ -117,10 +111,7 @@ class Clock:
 
 
 class RunningClock:
-    """Times made to run on over midnight, or from drive to drive, batch by batch.
-
-    Local times are set back or forward by an hour in a night of autumn or spring, and run on.
-    """
+    """Makes times run on over midnight, from drive to drive, and where clocks are set back."""
 
     def __init__(
         self,
@@ -130,7 +121,6 @@ class RunningClock:
         *,
         is_local: bool = False,
     ) -> None:
-        """Make times run on that begin anew after a period, or at a time with each drive."""
         self._period, self._first, self._spread = period_ns, drives_from_ns, spread
         self._is_local = is_local
         self._added = 0
@@ -172,7 +162,6 @@ class RunningClock:
         return turns - np.where(straggles, self._period, 0)
 
     def _spread_out(self, known: NDArray[np.int64], spread: Spread) -> NDArray[np.int64]:
-        """Stamps evenly apart within those that several rows share."""
         begins = np.flatnonzero(np.diff(known, prepend=self._shared[0]) != 0)
         counts = np.arange(known.size)
         before = np.full(known.size, self._shared[1])  # rows of the stamp in the last batch
@@ -212,10 +201,7 @@ def _set_forward(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray
 def begin_drives(
     times: NDArray[Any], before: NDArray[Any], first: float, back: float
 ) -> NDArray[np.bool_]:
-    """True where a drive begins: it and the next row lie behind the two before, so none is wrong.
-
-    `before` are the two times before these; `first` is where drives begin, about.
-    """
+    """True where a row and the next lie behind the two `before`, near `first`: a drive begins."""
     padded = np.concatenate((before, times))
     least = np.minimum(padded[1:-1], padded[:-2]) - back
     following = np.append(times[1:], times[-1:])

@@ -1,8 +1,4 @@
-"""The choice of a table's clock: dates of any order, 12 h clocks, seconds since anything.
-
-A format is chosen once, over the whole column: the one that reads most cells, runs backwards least
-and jumps least.
-"""
+"""Chooses a table's clock: the format that reads most cells and jumps and runs back least."""
 
 from __future__ import annotations
 
@@ -63,12 +59,10 @@ _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s")
 
 
 def clocks_of(used: Sequence[Column], survey: Survey, days: Collection[int] = ()) -> list[Clock]:
-    """The clocks of a table, the best first; none when no column of time can be read.
+    """The clocks of a table, the best first: reads most rows, never backwards, knows the date.
 
-    `days` since 1970 decide where a date can be read in two ways.
-
-    The best reads most rows, never runs backwards, tells rows apart, and knows the date: LeafSpy's
-    `epoch time` goes on where its `Date/Time` jumps with the phone's time zone.
+    LeafSpy's `epoch time` goes on where its `Date/Time` jumps with the phone's time zone. `days`
+    since 1970 decide where a date can be read in two ways.
     """
     columns = [column for column in used if column.quantity == "time"]
     names = {column.place: column.name for column in columns}
@@ -113,16 +107,7 @@ def clock_of_format(column: int, formats: str) -> Clock:
 def clock_of_numbers(
     column: int, cells: Sequence[str], style: Style, unit: str | None, *, in_seconds: bool = False
 ) -> Clock | None:
-    """The clock of a column of numbers; None where most cells are none.
-
-    Args:
-        column: its place.
-        cells: of it.
-        style: of their numbers.
-        unit: that its name tells, or None.
-        in_seconds: numbers that are no dates are s, however far apart rows are: those of a plan
-            may be minutes.
-    """
+    """The clock of a column of numbers, None if most are none; `in_seconds`: never minutes."""
     values = to_floats(cells, style)
     known = values[np.abs(values) < LARGEST]
     filled = [cell for cell in cells if not is_missing(cell)]
@@ -180,7 +165,6 @@ def _begins_anew(times: NDArray[np.float64], day: float) -> bool:
 
 
 def _is_in_order(times: NDArray[np.float64]) -> bool:
-    """True if nearly every time is later than the one before."""
     return times.size > 1 and float(np.mean(np.diff(times) < 0)) <= SELDOM
 
 
@@ -192,10 +176,7 @@ def _holds_drives(times: NDArray[np.float64], back: float) -> bool:
 def clock_of_text(
     columns: tuple[int, ...], cells: Sequence[Sequence[str]], days: Collection[int] = ()
 ) -> Clock | None:
-    """The clock of columns of dates or times of day; None where most cells are neither.
-
-    `days` since 1970 may be the first one: they decide where a date can be read in two ways.
-    """
+    """The clock of columns of dates or times of day, or None; `days` decide ambiguous dates."""
     text = joined_cells(cells)
     text = text.filter(text.str.contains(r"\d\D\d|\d{8}"))
     filled = max(sum(not is_missing(cell) for cell in column) for column in cells)
@@ -242,7 +223,6 @@ def _best(candidates: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
 
 
 def _plausible(stamps: NDArray[np.int64]) -> bool:
-    """True if most times are those of a log."""
     return bool(FIRST_TIME_NS < np.median(stamps) < LAST_TIME_NS)
 
 
@@ -264,12 +244,7 @@ def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
 def _in_its_order(
     clock: Clock, stamps: NDArray[np.int64], survey: Survey, times: Collection[int]
 ) -> Clock:
-    """The clock with the order of the rows; columns at the places `times` are of time.
-
-    Where time goes back, yet not within any one column, the columns stand one after the other, as
-    `melt` of pandas and InfluxDB write them: then no drive begins. Nor does one where time begins
-    anew so often because each of two columns or more goes through all drives.
-    """
+    """The clock with the order of rows; in columns that were stacked no drive begins."""
     there = stamps != NONE
     if not _is_newest_first(stamps[there]) and _goes_back(stamps[there]):
         filled = (
@@ -292,10 +267,7 @@ def _in_its_order(
 def _spread_of(
     clock: Clock, stamps: NDArray[np.int64], survey: Survey, times: Collection[int]
 ) -> Spread | None:
-    """The spread of rows over stamps that are coarser; `times` are places of columns of time.
-
-    Rows that share a stamp are one moment where each has other cells, or the same ones.
-    """
+    """How rows share coarser stamps; those with other cells each, or the same, are one moment."""
     if clock.order is Order.SHUFFLED:
         return None
     rows = clock.order.rows(stamps)
@@ -328,14 +300,12 @@ def _goes_back(times: NDArray[np.int64]) -> bool:
 
 
 def _begins(times: NDArray[np.int64], first: int) -> int:
-    """Number of drives that begin anew."""
     if times.size < 2:
         return 0
     return int(begin_drives(times, times[[0, 0]], first, BACK_NS).sum())
 
 
 def _order_of(clock: Clock, stamps: NDArray[np.int64]) -> Order:
-    """Order of rows that have these times of a clock."""
     if _is_newest_first(stamps[stamps != NONE]):
         return Order.NEWEST_FIRST
     times = clock.running().add(stamps)
@@ -352,11 +322,7 @@ def _order_of(clock: Clock, stamps: NDArray[np.int64]) -> Order:
 
 
 def _lie_apart(times: NDArray[np.int64], back: NDArray[np.bool_]) -> bool:
-    """True if no two parts of a table, between which time goes back, are of the same hours.
-
-    They are then drives that were put together in the order of their names. A clock that was set
-    back, as in autumn, goes through the same hour twice.
-    """
+    """True if the parts between which time goes back are of other hours: drives by name."""
     begins = np.append(0, np.flatnonzero(back) + 1)
     first, last = np.minimum.reduceat(times, begins), np.maximum.reduceat(times, begins)
     order = np.argsort(first)
@@ -364,7 +330,6 @@ def _lie_apart(times: NDArray[np.int64], back: NDArray[np.bool_]) -> bool:
 
 
 def _is_newest_first(times: NDArray[Any]) -> bool:
-    """True if times run backwards on the whole, in whichever unit."""
     steps = np.diff(times)
     steps = steps[steps != 0]
     return steps.size >= 3 and float(np.mean(steps < 0)) > MOSTLY

@@ -26,11 +26,7 @@ _NAMED_DATE = re.compile(
 def start_by_date(
     clock: Clock, others: Sequence[Clock], survey: Survey
 ) -> tuple[int, Clock] | None:
-    """Stamp of time 0 of a clock without a date, ns, by another one, and that.
-
-    The rows of the survey stand from the oldest to the newest. None where no other clock has the
-    date.
-    """
+    """Stamp of time 0 of a clock without date, ns, and the clock with the date; oldest first."""
     own = clock.running().add(clock.stamps(survey.cells))
     for other in others:
         if not other.dated:
@@ -69,11 +65,7 @@ def days_of_name(name: str) -> frozenset[int]:
 
 
 def day_of_name(name: str, first_ns: int, *, certain: bool) -> int | None:
-    """Midnight of the date in a file's name, ns; None without one, or where its clock differs.
-
-    `first_ns` is the first time in the file, and `certain` says that it is a time of day;
-    otherwise the name must have the same one.
-    """
+    """Midnight of the date in a file's name, ns; None if its time differs, or is not `certain`."""
     for day_ns, clock_ns in dates_of_name(name):
         alike = clock_ns is not None and abs(clock_ns - first_ns % DAY_NS) <= 3600 * NANOSECONDS
         if alike or (clock_ns is None and certain):
@@ -82,10 +74,7 @@ def day_of_name(name: str, first_ns: int, *, certain: bool) -> int | None:
 
 
 def start_of_comments(comments: Sequence[str]) -> int | None:
-    """The moment that a line above the header tells, ns; None without one.
-
-    OBD Fusion begins with `# StartTime = 10/14/2017 01:20:36.0000 PM` and counts from there.
-    """
+    """The moment that a comment tells, ns, as OBD Fusion's `# StartTime = ... PM`; or None."""
     for comment in comments:
         if match := re.search(STARTED, comment[:LONGEST_COMMENT], re.IGNORECASE):
             cells = [match[1].strip(' ,;"')]

@@ -99,15 +99,11 @@ class Column:
 def columns_by_name(
     header: Sequence[str], chosen: Sequence[str], empty: Collection[int] = ()
 ) -> list[Column]:
-    """The columns of a header that are used, those for the time all: their cells decide.
+    """The columns that are used, and all those for the time; those at `empty` are not guessed at.
 
-    A choice is `speed=NAME` or `speed=NAME:UNIT`; a minus before the unit turns the sign. That of
-    a time may be a format in place of a unit. Columns at the places `empty` hold nothing, so they
-    are not guessed at.
-
-    Raises:
-        InputError: a choice that names no quantity, no column or no unit, or a bracketed unit
-            that is not known, of a quantity that is needed; without others a drive can be read.
+    A choice is `speed=NAME`, `speed=NAME:UNIT`, `:-UNIT` with a turned sign, or
+    `time=NAME:FORMAT`. InputError: a choice names no quantity, column or unit, or a needed
+    column's unit is unknown.
     """
     own = [
         Column(BY_COLUMN[name], name, place=i)
@@ -168,11 +164,7 @@ def is_complete(quantities: set[str]) -> bool:
 def check_columns(
     columns: Sequence[Column], header: Sequence[str], *, battery: bool = True
 ) -> None:
-    """Refuse a table without what is needed: time, speed and, if asked for, the battery.
-
-    Raises:
-        InputError: with the option that would mend it.
-    """
+    """Raise InputError for a table without time, speed or battery; it names the option."""
     quantities = {column.quantity for column in columns}
     there = f"there are {', '.join(header)[:LONGEST_LIST]}"
     if missing := [name for name in ("time", "speed") if name not in quantities]:
@@ -214,11 +206,7 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
 
 
 def column_of(quantity: str, header: Sequence[str], place: int) -> Column:
-    """A column for a quantity with the unit that its name or the app tells, or none.
-
-    Raises:
-        InputError: its name has a unit that is not known.
-    """
+    """A column with the unit of its name or the app, if any; InputError for an unknown unit."""
     column, foreign = _named(quantity, header, place)
     if foreign and quantity != "time":
         raise InputError(
@@ -249,14 +237,7 @@ def _spellings(quantity: str) -> str:
 def unused_columns(
     header: Sequence[str], used: Sequence[Column], clock: Collection[int], empty: Collection[int]
 ) -> dict[str, str]:
-    """Names of the columns that are not used, in the order of the file, each with the reason.
-
-    Args:
-        header: names of all columns.
-        used: those that are used.
-        clock: places of those that the time is read from.
-        empty: places of those without a cell.
-    """
+    """Why each other column is not used; `clock` and `empty` are places of time and empty ones."""
     taken = {column.quantity: column for column in used}
     places = {*(column.place for column in used), *clock}
     return {

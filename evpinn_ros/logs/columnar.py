@@ -29,7 +29,6 @@ def write_columns(path: Path, out: Path) -> None:
 
 
 def _text(name: str, kind: pl.DataType) -> pl.Expr:
-    """A column as text."""
     column, shown = pl.col(name), plain_cell(name)
     if isinstance(kind, pl.Duration):
         return (column.dt.total_nanoseconds() / 1e9).alias(f"{shown} [s]")

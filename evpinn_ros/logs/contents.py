@@ -66,14 +66,7 @@ class Contents:
 def contents(
     path: Path, options: ReadOptions = READ_DEFAULTS, bar: Bar = lambda _: nullcontext()
 ) -> Contents:
-    """Look through a bag, a CAN log or a table.
-
-    `bar` takes the length of the drive, s, None while unknown, and gives what takes the seconds of
-    it that are done.
-
-    Raises:
-        InputError: it is none of these, or nothing can be read.
-    """
+    """Look through a bag, a CAN log or a table; InputError if none. `bar` is told its length."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):

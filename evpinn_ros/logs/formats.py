@@ -45,11 +45,7 @@ def unknown_kind(path: Path) -> InputError:
 
 
 def is_drive_table(path: Path) -> bool:
-    """True if a path is that of a table which is no log of a CAN bus.
-
-    Raises:
-        InputError: it cannot be read.
-    """
+    """True if a path is that of a table which is no log of a CAN bus; InputError if unreadable."""
     suffix = suffix_of(path)
     if path.is_dir() or suffix not in TABLE_SUFFIXES:
         return False
@@ -81,17 +77,10 @@ def files_of(path: Path) -> list[Path]:
 
 
 def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
-    """The recordings at or below a path, in no order; a file is taken for one, whatever it is.
+    """The recordings at or below a path, unordered; real paths in `seen` are skipped and added.
 
-    Links are followed last, and nothing is found twice: a folder may link to itself, and a drive
-    that another car's folder links to is of the car in whose folder it lies.
-
-    Args:
-        path: file or folder.
-        seen: real paths found so far, which grow; none if not given.
-
-    Raises:
-        OSError: a folder cannot be read.
+    Links are followed last: a drive that another car's folder links to is of the car in whose
+    folder it lies. OSError: a folder cannot be read.
     """
     seen = set() if seen is None else seen
     waiting = deque([path])
@@ -114,15 +103,11 @@ def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
 
 
 def _is_recording(path: Path) -> bool:
-    """True if a file's name is that of a recording; most texts are a read-me."""
     return suffix_of(path) in {*BAG_SUFFIXES, *LOG_SUFFIXES, *TABLE_SUFFIXES} - {".txt"}
 
 
 def _is_bag_folder(path: Path) -> bool:
-    """True if a folder is one bag, as rosbag2 writes it; a killed recorder left no metadata.
-
-    Other folders with bag files hold as many bags.
-    """
+    """True if a folder is one bag of rosbag2; a killed recorder left no metadata."""
     if (path / "metadata.yaml").is_file():
         return True
     names = (file.name for file in path.iterdir() if file.suffix in BAG_SUFFIXES)

@@ -1,8 +1,4 @@
-"""Lines of JSON as text: an object a line, of which a logger leaves out what it does not know.
-
-polars reads them faster, but none of a file with a `NaN`, or whose logger did not end the last
-line.
-"""
+"""JSON Lines as text; polars cannot read a file with a `NaN` or a torn last line."""
 
 from __future__ import annotations
 
@@ -20,11 +16,7 @@ _decoded = json.JSONDecoder(parse_constant=lambda _: None).decode
 
 
 def write_objects(path: Path, out: Path) -> None:
-    """Write the values of the objects, their names first, an object a line.
-
-    Raises:
-        InputError: lines are no objects; the others are written.
-    """
+    """Write names and values, an object a line; InputError at the end if some lines were none."""
     names: dict[str, None] = {}
     with open_file(path) as file:
         for row in map(_object, file):

@@ -1,8 +1,4 @@
-"""Measured signals of an ASAM .mf4 as a long table, by asammdf.
-
-A file of frames of a CAN bus holds none; it is a CAN log (`evpinn_ros.can.logs`). asammdf reads
-a file as a whole and can crash over a damaged one, so it runs apart (`common.apart`).
-"""
+"""Measured signals of an ASAM .mf4 as a long table; damaged files crash asammdf: it runs apart."""
 
 from __future__ import annotations
 

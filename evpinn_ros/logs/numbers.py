@@ -36,10 +36,7 @@ def is_missing(cell: str) -> bool:
 
 
 def style_of(cells: Sequence[str]) -> Style | None:
-    """The style that the cells of a column show; None where none is certain.
-
-    `12,5` shows a decimal comma and `1,234,567` one between thousands; `12,345` shows neither.
-    """
+    """The decimal and thousands signs of cells; None if uncertain: `12,345`, not `12,5`."""
     text = pl.Series("", cells, dtype=pl.String).str.strip_chars()
     votes = {style: text.str.contains(_certain(style)).sum() for style in (POINT, COMMA)}
     if votes[POINT] == votes[COMMA]:

@@ -1,11 +1,8 @@
-"""Names and units of the columns of log apps, as one table.
+"""Names and units of the columns of log apps, as one table; a name is matched by its words.
 
-A name is matched by its words: `Battery DC Current (A)`, `pack_current_a`, `v.b.current` and
-`Batteriestrom [A]` are all the battery's current. Sources of the names: exports of Car Scanner and
-LeafSpy; Torque's header lines as read by torque-visualizer and torque2influx; OBD Fusion's
-`# StartTime` preamble; OVMS' metrics (docs.openvehicles.com, "Standard Metrics"); the telemetry
-fields of ABRP (documenter.getpostman.com, "Iternio Telemetry API"); TeslaMate's table `positions`;
-UN GTR 15 (REESSCurrent, DAActualSpeed); the Vehicle Energy Dataset (OAT).
+Sources: exports of Car Scanner and LeafSpy; Torque as read by torque-visualizer and torque2influx;
+OBD Fusion; OVMS' metrics (docs.openvehicles.com); ABRP's telemetry (documenter.getpostman.com);
+TeslaMate's `positions`; UN GTR 15; the Vehicle Energy Dataset.
 """
 
 from __future__ import annotations
@@ -214,10 +211,7 @@ QUALIFIERS = _phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start
 
 @lru_cache(maxsize=4096)
 def words_of(name: str) -> tuple[str, tuple[str, ...]]:
-    """The words of a name between spaces, and what it has in brackets, in lower case.
-
-    A bracket at the start names a control unit (`[LEAF] HV Battery Current(A)`), not a unit.
-    """
+    """Words outside and inside of brackets, lower case; a first bracket is a control unit."""
     rest = re.sub(r"^\s*\[[^\]]*\]", "", name)
     brackets = [text for text, end in re.findall(r"[\[(]([^\])]*)([\])]?)", rest) if end]
     bare = re.sub(r"[\[(][^\])]*[\])]?", " ", rest)
@@ -268,12 +262,7 @@ def may_be_of_use(name: str) -> bool:
 
 
 def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
-    """The unit that a name tells, as it is spelled; none when it tells none.
-
-    Returns:
-        its spelling and what it means; (spelling, None) for a bracket that is no known unit, and
-        ("", None) where it is not known.
-    """
+    """Spelling and meaning of a name's unit: None for an unknown bracket, ("", None): none."""
     units = QUANTITIES[quantity].units
     words, brackets = words_of(name)
     if brackets and (unit := known_unit(quantity, brackets[-1])):

@@ -24,10 +24,7 @@ EMPTY_ABOVE = 50  # rows above the header
 
 
 def write_sheet(path: Path, out: Path) -> None:
-    """Write the first visible sheet of an .xlsx that holds a table, a row a line.
-
-    Sheets with the same header continue it; the names of others stand in a line above.
-    """
+    """Write the first visible .xlsx sheet with a table, and those that continue it."""
     with optional_imports():
         from openpyxl import load_workbook
     with open_file(path) as file, new_table(out) as table:
@@ -68,7 +65,6 @@ def _rows(sheet: Any) -> Iterator[list[str]]:
 
 
 def _text(value: Any) -> str:
-    """A cell as a text file would have it."""
     if value is None:
         return ""
     if isinstance(value, datetime | date | time):

@@ -43,11 +43,7 @@ def last_known(values: FloatArray) -> FloatArray:
 
 
 def pull(speed: Signal, power: Signal) -> float:
-    """Power over speed times acceleration in these units; NaN where they are not alike.
-
-    The change of kinetic energy is most of a car's power, so this is its mass, kg, where speed is
-    in m/s, a thirteenth of it where it is in km/h, and below zero for a power of the other sign.
-    """
+    """Power over speed times acceleration: the mass, kg, for W and m/s; NaN if not alike."""
     times, change = accelerations(speed)
     with np.errstate(over="ignore"):  # damaged cells, left out below
         kinetic = change * at_times(speed, times)
@@ -62,11 +58,7 @@ def pull(speed: Signal, power: Signal) -> float:
 
 
 def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
-    """Change of speed over about a second or one step, and the middle of it, s.
-
-    Returns:
-        times, and unit of the speed per second; shape (n,) each.
-    """
+    """Middles, s, and changes of speed per second over about a second, shape (n,) each."""
     time, value = speed.points()
     if time.size < 3:
         return np.empty(0), np.empty(0)

@@ -16,28 +16,18 @@ STRAGGLING_NS = 10 * NANOSECONDS  # by which readings may be late; further back 
 
 
 class Source(ABC):
-    """A recorded drive.
+    """A recorded drive."""
 
-    Attributes:
-        path: where it lies.
-        dropped: what was not used, by reason; complete once the readings are exhausted.
-        rules: columns of a table that are used, in the order of the file.
-        ignored: names of those that are not, each with the reason.
-        dated: what tells the day of a table: `log`, `name` of the file, "" for nothing; None of
-            what has stamps.
-        zoned: the clock is UTC or names its zone.
-        in_order: False for a table whose rows stood in no order of time, and were sorted.
-    """
-
-    rules: tuple[Column, ...] = ()
-    ignored: Mapping[str, str] = MappingProxyType({})
-    dated: str | None = None
-    zoned = True
-    in_order = True
+    rules: tuple[Column, ...] = ()  # columns of a table that are used, in the order of the file
+    ignored: Mapping[str, str] = MappingProxyType({})  # other columns, each with the reason
+    dated: str | None = None  # tells a table's day: `log`, `name` of the file, "" for nothing
+    zoned = True  # the clock is UTC or names its zone
+    in_order = True  # False: rows of a table were sorted by time
 
     def __init__(self, path: Path, log: Source | None = None) -> None:
         """Nothing was dropped yet; columns and clock are those of the log that it is made of."""
-        self.path = path
+        self.path = path  # where it lies
+        # what was not used, by reason; complete once the readings are exhausted
         self.dropped: Counter[str] = Counter()
         if log is not None:
             self.rules, self.ignored, self.in_order = log.rules, log.ignored, log.in_order
@@ -65,11 +55,7 @@ class Source(ABC):
 
     @abstractmethod
     def blocks(self) -> Iterator[Block]:
-        """The readings in recorded order, in blocks, up to where the drive can be read.
-
-        Raises:
-            InputError: there is none in it.
-        """
+        """Readings in recorded order, in blocks, as far as readable; InputError if none."""
 
     def readings(self) -> Iterator[Reading]:
         """The same one by one."""

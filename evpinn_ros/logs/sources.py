@@ -25,12 +25,7 @@ NOMINAL_VOLTAGE = 350.0  # V, of a car that is not known
 
 
 def open_source(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAULTS) -> Source:
-    """Open a recorded drive of any kind, of a vehicle.
-
-    Raises:
-        InputError: no such file, no kind known, a CAN log without a profile, or several cars of
-            which none is chosen.
-    """
+    """Open a recorded drive of any kind; InputError without kind, profile or chosen car."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
@@ -51,13 +46,7 @@ def open_drive(
     nominal_voltage: float = NOMINAL_VOLTAGE,
     options: ReadOptions = READ_DEFAULTS,
 ) -> TableDrive:
-    """Open a table of a drive: CSV and the like, a spreadsheet, Parquet, signals of an .mf4.
-
-    Power alone becomes current at `nominal_voltage`, V.
-
-    Raises:
-        InputError: it cannot be read, or holds no drive.
-    """
+    """Open a table of a drive; power alone becomes current at `nominal_voltage`, V. InputError."""
     # polars takes a quarter of a second: whoever opens no table does not wait for it.
     from evpinn_ros.logs.table_drive import TableDrive
     from evpinn_ros.logs.text_table import ConvertedTable, TextTable

@@ -1,9 +1,8 @@
-"""The unit of a speed whose name tells none, judged together with that of the odometer.
+"""The unit of a speed and of an odometer whose names tell none.
 
-Candidates are km/h, mph and m/s for the speed, km and miles for the odometer. Positions and an
-odometer whose unit is known tell one; with an unknown odometer, km/h and km explain the way as
-well as mph and miles do. The power that accelerating takes tells the mass, which is unknown but
-for its order of magnitude. What several candidates explain is assumed, and says so.
+Positions and a known odometer tell it; with an unknown odometer, km/h and km explain the way as
+well as mph and miles do. The power of accelerating tells the mass, known but for its order of
+magnitude. What several candidates explain is assumed, and says so.
 """
 
 from __future__ import annotations
@@ -98,7 +97,6 @@ def _others(text: str) -> tuple[str, ...]:
 
 
 def _too_fast(signal: Signal) -> set[str]:
-    """Units in which the speed would be none of a car."""
     fastest = float(np.quantile(np.abs(signal.known), 0.999)) if signal.known.size else 0.0
     too_fast = {text for text, limit in FASTEST.items() if fastest > limit}
     changes = np.sort(np.abs(accelerations(signal)[1]))
@@ -137,7 +135,6 @@ def _class_of(volts: FloatArray | None, power: FloatArray) -> Masses:
 
 
 def _usual(possible: set[str], signal: Signal) -> tuple[str, str, set[str]]:
-    """Unit that logs of such numbers have, why, and those that are possible."""
     value = signal.known
     fastest = float(np.abs(value).max(initial=0.0))
     if "m/s" not in possible or fastest > FASTEST["m/s"]:
@@ -167,11 +164,7 @@ def _nearest(road: float, factors: Mapping[str, float]) -> str | None:
 
 
 def road_of_odometer(cells: Mapping[str, Signal]) -> float:
-    """Way by the odometer over that by the speed, in the file's units; NaN if not known.
-
-    A low quantile over ways from one step of the odometer to a later one: where a phone has lost
-    its GPS the speed is zero for a while, so a way is too short or right.
-    """
+    """The odometer's way over the speed's, or NaN; a low quantile, as GPS may be lost."""
     if "odometer" not in cells:
         return np.nan
     time, value = cells["odometer"].points()
@@ -186,10 +179,7 @@ def road_of_odometer(cells: Mapping[str, Signal]) -> float:
 
 
 def _road_of_places(cells: Mapping[str, Signal]) -> float:
-    """Way between positions, m, over that by the speed in the file's unit; NaN if not known.
-
-    A high quantile, for roads bend between positions.
-    """
+    """Way between positions, m, over the speed's, or NaN; a high quantile, as roads bend."""
     if not cells.keys() >= set(PLACES) or cells["speed"].points()[0].size < LEAST_EVENTS:
         return np.nan
     times, far = steps_of_places(cells, SEGMENT)

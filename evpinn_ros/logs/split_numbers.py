@@ -1,8 +1,4 @@
-"""Numbers that their own commas split, because commas separate the cells as well.
-
-`0,00,349,84` may be two numbers with decimal commas, `1,000.0` one with a comma between
-thousands. They are joined again where only one way fits; otherwise the table is refused.
-"""
+"""Joins numbers that their own commas split, where only one way fits: `0,00,349,84`, `1,000.0`."""
 
 from __future__ import annotations
 
@@ -43,23 +39,14 @@ class _Way(NamedTuple):
 
 
 class JoinedTable:
-    """A table whose rows are as wide as its header, where they can be joined in one way.
+    """A table whose rows are as wide as its header, where they can be joined in one way."""
 
-    Attributes:
-        apart: widths of rows that are left as they are.
-        torn: lines that are no row.
-    """
-
-    apart: frozenset[int] = frozenset()
+    apart: frozenset[int] = frozenset()  # widths of rows that are left as they are
 
     def __init__(
         self, table: Table, head: Head, decimals: frozenset[int], thousands: frozenset[int] | None
     ) -> None:
-        """Join rows.
-
-        A decimal comma splits the columns `decimals`, and one between thousands the columns
-        `thousands` where their numbers are large; None if it may be a decimal comma.
-        """
+        """Join decimals, and thousands (None: maybe decimals), in columns at these places."""
         self._table, self._head = table, head
         self._decimals, self._thousands = decimals, thousands
         self._spoilt = 0
@@ -108,11 +95,7 @@ class JoinedTable:
 
 
 def joined_table(table: Table, head: Head) -> Table:
-    """The table with split numbers joined again.
-
-    Raises:
-        InputError: many of its rows are wider than the header, and not in one way.
-    """
+    """The table with split numbers joined; InputError if many rows fit in no one way."""
     width = len(head.names)
     rows: dict[int, list[Row]] = {}
     counts: Counter[int] = Counter()
@@ -192,7 +175,6 @@ def _fits(rows: Sequence[list[str]], columns: set[int], width: int) -> bool:
 
 
 def _with_decimals(row: list[str], columns: frozenset[int], width: int) -> list[str] | None:
-    """The row with the decimals of these columns; None where it has other cells."""
     cells: list[str] = []
     at = 0
     while at < len(row):
@@ -234,10 +216,7 @@ def _ways(row: list[str], width: int) -> list[_Way]:
 
 
 def _continues(wide: Sequence[Row], exact: Sequence[Row]) -> bool:
-    """True if wide rows have more cells at their end alone, as an app writes that was updated.
-
-    Rows then begin as wide as the header, and hold numbers where those do.
-    """
+    """True if wide rows only have more cells at their end, as an updated app writes."""
     if not exact or exact[0][0] > wide[0][0]:
         return False
     longer, rows = [row for _, row in wide], [row for _, row in exact]

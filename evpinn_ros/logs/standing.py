@@ -1,8 +1,7 @@
 """Values that stand still while the car does not, and zeros in place of measurements.
 
-A logger that has lost a sensor repeats its last value, and others write 0 wherever nothing was
-measured. Neither is a reading. It is contradicted by the other signal, by the mass that both show
-elsewhere, and by the way between positions or that of the odometer.
+A value is contradicted by the other signal, by the mass that both show elsewhere, and by the way
+between positions or that of the odometer.
 """
 
 from __future__ import annotations
@@ -72,7 +71,6 @@ class Standing:
     """Takes what is no measurement out of a drive, block by block."""
 
     def __init__(self, dropped: Counter[str]) -> None:
-        """Begin; what is taken out is counted in `dropped`."""
         self._dropped = dropped
         self._zero_ns: int | None = None
         self._filled: set[str] = set()
@@ -89,13 +87,7 @@ class Standing:
     def drop(
         self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
     ) -> None:
-        """Set what is no measurement to NaN.
-
-        Args:
-            stamps: of all rows of the block, ns, shape (n,).
-            values: of these, SI, by quantity; changed here.
-            rows: those that are used, in order of time.
-        """
+        """Set to NaN what is no measurement in `rows`, in order of time, of SI `values`."""
         if "speed" not in values or not rows.size:
             return
         self._zero_ns = int(stamps[rows[0]]) if self._zero_ns is None else self._zero_ns
@@ -179,12 +171,7 @@ def measured_alone(signals: Mapping[str, Signal]) -> Signals:
 
 
 def filled(signals: Mapping[str, Signal], least_unit: float = 1.0) -> set[str]:
-    """Names of signals whose zeros stand in place of measurements.
-
-    Args:
-        signals: speed, and current or power, in any units.
-        least_unit: m/s, that the unit of the speed is at least.
-    """
+    """Names of signals whose zeros fill cells; a speed's unit is `least_unit`, m/s, or more."""
     speed, names = signals["speed"], set()
     if _leaps_to_zero(speed, least_unit):
         names.add("speed")
@@ -262,13 +249,11 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
 
 
 def _possible(name: str, signal: Signal) -> Signal:
-    """The signal where its values are those of a vehicle."""
     most = MOST.get(name, LARGEST)
     return Signal(signal.time, np.where(np.abs(signal.value) <= most, signal.value, np.nan))
 
 
 def _drawn(signals: Signals) -> Signal | None:
-    """Power of the battery, W."""
     if {"voltage", "current"} <= signals.keys():
         current = signals["current"]
         return Signal(current.time, current.value * at_times(signals["voltage"], current.time))
@@ -290,7 +275,6 @@ def _stands(signal: Signal) -> Iterator[Stand]:
 
 
 def _without(signal: Signal, stands: list[Stand]) -> Signal:
-    """The signal without these stretches of it."""
     value = signal.value.copy()
     for stand in stands:
         value[(signal.time >= stand.begin) & (signal.time <= stand.begin + stand.seconds)] = np.nan
@@ -333,11 +317,7 @@ def _is_driven(stand: Stand, drawn: Signal, mass: float) -> bool:
 
 
 def _needs_power(stand: Stand, speed: Signal, drawn: Signal, mass: float) -> bool:
-    """True if the speed rises, and falls, while a current or power that follows it stands still.
-
-    `mass` is what makes a current of speed times acceleration; where it is not known, the car has
-    to speed up and down for long.
-    """
+    """True if speed rises and falls while its current or power stands still."""
     inside, resolution = stand.holds(speed), FINER * _resolution(drawn.known)
     if not mass > 0.0 or not np.ptp(drawn.known):
         others = np.abs(drawn.known[drawn.known != stand.value])

@@ -1,11 +1,8 @@
 """A look through a whole table before it is read: header, widths of rows, some cells.
 
-A log may come without a header, because it continues a full one: some apps are known by their
-cells. A table with one value a row (time, name of the signal, value, unit) is read as a wide
-one: Car Scanner's "All in one" export is `SECONDS;PID;VALUE;UNITS;LATITUDE;LONGTITUDE`, its
-seconds counted from midnight and on over the next one, every cell quoted, each line with a
-separator at its end, the names in the language of the phone (as its readers say: obd2_viewer's
-data structure document, the tests of `car_scanner.dart`).
+A continued log of some apps has no header. A table with one value a row is read as a wide one: Car
+Scanner's "All in one" export is `SECONDS;PID;VALUE;UNITS;LATITUDE;LONGTITUDE`, seconds counted
+from midnight on, names in the phone's language (obd2_viewer, tests of `car_scanner.dart`).
 """
 
 from __future__ import annotations
@@ -74,13 +71,7 @@ class Head:
 
 
 def find_head(table: Table) -> Head:
-    """The first row whose cells are names of ours, a row of units below it joined in.
-
-    A log without header that a known app wrote has that of the app.
-
-    Raises:
-        InputError: the table is empty or cannot be read.
-    """
+    """The first row with names of ours, units below joined in, or a known app's; InputError."""
     rows = list(islice(table.rows(), HEADER_WITHIN))
     if not rows:
         raise InputError("the file is empty")
@@ -147,7 +138,6 @@ def names_some(row: Sequence[str]) -> bool:
 
 
 def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:
-    """The units of a row that holds nothing else; empty when it does."""
     cells = [cell.strip().strip("[]()") for cell in row]
     if len(cells) != len(names) or any(
         character.isdigit() for cell in cells for character in cell
@@ -207,11 +197,7 @@ def look_through(
     early: Callable[[Survey], object],
     limit: int = MOST_ROWS,
 ) -> Survey:
-    """Keep the cells of the wanted columns, every k-th row of a long table.
-
-    `early` is called after some rows; it may raise, so that a bomb is not read to its end. `limit`
-    is how many rows are looked at.
-    """
+    """Cells of the wanted columns, every k-th row; `early` may raise, to stop a bomb."""
     widths: Counter[int] = Counter()
     kept: list[list[str]] = [[] for _ in wanted]
     most = max(1000, MOST_CELLS // max(1, len(wanted)))
@@ -280,7 +266,6 @@ class _Below:
         return self._places is None and not any(name[:1] in _NO_NAME for name in self._names)
 
     def rows(self, rows: Iterator[Row]) -> Iterator[Row]:
-        """The next rows, without comments and further headers."""
         head, width = self._head, len(self._head.names)
         for number, row in rows:
             cell = row[0]
@@ -310,11 +295,7 @@ def _is_header(row: Sequence[str], head: Head) -> bool:
 
 
 def _places_below(row: Sequence[str], head: Head, number: int) -> list[int | None] | None:
-    """Where the columns of the first header stand below another one; None if it is the same.
-
-    Raises:
-        InputError: one that may be of use is not there by its name.
-    """
+    """Places of the first header's columns below another; None if the same; InputError."""
     names = [cell.strip().strip("\ufeff") for cell in row]
     if names == head.written[: len(names)] or names[: len(head.written)] == head.written:
         return None
@@ -327,24 +308,17 @@ def _places_below(row: Sequence[str], head: Head, number: int) -> list[int | Non
 
 
 class LongTable:
-    """A long table as a wide one, with the columns that may be of use; one value a row.
-
-    Attributes:
-        others: names of signals that have no column.
-    """
+    """A long table as a wide one, with the columns that may be of use; one value a row."""
 
     def __init__(self, table: Table, head: Head, places: tuple[int, int, int | None]) -> None:
-        """Find all signals: one pass over the table.
-
-        `places` are those of the columns of names, values and units.
-        """
+        """Find all signals in one pass; `places` are of the columns of names, values and units."""
         self._table, self._head = table, head
         self._name, self._value, self._unit = places
         self._last = max(place for place in places if place is not None)
         self._narrow = 0
         self._time = [i for i, name in enumerate(head.names) if score("time", name) > 0]
         self._columns: dict[tuple[str, str], int] = {}
-        self.others: list[str] = []
+        self.others: list[str] = []  # names of signals that have no column
         self._names = [head.names[i] for i in self._time]
         self._find()
 

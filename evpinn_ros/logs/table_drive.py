@@ -81,14 +81,7 @@ Timed = tuple[Stamps, Numbers]  # times of some rows, and their values, SI
 
 
 class TableDrive(Source):
-    """A table of a drive.
-
-    Attributes:
-        clock: how the time is read.
-        rows: below the header that were read, and `used`, those that gave a reading; both
-            complete once the readings are exhausted.
-        first_bad: the first cell that could not be read, with the way to mend it.
-    """
+    """A table of a drive."""
 
     problem: str | None = None
 
@@ -99,22 +92,17 @@ class TableDrive(Source):
         nominal_voltage: float,
         options: ReadOptions,
     ) -> None:
-        """Look through the table.
-
-        The path is for messages, and a date in its name. Power alone becomes current at
-        `nominal_voltage`, V.
-
-        Raises:
-            InputError: empty, columns are missing, a choice is wrong, a unit is not known, or it
-                is of several cars.
-        """
+        """Look through the table; InputError if it lacks a column, a unit or one car."""
         super().__init__(path)
         self._terrain = options.terrain
         self._nominal_voltage = nominal_voltage
         self._at_nominal_voltage = 0
         self._not_traction = ""  # why the voltage is not used
         self._standing = Standing(self.dropped)
+        # below the header that were read, and `used`, those that gave a reading; both complete
+        # once the readings are exhausted
         self.rows = self.used = 0
+        # the first cell that could not be read, with the way to mend it
         self.first_bad: str | None = None
         try:
             self._head = find_head(table)
@@ -232,13 +220,7 @@ class TableDrive(Source):
         return (*notes, self.first_bad) if self.first_bad else tuple(notes)
 
     def blocks(self) -> Iterator[Block]:
-        """The readings in order of time, in blocks, up to where the file can be read.
-
-        An empty cell makes none.
-
-        Raises:
-            InputError: there is none in it.
-        """
+        """Readings in order of time, as far as readable; InputError if there is none."""
         begun, self.problem = False, None
         try:
             for block in self._read():
@@ -255,7 +237,6 @@ class TableDrive(Source):
             raise InputError(self.first_bad or nothing)
 
     def _look_through(self, columns: Sequence[Column], limit: int) -> Survey:
-        """Cells of these columns."""
         return look_through(
             self._table,
             self._head,
@@ -275,10 +256,7 @@ class TableDrive(Source):
         is_useless: Callable[[Survey, Column], bool],
         limit: int,
     ) -> tuple[list[Column], Survey]:
-        """The columns, others of their quantity in place of guessed ones that are useless.
-
-        What a drive needs stays where no other is better, for it is missed by name later.
-        """
+        """The columns, others in place of useless guesses; the needed stay if none is better."""
         first, useless = (columns, survey), set(survey.empty)
         while places := {c.place for c in columns if _is_guessed(c) and is_useless(survey, c)}:
             useless |= places
@@ -325,10 +303,7 @@ class TableDrive(Source):
             del self.dropped[reason]
 
     def _timed(self) -> Iterator[Timed]:
-        """Times by the clock, which run on, and numbers of whole rows, some thousand at a time.
-
-        What a broken file still gives comes before the error.
-        """
+        """Running times and numbers of whole rows; the error of a broken file comes last."""
         broken: list[InputError] = []
         running = self.clock.running()
         places = self.clock.columns
@@ -378,7 +353,6 @@ class TableDrive(Source):
             broken.append(error)
 
     def _numbers(self, batch: Batch, rule: Column) -> NDArray[np.float64]:
-        """SI values of a column; NaN where there is none."""
         values = to_floats(batch.cells(rule.place), self._survey.styles[rule.place])
         self._count_bad(batch, rule, ~np.isfinite(values), "is no number")
         values = np.where(np.abs(values) < MOST, values, math.nan)  # no factor makes it infinite
@@ -410,7 +384,6 @@ class TableDrive(Source):
                 )
 
     def _ruled(self, columns: Sequence[Column], own: bool, stamps: Stamps) -> tuple[Column, ...]:
-        """The columns with units and signs, in the order of the file."""
         clock, header = self.clock, self._head.names
         time = Column("time", header[clock.columns[0]], place=clock.columns[0])
         if not time.is_ours:
@@ -442,7 +415,6 @@ class TableDrive(Source):
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))
 
     def _signal(self, column: Column, times: NDArray[np.float64]) -> Signal:
-        """The cells of a column that were looked at, in the file's unit."""
         survey, place = self._survey, column.place
         values = to_floats(survey.cells[place], survey.styles[place])
         return Signal(times, np.where(np.abs(values) < MOST, values, math.nan))
@@ -520,7 +492,6 @@ def _oldest_first(parts: Iterator[Timed], order: Order) -> Iterator[Timed]:
 
 
 def _seconds(stamps: Stamps) -> NDArray[np.float64]:
-    """Times since the first one that is known, s; NaN where there is none."""
     there = stamps != NONE
     first = int(stamps[there.argmax()]) if there.any() else 0
     return np.where(there, (stamps - first) / NANOSECONDS, math.nan)

@@ -1,9 +1,8 @@
-"""Heights of the ground by place, from tiles of elevation that the user has.
+"""Heights of the ground by place, from tiles that the user has: SRTM's, or GeoTIFF.
 
-A tile of SRTM (`N48E011.hgt`) holds one degree of latitude and longitude as big-endian 16-bit
-metres, in rows from north to south, with the last row and column those of the next tile: 1201 x
-1201 of three, or 3601 x 3601 of one arc second ("SRTM Topography", USGS). A GeoTIFF may have any
-extent and projection; GDAL reads it apart (`common.apart`).
+`N48E011.hgt` holds a degree by a degree as big-endian 16-bit metres, rows from north to south,
+edges shared: 1201 x 1201 of three arc seconds, 3601 x 3601 of one ("SRTM Topography", USGS). GDAL
+reads a GeoTIFF apart.
 """
 
 from __future__ import annotations
@@ -43,7 +42,6 @@ class Terrain:
     """Heights of the tiles in a folder."""
 
     def __init__(self, folder: Path) -> None:
-        """Look for tiles; InputError where there is none, or a GeoTIFF cannot be read."""
         self._paths: dict[tuple[int, int], Path] = {}
         with as_input_error(folder):
             paths = sorted(folder.iterdir())
@@ -65,11 +63,7 @@ class Terrain:
         self._grids = [read_geotiff(path, Path(self._folder.name)) for path in tiffs]
 
     def heights(self, latitude: FloatArray, longitude: FloatArray) -> FloatArray:
-        """Heights at n places, m, NaN where no tile has one; shape (n,) like the degrees given.
-
-        Raises:
-            InputError: a tile cannot be read.
-        """
+        """Heights at n places in degrees, m, NaN without a tile; InputError if damaged."""
         heights = np.full(latitude.shape, np.nan)
         known = np.isfinite(latitude) & np.isfinite(longitude)
         corners = np.floor(np.column_stack((latitude, longitude))[known]).astype(int)
@@ -96,25 +90,16 @@ class Terrain:
 
 
 class HeightGrid(NamedTuple):
-    """Heights at the crossings of parallels and meridians.
+    """Heights at the crossings of parallels and meridians."""
 
-    Attributes:
-        heights: m, rows from north to south, columns from west to east; NaN or `_VOID` unknown.
-        north: latitude of the first row, degrees.
-        west: longitude of the first column, degrees.
-        steps: between rows and between columns, degrees, both above zero.
-    """
-
+    # m, rows from north to south, columns from west to east; NaN or `_VOID` unknown
     heights: NDArray[np.generic]
-    north: float
-    west: float
-    steps: tuple[float, float]
+    north: float  # latitude of the first row, degrees
+    west: float  # longitude of the first column, degrees
+    steps: tuple[float, float]  # between rows and between columns, degrees, both above zero
 
     def at(self, latitude: FloatArray, longitude: FloatArray) -> FloatArray:
-        """Bilinear heights at n places, m, NaN where there is none; shape (n,).
-
-        Cells reach half a step beyond the outermost samples.
-        """
+        """Bilinear heights at n places, m, or NaN; cells reach half a step beyond samples."""
         heights = np.full(latitude.shape, np.nan)
         rows, columns = self.heights.shape
         row, column = (
@@ -135,11 +120,7 @@ class HeightGrid(NamedTuple):
 
 
 def read_hgt(path: Path, south: int, west: int) -> HeightGrid:
-    """Heights of a tile of SRTM; its name tells the corner, degrees.
-
-    Raises:
-        InputError: it cannot be read, or is no such tile.
-    """
+    """Heights of SRTM's tile of this corner, degrees; InputError if it is none."""
     with as_input_error(path, EOFError), open_unpacked(path) as file:
         data = file.read(2 * max(_SIDES) ** 2 + 1)
     side = math.isqrt(len(data) // 2)
@@ -151,11 +132,7 @@ def read_hgt(path: Path, south: int, west: int) -> HeightGrid:
 
 
 def read_geotiff(path: Path, folder: Path) -> HeightGrid:
-    """Heights of a GeoTIFF, which stay in a file of the folder as long as the grid is used.
-
-    Raises:
-        InputError: it cannot be read.
-    """
+    """Heights of a GeoTIFF, kept in a file of the folder as long as they are used; InputError."""
     heights, place = folder / f"{path.name}.npy", folder / f"{path.name}.place.npy"
     if failed := run_apart(f"{__name__}:write_grid", path, heights):
         raise InputError(f"{path}: {failed}")

@@ -1,10 +1,8 @@
-"""Logs into trips: those torn into several files are joined, those of a day are split.
+"""Joins logs torn into several files, and splits those of a day into trips.
 
-A file that begins within `LONGEST_PAUSE` of the end of the one before continues its drive.
-
-An app that logs from morning to evening writes one file. A trip of it ends where no speed comes
-for `LONGEST_PAUSE`, where the car stands as long, and where it charges: it stands for
-`LEAST_CHARGING` and takes more than `CHARGING_POWER` on average.
+A file that begins within `LONGEST_PAUSE` of the end of another continues it. A trip ends where no
+speed comes or the car stands for so long, and where it charges: stands for `LEAST_CHARGING` and
+takes over `CHARGING_POWER`.
 """
 
 from __future__ import annotations
@@ -47,24 +45,17 @@ class Trip(NamedTuple):
 
 
 class Trips(NamedTuple):
-    """Trips of a log, in order.
+    """Trips of a log, in order."""
 
-    Attributes:
-        trips: of at least `LEAST_DISTANCE`.
-        charged: energy that the battery was charged with outside of them, J.
-        distance: of all the log, m.
-    """
-
-    trips: tuple[Trip, ...]
-    charged: float = 0.0
-    distance: float = 0.0
+    trips: tuple[Trip, ...]  # of at least `LEAST_DISTANCE`
+    charged: float = 0.0  # energy that the battery was charged with outside of them, J
+    distance: float = 0.0  # of all the log, m
 
 
 class JoinedLog(Source):
     """Files that an app wrote of one drive, one after another."""
 
     def __init__(self, files: Sequence[Source]) -> None:
-        """The files in order; the first has the name and the columns that are shown."""
         super().__init__(files[0].path, files[0])
         self._files = files
 
@@ -94,10 +85,7 @@ class JoinedLog(Source):
 
 
 def joined(logs: Sequence[Source]) -> list[Source]:
-    """The logs, those that continue the one before joined with it.
-
-    Files continue each other if their dates are known and the pause between them ends no trip.
-    """
+    """The logs, joined where both dates are known and the pause between them ends no trip."""
     groups: list[list[Source]] = []
     end_ns = None
     for log in logs:
@@ -127,7 +115,6 @@ class TripSource(Source):
     """One trip of a log that holds several."""
 
     def __init__(self, log: Source, number: int, trips: Sequence[Trip]) -> None:
-        """Trip of this number, from 1 on; its name is that of the log with the number."""
         name = f"{log.path.name.partition('.')[0]}:{number}"
         super().__init__(log.path.with_name(name), log)
         self._log, self._trip = log, trips[number - 1]
@@ -170,13 +157,7 @@ class TripSource(Source):
 
 
 def split(log: Source, *, whole: bool = False) -> tuple[Sequence[Source], float]:
-    """The trips of a log as sources, and the energy it was charged with between them, J.
-
-    A log of one trip is given as it is, as is any that shall stay `whole`.
-
-    Raises:
-        InputError: it cannot be read, or the car stood in all of it and was charged.
-    """
+    """The trips of a log (one if `whole`), and J charged between; InputError if only charged."""
     trips = trips_of(log.blocks())
     if trips.charged and trips.distance < MANOEUVRE:
         kwh = trips.charged / JOULES_PER_KWH
@@ -219,7 +200,6 @@ def trips_of(blocks: Iterable[Block]) -> Trips:
 
 
 def _series(after_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times, s since a start, and values in order of time, shape (n,) each."""
     order = np.argsort(after_ns, kind="stable")
     return after_ns[order] / NANOSECONDS, values[order]
 

@@ -1,9 +1,8 @@
 """Units, signs, repeated cells and contradictions, as the values of columns tell them.
 
-A logger that writes a row whenever anything is new, and fills the other cells with what was last
-known (the Vehicle Energy Dataset), makes steps of a speed: the change of a second seems to happen
-within a tenth. Where rows come unevenly, a fine signal that repeats to the last digit was not
-measured again.
+A logger that fills cells with the last known value (the Vehicle Energy Dataset) makes steps of a
+speed; where rows come unevenly, a fine signal that repeats to the last digit was not measured
+again.
 """
 
 from __future__ import annotations
@@ -82,10 +81,7 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
 
 
 def is_engine(turning: Signal, speed: Signal) -> bool:
-    """True if a speed is that of a hybrid's engine, which stands at times while the car drives.
-
-    Electric cars send that of their motor in its place, which goes with the speed.
-    """
+    """True for a hybrid's engine, which at times stands while the car drives."""
     at = at_times(turning, speed.time)
     both = np.isfinite(at) & np.isfinite(speed.value)
     fast, turns = speed.value[both], at[both]
@@ -163,10 +159,7 @@ def wrapped_while_braking(drawn: Signal, speed: Signal) -> float:
 
 
 def wrapped_at(known: FloatArray, spans: Sequence[float] = SPANS) -> float:
-    """Span of unsigned numbers that should be signed; 0 where they are none.
-
-    A charging current of -13.6 A is then 65536 steps more: 6540 A. Nothing lies in between.
-    """
+    """Span of unsigned numbers that wrap below zero (-13.6 A is 65536 steps more), else 0."""
     if not known.size or known.min() < 0:
         return 0.0
     span = next((span for span in spans if known.max() <= span), 0.0)
@@ -277,13 +270,7 @@ def power_beside(header: Sequence[str], used: Sequence[Column]) -> Column | None
 
 
 def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> Iterator[str]:
-    """Sentences on columns that contradict each other, or the car.
-
-    Args:
-        used: columns with units and signs, by quantity; with voltage and current, `power` is
-            compared with them.
-        cells: their signals in the file's units.
-    """
+    """Sentences on columns that contradict each other, or the car; cells in file units."""
     signals = {name: _in_si(cells[name], column) for name, column in used.items()}
     drawn = signals.get("power")
     if {"voltage", "current"} <= signals.keys():
@@ -352,7 +339,6 @@ def _in_si(signal: Signal, column: Column) -> Signal:
 
 
 def _compared(column: Column, power: Signal, drawn: Signal) -> Iterator[str]:
-    """Sentences on a column of power beside voltage times current, W."""
     name = column.name
     at = at_times(power, drawn.time)
     known = np.isfinite(at) & np.isfinite(drawn.value)

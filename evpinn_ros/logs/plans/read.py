@@ -37,18 +37,9 @@ KNOWN = (
 def read_plan(
     path: str | Path, vehicle: Vehicle | None = None, options: ReadOptions = READ_DEFAULTS
 ) -> Plan | Legs:
-    """The plan in a file of any kind that docs/reference/inputs.md lists.
+    """The plan (points or legs) in a file that docs/reference/inputs.md lists.
 
-    A table of speed over time and a recorded drive are points; a table of legs, GPX, GeoJSON and
-    the answer of a route service are legs.
-
-    Args:
-        path: of the file, or of a bag's folder.
-        vehicle: the car whose CAN profile reads a CAN log; None for a car without one.
-        options: of a recorded drive.
-
-    Raises:
-        InputError: it cannot be read; `PlanError`: it holds no trip. The text names the file.
+    InputError if it cannot be read, `PlanError` if it holds no trip; both name the file.
     """
     path = Path(path)
     try:

@@ -1,7 +1,4 @@
-"""Plans in recordings: the newest of a planner, else the drive itself, by its speed and height.
-
-The battery of a recorded drive is ignored.
-"""
+"""Plans in recordings: the newest of a planner, else the drive itself, without its battery."""
 
 from __future__ import annotations
 
@@ -43,11 +40,7 @@ DRIVEN = {topic.type_name for topic in SPEEDS} | {FRAME_TYPE}
 
 
 def driven_plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan:
-    """The plan that a recorded drive would have been, of any kind that `evpinn replay` reads.
-
-    Raises:
-        InputError: it cannot be read; `PlanError`: it is no valid plan.
-    """
+    """A recorded drive of any kind as a plan; InputError if unreadable, PlanError if invalid."""
     source = open_source(path, vehicle, replace(options, battery=False))
     readings = [reading for reading in source.readings() if type(reading) in FIELDS]
     if source.problem:
@@ -59,14 +52,7 @@ def driven_plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan:
 
 
 def plan_of_readings(readings: Iterable[Reading]) -> Plan:
-    """The plan of a drive's speeds, and of its altitudes or, where there is none, its grades.
-
-    What was not recorded is not in the plan, as in a replay: after the pauses of a log it goes on
-    at once.
-
-    Raises:
-        PlanError: too short.
-    """
+    """The plan of a drive's speeds and altitudes, or else grades, without a log's pauses."""
     rows: dict[type, list[tuple[int, float]]] = {kind: [] for kind in FIELDS}
     for reading in readings:
         if (kind := type(reading)) in FIELDS:
@@ -95,10 +81,7 @@ def _series(rows: list[tuple[int, float]], start: int) -> np.ndarray:
 
 
 def _driven(speed: np.ndarray) -> np.ndarray:
-    """Times since the first speed, s, shape (n,), without the gaps in which the drive is unknown.
-
-    Speed is a straight line over short gaps, and over those of up to `LONG_GAP` at a standstill.
-    """
+    """Times since the first speed, s, without gaps but short ones and short standstills."""
     steps = np.diff(speed[:, 0])
     gap = steps > max(LEAST_GAP, GAP_STEPS * float(np.minimum(steps, LONG_GAP).mean()))
     moving = np.maximum(np.abs(speed[:-1, 1]), np.abs(speed[1:, 1])) > STANDING
@@ -107,17 +90,7 @@ def _driven(speed: np.ndarray) -> np.ndarray:
 
 
 def planned_in_bag(path: Path, vehicle: Vehicle) -> Plan | None:
-    """The newest plan in a bag, as the node reads it from a topic.
-
-    None where it holds none, or a speed or frames of a CAN bus, which are a drive.
-
-    Args:
-        path: of the bag.
-        vehicle: whose nominal speed a path without times is driven at.
-
-    Raises:
-        InputError: it is no bag; `PlanError`: the newest cannot be driven.
-    """
+    """The newest plan in a bag, as the node reads it; None if there is none, or a drive."""
     own = vehicle.nominal_speed
     usual = NOMINAL_SPEED if math.isnan(own) else own
     plan: Plan | PlanError | None = None

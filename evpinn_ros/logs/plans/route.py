@@ -1,15 +1,9 @@
 """Answers of route services, the first route of each.
 
 Formats by their documentation: Valhalla's `route` and `trace_attributes`
-(valhalla.github.io/valhalla/api/turn-by-turn/api-reference, .../map-matching/api-reference), OSRM
-(project-osrm.org/docs, "HTTP API"), GraphHopper (docs.graphhopper.com, "Routing API"; api-doc in
-its repository) and openrouteservice (giscience.github.io/openrouteservice/api-reference/endpoints/
-directions).
-
-The finest parts whose duration is known are read: edges, then steps or maneuvers, then the parts
-between waypoints. A service gives each edge the time of its class of road: it knows no stop, and
-no driver is as steady. So short parts become legs together (`_lasting`), for which what drivers do
-between two points of a plan was learned.
+(valhalla.github.io/valhalla/api), OSRM (project-osrm.org/docs), GraphHopper (docs.graphhopper.com)
+and openrouteservice (giscience.github.io/openrouteservice). The finest parts whose duration is
+known are read, then joined (`_lasting`): a service's time of an edge knows no stop.
 """
 
 from __future__ import annotations
@@ -43,12 +37,7 @@ class RoutePart(NamedTuple):
 
 
 def legs_of_route(data: Json) -> Legs | None:
-    """Legs of the answer of a route service; None for other JSON.
-
-    Raises:
-        PlanError: the service found no route, or a route that is no valid plan.
-        KeyError, TypeError, ValueError: the answer is damaged.
-    """
+    """Legs of a route service's answer, None for other JSON; PlanError if it has no route."""
     if "legs" in (data.get("trip") or ()):
         return _valhalla_route(data["trip"])
     if "edges" in data:
@@ -181,10 +170,7 @@ def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
 
 
 def _line(line: Any, total: float, scale: float) -> Heights | None:
-    """Points of a line, encoded or of GeoJSON, made as long as the route, m; None without one.
-
-    Nothing tells whether an encoded line has heights: it does if it is nearer to its length then.
-    """
+    """Points of a line as long as the route, m; with heights if that fits its length better."""
     if not line:
         return None
     if isinstance(line, str):
@@ -209,18 +195,9 @@ def _decoded(line: str, scale: float) -> Iterator[tuple[np.ndarray, np.ndarray]]
 
 
 def decode_polyline(text: str, scale: float, dimensions: int) -> np.ndarray:
-    """Latitude, longitude and, of three dimensions, height of n points; shape (n, dimensions).
+    """Latitude, longitude and perhaps height (0.01 m) of Google's polyline, shape (n, dimensions).
 
-    The algorithm is Google's (developers.google.com/maps/documentation/utilities, "Encoded
-    Polyline Algorithm Format"); GraphHopper and openrouteservice add height, in 0.01 m.
-
-    Args:
-        text: the polyline.
-        scale: numbers in a degree, 1e5 or 1e6.
-        dimensions: 2, or 3 with heights.
-
-    Raises:
-        PlanError: it is damaged.
+    `scale`: numbers in a degree, 1e5 or 1e6. PlanError: it is damaged.
     """
     if len(text) > LONGEST:
         raise PlanError(f"a polyline of more than {LONGEST} characters")

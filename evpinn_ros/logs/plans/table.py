@@ -58,12 +58,9 @@ STEEPEST, STEEPEST_MEAN = 0.4, 0.12  # fractions of roads and of trips: what has
 
 
 def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
-    """The plan of columns by their names: `t_s` and `speed_mps`, or those of legs.
+    """The plan of columns `t_s` and `speed_mps`, or of legs; warns of columns left out.
 
-    Columns that are not used are named in a warning.
-
-    Raises:
-        InputError: columns are missing, or hold what is no number; `PlanError`: no trip.
+    InputError: columns are missing, or hold what is no number; `PlanError`: no trip.
     """
     names = [*map(str, given)]
     if columns := profile_columns(names):
@@ -87,11 +84,7 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
 
 
 def edges_of_columns(given: Mapping[str, Any]) -> Legs:
-    """Edges of a road network, of columns as those of legs; none follows another.
-
-    Raises:
-        InputError: columns are missing, or hold what is no number; `PlanError`: no edges.
-    """
+    """Edges of a road network by columns of legs, in no order. InputError, PlanError."""
     columns = leg_columns([*given])
     if not columns:
         raise InputError("edges have two of the columns length_m, duration_s and speed_kmh")
@@ -99,11 +92,7 @@ def edges_of_columns(given: Mapping[str, Any]) -> Legs:
 
 
 def table_plan(path: Path) -> Plan | Legs | None:
-    """The plan of a table of text; None for one of other columns, which may be a drive.
-
-    Raises:
-        InputError: it cannot be read, or as of `plan_of_columns`.
-    """
+    """The plan of a text table; None for other columns, which may be a drive."""
     table = TextTable(path)
     head = find_head(table)
     names = {*head.names}
@@ -151,11 +140,7 @@ def profile_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
 
 
 def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
-    """Columns of legs by what they hold, each with its SI value per unit; empty for others.
-
-    Raises:
-        PlanError: a column of legs does not say its unit.
-    """
+    """Columns of legs by what they hold, with SI value per unit; PlanError without unit."""
     columns, bare = _known_columns(names, LEG_COLUMNS)
     ours = {name for name, _ in columns.values()} | {*bare.values()}
     timed = any(score("time", str(name)) > 0 for name in names if name not in ours)
@@ -172,10 +157,7 @@ def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
 def _known_columns(
     names: Sequence[str], kinds: Kinds
 ) -> tuple[dict[str, tuple[str, float]], dict[str, str]]:
-    """Columns by what they hold: with their SI value per unit, and those that say no unit.
-
-    The value is NaN of a grade that says none, which its numbers tell.
-    """
+    """Columns with SI value per unit (NaN: a grade without unit), and those that say none."""
     columns: dict[str, tuple[str, float]] = {}
     bare: dict[str, str] = {}
     for name in map(str, names):

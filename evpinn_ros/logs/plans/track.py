@@ -1,11 +1,8 @@
-"""Tracks and routes of places: GPX, and lines of GeoJSON.
+"""Tracks and routes: GPX 1.0 and 1.1, and lines of GeoJSON (RFC 7946).
 
-GPX 1.0 and 1.1 (topografix.com/GPX/1/0 and /1/1): latitude and longitude of `trkpt` and `rtept` in
-degrees, `ele` in m, `time` in UTC as ISO 8601; `speed`, m/s, is a child in 1.0 and, by Garmin's
-TrackPointExtension v2, an extension in 1.1. GeoJSON (RFC 7946): longitude first, then latitude,
-then height in m. Times of its points have no standard. They are read from `coordTimes`
-(tyrasd/togpx) or `times`, beside each other or in `coordinateProperties`
-(mapbox/geojson-coordinate-properties): ISO 8601, s, or ms since 1970; speeds, m/s, from `speeds`.
+GPX has `time` in UTC and `speed`, m/s, as a child or in Garmin's TrackPointExtension v2. GeoJSON
+has no standard for times: `coordTimes` (tyrasd/togpx) or `times`, also in `coordinateProperties`,
+as ISO 8601, s, or ms since 1970, and `speeds`, m/s.
 """
 
 from __future__ import annotations
@@ -38,27 +35,18 @@ NEITHER = (
 
 
 class GeoTrack(NamedTuple):
-    """Points of a track.
+    """Points of a track; NaN where unknown."""
 
-    Attributes:
-        place: shape (n, 3), longitude and latitude, degrees, and height, m, NaN where unknown.
-        time: shape (n,), s since anything, NaN where unknown.
-        speed: shape (n,), m/s, NaN where unknown.
-        part: number of the segment or line of each, shape (n,); what lies between two is no road.
-    """
-
+    # shape (n, 3), longitude and latitude, degrees, and height, m, NaN where unknown
     place: np.ndarray
-    time: np.ndarray
-    speed: np.ndarray
+    time: np.ndarray  # shape (n,), s since anything, NaN where unknown
+    speed: np.ndarray  # shape (n,), m/s, NaN where unknown
+    # number of the segment or line of each, shape (n,); what lies between two is no road
     part: np.ndarray
 
 
 def legs_of_track(track: GeoTrack) -> Legs:
-    """Legs from each point that has a time to the next; by the speeds where no point has.
-
-    Raises:
-        PlanError: the points have neither times nor speeds, or are no trip.
-    """
+    """Legs between points with a time, or else by the speeds; PlanError without either."""
     place, time, speed, part = track
     if len(place) < 2:
         raise PlanError("it has no line of two points or more")
@@ -82,15 +70,7 @@ def legs_of_track(track: GeoTrack) -> Legs:
 
 
 def _pauses(time: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Those borders between segments that are longer than a loss of reception.
-
-    Args:
-        time: s, shape (n,), NaN where unknown.
-        apart: numbers of the points before the borders.
-
-    Returns:
-        numbers of the points before the pauses; s of pauses before each point, shape (n,).
-    """
+    """Points before pauses longer than a loss of reception, and s of pauses before each point."""
     timed = np.flatnonzero(np.isfinite(time))
     after = np.searchsorted(timed, apart, "right")
     apart, after = (border[(after > 0) & (after < len(timed))] for border in (apart, after))
@@ -101,11 +81,7 @@ def _pauses(time: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def gpx_track(content: bytes) -> GeoTrack:
-    """The points of a GPX file: of its tracks, or of its routes where no track has times.
-
-    Raises:
-        PlanError: no GPX, or damaged.
-    """
+    """The points of a GPX file's tracks, or of its routes where no track has times; PlanError."""
     reader = _Gpx()
     parser = XMLParser(target=reader)
     try:
@@ -122,7 +98,7 @@ def gpx_track(content: bytes) -> GeoTrack:
 
 
 class _Gpx:
-    """Collector of points while XML is parsed, so that no tree of it fills the memory."""
+    """Collects points while XML is parsed, so that no tree of it fills the memory."""
 
     def __init__(self) -> None:
         self.is_gpx = False
@@ -179,11 +155,7 @@ def _gpx_points(points: Sequence[Mapping[str, str]]) -> GeoTrack:
 
 
 def geojson_track(data: Mapping[str, Any]) -> GeoTrack:
-    """The points of all lines of a GeoJSON object, in order.
-
-    Raises:
-        PlanError: times or speeds are not as many as the points.
-    """
+    """The points of all lines, in order; PlanError if times or speeds are not as many as they."""
     places: list[Sequence[float]] = []
     times: list[Any] = []
     speeds: list[Any] = []
@@ -217,11 +189,7 @@ def _lines(data: Mapping[str, Any]) -> Iterator[tuple[Sequence[Any], Mapping[str
 
 
 def _seconds(times: Sequence[Any]) -> np.ndarray:
-    """Times as s, ms since 1970 or texts of ISO 8601, in UTC where none is named; NaN for None.
-
-    Raises:
-        ValueError: a text that is no time.
-    """
+    """Times as s: of ms since 1970 or ISO 8601, in UTC if unnamed; NaN for None."""
     if not any(isinstance(time, str) for time in times):
         numbers = np.array(times, float)
         return numbers / 1e3 if (np.abs(numbers) > MILLISECONDS_FROM).any() else numbers

@@ -21,11 +21,7 @@ class Heights(NamedTuple):
     height: np.ndarray
 
     def climbs(self, distance: np.ndarray) -> np.ndarray | None:
-        """Climb, m, from each of n distances, m, to the next, shape (n - 1,); NaN where unknown.
-
-        None where too few heights are known, which are NaN then. They are smoothed, for those of
-        maps and of GNSS come in steps.
-        """
+        """Smoothed climb, m, from each of n distances to the next; NaN or None if unknown."""
         known = np.isfinite(self.height)
         if known.sum() < 2:
             return None
@@ -37,12 +33,7 @@ class Heights(NamedTuple):
 
 
 def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Heights, m, shape (m,), without leaps, as the estimator takes altitudes.
-
-    Args:
-        along: m, not falling, shape (m,).
-        height: measured or of a map, m, shape (m,).
-    """
+    """Heights, m, without leaps, as the estimator takes altitudes; `along` is m, never falling."""
     detector, rises = AltitudeDetector(), []
     for place, altitude in zip(along.tolist(), height.tolist(), strict=True):
         detector = detector.after(place, altitude)
@@ -52,16 +43,7 @@ def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:
 
 
 def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None = None) -> Legs:
-    """Legs from point to point; points of one moment become one.
-
-    Args:
-        time: shape (n,), s, never falling.
-        distance: shape (n,), m, from 0, never falling.
-        heights: of the road.
-
-    Raises:
-        PlanError: the points are no trip.
-    """
+    """Legs of n points by time, s, and distance, m, which never fall; PlanError if no trip."""
     steps = np.diff(time)
     if not (np.isfinite(time).all() and (np.abs(distance) <= FARTHEST).all()):
         raise PlanError(f"a time is not finite, or a distance is above {FARTHEST / 1e3:g} km")
@@ -77,11 +59,7 @@ def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None
 
 
 def way_length(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
-    """Distance along n places, degrees, from the first, m, shape (n,), by great circles.
-
-    Raises:
-        PlanError: a place that is not on Earth.
-    """
+    """Distance along n places, degrees, from the first, m, by great circles; PlanError."""
     if not ((np.abs(latitude) <= 90) & (np.abs(longitude) <= 360)).all():
         raise PlanError("a place of it is not on Earth (longitude and latitude in degrees?)")
     x, y = np.radians(longitude), np.radians(latitude)
