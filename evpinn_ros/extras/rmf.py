@@ -1,10 +1,8 @@
 """The learned vehicle as parameters of Open-RMF (rmf_battery), which plans charging for fleets.
 
-RMF counts the energy of motion as mass |a| v + friction mass 9.81 v, so braking costs as much as
-speeding up and no efficiency is between wheels and battery; beside that there is a constant
-power. Its `mass` and `friction_coefficient` are therefore not those of the scales: given here are
-those with which RMF finds what this vehicle draws from its battery, for a trip from rest to rest
-at its usual speed.
+RMF counts mass |a| v + friction mass 9.81 v and a constant power, without efficiency. Given are
+the values with which it finds what this vehicle draws for a trip from rest to rest at its usual
+speed.
 """
 
 from __future__ import annotations
@@ -46,12 +44,9 @@ class RmfEnergy:
 def rmf_energy(
     model: PowerModel, vehicle: Vehicle, capacity: Uncertain, speed: float | None = None
 ) -> RmfEnergy:
-    """The parameters with which RMF computes the energy that a vehicle's forecasts have.
+    """Parameters with which RMF finds the energy of the forecasts; InputError if there are none.
 
-    The capacity is that of its battery, J; the speed, m/s, if None, `nominal_speed` of its file.
-
-    Raises:
-        InputError: by what is known now it costs nothing to speed up or to roll.
+    The capacity is J; the speed, m/s, if None, `nominal_speed` of the vehicle file.
     """
     if speed is None:
         speed = NOMINAL_SPEED if math.isnan(vehicle.nominal_speed) else vehicle.nominal_speed

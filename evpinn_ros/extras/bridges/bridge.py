@@ -1,10 +1,8 @@
 """Connects MQTT topics to one chain for each car.
 
-Of a car `NAME` it publishes below `BASE/NAME`: `power` at most once a second, not retained, for an
-old power is of no use; `energy`, `consumption`, `range`, `breakdown`, `parameters` and `health` as
-they change, retained, for whoever subscribes later. Each is JSON, and each number of
-`sensors.SENSORS` has a topic of its own below it. `BASE/status` is `online`, or `offline` as the
-last will.
+Below `BASE/NAME`: `power` at most once a second, not retained; `energy`, `consumption`, `range`,
+`breakdown`, `parameters` and `health` as they change, retained. Each is JSON, with a topic of its
+own for each of `sensors.SENSORS`. `BASE/status`: `online`, or `offline` as the last will.
 """
 
 from __future__ import annotations
@@ -65,7 +63,7 @@ class BridgeSettings:
 
 @dataclass(slots=True)
 class _Seen:
-    """A car, whose it is, and what was published of it."""
+    """A car, its owner, and what was published of it."""
 
     car: BridgedCar
     user: str
@@ -84,7 +82,6 @@ class MqttBridge:
         connection: Connection,
         note: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """Begin without cars; the connection is not started. `note` says a line to the person."""
         self.settings, self._connection = settings, connection
         self._clock, self._note = connection.clock, note
         self._seen: dict[str, _Seen] = {}
@@ -195,7 +192,6 @@ class MqttBridge:
         return seen
 
     def _ignore(self, name: str, why: str) -> None:
-        """Say once that a car, or a second one of its name, is left out."""
         if name not in self.ignored and len(self.ignored) < MOST_CARS:
             self.ignored.add(name)
             self._note(f"car '{name}' is ignored: {why}")

@@ -1,9 +1,7 @@
 """Connection to an MQTT broker: bounded queues both ways, reconnects after every loss.
 
-Subscriptions ask for QoS 1, so that a broker repeats what was lost of TeslaMate's messages (which
-come with 1; OVMS sends with 0). What is published goes out with QoS 1 too. A slow broker must not
-make the process grow, nor get what is out of date: of each topic the newest payload alone waits,
-and no more than `IN_FLIGHT` messages are on the way.
+Both ways ask for QoS 1. For a slow broker only the newest payload of a topic waits, and no more
+than `IN_FLIGHT` messages are on the way.
 """
 
 from __future__ import annotations
@@ -38,9 +36,8 @@ REFUSALS = {"Bad user name or password", "Not authorized", "Client identifier no
 class BrokerSettings:
     """Address of a broker and credentials; its repr hides the password.
 
-    `ca` is the path of the authorities to trust, else they are those of the system; `certificate`
-    and `key` are paths of the client's own, the key None if in the same file. Two processes with
-    one `client_id` throw each other out.
+    `ca`, `certificate` and `key` are paths. Two processes with one `client_id` throw each other
+    out.
     """
 
     host: str
@@ -69,14 +66,7 @@ class Message(NamedTuple):
 
 
 class Connection:
-    """A client of a broker with a thread of its own.
-
-    Attributes:
-        lost: messages that came and were dropped: too many waited, or one could not be read.
-        connections: how often the broker took us.
-        clock: of the moments at which messages come.
-        problem: why there is no connection, in words, as far as it is known.
-    """
+    """A client of a broker with a thread of its own."""
 
     def __init__(
         self,
@@ -85,20 +75,15 @@ class Connection:
         status_topic: str,
         clock: Callable[[], int] = time.time_ns,
     ) -> None:
-        """Prepare a client whose last will says `offline` on the topic of its status.
-
-        Subscriptions are topic filters; the clock, ns since 1970, gives the moments at which
-        messages come.
-
-        Raises:
-            InputError: paho-mqtt is missing, or a certificate cannot be used.
-        """
+        """Prepare a client whose last will says `offline`; InputError without paho-mqtt."""
         with optional_imports():
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
         self.settings, self._subscriptions, self._status = settings, subscriptions, status_topic
-        self.clock = clock
-        self.lost = self.connections = 0
+        self.clock = clock  # of the moments at which messages come
+        # messages that came and were dropped: too many waited, or one could not be read
+        self.lost = self.connections = 0  # how often the broker took us
+        # why there is no connection, in words, as far as it is known
         self.problem: str | None = None
         self._arrived: Queue[Message] = Queue(MOST_WAITING)
         self._outbox: dict[str, tuple[str, bool]] = {}

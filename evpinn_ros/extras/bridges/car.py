@@ -33,15 +33,7 @@ Document = Mapping[str, Any]
 
 
 class BridgedCar:
-    """The chain of one car: takes readings, returns documents to publish.
-
-    Attributes:
-        name: of the car, in topics.
-        vehicle: its file.
-        newest_ns: stamp of the last reading that is not in doubt, None before the first. It
-            follows a clock that is set back.
-        readings: how many came.
-    """
+    """The chain of one car: takes readings, returns documents to publish."""
 
     def __init__(
         self, name: str, vehicle: Vehicle, settings: EstimatorSettings, state: Path | None = None
@@ -49,8 +41,10 @@ class BridgedCar:
         """Go on from the state of the car, where its file is there and can be used."""
         self.name, self.vehicle, self._settings = name, vehicle, settings
         self.chain = Chain(vehicle, settings, InlineWorker(time.perf_counter), HELD)
+        # stamp of the last reading that is not in doubt, None before the first. It follows a clock
+        # that is set back
         self.newest_ns: int | None = None
-        self.readings = 0
+        self.readings = 0  # how many came
         self._moved_ns: int | None = None
         self._power: dict[PowerKind, PowerEstimate] = {}
         self._files = [
@@ -89,7 +83,6 @@ class BridgedCar:
         return began
 
     def _take(self, items: Sequence[Block | Jump]) -> None:
-        """Take readings of one drive, and jumps of time."""
         for output in chain.from_iterable(self.chain.take(items)):
             if isinstance(output, PowerEstimate):
                 self._power[output.kind] = output

@@ -1,9 +1,8 @@
-"""Signals by the names of COVESA's Vehicle Signal Specification (VSS), from and to a databroker.
+"""Signals of COVESA's Vehicle Signal Specification (VSS), from and to a databroker.
 
-Names, units and signs: VSS 6, `spec/Powertrain/TractionBattery.vspec` and `spec/Vehicle/`. Its
-CurrentCurrent is positive into the battery, which is also the sign of `sensor_msgs/BatteryState`.
-What VSS lacks is in `config/vss/evpinn.vspec`, an overlay for vss-tools; what a databroker does
-not know, because it was started without the overlay, is not sent to it.
+Names, units and signs: VSS 6, `spec/Powertrain/TractionBattery.vspec` and `spec/Vehicle/`;
+CurrentCurrent has ROS's sign. What VSS lacks is in `config/vss/evpinn.vspec`, an overlay for
+vss-tools, and not sent without it.
 """
 
 from __future__ import annotations
@@ -81,18 +80,13 @@ class DatabrokerFeed:
     def __init__(
         self, client: VSSClient, car: BridgedCar, clock: Callable[[], int] = time.time_ns
     ) -> None:
-        """Take a client that is connected; `clock` gives ns since 1970."""
         self._client, self._car, self._clock = client, car, clock
         self._snapshots = Snapshots(car.vehicle.nominal_voltage, on_change=False)
         self._sent_ns = 0
         self.missing: set[str] = set()  # signals that the databroker does not know
 
     def run(self) -> Iterator[None]:
-        """Receives updates and sends signals when due; yields after each.
-
-        Raises:
-            VSSClientError: the databroker went, or refuses.
-        """
+        """Receives updates and sends signals when due, yielding after each; or VSSClientError."""
         for number, updates in enumerate(self._client.subscribe_current_values(INPUTS)):
             # It gives its last values first. The age of others says how clocks differ, no more.
             self._take(updates, OLD_NS if number == 0 else None)

@@ -1,7 +1,4 @@
-"""Mappings of MQTT topics to quantities, units and signs: TeslaMate, OVMS or a file.
-
-A layout is a mapping file; those of TeslaMate and OVMS are in `config/mqtt/`, with their sources.
-"""
+"""Mappings of MQTT topics to quantities, units and signs: `config/mqtt/`, or a user's file."""
 
 from __future__ import annotations
 
@@ -95,13 +92,7 @@ class Parsed(NamedTuple):
 
 
 class Layout:
-    """The topics of one kind of publisher, with the quantity and unit of each.
-
-    Attributes:
-        subscriptions: topic filters.
-        on_change: whether a topic comes only when its value changed, so that any message of a car
-            says that all else of it is as it was.
-    """
+    """The topics of one kind of publisher, with the quantity and unit of each."""
 
     def __init__(
         self,
@@ -110,20 +101,16 @@ class Layout:
         around: tuple[str, ...] = (),
         stamp: str = "",
     ) -> None:
-        """Take rules by topic and field; the field "" is the whole payload.
+        """Take rules by topic (`{car}` is the car's name) and field ("": the payload).
 
-        Args:
-            topics: with `{car}` for the level of the car's name, which is else `car`.
-            base: text with which all begin.
-            around: filters of all topics of a publisher that sends what changed.
-            stamp: field with seconds since 1970, of payloads in JSON; empty if there is none.
-
-        Raises:
-            InputError: no broker takes such a topic.
+        `base` begins all topics; `around` are filters of a publisher that sends changes; `stamp`
+        is a JSON field. InputError: no broker takes such a topic.
         """
         rules = {**topics, **{topic: {} for topic in around if topic not in topics}}
         self._rules = {_expression(base + topic): rules[topic] for topic in rules}
-        self._stamp, self.on_change = stamp, bool(around)
+        self._stamp = stamp
+        self.on_change = bool(around)  # any message of a car says that all else is as it was
+        # topic filters
         self.subscriptions = tuple((base + topic).replace(CAR, "+") for topic in around or topics)
 
     def parse(self, topic: str, payload: bytes) -> Parsed | None:
@@ -172,16 +159,11 @@ def _stamp_ns(seconds: object) -> int | None:
 def read_layout(source: str, namespace: str = "") -> Layout:
     """Read a mapping file: that of `teslamate` or `ovms`, or the one at a path.
 
-    Its key `topics` maps each topic, with `{car}` for one level, to `{quantity, unit, scale}` or,
-    where the payload is JSON, to `fields: {name: {quantity, unit, scale}}`; `unit` is one of
-    `logs.quantities`, `scale` a factor beside it, `step` that of rounded numbers; `words` are
-    texts and their values, and others mean `otherwise`. `stamp` names a field, in s or ms.
-
-    All topics begin with `base`; with a namespace with `named`, where `{namespace}` stands for it.
-    `around` are filters of all topics of a publisher that sends what changed.
-
-    Raises:
-        InputError: the file is wrong, with its line and the reason, or has no namespace.
+    `topics` maps each topic, with `{car}`, to `{quantity, unit, scale}` or to `fields: {name:
+    {...}}` of JSON; `unit` is one of `logs.quantities`, `step` that of rounded numbers; `words`
+    are texts and their values, others mean `otherwise`; `stamp` names a field, s or ms. Topics
+    begin with `base`, with a namespace with `named`. `around` are filters of all topics of a
+    publisher that sends what changed. InputError: the file is wrong, or has no namespace.
     """
     bundled = share_directory() / "config" / "mqtt" / f"{source}.yaml"
     path = bundled if source in BUNDLED else Path(source)

@@ -144,11 +144,7 @@ def _topic(option: str, text: str) -> str:
 
 
 def credentials(user: str | None, password_file: Path | None) -> tuple[str | None, str | None]:
-    """User and password, of options and the environment.
-
-    Raises:
-        InputError: the file cannot be read, or there is a password and no user.
-    """
+    """User and password, of options and the environment; InputError for a password alone."""
     user = user or os.environ.get(USER_VARIABLE) or None
     password = os.environ.get(PASSWORD_VARIABLE) or None
     if password_file is not None:
@@ -159,21 +155,13 @@ def credentials(user: str | None, password_file: Path | None) -> tuple[str | Non
 
 
 def secret_of(path: Path) -> str:
-    """The password or token in a file, without the end of its line.
-
-    Raises:
-        InputError: the file cannot be read, or is too large for that.
-    """
+    """The password or token in a file; InputError if unreadable or too large for one."""
     with as_input_error(path, ValueError):
         return read_whole(path, MOST_SECRET, "a password or token").decode().strip("\r\n")
 
 
 def split_address(text: str, option: str, default: int) -> tuple[str, int]:
-    """Host and port of `HOST` or `HOST:PORT`; an address of IPv6 stands in brackets.
-
-    Raises:
-        InputError: it is none, or it holds a password, which `ps` would show.
-    """
+    """Host and port of `HOST[:PORT]`, IPv6 in brackets; InputError also for a password in it."""
     if "@" in text or "/" in text:
         raise InputError(f"{option} is HOST or HOST:PORT; no scheme, no user and no password")
     host, separator, port = text.rpartition(":")

@@ -1,8 +1,7 @@
 """Scalars of a car: their topics, and the discovery messages for Home Assistant.
 
-Sources: home-assistant.io, "MQTT" (discovery topic, `origin`, birth message) and "MQTT sensor";
-developers.home-assistant.io, "Sensor entity" (which units and state classes a device class takes).
-Home Assistant 2024.3.3 itself took all of them.
+Sources: home-assistant.io, "MQTT" and "MQTT sensor"; developers.home-assistant.io, "Sensor
+entity".
 """
 
 from __future__ import annotations
@@ -78,10 +77,7 @@ SENSORS = (
 def discovery(
     prefix: str, base: str, status_topic: str, car: str, model: str
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Topic and content of each discovery message of a car; none where the prefix is empty.
-
-    `base` is the topic of the car, `car` its name in topics, `model` that for people.
-    """
+    """Topic and content of a car's discovery messages; none where the prefix is empty."""
     device = f"evpinn_{car}"
     of_all = {
         "availability_topic": status_topic,

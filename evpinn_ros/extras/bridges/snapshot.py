@@ -1,13 +1,8 @@
 """Makes readings of one car from single values, which arrive irregularly or only on change.
 
-TeslaMate and OVMS send a topic only when its value changed. So whatever comes of a car says that
-all else of it is as it was: the values that came together, within `BURST_NS`, and those that hold
-on make one set of readings, of the moment when the first came. A value that was retained by the
-broker may be days old: it is not used before the car sends it, or, where it lasts, before the car
-sends anything.
-
-The stamp is that of arrival where a message has none of its own: neither TeslaMate nor OVMS says
-when it measured.
+Any message of a car says that all else of it is as it was: what came within `BURST_NS`, and what
+holds on, is one set of readings, stamped by the first arrival where messages have no stamp. A
+retained value may be days old: it is used once the car sends it, or, where it lasts, anything.
 """
 
 from __future__ import annotations
@@ -37,11 +32,7 @@ class Snapshots:
     """Readings of one car, set by set."""
 
     def __init__(self, nominal_voltage: float, *, on_change: bool) -> None:
-        """Begin without any value.
-
-        The nominal voltage, V, makes a current of power alone. `on_change` says that a value is
-        sent only when it changes, and holds until then.
-        """
+        """Begin; `on_change`: a value is sent when it changes, and holds until then."""
         self._nominal_voltage, self._on_change = nominal_voltage, on_change
         self._held: dict[Measurand, Value] = {}
         self._burst_ns: int | None = None
@@ -59,10 +50,7 @@ class Snapshots:
         self._burst_ns = None
 
     def add(self, parsed: Parsed, arrived_ns: int, *, retained: bool) -> list[Reading]:
-        """Take a message; returns the readings that are complete.
-
-        `retained` says that the broker kept it from before.
-        """
+        """Take a message, `retained` if the broker kept it; returns the complete readings."""
         if retained:
             if self._on_change:
                 self._hold(parsed, LASTING)

@@ -1,13 +1,9 @@
 """Learns one car: its drives in order of time, each from the state after the one before.
 
-A car is one task, for its drives depend on one another. Every drive starts from what was saved
-after the one before, never from what is in memory, so a run that was stopped gives the same
-numbers as one that was not, and a drive that fails leaves nothing behind.
-
-Two files in the car's folder, written after each drive: `state.json`, what was learned, as
-`evpinn replay --state` and the estimator take it; and `result.json`, a row for each drive with
-the fingerprint of its input, and the evidence of the whole. A later run goes on after the last
-drive that is there, and begins anew where an earlier one changed.
+Every drive starts from what was saved, never from memory, so a stopped run gives the same numbers
+and a failing drive leaves nothing behind. The car's folder has `state.json`, as `evpinn replay
+--state` takes it, and `result.json`: rows with the fingerprint of their input, and the evidence. A
+later run goes on, and begins anew where an earlier drive changed.
 """
 
 from __future__ import annotations
@@ -129,12 +125,7 @@ def car_folder(out: Path, car: CarDrives) -> Path:
 
 
 def learn_car(task: CarTask) -> CarDone:
-    """Learn the drives of a car that are not learned yet.
-
-    Raises:
-        StoppedError: asked to, before the last drive was done.
-        InputError: the car's files cannot be written.
-    """
+    """Learn the drives not learned yet; raises StoppedError when asked to, or InputError."""
     limit_blas_threads()
     _stop_if(task.stop)
     vehicle = task.drives.vehicle
@@ -182,7 +173,6 @@ class _CarFiles:
     """The files of a car: what is there, and what is added."""
 
     def __init__(self, folder: Path, vehicle: Vehicle) -> None:
-        """Read what an earlier run of the same program and vehicle file left."""
         self.vehicle, self._folder = vehicle, folder
         self._basis = _basis(vehicle)
         before = read_result(folder, vehicle)
@@ -306,7 +296,6 @@ def _digest_of(state: dict[str, Any]) -> str:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """A file of an earlier run; one that cannot be used is as good as none."""
     try:
         return read_state(path) or {}
     except InputError:

@@ -1,8 +1,7 @@
 """Executors of tasks: this machine's cores, or a cluster by Dask.
 
-Both take any number of tasks and hold few of them at a time, so memory does not grow with the
-fleet. Both give back each task with what came of it, as it is done; a task that fails, or whose
-worker dies of it, is a result with a reason and stops no other.
+Both hold few tasks at a time, and return each with its result as it is done; a task that fails, or
+kills its worker, is a result with a reason.
 """
 
 from __future__ import annotations
@@ -40,14 +39,9 @@ class TaskOutcome(Generic[Task, Result]):
 
 
 class LocalExecutor:
-    """Processes of this machine, each with one thread.
-
-    Every worker is a pool of its own: one that is killed, as by a bag that needs more memory than
-    there is, takes its own task with it and no other.
-    """
+    """Processes of one thread, each its own pool: a killed one takes its own task alone."""
 
     def __init__(self, workers: int | None = None) -> None:
-        """As many workers as there are cores for this process, if not given."""
         self._count = workers or len(os.sched_getaffinity(0))
         self._pools: set[ProcessPoolExecutor] = set()
 
@@ -90,11 +84,7 @@ class DaskExecutor:
     """The workers of a Dask scheduler, which must see the same files under the same paths."""
 
     def __init__(self, address: str) -> None:
-        """Connect.
-
-        Raises:
-            InputError: Dask is not installed, nothing answers, or there is no worker.
-        """
+        """Connect; InputError without Dask, an answer or a worker."""
         with optional_imports():
             from distributed import Client
         self._running: dict[Any, Any] = {}
@@ -153,11 +143,7 @@ Executor: TypeAlias = LocalExecutor | DaskExecutor
 
 
 async def _identify(address: str) -> None:
-    """Check that a scheduler answers, before a client is created.
-
-    A client that fails to connect cannot be closed: it leaves a thread and, when it is collected,
-    waits for a loop that has ended, in whatever runs then.
-    """
+    """Check that a scheduler answers: a client that failed to connect cannot be closed."""
     from distributed import rpc
     from distributed.security import Security
 

@@ -104,11 +104,7 @@ def fleet(
 
 @contextmanager
 def claimed(out: Path) -> Iterator[None]:
-    """Make the folder of the results, for this run alone.
-
-    Raises:
-        InputError: it cannot be made, or another run writes there.
-    """
+    """Make the folder of the results for this run; InputError if it cannot or another writes."""
     with as_input_error(out):
         out.mkdir(parents=True, exist_ok=True)
     with as_input_error(out / LOCK):
@@ -150,7 +146,6 @@ def _refuse_one_file_for_many(path: Path | None, cars: list[CarDrives]) -> None:
 
 
 def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
-    """Learn all; False when a person stopped it."""
     try:
         with (
             stopped_by(signal.default_int_handler),  # all end it as Ctrl-C does

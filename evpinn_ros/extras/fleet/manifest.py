@@ -46,14 +46,10 @@ class _Line(NamedTuple):
 
 
 def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
-    """One car for each folder directly below a given one, or for the given folder itself.
+    """A car for each folder in a given one, or for that with drives of its own.
 
-    Inputs are files, folders or patterns such as `data/2025-*`; all cars are of one vehicle. A
-    drive that lies in a given folder itself, or is given itself, is of the car with the name of
-    the folder around it.
-
-    Raises:
-        InputError: nothing is there, or two folders of one name would become one car.
+    Inputs are files, folders or patterns; all cars are of one vehicle. InputError: nothing is
+    there, or two folders of one name.
     """
     drives: dict[Path, set[Path]] = {}
     seen: set[str] = set()
@@ -74,11 +70,8 @@ def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
 def cars_by_manifest(path: Path) -> list[CarDrives]:
     """Cars of `fleet.yaml` or a CSV; paths in it are relative to it.
 
-    The YAML has `cars`, a mapping from names to `vehicle` and `drives` (a file, folder or
-    pattern); the CSV has the columns drive, car and vehicle, a car on as many lines as it needs.
-
-    Raises:
-        InputError: it cannot be read, names nothing that is there, or contradicts itself.
+    The YAML has `cars`, from names to `vehicle` and `drives`; the CSV has columns drive, car and
+    vehicle. InputError: unreadable, empty or contradicting itself.
     """
     drives: dict[str, set[Path]] = {}
     models: dict[str, str] = {}
@@ -107,7 +100,6 @@ def load_model(name: str, base: Path) -> Vehicle:
 
 
 def _fleet(cars: Iterable[tuple[str, Vehicle, set[Path]]]) -> list[CarDrives]:
-    """The cars in order of their names."""
     fleet = [CarDrives(car, vehicle, tuple(sorted(drives))) for car, vehicle, drives in cars]
     if not fleet:
         raise InputError("no bag, CAN log or CSV to learn from")
@@ -136,7 +128,6 @@ def _recordings(path: Path, seen: set[str] | None = None) -> list[Path]:
 
 
 def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:
-    """Absolute paths that a path or pattern names."""
     path = base / pattern
     paths = [path]
     if not path.exists():

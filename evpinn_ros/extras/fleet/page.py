@@ -1,7 +1,4 @@
-"""The report of a fleet, with charts of the parameters of each car, its file and the model.
-
-One HTML file, printable, nothing to fetch.
-"""
+"""The printable report of a fleet in one HTML file."""
 
 from __future__ import annotations
 

@@ -1,16 +1,10 @@
 """Common distribution of cars of one model: mean and spread of their parameters (empirical Bayes).
 
-Each car's parameters are a draw from N(mean, spread), in logarithms but for p_aux, which may be
-zero. Of each car only the likelihood counts (`estimation.evidence`), so a car that learned nothing
-changes nothing, and one that learned mass over eta alone tells of that alone.
-
-The vehicle file is the prior: half of its variance is doubt of the model's mean, half is
-how cars of the model differ, and that half weighs as much as a quarter of a car. So without any
-evidence the priors of a new car are those of the file, and what no car can tell, as eta, mass and
-C_d scaled together, stays what the file says.
-
-Mean and its doubt are exact for a given spread; the spread is found by expectation maximisation,
-the doubt of the mean counted (Dempster, Laird and Rubin, 1977; restricted maximum likelihood).
+Each car's parameters are a draw from N(mean, spread), in logarithms but for p_aux. Of each car
+only the likelihood counts (`estimation.evidence`). The vehicle file is the prior: half of its
+variance is doubt of the model's mean; the other half is how cars differ, and weighs as much as a
+quarter of a car. The spread is found by expectation maximisation, the doubt of the mean counted
+(Dempster, Laird and Rubin, 1977; restricted maximum likelihood).
 """
 
 from __future__ import annotations
@@ -57,7 +51,6 @@ class Population:
     """Mean and spread of the cars of one model, from the evidence of each."""
 
     def __init__(self, vehicle: Vehicle, evidence: Sequence[Evidence]) -> None:
-        """Learn from the cars; their evidence is relative to this vehicle's priors."""
         self.vehicle = vehicle
         evidence = [car for car in evidence if car.precision.any()]
         precision = np.array([car.precision for car in evidence]).reshape(-1, SIZE, SIZE)
@@ -139,13 +132,9 @@ def _mean(
 
 
 def _spread_doubt(informed: np.ndarray) -> np.ndarray:
-    """Covariance of the elements of the spread, shape (36, 36): inverse Fisher information.
+    """Covariance of the spread's elements, shape (36, 36): inverse Fisher information.
 
-    Information of a car on several parameters together is not counted as if on each alone.
-
-    Args:
-        informed: (spread + precision^-1)^-1 of each car, shape (n, 6, 6), where the spread is 1:
-            of a car that is fully known 1, so this is well conditioned whatever the spread.
+    `informed` is (spread + precision^-1)^-1 of each car, shape (n, 6, 6), where the spread is 1.
     """
     flat = informed.reshape(-1, SIZE**2)
     information = (flat.T @ flat).reshape((SIZE,) * 4).transpose(0, 2, 1, 3)

@@ -65,22 +65,18 @@ POPULATION_COLUMNS = {
 
 @dataclass
 class FleetSummary:
-    """Summary of a fleet for a person.
+    """Summary of a fleet for a person."""
 
-    Attributes:
-        populations: by vehicle model.
-        cars: the first `SHOWN` rows of the table of cars.
-        problems: the first `SHOWN` drives and cars that failed, and why.
-        known: evidence of the first `CHARTED` cars of a population, by model and car.
-        points: of the drives of each model, for trends.
-        counts: of cars, drives, drives learned and problems, all of them.
-    """
-
-    populations: dict[str, Population] = field(default_factory=dict)
+    populations: dict[str, Population] = field(default_factory=dict)  # by vehicle model
+    # the first `SHOWN` rows of the table of cars
     cars: list[dict[str, Any]] = field(default_factory=list)
+    # the first `SHOWN` drives and cars that failed, and why
     problems: list[tuple[str, str]] = field(default_factory=list)
+    # evidence of the first `CHARTED` cars of a population, by model and car
     known: dict[str, dict[str, Evidence]] = field(default_factory=lambda: defaultdict(dict))
+    # of the drives of each model, for trends
     points: dict[str, list[DrivePoint]] = field(default_factory=lambda: defaultdict(list))
+    # of cars, drives, drives learned and problems, all of them
     counts: Counter[str] = field(default_factory=Counter)
 
 
@@ -92,10 +88,7 @@ def require_extra() -> None:
 
 
 def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str]) -> FleetSummary:
-    """Write the tables of drives, cars and populations from the cars' files, in one folder.
-
-    Cars not begun yet are left out; `failed` are those that failed as a whole, and why.
-    """
+    """Write the tables of drives, cars and populations; `failed`: cars that failed, and why."""
     summary = FleetSummary()
     evidence_of_model: dict[str, list[Evidence]] = defaultdict(list)
     vehicles: dict[str, Vehicle] = {}

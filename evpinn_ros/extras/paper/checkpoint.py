@@ -18,11 +18,7 @@ MOST_BYTES = 256 << 20
 
 
 def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]) -> None:
-    """Write a state atomically: a crash leaves the old file or the new one.
-
-    The path ends in `.npz`; `settings` is what the state belongs to, and `load_checkpoint` asks
-    for it again.
-    """
+    """Write a state of `settings` to an .npz atomically."""
     arrays = {name: tensor.detach().cpu().numpy() for name, tensor in state.items()}
     with as_input_error(f"{path}: cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -53,11 +49,7 @@ def load_adam_state(
 
 
 def load_checkpoint(path: Path, settings: str) -> dict[str, torch.Tensor] | None:
-    """The state saved for these settings; None when there is none.
-
-    Raises:
-        InputError: the file is damaged: hours of training are not begun anew without a word.
-    """
+    """The state saved for these settings, or None; InputError if the file is damaged."""
     if not path.exists():
         return None
     try:

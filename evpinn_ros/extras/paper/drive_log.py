@@ -47,14 +47,10 @@ class ReadLog(NamedTuple):
 
 
 def read_drive_log(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAULTS) -> ReadLog:
-    """Read a CSV, bag or CAN log, without the readings that the estimator would drop.
+    """Read a log without its delay of speed, and what the estimator would drop.
 
-    Speed and power reach a log with different delays, and 50 ms more or less move C_rr by several
-    percent. So the log is read twice: once to find the delay of speed, once without it.
-
-    Raises:
-        InputError: no such log, fewer than `MIN_SAMPLES` samples with speed and power, or time
-            goes back.
+    50 ms of delay move C_rr by several percent. InputError: no log, time goes back, or fewer than
+    `MIN_SAMPLES` samples.
     """
     drive, dropped = _read(path, vehicle, options, 0.0)
     delay = speed_delay(drive, vehicle)
@@ -64,12 +60,7 @@ def read_drive_log(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEF
 
 
 def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
-    """Delay of speed behind power, s, at which eq. 21 explains most of the power.
-
-    Eq. 21 is linear in its combinations, so each candidate is one least squares. Zero where the
-    drive does not tell: eq. 21 explains little of it, hardly more than without a delay, or most
-    beyond the candidates.
-    """
+    """Delay of speed, s, at which least squares of eq. 21 explain most; 0 if not clear."""
     left = np.array([_unexplained(log, vehicle, delay) for delay in DELAYS])
     best = int(np.argmin(left))
     without = float(np.interp(0.0, DELAYS, left))
@@ -83,7 +74,7 @@ def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
 
 
 def _unexplained(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
-    """Share of the variance of power, `delay` before each sample of speed, that eq. 21 leaves."""
+    """Share of the power's variance that eq. 21 leaves, `delay` before each sample of speed."""
     inside = (log.time - DELAYS[-1] >= log.time[0]) & (log.time - DELAYS[0] <= log.time[-1])
     _, speed, acceleration, _ = chosen_rows(log, inside)
     power = np.interp(log.time[inside] - delay, log.time, log.power)

@@ -4,21 +4,21 @@ N1 to N4 of eq. 26-29 have three tanh layers of 32 each; the plain network (DNN)
 1.2 % more weights. Both are trained by Adam, rate 1e-2, each epoch one batch of all training
 steps, on the same random 80/20 split. What the paper leaves open is settled so:
 
-- **Reference.** Eq. 30 compares E_RK4 with "E_pred" and does not say which one is given. Here it
-  is classical Runge-Kutta on the measured power. As dE/dt = P knows no E, that is Simpson's rule,
-  and with P(t + dt/2) between samples by linear interpolation the trapezoid.
-- **P(t + dt/2)** is not measured: the mean of both ends.
-- **Loss.** Eq. 30 is a sum; Table IV can only be a mean, which Adam cannot tell apart. E(t) is the
-  true one, the same in both terms, and cancels: each loss is that of the energy of a step.
-- **Units.** The mean dt is the unit of time and the RMS energy of a step that of energy, so that
-  eq. 25 stays literally E + dt/6 (k1 + 2 k2 + 2 k3 + k4) and a network that says nothing has loss
-  1; Table IV starts at 0.99 and 1.06, this between 0.87 and 1.07, by the seed. E(t), the energy
-  since the first sample, enters the networks over its largest magnitude, so within -1 to 1.
-- **DNN.** From P(t), P(t + dt/2), P(t + dt), E(t) and dt directly to the energy of the step: all
-  that the RKNN knows, and losses in the same unit.
-- **Initial weights** are PyTorch's own. Glorot's rule started the DNN at 0.8 to 1.5.
-- **Epoch** n of the table is the loss that makes the n-th update: epoch 1 is untrained. The rate
-  stays constant, so that late losses jump a hundredfold for single epochs.
+- **Reference.** E_RK4 is classical Runge-Kutta on the measured power, with P(t + dt/2) the mean of
+both ends: the trapezoid.
+
+- **Loss.** A mean, as Table IV must be. E(t) is the true one and cancels: each loss is of the
+energy of a step.
+
+- **Units.** The mean dt and the RMS energy of a step, so that eq. 25 stays literal and a network
+that says nothing has loss 1. E(t) enters the networks within -1 to 1.
+
+- **DNN.** From P(t), P(t + dt/2), P(t + dt), E(t) and dt directly to the energy of the step.
+
+- **Initial weights** are PyTorch's own; Glorot's rule started the DNN at 0.8 to 1.5.
+
+- **Epoch** n of the table is the loss that makes the n-th update: epoch 1 is untrained.
+
 - **Split.** Neighbours of a validation step are trained on: its loss says nothing of a new drive.
 """
 
@@ -60,14 +60,9 @@ class StepData(NamedTuple):
 
 
 def step_data(time: np.ndarray, power: np.ndarray) -> StepData:
-    """The steps of a series to train on, with their energy by classical Runge-Kutta.
+    """Steps to train on and their energy, of time, s, and power, W; InputError for too few.
 
     Steps longer than `MAX_GAP`, not forward in time or not finite are left out.
-
-    Time, s, and power, W, have shape (n,).
-
-    Raises:
-        InputError: fewer than `MIN_STEPS` steps are left, or their energy is zero throughout.
     """
     steps, _ = _usable_steps(time, power)
     if len(steps.dt) < MIN_STEPS:
@@ -143,10 +138,9 @@ class _Networks(nn.Module):
         return errors.square().mean(dim=1)
 
     def rolled_out(self, steps: StepData) -> Tensor:
-        """Energy of each step, shape (2, n), each starting from the sum of those before.
+        """Energy of each step, shape (2, n), each from the sum of those before.
 
-        By sweeps over all steps at once, each starting from the sums of the sweep before. A sweep
-        makes one more step final at least; as the networks hardly heed E, six do for thousands.
+        Sweeps over all steps at once; as the networks hardly heed E, six do for thousands.
         """
         energy: Tensor = steps.energy.expand(2, -1)
         gained: Tensor = steps.step_energy.expand(2, -1)
@@ -180,13 +174,7 @@ class EnergyTraining:
         self._adam = torch.optim.Adam(self._networks.parameters(), LEARNING_RATE, foreach=True)
 
     def run_to(self, epoch: int, on_epoch: Callable[[int, float], None] | None = None) -> None:
-        """Train on eq. 30 up to a total number of epochs.
-
-        `on_epoch` is called with each epoch and the RKNN's training loss, both as in the table.
-
-        Raises:
-            InputError: a loss is no longer finite; the epochs before stay counted.
-        """
+        """Train on eq. 30 up to a total of epochs; InputError if a loss is not finite."""
         while self.epoch < epoch:
             losses = self._networks.losses(self._train)
             number, (rknn, dnn) = self.epoch + 1, losses.tolist()
@@ -221,14 +209,7 @@ class EnergyTraining:
 
     @torch.no_grad()
     def integrate(self, time: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Energy since the first sample by RKNN and by DNN, J, shape (n,) each (Fig. 9).
-
-        A true roll-out: every step starts from the network's own energy so far. Steps that
-        `step_data` leaves out add nothing. Arguments as there.
-
-        Raises:
-            InputError: the last update broke a network.
-        """
+        """Energy by RKNN and by DNN, J, shape (n,), each from its own so far (Fig. 9)."""
         steps, starts = _usable_steps(time, power)
         networks = deepcopy(self._networks).cpu().double()
         gained = np.zeros((2, len(time)))

@@ -1,8 +1,7 @@
 """The paper's experiment on one drive: trainings, tables and baselines.
 
-Three trainings, each resumable: the power network under the paper's random split (its tables),
-the same under a chronological split (what it is worth on a road not yet driven), and the energy
-networks. Then the yardsticks of `scores`, on the same samples.
+Three resumable trainings: the power network under the paper's random split and under a
+chronological one, and the energy networks; then the yardsticks of `scores` on the same samples.
 """
 
 from __future__ import annotations
@@ -81,11 +80,7 @@ class PowerTraining:
         self._logged = set(curve_epochs(epochs))
 
     def run_to(self, epoch: int, on_epoch: OnEpoch | None = None) -> None:
-        """Train up to an epoch.
-
-        Raises:
-            InputError: a loss is no longer finite.
-        """
+        """Train up to an epoch; InputError if a loss is not finite."""
         while self.epoch < min(epoch, self.epochs):
             self.optimizer.step()
             self.epoch += 1
@@ -181,11 +176,7 @@ class Experiment:
         self._folder = folder
 
     def run(self, on_progress: OnProgress) -> Outcome:
-        """Train what is not yet trained and score it.
-
-        Raises:
-            InputError: a training diverged, or its folder cannot be written.
-        """
+        """Train and score what is not yet; InputError if a training diverged."""
         log, settings = self._log, self._settings
         steps = step_data(log.time, log.power)  # first: what it refuses is refused at once
         count = len(log.time)

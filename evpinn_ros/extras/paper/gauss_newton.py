@@ -39,10 +39,10 @@ class Linearised:
 
     @torch.no_grad()
     def step(self, damping: float) -> torch.Tensor | None:
-        """The step of all weights towards the target, shape (weights,).
+        """The step of all weights towards the target; None if numerically singular.
 
-        In the order of `PowerNetwork.vector`; `damping` is d over the mean of the diagonal of
-        J J^T. None where the precision of the numbers does not suffice to solve the system.
+        `damping` is d over the mean of the diagonal of J J^T; in the order of
+        `PowerNetwork.vector`.
         """
         damped = self.system.clone()
         damped.diagonal().add_(damping * self.system.diagonal().mean())
@@ -59,13 +59,9 @@ class Linearised:
 def gauss_newton_step(
     network: PowerNetwork, inputs: torch.Tensor, target: torch.Tensor, damping: float
 ) -> torch.Tensor:
-    """The step of all weights that brings the output for some inputs to a target, shape (n,).
+    """The step of all weights that brings the output to a target; zero if none helps.
 
-    The network is not changed. Where single precision cannot factor the system, the damping of
-    `Linearised.step` is raised tenfold.
-
-    Returns:
-        The step, in the order of `PowerNetwork.vector`; zero where no damping helps.
+    Where single precision cannot factor the system, the damping is raised tenfold.
     """
     linearised = Linearised(network, inputs, target)
     while damping <= MOST_DAMPING:
@@ -80,14 +76,10 @@ def gauss_newton_step(
 def levenberg_marquardt(
     network: PowerNetwork, inputs: torch.Tensor, target: torch.Tensor, steps: int, damping: float
 ) -> float:
-    """Move the output of a network towards a target, shape (n,), in a fixed number of trials.
+    """Move a network's output towards a target, in place; returns the damping.
 
-    The network is changed in place, never for the worse: a step is taken only when it lessens the
-    mean square of the residual; the damping of `Linearised.step` falls after such a step and rises
-    after any other (Marquardt, 1963). Each trial solves a system of n unknowns.
-
-    Returns:
-        The damping to go on with.
+    A step is taken only when it lessens the mean square of the residual; the damping falls after
+    such a step and rises after any other (Marquardt, 1963).
     """
     moved = True
     for _ in range(steps):

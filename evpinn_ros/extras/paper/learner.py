@@ -1,24 +1,19 @@
 """`mode: paper`: the EV-PINN as published, trained online over a sliding window.
 
 Four layers of 128 with tanh, speed and time in, battery power out; the five parameters trained
-together with the network by Adam at a learning rate of their own; the loss of eq. 22 with
-lambda = 0.1; initial values of eq. 24, 25 (`Vehicle.as_published`). Once a second the network and
-Adam's memory are taken up where they were (warm start) and trained a fixed number of epochs on
-the window.
+together with the network by Adam at a learning rate of their own; the loss of eq. 22 with lambda =
+0.1; initial values of eq. 24, 25 (`Vehicle.as_published`), a warm start once a second.
 
-`PaperOptimizer.GAUSS_NEWTON` minimises the same loss over the same network and window. It solves
-for the parameters at the measured power (`paper.log_parameters`), where the minimum of eq. 22 has
-them if the network can follow, and brings the network to (P + lambda P_physics) / (1 + lambda) by
-Levenberg-Marquardt in the space of residuals (`paper.gauss_newton`). What the paper leaves open is
-settled so:
+`PaperOptimizer.GAUSS_NEWTON` minimises the same loss: it solves for the parameters at the measured
+power (`paper.log_parameters`) and brings the network to (P + lambda P_physics) / (1 + lambda) by
+Levenberg-Marquardt (`paper.gauss_newton`). Left open by the paper:
 
 - power is normalised by `POWER_SCALE`, speed by `SPEED_SCALE`, time runs from -1 to 0 over the
-  window; both losses are means over the window in these units;
-- acceleration, which eq. 21 needs, comes from the smoother of `signals.kinematics`;
-- P_aux is no free parameter: the median power at standstill (section III.C), else the prior.
+window; both losses are means over the window in these units;
 
-The network knows neither acceleration nor the future. Its predictions are what the paper's method
-gives on unseen moments, and worse than on those it was trained on; `hybrid` repairs that.
+- acceleration comes from the smoother of `signals.kinematics`;
+
+- P_aux is the median power at standstill (section III.C), else the prior.
 """
 
 from __future__ import annotations
@@ -113,7 +108,6 @@ class SavedPaper:
     regen_form: str
 
     def __post_init__(self) -> None:
-        """Refuse noise and a covariance that are none."""
         if not self.variance > 0.0 or np.linalg.eigvalsh(self.covariance)[0] < 0.0:
             raise ValueError("the noise or the covariance is none")
 
@@ -228,11 +222,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         return None
 
     def parameters(self) -> ParameterSet:
-        """Present estimate, its 1-sigma from the curvature of the physics loss and the priors.
-
-        No prior holds the paper's parameters: without data, Adam lets them drift.
-        So what lies off the prior without the data's support counts as error too.
-        """
+        """Estimate, and 1-sigma from curvature, priors and what drifted off them."""
         values = self._values()
         variance = np.diag(self._trained.covariance)
         share = np.minimum(1.0, variance / self._parameters.prior_std**2)
@@ -295,7 +285,6 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         return self._parameters.values(self._trained.log_scale, self._trained.p_aux)
 
     def _physics(self, sample: Sample | Window, values: Parameters) -> Any:
-        """Battery power of eq. 21 and of the known loads, W."""
         power = self._vehicle.power(
             sample.speed,
             sample.acceleration,

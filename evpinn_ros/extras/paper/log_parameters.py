@@ -1,15 +1,13 @@
 """The five parameters of the paper as logarithms over their initial values, and their best fit.
 
-A parameter is its initial value (eq. 24, 25) times exp(z), and z is learned: it stays positive,
-and one learning rate serves all five. The physics residual is algebraic, so for any given power,
-measured or a network's, the best parameters are a least-squares problem in five unknowns, which
-needs no descent. The priors of the vehicle file hold the direction that no data determine, (eta,
-mass, C_d) scaled together:
+A parameter is its initial value (eq. 24, 25) times exp(z). For any given power the best parameters
+are a least-squares problem in five unknowns; the vehicle file's priors hold the direction that no
+data determine:
 
-    minimise over z   sum (P - P_physics(z))^2 / (c s^2) + sum (z_i / prior_i)^2,
+minimise over z   sum (P - P_physics(z))^2 / (c s^2) + sum (z_i / prior_i)^2,
 
-s^2 the variance of the residuals and c the number of neighbours that say the same. Its curvature
-is Laplace's covariance.
+s^2 the variance of the residuals, c the number of neighbours that say the same. Its curvature is
+Laplace's covariance.
 """
 
 from __future__ import annotations
@@ -50,16 +48,12 @@ class ParameterFit(NamedTuple):
 
 
 class LogParameters:
-    """The parameters of one vehicle by their logarithms.
-
-    Attributes:
-        prior_std: 1-sigma of z before the data, shape (5,).
-    """
+    """The parameters of one vehicle by their logarithms."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Take initial values and priors of a vehicle; z of zero is where it starts."""
         priors = [vehicle.priors[name] for name in LEARNED]
         self._initial = [prior.value for prior in priors]
+        # 1-sigma of z before the data, shape (5,)
         self.prior_std = np.array([prior.std / prior.value for prior in priors])
         self._precision = np.diag(self.prior_std**-2.0)
 
@@ -77,11 +71,7 @@ class LogParameters:
     def fit(
         self, physics: Physics, power: torch.Tensor, start: torch.Tensor, unit: float = 1.0
     ) -> ParameterFit:
-        """The z at which a physics fits a power and the priors best, by Gauss-Newton.
-
-        The power, measured or what a network says, has shape (n,), and `unit` W as that of the
-        physics; `start` is the z to begin at, shape (5,).
-        """
+        """The z (from `start`) at which a physics fits a power, in `unit` W, and the priors."""
         log_scale, converged = start.detach().clone(), False
         for _ in range(ITERATIONS):
             curvature, slope = self._normal_equations(physics, power, log_scale, unit)
@@ -97,10 +87,7 @@ class LogParameters:
     def covariance(
         self, physics: Physics, power: torch.Tensor, log_scale: torch.Tensor, unit: float = 1.0
     ) -> np.ndarray:
-        """Covariance of z, shape (5, 5), from the curvature of the physics loss and the priors.
-
-        Arguments as of `fit`.
-        """
+        """Covariance of z, shape (5, 5), from the curvature of the loss; arguments as of `fit`."""
         return np.linalg.inv(self._normal_equations(physics, power, log_scale, unit)[0])
 
     def _normal_equations(
@@ -124,9 +111,6 @@ def relative_std(exponents: Mapping[str, float], covariance: np.ndarray) -> floa
 
 
 def standing_load(speed: np.ndarray, power: np.ndarray, otherwise: float) -> float:
-    """P_aux, W: the median power at standstill (section III.C), never negative.
-
-    Speed, m/s, and power, W, have shape (n,); `otherwise` where the car never stood.
-    """
+    """P_aux, W: the median power at standstill (section III.C), or else `otherwise`."""
     load = auxiliary_power(speed, power)
     return otherwise if np.isnan(load) else max(load, LIMITS["p_aux"].lower)

@@ -15,10 +15,7 @@ PARAMETER_RATE = 2e-3  # Adam, of log values
 
 
 class PowerNetwork(nn.Module):
-    """Fully connected layers with tanh between them.
-
-    Inputs of shape (n, widths[0]), output of shape (n,), both normalised by the caller.
-    """
+    """Layers with tanh between them: normalised (n, widths[0]) in, (n,) out."""
 
     def __init__(self, widths: Sequence[int], *, seed: int, dtype: torch.dtype) -> None:
         """Initialise by Glorot's rule from a seed of its own, so that runs repeat exactly."""
@@ -44,13 +41,7 @@ class PowerNetwork(nn.Module):
     def sweep(
         self, inputs: torch.Tensor
     ) -> tuple[torch.Tensor, list[torch.Tensor], list[torch.Tensor]]:
-        """Run one forward and backward pass over all samples; inputs of shape (n, widths[0]).
-
-        Returns:
-            The output, shape (n,); the activations A_l that enter each layer, shape
-            (n, widths[l]); and the derivative D_l of the output by what leaves it, shape
-            (n, widths[l + 1]).
-        """
+        """Output, activations A_l that enter each layer, and derivatives D_l by what leaves it."""
         activations = [inputs]
         for layer in self.layers[:-1]:
             activations.append(torch.tanh(layer(activations[-1])))
@@ -85,8 +76,7 @@ def spread_over_time(
 ) -> None:
     """Spread the bends of the first layer's units evenly between two times, in place.
 
-    Time is the second input of the network. The generator draws the way in which each unit bends;
-    `sharpness` is the distance of two bends over the width of one.
+    Time is the second input; `sharpness` is the distance of two bends over the width of one.
     """
     layer = network.layers[0]
     units = len(layer.bias)

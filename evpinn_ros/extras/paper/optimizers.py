@@ -1,15 +1,12 @@
 """Three ways to train network and parameters on a `Problem`.
 
 - `Adam`: as published, full batch, a learning rate for the layers and one for the parameters.
-- `AdamThenLbfgs`: the usual improvement on it in the literature of PINNs.
-- `GaussNewton`: ours. The parameters are solved for (`Problem.fit`), so what is left is a plain
-  regression of the network on (P_data + lambda P_physics) / (1 + lambda), which minimises eq. 22
-  at these parameters. Steps are dual Gauss-Newton (`gauss_newton`) on random batches.
-  The first layer starts with its units spread over the drive, each bending at a moment of its
-  own: under Glorot's rule all bend near t = 0 and hours of descent go into moving them.
 
-Each takes one epoch with `step()`; `state()` is all that a resumed training needs to go on with
-the same numbers (L-BFGS alone begins its memory of curvature anew).
+- `AdamThenLbfgs`: the usual improvement on it in the literature of PINNs.
+
+- `GaussNewton`: ours. The parameters are solved for (`Problem.fit`), the network follows by dual
+Gauss-Newton steps on random batches. Its first layer starts with units spread over the drive:
+under Glorot's rule all bend near t = 0.
 """
 
 from __future__ import annotations
@@ -52,18 +49,14 @@ INPUTS = {
 
 
 class Optimizer(ABC):
-    """Trains on a problem.
-
-    Attributes:
-        network: of Fig. 4, by Glorot's rule, on the problem's device.
-        log_scale: z of the five parameters, shape (5,).
-    """
+    """Trains on a problem; `state()` resumes with the same numbers (but for L-BFGS's memory)."""
 
     def __init__(self, problem: Problem, seed: int) -> None:
-        """Start at the initial values of eq. 24, 25 and a fresh network."""
         self.problem = problem
         network = PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=problem.dtype)
+        # of Fig. 4, by Glorot's rule, on the problem's device
         self.network = network.to(problem.device)
+        # z of the five parameters, shape (5,)
         self.log_scale = torch.zeros(len(LEARNED), dtype=problem.dtype, device=problem.device)
 
     @abstractmethod
@@ -152,7 +145,6 @@ class GaussNewton(Optimizer):
     """Parameters solved for, network by dual Gauss-Newton on random batches."""
 
     def __init__(self, problem: Problem, seed: int) -> None:
-        """Start with the parameters that fit the data and units spread over the drive."""
         super().__init__(problem, seed)
         self._generator = torch.Generator().manual_seed(seed)
         spread_over_time(self.network, self._generator, -1.0, 1.0, KINK_SHARPNESS)

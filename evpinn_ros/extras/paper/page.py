@@ -85,7 +85,6 @@ def _figure(height: float) -> Figure:
 
 
 def _legend(axes: Axes) -> None:
-    """Names of the curves above them, so that they hide none."""
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
 
 

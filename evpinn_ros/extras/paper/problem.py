@@ -137,11 +137,7 @@ class Problem:
     def fit(
         self, samples: Samples, power: torch.Tensor, start: torch.Tensor | None = None
     ) -> ParameterFit:
-        """The z at which the physics fits a power best.
-
-        `power`, normalised, shape (n,), is measured or what a network says at the samples; `start`
-        is the z to begin at, the initial values if None.
-        """
+        """The z, from `start`, at which the physics fits a normalised power, shape (n,), best."""
         if start is None:
             start = torch.zeros(len(LEARNED), dtype=self.dtype, device=self.device)
         return self._parameters.fit(

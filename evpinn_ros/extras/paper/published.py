@@ -1,7 +1,7 @@
-"""Figures that the paper prints, to stand beside what is measured here.
+"""Figures that the paper prints, by names of vehicle files.
 
-Source of every figure: H. Lim et al., "EV-PINN: A Physics-Informed Neural Network for Predicting
-Electric Vehicle Dynamics", Tables II to VI and section III. Keys are names of vehicle files.
+Source: H. Lim et al., "EV-PINN: A Physics-Informed Neural Network for Predicting Electric Vehicle
+Dynamics", Tables II to VI and section III.
 """
 
 from __future__ import annotations
@@ -31,10 +31,7 @@ class LossRow(NamedTuple):
 
 
 class EnergyRow(NamedTuple):
-    """Losses of eq. 30 at one epoch, as a row pair of Table IV.
-
-    Ours are means in units of the mean square energy of a step.
-    """
+    """Losses of eq. 30 at an epoch of Table IV; ours over a step's mean square energy."""
 
     epoch: int
     rknn_training: float

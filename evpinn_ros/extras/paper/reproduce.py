@@ -1,8 +1,4 @@
-"""`evpinn reproduce`: the paper's experiment on a recorded drive.
-
-What it does stands in `paper.run`, which is imported when it is done: torch takes
-seconds, for which no page of help should wait.
-"""
+"""`evpinn reproduce`: the paper's experiment on a recorded drive; loads torch when it runs."""
 
 from __future__ import annotations
 

@@ -52,13 +52,7 @@ def run_reproduction(
     *,
     quick: bool,
 ) -> None:
-    """Train, print verdict and tables, and write report, results, state and vehicle file.
-
-    `quick` says that the training is shortened, for a first look.
-
-    Raises:
-        InputError: the log cannot be read, the folder not written, or there is no such device.
-    """
+    """Train, print and write report, results, state and vehicle file; else InputError."""
     if settings.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: torch finds no CUDA device here")
     # One thread: small matrices gain nothing from two, and the same run gives the same bits.
@@ -140,7 +134,6 @@ def _print(table: ResultTable) -> None:
 
 
 def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str) -> None:
-    """Report, results and what was found, each in the folder."""
     command = command_line()
     report, numbers = folder / "report.html", folder / "results.json"
     state, vehicle = folder / "state.json", folder / "vehicle.yaml"

@@ -27,12 +27,7 @@ LEAST_RELATIVE_STD = 0.005  # of a prior written: no car is the same from one da
 
 @torch.no_grad()
 def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
-    """An equal network in the units of `extras.paper.learner`, float32.
-
-    There speed comes over `SPEED_SCALE`, time as -age / `WINDOW` before the newest sample (here
-    the end of the log), and power leaves over `POWER_SCALE`. All three are affine, so the first
-    and the last layer take them up.
-    """
+    """An equal network in the units of `extras.paper.learner`, float32, as all are affine."""
     copied = deepcopy(network).cpu().double()
     first, last = copied.layers[0], copied.layers[-1]
     end = float(problem.log.time[-1])
@@ -46,11 +41,9 @@ def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
 
 
 def write_estimator_state(path: Path, outcome: Outcome) -> None:
-    """Write a state of `mode: paper` that `evpinn replay --state` and the node take.
+    """Write a `mode: paper` state for `evpinn replay --state` and the node.
 
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: the estimator would not take it.
+    Raises OSError, or ValueError if the estimator would not take it.
     """
     settings = EstimatorSettings(mode=Mode.PAPER, regen_form=outcome.settings.form)
     estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
@@ -73,12 +66,8 @@ def write_estimator_state(path: Path, outcome: Outcome) -> None:
 def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
     """Write the vehicle with the learned parameters as its priors, and read it back.
 
-    A vehicle file's mu is that of the form `wheel_power`, which `hybrid` and simulation use; the
-    paper's is another quantity. So mu comes from a fit of that form to the same samples.
-
-    Raises:
-        OSError: the file cannot be written.
-        InputError: it would not be a valid vehicle file.
+    Its mu is that of the form `wheel_power`, fitted to the same samples. Raises OSError or
+    InputError.
     """
     vehicle = outcome.vehicle
     source = f"evpinn reproduce {log_name}, from vehicle file {vehicle.key}"
@@ -107,8 +96,8 @@ def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
 def possible(values: Parameters, form: RegenForm) -> Parameters:
     """The nearest possible car: eta <= 1 and everything within its limits.
 
-    Descent may carry (eta, mass, C_d) along the direction no data determine, past eta = 1. Sliding
-    all three back together changes no power; in the form `wheel_power` mu slides the other way.
+    Sliding (eta, mass, C_d) back together changes no power; in `wheel_power` mu slides the other
+    way.
     """
     excess = max(1.0, values.eta / LIMITS["eta"].upper)
     slid = values._replace(

@@ -52,20 +52,14 @@ def power_score(predicted: np.ndarray, measured: np.ndarray, scale: Scale) -> Po
 
 
 def least_squares_power(problem: Problem) -> tuple[np.ndarray, Parameters]:
-    """Eq. 21 fitted to the training data alone: its power on the validation data, W.
-
-    Five numbers against the network's 50 049, and no time among its inputs.
-    """
+    """Power of validation data, W, by eq. 21 fitted to the training data alone."""
     fit = problem.fit(problem.training, problem.training.power)
     power = problem.physics(problem.validation, fit.log_scale)
     return problem.scale.restored(power), problem.values(fit.log_scale)
 
 
 def exact_energy(time: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Energy since the first sample, J, shape (n,), by trapezoids.
-
-    With P(t + dt/2) between two samples on their line, RK4 is this very sum.
-    """
+    """Energy since the first sample, J, shape (n,), by trapezoids, as RK4 between samples is."""
     steps = np.diff(time)
     parts = np.where(steps <= MAX_GAP, 0.5 * (power[1:] + power[:-1]) * steps, 0.0)
     return np.concatenate(([0.0], np.cumsum(parts)))
@@ -74,11 +68,7 @@ def exact_energy(time: np.ndarray, power: np.ndarray) -> np.ndarray:
 def drift_included(
     vehicle: Vehicle, log_scale: torch.Tensor, covariance: np.ndarray
 ) -> np.ndarray:
-    """Covariance of z plus its drift in directions that the data do not determine, shape (5, 5).
-
-    No prior holds the paper's parameters: where the data say nothing, descent lets them go. The
-    part of z that the priors alone would pull back is C S^-1 z, with S the priors' covariance.
-    """
+    """Covariance of z plus C S^-1 z, its drift where the data say nothing, shape (5, 5)."""
     z = log_scale.detach().double().cpu().numpy()
     drift = covariance @ (z / LogParameters(vehicle).prior_std ** 2)
     return covariance + np.outer(drift, drift)
@@ -98,10 +88,7 @@ class TableFiveRow(NamedTuple):
 def parameter_rows(
     vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
 ) -> list[TableFiveRow]:
-    """Rows of Table V from the covariance of the log parameters, shape (5, 5).
-
-    eta, mass and C_d scale together without changing any power, so no data determine them alone.
-    """
+    """Rows of Table V; no data determine eta, mass and C_d, which scale together, alone."""
     free = GAUGE_FREE if form is not RegenForm.WHEEL_POWER else ("c_rr",)
     rows = []
     for index, name in enumerate(LEARNED):
