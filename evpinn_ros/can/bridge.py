@@ -57,13 +57,7 @@ class BridgeStatus:
 
 
 class CanBridge:
-    """Decodes the frames of one bus and watches over them; for one thread at a time.
-
-    A reading is made of one frame and given once: when a signal drops out, nothing follows.
-
-    Attributes:
-        poller: asks for what the profile says is not broadcast, or None when all of it is.
-    """
+    """Decodes the frames of one bus and watches over them; for one thread at a time."""
 
     def __init__(
         self,
@@ -74,19 +68,12 @@ class CanBridge:
         sign: CurrentSign | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin before the first frame.
-
-        Args:
-            profile: to decode by.
-            send: allows to ask, as the thread of `poller.run` does; None listens alone.
-            guard: of this profile, lets readings out; None trusts the profile.
-            sign: watches the sign of the current, where somebody wants to know.
-            clock: s, never goes back; times what the poller asks.
-        """
+        """Begin; `send` allows to ask, a `guard` holds readings back, a `sign` is watched."""
         self._key, self._guard, self._sign = profile.key, guard, sign
         self._decoder = Decoder(profile, guard.fit if guard is not None else None)
         quantities = {*profile.messages, *profile.asked}
         self._arrivals = {name: _Arrivals() for name in _KINDS if name in quantities}
+        # asks for what the profile says is not broadcast, or None when all of it is
         self.poller = Poller(profile, send, clock) if profile.requests else None
         self._answers = 0
 
@@ -154,7 +141,6 @@ class CanBridge:
         )
 
     def _fault(self, signals: Mapping[str, SignalStatus]) -> str | None:
-        """Fault of the whole bus, the most informative first."""
         decoder, guard = self._decoder, self._guard
         if not decoder.known and not self._answers:
             if not decoder.unknown:

@@ -1,12 +1,11 @@
 """A CAN adapter, read in one thread, that survives a quiet bus, unplugging and a broken driver.
 
-Nothing is sent unless `send` is called, which the poller does through its gate, and only when
-polling is allowed. Otherwise an adapter that takes `listen_only` (slcan does) should be given it,
-so that it does not even acknowledge the car's frames.
+Nothing is sent unless `send` is called, which the poller does through its gate; give an adapter
+that takes it `listen_only`, so that it does not even acknowledge frames.
 
-Stamps follow one rule, chosen at the first frame after every opening: the epoch (more than 1e9 s)
-of a driver that reads this computer's clock is used. Every other one counts by a quartz of its
-adapter, and a `ClockMap` lays it on the node's clock. A frame without a stamp has its arrival's.
+Stamps follow one rule, chosen at the first frame after every opening: a driver's epoch (more than
+1e9 s) is used; an adapter's own quartz is mapped by a `ClockMap`. A frame without a stamp has its
+arrival's.
 """
 
 from __future__ import annotations
@@ -85,10 +84,7 @@ class BusStatus:
 
 
 class BusReader:
-    """Reads one bus and hands every data frame to a callback.
-
-    `run` is for one thread of its own; `stop` and `status` may be called from any other.
-    """
+    """Hands every data frame of a bus to a callback, from a thread that calls `run`."""
 
     def __init__(
         self,
@@ -101,15 +97,8 @@ class BusReader:
     ) -> None:
         """Remember how to open the bus.
 
-        Args:
-            interface: python-can's name of the driver: `socketcan`, `slcan`, `udp_multicast`...
-            channel: `can0`, `/dev/ttyACM0`...
-            on_frame: called in the thread of `run`; what it raises is counted, never a fault of
-                the bus.
-            now_ns: the node's clock, for adapters without an absolute one.
-            wait: lets seconds pass before the bus is opened again; None waits, but not beyond
-                `stop`.
-            options: passed to `can.Bus` as they are (`bitrate`, `can_filters`, `listen_only`...).
+        `on_frame` is called in the thread of `run`, what it raises is counted; `now_ns` is the
+        node's clock; `wait` lets seconds pass before a new try; `options` go to `can.Bus`.
         """
         self._interface, self._channel, self._options = interface, channel, options
         self._on_frame, self._now_ns = on_frame, now_ns
@@ -124,11 +113,7 @@ class BusReader:
         self._backoff_s = FIRST_BACKOFF_S
 
     def open(self) -> None:
-        """Open the bus, for a caller that would rather fail at the start than wait for it.
-
-        Raises:
-            InputError: it cannot be opened; the line says what to do.
-        """
+        """Open the bus now; InputError says what to do if it cannot be."""
         try:
             if self._interface == elm327.NAME:
                 self._bus = elm327.Elm327Bus(str(self._channel), **self._options)
@@ -231,10 +216,7 @@ class BusReader:
         self._back_off()
 
     def _stumble(self, error: Exception) -> None:
-        """Half a line from a serial adapter: the driver's parser stumbles, the next line is good.
-
-        The pause keeps a driver that always stumbles from burning the processor.
-        """
+        """Skip half a line of a serial adapter; the pause spares the processor."""
         self._counters["garbled"] += 1
         self._garbled += 1
         self._problem = f"{self._name}: garbled frame: {one_line(error)}"
@@ -300,11 +282,7 @@ class BusReader:
 
 
 def _deepen_queue(bus: Any) -> None:
-    """Let the system keep a second of a full bus while we are busy; it keeps 0.1 s by default.
-
-    It gives what net.core.rmem_max allows. An adapter that is no socket has no such queue, and
-    says so in a way of its own: an OSError, NotImplementedError, a file number of -1...
-    """
+    """Let the system keep a second of a full bus, not 0.1 s; adapters may have no socket."""
     with suppress(Exception):
         bus_socket = socket.socket(fileno=bus.fileno())
         try:
@@ -314,7 +292,6 @@ def _deepen_queue(bus: Any) -> None:
 
 
 def _remedy(error: BaseException | BusCondition, interface: str, channel: str | int) -> str | None:
-    """Advice to a person about a fault of a bus, None where there is none."""
     if isinstance(error, BusCondition):
         restart = f"`sudo ip link set {channel} type can restart-ms 100` lets it begin again"
         return restart if interface == "socketcan" else None
@@ -346,7 +323,6 @@ def _remedy(error: BaseException | BusCondition, interface: str, channel: str | 
 
 
 def _errno(error: BaseException) -> int | None:
-    """The system's error number, wherever the driver's layers of exceptions carry it."""
     cause: BaseException | None = error
     while cause is not None:
         for name in ("errno", "error_code"):

@@ -1,11 +1,8 @@
 """From the clock of an adapter to the node's clock, frame by frame.
 
-A frame reaches us some delay after the adapter stamped it: a little when all is well, much when
-USB or the scheduler gathers frames in a burst, but never less than nothing. So the difference of
-the two clocks is the smallest that was seen (Cristian, "Probabilistic clock synchronization",
-1989), let go slowly as the clocks drift apart. That is the lower envelope of the differences with
-slopes up to `LARGEST_DRIFT_PPM` (Moon, Skelly and Towsley, "Estimation and removal of clock skew",
-INFOCOM 1999, fit one line below them; ours may bend, as temperature bends the clocks).
+A frame comes late, never early, so the difference of the clocks is the smallest seen (Cristian,
+"Probabilistic clock synchronization", 1989), let go slowly as they drift: the lower envelope with
+slopes up to `LARGEST_DRIFT_PPM` (Moon, Skelly and Towsley, INFOCOM 1999, fit one line).
 """
 
 from __future__ import annotations
@@ -19,15 +16,9 @@ SET_ANEW_NS = 1_000_000_000
 class ClockMap:
     """Maps stamps of one adapter; frames come in the order in which it received them.
 
-    While the clocks drift by less than r = `LARGEST_DRIFT_PPM`, with d the delay of a frame:
-
-    - no stamp is before the moment of its frame, nor after the arrival: it is late by 0 to d;
-    - nor is it late by more than `d_k + 2 r age_k` for any earlier frame k, so that one frame
-      a second without delay holds all others to a millisecond;
-    - no stamp is before the one before it.
-
-    It begins anew when either clock goes back (an adapter that was reset, a clock set back) and
-    when the node's clock leaps forward. Only a node's clock that goes back takes stamps with it.
+    No stamp is before its frame's moment, after its arrival, or before the stamp before it; nor
+    later than `d_k + 2 r age_k` for any earlier frame k, r the drift and d the delay. It begins
+    anew when either clock goes back and when the node's leaps forward.
     """
 
     def __init__(self) -> None:
@@ -35,11 +26,7 @@ class ClockMap:
         self._started = False
 
     def convert(self, device_ns: int, now_ns: int) -> int:
-        """The moment of a frame on the node's clock, ns.
-
-        `device_ns` is the adapter's stamp, from a zero of its own; `now_ns` the node's clock when
-        the frame was read.
-        """
+        """The moment of a frame by the node's clock, ns, of its own stamp and its arrival."""
         difference = now_ns - device_ns
         elapsed = device_ns - self._device_ns
         highest = self._offset_ns - (-elapsed * LARGEST_DRIFT_PPM // 1_000_000)  # rounded up

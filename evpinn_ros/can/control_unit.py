@@ -48,25 +48,16 @@ class Answer:
 
 
 class ControlUnit:
-    """Asks one control unit and puts its answers together; for one thread at a time.
-
-    Answers to another tester's questions are read too, and left without flow control.
-
-    Attributes:
-        counters: `asked`, `answered`, `silent`, `pending`, `busy`, `refused`, `short_answer`,
-            `unexpected_answer` (to no request of the profile), `garbled` (not ISO-TP),
-            `send_errors`.
-        retired: requests that were refused too often, with the reason in udsoncan's words.
-    """
+    """Asks one control unit and puts its answers together; for one thread at a time."""
 
     def __init__(
         self, address: Address, requests: Iterable[RequestRule], send: Send | None
     ) -> None:
-        """Prepare a conversation.
-
-        Requests come most urgent first; without `send` it listens alone.
-        """
+        """Prepare; requests come most urgent first; without `send` it listens alone."""
+        # `asked`, `answered`, `silent`, `pending`, `busy`, `refused`, `short_answer`,
+        # `unexpected_answer` (to no request of the profile), `garbled` (not ISO-TP), `send_errors`
         self.counters: Counter[str] = Counter()
+        # requests that were refused too often, with the reason in udsoncan's words
         self.retired: dict[str, str] = {}
         self._requests = {request.name: request for request in requests}
         self._address, self._send = address, send
@@ -86,10 +77,7 @@ class ControlUnit:
         )
 
     def receive(self, frame: CanFrame, now_s: float) -> Answer | None:
-        """The answer that this frame completes; never raises.
-
-        The frame has the id of the control unit's answers; `now_s` is of the clock of `step`.
-        """
+        """The answer that this frame of the control unit completes; never raises."""
         position = len(self._address.prefix)
         if len(frame.data) > position and frame.data[position] >> 4 in (0, 1):
             self._stamp_ns = frame.stamp_ns  # a single or a first frame
@@ -111,10 +99,7 @@ class ControlUnit:
         return sum(self.counters[kind] for kind in ANSWERS)
 
     def step(self, now_s: float, may_ask: Collection[str]) -> float:
-        """Give up waiting, ask what is due; gives the time of the next step.
-
-        `may_ask` names the requests that may be made now; `now_s` is of the monotonic clock.
-        """
+        """Give up waiting, ask what is due of `may_ask`; gives the time of the next step."""
         if self._asked is not None and now_s >= self._deadline_s:
             self.counters["silent"] += 1
             self._finish()

@@ -45,18 +45,14 @@ _NUMBER = re.compile(r"\b\d+")
 
 
 class DbcFile:
-    """The DBC file that a profile names; not strict, because public files overlap and overhang.
+    """The DBC file that a profile names, not strict.
 
-    cantools gets the text of a message that the profile names and nothing else: a whole file of
-    5 MB would take it 10 s and 700 MB.
+    cantools gets the text of one message alone: a whole file of 5 MB would take it 10 s and 700
+    MB.
     """
 
     def __init__(self, root: Section, path: Path) -> None:
-        """Read it.
-
-        Raises:
-            InputError: no such file, or none that has a message.
-        """
+        """Read it; InputError without a file or a message."""
         try:
             with TextIOWrapper(open_file(path), "cp1252", "replace") as file:
                 self._text = file.read(LARGEST_FILE + 1)
@@ -70,11 +66,7 @@ class DbcFile:
             raise root.error_at("dbc", f"{path}: not a DBC file: it has no message")
 
     def message(self, section: Section) -> Any:
-        """The `cantools.database.Message` that a section names.
-
-        Raises:
-            InputError: there is none, cantools cannot read it, or its pages are ambiguous.
-        """
+        """The `cantools.database.Message` that a section names, or InputError."""
         name = section.text("message")
         if name not in self._messages:
             reason = f"the DBC file has no message '{name}'{near_names(name, self._messages)}"
@@ -118,11 +110,7 @@ def _bare(text: str) -> str:
 
 
 def find_signal(section: Section, key: str, message: Any) -> Any:
-    """The `cantools.database.Signal` of a message that `key` names.
-
-    Raises:
-        InputError: there is none, it is a floating-point number, or not within the message.
-    """
+    """The `cantools.database.Signal` that `key` names; InputError if none or not whole."""
     name = section.text(key)
     names = [str(signal.name) for signal in message.signals]
     if name not in names:
@@ -209,5 +197,4 @@ def _excess(text: str) -> str | None:
 
 
 def _whole(digits: str) -> int:
-    """The number; Python would take its time with a very long one."""
     return int(digits) if len(digits) < 20 else 10**20

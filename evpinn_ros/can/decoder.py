@@ -51,21 +51,15 @@ Unpack = Callable[[bytes], dict[str, int]]
 
 
 class Decoder:
-    """Decodes the frames of one bus. `decode` never raises: what cannot be used is counted.
-
-    Attributes:
-        known: frames with an id of the profile.
-        unknown: frames of every other id, of the first `MOST_IDS`.
-        uncounted: frames of the ids beyond.
-        dropped: values not used, by reason: `short_frame`, `undecodable`, `bad_checksum`,
-            `unknown_multiplexer`, `stuck_counter`, `not_available`, `out_of_range`.
-    """
+    """Decodes the frames of one bus. `decode` never raises: what cannot be used is counted."""
 
     def __init__(self, profile: CanProfile, fit: ProfileFit | None = None) -> None:
         """Decode by a profile; `fit`, of the same one, is given the result of every frame."""
-        self.known = 0
-        self.unknown: Counter[int] = Counter()
-        self.uncounted = 0
+        self.known = 0  # frames with an id of the profile
+        self.unknown: Counter[int] = Counter()  # frames of every other id, of the first `MOST_IDS`
+        self.uncounted = 0  # frames of the ids beyond
+        # values not used, by reason: `short_frame`, `undecodable`, `bad_checksum`,
+        # `unknown_multiplexer`, `stuck_counter`, `not_available`, `out_of_range`
         self.dropped: Counter[str] = Counter()
         self._readers: dict[BusId, list[_Reader]] = {}
         self._charge, self._second_torque = _HeldValue(CHARGE_HOLD_NS), _HeldValue(TORQUE_HOLD_NS)
@@ -151,7 +145,6 @@ class _HeldValue:
         self.stamp_ns, self._value = stamp_ns, value
 
     def at(self, stamp_ns: int) -> float:
-        """The value at a moment, NaN when it never came or is too old."""
         fresh = self.stamp_ns is not None and abs(stamp_ns - self.stamp_ns) <= self._hold_ns
         return self._value if fresh else math.nan
 
@@ -173,11 +166,7 @@ class _Reader:
         self._repeated = 0
 
     def values(self, frame: CanFrame) -> list[float] | None:
-        """The values of the rule's signals, SI; None for another page of a multiplexed message.
-
-        Raises:
-            UnusableError: the frame is damaged, too short, or one value may not be used.
-        """
+        """SI values, None for another page of a multiplexed message; or UnusableError."""
         raw = self._unpack(frame.data)
         self._check_checksum(frame)
         self._check_counter(raw)
@@ -189,7 +178,6 @@ class _Reader:
         return [signal.read(raw[signal.name]) for signal in self.rule.signals]
 
     def _unpack(self, data: bytes) -> dict[str, int]:
-        """The raw bits of every wanted signal the frame holds."""
         try:
             # Cars shorten frames from one software version to the next: read what is there.
             return self._raw(data)
@@ -219,15 +207,10 @@ class _Reader:
 
 
 def unpacker(message: Any, names: Collection[str]) -> Unpack:
-    """Reader of some signals of a `cantools.database.Message`, from the payload as one number.
+    """Reader of some signals of a `cantools.database.Message`, from the payload as a number.
 
-    cantools reads every signal of a message; a profile wants two or three, and wants them
-    thousands of times a second. The numbers are those of cantools, which still reads what depends
-    on other bits.
-
-    Bits beyond the message's length are not looked at. A multiplexed message is left to cantools,
-    whose exceptions then come through, and so is one with a wanted signal of floating point or
-    one that hangs over the message's end.
+    cantools reads every signal, which is slow. It still reads multiplexed messages, whose
+    exceptions come through, floating-point signals and those that hang over the end.
     """
     fields = [_Field(message.get_signal_by_name(name)) for name in names]
     bits = 8 * message.length
@@ -259,10 +242,10 @@ def unpacker(message: Any, names: Collection[str]) -> Unpack:
 
 
 class _Field:
-    """Place of a signal. Bits count from the payload's start, in the signal's byte order.
+    """Place of a signal; bits count from the payload's start in the signal's byte order.
 
-    Motorola signals (big endian) count the highest bit of a byte first; a DBC names their first
-    bit by its place within the byte all the same, bit 7 of byte 0 being the very first.
+    Motorola signals count the highest bit of a byte first; a DBC names their first bit by its
+    place within the byte all the same, bit 7 of byte 0 being the very first.
     """
 
     def __init__(self, signal: Any) -> None:

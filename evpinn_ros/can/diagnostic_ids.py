@@ -62,10 +62,7 @@ def is_request_id(can_id: int, extended: bool) -> bool:
 
 
 def refusal(tx_id: int, rx_id: int, target: int | None, source: int | None) -> str | None:
-    """Reason why no request may go to a control unit, None where one may.
-
-    `target` and `source` are the first byte of every request and of every answer, or None.
-    """
+    """Why no request may go to a control unit, or None; `target`, `source` are first bytes."""
     if tx_id not in _ANSWERS:
         return (
             f"0x{tx_id:X} is no diagnostic id (ISO 15765-4, or on the list in "

@@ -1,12 +1,9 @@
 """ELM327 and OBDLink adapters as a bus of python-can: frames in and out over AT commands.
 
-The adapter makes and awaits flow control itself (ISO 15765-2) and shows every frame of an answer,
-so that whoever asks over a CAN adapter asks over this one alike. Of what is sent to it only
-questions that read leave it (`request.READ_SERVICES`); it sends no frame that is not one of the
-requests it was given. Between questions it monitors the ids that are broadcast.
-
-The AT commands are of the ELM327 data sheet (Elm Electronics, ELM327DSJ): ATSH and ATCP set the
-id, ATCRA what is received, ATFC.. the flow control, ATCEA the first byte of extended addressing.
+The adapter makes flow control itself (ISO 15765-2). Only the given requests, which read
+(`request.READ_SERVICES`), leave it; between questions it monitors broadcast ids. The AT commands
+are of the ELM327 data sheet (Elm Electronics, ELM327DSJ): ATSH and ATCP set the id, ATCRA what is
+received, ATFC.. the flow control, ATCEA the first byte of extended addressing.
 """
 
 from __future__ import annotations
@@ -55,18 +52,10 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         clock_s: Callable[[], float] = time.time,
         **_kwargs: Any,
     ) -> None:
-        """Find the adapter and prepare it.
+        """Find the adapter (a port, or `tcp:HOST:PORT`) and prepare it.
 
-        Args:
-            channel: a serial port, or `tcp:HOST:PORT`.
-            bitrate: of the car's bus.
-            requests: what may be asked.
-            broadcast: ids to monitor between questions; None for all.
-            tty_baudrate: of the serial port; the usual ones are tried if not given.
-            clock_s: of the epoch, stamps the frames.
-
-        Raises:
-            OSError, can.CanInitializationError, ValueError: there is no adapter, or none that can.
+        `broadcast`: ids to monitor between questions, None for all; `clock_s` stamps the frames.
+        OSError, can.CanInitializationError, ValueError: there is no adapter, or none that can.
         """
         if bitrate not in PROTOCOLS:
             raise ValueError(f"an ELM327 takes a bitrate of 500000 or 250000, not {bitrate}")
@@ -88,13 +77,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         super().__init__(channel)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Ask one of the requests, as soon as the adapter is free.
-
-        A flow control is left to the adapter; a question that waits already is not asked twice.
-
-        Raises:
-            PermissionError: the frame is neither.
-        """
+        """Ask one of the requests when the adapter is free, once; PermissionError for others."""
         key = msg.arbitration_id, msg.is_extended_id, bytes(msg.data)
         if key in self._flow_controls:
             return
@@ -141,12 +124,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             raise ValueError("a line without an end")
 
     def _read(self, now_s: float, text: str) -> can.Message | None:
-        """The frame of a line; None of what is none.
-
-        Raises:
-            can.CanOperationError: the adapter began anew, and forgot how it was prepared.
-            ValueError: the line is damaged.
-        """
+        """The frame of a line or None; ValueError if damaged, CanOperationError after a reset."""
         word = text.replace(" ", "")
         if text in SILENT or word == self._last:  # or the echo of what was sent
             return None

@@ -10,10 +10,9 @@ from evpinn_ros.core.signals.readings import BatteryReading, MotorReading, Speed
 
 
 class Encoder:
-    """Writes the frames a car with this profile would send, counters and checksums included.
+    """Writes the frames of a car with this profile, counters and checksums included.
 
-    Its methods raise ValueError where the profile has no such quantity, or the car cannot show
-    the values.
+    Methods raise ValueError for a quantity or a value that it cannot show.
     """
 
     def __init__(self, profile: CanProfile) -> None:

@@ -1,14 +1,9 @@
 """Fit of a profile to the traffic of a bus, and contradictions between the two.
 
-For each message of the profile the frames that say something are counted. A frame that repeats
-the payload before it says nothing new, and neither does "not available". The rest is *good* when
-length, checksum, counter and range hold and the value did not jump; otherwise *bad*.
-
-    score = mean over the messages of good / (good + bad)
-
-Motors are left out: not every car of a profile sends the torque, and not every log holds it. A
-message that never came counts 0, one that came without a value 0.5. A profile is *proven* when
-checksums of its own hold: by chance one in 256 does.
+Frames that say something new are *good* when length, checksum, counter and range hold and the
+value did not jump, else *bad*; score = mean over the messages of good / (good + bad). Motors are
+left out, as not every car sends torque. A message that never came counts 0, one without a value
+0.5. A profile is *proven* when checksums of its own hold: by chance one in 256 does.
 """
 
 from __future__ import annotations
@@ -122,14 +117,7 @@ class MessageFit:
 
 
 class ProfileFit:
-    """Fit of one profile by the frames so far, which its decoder counts.
-
-    Attributes:
-        profile: its key.
-        name: for people.
-        messages: of the profile, by quantity; none when it only asks, so that listening cannot
-            tell.
-    """
+    """Fit of one profile by the frames so far, which its decoder counts."""
 
     def __init__(self, profile: CanProfile) -> None:
         self.profile, self.name = profile.key, profile.name
@@ -137,7 +125,7 @@ class ProfileFit:
             MessageFit(quantity, rule.key[0], rule.checksum is not None)
             for quantity, rule in profile.messages.items()
             if quantity not in MOTORS
-        ]
+        ]  # of the profile, by quantity; none when it only asks, so that listening cannot tell
 
     def restart(self) -> None:
         """Forget the counts, not the last values and payloads."""
@@ -191,12 +179,10 @@ def ranked(fits: Iterable[ProfileFit]) -> list[ProfileFit]:
 
 
 def contradiction(checked: ProfileFit, others: Sequence[ProfileFit]) -> Contradiction | None:
-    """Contradiction between the traffic and a profile, None where there is none.
+    """Contradiction between the traffic and a profile, or None.
 
-    A profile is contradicted when one of its messages fails, unless its checksums prove it and
-    no other profile explains the traffic better (a battery that is switched off is no wrong
-    profile). And it is contradicted when it has checksums to show and none came, while another
-    profile shows its own: ids of one car mean something else in the next.
+    Contradicted is one whose message fails, unless its checksums prove it and no other profile
+    explains the traffic better; and one whose checksums never came while another shows its own.
     """
     holding = sorted((other for other in others if other.holds), key=lambda fit: fit.order)
     better = [other for other in holding if other.score >= checked.score + MARGIN]

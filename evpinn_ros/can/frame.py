@@ -59,14 +59,9 @@ RawFrames: TypeAlias = deque[tuple[int, CanFrame]]
 
 
 class FirstBus:
-    """Takes each id of a recording of several buses from the one that showed it first.
-
-    On another bus the id may mean something else, and two streams of one id make one of nonsense.
-    Where most ids of a bus come with other data on another one, the buses are of two cars.
-    """
+    """Takes each id from the bus of a recording that showed it first, as ids differ by bus."""
 
     def __init__(self, only: str | None = None) -> None:
-        """Take frames of all buses, or of the one of this name."""
         self._only = only
         self._buses: dict[BusId, Any] = {}
         self._data: dict[BusId, deque[bytes]] = {}  # the last of ids that other buses have as well
@@ -75,10 +70,7 @@ class FirstBus:
         self.cars = ""  # what tells two cars, if there are two
 
     def takes(self, key: BusId, bus: Any, data: bytes = b"") -> bool:
-        """True if a frame of this bus, by whatever name the recording gives it, is to be read.
-
-        With more than `MOST_IDS` ids the log is garbage; what comes then is taken.
-        """
+        """True if a frame of this bus is to be read; all beyond `MOST_IDS` ids are."""
         if self._only is not None:
             self._seen[bus] += 1
             return str(bus) == self._only
@@ -118,11 +110,7 @@ class FirstBus:
 
 
 def nanoseconds(seconds: float) -> int:
-    """The stamp of a time in seconds, ns.
-
-    A float that holds an epoch is 240 ns coarse: it is rounded to the microsecond, which gives
-    back the digits that the log or the kernel wrote. Shorter times keep their nanoseconds.
-    """
+    """A time, s, in ns; an epoch's float is 240 ns coarse, so it is rounded to the us."""
     if abs(seconds) > EPOCH_S:
         return round(seconds * 1e6) * 1000
     return round(seconds * 1e9)

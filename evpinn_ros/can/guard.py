@@ -1,11 +1,9 @@
 """Lets no reading out whose profile the traffic contradicts.
 
-Readings are held back until the frames so far speak for the profile: at once when each of its
-speed and battery messages came and held, a checksum among them; otherwise after `DECIDE_NS`, and
-while some frames hold and others do not, `DECIDE_LAST_NS` at most. Then those held are let out
-with their own stamps, or dropped. From there on each second is judged anew, so that a wrong
-profile that shows itself later is stopped; one that was refused resumes after ten seconds in
-which all that spoke against it holds.
+Readings are held until the frames speak for the profile: at once when each speed and battery
+message held, with a checksum; else after `DECIDE_NS`, or `DECIDE_LAST_NS` while some hold and
+others do not. Then each second is judged anew; a refused profile resumes after ten seconds without
+contradiction.
 """
 
 from __future__ import annotations
@@ -40,25 +38,17 @@ class ProfileVerdict(Enum):
 
 
 class FitGuard:
-    """Stands behind the decoder of one bus.
-
-    Attributes:
-        fit: counted by the decoder of the guarded profile.
-        verdict: now.
-        contradiction: why readings are refused, None while they are not.
-        dropped: readings: `undecided`, held and never let out; `contradicted`, come after that.
-    """
+    """Stands behind the decoder of one bus."""
 
     def __init__(
         self, profile: CanProfile, others: Iterable[CanProfile], *, patient: bool = False
     ) -> None:
-        """Guard a profile.
-
-        `patient` always weighs ten seconds first, where nothing waits for the readings.
-        """
-        self.fit = ProfileFit(profile)
-        self.verdict = ProfileVerdict.UNDECIDED
+        """Guard a profile; `patient` always weighs ten seconds first."""
+        self.fit = ProfileFit(profile)  # counted by the decoder of the guarded profile
+        self.verdict = ProfileVerdict.UNDECIDED  # now
+        # why readings are refused, None while they are not
         self.contradiction: Contradiction | None = None
+        # readings: `undecided`, held and never let out; `contradicted`, come after that
         self.dropped: Counter[str] = Counter()
         self._patient = patient
         self._period_ns = DECIDE_PATIENTLY_NS if patient else DECIDE_NS

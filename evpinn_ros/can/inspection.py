@@ -84,22 +84,17 @@ class ValueStatus:
 
 
 class ProfileReport:
-    """Report of one profile, which decodes the whole bus, on the traffic.
-
-    Attributes:
-        fit: how well it fits.
-        contradicted: why it cannot be the right one, None while nothing says so.
-        values: `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came.
-        asks: some of its quantities must be asked for; only answers to others are seen here.
-        experimental: its sources disagree, so it is never the best.
-    """
+    """Report of one profile, which decodes the whole bus, on the traffic."""
 
     def __init__(self, profile: CanProfile) -> None:
-        self.fit = ProfileFit(profile)
+        self.fit = ProfileFit(profile)  # how well it fits
         self._profile = profile
+        # why it cannot be the right one, None while nothing says so
         self.contradicted: str | None = None
+        # `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came
         self.values: defaultdict[str, ValueStatus] = defaultdict(ValueStatus)
-        self.asks, self.experimental = bool(profile.asked), profile.experimental
+        self.asks = bool(profile.asked)  # here only answers to others are seen
+        self.experimental = profile.experimental  # never the best: its sources disagree
         self._keys = {rule.key for rule in profile.messages.values()}
         self._decoder, self._poller = Decoder(profile, self.fit), Poller(profile)
         self._sign = CurrentSign()
@@ -149,11 +144,7 @@ class ProfileReport:
         return self._sign.decided
 
     def count_answers(self) -> None:
-        """Bring the fit of what is asked for up to date.
-
-        An answer takes many frames: what counts against a quantity are values dropped. Ids of
-        answers are the same in many cars. Frames that answer nothing we know speak of another one.
-        """
+        """Update the fit of what is asked for; foreign answers speak of another car."""
         for message, unit in self._asked:
             name = "voltage" if message.quantity == "battery" else message.quantity
             message.frames = self._answers[unit]
@@ -187,7 +178,6 @@ class Inspection:
     """Takes the frames of one bus, in order."""
 
     def __init__(self, profiles: Iterable[CanProfile], bitrate: float) -> None:
-        """Compare with profiles; bitrate, bit/s, is what the load is a share of."""
         self._bitrate = bitrate
         self._ids: dict[BusId, IdStatus] = {}
         self._frames = self._uncounted = 0
@@ -238,10 +228,9 @@ class Inspection:
 
 
 def frame_bits(length: int, extended: bool) -> tuple[int, int]:
-    """Bits that a classic CAN data frame takes, without stuffing and with the most of it.
+    """Bits of a classic CAN data frame, without stuffing and with the most.
 
-    Davis, Burns, Bril, Lukkien: "Controller Area Network (CAN) schedulability analysis: refuted,
-    revisited and revised", Real-Time Systems 35, 2007, eq. 1.
+    Davis, Burns, Bril, Lukkien, Real-Time Systems 35, 2007, eq. 1.
     """
     stuffed = (EXTENDED_BITS if extended else STANDARD_BITS) + 8 * length
     return stuffed + FIXED_BITS, stuffed + FIXED_BITS + (stuffed - 1) // STUFF_EVERY

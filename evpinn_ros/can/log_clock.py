@@ -1,7 +1,7 @@
 """Times of text logs as python-can's readers take them: since 1970, or since the log began.
 
-An .asc may count from a trigger, from midnight, from the start of a computer or from the line
-before; its date may be in another language. `candump -td` writes the time since the line before.
+An .asc may count from a trigger, midnight, a computer's start or the line before, with a date in
+any language.
 """
 
 from __future__ import annotations
@@ -31,11 +31,7 @@ _STAMP = re.compile(r"\s*\((\d+\.\d+)\)(.*)", re.DOTALL)
 
 
 class TimedLines:
-    """The lines of a log with times that run on.
-
-    Attributes:
-        summed: the times of the log are those since the line before.
-    """
+    """The lines of a log with times that run on."""
 
     summed = False
 
@@ -59,12 +55,10 @@ class TimedLines:
                 yield f"{base + passed:.9f}{match[2]}"
 
     def candump(self, ahead: Iterable[str], lines: Iterable[str]) -> Iterator[str]:
-        """Lines of candump, with times since 1970 or since the first line.
-
-        `ahead` are the first of them.
-        """
+        """Lines of candump with times since 1970 or the first; `ahead` are the first of them."""
         stamps = [float(stamp[1]) for line in ahead if (stamp := _STAMP.fullmatch(line))]
         back = sum(later < earlier for earlier, later in pairwise(stamps))
+        # the times of the log are those since the line before
         self.summed = back > GOES_BACK * len(stamps) and max(stamps) < EPOCH
         passed = 0.0
         for line in lines:

@@ -1,10 +1,9 @@
 """CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, .csv of two kinds; also gzipped.
 
-ASAM .mf4 needs the extra `mf4`. Another process reads it: a damaged one can crash asammdf's code.
-Vector's .blf logs may come from anywhere, and python-can trusts every length that a damaged one
-claims, so they have a reader of their own. So have .csv logs of SavvyCAN and of GVRET firmware,
-which hold a frame a row, hexadecimal: `Time Stamp,ID,Extended,Dir,Bus,LEN,D1,...,D8`, times in
-microseconds; version 1 has no `Dir` (SavvyCAN, framefileio.cpp, loadNativeCSVFile).
+Damaged .mf4 can crash asammdf, which runs apart (extra `mf4`). python-can trusts every length that
+a damaged .blf claims, so .blf has a reader of its own; so has SavvyCAN's and GVRET's .csv, a
+hexadecimal frame a row: `Time Stamp,ID,Extended,Dir,Bus,LEN,D1,...,D8`, in microseconds; version 1
+has no `Dir`.
 """
 
 from __future__ import annotations
@@ -58,28 +57,16 @@ logging.getLogger("can.io").setLevel(logging.CRITICAL)
 
 
 class LogFile:
-    """A CAN log on disk, read once by `frames()`; the attributes are complete after that.
-
-    Stamps are those of the log (`nanoseconds`). A log that does not tell the date starts near
-    zero; the date of an .asc has whole milliseconds at best.
-
-    Attributes:
-        path: of the log.
-        count: frames read so far.
-        skipped: frames not read, by kind: `error_frame`, `remote_frame`, `impossible_frame`, one
-            of a damaged log that no bus can carry, and `other_bus` (see `FirstBus`).
-        problem: why reading stopped before the end, or the sign that the end is missing.
-    """
+    """A CAN log on disk, read once by `frames()`; the attributes are complete after that."""
 
     def __init__(self, path: str | Path, channel: str | None = None) -> None:
-        """Find out the format; of several buses, read the channel of this name if given.
-
-        Raises:
-            InputError: no such file, an empty one, or a suffix that is not a CAN log's.
-        """
-        self.path = Path(path)
-        self.count = 0
+        """Find out the format, or InputError; `channel` selects one of several buses."""
+        self.path = Path(path)  # of the log
+        self.count = 0  # frames read so far
+        # frames not read, by kind: `error_frame`, `remote_frame`, `impossible_frame`, one of a
+        # damaged log that no bus can carry, and `other_bus` (see `FirstBus`)
         self.skipped: Counter[str] = Counter()
+        # why reading stopped before the end, or the sign that the end is missing
         self.problem: str | None = None
         self._first_bus = FirstBus(channel)
         suffixes = [suffix.lower() for suffix in self.path.suffixes]
@@ -98,10 +85,7 @@ class LogFile:
 
     @property
     def seconds(self) -> float | None:
-        """Time from the first frame to the last by the ends of the file, s; None if unknown.
-
-        What is packed shows its end only when all before is unpacked.
-        """
+        """Time from the first frame to the last, s, by the ends of the file; or None."""
         if self._gzipped or self._suffix == MF4:
             return None
         ends = LogFile(self.path)  # which counts what it skips beside what is read of the whole
@@ -121,11 +105,7 @@ class LogFile:
         return seconds if seconds > 0.0 else None
 
     def frames(self) -> Iterator[CanFrame]:
-        """Every data frame up to the end, or up to the first damage, named in `problem`.
-
-        Raises:
-            InputError: the file cannot be opened, or there is no frame in it.
-        """
+        """Every data frame up to the end or the first damage; InputError without any."""
         for frame in self._converted() if self._suffix == MF4 else self._until_broken():
             self.count += 1
             yield frame
@@ -194,7 +174,6 @@ class LogFile:
 
 
 def _ends(file: IO[bytes]) -> io.StringIO:
-    """The first lines of a text file and its last ones."""
     size = file.seek(0, io.SEEK_END)
     file.seek(0)
     text = file.read(2 * END)
@@ -220,11 +199,7 @@ def _csv_reader(lines: _Lines) -> Any:
 
 
 class _Lines:
-    """The whole lines of a text file, none longer than `LONGEST_LINE`, as a file for the readers.
-
-    A last line without an end was cut: its digits would still parse, as other bytes than the
-    car sent, so it is kept back.
-    """
+    """The whole lines of a text file; a last one without an end was cut, so it is dropped."""
 
     def __init__(self, file: IO[str]) -> None:
         self.number, self.cut_off, self.line = 0, False, ""
@@ -273,11 +248,7 @@ def convert_mf4(path: Path, out: Path) -> None:
 
 
 def write_log(path: str | Path, frames: Iterable[CanFrame]) -> int:
-    """Write frames as a candump log (`candump -L`), stamps in microseconds.
-
-    Returns:
-        how many were written.
-    """
+    """Write frames as a candump log (`candump -L`), in microseconds; returns their number."""
     count = 0
     with as_input_error(path), replaced(Path(path)) as draft:
         for frame in frames:
@@ -358,11 +329,7 @@ def _sound_until(data: bytes) -> int:
 
 
 def gvret_messages(lines: Iterable[str]) -> Iterator[can.Message]:
-    """The frames of a CSV log of SavvyCAN, of its lines with the header first.
-
-    Raises:
-        ValueError: a row is none of such a log.
-    """
+    """The frames of SavvyCAN's CSV, header first; ValueError for another row."""
     reader = csv.reader(lines)
     names = [name.strip("\ufeff ") for name in next(reader)]
     first = names.index("LEN") + 1

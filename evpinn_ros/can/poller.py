@@ -1,8 +1,4 @@
-"""Asks a car for what it does not broadcast, politely: OBD-II, KWP2000 and UDS, reading alone.
-
-Without a way to send, a poller listens: it understands the answers that another tester asked
-for, and those in a log.
-"""
+"""Asks a car politely for what it does not broadcast, by OBD-II, KWP2000 and UDS, or listens."""
 
 from __future__ import annotations
 
@@ -42,14 +38,7 @@ class PollStatus:
 
 
 class Poller:
-    """One question at a time to each control unit of a profile.
-
-    `run` is for a thread of its own, `decode` for the thread that reads the bus; `stop` and
-    `status` may be called from any other.
-
-    Attributes:
-        contradicted: set by who knows that this is another car: then nothing is asked.
-    """
+    """One question at a time to each control unit of a profile; `run` has a thread of its own."""
 
     def __init__(
         self,
@@ -57,10 +46,8 @@ class Poller:
         send: Send | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Prepare to ask, or to listen.
-
-        `send` puts a frame on the bus, None to listen alone; `clock`, s, never goes back.
-        """
+        """Prepare to ask, or to listen where `send` is None."""
+        # set by who knows that this is another car: then nothing is asked
         self.contradicted = False
         self._profile, self._clock = profile, clock
         self._decoder = AnswerDecoder(profile)
@@ -169,7 +156,6 @@ class Poller:
         return self._decoder.dropped
 
     def _may_ask(self, now_s: float) -> frozenset[str]:
-        """Names of the requests that may be made now."""
         if self.contradicted or self._shared_id is not None:
             return frozenset()
         if self._begun_s is None:

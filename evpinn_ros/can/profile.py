@@ -1,10 +1,7 @@
 """CAN profiles: which signals of a car's bus are the speed, the battery and the motor torque.
 
-A profile is a YAML file in `config/can/`. A quantity is either broadcast, a signal of the DBC file
-that the profile names, or asked for by a request (`evpinn_ros.can.request`). The profile adds what
-a DBC cannot say: which quantity a signal is, the sign of current and torque, what the car can do
-at most, the raw values that mean "not available", and how the frame is protected. It is read
-strictly.
+A YAML file in `config/can/`, read strictly. A quantity is a signal of the DBC file or asked for by
+a request (`evpinn_ros.can.request`); signs, limits, "not available" and protection are added.
 """
 
 from __future__ import annotations
@@ -108,11 +105,7 @@ def bundled_profiles() -> list[CanProfile]:
 
 
 def load_profile(name_or_path: str | Path) -> CanProfile:
-    """Read a profile given by its name (`tesla_model_3`) or by the path of its YAML file.
-
-    Raises:
-        InputError: no such profile, or its files are wrong; the text has file, line and reason.
-    """
+    """Read a profile by its name or path; InputError has file, line and reason."""
     path = Path(name_or_path)
     if path.suffix.lower() == ".dbc":
         raise InputError(
@@ -161,7 +154,6 @@ def _parse(path: Path) -> CanProfile:
 
 
 def _asked(root: Section) -> dict[str, tuple[AnswerField, ...]]:
-    """The quantities that name a request instead of a message."""
     if not root.has("requests"):
         if root.has(ONLY_ASKED):
             raise root.error_at(ONLY_ASKED, "can only be asked for: 'requests' is missing")

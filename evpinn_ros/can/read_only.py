@@ -28,8 +28,8 @@ FrameKey = tuple[int, bool, bytes]
 class ReadOnlyGate:
     """Hands a frame on when it is a question of the profile, whatever made it.
 
-    A question may be followed by one flow control to the same control unit, which a long answer
-    needs; so whoever sends us first frames cannot make us answer each of them.
+    One flow control to the same control unit may follow, which a long answer needs; so whoever
+    sends us first frames cannot make us answer each of them.
     """
 
     def __init__(
@@ -38,25 +38,14 @@ class ReadOnlyGate:
         send: Callable[[CanFrame], bool],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Open the gate to some questions.
-
-        `send` puts a frame on the bus; `clock`, s, never goes back.
-
-        Raises:
-            PermissionError: a request does more than read, or goes to no diagnostic id.
-        """
+        """Open the gate to questions; PermissionError if one does more than read."""
         self._send, self._clock = send, clock
         self._flow_controls = dict(map(frames_of, requests))
         self._awaited: set[FrameKey] = set()
         self._sent_s: deque[float] = deque(maxlen=FRAMES_PER_S)
 
     def __call__(self, frame: CanFrame) -> bool:
-        """Send the frame; gives what `send` does.
-
-        Raises:
-            PermissionError: the frame is none of the questions nor the flow control that one of
-                them awaits, or is one too many in this second.
-        """
+        """Send the frame and give what `send` does; PermissionError if it is not allowed."""
         key = frame.can_id, frame.extended, bytes(frame.data)
         if key not in self._flow_controls and key not in self._awaited:
             raise PermissionError(f"{frame.can_id:X}: {frame.data.hex(' ')} is no request to read")
@@ -71,11 +60,7 @@ class ReadOnlyGate:
 
 
 def frames_of(request: RequestRule) -> tuple[FrameKey, FrameKey]:
-    """The whole frame that asks, and that of its flow control.
-
-    Raises:
-        PermissionError: the request does more than read, or goes to no diagnostic id.
-    """
+    """The frame that asks, and its flow control; PermissionError if it does more than read."""
     address, payload = request.address, request.payload
     reason = refusal(address.tx_id, address.rx_id, address.target, address.source)
     if reason is None and len(payload) != 1 + READ_SERVICES.get(payload[0], -1):

@@ -1,7 +1,4 @@
-"""Requests to read: whom a profile asks, what, how often, and where the value lies in the answer.
-
-Only services that read are known here (`READ_SERVICES`), so a profile cannot ask for any other.
-"""
+"""Requests that read (`READ_SERVICES`, no other can be asked): whom, what, how often."""
 
 from __future__ import annotations
 
@@ -88,10 +85,8 @@ class AnswerField:
 def request_rules(section: Section) -> dict[str, RequestRule]:
     """Read the section `requests` of a profile.
 
-    Raises:
-        InputError: a key is missing or wrong, a service is none that reads, an id is none of
-            diagnostics, two requests cannot be distinguished by their answers, or all of them ask
-            too often.
+    InputError: a key or an id is wrong, a service does not read, two answers look alike, or all
+    ask too often.
     """
     rules = {name: _request_rule(section.section(name), name) for name in section.names()}
     for earlier, other in combinations(rules.values(), 2):
@@ -110,11 +105,7 @@ def request_rules(section: Section) -> dict[str, RequestRule]:
 def answer_field(
     section: Section, requests: Mapping[str, RequestRule], quantity: str
 ) -> AnswerField:
-    """Read where a quantity lies in the answer to one of `requests`.
-
-    Raises:
-        InputError: a key is missing or wrong, or the value lies behind `min_length`.
-    """
+    """Where a quantity lies in the answer to one of `requests`; InputError."""
     section.refuse_unknown((*VALUE_KEYS, *(("positive_means",) if quantity == "current" else ())))
     request = requests[section.choice("request", requests)]
     kind = _TYPE.fullmatch(section.text("type"))

@@ -1,10 +1,8 @@
-"""Pauses of polling, and their end: whoever is asked stays awake, and draws 12 V power.
+"""Decides when to pause and resume polling: a polled ECU stays awake and drains the 12 V battery.
 
-A stop ends when the car is seen awake: it moves, or its bus, after a pause, carries the traffic
-of many ids again. Each time that this was followed by no answer, the next time is accepted later,
-up to an hour later. Where nothing is broadcast, as behind the gateway at many diagnostic plugs, a
-stop lasts until the node is started anew. There is no probing in between, for a probe can wake a
-car.
+A pause ends when the car moves, or its bus carries many ids again after a silence. Each time that
+no answer followed, the next is accepted later, up to an hour. Where nothing is broadcast, a pause
+lasts until the node restarts: a probe can wake a car.
 """
 
 from __future__ import annotations
@@ -143,13 +141,10 @@ class Restraint:
 
 
 class _Traffic:
-    """Distinguishes the traffic of a car that woke from a stray frame.
-
-    Attributes:
-        awake: the bus was silent, and since then carried frames of several ids close together.
-    """
+    """Distinguishes the traffic of a car that woke from a stray frame."""
 
     def __init__(self) -> None:
+        # the bus was silent, and since then carried frames of several ids close together
         self.awake = False
         self._newest_s = -math.inf
         self._waking = False

@@ -57,11 +57,7 @@ class SignalRule:
         return min(max(value, self.lower), self.upper)
 
     def read(self, raw: int) -> float:
-        """The value of the raw bits, SI.
-
-        Raises:
-            UnusableError: `not_available` or `out_of_range`.
-        """
+        """The value of the raw bits, SI; or UnusableError."""
         if raw in self.not_available:
             raise UnusableError("not_available")
         value = self.value(raw)
@@ -78,13 +74,9 @@ class SignalRule:
 def signal_rule(
     section: Section, name: str, quantity: str, scale: float = 1.0, offset: float = 0.0
 ) -> SignalRule:
-    """Read the keys `RULE_KEYS` of a section, and the sign that `POSITIVE_MEANS` asks for.
+    """Read `RULE_KEYS` and the sign that `POSITIVE_MEANS` asks for; a sign is never guessed.
 
-    The quantity is a key of `UNITS`; `scale` and `offset` are those of the DBC file, both of which
-    the section's own scale multiplies.
-
-    Raises:
-        InputError: a key is missing or wrong; a sign is never guessed.
+    `scale` and `offset` are the DBC's. Raises InputError.
     """
     units = UNITS[quantity]
     si = units[section.choice("unit", units)]
@@ -109,12 +101,7 @@ def signal_rule(
 
 
 def refuse_impossible(section: Section, rule: SignalRule, bits: int, signed: bool) -> None:
-    """Raise when the raw bits of a rule can never be what its keys name.
-
-    Raises:
-        InputError: a raw value of `not_available` that so many bits cannot hold, which would never
-            be found, or a `valid` that no raw value reaches, which would drop everything.
-    """
+    """InputError where the raw bits can never be what `not_available` or `valid` name."""
     lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
     raw = f"{bits} bits, {'signed' if signed else 'unsigned'}, are {lowest} to {highest}"
     for value in rule.not_available:
