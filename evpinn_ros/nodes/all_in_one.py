@@ -34,18 +34,10 @@ def run(
     beside: AbstractContextManager[object] | None = None,
     ros_args: Sequence[str] = (),
 ) -> int:
-    """Run everything until SIGINT or SIGTERM, which end the process with 0.
+    """Run everything until SIGINT or SIGTERM; returns 1, with a line on stderr, for wrong input.
 
-    Args:
-        parameters: values by name; each node takes those of its table, over any file's.
-        record: folder of a bag to write, raw CAN frames beside the topics.
-        split: when that goes on in another file; None for never.
-        servers: makers of more nodes, which serve what the others publish.
-        beside: entered before the nodes start and left when they have ended.
-        ros_args: what may follow `--ros-args`, such as `--params-file FILE`.
-
-    Returns:
-        The exit code 1, with one line on stderr, when input is wrong; else the process ends here.
+    `parameters` go over any file's; `record` is a folder for a bag with raw frames; `servers` make
+    more nodes; `beside` is entered before the nodes start; `ros_args` may follow `--ros-args`.
     """
     args = ["--ros-args", *ros_args] if ros_args else []
     options: dict[str, dict[str, Any]] = {

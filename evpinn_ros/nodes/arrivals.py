@@ -23,13 +23,11 @@ class NumberCheck(NamedTuple):
 
 
 class MessageNumbers:
-    """Messages lost, and publishers that speak by turns, found by the numbers of messages.
+    """Counts lost messages, and finds a second publisher, by the numbers of messages.
 
-    The middleware drops the oldest of a full queue without a word, but it numbers the messages of
-    each publisher. Those of a topic fall back once when its publisher is started anew, and again
-    and again when there are two. Counting publishers does not tell that: one that was killed is
-    counted until its lease ends, after 20 s. In Jazzy rclpy does not say whose a message is; then
-    nothing is counted as lost for `LATELY` after numbers fell back.
+    Numbers fall back once when a publisher restarts, and again and again when there are two. (A
+    killed publisher is counted by DDS for 20 s.) Jazzy's rclpy does not say whose a message is, so
+    nothing counts as lost for `LATELY` after numbers fell back.
     """
 
     def __init__(self) -> None:
@@ -38,10 +36,7 @@ class MessageNumbers:
         self._fell: dict[Hashable, float] = {}
 
     def record(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> NumberCheck:
-        """Take what rclpy tells of a message, at a time of the monotonic clock, s.
-
-        Where it tells no number nothing is known, and nothing excluded.
-        """
+        """Take rclpy's `info` of a message, at a time of the monotonic clock, s."""
         number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
         if not number:
             return NumberCheck(0, by_turns=True)
@@ -69,10 +64,7 @@ class StampWatch:
         self._last: tuple[int, float] | None = None
 
     def check(self, stamp_ns: int, now_ns: int, steady: float) -> str | None:
-        """Fault of a stamp at a time of the monotonic clock, s; None when there is none.
-
-        `now_ns` is of the clock that stamps should be of, 0 while it is not known.
-        """
+        """Fault of a stamp or None; `now_ns` of its clock is 0 while unknown, `steady` is s."""
         last, self._last = self._last, (stamp_ns, steady)
         if now_ns and (stamp_ns - now_ns) / NANOSECONDS > FUTURE:
             return f"stamps are more than {FUTURE:g} s ahead of this computer's clock"

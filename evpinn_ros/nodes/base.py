@@ -1,8 +1,7 @@
 """Base of every node here: parameters, guarded callbacks, counters, diagnostics, lifecycle.
 
-Without the parameter `managed` a node is configured and works at once. With it `configure` reads
-parameters and files and makes the endpoints, `activate` begins to work, and `cleanup` forgets all
-of it again.
+Without the parameter `managed` a node is configured and works at once; else `configure` makes the
+endpoints, `activate` begins to work, and `cleanup` forgets all of it.
 """
 
 from __future__ import annotations
@@ -43,32 +42,20 @@ NOT_FINITE = "output_not_finite"
 
 
 class GuardedNode(LifecycleNodeMixin, ABC, Node):
-    """A node whose callbacks never raise and which reports its health once a second.
-
-    Attributes:
-        active: whether it works; a managed node does between `activate` and `deactivate`.
-        configured: whether its parameters are in use, and fixed but for those that may change.
-        values: of the parameters, by name; they follow changes.
-        received: messages by input.
-        published: messages by output.
-        bad: messages and outputs that were not used, by topic and reason.
-        calls: of services, by name.
-    """
+    """A node whose callbacks never raise and which reports its health once a second."""
 
     active, configured = True, False
 
     def __init__(self, name: str, **kwargs: Any) -> None:
-        """Declare the parameters of the table `name`, and work at once if no manager is wanted.
-
-        `kwargs` go to rclpy's Node.
-        """
-        self.calls: Counter[str] = Counter()
+        """Declare the table's parameters; work at once if no manager is wanted."""
+        self.calls: Counter[str] = Counter()  # of services, by name
         self._made: list[Callable[[], object]] = []  # what undoes each endpoint and timer
         Node.__init__(self, name, **kwargs)
         self._table = TABLES.get(name, ())
-        self.values = declare(self, self._table)
-        self.received: Counter[Topic] = Counter()
-        self.published: Counter[Topic] = Counter()
+        self.values = declare(self, self._table)  # of the parameters, by name; they follow changes
+        self.received: Counter[Topic] = Counter()  # messages by input
+        self.published: Counter[Topic] = Counter()  # messages by output
+        # messages and outputs that were not used, by topic and reason
         self.bad: Counter[str] = Counter()
         self._usual: set[str] = set()  # of them, those that need no attention
         self._lasting: dict[str, float] = {}  # of them, those shown when they begin; newest, s
@@ -98,6 +85,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self.configured = True
             self.begin()
             return
+        # whether it works; a managed node does between `activate` and `deactivate`
         self.active = False
         LifecycleNodeMixin.__init__(self)
         # A manager's request can be lost during discovery; this one cannot.
@@ -125,6 +113,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         problem = self.end() if self.active else None
         if self.configured:
             self.let_go()
+        # whether its parameters are in use, and fixed but for those that may change
         self.active = self.configured = False
         return problem
 
@@ -137,11 +126,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return ()
 
     def begun(self, text: str, known: Iterable[Status] = ()) -> None:
-        """Log one line, once the node is made; these phases of it are then no news.
-
-        Raises:
-            InputError: it was given a quality of service that none of its endpoints takes.
-        """
+        """Log a line once the node is made; InputError for unused QoS overrides."""
         factory.refuse_unknown_overrides(self)
         self._logged = {phase.name: phase.text for phase in known}
         self.get_logger().info(printable(text))
@@ -162,10 +147,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self._made.append(partial(self.destroy_publisher, outlet))
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
-        """Subscribe, with `raw` to bytes; what the callback raises is counted.
-
-        An input that is not raw is a stream of one publisher: a second one is reported.
-        """
+        """Subscribe, with `raw` to bytes; a second publisher of an input is reported."""
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
             if not self.active:
@@ -197,10 +179,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
     def create_service(
         self, kind: Any, name: str, callback: Callable[[Any, Any], Any], **options: Any
     ) -> Any:
-        """As rclpy's, and for its own services too: what a request makes them raise is counted.
-
-        A parameter of a type that there is not raises in rclpy, and would end the node.
-        """
+        """As rclpy's, but what a request raises (rclpy's own would end the node) is counted."""
 
         async def safe(request: Any, response: Any) -> Any:
             self.calls[name] += 1
@@ -271,10 +250,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return int(self.get_clock().now().nanoseconds)
 
     def notice(self, kind: str, text: str) -> None:
-        """Tell this in the diagnostics for `LATELY` seconds; the newest of each kind counts.
-
-        It is logged when it begins.
-        """
+        """Tell this in the diagnostics for `LATELY` seconds, and log when it begins."""
         _, noticed = self._notices.get(kind, ("", -math.inf))
         self._notices[kind] = text, self.steady_s()
         if self.steady_s() - noticed > LATELY:
@@ -290,11 +266,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         shown_elsewhere: Mapping[str, int] | None = None,
         usual: Collection[str] = (),
     ) -> Health:
-        """Faults so far, with messages that the node `dropped`, by reason.
-
-        Those `shown_elsewhere` are among the values of the status already. `usual` reasons need no
-        attention now, and are counted all the same.
-        """
+        """Faults so far and `dropped` messages; `usual` reasons need no attention now."""
         bad = {**self.bad, **(dropped or {})}
         lately = self._lately.update(self.steady_s(), {**bad, **(shown_elsewhere or {})})
         shown = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
@@ -342,11 +314,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return ", ".join(reasons) or "nobody publishes it"
 
     def stream(self, topic: Topic) -> Topic:
-        """The stream that an input belongs to: others of `SPEEDS` stand in for `vehicle/speed`.
-
-        Raises:
-            BadMessage: it does not, for a better one is received: its steps and noise are others.
-        """
+        """The stream of an input (`SPEEDS` are one); BadMessage if a better one is received."""
         if topic not in topics.SPEEDS:
             return topic
         for better in topics.SPEEDS[: topics.SPEEDS.index(topic)]:
@@ -381,10 +349,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return diagnostics(new_message, self.now_ns(), named, self.get_namespace())
 
     def _log_changes(self) -> None:
-        """Log a phase, once, when it is new and has lasted since the last look.
-
-        Who starts the nodes without ROS around them sees nothing else.
-        """
+        """Log a phase when it is new and has lasted since the last look."""
         for phase in self.phases() if self.configured else ():
             lasts = self._phases.get(phase.name) == phase.text
             self._phases[phase.name] = phase.text

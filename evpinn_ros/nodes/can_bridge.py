@@ -42,19 +42,10 @@ LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the p
 
 
 class CanBridgeNode(GuardedNode):
-    """Decodes one bus, in one thread that owns it, and survives its unplugging.
-
-    A second thread asks the car for what it does not broadcast, if `poll` allows that.
-    """
+    """Reads a bus in one thread, and asks the car in another if `poll` allows that."""
 
     def __init__(self, *, record: RawFrames | None = None, **kwargs: Any) -> None:
-        """Start to read; `record` takes every frame beside, with the time of its arrival.
-
-        `kwargs` go to rclpy's Node.
-
-        Raises:
-            InputError: a parameter is wrong, or the log is not there.
-        """
+        """Start to read; `record` takes every frame beside. May raise InputError."""
         self._record = record
         super().__init__("can_bridge", **kwargs)
 
@@ -150,11 +141,7 @@ class CanBridgeNode(GuardedNode):
         )
 
     def _listen_to_frames(self) -> None:
-        """Subscribe to the topic `channel`.
-
-        Raises:
-            InputError: its messages are not installed, or it is no name of a topic.
-        """
+        """Subscribe to the topic `channel`; InputError if that is not possible."""
         if not is_installed(FRAMES):
             raise InputError(f"interface {FRAMES}: the package {FRAMES} is not installed")
         self._frames = frame_topic(self.values["channel"])

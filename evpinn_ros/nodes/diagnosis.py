@@ -1,7 +1,4 @@
-"""Status of a node, as /diagnostics shows it, decided without ROS.
-
-Each node has a module beside this one with its pure function: state in, `Status` out.
-"""
+"""Status of a node, as /diagnostics shows it, by pure functions in a module for each node."""
 
 from __future__ import annotations
 

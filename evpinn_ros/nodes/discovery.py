@@ -13,11 +13,11 @@ FOUND_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # Fast DDS reads it from the workin
 
 
 def announce_often() -> None:
-    """Have Fast DDS announce this process, and those it starts, every 0.2 s in place of 3 s.
+    """Have Fast DDS announce this process and its children every 0.2 s, not 3 s.
 
-    Nodes that start one after the other otherwise miss each other's announcement every third time
-    and wait for the next (docs/project/upstream.md). Call it before ROS starts. Profiles that the
-    user has chosen are left as they are; other middleware takes no notice.
+    Nodes that start one after the other otherwise miss each other every third time
+    (docs/project/upstream.md). Call it before ROS starts; a user's profiles and other middleware
+    are left alone.
     """
     if not any(os.environ.get(name) for name in THEIRS) and not Path(FOUND_HERE).exists():
         os.environ[PROFILES] = str(share_directory() / "config" / "fastdds.xml")

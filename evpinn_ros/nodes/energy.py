@@ -65,11 +65,6 @@ class EnergyNode(GuardedNode):
     """Meters one car and answers plans; see `docs` for its topics, services and parameters."""
 
     def __init__(self, **kwargs: Any) -> None:
-        """Start from the file, or at zero; `kwargs` go to rclpy's Node.
-
-        Raises:
-            InputError: a parameter is wrong.
-        """
         super().__init__("energy", **kwargs)
 
     def configure(self) -> None:
@@ -277,7 +272,6 @@ class EnergyNode(GuardedNode):
         yield self._plan_status(header, answered_status(answer))
 
     def _moment(self) -> Moment:
-        """Battery of this moment; the account goes on while a plan waits."""
         charge, capacity = self.account.charge(), self.account.gauge.capacity
         return Moment(charge, capacity, self.now_ns(), deepcopy(self.account.battery))
 
@@ -309,11 +303,7 @@ class EnergyNode(GuardedNode):
         return call.write(response)
 
     async def _on_batch(self, goal: Any) -> Any:
-        """Answer a goal plan by plan, so that other plans are answered in between.
-
-        All are forecast with the car of the first: what is learned meanwhile would make
-        differences of them.
-        """
+        """Answer a goal plan by plan, other plans in between, all with the car of the first."""
         self.calls["~/estimate_plans"] += 1
         kind = message_class(PLAN_ACTION)
         call, moment = PlanCall(goal.request, BATCH, self.plans), self._moment()

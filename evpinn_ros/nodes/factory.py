@@ -73,10 +73,7 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 
 def advertise(node: Node, topic: Topic, on_mismatch: Callable[[str], None] | None = None) -> Any:
-    """A publisher; its quality of service can be overridden by parameters.
-
-    `on_mismatch` takes the policy for which a subscriber gets nothing; rclpy's own logs it.
-    """
+    """A publisher with QoS overrides; `on_mismatch` takes a policy that shuts a subscriber out."""
     events = PublisherEventCallbacks(**_mismatch(on_mismatch))
     return node.create_publisher(
         message_class(topic.type_name),
@@ -95,10 +92,7 @@ def subscribe(
     raw: bool = False,
     on_mismatch: Callable[[str], None] | None = None,
 ) -> Any:
-    """A subscription with the topic's QoS; with `raw` the callback gets the bytes of the message.
-
-    A callback of two arguments gets what the middleware tells of the message beside.
-    """
+    """A subscription with the topic's QoS; a callback of two arguments gets rclpy's info too."""
     events = SubscriptionEventCallbacks(**_mismatch(on_mismatch))
     return node.create_subscription(
         message_class(topic.type_name),
@@ -119,10 +113,7 @@ def _overriding(node: Node, topic: Topic, end: str) -> QoSOverridingOptions | No
 
 
 def refuse_unknown_overrides(node: Node) -> None:
-    """Raise InputError where an override is of an endpoint of the node, but of no known policy.
-
-    rclpy would ignore it. Overrides of topics that the node does not have are another node's.
-    """
+    """InputError for an override of an endpoint here with no known policy."""
     given = {name for name in node._parameter_overrides if name.startswith("qos_overrides.")}
     for name in sorted(given):
         endpoint, _, policy = name.rpartition(".")
@@ -132,11 +123,7 @@ def refuse_unknown_overrides(node: Node) -> None:
 
 
 def _mismatch(tell: Callable[[str], None] | None) -> dict[str, Any]:
-    """Arguments of event callbacks that tell a mismatched policy, and nothing else.
-
-    rclpy would listen for wrong types as well: Fast DDS never tells one, and the executor would
-    look for it at every endpoint whenever it waits, half of the time that a wait takes.
-    """
+    """Callbacks for a mismatched policy alone: looking for wrong types doubles every wait."""
     if tell is None:
         return {}
 

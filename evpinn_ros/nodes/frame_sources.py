@@ -19,26 +19,14 @@ DEPTH = 1000  # frames, half a second of a busy bus
 
 
 class LogPlayer:
-    """Plays a CAN log as if it were a bus, at a given rate; frames keep their stamps.
-
-    `run` is for a thread of its own, all else for any other.
-
-    Attributes:
-        problem: why the log could not be played to its end, None if all is well.
-        text: how far it is, in a few words.
-        newest_ns: stamp of the newest frame, 0 before the first.
-    """
+    """Plays a CAN log as if it were a bus; `run` is for a thread of its own."""
 
     def __init__(
         self, path: Path, rate: float, delay: float, on_frame: Callable[[CanFrame], None]
     ) -> None:
-        """Find a log, or a bag with raw frames, to play `delay` s later at `rate` times real time.
+        """Find a log to play `delay` s later at `rate` (0: at once); or InputError.
 
-        At rate 0 it is played as fast as possible. `on_frame` is called in the thread of `run`,
-        and must not raise.
-
-        Raises:
-            InputError: no such file, or no CAN log.
+        `on_frame` is called in the thread of `run`, and must not raise.
         """
         # Here, for what reads logs and bags would take 6 MB in a car, which plays none.
         from evpinn_ros.logs.bus_sources import open_can_log
@@ -46,9 +34,10 @@ class LogPlayer:
         self._log, self._rate, self._delay = open_can_log(path), rate, delay
         self._on_frame = on_frame
         self._stop = threading.Event()
+        # why the log could not be played to its end, None if all is well
         self.problem: str | None = None
-        self.text = f"playing {path}"
-        self.newest_ns = 0
+        self.text = f"playing {path}"  # how far it is, in a few words
+        self.newest_ns = 0  # stamp of the newest frame, 0 before the first
 
     def run(self) -> None:
         """Play until the end or until `stop`."""
@@ -91,10 +80,7 @@ class FrameTopic:
     def __init__(
         self, name: str, on_frame: Callable[[CanFrame], None], publishers: Callable[[], int]
     ) -> None:
-        """Begin before the first frame of a topic, which has a name for people.
-
-        `take` calls `on_frame`; `publishers` counts those of the topic.
-        """
+        """Begin; `publishers` counts those of the topic of this name."""
         self._name, self._on_frame, self._publishers = name, on_frame, publishers
         self._counters: Counter[str] = Counter()
         self._newest_s: float | None = None

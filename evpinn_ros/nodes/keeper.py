@@ -32,14 +32,7 @@ class Actions(NamedTuple):
 
 
 class Keeper:
-    """Loads and saves the core of a node, and decides on jumps of time.
-
-    Attributes:
-        start: state that the core begins with, in a few words.
-        file: of the core.
-        guard: of the stamps that the core is given.
-        guards: all guards of stamps of the node.
-    """
+    """Loads and saves the core of a node, and decides on jumps of time."""
 
     def __init__(
         self,
@@ -49,22 +42,18 @@ class Keeper:
         leaders: tuple[Topic, ...],
         actions: Actions,
     ) -> None:
-        """Load the state of a node's core, and keep its half of the file that a parameter names.
+        """Load the core's state; stamps of the first of `leaders` decide on jumps of time.
 
-        `leaders` are inputs either of which the node needs; stamps of the first decide on jumps of
-        time.
-
-        Raises:
-            InputError: a manager asks for it, and the file can never be written, or another
-                process learns into it.
+        InputError: a manager asks, and the file cannot be written, or another process learns into
+        it.
         """
         if isinstance(before := getattr(node, "kept", None), Keeper):
             before.release()  # of a configuration that failed
         self._node, self._leaders, self._actions = node, leaders, actions
         self._name = node.values[FILES[half]]
-        self.file = StateFile(state_path(self._name), core, half)
-        self.guard = StampGuard(leaders[0])
-        self.guards = [self.guard]
+        self.file = StateFile(state_path(self._name), core, half)  # of the core
+        self.guard = StampGuard(leaders[0])  # of the stamps that the core is given
+        self.guards = [self.guard]  # all guards of stamps of the node
         self._clock_went_back = False  # since the last jump
         if unwritable := self.file.why_unwritable():
             if node.values["managed"]:
@@ -73,6 +62,7 @@ class Keeper:
         self.file.restore()
         if self.file.busy is not None and node.values["managed"]:
             raise InputError(self.file.busy)
+        # state that the core begins with, in a few words
         self.start = self.file.start or ANEW[half]
         if (problem := self.file.problem) is not None:
             node.log(Level.WARN, f"{node.get_name()} {self.start}: {problem}")

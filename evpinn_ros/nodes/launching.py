@@ -1,7 +1,6 @@
-"""Shared parts of the launch files: their arguments, nodes under the namespace, the recorder.
+"""Shared parts of the launch files; a wrong argument ends the launch before anything starts.
 
-For launch files alone, since `launch` comes with a ROS 2 installation and not from PyPI. A wrong
-argument ends the launch with its reason before anything starts.
+For launch files alone, since `launch` comes with a ROS 2 installation and not from PyPI.
 """
 
 from __future__ import annotations
@@ -67,26 +66,20 @@ SIMULATED = argument("use_sim_time", "false", "Take the time from /clock.", TRUT
 
 
 class Given:
-    """The arguments of one launch.
-
-    Attributes:
-        values: by name.
-        namespace: absolute, with what including files have pushed.
-        remaps: pairs of names that including files have set by `SetRemap`, in their order.
-    """
+    """The arguments of one launch."""
 
     def __init__(self, context: Any, arguments: Iterable[DeclareLaunchArgument]) -> None:
-        """Read and check them."""
         names = [argument.name for argument in arguments]
         self.values: dict[str, str] = {
             name: LaunchConfiguration(name).perform(context) for name in names
-        }
+        }  # by name
         pushed = context.launch_configurations.get("ros_namespace")
         below = prefix_namespace(pushed, self.values["namespace"])
+        # absolute, with what including files have pushed
         self.namespace: str = make_namespace_absolute(below)
         self.remaps: Sequence[tuple[str, str]] = context.launch_configurations.get(
             "ros_remaps", ()
-        )
+        )  # pairs of names that including files have set by `SetRemap`, in their order
         if not Path(self.values["params_file"]).is_file():
             raise InputError(f"params_file:={self.values['params_file']}: no such file")
         if self.values["vehicle"]:
@@ -98,7 +91,6 @@ class Given:
             raise InputError(f"record:={record}: exists already")
 
     def __getitem__(self, name: str) -> str:
-        """The text of one argument."""
         return self.values[name]
 
     def is_true(self, name: str) -> bool:
@@ -128,11 +120,7 @@ def describe(
     *own: DeclareLaunchArgument,
     simulated: DeclareLaunchArgument = SIMULATED,
 ) -> LaunchDescription:
-    """The description of a launch file.
-
-    `actions` gives what it starts, once the arguments are known: its `own`, the common ones and
-    `use_sim_time`.
-    """
+    """The description of a launch file that starts what `actions` gives of its arguments."""
     arguments = (*own, *COMMON, simulated)
     names = [argument.name for argument in arguments]
 
@@ -145,10 +133,7 @@ def describe(
 
 
 def _mistyped(context: Any, names: Sequence[str]) -> list[LogInfo]:
-    """A line for each argument that is none, but nearly: `launch` takes any without a word.
-
-    What is nowhere near may be an argument of the file that includes this one.
-    """
+    """A line for each argument that is nearly one of ours: `launch` takes any in silence."""
     others = [name for name in context.launch_configurations if name not in names]
     return [
         LogInfo(msg=f"unknown argument '{name}'{near}")

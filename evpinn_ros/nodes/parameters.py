@@ -21,7 +21,7 @@ from evpinn_ros.topics.node_parameters import OF_EVERY_NODE, TABLES, Parameter, 
 
 
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
-    """Declare the parameters of a table; give their values, which follow later changes.
+    """Declare a table's parameters; returns their values, which follow later changes.
 
     Those of a managed node may be anything until it is configured, which refuses wrong ones.
     """
@@ -50,10 +50,7 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
 
 
 def unknown_parameters(node: Node, table: tuple[Parameter, ...]) -> list[str]:
-    """A line for each parameter that a node was given and no node here has; rclpy ignores it.
-
-    The table is of those that the node has.
-    """
+    """A line for each given parameter that no node here has; rclpy ignores it."""
     known = {parameter.name for table in TABLES.values() for parameter in table}
     own = [parameter.name for parameter in table]
     return [

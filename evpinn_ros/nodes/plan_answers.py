@@ -1,7 +1,4 @@
-"""Answers plans beside what counts: a thread for all, and calls of `evpinn_msgs`.
-
-A call is of the service `EstimatePlan` or of the action `EstimatePlans`.
-"""
+"""Answers plans on a worker thread, also those of `EstimatePlan` and `EstimatePlans`."""
 
 from __future__ import annotations
 
@@ -31,7 +28,6 @@ class PlanDesk:
     """Does one job after the other, in a thread, with a forecaster that is its own."""
 
     def __init__(self, forecaster: Forecaster) -> None:
-        """Begin to wait for jobs; what `forecaster` shall know comes by `tell`."""
         self._forecaster = forecaster
         self._jobs: SimpleQueue[Job | None] = SimpleQueue()
         self._places = threading.Semaphore(MOST_WAITING)
@@ -94,10 +90,7 @@ class PlanCall:
     """The plans of one call, answered one by one."""
 
     def __init__(self, request: Any, limits: CallLimits, log: PlanLog) -> None:
-        """Begin with the first plan of a service's request or an action's goal.
-
-        Plans beyond the limits are refused; the log counts all.
-        """
+        """Begin with the first plan of a request or goal; those beyond the limits are refused."""
         self._plans, self._given = request.plans, request.conditions
         self._limits, self._log = limits, log
         self.results: list[Any] = []  # evpinn_msgs/PlanResult of each plan so far, in their order
@@ -113,10 +106,7 @@ class PlanCall:
         return len(self.results) == len(self._plans)
 
     def answer(self, forecaster: Forecaster, moment: Moment) -> None:
-        """Answer the next plan, or refuse it with its reason; the moment is that of the call.
-
-        The forecaster compares it with those of this call that it has answered.
-        """
+        """Answer the next plan by the call's moment, compared with those before, or refuse it."""
         index, self._basis = len(self.results), forecaster.basis.value
         asked = self._plans[index]
         result = new_message(PLAN_RESULT, name=asked.name, **UNKNOWN)

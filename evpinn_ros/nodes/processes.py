@@ -39,13 +39,10 @@ def record_through_nodes(
     progress: Callable[[float], None],
     stopped: Callable[[], bool],
 ) -> None:
-    """Play a CAN log through the three executables over DDS and record all their topics.
+    """Play a CAN log through the executables over DDS and record all their topics.
 
-    Each node takes its own of the parameters, by name; `log_file` is the log, and `end_ns` the
-    stamp of its last frame. `progress` takes seconds of the drive done.
-
-    Raises:
-        InputError: it was stopped, or a node ended or fell silent, before the end of the log.
+    `end_ns` is the stamp of its last frame. InputError: stopped, or a node ended or fell silent,
+    before that.
     """
     own_network()
     # At a signal the caller stops the nodes; rclpy would end its own part and leave an error.
@@ -72,10 +69,7 @@ def record_through_nodes(
 
 
 def own_network() -> None:
-    """Put this process and those it starts on a network of their own, before ROS starts.
-
-    A simulated car must never reach the nodes of a real one.
-    """
+    """Isolate this process and its children, before ROS starts, from nodes of a real car."""
     announce_often()
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ["ROS_DOMAIN_ID"] = str(FIRST_DOMAIN + os.getpid() % DOMAINS)
@@ -95,7 +89,6 @@ class _Watch:
         self._progress((stamp_ns - self._first_ns) / NANOSECONDS)
 
     def follow(self, spin: Callable[[], None], bridge: subprocess.Popen[bytes]) -> None:
-        """Spin until the newest prediction is within a second of the log's end."""
         seen, since = self._newest_ns, time.monotonic()
         while self._newest_ns < self._end_ns - NANOSECONDS:
             spin()

@@ -1,7 +1,4 @@
-"""Records every topic of this package into a bag, as the bytes that came over the wire.
-
-The raw frames of a bridge in the same process go beside them, as `can_msgs/Frame`.
-"""
+"""Records every topic of this package, and a bridge's raw frames, into a bag."""
 
 from __future__ import annotations
 
@@ -25,11 +22,7 @@ FLUSH_PERIOD = 0.25
 
 
 class RecorderNode(GuardedNode):
-    """Writes each message at the time of its arrival, by the node's clock.
-
-    A disk that fails or is full ends the recording, for no bag goes on after half a record. What
-    was written stays readable, and the other nodes do not notice.
-    """
+    """Writes each message at the time of its arrival; a disk that fails ends it alone."""
 
     def __init__(
         self,
@@ -38,14 +31,7 @@ class RecorderNode(GuardedNode):
         split: Split | None = None,
         **kwargs: Any,
     ) -> None:
-        """Begin the bag.
-
-        `frames` are filled by a bridge and emptied here; `split` says when the bag goes on in
-        another file, None never. `kwargs` go to rclpy's Node.
-
-        Raises:
-            InputError: the folder is in use, or cannot be made.
-        """
+        """Begin the bag (InputError if it cannot); `frames` are emptied here."""
         super().__init__("recorder", **kwargs)
         self._counts: Counter[str] = Counter()
         self._problem: str | None = None

@@ -1,8 +1,6 @@
 """Runs nodes in one thread until they are stopped, and ends them in good order.
 
-systemd gets messages that the process is up, that it still works and that it ends, by the
-protocol of sd_notify(3): datagrams to the socket in NOTIFY_SOCKET. Without one, as outside a unit
-of `Type=notify`, nothing is sent.
+systemd is told by sd_notify(3): datagrams to the socket in NOTIFY_SOCKET, if there is one.
 """
 
 from __future__ import annotations
@@ -57,16 +55,9 @@ def run(
     args: list[str] | None = None,
     beside: AbstractContextManager[object] | None = None,
 ) -> int:
-    """Make nodes and spin them until a signal to stop or a shutdown; this ends the process with 0.
+    """Spin nodes until a signal, which ends the process with 0; returns 1, with a line, on errors.
 
-    Args:
-        makers: of the nodes, called once ROS is up; those who listen before those who speak.
-        args: of the command line, None for those of the process.
-        beside: entered before the nodes start and left when they have ended.
-
-    Returns:
-        The exit code 1, with a line on stderr, when input is wrong or something that shall last
-        could not be written.
+    `makers` of listening nodes come first; `beside` is entered before the nodes start.
     """
     # A signal shall wake rclpy up and nothing else: a KeyboardInterrupt would strike anywhere, in
     # the middle of its C++ too, which turns it into some other error.
@@ -141,11 +132,7 @@ def load_no_generator() -> None:
 
 
 def _end(nodes: Sequence[GuardedNode]) -> int:
-    """Close all nodes, whatever one of them raises; the first error is raised in the end.
-
-    Returns:
-        The exit code: 1, with lines on stderr, when there is something that nodes could not keep.
-    """
+    """Close all nodes; raises their first error, or returns 1 if something was not kept."""
     begin, code = time.monotonic(), 0
     tell("STOPPING=1")
     errors: list[Exception] = []
@@ -180,7 +167,7 @@ def _end(nodes: Sequence[GuardedNode]) -> int:
 
 
 def _end_process() -> NoReturn:
-    """End without taking libraries to pieces: of torch, 0.6 s of the processor for nothing."""
+    """End without taking libraries to pieces: of torch, 0.6 s of the processor."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:  # whoever started us may have closed it
             with suppress(OSError):
@@ -205,21 +192,14 @@ def tell(state: str) -> None:
 
 
 def watchdog_period() -> float | None:
-    """Seconds after which to say that all is well, half of what systemd waits; None: it does not.
-
-    WATCHDOG_USEC, which systemd sets, is in microseconds.
-    """
+    """Half of the s that systemd waits (WATCHDOG_USEC), or None."""
     waits = os.environ.get("WATCHDOG_USEC", "")
     return int(waits) / 2e6 if waits.isdecimal() and int(waits) > 0 else None
 
 
 @contextmanager
 def deadline(seconds: float) -> Iterator[None]:
-    """End the process with 1 when the block takes longer; stderr says where it hangs.
-
-    A call into the middleware that never returns keeps the interpreter, so neither a thread of
-    Python nor a handler of signals would get a turn; `faulthandler` needs neither.
-    """
+    """End with 1, and say where it hangs, after so long; `faulthandler` needs no interpreter."""
     # Whoever started us may have closed stderr.
     said = os.open(os.devnull, os.O_WRONLY) if sys.stderr is None else 2
     faulthandler.dump_traceback_later(seconds, exit=True, file=said)

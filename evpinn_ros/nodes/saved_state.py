@@ -36,15 +36,10 @@ class Stateful(Protocol):
 
 
 class StateFile:
-    """The state file of one node, which has a half of it; another node may have the other.
-
-    Attributes:
-        problem: why the file was not used or not written, None if all is well.
-        busy: set once it was loaded, where another process has the half: nothing is written then.
-    """
+    """The state file of one node, which has a half of it; another node may have the other."""
 
     def __init__(self, path: Path | None, owner: Stateful, half: Half) -> None:
-        """Keep the state of `owner` in a half of the file at `path`; None keeps nothing."""
+        # why the file was not used or not written, None if all is well
         self.problem: str | None = None
         self._path, self._owner, self._half = path, owner, half
         self._loaded: Mapping[str, Any] | None = None
@@ -52,6 +47,7 @@ class StateFile:
         self._readable = True
         self._claim: StateClaim | None = None
         self._appendable = 0  # states that may follow the last that was written whole
+        # set once it was loaded, where another process has the half: nothing is written then
         self.busy: str | None = None
 
     def why_unwritable(self) -> str | None:
@@ -156,11 +152,7 @@ class StateFile:
 
 
 def state_path(text: str) -> Path | None:
-    """The path that a parameter gives, None where it is empty.
-
-    Raises:
-        InputError: it begins with `~`, and no user has such a home.
-    """
+    """The path of a parameter, None where empty; InputError for a `~` of nobody."""
     try:
         return Path(text).expanduser() if text else None
     except RuntimeError as error:
@@ -168,7 +160,6 @@ def state_path(text: str) -> Path | None:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Number and time of a file; None where there is none."""
     try:
         status = path.stat()
     except OSError:

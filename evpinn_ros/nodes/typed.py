@@ -1,8 +1,7 @@
-"""The typed interface: the messages of `evpinn_msgs`, beside the named vectors of the contract.
+"""The messages of `evpinn_msgs`, beside the named vectors of the contract.
 
-A typed topic repeats a named vector under `typed/`: each quantity is a field, beside it its
-1-sigma and, where the vector has one, its rate; NaN where not known. Which fields there are, the
-`.msg` files state. Nothing here needs `evpinn_msgs` until it is installed.
+Under `typed/` each quantity is a field, beside it its 1-sigma and perhaps its rate; NaN where not
+known.
 """
 
 from __future__ import annotations
@@ -69,11 +68,7 @@ def typed_message(topic: Topic, vector: Any) -> Any:
 
 
 def given_conditions(message: Any) -> PlanConditions:
-    """Conditions in a typed message; NaN is as good as none.
-
-    Raises:
-        PlanError: a number that no trip has.
-    """
+    """Conditions in a typed message, NaN as none; PlanError for what no trip has."""
     given = {name: number for name in CONDITION_RANGES for number in getattr(message, name)}
     return PlanConditions(**{k: v for k, v in given.items() if not math.isnan(v)})
 

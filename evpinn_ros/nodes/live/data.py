@@ -1,8 +1,4 @@
-"""Messages of a running system, newest of each kind: all that the live view shows.
-
-Reads no clock and knows no ROS: messages come with the time of their arrival, s of any steady
-clock, and every question is asked for such a time.
-"""
+"""Newest messages of a running system; knows neither ROS nor a clock, but s of arrival."""
 
 from __future__ import annotations
 
@@ -104,25 +100,15 @@ class PowerHistory:
 
 
 class LiveData:
-    """Takes messages, answers what a screen shows.
-
-    Attributes:
-        units: those that people see.
-        speed: m/s, NaN when not known.
-        battery: the last reading, None before the first.
-        line: power of the last minutes.
-        statuses: of the parts of our nodes, by `node: part`.
-        unusable: messages that held no usable value, by topic.
-    """
+    """Takes messages, answers what a screen shows."""
 
     def __init__(self, namespace: str = topics.NAMESPACE, units: Units = METRIC) -> None:
-        """Begin without messages of the car under a namespace."""
         self.units, self._namespace = units, namespace.strip("/")
-        self.speed = math.nan
-        self.battery: BatteryReading | None = None
-        self.line = PowerHistory()
-        self.statuses: dict[str, PartStatus] = {}
-        self.unusable: Counter[str] = Counter()
+        self.speed = math.nan  # m/s, NaN when not known
+        self.battery: BatteryReading | None = None  # the last reading, None before the first
+        self.line = PowerHistory()  # power of the last minutes
+        self.statuses: dict[str, PartStatus] = {}  # of the parts of our nodes, by `node: part`
+        self.unusable: Counter[str] = Counter()  # messages that held no usable value, by topic
         self._elsewhere: set[str] = set()  # namespaces of nodes like ours
         self._vectors: dict[Topic, NamedVector] = {}
         self._arrivals: defaultdict[Topic, deque[float]] = defaultdict(

@@ -1,10 +1,7 @@
-"""Serves messages to Foxglove over a WebSocket, as the CDR bytes they are.
+"""Serves messages to Foxglove over a WebSocket, as CDR bytes (extra `foxglove`).
 
-Wants the extra `foxglove`. Topics and types are those of a bag, so one layout fits both.
-
-A browser lets any page connect to any WebSocket, also to one on this computer, and says in the
-header `Origin` which page it is (RFC 6455, 10.2). The server of the Foxglove SDK does not look, so
-a door stands before it: pages that were not named stay outside.
+A browser lets any page connect to any WebSocket, and says in `Origin` which page it is (RFC 6455,
+10.2). The Foxglove SDK does not look, so a gate before it keeps out pages that were not named.
 """
 
 from __future__ import annotations
@@ -50,17 +47,10 @@ class FoxgloveServer:
         replay: bool = False,
         origins: Collection[str] = (),
     ) -> None:
-        """Begin to serve.
+        """Begin to serve `topics` (types by name); port 0 is any that is free.
 
-        Args:
-            host: name or address of the interface to listen on.
-            port: 0 for any that is free.
-            topics: types by full name, all of ROS 2 Jazzy.
-            replay: whether `send_time` gives the clock; else it is the computer's.
-            origins: of web pages that may connect beside `ORIGINS`.
-
-        Raises:
-            InputError: the extra is not installed, or nothing can listen there.
+        With `replay` the clock is that of `send_time`; web pages of `origins` may connect beside
+        `ORIGINS`. InputError: the extra is missing, or nothing can listen there.
         """
         if not 0 <= port <= LAST_PORT:
             raise InputError(f"port {port} is not in 0 to {LAST_PORT}")
@@ -104,11 +94,7 @@ class FoxgloveServer:
         self.close()
 
     def send(self, topic: str, type_name: str, data: bytes, time_ns: int) -> None:
-        """Give one message, as CDR bytes, to those who subscribed; never waits for them.
-
-        What is not among the topics, or among them with another type, is left out. A time before
-        1970, which a bag may hold and Foxglove does not know, is shown as 1970.
-        """
+        """Give CDR bytes to subscribers without waiting; unknown topics are left out."""
         channel = self._channels.get((topic, type_name))
         if channel is not None:
             channel.log(data, log_time=max(time_ns, 0))
@@ -135,11 +121,7 @@ class FoxgloveServer:
 
 
 def _inside() -> str:
-    """An address of this computer alone that no web page can guess, where there are such.
-
-    The whole of 127/8 is this computer on Linux; elsewhere there is 127.0.0.1, and a port of
-    thousands has to do.
-    """
+    """An address of this computer that no web page can guess, where there are such."""
     host = f"127.{1 + randbelow(254)}.{randbelow(256)}.{1 + randbelow(254)}"
     with socket.socket() as trial:
         try:
@@ -163,11 +145,7 @@ def is_loopback(host: str) -> bool:
 
 
 def is_welcome(head: bytes, origins: Collection[str]) -> bool:
-    """True if a request opens a WebSocket, from no page or from one of `origins`.
-
-    `head` is that of an HTTP request, with its empty line; origins are as browsers write them,
-    `https://app.foxglove.dev`.
-    """
+    """True if the head of an HTTP request opens a WebSocket, from no page or one of `origins`."""
     asked_from, upgrades = [], False
     for line in head.split(b"\r\n")[1:]:
         name, _, value = line.partition(b":")
@@ -184,14 +162,7 @@ class OriginGate:
     def __init__(
         self, host: str, port: int, server: tuple[str, int], origins: Collection[str]
     ) -> None:
-        """Listen on an interface, by name or address; port 0 is any that is free.
-
-        Connections are passed on to `server`, host and port. Only pages of `origins` may connect;
-        what sends no origin is no page, and may.
-
-        Raises:
-            InputError: nothing can listen there.
-        """
+        """Listen (port 0: any) and pass on to `server` what may connect; or InputError."""
         self._server, self._origins = server, frozenset(origins)
         self._open: set[asyncio.Task[None]] = set()
         self._loop = asyncio.new_event_loop()

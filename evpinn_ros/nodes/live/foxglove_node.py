@@ -18,13 +18,7 @@ class FoxgloveNode(GuardedNode):
     """Passes messages on to a server, with the time of their arrival by the node's clock."""
 
     def __init__(self, host: str, port: int, origins: Collection[str] = (), **kwargs: Any) -> None:
-        """Begin to serve on an interface; port 0 is any that is free.
-
-        Web pages of `origins` may connect beside Foxglove's own. `kwargs` go to rclpy's Node.
-
-        Raises:
-            InputError: the extra is not installed, or nothing can listen there.
-        """
+        """Serve to Foxglove and to pages of `origins`; port 0: any; or InputError."""
         super().__init__("foxglove", **kwargs)
         self._count = 0
         known = installed(TOPICS)

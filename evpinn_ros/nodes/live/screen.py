@@ -200,11 +200,7 @@ def power_axis(values: Sequence[float]) -> tuple[float, float]:
 def braille_line(
     values: Sequence[float], width: int, height: int, axis: tuple[float, float]
 ) -> list[str]:
-    """A line through values, as `height` rows of `width` Braille characters from the top.
-
-    There are two values for each character, oldest first; NaN leaves a gap. The axis has the
-    values at the bottom and at the top.
-    """
+    """Rows of Braille from the top: two values a character, oldest first; NaN is a gap."""
     low, high = axis
     cells = [[0] * width for _ in range(height)]
     last_row = height * DOT_ROWS - 1
@@ -343,11 +339,7 @@ def _cell(text: str, width: int, *, right: bool = False) -> str:
 
 
 def as_json(data: LiveData, now: float) -> dict[str, Any]:
-    """State of the system for scripts, ready for `json_text`: `evpinn watch --json FILE`.
-
-    SI units; None or NaN where nothing is known. The current keeps the sign of `battery/state`;
-    power and energy are positive when drawn from the battery.
-    """
+    """State of the system for scripts (`evpinn watch --json`): SI, None or NaN where unknown."""
     battery = data.fresh_battery(now)
     parts, sigmas = data.vector(topics.ENERGY_BREAKDOWN), data.sigmas(topics.ENERGY_BREAKDOWN)
     return {

@@ -42,7 +42,6 @@ class LiveListener(Node):
     """Receives what the view shows and sends nothing itself."""
 
     def __init__(self, namespace: str, units: Units) -> None:
-        """Subscribe, best effort: a view that falls behind must not hold up a publisher."""
         super().__init__(
             f"live_view_{os.getpid()}",
             namespace=namespace,
@@ -59,11 +58,7 @@ class LiveListener(Node):
         }
 
     def take_all(self) -> None:
-        """Take all that has come since the last time.
-
-        Without an executor: that gives one message of a topic for each time it wakes up, and
-        waking up costs more than reading ten.
-        """
+        """Take all that came, without an executor, which wakes for each message."""
         for topic, subscription in self._inputs.items():
             for _ in range(QUEUE_DEPTH):
                 with subscription.handle:
@@ -80,13 +75,10 @@ def watch(
     plain: bool = False,
     json_file: Path | None = None,
 ) -> None:
-    """Show a running system until SIGINT or SIGTERM, or until the parent process has gone.
+    """Show a running system until a signal, or until the parent process has gone.
 
-    With `plain` it prints lines also on a terminal. The file receives a JSON object a second, each
-    on one line; `-` is stdout, without the view.
-
-    Raises:
-        InputError: the namespace is none, ROS does not start, or the file is there already.
+    `plain` prints lines; `json_file` (`-`: stdout) gets a JSON object a second. InputError: no
+    namespace, no ROS, or the file is there.
     """
     os.nice(YIELDS)
     # As in `running.run`: rclpy shuts down at SIGINT by itself.
@@ -147,7 +139,6 @@ def _picture(live: Live, data: LiveData, now: float) -> None:
 
 
 def _plain(out: TextIO) -> Show:
-    """Prints a line a second, and problems when they change."""
     shown: list[str] = []
 
     def show(data: LiveData, now: float) -> None:
@@ -181,10 +172,7 @@ def _follow(listener: LiveListener, shows: Sequence[tuple[float, Show]]) -> None
 
 @contextmanager
 def live_view(units: Units) -> Iterator[None]:
-    """Show this process's nodes in a view of its own process, which their threads never wait for.
-
-    The terminal is the view's until the end; what is written to stderr meanwhile comes after it.
-    """
+    """Show this process's nodes in another process; stderr comes after it."""
     # Spawned, not forked: ROS and torch have threads.
     view = multiprocessing.get_context("spawn").Process(
         target=watch, args=(NAMESPACE, units), daemon=True
