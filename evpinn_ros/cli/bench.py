@@ -1,7 +1,4 @@
-"""`evpinn bench`: the benchmarks of this project, against peers.
-
-They lie beside the package, in a checkout alone: no vehicle computer needs them.
-"""
+"""`evpinn bench`: the benchmarks of this project, in a checkout alone."""
 
 from __future__ import annotations
 

@@ -130,11 +130,7 @@ def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | No
 
 
 def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
-    """Inspect a live bus; returns the time of the end, ns, and what is wrong with the bus.
-
-    Raises:
-        InputError: the bus cannot be opened, or no frame came.
-    """
+    """Inspect a live bus; returns the end, ns, and a fault; InputError if it is silent."""
     reader.open()
     note(f"listening for {seconds:g} s; Ctrl-C ends sooner")
     thread = threading.Thread(target=reader.run, daemon=True)

@@ -84,7 +84,6 @@ def compare(
 
 
 def _show(comparison: Comparison, units: Units) -> None:
-    """Tables and sentences for people."""
     for problem in comparison.problems:
         note(f"evpinn: {problem}")
     rows = trip_rows(comparison, units) + part_rows(comparison.parts(), units=units)

@@ -78,10 +78,7 @@ def tables_beside(json_file: Path | None) -> None:
 
 
 def write_json(path: Path, document: Any) -> None:
-    """Write results for scripts to stdout or a file, whose folder is made if need be.
-
-    A number that is not finite becomes null.
-    """
+    """Write JSON to stdout or a file; a number that is not finite becomes null."""
     text = json_text(document, indent=1)
     if str(path) == STDOUT:
         print(text, flush=True)
@@ -109,20 +106,14 @@ class RateColumn(ProgressColumn):
 def progress_bar(
     title: str, total: float | None, unit: str = DRIVE
 ) -> AbstractContextManager[Report]:
-    """Show progress, rate and time left: a bar on a terminal, in a pipe a line every 10 s.
-
-    `total` is how much there is to do, in the unit of the amount; None if unknown.
-    """
+    """Show progress: a bar on a terminal, a line every 10 s in a pipe; `total` may be None."""
     amount = TextColumn(f"{{task.completed:.0f}} {unit}", markup=False)
     columns = (TaskProgressColumn(), amount, RateColumn(unit))
     return _bar(title, total, columns, lambda done: f"{done:.0f} {unit}")
 
 
 def progress_lines(title: str, total: float | None, amount: Callable[[float], str]) -> Report:
-    """Progress as lines on stderr, none within the first `LINE_PERIOD_S`.
-
-    `amount` makes the text of the amount done.
-    """
+    """Progress as lines on stderr, of `amount`'s text, none in the first `LINE_PERIOD_S`."""
     begun = due = time.monotonic()
 
     def report(done: float, _word: str = "") -> None:

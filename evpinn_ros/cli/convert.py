@@ -78,7 +78,7 @@ def convert(
 
 
 def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str]:
-    """Write the readings until an interruption; returns the counts of dropped ones by reason."""
+    """Write the readings until an interruption; returns counts of dropped ones."""
     with progress_bar(source.path.name, source.seconds) as progress:
         readings = reported(source.readings(), progress)
         # What gives no reading at all is refused here, before there is an empty bag of it.

@@ -35,18 +35,10 @@ TERMINATED = 143  # 128 + SIGTERM, as shells have it
 def reported(
     report: Path, record: Path | None, state: Path | None, options: Sequence[str]
 ) -> Iterator[Path]:
-    """The bag to record to, which `evpinn replay` makes a report of after the drive.
+    """The bag to record to, of which `evpinn replay` makes a report after the drive.
 
-    Args:
-        report: HTML file to write.
-        record: where the person wants the bag; without, it lies beside the report until the end,
-            and stays there if no report comes of it.
-        state: what was learned before the drive, as the nodes start from it too.
-        options: more of `evpinn replay`.
-
-    Raises:
-        InputError: there is no place for the report, or the state cannot be read.
-        typer.Exit: there is no report.
+    Without `record` the bag lies beside the report until that is made; `state` is copied first.
+    InputError: no place for the report, or no such state. typer.Exit: there is no report.
     """
     if report.is_dir():
         raise InputError(f"--report {report}: a folder is there; give the name of a file")
@@ -75,11 +67,7 @@ def reported(
 
 
 def _run(command: list[str]) -> int:
-    """Run a command, which signals to stop cut short; returns its exit code.
-
-    A process of its own, and out of reach of the terminal: this one's threads, signals and memory
-    are those of the nodes. Whoever sent SIGTERM or closed the terminal will not wait for long.
-    """
+    """Run a command, which a signal to stop cuts short, apart from this process's nodes."""
     asked_s: list[float] = []
     with stopped_by(lambda *_: asked_s.append(time.monotonic())):
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)

@@ -16,12 +16,9 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
 class Interruption:
-    """Notes the first signal to stop while entered, for work that stops between two readings.
+    """Notes the first signal to stop, so that work ends whole; a second Ctrl-C is not awaited.
 
-    What the work then writes is whole, up to there; the command ends with 130, or 128 and the
-    signal's number. A second Ctrl-C does not wait. Other signals come more than once by
-    themselves, as that of a closed terminal from its shell and from the kernel. Where one is
-    ignored, as Ctrl-C in the background of a script, it stays so.
+    The command ends with 130, or 128 and the signal's number. An ignored signal stays ignored.
     """
 
     def __init__(self) -> None:

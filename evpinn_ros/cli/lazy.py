@@ -47,13 +47,10 @@ class ReadableGroup(Readable, TyperGroup):
 
 
 class LazyCommands(ReadableGroup):
-    """Imports a command when it is asked for: torch alone takes more than a second.
+    """Imports a command when it is asked for: torch alone takes more than a second."""
 
-    Attributes:
-        modules: of the commands by name, in the order of the help. Each holds a function, or a
-            `typer.Typer` that is a group itself, of the command's name.
-    """
-
+    # of the commands by name, in the order of the help. Each holds a function, or a `typer.Typer`
+    # that is a group itself, of the command's name
     modules: ClassVar[Mapping[str, str]] = {}
     _listing = False
 

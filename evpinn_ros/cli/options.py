@@ -32,12 +32,7 @@ def complete_profile(incomplete: str) -> list[str]:
 
 
 def _check_json_file(context: typer.Context, path: Path | None) -> Path | None:
-    """Returns where JSON goes; tables go to stderr when that is stdout, until the command ends.
-
-    Raises:
-        typer.BadParameter: the file exists and is no JSON: `--json` without its path would take
-            the next argument, an input, for it.
-    """
+    """Send tables to stderr while JSON is on stdout; BadParameter for a file of no JSON."""
     if path is not None and path.is_file() and path.suffix not in ("", *JSON_SUFFIXES):
         raise typer.BadParameter(f"{path} exists and is not a .json file; - is stdout")
     tables_beside(path)
@@ -46,11 +41,7 @@ def _check_json_file(context: typer.Context, path: Path | None) -> Path | None:
 
 
 def check_report(path: Path | None) -> Path | None:
-    """Returns the path of a report.
-
-    Raises:
-        InputError: the extra that writes it is missing; raised before the work begins.
-    """
+    """The path of a report; InputError before the work if its extra is missing."""
     if path is not None:
         with optional_imports():
             import jinja2  # noqa: F401
@@ -166,11 +157,7 @@ def with_read_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def elm327_bus(port: str, interface: str | None, channel: str | None) -> tuple[str, str]:
-    """Interface and channel of an ELM327.
-
-    Raises:
-        typer.BadParameter: another adapter is named too.
-    """
+    """Interface and channel of an ELM327; BadParameter beside another adapter."""
     from evpinn_ros.can.elm327 import NAME  # here, for python-can takes long to import
 
     if interface is not None or channel is not None:

@@ -185,11 +185,7 @@ def replay(
 def _opened(
     open_input: Callable[[Path], Source], inputs: Sequence[Path], whole: bool
 ) -> tuple[list[Source], list[str]]:
-    """Drives of all inputs, logs split into trips, and a line for each input that is unreadable.
-
-    Raises:
-        InputError: none can be read.
-    """
+    """Drives of all inputs, split into trips, and a line for each unreadable; or InputError."""
     logs: list[Source] = []
     sources: list[Source] = []
     unreadable: list[str] = []
@@ -322,7 +318,6 @@ def _write(
     units: Units,
     several: bool,
 ) -> bool:
-    """Write every requested file, even if one of them cannot be written."""
     if not car.done:
         return True
     state, metrics, report = files

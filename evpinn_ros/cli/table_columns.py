@@ -25,10 +25,7 @@ PRETTY = {
 
 
 def explain_columns(sources: Iterable[Source]) -> None:
-    """Print the columns that were guessed, and those that are not used.
-
-    What was said of one table is not said of others alike.
-    """
+    """Print, once of tables alike, columns that were guessed or are not used."""
     tables: dict[tuple[str, ...], list[Source]] = {}
     for source in sources:
         if lines := tuple(_columns(source)):

@@ -76,7 +76,6 @@ def _serve(reader: BagReader, server: FoxgloveServer, rate: float, loop: bool) -
 
 
 def _play(reader: BagReader, server: FoxgloveServer, rate: float) -> None:
-    """Send every message of the bag at its time."""
     due, before_ns = time.monotonic(), None
     for record in reader.raw_records():
         passed = 0.0 if before_ns is None else (record.log_time_ns - before_ns) / NANOSECONDS

@@ -32,15 +32,7 @@ from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_ru
 
 
 class CarReplay:
-    """Drives of one car through one chain, in order: what one teaches is carried over.
-
-    Attributes:
-        vehicle: the car.
-        chain: the cores, with what they learned so far.
-        options: of every replay.
-        done: the results so far.
-        missing: a line when half of the state was missing, else None.
-    """
+    """Drives of one car through one chain, in order: what one teaches is carried over."""
 
     def __init__(
         self,
@@ -53,19 +45,16 @@ class CarReplay:
         state: Path | None = None,
         keep_drives: bool = False,
     ) -> None:
-        """Begin at the vehicle's priors, or at a state where its file is there.
+        """Begin at the priors, or at a state where its file is there; or InputError.
 
-        With `keep_drives` the breakdown of each drive stays, to be compared, and time that jumps
-        back does not reset what was learned.
-
-        Raises:
-            InputError: no such vehicle, a file is wrong, or the state is not of this car and mode.
+        With `keep_drives` each breakdown stays, to be compared, and a jump of time resets nothing.
         """
         # One thread, so that the same bag gives the same bits and other cores stay free.
         limit_blas_threads()
+        # the car
         self.vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
-        self.options = options
-        self.done: list[Replayed] = []
+        self.options = options  # of every replay
+        self.done: list[Replayed] = []  # the results so far
         self._before: list[EndedDrive] = []  # parts of all drives but the last
         values = _parameters(params, mode, optimizer)
         self._mounting = imu_mounting(values)
@@ -75,7 +64,8 @@ class CarReplay:
         self._mode = settings.mode
         self.chain = Chain(
             self.vehicle, settings, InlineWorker(time.perf_counter), jump_rule(values)
-        )
+        )  # the cores, with what they learned so far
+        # a line when half of the state was missing, else None
         self.missing = _restore(self.chain, state)
 
     def open(self, path: Path, options: ReadOptions = READ_DEFAULTS) -> Source:
@@ -115,11 +105,7 @@ class CarReplay:
         return breakdown_metrics(of_all, self._mode.value, mass.value)
 
     def write_state(self, path: Path) -> None:
-        """Write what was learned, as `state_file.write_halves` does, of the car and its battery.
-
-        Of the battery that is the energy account as it begins the next trip: capacity, voltage,
-        consumption.
-        """
+        """Write what was learned, and the account as it begins the next trip."""
         account = EnergyAccount(
             EnergyMeter(load_rknn()), self.vehicle.key, self.vehicle.battery_capacity
         )
@@ -130,11 +116,7 @@ class CarReplay:
 
 
 def mode_of(name: str) -> Mode:
-    """Mode of this name.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Mode of this name, or InputError."""
     try:
         return Mode(name)
     except ValueError:
@@ -142,14 +124,7 @@ def mode_of(name: str) -> Mode:
 
 
 def _restore(chain: Chain, state: Path | None) -> str | None:
-    """Go on from what was learned on earlier drives, where the file is there.
-
-    Returns:
-        A line when half of it is missing.
-
-    Raises:
-        InputError: it cannot be used, with the reason.
-    """
+    """Go on from a state file, if there; returns a line when half of it is missing."""
     if state is None:
         return None
     learned, missing = read_half(state, Half.LEARNED)

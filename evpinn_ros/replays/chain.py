@@ -44,14 +44,7 @@ class Chain:
         worker: InlineWorker,
         rule: JumpRule = DEFAULT_RULE,
     ) -> None:
-        """Start at the vehicle's priors and at zero energy.
-
-        Args:
-            vehicle: the car.
-            settings: of the estimator.
-            worker: computes its updates.
-            rule: for time that jumps.
-        """
+        """Start at the vehicle's priors and zero energy; the worker computes updates."""
         self.estimator = OnlineEstimator(vehicle, settings, worker)
         self._rule, self._guard = rule, StampGuard(SpeedReading)
         self._start: Mapping[str, Any] | None = None  # what was known when the drive began
@@ -87,11 +80,7 @@ class Chain:
     def take(
         self, items: Iterable[Block | Jump], *, breakdowns: bool = False
     ) -> Iterator[list[ChainOutput]]:
-        """Take readings that may be used, and jumps of time; give the outputs of each.
-
-        The account is among them after each prediction, and the breakdown beside the parameters
-        where it is asked for.
-        """
+        """Outputs of each block of readings or jump, with accounts and, if asked, breakdowns."""
         for _, alike in groupby(items, type):
             blocks = []
             for item in alike:

@@ -26,20 +26,14 @@ from evpinn_ros.replays.scoring import running_total
 
 
 class Course(NamedTuple):
-    """Values at even distances; shape (n,) each, NaN where unknown.
+    """Values at even distances; shape (n,) each, NaN where unknown."""
 
-    Attributes:
-        distance: km or miles.
-        energy: measured since the start, kWh; none is counted while the battery is not measured,
-            or is charged.
-        speed: mean since the point before, of as many an hour.
-        height: m or feet, where altitude was recorded.
-    """
-
-    distance: np.ndarray
+    distance: np.ndarray  # km or miles
+    # measured since the start, kWh; none is counted while the battery is not measured, or is
+    # charged
     energy: np.ndarray
-    speed: np.ndarray
-    height: np.ndarray
+    speed: np.ndarray  # mean since the point before, of as many an hour
+    height: np.ndarray  # m or feet, where altitude was recorded
 
 
 def distance_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
@@ -73,23 +67,14 @@ Bar = Callable[[Source], AbstractContextManager[Progress]]
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Drives side by side, the first what the others are compared with.
+    """Drives side by side, the first what the others are compared with."""
 
-    Attributes:
-        vehicle: whose drives they are.
-        paths: where each came from.
-        names: short ones, no two alike.
-        drives: their series.
-        breakdowns: of each by all that was learned, with the covariance between them.
-        problems: what could not be read.
-    """
-
-    vehicle: Vehicle
-    paths: tuple[Path, ...]
-    names: tuple[str, ...]
-    drives: tuple[Drive, ...]
-    breakdowns: Breakdowns
-    problems: tuple[str, ...] = ()
+    vehicle: Vehicle  # whose drives they are
+    paths: tuple[Path, ...]  # where each came from
+    names: tuple[str, ...]  # short ones, no two alike
+    drives: tuple[Drive, ...]  # their series
+    breakdowns: Breakdowns  # of each by all that was learned, with the covariance between them
+    problems: tuple[str, ...] = ()  # what could not be read
 
     def parts(self) -> list[Breakdown]:
         """The breakdown of each drive."""
@@ -121,15 +106,9 @@ class Comparison:
 
 
 def compare(car: CarReplay, sources: Iterable[Source], *, progress: Bar) -> Comparison:
-    """Drive one car through all recordings, and compare where the energy of each went.
+    """Drive a fresh car (with `keep_drives`) through all, the one to compare with first.
 
-    Args:
-        car: made with `keep_drives`, and no drive of it was replayed yet.
-        sources: the drives, the one to compare with first.
-        progress: a bar for each source.
-
-    Raises:
-        InputError: a drive is too short or its battery was not measured; or in mode paper.
+    InputError: a drive is too short or its battery was not measured; or in mode paper.
     """
     breakdowns = _breakdowns(car)
     paths: list[Path] = []

@@ -20,41 +20,24 @@ LEAST_CHANGE = 0.005  # of distance or energy, by lone readings
 
 
 class DrivenSteps(NamedTuple):
-    """Steps of a drive between readings, none across a gap; shape (n,) each.
+    """Steps of a drive between readings, none across a gap; shape (n,) each."""
 
-    Attributes:
-        end: time at their end, s.
-        seconds: that they took.
-        speed: in the middle, m/s.
-        distance: m.
-        energy: measured, J; of steps of speed alone 0.
-    """
-
-    end: np.ndarray
-    seconds: np.ndarray
-    speed: np.ndarray
-    distance: np.ndarray
-    energy: np.ndarray
+    end: np.ndarray  # time at their end, s
+    seconds: np.ndarray  # that they took
+    speed: np.ndarray  # in the middle, m/s
+    distance: np.ndarray  # m
+    energy: np.ndarray  # measured, J; of steps of speed alone 0
 
 
 class Counted(NamedTuple):
-    """What a drive amounts to, of admitted readings alone.
+    """What a drive amounts to, of admitted readings alone."""
 
-    Attributes:
-        distance: m.
-        seconds: of the drive in which speed was recorded.
-        energy: net from the battery, J, where speed is known too; NaN without a battery.
-        known: distance over which that was measured, m.
-        measured: seconds in which it was measured, or the standing car charged.
-        charged: energy that a charger gave the standing car, J, in no other figure.
-    """
-
-    distance: float
-    seconds: float
-    energy: float
-    known: float
-    measured: float
-    charged: float
+    distance: float  # m
+    seconds: float  # of the drive in which speed was recorded
+    energy: float  # net from the battery, J, where speed is known too; NaN without a battery
+    known: float  # distance over which that was measured, m
+    measured: float  # seconds in which it was measured, or the standing car charged
+    charged: float  # energy that a charger gave the standing car, J, in no other figure
 
 
 def counted(drive: Drive) -> Counted:
@@ -73,10 +56,7 @@ def counted(drive: Drive) -> Counted:
 
 
 def without_lone(drive: Drive) -> tuple[Counted, int] | None:
-    """What a drive amounts to without the readings that leap alone, and how many these are.
-
-    None where that changes distance and energy by less than `LEAST_CHANGE`.
-    """
+    """Totals without readings that leap alone, and their number; None if it changes little."""
     rows = rising(drive.speed)
     lone_speed = lone_speeds(*rows.T)
     lone = drive.lone if len(drive.lone) == len(drive.measured) else np.zeros(0, dtype=bool)

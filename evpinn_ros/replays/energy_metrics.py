@@ -42,10 +42,7 @@ INVALID = (
 def breakdown_metrics(
     breakdown: Breakdown | None, mode: str, mass: str = Trust.VALID.value
 ) -> dict[str, Any]:
-    """The values of `--metrics` under `breakdown`; null with the reason where nothing is known.
-
-    `mass` is the state of the parameter.
-    """
+    """Values of `--metrics` under `breakdown`; null with the reason if unknown."""
     if breakdown is None:
         nothing = dict.fromkeys(Amount.__dataclass_fields__)
         rows: dict[str, Any] = {name: dict(nothing) for name in MEANINGS}
@@ -74,10 +71,7 @@ def breakdown_metrics(
 
 
 def account_metrics(summary: AccountSummary) -> dict[str, dict[str, Any]]:
-    """Values of an account under `energy`, `consumption` and `range`; NaN and None are unknown.
-
-    Energies are kWh, consumptions kWh/100 km, distances km.
-    """
+    """`energy`, `consumption` and `range` of an account; kWh, kWh/100 km, km."""
     trip, life, remaining = summary.since_reset, summary.lifetime, summary.remaining
     return {
         "energy": {

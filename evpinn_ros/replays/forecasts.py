@@ -48,11 +48,7 @@ def forecast_outcomes(drive: Drive, air_density: float) -> list[ForecastOutcome]
 def forecast_outcome(
     drive: Drive, known: KnownModel, end: float, air_density: float
 ) -> ForecastOutcome | None:
-    """The drive up to `end`, s, as a plan that was driven to the letter.
-
-    None where it cannot be compared: it is short, speed or battery has a gap in it, or the car was
-    charged, which is no plan's.
-    """
+    """The drive up to `end`, s, forecast as a plan; None if short, charged or with gaps."""
     span = Span(known.time, end)
     speed = _inside(drive.speed, span)
     battery = _inside(drive.measured, span)

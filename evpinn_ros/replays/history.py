@@ -90,59 +90,44 @@ class KnownModel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """The series of one replayed drive; times in s since its first reading.
+    """The series of one replayed drive; times in s since its first reading, with `JUMP_GAP`s."""
 
-    Where time jumped back the series go on `JUMP_GAP` later.
-
-    Attributes:
-        duration: s.
-        speed: time and m/s, shape (n, 2).
-        measured: time and W, every sample of the battery, withheld or not, shape (n, 2).
-        smoothed: predictions of `power/smoothed`.
-        newest: predictions of `power/predicted`.
-        energy: time, predicted and RKNN energy, J, and 1-sigma of the predicted, shape (n, 4);
-            a peer's has no 1-sigma.
-        parameters: for each name time, value, 1-sigma and prior share, shape (n, 4).
-        final: the last parameters, None if there never were any.
-        start_ns: stamp of the first reading.
-        zoned: whether its times are UTC; else they are local ones.
-        reading_notes: what was assumed of the log on reading it, and what was not used.
-        altitude: time and m, shape (n, 2).
-        position: time, latitude and longitude, degrees, shape (n, 3).
-        charge: time and state of charge, 0..1, shape (n, 2).
-        temperature: time and degrees Celsius of the air outside, shape (n, 2).
-        heating: time and W of heating that the car reports, shape (n, 2).
-        combinations: for each identifiable combination time, value, 1-sigma, shape (n, 3).
-        detections: those of the learner, whenever they changed.
-        models: the car as known at the start and about every `MODEL_STEP`; empty without replay.
-        model: the car as known at the end, None where nothing gives one.
-        jumps: time, and s by which it went back there, shape (n, 2).
-        breakdown: kWh and 1-sigma by part, as last published; empty without `add_breakdown`.
-        lone: which of `measured` leap away from those beside them, shape (n,); or empty.
-    """
-
-    duration: float
-    speed: np.ndarray
-    measured: np.ndarray
-    smoothed: PowerSeries
-    newest: PowerSeries
+    duration: float  # s
+    speed: np.ndarray  # time and m/s, shape (n, 2)
+    measured: np.ndarray  # time and W, every sample of the battery, withheld or not, shape (n, 2)
+    smoothed: PowerSeries  # predictions of `power/smoothed`
+    newest: PowerSeries  # predictions of `power/predicted`
+    # time, predicted and RKNN energy, J, and 1-sigma of the predicted, shape (n, 4); a peer's has
+    # no 1-sigma
     energy: np.ndarray
+    # for each name time, value, 1-sigma and prior share, shape (n, 4)
     parameters: Mapping[str, np.ndarray]
-    final: ParameterSet | None
-    start_ns: int = 0
-    zoned: bool = True
+    final: ParameterSet | None  # the last parameters, None if there never were any
+    start_ns: int = 0  # stamp of the first reading
+    zoned: bool = True  # whether its times are UTC; else they are local ones
+    # what was assumed of the log on reading it, and what was not used
     reading_notes: tuple[str, ...] = ()
+    # time and m, shape (n, 2)
     altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    # time, latitude and longitude, degrees, shape (n, 3)
     position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    # time and state of charge, 0..1, shape (n, 2)
     charge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    # time and degrees Celsius of the air outside, shape (n, 2)
     temperature: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    # time and W of heating that the car reports, shape (n, 2)
     heating: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    # for each identifiable combination time, value, 1-sigma, shape (n, 3)
     combinations: Mapping[str, np.ndarray] = field(default_factory=dict)
-    detections: tuple[Detection, ...] = ()
+    detections: tuple[Detection, ...] = ()  # those of the learner, whenever they changed
+    # the car as known at the start and about every `MODEL_STEP`; empty without replay
     models: tuple[KnownModel, ...] = ()
-    model: CarModel | None = None
+    model: CarModel | None = None  # the car as known at the end, None where nothing gives one
+    # time, and s by which it went back there, shape (n, 2)
     jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    # kWh and 1-sigma by part, as last published; empty without `add_breakdown`
     breakdown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # which of `measured` leap away from those beside them, shape (n,); or empty
     lone: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     @property
@@ -191,10 +176,7 @@ class History:
         self.add_block(Block.of([reading]))
 
     def add_block(self, block: Block) -> np.ndarray:
-        """Take admitted readings; give the newest moment at each, shape (length,).
-
-        What is known now is what was known before the first of them.
-        """
+        """Take admitted readings; give the newest moment known before each, shape (length,)."""
         stamps = block.stamps()
         if self._start_ns is None:
             self._start_ns = self._newest_ns = int(stamps[0])
@@ -336,6 +318,6 @@ class History:
 
 
 def _in_order(rows: np.ndarray) -> np.ndarray:
-    """Rows by time, one for each time: late readings are put where they belong."""
+    """Rows by time, one for each time."""
     _, first = np.unique(rows[:, 0], return_index=True)
     return rows[first]

@@ -1,7 +1,6 @@
-"""Readings that leap away from those on both sides and back, as neither a car nor a battery does.
+"""Readings that leap away from those on both sides and back, as no car does.
 
-A real leap of the current makes the voltage sag; in a wrong reading one of the two leaps alone. A
-leap that the car could make is admitted, for only later readings show that it was wrong.
+A real leap of the current makes the voltage sag; in a wrong reading one of the two leaps alone.
 """
 
 from __future__ import annotations

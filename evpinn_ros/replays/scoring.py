@@ -1,9 +1,4 @@
-"""Scores of a replayed drive: the values of `--metrics`.
-
-Every score is predict-then-update: no prediction knew the sample that scores it. The baselines
-beside them say what a score is worth: holding the last value, and, for what a random split of one
-drive proves, interpolation in time.
-"""
+"""Scores of a replayed drive, the values of `--metrics`; each prediction preceded its sample."""
 
 from __future__ import annotations
 
@@ -90,11 +85,7 @@ def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
 
 
 def baseline_scores(drive: Drive, span: Span) -> dict[str, float | None]:
-    """RMSE, W, of predictions that know nothing of cars.
-
-    `last_value`: the battery reading before, one reading ahead. `interpolation`: between
-    neighbours in time, under a random split of the readings, the split of the paper.
-    """
+    """RMSE, W, of `last_value`, and of `interpolation` under a random split, the paper's."""
     rows = drive.measured[span.holds(drive.measured[:, 0])]
     if len(rows) < 10:
         return {"last_value": None, "interpolation": None}
@@ -108,10 +99,7 @@ def baseline_scores(drive: Drive, span: Span) -> dict[str, float | None]:
 
 
 def held_scores(drive: Drive, span: Span) -> dict[float, float]:
-    """RMSE, W, of measured power held for so many seconds, by `BATTERY_AGES` up to 10 s.
-
-    The first is one step of the readings, as `last_value` of `baseline_scores`.
-    """
+    """RMSE, W, of measured power held for so many seconds, by `BATTERY_AGES`."""
     rows = drive.measured[span.holds(drive.measured[:, 0])]
     if len(rows) < 10:
         return {}
@@ -125,11 +113,10 @@ def held_scores(drive: Drive, span: Span) -> dict[float, float]:
 
 
 def speed_floor(drive: Drive, span: Span) -> float | None:
-    """Least RMSE, W, of any fixed function of speed alone, chosen with hindsight; None if unknown.
+    """Least RMSE, W, of any function of speed alone, in hindsight; None if unknown.
 
-    The mean of measured power in each of `FLOOR_BINS` bins of as many predictions each. For the
-    newest moment the network of `mode: paper` is such a function, for its other input, the age, is
-    then always 0; it beats the floor only by changing from second to second.
+    Means in `FLOOR_BINS` bins. The newest moment's network of `mode: paper` is such a function
+    between updates.
     """
     chosen = scored(drive, drive.smoothed, span)
     if chosen.sum() < 10 * FLOOR_BINS:
@@ -234,10 +221,7 @@ def running_total(time: np.ndarray, rates: np.ndarray) -> np.ndarray:
 def battery_age_scores(
     drive: Drive, warm_up: float, withheld_from: float | None
 ) -> dict[str, dict[str, float | None]]:
-    """RMSE and bias, W, by the time since the last battery reading, by `BATTERY_AGES`.
-
-    Beside the prediction stands a baseline: the last measured power held.
-    """
+    """RMSE and bias, W, by age of the last battery reading, beside its power held."""
     series, rows = drive.smoothed, drive.measured
     given = rows if withheld_from is None else rows[rows[:, 0] <= withheld_from]
     empty: dict[str, float | None] = dict.fromkeys(("rmse_w", "bias_w", "last_value_rmse_w"))
@@ -291,7 +275,6 @@ def common_stretches(some: list[Span], others: list[Span]) -> list[Span]:
 
 
 def _increase(time: np.ndarray, total: np.ndarray, stretches: list[Span]) -> float:
-    """Growth of a running total over spans of time."""
     return float(sum(np.diff(np.interp(span, time, total))[0] for span in stretches))
 
 

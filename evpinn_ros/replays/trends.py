@@ -1,7 +1,4 @@
-"""Trends over many drives of one car: consumption, rolling resistance and capacity.
-
-Drives are grouped by week and by outside temperature, and weighted by their distance.
-"""
+"""Trends over drives of one car by week and by temperature, weighted by distance."""
 
 from __future__ import annotations
 
@@ -26,21 +23,13 @@ CAPACITY, ROLLING = "capacity of the battery, kWh", "rolling resistance, C_rr"
 
 
 class TrendRow(NamedTuple):
-    """Drives of a week or a temperature: their mean, weighted by distance, and its spread.
+    """Drives of a week or a temperature: their mean, weighted by distance, and its spread."""
 
-    Attributes:
-        name: of the group.
-        drives: how many.
-        distance: of all, m.
-        mean: of the quantity.
-        spread: of single drives, 1-sigma; 0 of one.
-    """
-
-    name: str
-    drives: int
-    distance: float
-    mean: float
-    spread: float
+    name: str  # of the group
+    drives: int  # how many
+    distance: float  # of all, m
+    mean: float  # of the quantity
+    spread: float  # of single drives, 1-sigma; 0 of one
 
 
 class Trend(NamedTuple):
@@ -52,23 +41,14 @@ class Trend(NamedTuple):
 
 
 class DrivePoint(NamedTuple):
-    """Quantities of one drive whose trends are shown; None where one is not known.
+    """Quantities of one drive whose trends are shown; None where one is not known."""
 
-    Attributes:
-        week: date of its Monday.
-        ambient_c: mean temperature outside, degrees C.
-        distance_m: m with the battery measured.
-        distance_energy_j: energy over that distance, J.
-        rolling: C_rr, where the drive shows it.
-        capacity_j: of the battery, by charge and energy, J.
-    """
-
-    week: str | None
-    ambient_c: float | None
-    distance_m: float
-    distance_energy_j: float
-    rolling: float | None
-    capacity_j: float | None
+    week: str | None  # date of its Monday
+    ambient_c: float | None  # mean temperature outside, degrees C
+    distance_m: float  # m with the battery measured
+    distance_energy_j: float  # energy over that distance, J
+    rolling: float | None  # C_rr, where the drive shows it
+    capacity_j: float | None  # of the battery, by charge and energy, J
 
     def quantities(self, units: Units) -> dict[str, float]:
         """Known quantities by the titles of their trends."""
@@ -116,7 +96,6 @@ def drive_point(drive: Drive) -> DrivePoint | None:
 
 
 def _monday(drive: Drive) -> str:
-    """Date of the Monday before."""
     day = datetime.fromtimestamp(drive.start_ns // NANOSECONDS, tz=timezone.utc)
     return f"{day - timedelta(days=day.weekday()):%Y-%m-%d}"
 

@@ -1,8 +1,4 @@
-"""Doubt that a drive is of the car it was replayed as, in words.
-
-A vehicle file is a prior: a log of another car pulls what is learned far from it, and the battery
-of another car holds another energy. Both are compared with what the file expects.
-"""
+"""Doubt in words that a drive is of the car whose vehicle file is its prior."""
 
 from __future__ import annotations
 
@@ -26,11 +22,7 @@ MOST_RIVALS = 3
 
 
 def vehicle_doubt(vehicle: Vehicle, drive: Drive) -> str | None:
-    """Sentence on what contradicts the vehicle file of a drive; None where nothing does.
-
-    A drive within the warm-up is too short to judge: 19 s of a Leaf on a hill without heights gave
-    a mass over eta of 2980 kg.
-    """
+    """Sentence on what contradicts the vehicle file, or None; a short drive is not judged."""
     if vehicle.key == GENERIC or drive.duration <= WARM_UP:
         return None
     reasons = [*_mass_reason(vehicle, drive), *_capacity_reason(vehicle, drive)]
@@ -67,10 +59,7 @@ def _mass_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
 
 
 def capacity_by_charge(drive: Drive) -> float | None:
-    """Capacity by the energy that a fall of the state of charge gave, J.
-
-    None of a drive that was charged, took too little, or was not measured all along.
-    """
+    """Capacity by a fall of the state of charge, J; None if charged, small or with gaps."""
     if len(drive.charge) < 2 or charged(drive):
         return None
     used = float(drive.charge[0, 1] - drive.charge[-1, 1])

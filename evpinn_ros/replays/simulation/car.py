@@ -1,8 +1,7 @@
-"""A simulated car: far more than the five parameters, so that finding these is no foregone end.
+"""A simulated car with more than the five parameters, so that finding these is no foregone end.
 
-What the estimator does not know: a loss map over torque and speed in place of constant
-efficiencies, friction brakes, wind, an auxiliary load that changes, tyres that roll harder at
-speed, an air density and a rotating inertia a little off those of the vehicle file.
+The estimator does not know its loss map, friction brakes, wind, changing load, tyres that roll
+harder at speed, and its inertia and air density, a little off.
 """
 
 from __future__ import annotations
@@ -51,10 +50,7 @@ class Drivetrain:
         )
 
     def load_loss(self, force: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Heat, W, of driving (or braking) the wheels with `force`, N, at `speed`, m/s.
-
-        Elementwise, the same for either sign of the force, zero at standstill.
-        """
+        """Heat, W, of `force`, N, of either sign, at `speed`, m/s; zero at standstill."""
         torque = np.abs(self.torque(force))
         moving = np.clip(speed / STANDSTILL, 0.0, 1.0)
         loss = COPPER_LOSS * torque**2 + MESH_LOSS * torque * self.turning(speed)
@@ -106,13 +102,9 @@ class Battery:
     start: float  # state of charge at the start, 0..1
 
     def deliver(self, power: np.ndarray, step: float) -> Terminals:
-        """Deliver `power`, W at the terminals, shape (n,), for `step` s each.
+        """Deliver `power`, W at the terminals, shape (n,), for `step` s each; or InputError.
 
-        P = V I and V = V_oc - R I hold to rounding; V_oc follows the charge drawn so far, found
-        by substitution, as it hardly moves while one interval passes.
-
-        Raises:
-            InputError: the battery cannot deliver as much.
+        P = V I and V = V_oc - R I hold to rounding; V_oc follows the charge drawn so far.
         """
         most = (0.9 * self.nominal_voltage) ** 2 / (4 * self.resistance)
         if not np.max(power) < most:
@@ -153,11 +145,10 @@ class Car:
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """Every true signal of a drive, shape (n,) each, at the middle of each STEP.
+    """Every true signal of a drive, shape (n,), at the middle of each STEP.
 
-    Power is positive drawn from the battery. Two balances hold in every interval:
-    `power = wheel_power + friction_power + no_load_loss + load_loss + auxiliary` and
-    `wheel_power = drag_power + rolling_power + m v (g sin(grade) + factor a)`.
+    `power = wheel_power + friction_power + no_load_loss + load_loss + auxiliary` and `wheel_power
+    = drag_power + rolling_power + m v (g sin(grade) + factor a)` hold in every interval.
     """
 
     motion: IntervalMotion  # time, speed, acceleration, elevation and grade
@@ -178,11 +169,7 @@ class Trace:
 
 
 def draw_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator) -> Car:
-    """A car with this mass, c_rr, c_d and p_aux; what else there is to a car is drawn.
-
-    Its efficiencies are those of the plain loss map, and p_aux is taken for the auxiliary load
-    alone: `truth.tuned` brings all six to `parameters` for one drive.
-    """
+    """A random car with this mass, c_rr, c_d and p_aux; `truth.tuned` brings all to a drive."""
     capacity = vehicle.battery_capacity if vehicle.battery_capacity > 0 else 2.0e8
     return Car(
         mass=parameters.mass,
@@ -240,11 +227,7 @@ def rolling_growth(speed: np.ndarray) -> np.ndarray:
 
 
 def equation_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator) -> Car:
-    """A car that obeys eq. 21 to the letter: what a method must find if it can find anything.
-
-    It has the air and no more inertia than eq. 12-15 know, one constant efficiency each way, no
-    loss map, no wind, no hills, a constant auxiliary load. No real car is like it.
-    """
+    """A car that obeys eq. 21 to the letter: what a method must find if it finds anything."""
     car = draw_car(vehicle, parameters, rng)
     return replace(car, air_density=vehicle.air_density, rotating_mass_factor=1.0)
 

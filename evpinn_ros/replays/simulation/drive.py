@@ -1,9 +1,7 @@
 """A seeded driver on a seeded route over smooth hills: speed at 100 Hz, and its motion.
 
-A route is a chain of legs, each with a speed limit and a speed at its end: a red light, a queue
-that creeps, a turn, or free road. The driver keeps to the limit as traffic allows, brakes on
-v^2 = u^2 + 2 b d to pass the end of the leg at speed u, and moves the pedals with bounded jerk.
-No regulatory cycle is used.
+A route is a chain of legs, each with a speed limit and a speed at its end. The driver keeps to the
+limit as traffic allows, brakes on v^2 = u^2 + 2 b d, and moves the pedals with bounded jerk.
 """
 
 from __future__ import annotations
@@ -41,24 +39,14 @@ class HillyRoad:
         return np.asarray(waves @ height)
 
     def mean_slope(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """Climb per metre along the road from `start` to `end`, both of shape (n,), m.
-
-        Exact also where both are the same point, so that slope times distance is the climb.
-        """
+        """Climb per metre from `start` to `end`, m, shape (n,); exact for no distance too."""
         middle = np.outer((start + end) / 2, self.wave_number) + self.phase
         half_turns = np.outer(end - start, self.wave_number) / (2 * np.pi)
         return np.asarray((np.cos(middle) * np.sinc(half_turns)) @ self.slope)
 
 
 def hilly_road(rms_grade: float, rng: np.random.Generator) -> HillyRoad:
-    """A random road whose slope has this root mean square, 1; zero is a flat road.
-
-    Peaks are about three times as steep. The hills get slopes of equal weight, so the long ones
-    carry the height.
-
-    Raises:
-        InputError: the grade is outside [0, MAX_RMS_GRADE].
-    """
+    """A random road of this root mean square slope, peaks thrice as steep; or InputError."""
     if not 0 <= rms_grade <= MAX_RMS_GRADE:
         raise InputError(f"rms grade {rms_grade:g} is outside [0, {MAX_RMS_GRADE:g}]")
     wavelength = np.exp(rng.uniform(np.log(SHORTEST_HILL), np.log(LONGEST_HILL), HILLS))
@@ -102,11 +90,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class IntervalMotion:
-    """Motion of the car: shape (n,) at the middle of each 1 / SAMPLE_RATE interval.
-
-    Mid-interval values make the sums over intervals exact: m v a adds up to the kinetic energy
-    gained, m g slope v to the potential energy.
-    """
+    """Motion at the middle of each interval, shape (n,), so that energies add up exactly."""
 
     time: np.ndarray  # s from the start
     speed: np.ndarray  # m/s, never negative
@@ -132,11 +116,7 @@ def motion_on(road: HillyRoad, speed: np.ndarray) -> IntervalMotion:
 
 
 def drive_speed(kind: DriveKind, duration_s: float, rng: np.random.Generator) -> np.ndarray:
-    """Speed of a drive, m/s, shape (duration_s * SAMPLE_RATE + 1,); it starts at standstill.
-
-    Raises:
-        InputError: the length is outside [LEAST_DURATION, MOST_DURATION].
-    """
+    """Speed, m/s, shape (duration_s * SAMPLE_RATE + 1,), from standstill; or InputError."""
     if not LEAST_DURATION <= duration_s <= MOST_DURATION:
         bounds = f"[{LEAST_DURATION:g}, {MOST_DURATION:g}]"
         raise InputError(f"a drive of {duration_s:g} s is outside {bounds} s")

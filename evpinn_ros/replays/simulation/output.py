@@ -28,13 +28,10 @@ def write(
     can_log: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Write a drive as the bag `folder` with `truth.yaml` in it, whole or not at all.
+    """Write a drive as the bag `folder` with `truth.yaml`, whole or not at all; or InputError.
 
-    `can_log` is a candump log to write too, from which the bag's readings were decoded; `progress`
-    takes the seconds of the drive that are in the bag.
-
-    Raises:
-        InputError: a file cannot be written.
+    `can_log` is a candump log to write too; `progress` takes the seconds of the drive that are in
+    the bag.
     """
     bag = BagWriter(folder)
     try:
@@ -50,10 +47,7 @@ def write(
 
 
 def truth_document(drive: SimulatedDrive) -> dict[str, Any]:
-    """True values of the drive, as plain values to six digits: the content of `truth.yaml`.
-
-    `hidden` says how the car departs from the five-parameter model; no estimator may read it.
-    """
+    """Content of `truth.yaml`, to six digits; no estimator may read `hidden`."""
     truth = drive.truth
     drive_of = {
         "vehicle": drive.vehicle.key,

@@ -1,7 +1,7 @@
 """Sensors of a simulated car: lagging, noisy, rounded, a frame lost now and then.
 
-One path, as on a real car: true signal, sensor, CAN frame, decoder, reading. The bus is thinned
-to 10 Hz; each message has its own phase and jitter, so nothing arrives together.
+As on a real car: true signal, sensor, CAN frame, decoder, reading. Each message of 10 Hz has its
+own phase.
 """
 
 from __future__ import annotations
@@ -64,14 +64,9 @@ def sense(
     rng: np.random.Generator,
     motors: Sequence[MotorReading] = (),
 ) -> SensorData:
-    """Readings from the bus of a car with this profile, for a drive that starts at `start_ns`.
+    """Readings from the bus of a car with this profile; `motors` as they are if it has none.
 
-    Speed and current beyond what their signals can show read as the most that they can, as in a
-    car. A voltage beyond is that of another car, and refused. `motors` go over the bus where the
-    profile has a motor; where not, they are readings as they are.
-
-    Raises:
-        InputError: the profile has no broadcast speed or battery, or cannot show the voltage.
+    Signals saturate. InputError: no broadcast speed or battery, or a voltage that it cannot show.
     """
     try:
         sent = _sent(trace, profile, start_ns, rng)
@@ -112,10 +107,7 @@ def _sent(
 def motor_readings(
     trace: Trace, car: Car, start_ns: int, rng: np.random.Generator
 ) -> list[MotorReading]:
-    """Torque of the motor as its inverter estimates it: a gain of its own, rounded; and its speed.
-
-    Friction brakes are not the motor's, and at standstill they hold the car.
-    """
+    """Torque of the motor by its inverter, rounded, with a gain of its own; and speed."""
     time, stamps = _moments(trace, MOTOR_RATE, start_ns, rng)
     speed = trace.motion.speed
     power = trace.wheel_power + trace.friction_power

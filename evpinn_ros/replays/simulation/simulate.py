@@ -82,27 +82,10 @@ def simulate(
 ) -> SimulatedDrive:
     """Drive a car; the same arguments give the same drive.
 
-    Args:
-        kind: where to drive.
-        vehicle: the model of the car.
-        duration_s: length of the drive, s, at least 10.
-        seed: of everything drawn by chance.
-        car: a car that was driven before, or parameters by name that a new one shall have on
-            this drive (see `truth.tuned` for what cannot be met). What is not named is drawn by
-            seed, as `truth.plausible_parameters` says.
-        rms_grade: root mean square slope of the road, 0 is flat.
-        can_profile: profile of the bus, of the vehicle file when None.
-        altitude: whether there is a barometer.
-        temperature: whether there is an outside thermometer.
-        motor_torque: whether the car tells the torque of its motor, over the bus where the profile
-            has it.
-        start_ns: stamp of the start.
-        equation: a car that obeys eq. 21 in this form to the letter, on a flat road; `car` then
-            names parameters.
-
-    Raises:
-        InputError: an argument is out of range, the vehicle is no passenger car, its file names
-            no CAN profile and none was given, or the profile cannot show the values.
+    `car`: one that was driven before, or wished parameters by name, the others drawn by seed.
+    `rms_grade`: root mean square slope. `altitude`, `temperature`, `motor_torque`: whether it has
+    these sensors. `equation`: it obeys eq. 21 to the letter on a flat road. InputError: an
+    argument is out of range, or the vehicle or profile cannot do it.
     """
     if vehicle.relative_size != 1.0:
         raise InputError(f"vehicle '{vehicle.key}' is no passenger car, which is all that drives")

@@ -12,13 +12,7 @@ from evpinn_ros.core.signals.road import GAS_CONSTANT
 
 
 def slow_noise(time: np.ndarray, memory: float, rng: np.random.Generator) -> np.ndarray:
-    """A smooth random function of about zero mean and unit variance at rising times, s.
-
-    Independent normal values every `memory` seconds, joined by a cubic spline.
-
-    Returns:
-        Shape (n,).
-    """
+    """Smooth random function of unit variance at times, s: a spline of values each `memory` s."""
     knots = np.arange(0.0, time[-1] + 4 * memory, memory)
     return np.asarray(CubicSpline(knots, rng.standard_normal(knots.size))(time))
 
@@ -65,5 +59,4 @@ def _heater(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _soft(steps: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Half a second of ramp instead of a jump."""
     return np.asarray(gaussian_filter1d(steps, 0.25 / (time[1] - time[0]), mode="nearest"))

@@ -1,12 +1,10 @@
 """The true parameters of a simulated drive, by definition, and cars that have wished ones.
 
-A car with an efficiency map has no single eta. The values that go beside a drive are those with
-which eq. 21 comes nearest to the energy of its steps without noise, in least squares: the same
-functional by which the estimator publishes what it learned (`estimation.published.project`). So
-losses that come with torque belong to eta and mu, as does what the friction brakes take, and the
-force that an idle drivetrain turns with belongs to C_rr and C_d, for no battery tells it apart
-from tyres and air. Wind counts as a disturbance. Mass is that of the car, p_aux the mean of the
-auxiliary load.
+A car with an efficiency map has no single eta. Its values are those with which eq. 21 comes
+nearest to the energy of its steps in least squares, as the estimator publishes
+(`estimation.published.project`). So losses of torque and friction brakes belong to eta and mu,
+those of an idle drivetrain to C_rr and C_d. Wind is a disturbance, mass that of the car, p_aux the
+mean auxiliary load.
 """
 
 from __future__ import annotations
@@ -54,13 +52,7 @@ class Truth:
 
 
 def true_values(car: Car, trace: Trace, equation: Equation) -> Truth:
-    """The parameters of `car` on this drive, as the module defines them.
-
-    Args:
-        car: that was driven.
-        trace: of the drive.
-        equation: of the vehicle file, whose car tells which steps drive and which brake.
-    """
+    """The parameters of `car` on this drive, as the module defines them."""
     wheels, duration, energy = _steps(car, trace, equation)
     sums = combinations(equation, wheels, duration, energy)
     mass, rolling, drag = (
@@ -81,18 +73,9 @@ def true_values(car: Car, trace: Trace, equation: Equation) -> Truth:
 def combinations(
     equation: Equation, wheels: Wheels, duration: np.ndarray, energy: np.ndarray
 ) -> dict[str, float]:
-    """The true combinations of a car by what steps of driving took, without noise.
+    """True combinations of a car by its steps' energy, J, without noise and standing load.
 
-    What the steps do not determine, as braking where there was none, is that of the vehicle file.
-
-    Args:
-        equation: of the vehicle file.
-        wheels: of the steps, shape (n,).
-        duration: s.
-        energy: of the battery without standing load, J.
-
-    Returns:
-        `mass_over_eta`, `regeneration`, `rolling_over_eta` (C_rr m / eta), `drag_area_over_eta`.
+    What the steps do not determine is that of the vehicle file.
     """
     terms = np.asarray(wheels.terms)
     prior = equation.mean[PHYSICS]
@@ -135,11 +118,7 @@ def _steps(car: Car, trace: Trace, equation: Equation) -> tuple[Wheels, np.ndarr
 
 
 def plausible_parameters(vehicle: Vehicle, rng: np.random.Generator) -> Parameters:
-    """Parameters a real car could have.
-
-    Mass, c_rr, c_d and p_aux within PLAUSIBLE_SPREAD sigmas of their priors; eta and mu of a
-    modern drivetrain, whatever the priors say (the paper's 0.7 and 0.5 are low).
-    """
+    """Parameters a real car could have: near the priors, eta and mu as of today."""
     drawn = _draw(vehicle, rng, PLAUSIBLE_SPREAD)
     return drawn._replace(eta=rng.uniform(*PLAUSIBLE_ETA), mu=rng.uniform(*PLAUSIBLE_MU))
 
@@ -166,12 +145,7 @@ def _draw(vehicle: Vehicle, rng: np.random.Generator, spread: float) -> Paramete
 def tuned(
     car: Car, motion: IntervalMotion, around: Surroundings, wish: Parameters, equation: Equation
 ) -> Car:
-    """The car whose true values on this drive are `wish`; mass and c_d are taken as they are.
-
-    Two wishes may be more than a car can do: mu, when even without friction brakes less comes
-    back (none are used then but for the limits of `Brakes`), and a p_aux below
-    LEAST_AUXILIARY. `true_values` tells what came of it.
-    """
+    """The car whose true values are `wish`, as far as brakes and LEAST_AUXILIARY allow."""
     car = replace(car, mean_auxiliary=max(wish.p_aux, LEAST_AUXILIARY))
     for _ in range(ROUNDS):
         plain = true_values(car, drive_car(car, motion, around), equation).parameters

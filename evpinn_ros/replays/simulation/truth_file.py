@@ -11,13 +11,7 @@ TRUTH_FILE = "truth.yaml"
 
 
 def read_truth(path: Path) -> Parameters | None:
-    """True parameters beside a simulated drive, None for a real one.
-
-    The path is that of the bag's folder.
-
-    Raises:
-        InputError: there is a `truth.yaml`, but a wrong one.
-    """
+    """True parameters beside a simulated drive's bag, None of a real one; InputError if wrong."""
     file = path / TRUTH_FILE
     if not file.is_file():
         return None
