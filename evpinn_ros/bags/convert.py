@@ -27,11 +27,7 @@ NOT_A_MESSAGE = "not_finite_or_out_of_range"
 def write_readings(
     readings: Iterable[Reading], writer: BagWriter, namespace: str = NAMESPACE
 ) -> Counter[str]:
-    """Write the input topics, each message at the time of its stamp.
-
-    Returns:
-        Readings that were left out, by reason.
-    """
+    """Write each reading at its stamp; returns those that were left out, by reason."""
     dropped: Counter[str] = Counter()
     for reading in readings:
         try:
@@ -49,36 +45,29 @@ class NoTopicsError(InputError):
 
 
 class BagReadings:
-    """The readings of a bag, from the input topics under any namespace.
-
-    Attributes:
-        topics: full names of the topics that are read.
-        notes: topics that are nearly those that are missing of speed and battery, in words.
-        dropped: messages without a usable reading, by reason; complete once iterated.
-    """
+    """The readings of a bag, from the input topics under any namespace."""
 
     def __init__(
         self, reader: BagReader, car: str | None = None, mounting: Rotation | None = None
     ) -> None:
-        """Find the topics by name and type.
+        """Find the topics by name and type, of the `car` with this namespace.
 
-        `car` is its namespace, None when the bag holds one car only; `mounting` that of its IMU,
-        see `grade_reading`.
-
-        Raises:
-            NoTopicsError: none of the topics is there.
-            InputError: the bag holds several cars.
+        `mounting` is that of its IMU, see `grade_reading`. NoTopicsError: none is there;
+        InputError: several cars.
         """
+        # messages without a usable reading, by reason; complete once iterated
         self.dropped: Counter[str] = Counter()
         self._reader, self._mounting = reader, mounting
         speeds = (_named(reader, topic, car) for topic in topics.SPEEDS)
         wanted_topics = [topic for topic in READING_TOPICS.values() if topic is not topics.SPEED]
         names = [next(filter(None, speeds), None)]
         names += [_named(reader, topic, car) for topic in wanted_topics]
+        # full names of the topics that are read
         self.topics = tuple(name for name in names if name)
         missing = {topics.SPEED, topics.BATTERY} - {topic_of(name) for name in self.topics}
         if names[0]:
             missing.discard(topics.SPEED)  # others have it too
+        # topics that are nearly those that are missing of speed and battery, in words
         self.notes = tuple(_near_topics(reader, missing))
         if not self.topics:
             wanted = ", ".join(topic.name for topic in READING_TOPICS.values())

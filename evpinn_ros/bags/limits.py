@@ -1,7 +1,4 @@
-"""Limits on the size of a bag, whatever its own lengths claim, and chunks unpacked within them.
-
-What a small file can unpack to is bounded by its own size, so that work and memory are too.
-"""
+"""Limits on what a bag unpacks to, by its own size, whatever lengths it claims."""
 
 from __future__ import annotations
 
@@ -31,11 +28,7 @@ MOST_HELD = 64 * MEBIBYTE
 
 
 def unpacked(compression: str, data: bytes, size: int) -> bytes:
-    """The content of a chunk that states `size` bytes; of a cut chunk what there is of it.
-
-    Raises:
-        ValueError: above the limit, refused before it is unpacked; damaged, or more than stated.
-    """
+    """Content of a chunk of `size` bytes, or of a cut one; ValueError, before, above the limit."""
     if max(size, len(data)) > LONGEST_CHUNK:
         raise ValueError(f"above the limit of {LONGEST_CHUNK // MEBIBYTE} MiB")
     try:

@@ -1,8 +1,4 @@
-"""One MCAP file in log time order.
-
-rosbags reads a sound file by its index. Any other file is read twice from beginning to end, once
-to count its messages and once to give them (`mcap_records`); `problem` says what is lost.
-"""
+"""One MCAP file in log time order: rosbags reads a sound one; others are read twice."""
 
 from __future__ import annotations
 
@@ -26,19 +22,10 @@ OVERHEAD = 250  # bytes of a message in Python beside its data
 
 
 class McapFile:
-    """An open MCAP file.
-
-    Attributes:
-        channels: by channel id.
-        counts: messages by channel id.
-    """
+    """An open MCAP file."""
 
     def __init__(self, path: Path) -> None:
-        """Find the channels and the messages.
-
-        Raises:
-            InputError: not there, empty, or not MCAP.
-        """
+        """Find the channels and the messages; InputError if it is no MCAP."""
         self.path = path
         with as_input_error(path):
             self._file = open_file(path)
@@ -90,7 +77,7 @@ class McapFile:
                 self._indexed = RosbagsFile(self.path)
         if self._indexed is not None:
             self.channels: Mapping[int, Channel] = self._indexed.channels
-            self.counts: Mapping[int, int] = self._indexed.counts
+            self.counts: Mapping[int, int] = self._indexed.counts  # messages by channel id
         else:
             self._survey()
 
@@ -107,7 +94,7 @@ class McapFile:
         except InputError as error:  # a bad sector: what is before it can be read
             notes.append(str(error))
         self.counts, self._readable = counts, counts.total()
-        self.channels = _channels(records)
+        self.channels = _channels(records)  # by channel id
         losses = [loss for loss in losses if loss.messages != 0]
         if losses:
             first = losses[0]

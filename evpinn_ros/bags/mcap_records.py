@@ -1,7 +1,6 @@
 """The records of an MCAP file from its beginning on, parsed by the mcap library.
 
-A damaged chunk is skipped. Behind a damaged record reading goes on at the next chunk in the
-file's index, and ends where there is none, as in a file that was cut.
+A damaged chunk is skipped; behind a damaged record the next chunk of the index is sought.
 """
 
 from __future__ import annotations
@@ -98,21 +97,9 @@ class McapSummary:
 
 
 class McapRecords:
-    """One pass over a file; memory stays within a chunk.
-
-    Attributes:
-        schemas: known so far, by id; the first one of an id holds.
-        channels: likewise.
-        stated: messages that the file says it holds, None when it does not.
-        ended: the file has its end.
-        chunks: seen so far.
-        position: byte behind the last record.
-        proven: a checksum covers the newest message.
-        unknown: messages left out, since the definition of their topic is lost.
-    """
+    """One pass over a file; memory stays within a chunk."""
 
     def __init__(self, file: BinaryIO, name: object) -> None:
-        """Look at the end of a file; errors of the disk name the file `name`."""
         self._file, self._name = file, name
         self.size = os.fstat(file.fileno()).st_size
         self.summary = McapSummary()
@@ -120,20 +107,18 @@ class McapRecords:
             self.summary = self._summary()
         content = self.summary.content
         self.schemas, self.channels = dict(content.schemas), dict(content.channels)
+        # messages that the file says it holds, None when it does not
         self.stated = content.statistics.message_count if content.statistics else None
-        self.ended = self.summary.ended
-        self.chunks = self.unknown = 0
+        self.ended = self.summary.ended  # the file has its end
+        # messages left out, since the definition of their topic is lost
+        self.chunks = self.unknown = 0  # seen so far
         self.position, self.proven = 0, False
         self._starts = sorted(chunk.chunk_start_offset for chunk in content.chunk_indexes)
         self._bytes_left, self._definitions_left = most_unpacked(self.size), MOST_DEFINITIONS
 
     def __iter__(self) -> Iterator[McapItem]:
-        """The messages, attachments, metadata and losses of the file, in its order.
-
-        Raises:
-            InputError: the disk does not give the file's bytes.
-        """
-        self.position = len(MAGIC)
+        """Messages, attachments, metadata and losses in order; InputError of the disk."""
+        self.position = len(MAGIC)  # byte behind the last record
         lost: Loss | None = None  # the last chunk, while the message indexes behind it are counted
         while self.position < self.size:
             begin = self.position
@@ -232,7 +217,7 @@ class McapRecords:
             reason = str(error) if type(error) is ValueError else "damaged"
             yield Loss(begin, end, "cut" if cut else reason, chunk=True)
             return
-        self.proven = checksum != 0 and not cut
+        self.proven = checksum != 0 and not cut  # a checksum covers the newest message
         at = 0
         while at + HEAD.size <= len(content):
             opcode, length = HEAD.unpack_from(content, at)

@@ -51,10 +51,7 @@ class WrittenFile:
 
 
 def qos_profiles(topic_name: str) -> list[dict[str, Any]]:
-    """Quality of service that the publisher of a topic offers, in the form of rosbag2.
-
-    A topic that is not of this package gets the default: reliable, ten deep.
-    """
+    """QoS of a topic's publisher in rosbag2's form; of others reliable, ten deep."""
     qos = (topic_of(topic_name) or SPEED).publisher_qos
     return [
         {

@@ -1,7 +1,4 @@
-"""Reading bags without ROS: rosbag2 folders and bare `.mcap` and `.db3` files, whole or broken.
-
-What rosbag2 compressed, file by file or message by message, is unpacked within limits.
-"""
+"""Reading bags without ROS: rosbag2 folders and `.mcap` and `.db3`, whole, packed or broken."""
 
 from __future__ import annotations
 
@@ -51,21 +48,13 @@ class Record(NamedTuple):
 
 
 class BagReader:
-    """An open bag.
-
-    Attributes:
-        path: of the folder or file.
-        dropped: messages that `records` left out, by reason: `unknown_type`, `not_cdr`,
-            `too_large`, `undecodable`.
-    """
+    """An open bag."""
 
     def __init__(self, path: Path | str) -> None:
-        """Open a bag folder, with or without metadata.yaml, or a bare `.mcap` or `.db3` file.
-
-        Raises:
-            InputError: not there, empty or not a bag; the text names the file and the reason.
-        """
-        self.path = Path(path)
+        """Open a folder, `.mcap` or `.db3`; InputError with the file and the reason."""
+        self.path = Path(path)  # of the folder or file
+        # messages that `records` left out, by reason: `unknown_type`, `not_cdr`, `too_large`,
+        # `undecodable`
         self.dropped: Counter[str] = Counter()
         self._problems: list[str] = []
         self._files = _open(self.path, self._problems)
@@ -90,18 +79,12 @@ class BagReader:
 
     @property
     def problem(self) -> str | None:
-        """Damage of the bag and its losses, in one line; None for a sound bag.
-
-        A cut is known from the start, damage inside only once `records` came to its end.
-        """
+        """Damage and losses in one line, or None; complete once `records` came to its end."""
         problems = [*self._problems, *(file.problem for file in self._files if file.problem)]
         return " | ".join(problems) or None
 
     def records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
-        """The messages in log time order, those of equal time in the order of the file.
-
-        `topics` are full names, None for all.
-        """
+        """The messages of `topics` (full names, None for all) in log time order."""
         for raw in self.raw_records(topics):
             try:
                 yield Record(*raw[:3], decode(raw.type_name, raw.message))
@@ -203,10 +186,7 @@ def _listed(metadata: dict[str, Any]) -> set[str]:
 
 
 def _files(folder: Path, storage: str) -> list[Path]:
-    """Files of a storage in order, compressed only where they are not there as they were.
-
-    What was recorded when the power went has no metadata.yaml, and a last file not compressed yet.
-    """
+    """Files of a storage in order, even those not compressed yet when the power went."""
     files = {path.stem: path for path in folder.glob(f"*.{storage}{PACKED}")}
     files |= {path.name: path for path in folder.glob(f"*.{storage}")}
     return [files[name] for name in sorted(files)]

@@ -96,15 +96,8 @@ class RecoveredFile:
 def recover(source: Path, out: Path, progress: Progress = lambda _: None) -> list[RecoveredFile]:
     """Save what a broken MCAP file, or a folder of them, still holds as a new bag.
 
-    A file that cannot be read stops no other. Interrupted, or where the disk is full, it leaves
-    nothing behind.
-
-    `source` is an MCAP file or a rosbag2 folder, with or without metadata.yaml; `out` a folder
-    that is not there, or empty. `progress` takes the bytes done, of all files together.
-
-    Raises:
-        InputError: no MCAP there, `out` is in use, or no message could be saved.
-        OSError: `out` cannot be written.
+    `progress` takes bytes done. Interrupted, it leaves nothing behind. InputError: no MCAP, `out`
+    in use, or no message could be saved. OSError: `out` cannot be written.
     """
     paths = broken_files(source)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -223,7 +216,6 @@ class _Copy:
     """A new file of what was saved."""
 
     def __init__(self, path: Path, topics: dict[str, WrittenTopic]) -> None:
-        """Make the file; its messages are counted in `topics` too."""
         self.written = WrittenFile(path.name)  # number and log times of its messages
         self._topics = topics
         self._ids: dict[int, tuple[int, WrittenTopic]] = {}  # new id and topic by the old id
@@ -252,7 +244,6 @@ class _Copy:
         self.written.add(message.log_time)
 
     def finish(self) -> None:
-        """Write the end of the file."""
         information = bag_information([self.written], self._topics.values())
         self.writer.add_metadata(ROSBAG2, {"serialized_metadata": as_yaml(information)})
         self.writer.finish()

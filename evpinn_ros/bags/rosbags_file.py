@@ -1,7 +1,6 @@
 """Reading by the rosbags library: sqlite3 bags, and MCAP files that have their index.
 
-A recording that was killed leaves messages in the journal beside its sqlite3 bag. SQLite applies
-it when it opens the database to write; that is done to a private copy of both.
+SQLite applies a killed recording's journal when it opens a private copy of both to write.
 """
 
 from __future__ import annotations
@@ -40,12 +39,7 @@ def journals(path: Path) -> list[Path]:
 
 
 def merged(path: Path, folder: Path) -> Path:
-    """A copy of a database in an empty folder, with its journals applied.
-
-    Raises:
-        InputError: it cannot be copied, the journals cannot be applied or name other files, or
-            the database is written too often for a copy of one moment.
-    """
+    """A copy of a database in an empty folder, its journals applied; or InputError."""
     copy = folder / "merged.db3"
     with as_input_error(path):
         _copy_all(path, copy)
@@ -110,21 +104,12 @@ class Channel:
 
 
 class RosbagsFile:
-    """An open `.db3` file, or an MCAP file whose index is sound.
-
-    Attributes:
-        channels: by channel id.
-        counts: messages by channel id.
-        problem: what was lost, in one line. Complete once every message was read.
-    """
+    """An open `.db3` file, or an MCAP file whose index is sound."""
 
     def __init__(self, path: Path) -> None:
-        """Open it.
-
-        Raises:
-            InputError: it is not there, rosbags can not read it, or it is more than tables.
-        """
+        """Open it; InputError if rosbags cannot, or it is more than tables."""
         self.path = path
+        # what was lost, in one line. Complete once every message was read
         self.problem: str | None = None
         self._folder = TemporaryDirectory(prefix="evpinn-")
         try:
@@ -155,7 +140,8 @@ class RosbagsFile:
         self.channels = {
             id_: Channel(connection.topic, connection.msgtype, connection.ext.serialization_format)
             for id_, connection in self._connections.items()
-        }
+        }  # by channel id
+        # messages by channel id
         self.counts = {id_: connection.msgcount for id_, connection in self._connections.items()}
 
     def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
@@ -210,10 +196,10 @@ def _is_named(connection: Connection) -> bool:
 
 
 def _check_database(path: Path, source: Path, size: int) -> None:
-    """Refuse a database, perhaps a copy of the bag's, that computes or holds more than its file.
+    """InputError for a database that computes or holds more than its file.
 
-    A view in place of a table can run for ever. So can pages that lead to one another, and many
-    rows may share the pages of one: SQLite follows both. Damage is reported when it is read.
+    A view in place of a table, or pages that lead to one another, could run for ever: SQLite
+    follows both.
     """
     address = f"file:{quote(str(source))}?immutable=1"
     periods = iter(range((FREE_STEPS + STEPS_A_BYTE * size) // PERIOD))

@@ -33,16 +33,10 @@ def change_storage(
     progress: Callable[[float], None] | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> int:
-    """Write every message of a sound bag, byte for byte, into a new bag.
+    """Write a sound bag, byte for byte, into a new one; returns how many messages.
 
-    `source` is a folder, `.mcap` or `.db3`; `out` is not there yet. `progress` takes the seconds
-    of the recording done; `stopped` says whether to end here, with a whole bag.
-
-    Returns:
-        Messages written.
-
-    Raises:
-        InputError: the bag is broken (`evpinn recover` saves MCAP), or `out` cannot be written.
+    `progress` takes seconds of the recording; `stopped` ends it with a whole bag. InputError: the
+    bag is broken (`evpinn recover` saves MCAP), or `out` cannot be written.
     """
     if out.exists():
         raise InputError(f"{out}: there already; give the name of a new folder")

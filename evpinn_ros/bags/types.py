@@ -1,7 +1,4 @@
-"""ROS 2 messages and their CDR bytes without ROS: the classes of rosbags for ROS 2 Jazzy.
-
-Messages that are no part of ROS 2 itself, of CAN adapters and of Autoware, are described here.
-"""
+"""ROS 2 messages and their CDR bytes without ROS: rosbags' of Jazzy, CAN adapters', Autoware's."""
 
 from __future__ import annotations
 
@@ -73,15 +70,10 @@ def typestore() -> Any:
 
 
 def new_message(type_name: str, /, **fields: Any) -> Any:
-    """A message of `package/msg/Type`; fields not given are zero, false or empty.
+    """A message of `package/msg/Type`, other fields zero, false or empty (also a w).
 
-    Sequences of numbers may be given as any Python sequence. Zero also replaces the few non-zero
-    defaults of ROS, such as the w of a quaternion.
-
-    Raises:
-        KeyError: no such type in ROS 2 Jazzy.
-        TypeError: a field that the type does not have.
-        ValueError: a fixed-size array of numbers given with another size.
+    KeyError: no such type. TypeError: no such field. ValueError: a fixed-size array of another
+    size.
     """
     kind, makers = _layout(type_name)
     for name, make in makers.items():
@@ -95,11 +87,7 @@ def encode(message: Any) -> bytes:
 
 
 def encode_frame(frame: CanFrame) -> bytes:
-    """The CDR bytes of a frame as `can_msgs/Frame`; a struct, for thousands a second.
-
-    Raises:
-        ValueError: a CAN FD frame of more than 8 bytes, or a stamp outside ROS time.
-    """
+    """A frame as CDR of `can_msgs/Frame`; ValueError: more than 8 bytes, or no ROS time."""
     seconds, nanoseconds = divmod(frame.stamp_ns, NANOSECONDS)
     if len(frame.data) > CLASSIC or not 0 <= seconds < 2**31:
         raise ValueError(f"{FRAME_TYPE} cannot hold {frame}")
@@ -109,14 +97,10 @@ def encode_frame(frame: CanFrame) -> bytes:
 
 
 def decode(type_name: str, data: bytes) -> Any:
-    """The message in CDR bytes.
+    """The message in CDR bytes; KeyError or ValueError if none.
 
-    Bytes after the message are ignored: Fast DDS sends up to eight after a sequence of doubles,
-    as in every named vector, and `typestore().deserialize_cdr` refuses more than three.
-
-    Raises:
-        KeyError: no such type in ROS 2 Jazzy.
-        ValueError: not the bytes of such a message.
+    Bytes after it are ignored: Fast DDS sends up to eight, and `deserialize_cdr` refuses more than
+    three.
     """
     definition = typestore().get_msgdef(type_name)
     if data[:2] not in (CDR_BIG_ENDIAN, CDR_LITTLE_ENDIAN):

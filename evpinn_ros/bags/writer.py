@@ -1,7 +1,6 @@
 """Writing rosbag2 bags (MCAP) without ROS, such that a killed recording loses a second at most.
 
-`ros2 bag play`, Foxglove and PlotJuggler open them. A chunk of the file ends when a second of log
-time is over, so the same writes give the same bytes.
+A chunk ends when a second of log time is over, so the same writes give the same bytes.
 """
 
 from __future__ import annotations
@@ -52,16 +51,9 @@ class BagWriter:
     def __init__(
         self, folder: Path | str, *, live: bool = False, split: Split | None = None
     ) -> None:
-        """Make the folder, the MCAP file in it and a first metadata.yaml.
+        """Make the folder with the MCAP file and a first metadata.yaml; or InputError.
 
-        Args:
-            folder: the bag; its parents are made too.
-            live: end a chunk after a second of wall time as well, for a recording whose log time
-                runs slowly or stands; the bytes then depend on the speed of the machine.
-            split: when to begin another file; None for never.
-
-        Raises:
-            InputError: the folder is in use, or can not be made; nothing is left of it then.
+        `live` ends a chunk after a second of wall time too; `split` says when another file begins.
         """
         self.folder = Path(folder)
         _refuse_used(self.folder)
@@ -93,12 +85,7 @@ class BagWriter:
         self.write_raw(topic, message.__msgtype__, encode(message), log_time_ns)
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Add the CDR bytes of a message, as a raw subscription of rclpy gives them.
-
-        Raises:
-            KeyError: no such type in ROS 2 Jazzy.
-            ValueError: the topic was written with another type before.
-        """
+        """Add a message's CDR bytes; KeyError: no such type, ValueError: it had another."""
         written = self._topics.get(topic) or self._add_topic(topic, type_name)
         if written.type_name != type_name:
             raise ValueError(f"{topic} is {written.type_name}, not {type_name}")
@@ -170,21 +157,16 @@ def _refuse_used(folder: Path) -> None:
 
 
 class McapPart:
-    """An open file; a chunk ends when a second of log time is over.
-
-    Attributes:
-        written: what is in it.
-        flushed_s: when that was last handed to the operating system, by the monotonic clock.
-    """
+    """An open file; a chunk ends when a second of log time is over."""
 
     def __init__(self, path: Path) -> None:
-        """Make the file."""
-        self.written = WrittenFile(path.name)
+        self.written = WrittenFile(path.name)  # what is in it
         self._folder = path.parent
         self._file = new_file(path)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._chunk_ns = 0
+        # when that was last handed to the operating system, by the monotonic clock
         self.flushed_s = self._synced_s = time.monotonic()
         self._syncing: threading.Thread | None = None
         self._problem: OSError | None = None
@@ -225,11 +207,7 @@ class McapPart:
         self._chunk_ns = next_ns
 
     def flush(self) -> None:
-        """Hand all that was written to the operating system, which begins to put it on the disk.
-
-        Raises:
-            OSError: this failed, or an earlier write.
-        """
+        """Hand all that was written to the operating system; OSError, also of earlier writes."""
         self._writer.flush()
         self.flushed_s = time.monotonic()
         if self._problem is not None:

@@ -43,10 +43,7 @@ class KnownPart(NamedTuple):
 
 
 def shown(breakdown: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """Parts in the metrics of a breakdown by their names for people; those not separated joined.
-
-    What no input tells of is left out: heating of a car that knows no temperature, say.
-    """
+    """Parts of a breakdown that anything tells, by names for people; joined if not separated."""
     groups = {group["parts"][0]: group for group in breakdown["together"]}
     hidden = {name for group in breakdown["together"] for name in group["parts"]}
     rows = []
@@ -129,21 +126,14 @@ def _whole(breakdown: Mapping[str, Any]) -> tuple[float, str]:
 
 
 def largest_part(breakdown: Mapping[str, Any]) -> KnownPart | None:
-    """The largest part, if it is known to two sigmas, else None; never a smaller one.
-
-    Net speeding up and the unexplained part do not count.
-    """
+    """The largest part, if known to two sigmas, without speeding up and unexplained."""
     parts = [row for row in shown(breakdown) if row[0] not in LEFT_OUT]
     name, _ = max(parts, key=lambda row: row[1]["kwh"], default=("", {}))
     return next((part for part in known_parts(breakdown) if part.name == name), None)
 
 
 def breakdown_sentence(breakdown: Mapping[str, Any]) -> str:
-    """Sentences on the largest part, and on heating above the share `WORTH_SAYING`.
-
-    Empty where nothing is known so well. Another tells what descents gave back, where shares are
-    of what was spent.
-    """
+    """Sentences on the largest part, heating above `WORTH_SAYING`, and descents."""
     _, whole = _whole(breakdown)
     heating = MEANINGS["climate"]
     warmed = [

@@ -31,10 +31,7 @@ Rows = list[tuple[str, ...]]
 def part_rows(
     breakdowns: Sequence[Breakdown], *, signed: bool = False, units: Units = METRIC
 ) -> Rows:
-    """Parts and what they add up to, a column for each breakdown: `units.rate` +- 1-sigma.
-
-    Parts that one of the breakdowns does not separate stand in one row.
-    """
+    """Parts and their sum, a column for each breakdown; parts not separated in one are joined."""
     rows = [
         (name_of(parts), [breakdown.of(*parts) for breakdown in breakdowns])
         for parts in common_groups(breakdowns)
@@ -100,11 +97,7 @@ def sentences(comparison: Comparison, units: Units = METRIC) -> Iterator[str]:
 
 
 def _explained(difference: Breakdown, units: Units) -> str:
-    """The parts that explain a difference, largest first, and those that leave it open.
-
-    A part explains what has its sign and is beyond `SURE` sigmas; one that is as large as
-    `WORTH_NAMING` of the difference, or may be, is named too.
-    """
+    """Parts of a difference's sign beyond `SURE`, largest first, and those that leave it open."""
     total = difference.total().kwh
     parts = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
     parts.append((MEANINGS[UNEXPLAINED], difference.amounts()[UNEXPLAINED]))
@@ -231,7 +224,6 @@ def _whiskers(difference: Breakdown, units: Units) -> list[dict[str, Any]]:
 
 
 def _curves(comparison: Comparison, units: Units) -> list[dict[str, Any]]:
-    """Energy, speed and height of all drives over distance."""
     courses = [over_distance(drive, POINTS, units) for drive in comparison.drives]
     curves = [
         curve(

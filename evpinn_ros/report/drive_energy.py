@@ -34,11 +34,9 @@ SHOWN_SPEED = 36.0  # m/s: a steady speed is shown up to here however slow the d
 
 
 def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units: Units) -> Chart:
-    """Energy over distance by speed: measured in bins, and at steady speed on a flat road.
+    """Energy over distance by speed: measured in bins, and steady on a flat road.
 
-    Steps count where they are slow or fast, so what it took to speed up is in the bins on the
-    way up, and what braking gave back in the same bins. At a crawl standing load is all there is:
-    the first bin is left out.
+    The first bin, of crawling, would show standing load alone, so it is left out.
     """
     width = units.speed_step
     speeds = steps.speed * units.speeds
@@ -89,11 +87,7 @@ def running_totals(
 def _steady_power(
     car: PowerModel, speed: np.ndarray, air_density: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Power on a flat road without wind and its 1-sigma, W, at speeds, m/s; shape (n,) each.
-
-    The variance is multiplied by the factor of dropouts, for unseen climbs of neighbouring
-    intervals are alike and make the line look surer than it is.
-    """
+    """Power on a flat road without wind and its 1-sigma, W, as of dropouts, shape (n,)."""
     steps = even_steps(np.ones_like(speed), speed, 0.0 * speed)
     rows = car.rows(steps, Weather(air_density, start=WARM))
     variance = car.car.trust * ((rows @ car.car.covariance) * rows).sum(-1)

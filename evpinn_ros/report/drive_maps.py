@@ -76,11 +76,7 @@ def driven_minutes(driven: Moments) -> dict[str, float]:
 
 
 def route_map(drive: Drive, steps: DrivenSteps, units: Units) -> Chart:
-    """Map of the road, east and north of where the drive began, with mean measured power.
-
-    A degree is as long as at the mean latitude, which is right to a pixel for what one drives in
-    a day. Power is of the time up to each point, kW, unknown where the battery was not measured.
-    """
+    """Map of the road, east and north of its begin, with mean measured power, kW."""
     rows = rising(drive.position)
     lengths = np.array([np.cos(np.radians(rows[:, 1].mean())), 1.0]) * DEGREE / units.metres
     road = (rows[:, [2, 1]] - rows[0, [2, 1]]) * lengths

@@ -123,8 +123,7 @@ def write_drives(
 ) -> None:
     """Write the report; of several drives each can be opened, the first is open.
 
-    `breakdown` is that of several drives together, as in the metrics of each; `health` a sentence
-    on the battery after them.
+    `breakdown` and `health` are of all drives together.
     """
     points = max(POINTS // len(drives), LEAST_POINTS)
     names = short_names([Path(drive.metrics["input"]["path"]) for drive in drives])
@@ -274,7 +273,6 @@ def _score_tiles(reported: ReportedDrive) -> Iterator[tuple[str, str]]:
 
 
 def _date(drive: Drive) -> str:
-    """Date and time at which a drive began, by the clock of its log."""
     stamp_ns, zone = drive.start_ns, " UTC" if drive.zoned else ", local time"
     if not 0 <= stamp_ns <= LAST_STAMP:
         return "at an impossible time"

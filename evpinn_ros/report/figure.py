@@ -1,7 +1,4 @@
-"""Picture of a drive: where its energy went, power, and what data determine of the car.
-
-The drive may be read back from the topics that the nodes recorded.
-"""
+"""Picture of a drive: where its energy went, power, and what data determine of the car."""
 
 from __future__ import annotations
 

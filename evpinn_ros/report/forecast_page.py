@@ -125,10 +125,7 @@ def speed_along(
 
 
 def _parts(planned: PlannedEnergy) -> list[dict[str, Any]]:
-    """A row a part, the biggest first, with its 90 % interval in percent of the width.
-
-    Energy per km has none.
-    """
+    """A row a part, the biggest first, with its 90 % interval in percent of the width."""
     if planned.basis.model.car.experts.best is Expert.PER_KM:
         return []
     parts = plan_parts(planned.given, planned.energies, *planned.basis)

@@ -23,11 +23,9 @@ TEMPLATES = Path(__file__).with_name("templates")
 def write_page(
     path: Path, template: str, *, title: str, command: str, plots: Any = None, **values: Any
 ) -> None:
-    """Write a page from a file in `TEMPLATES`, which extends `page.html.j2`, and values for it.
+    """Write a page from a template, whose policy runs nothing but the scripts it was made with.
 
-    The page loads nothing and runs nothing but the scripts it was made with: its policy names
-    their hashes, so text that came with a drive could not run even if it were not escaped. `plots`
-    is what `browser/drive.js` draws, for JSON; None without plots.
+    `plots` is what `browser/drive.js` draws, for JSON; None without plots.
     """
     styles, scripts = [_text(BROWSER / "page.css")], []
     if plots is not None:

@@ -164,10 +164,7 @@ def drives_rows(
     breakdown: Mapping[str, Any] | None,
     units: Units = METRIC,
 ) -> list[tuple[str, ...]]:
-    """A row under `drives_columns` for each name, drive and its metrics, and one of all.
-
-    `breakdown` is of all of them together, as in the metrics of each; None where not known.
-    """
+    """A row under `drives_columns` for each drive and its metrics, and one of all together."""
     figures = [_figures(drive, counted(drive), metrics) for _, drive, metrics in drives]
     rows: list[tuple[str, ...]] = [
         (
@@ -204,7 +201,6 @@ class Figures(NamedTuple):
 
 
 def _figures(drive: Drive, total: Counted, metrics: Mapping[str, Any]) -> Figures:
-    """Figures of a drive."""
     metres, joules = total.known, total.energy
     if metrics["energy"]["measured_j"] is None:
         metres, joules = total.distance, metrics["energy"]["predicted_j"]

@@ -23,10 +23,7 @@ class Curve(NamedTuple):
 
 
 def curve(title: str, lines: Sequence[Curve], *, from_zero: bool) -> dict[str, Any] | None:
-    """Lines in a box of 1000 by 1000, for the macro `curve`; None where no value is finite.
-
-    What is unknown is NaN; `from_zero` says that the axis holds zero.
-    """
+    """Lines for the macro `curve`, or None; NaN is unknown, `from_zero`: the axis holds zero."""
     spans = [line.up + sign * (0.0 if line.half is None else line.half)
              for line in lines for sign in (-1.0, 1.0)]  # fmt: skip
     finite = np.concatenate([span[np.isfinite(span)] for span in spans])
@@ -94,10 +91,7 @@ class IntervalRow(NamedTuple):
 
 
 def interval_rows(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
-    """The rows with the places of bar, interval and zero, in percent of the width.
-
-    The width holds every interval and zero, so that nothing is cut off.
-    """
+    """Rows with the places of bar, interval and zero, in percent of a width that holds all."""
     low = min([0.0, *(min(row.value, row.low) for row in rows)])
     high = max([0.0, *(row.value + row.half for row in rows)])
     width = max(high - low, 1e-12)

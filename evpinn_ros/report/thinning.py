@@ -29,10 +29,7 @@ class Grid(NamedTuple):
 
 
 def grid_for(time: np.ndarray, duration: float, points: int) -> Grid:
-    """A grid over a drive, whose duration is in s, on which a series loses nothing.
-
-    Its points are fewer where it would keep more than `points`.
-    """
+    """A grid over a drive of so many s that loses nothing, of `points` at most."""
     steps = np.diff(np.unique(time))
     period = float(np.median(steps)) if len(steps) else 1.0
     span = max(duration, period)
@@ -41,13 +38,9 @@ def grid_for(time: np.ndarray, duration: float, points: int) -> Grid:
 
 
 def thinned(time: np.ndarray, values: np.ndarray, grid: Grid) -> np.ndarray:
-    """The least and the greatest value of each bucket, as they came.
+    """Least and greatest value of each bucket as they came, shape (PER_BUCKET * buckets,).
 
-    Buckets between two values that are near enough are filled by a line, others hold NaN. Times,
-    s, may be in any order; values that are not finite are left out.
-
-    Returns:
-        Shape (PER_BUCKET * buckets,).
+    Buckets between two values that are near enough are filled by a line, others hold NaN.
     """
     bucket = np.floor(time / grid.width).astype(np.int64)
     bucket[time == grid.width * grid.buckets] = grid.buckets - 1

@@ -1,8 +1,4 @@
-"""Every topic of this package: name, type, quality of service and content.
-
-The table of the documentation is generated from `TOPICS`. Names are relative, the launch files
-put them under `NAMESPACE`; only `/diagnostics` is absolute.
-"""
+"""Every topic of this package; names are relative to `NAMESPACE`, but for `/diagnostics`."""
 
 from __future__ import annotations
 
@@ -61,20 +57,13 @@ class Topic:
 
     @property
     def publisher_qos(self) -> Qos:
-        """Reliable, so that every subscriber can match it; one message deep when latched.
-
-        As deep as what subscribes: who gets no processor for some seconds shall miss nothing.
-        """
+        """Reliable, for all subscribers, and as deep as what subscribes; 1 if latched."""
         depth = 1 if self.latched else self.depth
         return Qos(reliable=True, transient_local=self.latched, depth=depth)
 
     @property
     def subscriber_qos(self) -> Qos:
-        """Best effort for the streams of the car: it matches every publisher, late is worthless.
-
-        All else is reliable: a plan is asked for once and must not be lost. Queues are deep: a
-        bag at ten times its rate, or a second without the processor, must not cost messages.
-        """
+        """Best effort for the car's streams, else reliable; deep, as for a bag at ten times."""
         if self.source in FROM_THE_CAR:
             return Qos(reliable=False, transient_local=False, depth=self.depth)
         depth = 1 if self.latched else self.depth

@@ -1,7 +1,4 @@
-"""Outputs of the estimator and the energy meter as ROS 2 messages, both ways.
-
-Readers raise `BadMessage` where a message is not what the builders make.
-"""
+"""Outputs of estimator and energy meter as ROS 2 messages; readers raise `BadMessage`."""
 
 from __future__ import annotations
 
@@ -53,11 +50,7 @@ UNKNOWN_FLOW = Flow(math.nan, math.nan, math.nan)
 def output_messages(
     new: NewMessage, output: Output | EnergyState | AccountSummary
 ) -> Iterator[tuple[Topic, Any]]:
-    """Every message that one output of the estimator or of the energy account leads to.
-
-    Raises:
-        ValueError: a number is not finite; nothing of this output may then be published.
-    """
+    """Every message of one output; ValueError, and nothing to publish, if not finite."""
     if isinstance(output, PowerEstimate):
         values_by_name = {POWER: Uncertain(output.power, output.sigma)}
         if math.isfinite(output.energy_sigma):

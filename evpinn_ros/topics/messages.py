@@ -1,10 +1,9 @@
 """Conversion between value types and ROS 2 messages, both ways: what all of them share.
 
 Builders take `new`, which makes a message of any class family, so the same code serves rclpy and
-bags (`evpinn_ros.bags.types.new_message`). They raise ValueError rather than build a message with
-a non-finite number where the message definition does not give NaN a meaning. Readers take a
-message of any class family and raise `BadMessage` where it holds no usable value. The messages of
-all readings are in `readings`, those of the nodes in `estimates`, of plans in `plans`.
+bags (`evpinn_ros.bags.types.new_message`), and raise ValueError for a number that is not finite
+where the message gives NaN no meaning. Readers raise `BadMessage` where a message holds no usable
+value.
 """
 
 from __future__ import annotations
@@ -22,27 +21,20 @@ VEHICLE_FRAME = "base_link"
 
 
 class NewMessage(Protocol):
-    """Makes a message: `new("std_msgs/msg/Header", frame_id="base_link")`.
-
-    Fields not given are zero, false or empty. Sequences of numbers are given as lists of float.
-    """
+    """Makes a message: `new("std_msgs/msg/Header", frame_id="base_link")`; others are zero."""
 
     def __call__(self, type_name: str, /, **fields: Any) -> Any:
         """A message of the type `package/msg/Type`."""
 
 
 class BadMessage(ValueError):  # noqa: N818  (it is the message that is bad)
-    """A message holds no usable value.
-
-    Attributes:
-        reason: a short snake_case key for counters.
-        usual: it says that there is no value now, with nothing wrong, as GNSS does in a garage.
-        lasting: so is every message of this source: reported when it begins, later counted.
-    """
+    """A message holds no usable value."""
 
     def __init__(self, reason: str, *, usual: bool = False, lasting: bool = False) -> None:
         super().__init__(reason)
-        self.reason, self.usual, self.lasting = reason, usual, lasting
+        self.reason = reason  # a short snake_case key for counters
+        self.usual = usual  # nothing is wrong, as when GNSS has no fix in a garage
+        self.lasting = lasting  # so is every message of this source
 
 
 class Level(IntEnum):
@@ -68,11 +60,7 @@ class NamedVector:
 
 
 def header(new: NewMessage, stamp_ns: int, frame_id: str = "") -> Any:
-    """std_msgs/Header.
-
-    Raises:
-        ValueError: the stamp is outside what ROS time holds, 1970 to 2038.
-    """
+    """std_msgs/Header; ValueError for a stamp outside 1970 to 2038, which ROS time holds."""
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
     if not 0 <= seconds < 2**31:
         raise ValueError(f"{stamp_ns} ns is outside ROS time")
@@ -93,13 +81,9 @@ def named_vector(
     sigmas: Sequence[float] | None = None,
     rates: Sequence[float] | None = None,
 ) -> Any:
-    """sensor_msgs/JointState: position is the value, velocity its rate, effort its 1-sigma.
+    """sensor_msgs/JointState: value, rate and 1-sigma; ValueError if not finite.
 
-    Nothing non-finite is published, so effort stays empty when a sigma is unknown (NaN).
-
-    Raises:
-        ValueError: a value or rate is not finite, a sigma is negative or infinite, or the
-            lengths differ.
+    Effort stays empty when a sigma is unknown (NaN).
     """
     rates = () if rates is None else rates
     if sigmas is None or any(math.isnan(sigma) for sigma in sigmas):
@@ -122,10 +106,7 @@ def diagnostics(
     statuses: Iterable[tuple[str, Level, str, Mapping[str, object]]],
     hardware: str = "",
 ) -> Any:
-    """diagnostic_msgs/DiagnosticArray from (name, level, message, {key: value}).
-
-    `hardware` is the `hardware_id` of all of them.
-    """
+    """diagnostic_msgs/DiagnosticArray from (name, level, message, {key: value})."""
     rows = []
     for name, level, message, values in statuses:
         pairs = [

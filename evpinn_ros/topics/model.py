@@ -1,7 +1,7 @@
-"""The car that predicts power, as a message: `estimate/model`.
+"""The car that predicts power, as a message `estimate/model`: the declared fields of `CarModel`.
 
-It holds the fields of `CarModel` as they are declared; a new one needs no line here. In place of
-the equation stand the seed of its network and the size: the rest is in the vehicle file.
+In place of the equation stand the seed of its network and the size: the rest is in the vehicle
+file.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ SEED, RELATIVE_SIZE = "seed", "relative_size"
 def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
     """std_msgs/Float64MultiArray: all numbers of a car in a row.
 
-    Its first dimension is labelled `vehicle/version` and spans all; one more for each field names
-    it and tells its size, which is 0 where it is None.
+    Its first dimension is labelled `vehicle/version`; one more for each field tells its size, 0 if
+    None.
     """
     equation = {SEED: car.equation.seed, RELATIVE_SIZE: car.equation.vehicle.relative_size}
     parts = {name: np.array([float(value)]) for name, value in equation.items()} | _parts(car)
@@ -46,11 +46,7 @@ def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
 
 
 def read_model(message: Any, vehicle: Vehicle) -> CarModel:
-    """The car in a message.
-
-    Raises:
-        BadMessage: it is of another vehicle or version, or its numbers do not fit.
-    """
+    """The car in a message; BadMessage of another vehicle or version, or if numbers do not fit."""
     if max(len(message.data), len(message.layout.dim)) > MOST_NUMBERS:
         raise BadMessage("too_large")
     sizes = {dimension.label: dimension.size for dimension in message.layout.dim}

@@ -1,7 +1,6 @@
 """Every parameter of the nodes as data: declared, checked, documented and filed from here.
 
-Knows no ROS, so that `evpinn check-params` and the documentation can read it anywhere. It repeats
-a few words and numbers of the cores, which a test compares, so as not to load torch and scipy.
+Knows neither ROS nor the cores, whose words and numbers it repeats; a test compares these.
 """
 
 from __future__ import annotations
@@ -295,10 +294,7 @@ def of_node(name: str, values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def refuse_wrong(table: tuple[Parameter, ...], values: Mapping[str, object]) -> None:
-    """Raise InputError when a set of parameters is wrong, each or all together.
-
-    What is not given has its default; names that are not in the table are not looked at.
-    """
+    """InputError for a wrong set of parameters; others have defaults, or are not looked at."""
     all_values = {
         parameter.name: values.get(parameter.name, parameter.default) for parameter in table
     }
@@ -313,11 +309,7 @@ def refuse_wrong(table: tuple[Parameter, ...], values: Mapping[str, object]) -> 
 
 
 def roll_pitch_yaw(text: str) -> tuple[float, float, float] | None:
-    """The three angles of `imu_rotation_rpy`, rad; None when it is empty.
-
-    Raises:
-        InputError: it is not three numbers within one turn.
-    """
+    """The angles of `imu_rotation_rpy`, rad, or None if empty; InputError if none."""
     if not text.strip():
         return None
     try:
@@ -330,11 +322,7 @@ def roll_pitch_yaw(text: str) -> tuple[float, float, float] | None:
 
 
 def bus_options(text: str) -> dict[str, Value]:
-    """The options of `bus_options`, numbers and truth values as such.
-
-    Raises:
-        InputError: not of the form `name=value name=value`.
-    """
+    """`name=value name=value` as numbers and truth values; or InputError."""
     options: dict[str, Value] = {}
     for word in text.split():
         name, equals, value = word.partition("=")

@@ -19,21 +19,12 @@ WILDCARDS = ("*", "**")
 
 
 def check_parameter_file(path: Path) -> None:
-    """Check every parameter of a file as `--params-file` takes it.
-
-    Raises:
-        InputError: unreadable, an unknown node or parameter, or a value that the node would
-            refuse; the text is `file:line: reason`.
-    """
+    """Check a file as `--params-file` takes it; InputError with `file:line: reason`."""
     _read(path)
 
 
 def read_parameter_file(path: Path, node: str) -> dict[str, Value]:
-    """The parameters that a file gives to one node of `TABLES`; what it does not give is absent.
-
-    Raises:
-        InputError: as `check_parameter_file` does.
-    """
+    """The parameters that a file gives to a node of `TABLES`; or InputError."""
     return _read(path)[node]
 
 

@@ -1,7 +1,4 @@
-"""Plans in messages of ROS 2, and their energy forecasts as such.
-
-Readers raise `PlanError` with the reason when a message is no plan.
-"""
+"""Plans in messages of ROS 2, and their forecasts; readers raise `PlanError`."""
 
 from __future__ import annotations
 
@@ -39,12 +36,9 @@ Decode: TypeAlias = Callable[[str, bytes], Any]
 def plan_of_message(
     type_name: str, data: bytes, decode: Decode, nominal_speed: float = NOMINAL_SPEED
 ) -> Plan:
-    """The plan in CDR bytes of one of `PLAN_TYPES`, of whose points not too many are unpacked.
+    """The plan in CDR bytes of one of `PLAN_TYPES`, of not too many points; or PlanError.
 
     A path without times is driven at `nominal_speed`, m/s.
-
-    Raises:
-        PlanError: it is no plan, has too many points or cannot be driven.
     """
     try:
         count = _point_count(type_name, data)
@@ -86,11 +80,7 @@ def _point_count(type_name: str, data: bytes) -> int:
 
 
 def read_conditions(message: Any) -> PlanConditions:
-    """Conditions of plans in a named vector; NaN is as good as no name.
-
-    Raises:
-        BadMessage: it names something else, or a number that no trip has.
-    """
+    """Conditions of plans in a named vector, NaN as none; BadMessage for others."""
     given = dict(zip(message.name, message.position, strict=False))
     if not len(given) == len(message.name) == len(message.position):
         raise BadMessage("lengths_differ")
@@ -110,13 +100,10 @@ def forecast_message(
     powers: np.ndarray,
     sigmas: np.ndarray,
 ) -> Any:
-    """trajectory_msgs/JointTrajectory of the joint `energy`, the header of the plan echoed.
+    """trajectory_msgs/JointTrajectory of the joint `energy`, with the plan's header.
 
-    Times, s, and energies, J, of shape (n,), count since the start of the plan; power, W, is drawn
-    where positive; sigmas are those of the energies.
-
-    Raises:
-        ValueError: a number is not finite, or a time or a sigma negative.
+    Times, s, and energies, J, count from the start; power, W. ValueError: not finite, or negative
+    time or sigma.
     """
     whole = np.isfinite(np.stack((energies, powers, sigmas))).all()
     if not whole or (sigmas < 0).any() or not 0 <= times.min() <= times.max() < 2**31 - 1:
@@ -151,13 +138,7 @@ def path_plan(message: Any, nominal_speed: float = NOMINAL_SPEED) -> Plan:
 
 
 def speed_profile_plan(message: Any) -> Plan:
-    """The plan in a trajectory_msgs/JointTrajectory with the joint `distance`.
-
-    A joint `elevation`, whose positions are m, may be given beside it; else the road is flat.
-
-    Raises:
-        PlanError: there is no such joint, a point lacks a number, or it cannot be driven.
-    """
+    """The plan in a JointTrajectory of `distance`, perhaps `elevation`, m; or PlanError."""
     names, points = list(message.joint_names), message.points
     if DISTANCE_JOINT not in names:
         raise PlanError(f"no joint '{DISTANCE_JOINT}' in this profile")
@@ -176,13 +157,9 @@ def speed_profile_plan(message: Any) -> Plan:
 
 
 def trajectory_plan(message: Any) -> Plan:
-    """The plan in an autoware_planning_msgs/Trajectory.
+    """The plan in an autoware_planning_msgs/Trajectory; or PlanError.
 
-    Where its times do not rise, as of planners that leave them out, they are those of its speeds;
-    it then ends where it stops.
-
-    Raises:
-        PlanError: it cannot be driven, or backwards alone.
+    Where its times do not rise, they are those of its speeds; it then ends where it stops.
     """
     points = message.points
     x, y, z = _positions(points)

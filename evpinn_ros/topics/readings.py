@@ -64,11 +64,7 @@ def speed_message(new: NewMessage, reading: SpeedReading) -> Any:
 
 
 def battery_message(new: NewMessage, reading: BatteryReading) -> Any:
-    """Voltage, current (negative discharges) and state of charge; NaN where not measured.
-
-    The status is never CHARGING: a planner takes that for a charger, and a current into the pack
-    of a moving car is regeneration.
-    """
+    """Voltage, current (negative discharges) and charge; never CHARGING, for planners."""
     if not (math.isnan(reading.state_of_charge) or 0 <= reading.state_of_charge <= 1):
         raise ValueError(f"state of charge {reading.state_of_charge} is outside 0..1")
     return new(
@@ -103,11 +99,7 @@ def imu_message(new: NewMessage, reading: GradeReading) -> Any:
 
 
 def altitude_message(new: NewMessage, reading: AltitudeReading) -> Any:
-    """Altitude, with latitude and longitude or NaN for both.
-
-    The status is FIX because by its definition a value is valid from there on; NO_FIX would void
-    the altitude. The altitude is that of the source, not surely above the WGS 84 ellipsoid.
-    """
+    """Altitude as of its source, latitude and longitude or NaN; FIX makes it valid."""
     return new(
         topics.FIX_TYPE,
         header=header(new, reading.stamp_ns, VEHICLE_FRAME),
@@ -166,11 +158,7 @@ def reading_message(new: NewMessage, reading: Reading) -> Any:
 
 
 def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -> Reading:
-    """The reading in a message of rclpy or of a bag; of an Imu by its mounting (`grade_reading`).
-
-    Raises:
-        BadMessage: no usable value, no stamp, or no input type; `reason` says which.
-    """
+    """The reading in a message, of an Imu by its mounting; BadMessage with the reason."""
     if type_name == topics.IMU_TYPE:
         return grade_reading(message, mounting)
     try:
@@ -181,11 +169,7 @@ def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -
 
 
 def reading_messages(new: NewMessage, reading: Reading) -> Iterator[tuple[Topic, Any]]:
-    """The messages of a reading: its own, and voltage and current alone, for plots.
-
-    Raises:
-        ValueError: a value that the message can not hold.
-    """
+    """A reading's own message, and voltage and current for plots; or ValueError."""
     yield READING_TOPICS[type(reading)], reading_message(new, reading)
     if isinstance(reading, BatteryReading):
         if not math.isnan(reading.voltage):
@@ -216,10 +200,10 @@ def rotation(roll: float, pitch: float, yaw: float) -> Rotation:
 
 
 def grade_reading(message: Any, mounting: Rotation | None = None) -> GradeReading:
-    """Grade of a sensor_msgs/Imu. Positive pitch is nose down (REP-103), so grade = -pitch.
+    """Grade of an Imu: positive pitch is nose down (REP-103), so grade = -pitch.
 
-    `mounting` is the rotation from `base_link` to the frame of the message; without it only an
-    orientation of `base_link` itself is used.
+    `mounting` is the rotation from `base_link` to the frame of the message, which else must be
+    `base_link`.
     """
     if message.orientation_covariance[0] == NOT_PROVIDED:
         raise BadMessage("no_orientation", lasting=True)
@@ -263,10 +247,7 @@ def velocity_report_reading(message: Any) -> SpeedReading:
 
 
 def battery_reading(message: Any) -> BatteryReading:
-    """Voltage and current of a BatteryState, each NaN where not measured.
-
-    The percentage is as it was sent, for `ChargeScale`; outside 0..100 it is unknown.
-    """
+    """Voltage and current, NaN where not measured; percentage as sent, NaN outside 0..100."""
     voltage, current, charge = map(float, (message.voltage, message.current, message.percentage))
     charge = charge if 0 <= charge <= 100 else math.nan
     if math.isinf(voltage) or math.isinf(current):
@@ -277,10 +258,9 @@ def battery_reading(message: Any) -> BatteryReading:
 
 
 class ChargeScale:
-    """Scale of the state of charge of one publisher: 0..1, or 0..100 once it is far beyond 1.
+    """Scale of a publisher's state of charge: 0..1, or 0..100 once it is far beyond 1.
 
-    It is decided once: a percentage that counts to 100 would read 1 % as full when nearly empty.
-    What is a little beyond 1 before is unknown: an overfull battery, or one that is nearly empty.
+    Decided once: counting to 100 would read 1 % as full. A little beyond 1 before is unknown.
     """
 
     def __init__(self) -> None:
