@@ -1,8 +1,4 @@
-"""Start of every executable, so that a signal ends it well from the first moment on.
-
-What they import takes seconds on a small processor, and only what is imported can handle signals
-(`nodes.running`). Until then nothing is open and nothing is to be saved.
-"""
+"""Starts every executable so that a signal ends it well even during the imports."""
 
 from __future__ import annotations
 

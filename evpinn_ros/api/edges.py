@@ -29,7 +29,6 @@ class EdgeEnergies:
     """
 
     def __init__(self, index: pd.Index, edges: energy_edges.Edges) -> None:
-        """Edges named by an index; `edge_energies` makes them."""
         self.table = pandas().DataFrame({"energy_j": edges.energy, "sigma_j": edges.sigma}, index)
         self._edges = edges
 

@@ -181,11 +181,7 @@ def what_if(
 
 
 def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:
-    """Vehicle, model and account (None if there is none) of an argument `car`.
-
-    Raises:
-        TypeError: it is none.
-    """
+    """Vehicle, model and account (or None) of an argument `car`; TypeError if it is none."""
     if isinstance(car, str | Path | Vehicle):
         vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
         return vehicle, vehicle_model(vehicle), None
@@ -197,11 +193,7 @@ def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:
 def basis_of(
     model: PowerModel, conditions: PlanConditions, air_density: float | None
 ) -> PlanBasis:
-    """Basis of a forecast by the conditions of a plan; air_density: kg/m^3, or None.
-
-    Raises:
-        InputError: no air is as dense.
-    """
+    """Basis of a forecast by a plan's conditions; InputError for an air density of no air."""
     basis = PlanBasis.of(model, conditions, density=air_density)
     density = basis.weather.air_density
     if not AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1]:
@@ -210,11 +202,7 @@ def basis_of(
 
 
 def as_plan(plan: Any, vehicle: Vehicle) -> Plan | Legs:
-    """The plan of an argument `plan` of `forecast`.
-
-    Raises:
-        InputError: as of `forecast`.
-    """
+    """The plan of an argument `plan` of `forecast`, or its InputError."""
     if isinstance(plan, Plan | Legs):
         return plan
     # Here, for polars, which reads tables, takes a quarter of a second to import.
@@ -235,11 +223,7 @@ def _is_frame(table: Any) -> bool:
 
 
 def columns_of(table: Any) -> dict[str, Any]:
-    """The columns of a DataFrame or mapping.
-
-    Raises:
-        TypeError: it is something else.
-    """
+    """The columns of a DataFrame or mapping; TypeError for others."""
     if not (_is_frame(table) or isinstance(table, Mapping)):
         raise TypeError(f"a DataFrame, a dict or a file is needed, not {type(table).__name__}")
     return {str(column): table[column] for column in table}

@@ -1,8 +1,7 @@
-"""Runs a parser of a foreign library in a process of its own, which may crash, hang or fill up.
+"""Runs a foreign parser in a process of its own, which may crash, hang or fill up.
 
-A workbook, a Parquet file or an .mf4 states sizes that the library relies on. What it may take is
-bounded by the size of the file, and whatever it dies of is one line.
-`python -m evpinn_ros.common.apart MODULE:FUNCTION IN OUT` is the other process.
+The file's size bounds what it may take. `python -m evpinn_ros.common.apart MODULE:FUNCTION IN OUT`
+is the other process.
 """
 
 from __future__ import annotations
@@ -44,14 +43,7 @@ class ParserLimits(NamedTuple):
 
 
 def run_apart(function: str, path: Path, out: Path) -> str | None:
-    """Have a function `MODULE:NAME` read a file and write another, in a process of its own.
-
-    Returns:
-        Reason in one line when it failed; the part that it wrote stays.
-
-    Raises:
-        InputError: there is no such file.
-    """
+    """Have `MODULE:NAME` read a file and write another, apart; a failure's reason, or None."""
     limits = ParserLimits.of(check_file(path))
     command = [sys.executable, "-B", "-m", __spec__.name, function, str(path), str(out)]
     few = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
@@ -87,7 +79,6 @@ def _reason(code: int, errors: str, limits: ParserLimits) -> str:
 
 
 def _limit(limits: ParserLimits) -> None:
-    """Set the limits of this process, from what it has taken so far."""
     statm = Path("/proc/self/statm").read_text(encoding="ascii")
     taken = int(statm.split()[0]) * resource.getpagesize()
     spent = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])

@@ -27,10 +27,7 @@ def like(array: np.ndarray, example: Any) -> Any:
 
 
 def within(values: Any, low: float, high: float) -> Any:
-    """Values between two bounds, of which one may be infinite.
-
-    For a few numbers `numpy.clip` takes five times as long.
-    """
+    """Values between two bounds, five times as fast as `numpy.clip` for a few numbers."""
     if namespace(values) is not np:
         return values.clip(low, high)
     limited = values if low == -math.inf else np.maximum(values, low)

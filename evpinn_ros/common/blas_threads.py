@@ -9,11 +9,7 @@ from threadpoolctl import threadpool_limits
 
 
 def limit_blas_threads() -> None:
-    """Let torch and BLAS compute in the calling thread alone.
-
-    The matrices here are small: two threads need up to six times the processor's time of one, wait
-    for each other where another process takes a core, and add in an order that differs.
-    """
+    """Let torch and BLAS use one thread: small matrices are faster, and sums repeat."""
     threadpool_limits(1)
     os.environ["OMP_NUM_THREADS"] = "1"  # which torch reads when it is loaded
     if (torch := sys.modules.get("torch")) is not None:

@@ -17,16 +17,12 @@ class InputError(Exception):
     """
 
     def __str__(self) -> str:
-        """The text, which `printable` made safe to show."""
         return printable(super().__str__())
 
 
 @contextmanager
 def as_input_error(what: object = None, *kinds: type[Exception]) -> Iterator[None]:
-    """Say in one line what failed in a block: the system, or foreign code by an error of `kinds`.
-
-    The line begins with `what`, a path in most cases; if not given, the file of the error.
-    """
+    """Say in one line, after `what` or else the error's file, what failed in a block."""
     caught: tuple[type[Exception], ...] = (OSError, *kinds)
     try:
         yield

@@ -1,8 +1,8 @@
 """The one way in: every file from outside is opened here, and nothing but a file.
 
-A named pipe would be waited for, a device read for ever, and what is packed can hold anything. Who
-parses is bounded by what stands here: bytes of a file, its ratio, characters of a line. A parser
-of a foreign library runs in a process of its own (`common.apart`) where its format can lie.
+A named pipe would be waited for, a device read for ever. Parsers are bounded here: bytes of a
+file, its ratio, characters of a line. A foreign one whose format can lie runs apart
+(`common.apart`).
 """
 
 from __future__ import annotations
@@ -25,20 +25,12 @@ RATIO, FREE_BYTES = 200, 1 << 20
 
 
 def most_unpacked(size: int) -> int:
-    """Bytes that so many packed bytes may unpack to.
-
-    Drives of real cars shrink to a fifth, a bag in which nothing ever changes to a hundredth.
-    """
+    """Bytes that so many packed ones may unpack to; bags shrink to a hundredth at most."""
     return FREE_BYTES + RATIO * size
 
 
 def open_file(path: Path) -> BinaryIO:
-    """A file, to be read as bytes.
-
-    Raises:
-        OSError: it cannot be opened, or is something else than a file.
-        ValueError: no file can have such a name.
-    """
+    """A file as bytes; OSError if it cannot be opened or is none, ValueError for its name."""
     return open(path, "rb", opener=_open)
 
 
@@ -50,12 +42,7 @@ def open_unpacked(path: Path) -> IO[bytes]:
 
 
 def read_whole(path: Path, most: int, what: str) -> bytes:
-    """All bytes of a small file.
-
-    Raises:
-        FileNotFoundError: it is not there.
-        InputError: it cannot be read, or is larger than `most` bytes and so not `what`.
-    """
+    """All bytes of a small file; FileNotFoundError, or InputError if larger than `most`."""
     try:
         with open_file(path) as file:
             content = file.read(most + 1)
@@ -69,11 +56,7 @@ def read_whole(path: Path, most: int, what: str) -> bytes:
 
 
 def check_file(path: Path) -> int:
-    """Bytes of a file that a library will open by its name.
-
-    Raises:
-        InputError: it cannot be opened, or is something else than a file.
-    """
+    """Bytes of a file that a library will open; InputError if it is none."""
     with as_input_error(path, ValueError), open_file(path) as file:
         return os.fstat(file.fileno()).st_size
 

@@ -11,11 +11,7 @@ PACKAGE = "evpinn_ros"
 
 
 def share_directory() -> Path:
-    """The folder that holds `config/`: a source checkout, a colcon install or a pip install.
-
-    Raises:
-        FileNotFoundError: the package was installed without its data files.
-    """
+    """The folder that holds `config/`; FileNotFoundError without the data files."""
     for candidate in _candidates():
         if (candidate / "config" / "vehicles").is_dir():
             return candidate

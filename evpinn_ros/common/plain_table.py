@@ -24,11 +24,7 @@ class PlainTable(Table):
         words: Collection[str] = (),
         unbroken: Collection[str] = (),
     ) -> None:
-        """A table in the style of all.
-
-        The first column is aligned left, as `words` are, the others right, as numbers are. Cells
-        of `unbroken` columns are not folded.
-        """
+        """A table; `words` and the first column to the left, `unbroken` not folded."""
         shown = Text(printable(title), style="table.title") if title else None
         super().__init__(title=shown, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
         for column in columns:
@@ -49,5 +45,4 @@ class PlainTable(Table):
 
 
 def _plain(text: str) -> Text:
-    """Lines of plain text."""
     return Text("\n".join(map(printable, text.split("\n"))))

@@ -1,9 +1,8 @@
 """Saved values: declared once, as dataclasses whose fields carry the range of their numbers.
 
-`plain` gives the form that is saved, `read` checks it and makes the value again; pydantic does the
-checking. A field that a file lacks is at its default, and what is not declared is ignored, so
-files of earlier and of later versions are read. A NamedTuple is saved as a list, an array as lists
-of its shape. What ranges cannot express is refused by the ValueError of `__post_init__`.
+`plain` gives the saved form, `read` checks it by pydantic. A missing field is at its default and
+others are ignored, so files of other versions are read. What ranges cannot express is refused by
+the ValueError of `__post_init__`.
 """
 
 from __future__ import annotations
@@ -79,11 +78,7 @@ class StateError(InputError, ValueError):
 
 
 class Saveable(ABC, Generic[State]):
-    """Something whose state is saved.
-
-    The class of the state may name fields in `SAME`: they must be those of the present state, as a
-    version must.
-    """
+    """Something whose state is saved; fields in `SAME` must be those of the present state."""
 
     @abstractmethod
     def saved(self) -> State:
@@ -98,11 +93,7 @@ class Saveable(ABC, Generic[State]):
         return plain(self.saved())
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from what `export` gave.
-
-        Raises:
-            StateError: it is another's, or something in it is not possible.
-        """
+        """Go on from what `export` gave; StateError if it is another's, or not possible."""
         before = self.saved()
         _refuse_another(saved, before)
         try:
@@ -133,11 +124,7 @@ def plain(value: Any) -> Any:
 
 
 def read(kind: type[State], saved: Any) -> State:
-    """The value of a class that was saved.
-
-    Raises:
-        StateError: it is not what is declared; one line that names the first place.
-    """
+    """The saved value of a class; StateError names the first place in one line."""
     adapter = _adapter(cast("Any", kind))
     try:
         value: State = adapter.validate_json(json.dumps(saved), strict=True)

@@ -1,7 +1,4 @@
-"""Signals that ask a process to stop: Ctrl-C, a service manager, a terminal that was closed.
-
-Imports nothing that takes time, for signals may come before anything else is there.
-"""
+"""Signals that ask a process to stop; imports nothing that takes time."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ Handler = Callable[[int, FrameType | None], object]
 
 
 def at_stop(handler: Handler) -> None:
-    """Call a handler at each signal to stop; a hang-up that is ignored, as by nohup, stays so.
+    """Call a handler at each signal to stop; a hang-up ignored, as by nohup, stays so.
 
     A terminal that was closed gets no more lines, before the handler runs.
     """

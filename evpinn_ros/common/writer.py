@@ -1,10 +1,8 @@
 """The one way out: every file of the package is created here.
 
-Files are whole or not there, follow no link that somebody laid, and destroy no input.
-
-That holds after a loss of power, a kill, on a full disk, beside another process that writes the
-same file, and in a folder that others may write to as well. Where the system does not write, its
-OSError comes through.
+Files are whole or not there, follow no link that somebody laid, and destroy no input: after a loss
+of power, a kill, on a full disk, beside another writer, and in a folder of others. OSErrors come
+through.
 """
 
 from __future__ import annotations
@@ -54,14 +52,11 @@ def plain_cell(text: str) -> str:
 
 @contextmanager
 def replaced(path: Path, *, private: bool = False) -> Iterator[BinaryIO]:
-    """A draft that takes the place of a file when it is whole; of one that is not nothing stays.
+    """A draft that takes the place of a file when it is whole, else nothing stays; or OSError.
 
-    The draft is new and this process's own (`mkstemp`: O_EXCL, O_NOFOLLOW), on the disk before it
-    takes the place. What is no file, such as a pipe, is written to as it is. A new file that is
-    `private` is for its owner alone.
-
-    Raises:
-        OSError: the file cannot be written, or its links lead in a circle.
+    The draft is new and this process's own (`mkstemp`), on the disk before it takes the place.
+    What is no file, such as a pipe, is written to as it is. A new `private` file is for its owner
+    alone.
     """
     target = resolved(path)
     if target.exists() and not target.is_file():
@@ -93,10 +88,7 @@ def write_file(path: Path, content: str | bytes, *, private: bool = False) -> No
 
 
 def append_to(path: Path, content: str) -> None:
-    """Append text to a file that is there, at once: a kill or a full disk leaves all or nothing.
-
-    It is not put on the disk: a loss of power may leave a part.
-    """
+    """Append text to a file that is there, all or nothing, not synced to the disk."""
     handle, text = os.open(resolved(path), os.O_WRONLY | os.O_APPEND), content.encode()
     try:
         if (written := os.write(handle, text)) < len(text):
@@ -129,19 +121,10 @@ def copy_file(source: Path, target: Path) -> None:
 
 
 class Held:
-    """A lock file that this process holds until it is released or the process ends.
-
-    The file is made, never written to, and removed with its release. A file system without locks
-    gives it to everybody.
-    """
+    """A lock file, held until it is released or the process ends; all get it without locks."""
 
     def __init__(self, path: Path, busy: str) -> None:
-        """Take the lock.
-
-        Raises:
-            InputError: another process holds it, which `busy` says.
-            OSError: the file cannot be made, or is a link.
-        """
+        """Take the lock; InputError (`busy`) if it is held, OSError if it cannot be made."""
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         while True:
             handle = os.open(path, flags, 0o600)
@@ -166,12 +149,9 @@ class Held:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Keep others from writing a file while it is read, changed and written again.
+    """Keep others from writing a file between reading and writing it; OSError after 10 s.
 
     The lock is on its folder, so no file of locks lies beside it, and a killed process holds none.
-
-    Raises:
-        OSError: another process has written there for 10 s, or there is no such folder.
     """
     folder = os.open(resolved(path).parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -186,11 +166,7 @@ def claimed(path: Path) -> Iterator[None]:
 
 
 def resolved(path: Path) -> Path:
-    """The file that a path leads to, over links.
-
-    Raises:
-        OSError: they lead in a circle.
-    """
+    """The file that a path leads to, over links; OSError for a circle."""
     try:
         return path.resolve()
     except RuntimeError as error:  # before Python 3.13
@@ -198,13 +174,7 @@ def resolved(path: Path) -> Path:
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
-    """Refuse, before work begins, what would write over an input or two outputs into one file.
-
-    Both are files and folders; the outputs None and `-` are none.
-
-    Raises:
-        InputError: with both names.
-    """
+    """InputError for outputs (not None or `-`) that would write over inputs or each other."""
     read = [(path, _target(path)) for path in inputs if path is not None and _is_there(path)]
     written: set[Path] = set()
     for path in outputs:
@@ -234,7 +204,6 @@ def _target(path: Path) -> Path:
 
 
 def _is_same(path: Path, other: Path) -> bool:
-    """True if two paths lead to one file, by a hard link perhaps."""
     with suppress(OSError):
         return path == other or path.samefile(other)
     return False
@@ -265,7 +234,6 @@ def _let_go(path: Path, handle: int, holder: int) -> None:
 
 
 def _is_at(handle: int, path: Path) -> bool:
-    """True if an open file is the one of this name."""
     try:
         return os.path.samestat(os.fstat(handle), path.lstat())
     except OSError:
@@ -299,10 +267,7 @@ def _locked(handle: int) -> bool:
 
 
 def _mode(target: Path, private: bool) -> int:
-    """Permissions of the file that is replaced; of a new one those that the person's umask leaves.
-
-    A draft of `mkstemp` is for its owner alone, as a private file stays.
-    """
+    """Permissions of the file that is replaced; of a new one by umask, or the owner's alone."""
     with suppress(OSError):
         return target.stat().st_mode & 0o777
     if private:

@@ -29,31 +29,19 @@ _NUMBERS = {
 
 
 def compose(path: Path, title: str) -> Section:
-    """Read the YAML file `path`; `title` says what it is ("vehicle file").
-
-    Raises:
-        InputError: no such file, not YAML, or not a mapping.
-    """
+    """Read the YAML mapping `path`; InputError names the `title` ("vehicle file")."""
     return Section(path, _root(path, title, MAX_FILE_BYTES), title)
 
 
 def load_plain(path: Path, title: str, most_bytes: int) -> Any:
-    """Content of a YAML file of up to `most_bytes`, as plain Python values.
-
-    Raises:
-        InputError: no such file, or not YAML of plain values.
-    """
+    """Content of a YAML file of up to `most_bytes` as plain Python values; or InputError."""
     node = _root(path, title, most_bytes)
     with as_input_error(path, ValueError):
         return plain(node)
 
 
 def plain_text(text: str) -> Any:
-    """Content of YAML inside another file, as plain Python values; None of an empty text.
-
-    Raises:
-        ValueError: it is not YAML of plain values.
-    """
+    """Plain values of YAML inside another file, None of an empty text; or ValueError."""
     try:
         node = yaml.compose(text, Loader=_PlainLoader)
     except (yaml.YAMLError, OverflowError) as error:
@@ -62,11 +50,7 @@ def plain_text(text: str) -> Any:
 
 
 def plain(node: yaml.Node) -> Any:
-    """The plain Python value of a node.
-
-    Raises:
-        ValueError: it is none, such as `!!python/name:os.system` or a date that never was.
-    """
+    """The plain Python value of a node; ValueError for tags or a date that never was."""
     try:
         return _PlainLoader("").construct_object(node, deep=True)
     except Exception as error:
@@ -77,10 +61,10 @@ def plain(node: yaml.Node) -> Any:
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Refuses what makes much of little: aliases, nesting without end, `[[],[],...`, base 60.
+    """Refuses what makes much of little: aliases, nesting without end, base 60.
 
     `1:30` is text here, as in YAML 1.2; YAML 1.1 makes a number of it, in a time that grows with
-    the square of its length.
+    its square.
     """
 
     depth = nodes = 0
