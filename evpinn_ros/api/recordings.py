@@ -163,14 +163,12 @@ def _opened(
 
 
 def _result(car: CarReplay, source: Source) -> Result:
-    """The next drive of a car, with what is known of the car after it."""
     replayed = car.replay(source)
     learned, account = car.chain.estimator.model(), deepcopy(car.chain.account)
     return Result(replayed, car.vehicle, car.options, learned, account)
 
 
 def _path_of(drive: Any, folder: Path) -> Path:
-    """Path of a drive; a DataFrame is written as a table into the folder first."""
     path = folder / "drive.csv"
     if hasattr(drive, "write_parquet"):  # of polars, which has no index
         path = path.with_suffix(".parquet")

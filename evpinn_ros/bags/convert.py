@@ -87,7 +87,6 @@ class BagReadings:
 
 
 def _near_topics(reader: BagReader, missing: Iterable[Topic]) -> Iterator[str]:
-    """Words on topics of a bag that may have been meant for those that it has not."""
     wanted = {topic.name: topic for topic in missing}
     for name, info in reader.topics.items():
         near = near_names("/".join(name.split("/")[-2:]), wanted)
@@ -101,7 +100,6 @@ def _near_topics(reader: BagReader, missing: Iterable[Topic]) -> Iterator[str]:
 
 
 def _named(reader: BagReader, topic: Topic, car: str | None) -> str | None:
-    """The full name of a topic in a bag, or None."""
     names = [
         name
         for name, info in reader.topics.items()

@@ -82,7 +82,6 @@ class McapFile:
             self._survey()
 
     def _survey(self) -> None:
-        """Count the messages, and note what is lost."""
         records, counts, losses = McapRecords(self._file, self.path), Counter[int](), list[Loss]()
         notes: list[str] = []
         try:

@@ -175,7 +175,6 @@ class McapRecords:
         yield Loss(begin, self.position, reason, is_chunk)
 
     def _items(self, opcode: int, body: bytes, begin: int, end: int) -> Iterator[McapItem]:
-        """What a whole record gives."""
         try:
             if opcode == Opcode.CHUNK:
                 yield from self._chunk(body, begin, end)
@@ -287,5 +286,4 @@ class McapRecords:
 
 
 def _parsed(opcode: int, body: bytes) -> Any:
-    """The record of `mcap.records` in these bytes."""
     return _PARSED[opcode].read(ReadDataStream(BytesIO(body)))

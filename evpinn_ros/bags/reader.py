@@ -131,7 +131,6 @@ def _refusal(channel: Channel) -> str | None:
 
 
 def _no_bag(folder: Path) -> str:
-    """Error for a folder that is no bag; it names the bags in it."""
     inside = sorted(file.parent.name for file in folder.glob(f"*/{METADATA}"))
     hint = f"; there are bags inside it: {', '.join(inside[:5])}" if inside else ""
     return f"{folder}: no .mcap or .db3 file in this folder{hint}"
@@ -224,7 +223,6 @@ def _metadata(path: Path, problems: list[str]) -> dict[str, Any]:
 
 
 def _open_packed(packed: Path) -> PlainFile:
-    """A `.zstd` file unpacked, within limits, and opened."""
     # Once it is open, it can be read without its name.
     with TemporaryDirectory() as folder:
         path = Path(folder) / packed.stem

@@ -139,7 +139,6 @@ def _recover_files(
 
 
 def _nothing(source: Path, files: list[RecoveredFile]) -> str:
-    """Reason why there is no message at all."""
     for file in files:
         if file.problem is not None:
             return file.problem
@@ -213,8 +212,6 @@ def _save(item: McapItem, records: McapRecords, report: RecoveredFile, copy: _Co
 
 
 class _Copy:
-    """A new file of what was saved."""
-
     def __init__(self, path: Path, topics: dict[str, WrittenTopic]) -> None:
         self.written = WrittenFile(path.name)  # number and log times of its messages
         self._topics = topics

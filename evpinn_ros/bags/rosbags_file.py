@@ -165,7 +165,6 @@ class RosbagsFile:
         self._folder.cleanup()
 
     def _with_journals(self, size: int) -> tuple[Path, int]:
-        """The database, or a copy of it with what its journals hold, and its bytes."""
         database = self.path.resolve()  # beside which SQLite writes its journals
         beside = journals(database)
         if not beside:
@@ -186,7 +185,6 @@ class RosbagsFile:
         self.problem = note if self.problem is None else f"{self.problem} | {note}"
 
     def _reason(self, error: Exception) -> str:
-        """In one line, without the path that rosbags puts in some."""
         return " ".join(str(error).replace(str(self._reader.path), "").split())
 
 

@@ -57,7 +57,6 @@ def change_storage(
 
 
 def _with_journals(source: Path, folder: Path) -> Path:
-    """The bag, or a copy of its database with what its journals hold."""
     if source.is_dir():
         for database in source.glob("*.db3"):
             if beside := journals(database.resolve()):
@@ -86,7 +85,6 @@ def _copy(
 
 
 def _connect(writer: Writer, connection: Any) -> Any:
-    """Add a topic to the new bag, with the definition of its type if the old one has it."""
     definition = connection.msgdef.data
     described: dict[str, Any] = {"typestore": typestore()}
     if definition and connection.digest:

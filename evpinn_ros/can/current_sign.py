@@ -72,7 +72,6 @@ class CurrentSign:
             self._follow()
 
     def _follow(self) -> None:
-        """Learn from the readings that wait."""
         waiting, self._waiting = self._waiting, []
         measured = self._stream.add_block(Block.of(waiting)).measured
         for sample, power in zip(measured.samples.rows(), measured.power.tolist(), strict=True):

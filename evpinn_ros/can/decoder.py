@@ -150,8 +150,6 @@ class _HeldValue:
 
 
 class _Reader:
-    """Reads the signals of one message and remembers its counter."""
-
     def __init__(self, quantity: str, rule: MessageRule, fit: MessageFit | None) -> None:
         self.quantity, self.rule, self.fit = quantity, rule, fit
         counter = () if rule.counter is None else (rule.counter,)
@@ -259,16 +257,13 @@ class _Field:
 
 
 class AnswerDecoder:
-    """Makes readings of the answers of one car; for one thread at a time.
-
-    Attributes:
-        dropped: values not used, by reason: `not_available`, `out_of_range`, `not_together` (the
-            voltage or current beside one that is neither, in one answer).
-        auxiliary_voltage: of the 12 V battery in the last answer, V, NaN when not in it.
-    """
+    """Makes readings of the answers of one car; for one thread at a time."""
 
     def __init__(self, profile: CanProfile) -> None:
+        # values not used, by reason: `not_available`, `out_of_range`, `not_together` (the voltage
+        # or current beside one that is neither, in one answer)
         self.dropped: Counter[str] = Counter()
+        # of the 12 V battery in the last answer, V, NaN when not in it
         self.auxiliary_voltage = math.nan
         self._fields: dict[str, list[AnswerField]] = {}
         for fields in profile.asked.values():
@@ -313,7 +308,6 @@ class AnswerDecoder:
         return values
 
     def _late(self, stamp_ns: int, part: str) -> list[BatteryReading]:
-        """Reading of a value that waited for its other half in vain."""
         late = {
             name: at
             for name, at in self._waiting.items()

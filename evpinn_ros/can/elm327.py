@@ -224,7 +224,6 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
     # The beginning -------------------------------------------------------------------------------
 
     def _find(self, channel: str, baud_rate: int | None) -> Any:
-        """The open port of an adapter that answers."""
         import serial  # type: ignore[import-untyped]
 
         network = channel.startswith("tcp:")
@@ -252,7 +251,6 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
 
     @staticmethod
     def _until_prompt(port: Any, seconds: float) -> bytes:
-        """Reply of the adapter up to its prompt, or within a time."""
         end, reply = time.monotonic() + seconds, b""
         port.timeout = PAUSE_S
         while not reply.rstrip().endswith(b">") and time.monotonic() < end:

@@ -121,7 +121,6 @@ class FitGuard:
         return released
 
     def _is_plain(self) -> bool:
-        """True if all that can be asked of the first frames is there."""
         if self._patient:
             return False
         messages = [message for message in self.fit.messages if message.quantity in LEADING]
@@ -129,7 +128,6 @@ class FitGuard:
         return plain and any(message.has_checksum for message in messages)
 
     def _is_torn(self) -> bool:
-        """True if some message neither holds nor fails."""
         return any(
             message.bad and not (message.came_right or message.fails)
             for message in self.fit.messages

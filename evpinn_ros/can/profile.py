@@ -183,7 +183,6 @@ def _refuse_broadcast_ids(
     messages: Mapping[str, MessageRule],
     asked: Mapping[str, tuple[AnswerField, ...]],
 ) -> None:
-    """Raise when a request would go to an id on which the car itself sends."""
     broadcast = {rule.key for rule in messages.values()}
     for request in (field.request for fields in asked.values() for field in fields):
         if (request.address.tx_id, request.address.extended) in broadcast:
@@ -192,7 +191,6 @@ def _refuse_broadcast_ids(
 
 
 def _refuse_shared_bits(root: Section, messages: Mapping[str, MessageRule]) -> None:
-    """Raise when two values, or a value and what protects it, are read from the same bits."""
     taken: dict[str, list[tuple[str, bool, Place]]] = {}
     for quantity, rule in messages.items():
         fields = taken.setdefault(rule.message.name, [])
@@ -207,7 +205,6 @@ def _refuse_shared_bits(root: Section, messages: Mapping[str, MessageRule]) -> N
 
 
 def _fields(rule: MessageRule) -> Iterator[tuple[str, bool, Place]]:
-    """Name and place of what is read of a message, and whether it is a value or protects them."""
     for signal in rule.signals:
         yield signal.name, True, place_of(rule.message.get_signal_by_name(signal.name))
     if rule.counter is not None:

@@ -114,7 +114,6 @@ def inspect(
 
 
 def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | None:
-    """Inspect a recorded bus; returns the reason if part of it could not be read."""
     log = open_can_log(path)
     last_ns: float | None = None
     with progress_bar(path.name, seconds or log.seconds) as progress:

@@ -143,7 +143,6 @@ def _bar(
     columns: Sequence[ProgressColumn],
     amount: Callable[[float], str],
 ) -> Iterator[Report]:
-    """A bar with these columns between its title and the time left, or lines in a pipe."""
     if not notes.is_terminal:
         yield progress_lines(title, total, amount)
         return

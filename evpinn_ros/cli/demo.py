@@ -91,7 +91,6 @@ def demo(
 
 
 def _frames(source: Path) -> list[CanFrame]:
-    """The drive as the frames of the car's CAN bus."""
     profile = load_vehicle(VEHICLE).can_profile
     assert profile is not None, "the demonstration's car has a CAN profile"
     encoder = Encoder(load_profile(profile))
@@ -105,7 +104,6 @@ def _frames(source: Path) -> list[CanFrame]:
 
 
 def _live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
-    """Live value, 1-sigma, prior share and truth of a drive recorded from the nodes."""
     columns = ("parameter", "live value", "1-sigma", "true value", "off by", "prior")
     table = PlainTable("Parameters of the car", columns)
     final = drive.final.parameters if drive.final is not None else {}

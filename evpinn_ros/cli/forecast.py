@@ -180,7 +180,6 @@ def forecast(
 
 
 def _expected(given: Any, known_celsius: float | None, units: Units) -> str:
-    """Sentence on the conditions that the forecasts assume."""
     celsius, since = given.temperature, ""
     if celsius is None:
         celsius, since = known_celsius, " as last measured"
@@ -200,7 +199,6 @@ def _expected(given: Any, known_celsius: float | None, units: Units) -> str:
 
 
 def _battery(gauge: Any) -> str:
-    """Sentence on the capacity of the battery, from which the charge after a plan follows."""
     if not gauge.capacity.known:
         return (
             "The charge after a plan is unknown, because the capacity of the battery is unknown: "
@@ -213,7 +211,6 @@ def _battery(gauge: Any) -> str:
 
 
 def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:
-    """Figures of one plan, in SI units and percent; NaN where unknown."""
     trip, energies = planned.trip, planned.energies
     more = planned.basis.model.difference(energies.end, first.energies.end)
     charge, charge_sigma = (100 * planned.charge[:, -1]).tolist()
@@ -242,7 +239,6 @@ def _columns(units: Units, *, compared: bool) -> tuple[str, ...]:
 
 
 def _texts(row: dict[str, Any], units: Units) -> list[str]:
-    """One row of the table."""
     distance, hours, kwh, sigma, more, more_sigma = (
         row[key] / unit
         for key, unit in (

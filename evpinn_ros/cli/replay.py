@@ -216,7 +216,6 @@ def _opened(
 def _one(
     car: CarReplay, source: Source, folder: Path | None, stopped: Callable[[], bool]
 ) -> Replayed:
-    """Replay one drive, into a bag if there is a folder for it."""
     with ExitStack() as stack:
         writer = None
         if folder is not None:
@@ -249,7 +248,6 @@ def _show_briefly(
 def _show(
     result: Replayed, source: Source, vehicle: Vehicle, warm_up: float, units: Units
 ) -> None:
-    """Print the tables, and a line for each input that was missing."""
     metrics = result.metrics
     if result.problem:
         note(f"evpinn: {result.problem}")
@@ -278,7 +276,6 @@ def _show(
 
 
 def _show_together(car: CarReplay, units: Units) -> None:
-    """Print a row for each drive, one for all, and their breakdown."""
     breakdown = car.breakdown()
     names = short_names([Path(result.metrics["input"]["path"]) for result in car.done])
     named = [

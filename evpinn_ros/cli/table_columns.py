@@ -38,7 +38,6 @@ def explain_columns(sources: Iterable[Source]) -> None:
 
 
 def _columns(source: Source) -> Iterator[str]:
-    """Lines on the columns of a table; none if nothing was guessed."""
     if not any(rule.why for rule in source.rules):
         if source.ignored:
             yield f"columns not used: {shorter(source.ignored)}"

@@ -71,8 +71,6 @@ def _open(path: str, flags: int) -> int:
 
 
 class _BoundedGzip(io.RawIOBase):
-    """Content of a gzipped file, as far as its size allows."""
-
     def __init__(self, path: Path) -> None:
         self._packed = open_file(path)
         self._left = most_unpacked(os.fstat(self._packed.fileno()).st_size)

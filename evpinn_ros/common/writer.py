@@ -241,7 +241,6 @@ def _is_at(handle: int, path: Path) -> bool:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove drafts that killed processes left."""
     for path in folder.glob(f"{DRAFT}*"):
         with suppress(OSError):
             if _is_abandoned(path):

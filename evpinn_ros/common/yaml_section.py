@@ -74,7 +74,6 @@ class _PlainLoader(yaml.SafeLoader):
     }
 
     def construct_number(self, node: yaml.ScalarNode) -> int | float:
-        """The number of a node, also where `!!int` says that it is one."""
         text = str(node.value)
         if ":" in text or len(text) > LONGEST_NUMBER:
             raise ValueError("not a number in base 10, 16, 8 or 2")

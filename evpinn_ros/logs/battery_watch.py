@@ -58,7 +58,6 @@ class BatteryWatch:
             raise error
 
     def _measured(self, block: Block) -> Block:
-        """The block without speeds and currents that are none, which are noted."""
         stamps = block.stamps()
         values = {name: np.full(block.length, np.nan) for name in QUANTITIES}
         for kind, names in FIELDS.items():

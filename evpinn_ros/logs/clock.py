@@ -149,7 +149,6 @@ class RunningClock:
     def _turns(
         self, known: NDArray[np.int64], before: NDArray[np.int64], steps: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Time to add from each row on, ns."""
         if self._is_local:
             turned: NDArray[np.int64] = -_HOUR_NS * _set_forward(known - steps, known)
             return turned

@@ -110,7 +110,6 @@ def _topics(path: Path) -> tuple[TopicContents, ...]:
 
 
 def _with_drive(recording: Contents, options: ReadOptions, bar: Bar) -> Contents:
-    """Add what the estimator can use."""
     try:
         source = _source(recording, options)
         with bar(source.seconds) as progress:

@@ -159,7 +159,6 @@ def data_coverage(readings: Iterable[Reading]) -> DataCoverage:
 
 
 def _kinds(reading: Reading) -> Iterator[str]:
-    """The signals that a reading holds, by name."""
     if not isinstance(reading, BatteryReading):
         yield type(reading).__name__.removesuffix("Reading").lower()
         return

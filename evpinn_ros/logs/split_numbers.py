@@ -32,8 +32,6 @@ _LEAD = re.compile(r"[+-]?[1-9]\d{0,2}")
 
 
 class _Way(NamedTuple):
-    """A way to join the cells of a row."""
-
     cells: list[str]
     columns: frozenset[int]  # those that were split
 

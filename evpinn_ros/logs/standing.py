@@ -229,7 +229,6 @@ def _resolution(values: FloatArray) -> float:
 
 
 def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
-    """Stretches of one value that other signals contradict: name, stretch and reason."""
     speed = signals["speed"]
     stands = list(_stands(speed))
     seen = _without(speed, [stand for stand in stands if stand.value])

@@ -179,21 +179,18 @@ def signed(values: FloatArray, span: float) -> FloatArray:
 
 
 def _voltage_unit(column: Column, known: FloatArray) -> Column:
-    """Volts, or millivolts where no battery of a vehicle has as many volts."""
     middle = float(np.median(known)) if known.size else 0.0
     text = "mv" if middle > HIGHEST else "v"
     return column.in_unit(text, f"by its values, about {middle:.3g}")
 
 
 def _current_unit(column: Column, known: FloatArray) -> Column:
-    """Amperes, or milliamperes where no battery of a vehicle gives as many amperes."""
     largest = _largest(known)
     text = "ma" if largest > HEAVIEST else "a"
     return column.in_unit(text, f"by its values, up to {largest:.3g}")
 
 
 def _power_unit(column: Column, known: FloatArray) -> Column:
-    """Watts, or kilowatts where they would not move a car."""
     largest = _largest(known)
     text = "kw" if 0 < largest < WEAKEST else "w"
     column = column.in_unit(text, f"by its values, up to {largest:.3g}")

@@ -239,7 +239,6 @@ class EnergyNode(GuardedNode):
         return self.values["nominal_speed"] or (NOMINAL_SPEED if math.isnan(own) else own)
 
     def _refuse(self, header: Any, reason: str) -> None:
-        """Answer a plan with the reason why there is no forecast."""
         self.publish([self._plan_status(header, Status("plan", Level.WARN, reason, {}))])
         self.plans.refuse(reason)
 

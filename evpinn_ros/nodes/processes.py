@@ -76,8 +76,6 @@ def own_network() -> None:
 
 
 class _Watch:
-    """Follows the stamps of `power/smoothed` to the end of the log."""
-
     def __init__(self, end_ns: int, progress: Callable[[float], None]) -> None:
         self._end_ns, self._progress = end_ns, progress
         self._first_ns = self._newest_ns = 0
@@ -101,7 +99,6 @@ class _Watch:
 
 
 def _await_listeners(recorder: RecorderNode, spin: Callable[[], None]) -> None:
-    """Wait until estimator and energy are there, so that they miss nothing."""
     speed, power = (topic.under() for topic in (topics.SPEED, topics.POWER_SMOOTHED))
     given_up = time.monotonic() + START_TIMEOUT
     # The recorder listens to all, and to power/smoothed twice; both nodes listen to speed.

@@ -159,7 +159,6 @@ def _powers(outputs: Outputs) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray,
 
 
 def _part(columns: Sequence[np.ndarray], places: slice) -> tuple[np.ndarray, ...]:
-    """Powers of a part of a block, by places within it."""
     chosen = slice(*np.searchsorted(columns[0], (places.start, places.stop)))
     orders, *others = (column[chosen] for column in columns)
     return orders - places.start, *others

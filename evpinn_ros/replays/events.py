@@ -50,7 +50,6 @@ def drive_events(drive: Drive, withheld_from: float | None = None) -> list[Event
 
 
 def _gaps(drive: Drive) -> Iterator[Event]:
-    """Dropouts inside of the drive and at its ends, by the usual step of each signal."""
     for kind, rows, lost in (
         (EventKind.SPEED_DROPOUT, drive.speed, "nothing was predicted or learned across it"),
         (EventKind.BATTERY_DROPOUT, drive.measured, "power went on from speed alone"),

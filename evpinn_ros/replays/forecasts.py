@@ -78,13 +78,11 @@ def known_model(
 
 
 def _inside(rows: np.ndarray, span: Span) -> np.ndarray:
-    """Rows of a series within a span, by time."""
     inside: np.ndarray = rows[span.holds(rows[:, 0])]
     ordered: np.ndarray = inside[np.argsort(inside[:, 0], kind="stable")]
     return ordered
 
 
 def _whole(rows: np.ndarray, span: Span) -> bool:
-    """True if a series has no gap anywhere in the span."""
     times = np.concatenate(([span.begin], rows[:, 0], [span.end]))
     return len(rows) > 1 and bool(np.diff(times).max() <= longest_step(rows[:, 0]))

@@ -160,7 +160,6 @@ def least_of(name: str) -> float:
 
 
 def _took(name: str) -> str:
-    """Beginning of a sentence on a part, or on joined parts."""
     if TOGETHER not in name:
         return TOOK.get(name, f"{name} took")
     *some, last = (SHORT.get(part, part) for part in name.split(TOGETHER))

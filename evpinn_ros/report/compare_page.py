@@ -180,7 +180,6 @@ def write_comparison(
 
 
 def _bars(names: Sequence[str], parts: Sequence[Breakdown], units: Units) -> list[dict[str, Any]]:
-    """Parts that took energy of each drive, side by side: widths in percent of the longest bar."""
     groups = common_groups(parts)
     sizes = [[breakdown.of(*group) for group in groups] for breakdown in parts]
     longest = max(
@@ -206,7 +205,6 @@ def _bars(names: Sequence[str], parts: Sequence[Breakdown], units: Units) -> lis
 
 
 def _whiskers(difference: Breakdown, units: Units) -> list[dict[str, Any]]:
-    """A bar with its 90 % interval for each part, the biggest first."""
     rows = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
     rows = [row for row in rows if row[1].kwh or row[1].sigma_kwh]
     rows.sort(key=lambda row: -abs(row[1].kwh))

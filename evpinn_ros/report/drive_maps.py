@@ -142,7 +142,6 @@ def spread_chart(driven: Moments, against: str, units: Units) -> Chart:
 
 
 def _cells(driven: Moments, units: Units) -> tuple[np.ndarray, tuple[int, int]]:
-    """The cell of each moment, and how many cells there are over speed and acceleration."""
     half = round(LARGEST_ACCELERATION / ACCELERATION_CELL)
     speed = driven.speed * units.speeds / (units.speed_step / 2)
     i = np.maximum(np.floor(speed), 0).astype(np.int64)
@@ -168,6 +167,5 @@ def _map_chart(
 
 
 def _full(values: np.ndarray, share: float) -> float:
-    """The quantile `share` of the absolute values, from which on the colour is full."""
     finite = np.abs(values[np.isfinite(values)])
     return max(float(np.quantile(finite, share)), 1e-9) if len(finite) else 1.0

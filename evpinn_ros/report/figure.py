@@ -124,7 +124,6 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def _draw_breakdown(axes: Axes, amounts: Mapping[str, tuple[float, float]]) -> None:
-    """A bar for each part with its 95 % interval."""
     names = [name for name in MEANINGS if any(amounts.get(name, ()))]
     for row, name in enumerate(names):
         kwh, sigma = amounts[name]
@@ -183,6 +182,5 @@ def _draw_combination(axes: Axes, rows: np.ndarray, truth: float | None) -> None
 
 
 def _with_breaks(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The series with NaN where readings are too far apart to be joined by a line."""
     breaks = np.flatnonzero(np.diff(time) > longest_step(time)) + 1
     return np.insert(time, breaks, np.nan), np.insert(values, breaks, np.nan)

@@ -184,7 +184,6 @@ def drives_rows(
 
 
 def _predicted(metrics: Iterable[Mapping[str, Any]]) -> float | None:
-    """Error of the predicted energy of all drives that measured it, percent."""
     energies = [drive["energy"] for drive in metrics if drive["energy"]["measured_j"] is not None]
     measured = sum(energy["measured_j"] for energy in energies)
     predicted = sum(energy["predicted_j"] for energy in energies)
@@ -210,7 +209,6 @@ def _figures(drive: Drive, total: Counted, metrics: Mapping[str, Any]) -> Figure
 
 
 def _texts(figures: Figures, units: Units) -> tuple[str, str, str, str]:
-    """Energy in kWh and over distance, distance and minutes."""
     distance, duration, joules, metres = figures
     kwh = joules / JOULES_PER_KWH
     return (
@@ -222,7 +220,6 @@ def _texts(figures: Figures, units: Units) -> tuple[str, str, str, str]:
 
 
 def _most(breakdown: Mapping[str, Any] | None) -> str:
-    """Name and share of the largest part, if it is known to two sigmas."""
     most = None if not breakdown or breakdown["unknown"] else largest_part(breakdown)
     if most is None:
         return "-"

@@ -55,7 +55,6 @@ def ticks(low: float, high: float) -> list[float]:
 
 
 def _band(line: Curve, across: Sequence[float], up: Sequence[float]) -> str:
-    """Outline of a band: its upper edge, and back along the lower one."""
     if line.half is None:
         return ""
     there = _points(line.across, line.up + line.half, across, up)

@@ -104,7 +104,6 @@ def breakdown_messages(
 
 
 def _energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic, Any]]:
-    """The messages of an energy state; a flow not known yet is left out of the vector."""
     flows = {name: getattr(state, name) for name in FLOWS}
     power = state.measured.power if state.measuring else state.predicted.power
     flows["consumed"] = Flow(state.consumed, power, state.consumed_sigma)
@@ -121,7 +120,6 @@ def _energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topi
 
 
 def _summary_messages(new: NewMessage, summary: AccountSummary) -> Iterator[tuple[Topic, Any]]:
-    """The messages of an energy account; what is not known yet is left out."""
     totals = _totals("", summary.since_reset) | _totals("lifetime_", summary.lifetime)
     yield topics.ENERGY_TOTALS, _vector(new, summary.stamp_ns, totals)
     driven = {

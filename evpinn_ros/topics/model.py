@@ -74,7 +74,6 @@ def read_model(message: Any, vehicle: Vehicle) -> CarModel:
 
 
 def _parts(value: Any, prefix: str = "") -> dict[str, np.ndarray]:
-    """Numbers of each field of a value, by its name."""
     parts = {}
     for name, field in declared(cast("Any", type(value))).items():
         content = getattr(value, name)

@@ -188,7 +188,6 @@ def _seconds_of_speeds(distance: np.ndarray, speed: np.ndarray) -> tuple[np.ndar
 
 
 def _positions(items: Sequence[Any]) -> np.ndarray:
-    """Positions of messages with a pose, m, shape (3, n)."""
     positions = (item.pose.position for item in items)
     return np.array([(position.x, position.y, position.z) for position in positions]).T
 

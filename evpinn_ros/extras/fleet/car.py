@@ -142,8 +142,6 @@ def learn_car(task: CarTask) -> CarDone:
 
 @dataclass(frozen=True, slots=True)
 class _Input:
-    """A drive's path, the fingerprint of its files, its first stamp, and why it has none."""
-
     path: Path
     fingerprint: str
     start_ns: int
@@ -161,11 +159,9 @@ class _Input:
             return cls(path, "", 0, with_kind(error))
 
     def order(self) -> tuple[int, str]:
-        """By time, those of one moment by name."""
         return self.start_ns, str(self.path)
 
     def row(self) -> dict[str, Any]:
-        """First cells of the drive's row."""
         return {"path": str(self.path), "fingerprint": self.fingerprint, "start_ns": self.start_ns}
 
 

@@ -37,8 +37,6 @@ class CarDrives:
 
 
 class _Line(NamedTuple):
-    """One line of a manifest: what it says, and where it stands for errors."""
-
     where: str
     pattern: str
     car: str
@@ -115,7 +113,6 @@ def _fleet(cars: Iterable[tuple[str, Vehicle, set[Path]]]) -> list[CarDrives]:
 
 
 def _top_folder(given: Path, drive: Path) -> Path:
-    """The folder that names the car of a drive found at or below a path."""
     inside = drive.relative_to(given).parts
     if len(inside) > 1:
         return given / inside[0]

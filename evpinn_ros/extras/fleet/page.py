@@ -148,5 +148,4 @@ def _rows(name: str, population: Population, cars: Mapping[str, Evidence]) -> li
 
 
 def _value(name: str, value: float) -> float:
-    """Value of what a population holds as its logarithm."""
     return value if name == LINEAR else math.exp(value)

@@ -126,7 +126,6 @@ def _weight(precision: np.ndarray, spread: np.ndarray) -> np.ndarray:
 def _mean(
     precision: np.ndarray, information: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of the population, shape (6,), and its covariance, for the weights of a spread."""
     doubt = np.linalg.inv(np.eye(SIZE) / FILE_SHARE + (weight @ precision).sum(axis=0))
     return doubt @ np.einsum("nij,nj->i", weight, information), (doubt + doubt.T) / 2
 
@@ -143,7 +142,6 @@ def _spread_doubt(informed: np.ndarray) -> np.ndarray:
 
 
 def _spread(precision: np.ndarray, information: np.ndarray) -> np.ndarray:
-    """Covariance from car to car, shape (6, 6)."""
     start = np.eye(SIZE) * (1.0 - FILE_SHARE)
     spread = start
     for _ in range(MOST_STEPS):

@@ -146,7 +146,6 @@ def _value_row(key: str, name: str, shared: PopulationValue) -> dict[str, Any]:
 def _car_row(
     car: CarDrives, rows: Sequence[dict[str, Any]], problem: str | None
 ) -> dict[str, Any]:
-    """A car after its last drive that taught something."""
     learned = [row for row in rows if row["samples"]]
     last = learned[-1] if learned else {}
     wrong = impossible(last) if last else []

@@ -271,7 +271,6 @@ class Experiment:
         return json.dumps([CHECKPOINT_VERSION, title, data, vehicle, *map(str, settings)])
 
     def _whole_drive(self) -> list[Scored]:
-        """Parameters that were not fitted to this log, on all of it."""
         vehicle, log = self._vehicle, self._log
         p_aux = standing_load(log.speed, log.power, vehicle.initial.p_aux)
         candidates: Mapping[str, Parameters] = {
@@ -291,7 +290,6 @@ class Experiment:
 
 
 def _scores(training: PowerTraining, split: str) -> list[Scored]:
-    """Network and regression on the validation data of a training, and its baseline."""
     problem = training.problem
     log, rows = problem.log, problem.split
     trained, held = (chosen_rows(log, part) for part in rows)

@@ -168,7 +168,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
                 self._observe(measured[index], power, reason)
 
     def _predict(self, sample: Sample) -> tuple[float, float]:
-        """Power of the network, W: the prior's physics until the first update; its 1-sigma."""
+        """Power of the network, W (the prior's physics until the first update), and 1-sigma."""
         sigma = float(np.sqrt(self._variance))
         if self._fresh:
             return float(self._physics(sample, self._values())), sigma
@@ -180,7 +180,6 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         return float(output) * POWER_SCALE, sigma
 
     def _observe(self, sample: Sample, power: float, reason: str | None) -> None:
-        """Take a measured sample into the window, unless there is a reason not to."""
         if reason is not None:
             self.gated[reason] += 1
             return

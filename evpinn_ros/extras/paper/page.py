@@ -50,7 +50,6 @@ def write_reproduction(path: Path, outcome: Outcome, command: str, label: str) -
 
 
 def _whole(rows: list[list[str]]) -> list[list[str]]:
-    """Cells whose short texts do not break, however narrow the page."""
     return [
         [x.replace(" ", "\N{NO-BREAK SPACE}") if len(x) <= SHORT else x for x in row]
         for row in rows

@@ -52,7 +52,6 @@ class ComparedVehicle(NamedTuple):
 
 
 def _loss_rows(*losses: tuple[float, ...]) -> tuple[LossRow, ...]:
-    """Rows at `LOGGED_EPOCHS`: total, data and physics in training, the same in validation."""
     rows = zip(LOGGED_EPOCHS, losses, strict=True)
     return tuple(LossRow(epoch, Losses(*row[:3]), Losses(*row[3:])) for epoch, row in rows)
 

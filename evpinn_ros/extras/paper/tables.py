@@ -146,7 +146,6 @@ def combination_table(outcome: Outcome) -> ResultTable:
 def _finding_rows(
     rows: Sequence[TableFiveRow], published: Mapping[str, float], fitted: Mapping[str, float]
 ) -> list[list[str]]:
-    """Findings under `FINDING_COLUMNS`, beside the paper's values and those of a fit."""
     return [
         [
             TITLES.get(row.name, row.name),

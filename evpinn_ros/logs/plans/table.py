@@ -179,7 +179,6 @@ def _known_columns(
 def _in_si(
     columns: Mapping[str, tuple[str, float]], given: Mapping[str, Any]
 ) -> dict[str, np.ndarray]:
-    """Numbers of legs by what they hold, in SI."""
     numbers = {
         what: _numbers(name, given[name]) * (1.0 if math.isnan(factor) else factor)
         for what, (name, factor) in columns.items()
@@ -233,7 +232,6 @@ def _climb(length: np.ndarray, grade: np.ndarray) -> np.ndarray:
 
 
 def _numbers(name: str, values: Any) -> np.ndarray:
-    """Numbers of one column; NaN where a cell is empty."""
     if isinstance(values, Cells):
         numbers = to_floats(*values)
         for place in np.flatnonzero(np.isnan(numbers)):

@@ -140,7 +140,6 @@ class _Gpx:
 
 
 def _local(tag: str) -> str:
-    """The name of an element without its namespace."""
     return tag.rpartition("}")[2]
 
 
@@ -173,7 +172,6 @@ def geojson_track(data: Mapping[str, Any]) -> GeoTrack:
 
 
 def _lines(data: Mapping[str, Any]) -> Iterator[tuple[Sequence[Any], Mapping[str, Any]]]:
-    """Each line of places, and what is given for its points."""
     if data["type"] == "FeatureCollection":
         for feature in data["features"]:
             yield from _lines(feature)

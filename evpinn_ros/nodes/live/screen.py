@@ -222,7 +222,6 @@ def braille_line(
 
 
 def _owner(data: LiveData) -> Text:
-    """An owner's line: charge, range with its 90 % band, consumption, energy of the trip."""
     energy = data.vector(topics.ENERGY_STATE)
     words = (
         f"  {_percent(100 * data.charge())}",
@@ -247,7 +246,6 @@ def _range(data: LiveData) -> str:
 
 
 def _breakdown(data: LiveData, width: int) -> Iterable[Text]:
-    """Parts of the energy so far, the largest first, in as many rows as they need, but two."""
     title = "Wh went to"
     rows = [""]
     for amount in _amounts(data) or [UNKNOWN]:
@@ -272,7 +270,6 @@ def _amounts(data: LiveData) -> list[str]:
 
 
 def _coverage(data: LiveData, now: float, width: int) -> Iterable[Text]:
-    """Data coverage, and beside it the rates of messages."""
     seen = data.seen()
     most = max([1.0, *(n for row in seen for n in row if math.isfinite(n))])
     cell, gap = (8, 4 * " ") if width >= WIDE else (6, " ")
@@ -333,7 +330,6 @@ def _number(value: float, decimals: int) -> str:
 
 
 def _cell(text: str, width: int, *, right: bool = False) -> str:
-    """Text of exactly this many characters."""
     short = text if len(text) <= width else text[: width - 1] + "…"
     return short.rjust(width) if right else short.ljust(width)
 

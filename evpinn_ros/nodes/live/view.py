@@ -125,7 +125,6 @@ def watch(
 
 
 def _ending(data: LiveData) -> str:
-    """Words for the end of a view of its own: what was saved, and what to do next."""
     if not data.received:
         return f"evpinn: {NOTHING}"
     return (
@@ -157,7 +156,6 @@ def _write_json(out: TextIO, data: LiveData, now: float) -> None:
 
 
 def _follow(listener: LiveListener, shows: Sequence[tuple[float, Show]]) -> None:
-    """Show the data in every way, each with its period in seconds."""
     parent = multiprocessing.parent_process()
     due = [time.monotonic()] * len(shows)
     while rclpy.ok() and (parent is None or parent.is_alive()):

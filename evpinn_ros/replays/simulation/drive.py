@@ -138,7 +138,6 @@ def _route(kind: DriveKind, duration_s: float, rng: np.random.Generator) -> Iter
 
 
 def _town(length: float, rng: np.random.Generator) -> Iterator[Leg]:
-    """Blocks that end at a red light (some with a queue), in a turn, or in free road."""
     driven = 0.0
     while driven < length:
         limit = rng.choice([30.0, 40.0, 50.0, 50.0, 60.0]) * KMH
@@ -156,7 +155,6 @@ def _town(length: float, rng: np.random.Generator) -> Iterator[Leg]:
 
 
 def _motorway(length: float, rng: np.random.Generator) -> Iterator[Leg]:
-    """A ramp with a bend, sections of different limits, a jam now and then, and the exit."""
     yield _leg(220.0, 50 * KMH, 11.0, 0.0, rng)
     driven = 0.0
     while driven < length:
@@ -215,7 +213,6 @@ def _follow(route: Iterator[Leg], traffic: np.ndarray, unrest: np.ndarray) -> np
 
 
 def _wish(leg: Leg, left: float, speed: float, allowed: float) -> float:
-    """Acceleration the driver would like, m/s^2, with `left` m to go in the leg."""
     left = max(left, 0.0)
     approach = math.sqrt(leg.end_speed**2 + 2 * leg.braking * left)
     approach = min(approach, leg.end_speed + left / REACTION)  # ease into a stop

@@ -174,7 +174,6 @@ def _moments(
 
 
 def _lagged(trace: Trace, signal: np.ndarray, lag: float, time: np.ndarray) -> np.ndarray:
-    """A true signal behind a first-order filter, at these times."""
     keep = float(np.exp(-STEP / lag))
     # A line of Python, for importing a library of filters takes longer than this drive.
     new = ((1 - keep) * signal[1:]).tolist()

@@ -45,14 +45,12 @@ def ambient_celsius(air_density: float) -> float:
 
 
 def _compressor(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """On for a part of each cycle of about a minute and a half."""
     period, duty = rng.uniform(60.0, 120.0), rng.uniform(0.3, 0.6)
     phase = (time / period + rng.uniform()) % 1.0
     return _soft(0.25 * (phase < duty), time)
 
 
 def _heater(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Three settings, in turn, of seat or cabin heating."""
     changes = np.sort(rng.uniform(0.0, time[-1], 2))
     levels = rng.uniform(0.0, 0.3, 3)
     return _soft(levels[np.searchsorted(changes, time)], time)
