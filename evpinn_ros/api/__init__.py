@@ -1,8 +1,7 @@
 """The public Python API: each command as a call that returns DataFrames."""
 
-from evpinn_ros.api.edges import EdgeEnergies, edge_energies
 from evpinn_ros.api.estimator import Estimate, Estimator
-from evpinn_ros.api.plan import forecast
+from evpinn_ros.api.plan import EdgeEnergies, edge_energies, forecast
 from evpinn_ros.api.recordings import replay, replay_trips
 from evpinn_ros.api.result import Result
 from evpinn_ros.common.errors import InputError

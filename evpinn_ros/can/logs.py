@@ -12,9 +12,12 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 import csv
+from datetime import datetime
 import io
+from itertools import pairwise
 import logging
 from pathlib import Path
+import re
 import struct
 from tempfile import TemporaryDirectory
 from typing import IO, Any
@@ -24,14 +27,94 @@ import can
 from can.io import mf4
 
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
-from evpinn_ros.can.log_clock import LOOKED_AT, TimedLines
 from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES, MF4
 from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
+from evpinn_ros.common.months import MONTHS
 from evpinn_ros.common.opener import LONGEST_LINE, open_file, open_unpacked
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.writer import replaced
 from evpinn_ros.core.signals.readings import NANOSECONDS
+
+SAME_MOMENT = 60.0  # s between the date of a log and its first time of day
+# s: a log whose first time is later counts from something else than its date
+LATEST_FIRST = 3600.0
+EPOCH = 1e6  # s: times above it are not since the line before
+LOOKED_AT = 200  # lines
+GOES_BACK = 0.3  # of the steps between lines
+
+_DATE = re.compile(
+    r"(?:date|begin\s+triggerblock)\s+\w+\.?\s+(\w+)\.?\s+(\d+)\s+"
+    r"(\d+):(\d+):(\d+(?:\.\d+)?)(?:\s*([ap]m))?\s+(\d{4})",
+    re.IGNORECASE,
+)
+_TIME = re.compile(r"\s*(-?\d+\.\d+)(\s.*)", re.DOTALL)
+_FRAME = re.compile(r"\s+(\d+\s+(\w+\s+(Tx|Rx)|ErrorFrame)|CANFD)", re.ASCII | re.IGNORECASE)
+_STAMP = re.compile(r"\s*\((\d+\.\d+)\)(.*)", re.DOTALL)
+
+
+class TimedLines:
+    """The lines of a log with times that run on."""
+
+    summed = False
+
+    def asc(self, lines: Iterable[str]) -> Iterator[str]:
+        """Lines of an .asc, with times since 1970 if its date is known."""
+        start: datetime | None = None
+        base: float | None = None
+        passed = 0.0
+        for line in lines:
+            if match := _DATE.match(line.strip()):
+                start, base = _date(match), None
+            elif line.lower().startswith("base"):
+                self.summed = "relative" in line.lower()
+            if not (match := _TIME.fullmatch(line)):
+                yield line
+                continue
+            passed = float(match[1]) + (passed if self.summed else 0.0)
+            if base is None and _FRAME.match(match[2]):
+                base = _base(start, passed)
+            if base is not None:
+                yield f"{base + passed:.9f}{match[2]}"
+
+    def candump(self, ahead: Iterable[str], lines: Iterable[str]) -> Iterator[str]:
+        """Lines of candump with times since 1970 or the first; `ahead` are the first of them."""
+        stamps = [float(stamp[1]) for line in ahead if (stamp := _STAMP.fullmatch(line))]
+        back = sum(later < earlier for earlier, later in pairwise(stamps))
+        # the times of the log are those since the line before
+        self.summed = back > GOES_BACK * len(stamps) and max(stamps) < EPOCH
+        passed = 0.0
+        for line in lines:
+            stamp = _STAMP.fullmatch(line) if self.summed else None
+            if stamp is None:
+                yield line
+                continue
+            passed += float(stamp[1])
+            yield f"({passed:.6f}){stamp[2]}"
+
+
+def _date(match: re.Match[str]) -> datetime | None:
+    month, day, hour, minute, second, half, year = match.groups()
+    number = MONTHS.get(month.lower()[:4]) or MONTHS.get(month.lower()[:3])
+    if number is None:
+        return None
+    hours = int(hour) % 12 + (12 if half.lower() == "pm" else 0) if half else int(hour)
+    text = f"{year}-{number:02d}-{int(day):02d} {hours:02d}:{minute}:{float(second):09.6f}"
+    try:
+        return datetime.strptime(text, "%Y-%m-%d %H:%M:%S.%f")
+    except ValueError:
+        return None
+
+
+def _base(start: datetime | None, first: float) -> float:
+    """What to add to the times of a log, s; its first time is this."""
+    if start is None:
+        return max(0.0, -first)
+    midnight = start.replace(hour=0, minute=0, second=0, microsecond=0)
+    if abs(first - (start - midnight).total_seconds()) < SAME_MOMENT:
+        return midnight.timestamp()
+    return start.timestamp() - (first if first > LATEST_FIRST else 0.0)
+
 
 FORMATS = (
     "formats that are read: candump -L (.log), Vector .asc and .blf, PEAK .trc, .csv of SavvyCAN "
@@ -193,7 +276,6 @@ def _is_possible(message: Any) -> bool:
 
 
 def _csv_reader(lines: _Lines) -> Any:
-    """The reader of SavvyCAN's columns, or of python-can's own."""
     is_gvret = lines.peek(1)[0].startswith(GVRET_HEADER)
     return gvret_messages(lines) if is_gvret else can.CSVReader(lines)
 
@@ -231,8 +313,6 @@ class _Lines:
 
 
 class _Timed:
-    """The lines of a text file with other times, as a file for the readers."""
-
     def __init__(self, file: _Lines, lines: Iterator[str]) -> None:
         self.read, self.close, self._lines = file.read, file.close, lines
 
@@ -304,8 +384,6 @@ class BlfReader(can.BLFReader):  # type: ignore[misc]  # python-can has types bu
 
 
 class _Bounded:
-    """A file that does not read more than an object may have."""
-
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self.close = file, file.close
 

@@ -1,17 +1,98 @@
-"""`evpinn export`: what was learned, in the files of other programs."""
+"""`evpinn export`: the learned vehicle as parameters of Open-RMF (rmf_battery).
+
+RMF counts mass |a| v + friction mass 9.81 v and a constant power, without efficiency. Given are
+the values with which it finds what this vehicle draws for a trip from rest to rest at its usual
+speed.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import math
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from evpinn_ros.cli.console import say
 from evpinn_ros.cli.lazy import ReadableCommand, ReadableGroup
 from evpinn_ros.cli.options import VehicleOption
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.forecast import forecast_plan
+from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
+from evpinn_ros.core.energy.plan import Plan, plan_from_speed_profile
+from evpinn_ros.core.energy.power_model import PowerModel, Weather
+from evpinn_ros.core.vehicle.files import Vehicle
+
+RMF_GRAVITY = 9.81  # m/s^2, that of rmf_battery
+RAMP = 2.0  # s in which the speed is reached; energies hardly depend on it
+CRUISES = 50.0, 100.0  # s at that speed, of the two trips that are compared
+STANDING = 100.0  # s
+SECONDS_PER_HOUR = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class RmfEnergy:
+    """Parameters of energy that a fleet adapter of RMF takes."""
+
+    voltage: float  # of the battery, V
+    capacity: Uncertain  # A h that it holds at this voltage, and 1-sigma; NaN where not known
+    mass: float  # kg, with which RMF finds the energy, not that of the scales
+    friction: float  # coefficient
+    ambient: float  # power whether it moves or not, W
+    speed: float  # at which these hold, m/s
+    trip: Uncertain  # energy of the longer trip that they were found by, J, and its 1-sigma
+    trip_metres: float  # length of that trip, m
+
+
+def rmf_energy(
+    model: PowerModel, vehicle: Vehicle, capacity: Uncertain, speed: float | None = None
+) -> RmfEnergy:
+    """Parameters with which RMF finds the energy of the forecasts; InputError if there are none.
+
+    The capacity is J; the speed, m/s, if None, `nominal_speed` of the vehicle file.
+    """
+    if speed is None:
+        speed = NOMINAL_SPEED if math.isnan(vehicle.nominal_speed) else vehicle.nominal_speed
+    weather = Weather(vehicle.air_density, heating=0.0)
+    time = np.arange(0.0, STANDING + 1.0)
+    rest = plan_from_speed_profile(time, None, 0.0 * time)
+    short, long = (_trip(cruise, speed) for cruise in CRUISES)
+    standing, less, more = (_energy(plan, model, weather) for plan in (rest, short, long))
+    ambient = max(standing.value / STANDING, 0.0)
+    duration, length = long.time[-1] - short.time[-1], long.distance[-1] - short.distance[-1]
+    force = (more.value - less.value - ambient * duration) / length
+    mass = (more.value - ambient * long.time[-1] - force * long.distance[-1]) / speed**2
+    if not (mass > 0.0 and force > 0.0):
+        raise InputError(
+            f"by what is known of {vehicle.key} now it costs nothing to drive: let it learn on"
+        )
+    charge = vehicle.nominal_voltage * SECONDS_PER_HOUR
+    return RmfEnergy(
+        voltage=vehicle.nominal_voltage,
+        capacity=Uncertain(capacity.value / charge, capacity.sigma / charge),
+        mass=mass,
+        friction=force / (mass * RMF_GRAVITY),
+        ambient=ambient,
+        speed=speed,
+        trip=more,
+        trip_metres=float(long.distance[-1]),
+    )
+
+
+def _trip(cruise: float, speed: float) -> Plan:
+    """Plan from rest to rest, with so many s at a speed, a point each second or less."""
+    ends = np.array([0.0, RAMP, RAMP + cruise, 2.0 * RAMP + cruise])
+    time = np.unique(np.concatenate((np.arange(0.0, ends[-1], 1.0), ends)))
+    return plan_from_speed_profile(time, None, np.interp(time, ends, [0.0, speed, speed, 0.0]))
+
+
+def _energy(plan: Plan, model: PowerModel, weather: Weather) -> Uncertain:
+    energies = forecast_plan(plan, model, weather)
+    return Uncertain(float(energies.energy[-1]), float(energies.sigma[-1]))
+
 
 CHARGED_IN = 4.0  # hours, where no charging current is given
 RADIUS = 0.3  # m
@@ -67,7 +148,7 @@ def rmf(
     # Here, for these import what takes longer than all else together.
     from evpinn_ros.api.estimator import Estimator
     from evpinn_ros.core.energy.charge import Uncertain
-    from evpinn_ros.extras.rmf import rmf_energy
+    from evpinn_ros.extras.export import rmf_energy
 
     car = Estimator(vehicle, state=state)
     gauge = car.account.gauge

@@ -12,8 +12,7 @@ from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.core.energy.quadrature import MAX_GAP, joined
 from evpinn_ros.core.estimation.learner import CHARGING_POWER
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
-from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.lone_readings import lone_speeds
+from evpinn_ros.replays.history import Drive, lone_speeds
 from evpinn_ros.replays.scoring import Span, known_at
 
 LEAST_CHANGE = 0.005  # of distance or energy, by lone readings

@@ -1,20 +1,33 @@
-"""The curves of a drive over time, as the page's script draws them (`browser/drive.js`)."""
+"""Charts, totals and breakdown of a drive for its page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from evpinn_ros.common.arrays import chosen_rows
-from evpinn_ros.common.units import JOULES_PER_WH
+from evpinn_ros.common.units import JOULES_PER_WH, METRIC, Units
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
+from evpinn_ros.core.estimation.terms import WARM
+from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.parameters import QUANTITIES, Parameters
 from evpinn_ros.replays.driven import DrivenSteps
-from evpinn_ros.replays.forecasts import ForecastOutcome
+from evpinn_ros.replays.forecasts import ForecastOutcome, known_model
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import measured_at
+from evpinn_ros.report.breakdown_text import (
+    breakdown_columns,
+    breakdown_lines,
+    breakdown_notes,
+    breakdown_rows,
+    breakdown_sentence,
+    least_of,
+    shown,
+)
+from evpinn_ros.report.shapes import IntervalRow, interval_rows
 from evpinn_ros.report.thinning import Grid, grid_for, packed, thinned
 
 KILO = 1000.0
@@ -133,9 +146,105 @@ def _line(label: str, role: str, time: np.ndarray, values: np.ndarray, grid: Gri
 def _with_band(
     label: str, time: np.ndarray, middle: np.ndarray, half: np.ndarray, unit: float, grid: Grid
 ) -> list[Chart]:
-    """A line between the edges of its band, which the page fills; divided by the unit."""
     return [
         _line("", "low", time, (middle - half) / unit, grid),
         _line("", "high", time, (middle + half) / unit, grid),
         _line(label, "predicted", time, middle / unit, grid),
     ]
+
+
+LEAST_DISTANCE = 100.0  # m in a bin of speed before its energy is shown,
+LEAST_SHARE = 0.02  # and so much of the drive: to pass through a speed is not to drive at it
+SHOWN_SPEED = 36.0  # m/s: a steady speed is shown up to here however slow the drive was
+
+
+def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units: Units) -> Chart:
+    """Energy over distance by speed: measured in bins, and steady on a flat road.
+
+    The first bin, of crawling, would show standing load alone, so it is left out.
+    """
+    width = units.speed_step
+    speeds = steps.speed * units.speeds
+    bins = np.minimum(speeds / width, 300.0 / width).astype(np.int64)
+    energy = np.bincount(bins, steps.energy / JOULES_PER_WH)
+    distance = np.bincount(bins, steps.distance / units.metres)
+    enough = distance >= max(LEAST_DISTANCE / units.metres, LEAST_SHARE * distance.sum())
+    shown = [i for i in np.flatnonzero(enough).tolist() if i > 0]
+    last = max([*((i + 1) * width for i in shown), SHOWN_SPEED * units.speeds])
+    grid = np.arange(width, last + 1.0)
+    car = known_model(drive.model, drive.final, vehicle)
+    middle, sigma = _steady_power(car, grid / units.speeds, vehicle.air_density)
+    middle, half = (joules / JOULES_PER_WH / (grid / 3600.0) for joules in (middle, sigma))
+    half *= GAUSSIAN_QUANTILE
+    return {
+        "kind": "bySpeed",
+        "axes": [f"speed, {units.speed}", f"Wh/{units.distance}"],
+        "width": width,
+        "driven": float(speeds.max(initial=0.0)),
+        "bars": [[i * width, energy[i] / distance[i], distance[i]] for i in shown],
+        "start": float(grid[0]),
+        "middle": packed(middle),
+        "low": packed(middle - half),
+        "high": packed(middle + half),
+    }
+
+
+def running_totals(
+    travelled: DrivenSteps, measured: DrivenSteps, duration: float, points: int
+) -> Chart:
+    """Running totals over time: distance, m, in s; where power was measured distance and J."""
+    time = np.linspace(0.0, max(duration, 1.0), points)
+
+    def total(steps: DrivenSteps, values: np.ndarray) -> dict[str, object]:
+        if not len(values):
+            return packed(np.zeros(points))
+        return packed(np.interp(time, steps.end, np.cumsum(values), left=0.0))
+
+    return {
+        "step": float(time[1]),
+        "distance": total(travelled, travelled.distance),
+        "seconds": total(travelled, travelled.seconds),
+        "known": total(measured, measured.distance),
+        "energy": total(measured, measured.energy),
+    }
+
+
+def _steady_power(
+    car: PowerModel, speed: np.ndarray, air_density: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Power on a flat road without wind and its 1-sigma, W, as of dropouts, shape (n,)."""
+    steps = even_steps(np.ones_like(speed), speed, 0.0 * speed)
+    rows = car.rows(steps, Weather(air_density, start=WARM))
+    variance = car.car.trust * ((rows @ car.car.covariance) * rows).sum(-1)
+    return rows @ car.car.mean, np.sqrt(variance)
+
+
+def breakdown_values(breakdown: Mapping[str, Any], units: Units) -> dict[str, Any]:
+    """Values for `breakdown.html.j2`, from the metrics under `breakdown`, biggest part first."""
+    if breakdown["unknown"] is not None:
+        return {"sentence": "", "notes": breakdown_lines(breakdown), "rows": [], "parts": []}
+    parts = sorted(shown(breakdown), key=lambda part: -part[1]["kwh"])
+    digits = 2 if max(abs(part["kwh"]) for _, part in parts) >= 0.5 else 3
+    return {
+        "sentence": breakdown_sentence(breakdown),
+        "notes": breakdown_notes(breakdown, units),
+        "columns": breakdown_columns(units),
+        "rows": breakdown_rows(breakdown, units),
+        "parts": interval_rows([_row(name, part, digits, units) for name, part in parts]),
+    }
+
+
+def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> IntervalRow:
+    """A part: kWh, its interval of 90 % in words, energy over distance."""
+    kwh, half = part["kwh"], GAUSSIAN_QUANTILE * part["sigma_kwh"]
+    least = least_of(name)
+    value, low, high = (
+        f"{round(limit, digits) + 0.0:.{digits}f}"
+        for limit in (kwh, max(kwh - half, least), kwh + half)
+    )
+    rate = part["kwh_per_100km"]
+    per_distance = ""
+    if rate is not None:
+        shown_rate = rate * METRIC.rate_joules / units.rate_joules
+        per_distance = f"; {shown_rate:.{1 if units is METRIC else 0}f} {units.rate}"
+    return IntervalRow(name, f"{value} kWh ({low} to {high}){per_distance}", kwh, half, least)

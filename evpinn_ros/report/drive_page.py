@@ -27,7 +27,7 @@ from evpinn_ros.replays.scoring import Span, baseline_scores
 from evpinn_ros.replays.simulation.truth_file import read_truth
 from evpinn_ros.replays.trends import drive_point
 from evpinn_ros.report import drive_charts, drive_maps
-from evpinn_ros.report.drive_energy import breakdown_values, running_totals, speed_energy_chart
+from evpinn_ros.report.drive_charts import breakdown_values, running_totals, speed_energy_chart
 from evpinn_ros.report.drive_maps import FAST_SPEED, SLOW_SPEED
 from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.report.html import write_page
@@ -207,14 +207,12 @@ def _drive(
 
 
 def _shaded(reported: ReportedDrive) -> Iterator[tuple[float, float]]:
-    """Begin and end, s, of the warm-up and of the time with the battery withheld."""
     yield 0.0, min(reported.warm_up, reported.drive.duration)
     if reported.withheld_from is not None:
         yield reported.withheld_from, reported.drive.duration
 
 
 def _curves(reported: ReportedDrive, measured: DrivenSteps, points: int, units: Units) -> Charts:
-    """Energy by speed, the road, and the curves over time."""
     drive, few = reported.drive, points // SMALL
     yield "by_speed", speed_energy_chart(drive, reported.vehicle, measured, units)
     if len(drive.position) > 1:
@@ -253,7 +251,6 @@ def _maps(reported: ReportedDrive, moments: drive_maps.Moments, units: Units) ->
 
 
 def _record(metrics: Mapping[str, Any]) -> str:
-    """The recording, and the mode that learned from it."""
     dropped = dropped_text(metrics["input"]["dropped"])
     return (
         f"{metrics['input']['path']}, mode {metrics['mode']}; "
@@ -262,7 +259,6 @@ def _record(metrics: Mapping[str, Any]) -> str:
 
 
 def _score_tiles(reported: ReportedDrive) -> Iterator[tuple[str, str]]:
-    """Scores with their names."""
     drive, power = reported.drive, reported.metrics["power"]
     error = reported.metrics["energy"]["error_percent"]
     yield signed_percent(error), "error of the predicted energy"
@@ -353,7 +349,6 @@ def knowledge(
 def _combination_row(
     name: str, end: np.ndarray, before: float, minutes: float, units: Units
 ) -> CombinationRow:
-    """A row: `end` is time, value, 1-sigma; `before` the vehicle file's 1-sigma."""
     label, form, learned_by = COMBINATIONS[name]
     _, value, std = end
     left = 100 * std / before if before > 0 else 100.0

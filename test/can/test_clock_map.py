@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evpinn_ros.can.clock_map import LARGEST_DRIFT_PPM, SET_ANEW_NS, ClockMap
+from evpinn_ros.can.bus import LARGEST_DRIFT_PPM, SET_ANEW_NS, ClockMap
 
 NOW = 1_700_000_000 * 10**9
 MS = 1_000_000

@@ -10,8 +10,7 @@ import pytest
 import typer
 
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.cli.drive_report import reported
-from evpinn_ros.cli.run import learned_before
+from evpinn_ros.cli.run import learned_before, reported
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from test.waiting import wait_until

@@ -10,7 +10,7 @@ from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import Plan
 from evpinn_ros.core.energy.power_model import Weather, vehicle_model
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.extras.rmf import rmf_energy
+from evpinn_ros.extras.export import rmf_energy
 
 ROBOT = load_vehicle("mobile_robot")
 

@@ -10,7 +10,7 @@ from evpinn_ros.core.estimation.breakdown import Breakdown
 from evpinn_ros.core.estimation.terms import COUNT, Part
 from evpinn_ros.replays.energy_metrics import INVALID, NOTHING, PAPER, breakdown_metrics
 from evpinn_ros.report.breakdown_text import NAMES, breakdown_lines, breakdown_rows, shown
-from evpinn_ros.report.drive_energy import breakdown_values
+from evpinn_ros.report.drive_charts import breakdown_values
 
 
 def breakdown(correlation: float = 0.0) -> Breakdown:

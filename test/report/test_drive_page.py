@@ -12,7 +12,7 @@ import pytest
 from evpinn_ros.common.units import METRIC, US
 from evpinn_ros.replays.driven import measured_steps
 from evpinn_ros.replays.history import PowerSeries
-from evpinn_ros.report.drive_energy import speed_energy_chart
+from evpinn_ros.report.drive_charts import speed_energy_chart
 from evpinn_ros.report.drive_page import ReportedDrive, write_drives
 from test.report.test_thinning import unpacked
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
+import math
 from pathlib import Path
 import time
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,12 +14,127 @@ from evpinn_ros.cli.console import note
 from evpinn_ros.cli.options import KeptStateOption, VehicleOption
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.stopping import at_stop
+from evpinn_ros.common.units import KMH
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.extras.bridges.car import BridgedCar
+from evpinn_ros.extras.bridges.layouts import PERCENT, Measurand, Parsed, Rule, Value
 from evpinn_ros.extras.bridges.mqtt import secret_of, split_address
+from evpinn_ros.extras.bridges.sensors import number_at
+from evpinn_ros.extras.bridges.snapshot import Snapshots, is_due
+from evpinn_ros.replays.energy_metrics import MEANINGS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from evpinn_ros.extras.bridges.databroker import DatabrokerFeed
+    from kuksa_client.grpc import VSSClient
+
+BATTERY = "Vehicle.Powertrain.TractionBattery"
+OURS = "Vehicle.EvPinn"
+INPUTS: Mapping[str, Rule] = {
+    "Vehicle.Speed": Rule(Measurand.SPEED, KMH),
+    f"{BATTERY}.CurrentVoltage": Rule(Measurand.VOLTAGE),
+    f"{BATTERY}.CurrentCurrent": Rule(Measurand.CURRENT),
+    f"{BATTERY}.StateOfCharge.Current": Rule(Measurand.CHARGE, PERCENT),
+    "Vehicle.Exterior.AirTemperature": Rule(Measurand.TEMPERATURE),
+    "Vehicle.CurrentLocation.Altitude": Rule(Measurand.ALTITUDE),
+}
+OUTPUTS: Mapping[str, tuple[str, ...]] = {
+    f"{BATTERY}.Range": ("range", "range_km"),
+    f"{OURS}.RangeLower": ("range", "lower_km"),
+    f"{OURS}.RangeUpper": ("range", "upper_km"),
+    f"{OURS}.PredictedPower": ("power", "predicted_w"),
+    f"{OURS}.PredictedPowerSigma": ("power", "predicted_sigma_w"),
+    f"{OURS}.TripEnergy": ("energy", "trip_kwh"),
+    f"{OURS}.Consumption": ("consumption", "10"),
+    **{
+        f"{OURS}.Breakdown.{part.capitalize()}": ("breakdown", part, "kwh")
+        for part in MEANINGS
+        if part != "measured"
+    },
+    **{
+        f"{OURS}.Combination.{name}": ("parameters", "combinations", key, "value")
+        for name, key in {
+            "MassOverEfficiency": "mass_over_eta",
+            "DragAreaOverEfficiency": "drag_area_over_eta",
+            "RollingResistance": "c_rr",
+            "Regeneration": "regeneration",
+            "StandingLoad": "p_aux",
+        }.items()
+    },
+}
+"""Keys in the documents of a car, of each signal that is written."""
+METRES = {f"{BATTERY}.Range", f"{OURS}.RangeLower", f"{OURS}.RangeUpper"}  # whole ones; ours: km
+OLD_NS = 10 * NANOSECONDS  # of the values that a databroker gives first
+SEND_NS = NANOSECONDS  # between two sets of signals
+NOT_FOUND = 5  # of gRPC: the databroker has no such signal
+
+
+def signals(car: BridgedCar) -> Iterator[tuple[str, float]]:
+    """Signals of a car that are known now, by their names in VSS."""
+    documents = {**car.documents(), "power": car.power()}
+    for name, path in OUTPUTS.items():
+        number = number_at(documents, path)
+        if number is not None:
+            yield name, round(1e3 * number) if name in METRES else float(number)
+
+
+class DatabrokerFeed:
+    """Feeds a car from a KUKSA databroker, and the databroker with what is learned."""
+
+    def __init__(
+        self, client: VSSClient, car: BridgedCar, clock: Callable[[], int] = time.time_ns
+    ) -> None:
+        self._client, self._car, self._clock = client, car, clock
+        self._snapshots = Snapshots(car.vehicle.nominal_voltage, on_change=False)
+        self._sent_ns = 0
+        self.missing: set[str] = set()  # signals that the databroker does not know
+
+    def run(self) -> Iterator[None]:
+        """Receives updates and sends signals when due, yielding after each; or VSSClientError."""
+        for number, updates in enumerate(self._client.subscribe_current_values(INPUTS)):
+            # It gives its last values first. The age of others says how clocks differ, no more.
+            self._take(updates, OLD_NS if number == 0 else None)
+            newest_ns = self._car.newest_ns
+            if newest_ns is not None and is_due(self._sent_ns, newest_ns, SEND_NS):
+                self._sent_ns = newest_ns
+                self.send()
+            yield
+
+    def _take(self, updates: Mapping[str, Any], oldest_ns: int | None) -> None:
+        """Add what was measured at one moment together: voltage and current make one power."""
+        now_ns = self._clock()
+        moments: dict[int, dict[Measurand, Value]] = {}
+        for name, point in updates.items():
+            value = Value() if point is None else INPUTS[name].value(point.value)
+            if math.isnan(value.value):
+                continue
+            moment = point.timestamp
+            stamp_ns = now_ns if moment is None else round(moment.timestamp() * NANOSECONDS)
+            if oldest_ns is None or now_ns - stamp_ns <= oldest_ns:
+                moments.setdefault(stamp_ns, {})[INPUTS[name].quantity] = value
+        for stamp_ns, values in sorted(moments.items()):
+            parsed = Parsed(self._car.name, values, stamp_ns)
+            self._car.add_readings(self._snapshots.add(parsed, now_ns, retained=False))
+
+    def send(self) -> None:
+        """Write all signals that are known."""
+        with optional_imports():
+            from kuksa_client import grpc as kuksa
+
+        for name, value in signals(self._car):
+            if name in self.missing:
+                continue
+            kind = kuksa.DataType.UINT32 if name in METRES else kuksa.DataType.FLOAT
+            # With its type given, the client does not ask the databroker for it each time.
+            entry = kuksa.DataEntry(name, kuksa.Datapoint(value), metadata=kuksa.Metadata(kind))
+            update = kuksa.EntryUpdate(entry, (kuksa.Field.VALUE,))
+            try:
+                self._client.set(updates=[update], try_v2=True)
+            except kuksa.VSSClientError as error:
+                if error.error["code"] != NOT_FOUND:
+                    raise
+                self.missing.add(name)
+
 
 PORT = 55555
 AGAIN_S = 5.0  # before the next try
@@ -44,7 +161,7 @@ def vss(
     from evpinn_ros.core.estimation.estimator import EstimatorSettings
     from evpinn_ros.core.vehicle.files import load_vehicle
     from evpinn_ros.extras.bridges.car import BridgedCar
-    from evpinn_ros.extras.bridges.databroker import DatabrokerFeed
+    from evpinn_ros.extras.bridges.vss import DatabrokerFeed
 
     with optional_imports():
         from kuksa_client.grpc import VSSClient, VSSClientError

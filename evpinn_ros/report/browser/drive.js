@@ -1,5 +1,5 @@
-// Draws the plots of a drive's report with uPlot. What they hold is made by drive_charts.py,
-// drive_energy.py and drive_maps.py; each is drawn into the element that names it by data-plot.
+// Draws the plots of a drive's report with uPlot. What they hold is made by drive_charts.py
+// and drive_maps.py; each is drawn into the element that names it by data-plot.
 "use strict";
 (() => {
   const plots = JSON.parse(document.getElementById("plots").textContent);

@@ -21,7 +21,7 @@ import pytest
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.bridges.car import BridgedCar
-from evpinn_ros.extras.bridges.databroker import INPUTS, METRES, OUTPUTS, DatabrokerFeed, signals
+from evpinn_ros.extras.bridges.vss import INPUTS, METRES, OUTPUTS, DatabrokerFeed, signals
 from test.extras.bridges.published_topics import VEHICLE, drive, energy
 from test.waiting import wait_until
 

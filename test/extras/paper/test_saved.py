@@ -14,8 +14,12 @@ from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
 from evpinn_ros.extras.paper.experiment import Experiment
 from evpinn_ros.extras.paper.optimizers import OptimizerName
-from evpinn_ros.extras.paper.run import results_of
-from evpinn_ros.extras.paper.saved import possible, write_estimator_state, write_vehicle_file
+from evpinn_ros.extras.paper.run import (
+    possible,
+    results_of,
+    write_estimator_state,
+    write_vehicle_file,
+)
 from evpinn_ros.extras.paper.settings import Settings
 
 

@@ -17,7 +17,7 @@ from evpinn_ros.core.energy.plan import Legs, Plan, PlanError
 from evpinn_ros.core.signals.readings import AltitudeReading, GradeReading, SpeedReading
 from evpinn_ros.logs.plans import read as reader
 from evpinn_ros.logs.plans import read_plan
-from evpinn_ros.logs.plans.recorded import plan_of_readings
+from evpinn_ros.logs.plans.read import plan_of_readings
 from evpinn_ros.topics import PATH_TYPE
 from evpinn_ros.topics.messages import header
 from test.conftest import ROOT
