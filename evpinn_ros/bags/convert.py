@@ -55,19 +55,16 @@ class BagReadings:
         `mounting` is that of its IMU, see `grade_reading`. NoTopicsError: none is there;
         InputError: several cars.
         """
-        # messages without a usable reading, by reason; complete once iterated
-        self.dropped: Counter[str] = Counter()
+        self.dropped: Counter[str] = Counter()  # unusable messages, by reason
         self._reader, self._mounting = reader, mounting
         speeds = (_named(reader, topic, car) for topic in topics.SPEEDS)
         wanted_topics = [topic for topic in READING_TOPICS.values() if topic is not topics.SPEED]
         names = [next(filter(None, speeds), None)]
         names += [_named(reader, topic, car) for topic in wanted_topics]
-        # full names of the topics that are read
-        self.topics = tuple(name for name in names if name)
+        self.topics = tuple(name for name in names if name)  # full names of those read
         missing = {topics.SPEED, topics.BATTERY} - {topic_of(name) for name in self.topics}
         if names[0]:
             missing.discard(topics.SPEED)  # others have it too
-        # topics that are nearly those that are missing of speed and battery, in words
         self.notes = tuple(_near_topics(reader, missing))
         if not self.topics:
             wanted = ", ".join(topic.name for topic in READING_TOPICS.values())

@@ -107,11 +107,9 @@ class McapRecords:
             self.summary = self._summary()
         content = self.summary.content
         self.schemas, self.channels = dict(content.schemas), dict(content.channels)
-        # messages that the file says it holds, None when it does not
         self.stated = content.statistics.message_count if content.statistics else None
         self.ended = self.summary.ended  # the file has its end
-        # messages left out, since the definition of their topic is lost
-        self.chunks = self.unknown = 0  # seen so far
+        self.chunks = self.unknown = 0  # seen; messages whose topic's definition is lost
         self.position, self.proven = 0, False
         self._starts = sorted(chunk.chunk_start_offset for chunk in content.chunk_indexes)
         self._bytes_left, self._definitions_left = most_unpacked(self.size), MOST_DEFINITIONS

@@ -109,8 +109,7 @@ class RosbagsFile:
     def __init__(self, path: Path) -> None:
         """Open it; InputError if rosbags cannot, or it is more than tables."""
         self.path = path
-        # what was lost, in one line. Complete once every message was read
-        self.problem: str | None = None
+        self.problem: str | None = None  # what was lost, complete once all was read
         self._folder = TemporaryDirectory(prefix="evpinn-")
         try:
             self._open()
@@ -141,7 +140,6 @@ class RosbagsFile:
             id_: Channel(connection.topic, connection.msgtype, connection.ext.serialization_format)
             for id_, connection in self._connections.items()
         }  # by channel id
-        # messages by channel id
         self.counts = {id_: connection.msgcount for id_, connection in self._connections.items()}
 
     def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:

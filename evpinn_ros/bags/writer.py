@@ -166,7 +166,6 @@ class McapPart:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._chunk_ns = 0
-        # when that was last handed to the operating system, by the monotonic clock
         self.flushed_s = self._synced_s = time.monotonic()
         self._syncing: threading.Thread | None = None
         self._problem: OSError | None = None

@@ -73,7 +73,6 @@ class CanBridge:
         self._decoder = Decoder(profile, guard.fit if guard is not None else None)
         quantities = {*profile.messages, *profile.asked}
         self._arrivals = {name: _Arrivals() for name in _KINDS if name in quantities}
-        # asks for what the profile says is not broadcast, or None when all of it is
         self.poller = Poller(profile, send, clock) if profile.requests else None
         self._answers = 0
 

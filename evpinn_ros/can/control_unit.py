@@ -57,8 +57,7 @@ class ControlUnit:
         # `asked`, `answered`, `silent`, `pending`, `busy`, `refused`, `short_answer`,
         # `unexpected_answer` (to no request of the profile), `garbled` (not ISO-TP), `send_errors`
         self.counters: Counter[str] = Counter()
-        # requests that were refused too often, with the reason in udsoncan's words
-        self.retired: dict[str, str] = {}
+        self.retired: dict[str, str] = {}  # refused too often, with the reason in words
         self._requests = {request.name: request for request in requests}
         self._address, self._send = address, send
         self._due_s = dict.fromkeys(self._requests, -math.inf)

@@ -263,8 +263,7 @@ class AnswerDecoder:
         # values not used, by reason: `not_available`, `out_of_range`, `not_together` (the voltage
         # or current beside one that is neither, in one answer)
         self.dropped: Counter[str] = Counter()
-        # of the 12 V battery in the last answer, V, NaN when not in it
-        self.auxiliary_voltage = math.nan
+        self.auxiliary_voltage = math.nan  # V, of the 12 V battery in the last answer
         self._fields: dict[str, list[AnswerField]] = {}
         for fields in profile.asked.values():
             for field in fields:

@@ -46,10 +46,8 @@ class FitGuard:
         """Guard a profile; `patient` always weighs ten seconds first."""
         self.fit = ProfileFit(profile)  # counted by the decoder of the guarded profile
         self.verdict = ProfileVerdict.UNDECIDED  # now
-        # why readings are refused, None while they are not
-        self.contradiction: Contradiction | None = None
-        # readings: `undecided`, held and never let out; `contradicted`, come after that
-        self.dropped: Counter[str] = Counter()
+        self.contradiction: Contradiction | None = None  # why readings are refused
+        self.dropped: Counter[str] = Counter()  # readings: `undecided`, `contradicted`
         self._patient = patient
         self._period_ns = DECIDE_PATIENTLY_NS if patient else DECIDE_NS
         self._begin_ns: int | None = None

@@ -89,8 +89,7 @@ class ProfileReport:
     def __init__(self, profile: CanProfile) -> None:
         self.fit = ProfileFit(profile)  # how well it fits
         self._profile = profile
-        # why it cannot be the right one, None while nothing says so
-        self.contradicted: str | None = None
+        self.contradicted: str | None = None  # why it cannot be the right one
         # `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came
         self.values: defaultdict[str, ValueStatus] = defaultdict(ValueStatus)
         self.asks = bool(profile.asked)  # here only answers to others are seen

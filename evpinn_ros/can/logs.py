@@ -81,7 +81,6 @@ class TimedLines:
         """Lines of candump with times since 1970 or the first; `ahead` are the first of them."""
         stamps = [float(stamp[1]) for line in ahead if (stamp := _STAMP.fullmatch(line))]
         back = sum(later < earlier for earlier, later in pairwise(stamps))
-        # the times of the log are those since the line before
         self.summed = back > GOES_BACK * len(stamps) and max(stamps) < EPOCH
         passed = 0.0
         for line in lines:
@@ -149,8 +148,7 @@ class LogFile:
         # frames not read, by kind: `error_frame`, `remote_frame`, `impossible_frame`, one of a
         # damaged log that no bus can carry, and `other_bus` (see `FirstBus`)
         self.skipped: Counter[str] = Counter()
-        # why reading stopped before the end, or the sign that the end is missing
-        self.problem: str | None = None
+        self.problem: str | None = None  # why the end was not reached
         self._first_bus = FirstBus(channel)
         suffixes = [suffix.lower() for suffix in self.path.suffixes]
         self._gzipped = suffixes[-1:] == [".gz"]

@@ -47,8 +47,7 @@ class Poller:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Prepare to ask, or to listen where `send` is None."""
-        # set by who knows that this is another car: then nothing is asked
-        self.contradicted = False
+        self.contradicted = False  # set where this is another car: nothing is asked
         self._profile, self._clock = profile, clock
         self._decoder = AnswerDecoder(profile)
         self._restraint = Restraint()

@@ -144,8 +144,7 @@ class _Traffic:
     """Distinguishes the traffic of a car that woke from a stray frame."""
 
     def __init__(self) -> None:
-        # the bus was silent, and since then carried frames of several ids close together
-        self.awake = False
+        self.awake = False  # after a silence, several ids came close together
         self._newest_s = -math.inf
         self._waking = False
         self._first_s = -math.inf

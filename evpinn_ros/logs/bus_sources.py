@@ -41,8 +41,7 @@ class BagFrames:
         """Find the topics of this car or of all; InputError if it is no bag, or has no frames."""
         self.path = path  # of the file or folder
         self.count = 0  # frames read so far
-        # what is not a data frame, by kind; complete once all are read
-        self.skipped: Counter[str] = Counter()
+        self.skipped: Counter[str] = Counter()  # no data frames, by kind
         self._reader = BagReader(path)
         self._topics = frame_topics(self._reader, car)
         if not self._topics:

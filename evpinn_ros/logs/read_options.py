@@ -17,15 +17,12 @@ class ReadOptions:
 
     can_profile: str | None = None  # of a CAN log; None: that of the vehicle
     trust_profile: bool = False  # read a CAN log also where it contradicts the profile
-    # of a table that are given, see `evpinn_ros.logs.column.columns_by_name`
-    columns: Sequence[str] = ()
+    columns: Sequence[str] = ()  # choices of a table, see `logs.column.columns_by_name`
     # the one to read, where a table or a bag holds several: what the table's column of cars has,
     # or the namespace of its topics
     car: str | None = None
-    # heights to take in place of those recorded, where the place is known
-    terrain: Terrain | None = None
-    # of the IMU in a bag, see `evpinn_ros.topics.readings.grade_reading`
-    mounting: Rotation | None = None
+    terrain: Terrain | None = None  # heights in place of recorded ones, where positions are known
+    mounting: Rotation | None = None  # of a bag's IMU, see `topics.readings.grade_reading`
     battery: bool = True  # False for a table that needs no columns of a battery
 
 

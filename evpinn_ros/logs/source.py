@@ -27,8 +27,7 @@ class Source(ABC):
     def __init__(self, path: Path, log: Source | None = None) -> None:
         """Nothing was dropped yet; columns and clock are those of the log that it is made of."""
         self.path = path  # where it lies
-        # what was not used, by reason; complete once the readings are exhausted
-        self.dropped: Counter[str] = Counter()
+        self.dropped: Counter[str] = Counter()  # by reason, complete at the end
         if log is not None:
             self.rules, self.ignored, self.in_order = log.rules, log.ignored, log.in_order
             self.dated, self.zoned = log.dated, log.zoned

@@ -102,8 +102,7 @@ class TableDrive(Source):
         # below the header that were read, and `used`, those that gave a reading; both complete
         # once the readings are exhausted
         self.rows = self.used = 0
-        # the first cell that could not be read, with the way to mend it
-        self.first_bad: str | None = None
+        self.first_bad: str | None = None  # first unreadable cell, and the remedy
         try:
             self._head = find_head(table)
             self._table = table_of_car(table, self._head, options.car)

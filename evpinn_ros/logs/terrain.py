@@ -92,8 +92,7 @@ class Terrain:
 class HeightGrid(NamedTuple):
     """Heights at the crossings of parallels and meridians."""
 
-    # m, rows from north to south, columns from west to east; NaN or `_VOID` unknown
-    heights: NDArray[np.generic]
+    heights: NDArray[np.generic]  # m, from north to south and west to east; NaN or `_VOID` unknown
     north: float  # latitude of the first row, degrees
     west: float  # longitude of the first column, degrees
     steps: tuple[float, float]  # between rows and between columns, degrees, both above zero

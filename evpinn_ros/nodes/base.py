@@ -44,7 +44,7 @@ NOT_FINITE = "output_not_finite"
 class GuardedNode(LifecycleNodeMixin, ABC, Node):
     """A node whose callbacks never raise and which reports its health once a second."""
 
-    active, configured = True, False
+    active, configured = True, False  # it works; its parameters are in use
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         """Declare the table's parameters; work at once if no manager is wanted."""
@@ -55,8 +55,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         self.values = declare(self, self._table)  # of the parameters, by name; they follow changes
         self.received: Counter[Topic] = Counter()  # messages by input
         self.published: Counter[Topic] = Counter()  # messages by output
-        # messages and outputs that were not used, by topic and reason
-        self.bad: Counter[str] = Counter()
+        self.bad: Counter[str] = Counter()  # unused messages, by topic and reason
         self._usual: set[str] = set()  # of them, those that need no attention
         self._lasting: dict[str, float] = {}  # of them, those shown when they begin; newest, s
         self._refused: dict[str, set[str]] = {}  # reasons by input, since one was used
@@ -85,7 +84,6 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self.configured = True
             self.begin()
             return
-        # whether it works; a managed node does between `activate` and `deactivate`
         self.active = False
         LifecycleNodeMixin.__init__(self)
         # A manager's request can be lost during discovery; this one cannot.
@@ -113,7 +111,6 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         problem = self.end() if self.active else None
         if self.configured:
             self.let_go()
-        # whether its parameters are in use, and fixed but for those that may change
         self.active = self.configured = False
         return problem
 

@@ -34,8 +34,7 @@ class LogPlayer:
         self._log, self._rate, self._delay = open_can_log(path), rate, delay
         self._on_frame = on_frame
         self._stop = threading.Event()
-        # why the log could not be played to its end, None if all is well
-        self.problem: str | None = None
+        self.problem: str | None = None  # why the log was not played to its end
         self.text = f"playing {path}"  # how far it is, in a few words
         self.newest_ns = 0  # stamp of the newest frame, 0 before the first
 

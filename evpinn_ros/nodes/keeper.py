@@ -62,8 +62,7 @@ class Keeper:
         self.file.restore()
         if self.file.busy is not None and node.values["managed"]:
             raise InputError(self.file.busy)
-        # state that the core begins with, in a few words
-        self.start = self.file.start or ANEW[half]
+        self.start = self.file.start or ANEW[half]  # what it begins with, in a few words
         if (problem := self.file.problem) is not None:
             node.log(Level.WARN, f"{node.get_name()} {self.start}: {problem}")
         node.create_service(Trigger, "~/reset", self._on_reset)

@@ -75,8 +75,7 @@ class Given:
         }  # by name
         pushed = context.launch_configurations.get("ros_namespace")
         below = prefix_namespace(pushed, self.values["namespace"])
-        # absolute, with what including files have pushed
-        self.namespace: str = make_namespace_absolute(below)
+        self.namespace: str = make_namespace_absolute(below)  # with those of including files
         self.remaps: Sequence[tuple[str, str]] = context.launch_configurations.get(
             "ros_remaps", ()
         )  # pairs of names that including files have set by `SetRemap`, in their order

@@ -39,16 +39,14 @@ class StateFile:
     """The state file of one node, which has a half of it; another node may have the other."""
 
     def __init__(self, path: Path | None, owner: Stateful, half: Half) -> None:
-        # why the file was not used or not written, None if all is well
-        self.problem: str | None = None
+        self.problem: str | None = None  # why the file was not used or not written
         self._path, self._owner, self._half = path, owner, half
         self._loaded: Mapping[str, Any] | None = None
         self._refused: tuple[int, int] | None = None  # which file that was
         self._readable = True
         self._claim: StateClaim | None = None
         self._appendable = 0  # states that may follow the last that was written whole
-        # set once it was loaded, where another process has the half: nothing is written then
-        self.busy: str | None = None
+        self.busy: str | None = None  # another process has the half: nothing is written
 
     def why_unwritable(self) -> str | None:
         """The reason why the file can never be written, None where it can or none is set."""

@@ -51,7 +51,6 @@ class CarReplay:
         """
         # One thread, so that the same bag gives the same bits and other cores stay free.
         limit_blas_threads()
-        # the car
         self.vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         self.options = options  # of every replay
         self.done: list[Replayed] = []  # the results so far
@@ -65,8 +64,7 @@ class CarReplay:
         self.chain = Chain(
             self.vehicle, settings, InlineWorker(time.perf_counter), jump_rule(values)
         )  # the cores, with what they learned so far
-        # a line when half of the state was missing, else None
-        self.missing = _restore(self.chain, state)
+        self.missing = _restore(self.chain, state)  # a line when half of it was missing
 
     def open(self, path: Path, options: ReadOptions = READ_DEFAULTS) -> Source:
         """A drive to replay, as `open_source` opens it; the IMU is mounted as parameters say."""

@@ -141,15 +141,12 @@ class Drive:
     # time, predicted and RKNN energy, J, and 1-sigma of the predicted, shape (n, 4); a peer's has
     # no 1-sigma
     energy: np.ndarray
-    # for each name time, value, 1-sigma and prior share, shape (n, 4)
-    parameters: Mapping[str, np.ndarray]
+    parameters: Mapping[str, np.ndarray]  # by name: time, value, 1-sigma, prior share
     final: ParameterSet | None  # the last parameters, None if there never were any
     start_ns: int = 0  # stamp of the first reading
     zoned: bool = True  # whether its times are UTC; else they are local ones
-    # what was assumed of the log on reading it, and what was not used
-    reading_notes: tuple[str, ...] = ()
-    # time and m, shape (n, 2)
-    altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    reading_notes: tuple[str, ...] = ()  # assumptions on reading the log
+    altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))  # time and m
     # time, latitude and longitude, degrees, shape (n, 3)
     position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     # time and state of charge, 0..1, shape (n, 2)
@@ -161,8 +158,7 @@ class Drive:
     # for each identifiable combination time, value, 1-sigma, shape (n, 3)
     combinations: Mapping[str, np.ndarray] = field(default_factory=dict)
     detections: tuple[Detection, ...] = ()  # those of the learner, whenever they changed
-    # the car as known at the start and about every `MODEL_STEP`; empty without replay
-    models: tuple[KnownModel, ...] = ()
+    models: tuple[KnownModel, ...] = ()  # the car as known at about every `MODEL_STEP`
     model: CarModel | None = None  # the car as known at the end, None where nothing gives one
     # time, and s by which it went back there, shape (n, 2)
     jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))

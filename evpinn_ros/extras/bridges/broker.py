@@ -81,10 +81,8 @@ class Connection:
             from paho.mqtt.enums import CallbackAPIVersion
         self.settings, self._subscriptions, self._status = settings, subscriptions, status_topic
         self.clock = clock  # of the moments at which messages come
-        # messages that came and were dropped: too many waited, or one could not be read
-        self.lost = self.connections = 0  # how often the broker took us
-        # why there is no connection, in words, as far as it is known
-        self.problem: str | None = None
+        self.lost = self.connections = 0  # messages dropped; how often the broker took us
+        self.problem: str | None = None  # why there is no connection, if known
         self._arrived: Queue[Message] = Queue(MOST_WAITING)
         self._outbox: dict[str, tuple[str, bool]] = {}
         self._in_flight: deque[MQTTMessageInfo] = deque()

@@ -110,7 +110,6 @@ class Layout:
         self._rules = {_expression(base + topic): rules[topic] for topic in rules}
         self._stamp = stamp
         self.on_change = bool(around)  # any message of a car says that all else is as it was
-        # topic filters
         self.subscriptions = tuple((base + topic).replace(CAR, "+") for topic in around or topics)
 
     def parse(self, topic: str, payload: bytes) -> Parsed | None:

@@ -68,16 +68,13 @@ class FleetSummary:
     """Summary of a fleet for a person."""
 
     populations: dict[str, Population] = field(default_factory=dict)  # by vehicle model
-    # the first `SHOWN` rows of the table of cars
-    cars: list[dict[str, Any]] = field(default_factory=list)
-    # the first `SHOWN` drives and cars that failed, and why
-    problems: list[tuple[str, str]] = field(default_factory=list)
+    cars: list[dict[str, Any]] = field(default_factory=list)  # `SHOWN` rows of the table
+    problems: list[tuple[str, str]] = field(default_factory=list)  # `SHOWN` failures
     # evidence of the first `CHARTED` cars of a population, by model and car
     known: dict[str, dict[str, Evidence]] = field(default_factory=lambda: defaultdict(dict))
     # of the drives of each model, for trends
     points: dict[str, list[DrivePoint]] = field(default_factory=lambda: defaultdict(list))
-    # of cars, drives, drives learned and problems, all of them
-    counts: Counter[str] = field(default_factory=Counter)
+    counts: Counter[str] = field(default_factory=Counter)  # all cars, drives, learned, problems
 
 
 def require_extra() -> None:

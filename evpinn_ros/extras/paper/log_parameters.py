@@ -53,7 +53,6 @@ class LogParameters:
     def __init__(self, vehicle: Vehicle) -> None:
         priors = [vehicle.priors[name] for name in LEARNED]
         self._initial = [prior.value for prior in priors]
-        # 1-sigma of z before the data, shape (5,)
         self.prior_std = np.array([prior.std / prior.value for prior in priors])
         self._precision = np.diag(self.prior_std**-2.0)
 

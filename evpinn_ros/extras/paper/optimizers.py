@@ -54,9 +54,7 @@ class Optimizer(ABC):
     def __init__(self, problem: Problem, seed: int) -> None:
         self.problem = problem
         network = PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=problem.dtype)
-        # of Fig. 4, by Glorot's rule, on the problem's device
-        self.network = network.to(problem.device)
-        # z of the five parameters, shape (5,)
+        self.network = network.to(problem.device)  # of Fig. 4, by Glorot's rule
         self.log_scale = torch.zeros(len(LEARNED), dtype=problem.dtype, device=problem.device)
 
     @abstractmethod

@@ -37,12 +37,10 @@ NEITHER = (
 class GeoTrack(NamedTuple):
     """Points of a track; NaN where unknown."""
 
-    # shape (n, 3), longitude and latitude, degrees, and height, m, NaN where unknown
-    place: np.ndarray
+    place: np.ndarray  # shape (n, 3), longitude and latitude, degrees, and height, m
     time: np.ndarray  # shape (n,), s since anything, NaN where unknown
     speed: np.ndarray  # shape (n,), m/s, NaN where unknown
-    # number of the segment or line of each, shape (n,); what lies between two is no road
-    part: np.ndarray
+    part: np.ndarray  # number of the segment or line of each, shape (n,); between two is no road
 
 
 def legs_of_track(track: GeoTrack) -> Legs:
