@@ -62,10 +62,10 @@ class RecoveredFile:
         """Messages not saved; None when the file does not tell."""
         if self.stated is not None:
             return max(0, self.stated - self.messages)
-        known = [loss.messages for loss in self.losses]
-        if self.problem or self.more_losses or None in known:
+        counts = [loss.messages for loss in self.losses]
+        if self.problem or self.more_losses or None in counts:
             return None
-        return sum(count or 0 for count in known) + self.unknown_topic
+        return sum(count or 0 for count in counts) + self.unknown_topic
 
     @property
     def whole(self) -> bool:
@@ -183,12 +183,12 @@ def _recover_file(path: Path, copy: _Copy, progress: Progress, before: int) -> R
         records = McapRecords(file, path)
         report.size = records.size
         try:
-            done = 0
+            bytes_done = 0
             for item in records:
                 _save(item, records, report, copy)
-                if records.position > done:
-                    done = records.position
-                    progress(before + done)
+                if records.position > bytes_done:
+                    bytes_done = records.position
+                    progress(before + bytes_done)
         except InputError as error:
             report.problem = str(error)
         report.stated, report.ended = records.stated, records.ended

@@ -171,9 +171,9 @@ def _payload(section: Section) -> bytes:
         payload = bytes.fromhex(section.text("read"))
     except ValueError:
         raise section.error_at("read", "'read' must be bytes such as 22 01 01") from None
-    known = ", ".join(f"{service:02X}" for service in READ_SERVICES)
+    services = ", ".join(f"{service:02X}" for service in READ_SERVICES)
     if not payload or payload[0] not in READ_SERVICES:
-        raise section.error_at("read", f"'read' must begin with a service that reads: {known}")
+        raise section.error_at("read", f"'read' must begin with a service that reads: {services}")
     if len(payload) != 1 + READ_SERVICES[payload[0]]:
         wanted = READ_SERVICES[payload[0]]
         reason = f"service {payload[0]:02X} takes an identifier of {wanted} byte(s)"

@@ -136,9 +136,9 @@ def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
     thread.start()
     begun = time.monotonic()
     with suppress(KeyboardInterrupt), progress_bar("listening", seconds, "s") as progress:
-        while (done := time.monotonic() - begun) < seconds:
-            progress(done)
-            time.sleep(min(PERIOD, seconds - done))
+        while (elapsed := time.monotonic() - begun) < seconds:
+            progress(elapsed)
+            time.sleep(min(PERIOD, seconds - elapsed))
     status, end_ns = reader.status(), time.time_ns()
     reader.stop()
     thread.join(LONGEST_STOP)

@@ -95,12 +95,12 @@ class Clock:
 
     def stamps(self, cells: Mapping[int, Sequence[str]]) -> NDArray[np.int64]:
         """Times, ns since 1970, midnight or the start, `NONE` if unknown; of cells by column."""
-        own = [cells[place] for place in self.columns]
+        columns = [cells[place] for place in self.columns]
         if self.as_written:
-            return parsed_times(pl.Series("", own[0], dtype=pl.String), self.formats)
+            return parsed_times(pl.Series("", columns[0], dtype=pl.String), self.formats)
         if self.kind != "number":
-            return parsed_times(joined_cells(own), self.formats)
-        values = to_floats(own[0], self.style)
+            return parsed_times(joined_cells(columns), self.formats)
+        values = to_floats(columns[0], self.style)
         factor = UNITS_NS[self.unit]
         bad = ~np.isfinite(values) | (np.abs(values) > 9e18 / factor)
         values = np.where(bad, 0.0, values)
@@ -147,37 +147,37 @@ class RunningClock:
         return running
 
     def _turns(
-        self, known: NDArray[np.int64], before: NDArray[np.int64], steps: NDArray[np.int64]
+        self, times: NDArray[np.int64], before: NDArray[np.int64], steps: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         if self._is_local:
-            turned: NDArray[np.int64] = -_HOUR_NS * _set_forward(known - steps, known)
+            turned: NDArray[np.int64] = -_HOUR_NS * _set_forward(times - steps, times)
             return turned
         if self._first is not None:
-            begins = begin_drives(known, before, self._first, BACK_NS)
+            begins = begin_drives(times, before, self._first, BACK_NS)
             return np.where(begins, PAUSE_NS - steps, 0)
         turns = np.where(steps < -self._period // 2, self._period, 0)
         # A straggler from before midnight belongs to the day before.
         straggles = (steps > self._period // 2) & (np.cumsum(turns) + self._added > 0)
         return turns - np.where(straggles, self._period, 0)
 
-    def _spread_out(self, known: NDArray[np.int64], spread: Spread) -> NDArray[np.int64]:
-        begins = np.flatnonzero(np.diff(known, prepend=self._shared[0]) != 0)
-        counts = np.arange(known.size)
-        before = np.full(known.size, self._shared[1])  # rows of the stamp in the last batch
+    def _spread_out(self, times: NDArray[np.int64], spread: Spread) -> NDArray[np.int64]:
+        begins = np.flatnonzero(np.diff(times, prepend=self._shared[0]) != 0)
+        counts = np.arange(times.size)
+        before = np.full(times.size, self._shared[1])  # rows of the stamp in the last batch
         if begins.size:
             later = counts >= begins[0]
             at = np.searchsorted(begins, counts[later], side="right") - 1
             counts[later] -= begins[at]
             before[later] = 0
         if self._shared[0] == NONE:  # the log began within its first stamp
-            end = begins[1] if begins.size > 1 else known.size
+            end = begins[1] if begins.size > 1 else times.size
             before[:end] = max(0, spread.rows - spread.first)
         shared = counts + before
-        self._shared = int(known[-1]), int(shared[-1]) + 1
+        self._shared = int(times[-1]), int(shared[-1]) + 1
         step = spread.resolution_ns / spread.rows
         over = np.maximum(shared - (spread.rows - 1), 0)
         offset = np.where(over > 0, spread.resolution_ns - step / (1 + over), shared * step)
-        return np.asarray(known + offset.astype(np.int64))
+        return np.asarray(times + offset.astype(np.int64))
 
 
 _HOUR_NS, _MINUTE_NS = 3600 * NANOSECONDS, 60 * NANOSECONDS

@@ -109,16 +109,16 @@ def clock_of_numbers(
 ) -> Clock | None:
     """The clock of a column of numbers, None if most are none; `in_seconds`: never minutes."""
     values = to_floats(cells, style)
-    known = values[np.abs(values) < LARGEST]
+    times = values[np.abs(values) < LARGEST]
     filled = [cell for cell in cells if not is_missing(cell)]
-    if known.size == 0 or known.size < ENOUGH * len(filled):
+    if times.size == 0 or times.size < ENOUGH * len(filled):
         return None
     if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", filled[0].strip()):
         return None  # 20240305070809 is a date
-    if unit is None and not in_seconds and _is_clock_without_colons(known):
+    if unit is None and not in_seconds and _is_clock_without_colons(times):
         return None
-    known = _forward(known)
-    size = float(np.median(np.abs(known)))
+    times = _forward(times)
+    size = float(np.median(np.abs(times)))
     since_1970 = next((name for least, name in _SINCE_1970 if size >= least), None)
     if since_1970 is not None and (
         unit is None or size * UNITS_NS[unit] / 1e9 >= RELATIVE_BELOW_S
@@ -128,15 +128,15 @@ def clock_of_numbers(
             return None  # of another zero, or in ticks of 100 ns
         why = "since 1970, by its values"
         return Clock((column,), "number", unit=name, zoned=True, why=why, style=style)
-    name = "s" if in_seconds else unit or _unit_of_steps(known)
+    name = "s" if in_seconds else unit or _unit_of_steps(times)
     if not name:
         return None
     why = "by its name" if unit or in_seconds else "by the step between rows"
     clock = Clock((column,), "number", unit=name, why=why, style=style)
-    if _begins_anew(known, DAY_NS / UNITS_NS[name]):
+    if _begins_anew(times, DAY_NS / UNITS_NS[name]):
         return replace(clock, daily=True)
-    if _holds_drives(known, BACK_NS / UNITS_NS[name]):
-        return replace(clock, drives_from_ns=int(known[0] * UNITS_NS[name]))
+    if _holds_drives(times, BACK_NS / UNITS_NS[name]):
+        return replace(clock, drives_from_ns=int(times[0] * UNITS_NS[name]))
     return clock
 
 
@@ -343,19 +343,19 @@ def _is_day_alone(clock: Clock, stamps: NDArray[np.int64]) -> bool:
     """True if the column holds dates without a clock, or with that of midnight."""
     if clock.kind != "date" or len(clock.columns) > 1:
         return False
-    known = stamps[stamps != NONE]
-    return known.size > 1 and not (known % DAY_NS).any()
+    times = stamps[stamps != NONE]
+    return times.size > 1 and not (times % DAY_NS).any()
 
 
 def _merit(clock: Clock, stamps: NDArray[np.int64], name: str) -> tuple[float, ...]:
     if clock.order is Order.NEWEST_FIRST:
         stamps = stamps[::-1]
     stamps = clock.running().add(stamps)
-    known = stamps[stamps != NONE]
-    steps = np.diff(known)
+    times = stamps[stamps != NONE]
+    steps = np.diff(times)
     rising = float((steps > 0).mean()) if steps.size else 0.0
     return (
-        round(known.size / max(1, stamps.size), 1),
+        round(times.size / max(1, stamps.size), 1),
         -float((steps < 0).sum()),
         round(rising, 1),  # a date that comes in bursts tells no rows apart
         float(clock.dated),

@@ -27,15 +27,15 @@ def start_by_date(
     clock: Clock, others: Sequence[Clock], survey: Survey
 ) -> tuple[int, Clock] | None:
     """Stamp of time 0 of a clock without date, ns, and the clock with the date; oldest first."""
-    own = clock.running().add(clock.stamps(survey.cells))
+    times = clock.running().add(clock.stamps(survey.cells))
     for other in others:
         if not other.dated:
             continue
         dates = other.stamps(survey.cells)
-        both = (own != NONE) & (dates != NONE)
+        both = (times != NONE) & (dates != NONE)
         if both.any():  # by the first row: some apps write the date in bursts, later and later
             first = int(np.argmax(both))
-            return int(dates[first] - own[first]), other
+            return int(dates[first] - times[first]), other
     return None
 
 

@@ -105,30 +105,30 @@ def columns_by_name(
     `time=NAME:FORMAT`. InputError: a choice names no quantity, column or unit, or a needed
     column's unit is unknown.
     """
-    own = [
+    ours = [
         Column(BY_COLUMN[name], name, place=i)
         for i, name in enumerate(header)
         if name in BY_COLUMN
     ]
     given = [_chosen(text, header) for text in chosen]
-    known = {column.quantity for column in given}
-    columns = [column for column in own if column.quantity not in known] + given
-    if len({column.quantity for column in own}) < len(own):
+    quantities = {column.quantity for column in given}
+    columns = [column for column in ours if column.quantity not in quantities] + given
+    if len({column.quantity for column in ours}) < len(ours):
         raise InputError("a column is there twice")
     if is_complete({column.quantity for column in columns}):
         return columns
-    known = {column.quantity for column in columns}
+    quantities = {column.quantity for column in columns}
     taken = {column.place for column in columns}
     app = app_of(header)
     for quantity in QUANTITIES:
-        if quantity in known:
+        if quantity in quantities:
             continue
         if quantity == "time":
             names = [i for i in range(len(header)) if score(quantity, header[i]) > 0]
             columns += [column_of(quantity, header, i) for i in names if i not in taken]
             continue
         # Power is voltage times current: of a stranger's file it is not needed then.
-        if quantity == "power" and {"voltage", "current"} <= known:
+        if quantity == "power" and {"voltage", "current"} <= quantities:
             continue
         free = (i for i in range(len(header)) if i not in taken and i not in empty)
         best_name = app.columns.get(quantity) if app else None
@@ -144,7 +144,7 @@ def columns_by_name(
         best = max(scores, key=lambda i: scores[i], default=None)
         if best is not None and scores[best] > 0:
             columns.append(column_of(quantity, header, best))
-            known.add(quantity)
+            quantities.add(quantity)
             taken.add(best)
     return columns
 
@@ -179,10 +179,10 @@ def check_columns(
 def _chosen(text: str, header: Sequence[str]) -> Column:
     quantity, _, rest = text.partition("=")
     if quantity not in QUANTITIES or not rest:
-        known = ", ".join(QUANTITIES)
+        quantities = ", ".join(QUANTITIES)
         near = near_names(quantity, QUANTITIES)
         raise InputError(
-            f"--column {text}{near}: say QUANTITY=NAME or QUANTITY=NAME:UNIT, with {known}"
+            f"--column {text}{near}: say QUANTITY=NAME or QUANTITY=NAME:UNIT, with {quantities}"
         )
     # The longest name, for names and formats may hold colons.
     names = sorted((name for name in header if rest.startswith(f"{name}:")), key=len)

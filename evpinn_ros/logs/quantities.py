@@ -228,7 +228,7 @@ def words_of(name: str) -> tuple[str, tuple[str, ...]]:
 @lru_cache(maxsize=65536)
 def score(quantity: str, name: str) -> float:
     """Score of a name for a quantity; 0 when it is none."""
-    known = QUANTITIES[quantity]
+    meanings = QUANTITIES[quantity]
     words, brackets = words_of(name)
     # A bracket that qualifies, as in `Voltage (OBD Adapter)(V)`, is part of the name.
     for text in brackets[:-1]:
@@ -238,10 +238,12 @@ def score(quantity: str, name: str) -> float:
         return sum(f" {phrase} " in words for phrase in _phrases(phrases))
 
     spelled = words if not brackets else f"{words}{re.sub(r'[^a-z]', '', brackets[-1])} "
-    needed = not known.needs or any(f" {phrase} " in spelled for phrase in _phrases(known.needs))
-    if not has(known.words) or has(known.never) or not needed:
+    needed = not meanings.needs or any(
+        f" {phrase} " in spelled for phrase in _phrases(meanings.needs)
+    )
+    if not has(meanings.words) or has(meanings.never) or not needed:
         return 0.0
-    return 1.0 + has(known.better) - 0.5 * min(1, has(known.worse))
+    return 1.0 + has(meanings.better) - 0.5 * min(1, has(meanings.worse))
 
 
 def speaks_of(quantity: str, name: str) -> bool:

@@ -113,8 +113,8 @@ def long_form(head: Head) -> tuple[int, int, int | None] | None:
     """The columns of names, values and units of a long table; None where it is none."""
     names = [name.strip().lower() for name in head.names]
 
-    def place(known: Sequence[str]) -> int | None:
-        return next((names.index(word) for word in known if word in names), None)
+    def place(words: Sequence[str]) -> int | None:
+        return next((names.index(word) for word in words if word in names), None)
 
     name, value = place(NAMES), place(VALUES)
     if name is None or value is None or name == value:
@@ -130,9 +130,9 @@ def names_some(row: Sequence[str]) -> bool:
     names = [name for name in names if not name[:1].isdigit()][:1000]
     quantities = {
         quantity
-        for quantity, known in QUANTITIES.items()
+        for quantity, meaning in QUANTITIES.items()
         for name in names
-        if name == known.column or score(quantity, name) > 0
+        if name == meaning.column or score(quantity, name) > 0
     }
     return len(quantities) >= 2 or ("time" in quantities and long_form(Head(names, 0)) is not None)
 

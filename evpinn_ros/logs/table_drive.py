@@ -124,8 +124,8 @@ class TableDrive(Source):
     def _begin(self, columns: list[Column], options: ReadOptions) -> None:
         """Choose clock, units and signs by the cells of the columns."""
         header = self._head.names
-        own = all(not column.why and column.is_ours for column in columns)
-        limit = FEW_ROWS if own else MOST_ROWS
+        all_ours = all(not column.why and column.is_ours for column in columns)
+        limit = FEW_ROWS if all_ours else MOST_ROWS
         if self._long is not None:  # one signal may come after the other
             limit = sys.maxsize
         survey = self._look_through(columns, limit)
@@ -151,7 +151,7 @@ class TableDrive(Source):
             stamps = stamps[rows]
             survey.put_in_order(rows.tolist())
         self._contradictions: tuple[str, ...] = ()
-        self.rules = self._ruled(columns, own, stamps)
+        self.rules = self._ruled(columns, all_ours, stamps)
         self.ignored = unused_columns(header, self.rules, self.clock.columns, survey.empty)
         if self._long is not None:
             self.ignored |= dict.fromkeys(self._long.others, NO_USE)
@@ -382,7 +382,9 @@ class TableDrive(Source):
                     f"--column {rule.quantity}=NAME takes another column"
                 )
 
-    def _ruled(self, columns: Sequence[Column], own: bool, stamps: Stamps) -> tuple[Column, ...]:
+    def _ruled(
+        self, columns: Sequence[Column], all_ours: bool, stamps: Stamps
+    ) -> tuple[Column, ...]:
         clock, header = self.clock, self._head.names
         time = Column("time", header[clock.columns[0]], place=clock.columns[0])
         if not time.is_ours:
@@ -398,7 +400,7 @@ class TableDrive(Source):
         signals = measured_alone(
             {name: self._signal(column, times) for name, column in {**used, **beside}.items()}
         )
-        if not own:
+        if not all_ours:
             used = with_units(used, signals)
         self._not_traction = of_12_volts(used, signals)
         if self._engine is not None:
@@ -420,8 +422,8 @@ class TableDrive(Source):
 
     def _start(self, others: Sequence[Clock], stamps: Stamps) -> tuple[int, str]:
         """Offset to add to the times of the clock, ns, and the source of the date."""
-        clock, known = self.clock, stamps[stamps != NONE]
-        first = int(known[0]) if known.size else NONE
+        clock, times = self.clock, stamps[stamps != NONE]
+        first = int(times[0]) if times.size else NONE
         if clock.dated or first >= RELATIVE_BELOW_S * NANOSECONDS:
             return 0, "log"
         if dated := start_by_date(clock, others, self._survey):

@@ -65,16 +65,16 @@ class Terrain:
     def heights(self, latitude: FloatArray, longitude: FloatArray) -> FloatArray:
         """Heights at n places in degrees, m, NaN without a tile; InputError if damaged."""
         heights = np.full(latitude.shape, np.nan)
-        known = np.isfinite(latitude) & np.isfinite(longitude)
-        corners = np.floor(np.column_stack((latitude, longitude))[known]).astype(int)
+        placed = np.isfinite(latitude) & np.isfinite(longitude)
+        corners = np.floor(np.column_stack((latitude, longitude))[placed]).astype(int)
         for south, west in np.unique(corners, axis=0).tolist():
             path = self._paths.get((south, west))
             if path is None:
                 continue
-            here = known & (np.floor(latitude) == south) & (np.floor(longitude) == west)
+            here = placed & (np.floor(latitude) == south) & (np.floor(longitude) == west)
             heights[here] = self._hgt(path, south, west).at(latitude[here], longitude[here])
         for grid in self._grids:
-            left = known & np.isnan(heights)
+            left = placed & np.isnan(heights)
             heights[left] = grid.at(latitude[left], longitude[left])
         return heights
 

@@ -129,9 +129,9 @@ def _sign(drawn: Signal, speed: Column, cells: Mapping[str, Signal]) -> tuple[bo
 def _sag(current: Signal, voltage: Signal) -> float:
     """Correlation of the steps of current and voltage, which falls under load; 0 if not clear."""
     at = at_times(voltage, current.time)
-    known = np.isfinite(at) & np.isfinite(current.value)
-    amps, volts = np.diff(current.value[known]), np.diff(at[known])
-    near = np.diff(current.time[known]) <= LONGEST_STEP
+    both = np.isfinite(at) & np.isfinite(current.value)
+    amps, volts = np.diff(current.value[both]), np.diff(at[both])
+    near = np.diff(current.time[both]) <= LONGEST_STEP
     amps, volts = amps[near], volts[near]
     if amps.size < LEAST_SAGS or not amps.any() or not volts.any():
         return 0.0
@@ -158,13 +158,13 @@ def wrapped_while_braking(drawn: Signal, speed: Signal) -> float:
     return span if np.mean(upper) < min(0.0, float(np.mean(lower))) else 0.0
 
 
-def wrapped_at(known: FloatArray, spans: Sequence[float] = SPANS) -> float:
+def wrapped_at(numbers: FloatArray, spans: Sequence[float] = SPANS) -> float:
     """Span of unsigned numbers that wrap below zero (-13.6 A is 65536 steps more), else 0."""
-    if not known.size or known.min() < 0:
+    if not numbers.size or numbers.min() < 0:
         return 0.0
-    span = next((span for span in spans if known.max() <= span), 0.0)
-    middle = (known > 0.25 * span) & (known < 0.75 * span)
-    upper = known >= 0.75 * span
+    span = next((span for span in spans if numbers.max() <= span), 0.0)
+    middle = (numbers > 0.25 * span) & (numbers < 0.75 * span)
+    upper = numbers >= 0.75 * span
     return span if upper.sum() >= LEAST_WRAPPED and not middle.any() else 0.0
 
 
@@ -178,42 +178,42 @@ def signed(values: FloatArray, span: float) -> FloatArray:
     return np.where(values > 0.5 * span, values - span, values) if span else values
 
 
-def _voltage_unit(column: Column, known: FloatArray) -> Column:
-    middle = float(np.median(known)) if known.size else 0.0
+def _voltage_unit(column: Column, values: FloatArray) -> Column:
+    middle = float(np.median(values)) if values.size else 0.0
     text = "mv" if middle > HIGHEST else "v"
     return column.in_unit(text, f"by its values, about {middle:.3g}")
 
 
-def _current_unit(column: Column, known: FloatArray) -> Column:
-    largest = _largest(known)
+def _current_unit(column: Column, values: FloatArray) -> Column:
+    largest = _largest(values)
     text = "ma" if largest > HEAVIEST else "a"
     return column.in_unit(text, f"by its values, up to {largest:.3g}")
 
 
-def _power_unit(column: Column, known: FloatArray) -> Column:
-    largest = _largest(known)
+def _power_unit(column: Column, values: FloatArray) -> Column:
+    largest = _largest(values)
     text = "kw" if 0 < largest < WEAKEST else "w"
     column = column.in_unit(text, f"by its values, up to {largest:.3g}")
     return column.guessed(("w",)) if STRONG < largest < WEAKEST else column
 
 
-def _largest(known: FloatArray) -> float:
-    return float(np.quantile(np.abs(known), 0.99)) if known.size else 0.0
+def _largest(values: FloatArray) -> float:
+    return float(np.quantile(np.abs(values), 0.99)) if values.size else 0.0
 
 
-def _charge_unit(column: Column, known: FloatArray) -> Column:
-    highest = float(known.max(initial=0.0))
+def _charge_unit(column: Column, values: FloatArray) -> Column:
+    highest = float(values.max(initial=0.0))
     if 0 < highest <= 1.0:
         return column.in_unit("fraction", "by its values")
-    if np.median(known) > 100.0 if known.size else False:
+    if np.median(values) > 100.0 if values.size else False:
         # LeafSpy counts 1/10000 of a percent.
         factor = 10.0 ** -np.ceil(np.log10(highest / 101.0))
         return column.measured_in(f"{factor:g} %", Unit(float(factor)), "by its values")
     return column.in_unit("%", "by its values")
 
 
-def _temperature_unit(column: Column, known: FloatArray) -> Column:
-    middle = float(np.median(known)) if known.size else 0.0
+def _temperature_unit(column: Column, values: FloatArray) -> Column:
+    middle = float(np.median(values)) if values.size else 0.0
     if middle > HOTTEST:
         return column.in_unit("f", f"its median of {middle:.3g} is too hot for °C").guessed(())
     if column.could_be:  # as its app's setting may be
@@ -338,8 +338,8 @@ def _in_si(signal: Signal, column: Column) -> Signal:
 def _compared(column: Column, power: Signal, drawn: Signal) -> Iterator[str]:
     name = column.name
     at = at_times(power, drawn.time)
-    known = np.isfinite(at) & np.isfinite(drawn.value)
-    beside, other = at[known], drawn.value[known]
+    both = np.isfinite(at) & np.isfinite(drawn.value)
+    beside, other = at[both], drawn.value[both]
     if beside.size < LEAST_EVENTS or not np.ptp(beside) or not np.ptp(other):
         return
     alike = float(np.corrcoef(beside, other)[0, 1])

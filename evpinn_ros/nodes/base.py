@@ -136,8 +136,8 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
 
     def advertise(self, *outputs: Topic) -> None:
         """Make publishers for `publish`."""
-        known = factory.is_installed(PACKAGE)
-        beside = [TYPED[topic] for topic in outputs if known and topic in TYPED]
+        has_typed = factory.is_installed(PACKAGE)
+        beside = [TYPED[topic] for topic in outputs if has_typed and topic in TYPED]
         for topic in (*outputs, *beside):
             outlet = factory.advertise(self, topic, partial(self._refused_by, topic))
             self._outlets[topic] = outlet

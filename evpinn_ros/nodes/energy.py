@@ -235,8 +235,8 @@ class EnergyNode(GuardedNode):
 
     def _speed(self) -> float:
         """Speed at which a path without times is driven, m/s."""
-        own = self._vehicle.nominal_speed
-        return self.values["nominal_speed"] or (NOMINAL_SPEED if math.isnan(own) else own)
+        nominal = self._vehicle.nominal_speed
+        return self.values["nominal_speed"] or (NOMINAL_SPEED if math.isnan(nominal) else nominal)
 
     def _refuse(self, header: Any, reason: str) -> None:
         self.publish([self._plan_status(header, Status("plan", Level.WARN, reason, {}))])
@@ -306,12 +306,12 @@ class EnergyNode(GuardedNode):
         self.calls["~/estimate_plans"] += 1
         kind = message_class(PLAN_ACTION)
         call, moment = PlanCall(goal.request, BATCH, self.plans), self._moment()
-        own: list[Forecaster] = []
+        forecasters: list[Forecaster] = []
 
         def next_one(forecaster: Forecaster) -> None:
-            if not own:
-                own.append(copy(forecaster))
-            call.answer(own[0], moment)
+            if not forecasters:
+                forecasters.append(copy(forecaster))
+            call.answer(forecasters[0], moment)
 
         while not (call.finished or goal.is_cancel_requested):
             await self._at_the_desk(call, next_one)

@@ -118,8 +118,8 @@ def refuse_unknown_overrides(node: Node) -> None:
     for name in sorted(given):
         endpoint, _, policy = name.rpartition(".")
         if node.has_parameter(f"{endpoint}.depth") and not node.has_parameter(name):
-            known = ", ".join(kind.name.lower() for kind in OVERRIDABLE)
-            raise InputError(f"{name}: '{policy}' cannot be overridden; known are {known}")
+            policies = ", ".join(kind.name.lower() for kind in OVERRIDABLE)
+            raise InputError(f"{name}: '{policy}' cannot be overridden; known are {policies}")
 
 
 def _mismatch(tell: Callable[[str], None] | None) -> dict[str, Any]:

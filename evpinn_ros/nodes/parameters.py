@@ -51,12 +51,12 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
 
 def unknown_parameters(node: Node, table: tuple[Parameter, ...]) -> list[str]:
     """A line for each given parameter that no node here has; rclpy ignores it."""
-    known = {parameter.name for table in TABLES.values() for parameter in table}
-    own = [parameter.name for parameter in table]
+    all_names = {parameter.name for table in TABLES.values() for parameter in table}
+    names = [parameter.name for parameter in table]
     return [
-        f"unknown parameter '{given}'{near_names(given, own)}"
+        f"unknown parameter '{given}'{near_names(given, names)}"
         for given in node._parameter_overrides
-        if given not in known and given.partition(".")[0] not in OF_EVERY_NODE
+        if given not in all_names and given.partition(".")[0] not in OF_EVERY_NODE
     ]
 
 

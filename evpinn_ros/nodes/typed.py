@@ -56,14 +56,14 @@ def quantities(message: Any) -> list[str]:
 
 def typed_message(topic: Topic, vector: Any) -> Any:
     """The typed message of a topic of `TYPED`: the header and the numbers of its named vector."""
-    known = {
+    numbers = {
         f"{name}{end}": value
         for end, values in (("", vector.position), (RATE, vector.velocity), (SIGMA, vector.effort))
         for name, value in zip(vector.name, values, strict=False)
     }
     message = new_message(TYPED[topic].type_name, header=vector.header)
     for name in quantities(message):
-        setattr(message, name, known.get(name, math.nan))
+        setattr(message, name, numbers.get(name, math.nan))
     return message
 
 

@@ -92,8 +92,8 @@ def charged(drive: Drive, span: Span | None = None) -> float:
 def _battery_steps(drive: Drive) -> tuple[DrivenSteps, np.ndarray]:
     """Steps with speed and battery, and which of them charge the standing car, shape (n,)."""
     time, power = drive.measured.T
-    speed, known = known_at(rising(drive.speed), time)
-    steps = _steps(np.column_stack((time, speed)), power, known)
+    speed, is_known = known_at(rising(drive.speed), time)
+    steps = _steps(np.column_stack((time, speed)), power, is_known)
     charging = steps.energy < CHARGING_POWER * steps.seconds
     return steps, charging & (steps.speed < STANDSTILL_SPEED)
 

@@ -59,8 +59,8 @@ def power_score(drive: Drive, series: PowerSeries, span: Span) -> dict[str, floa
 
 def scored(drive: Drive, series: PowerSeries, span: Span) -> np.ndarray:
     """Mask of scored predictions: in the span, and measured at their moment; shape (n,)."""
-    _, known = measured_at(drive, series.time)
-    chosen: np.ndarray = known & span.holds(series.time)
+    _, is_measured = measured_at(drive, series.time)
+    chosen: np.ndarray = is_measured & span.holds(series.time)
     return chosen
 
 
@@ -71,11 +71,13 @@ def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
     if inside.sum() < 2:
         return dict.fromkeys(keys)
     rows = drive.energy[inside]
-    known = whole_stretches(rows[:, 0])
+    stretches = whole_stretches(rows[:, 0])
     measured_spans = whole_stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
-    common = common_stretches(known, measured_spans) or known
+    common = common_stretches(stretches, measured_spans) or stretches
     predicted, rknn = (_increase(rows[:, 0], column, common) for column in rows.T[1:3])
-    measured = measured_energy(drive, common) if common_stretches(known, measured_spans) else None
+    measured = (
+        measured_energy(drive, common) if common_stretches(stretches, measured_spans) else None
+    )
     score: dict[str, float | None] = dict.fromkeys(keys)
     score.update(measured_j=measured, predicted_j=predicted, rknn_j=rknn)
     if measured:
@@ -228,9 +230,9 @@ def battery_age_scores(
     scores_by_age = {f"{age:g}": dict(empty) for age in BATTERY_AGES}
     if len(given) < 2 or not len(series.time):
         return scores_by_age
-    truth, known = measured_at(drive, series.time)
+    truth, is_measured = measured_at(drive, series.time)
     last = np.searchsorted(given[:, 0], series.time, side="right") - 1
-    chosen = known & (series.time > warm_up) & (last >= 0)
+    chosen = is_measured & (series.time > warm_up) & (last >= 0)
     age = series.time[chosen] - given[last[chosen], 0]
     edges = np.sqrt(np.array(BATTERY_AGES[1:]) * np.array(BATTERY_AGES[:-1]))
     group = np.searchsorted(edges, age)

@@ -107,14 +107,14 @@ def _energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topi
     flows = {name: getattr(state, name) for name in FLOWS}
     power = state.measured.power if state.measuring else state.predicted.power
     flows["consumed"] = Flow(state.consumed, power, state.consumed_sigma)
-    known = {
+    finite = {
         name: flow
         for name, flow in flows.items()
         if math.isfinite(flow.energy) and math.isfinite(flow.power)
     }
-    if known:
-        energies, powers, sigmas = zip(*known.values(), strict=True)
-        vector = named_vector(new, state.stamp_ns, list(known), energies, sigmas, powers)
+    if finite:
+        energies, powers, sigmas = zip(*finite.values(), strict=True)
+        vector = named_vector(new, state.stamp_ns, list(finite), energies, sigmas, powers)
         yield topics.ENERGY_STATE, vector
     yield topics.ENERGY_CONSUMED, scalar(new, state.consumed)
 
@@ -143,9 +143,9 @@ def _summary_messages(new: NewMessage, summary: AccountSummary) -> Iterator[tupl
             "distance_lower": Uncertain(lower, 0.0),
             "distance_upper": Uncertain(upper, 0.0),
         }
-    known = {name: value for name, value in values_by_name.items() if value.known}
-    if known:
-        yield topics.ENERGY_RANGE, _vector(new, summary.stamp_ns, known)
+    finite = {name: value for name, value in values_by_name.items() if value.known}
+    if finite:
+        yield topics.ENERGY_RANGE, _vector(new, summary.stamp_ns, finite)
 
 
 def _totals(prefix: str, totals: EnergyTotals) -> dict[str, Uncertain]:

@@ -289,8 +289,8 @@ TABLES: Mapping[str, tuple[Parameter, ...]] = {
 
 def of_node(name: str, values: Mapping[str, Value]) -> dict[str, Value]:
     """The values that are parameters of a node."""
-    known = {parameter.name for parameter in TABLES[name]}
-    return {key: value for key, value in values.items() if key in known}
+    names = {parameter.name for parameter in TABLES[name]}
+    return {key: value for key, value in values.items() if key in names}
 
 
 def refuse_wrong(table: tuple[Parameter, ...], values: Mapping[str, object]) -> None:

@@ -64,19 +64,19 @@ def _sections(
 
 def _checked(root: Section, nodes: list[str], section: yaml.Node) -> dict[str, Any]:
     """The values of a section that is for one or for all nodes, each checked by itself."""
-    known = {parameter.name: node for node in nodes for parameter in TABLES[node]}
+    node_of = {parameter.name: node for node in nodes for parameter in TABLES[node]}
     values: dict[str, Any] = {}
     for key, node in _items(root, section):
         name = str(key.value)
         if name.partition(".")[0] in OF_EVERY_NODE:
             continue
-        if name not in known:
-            raise root.error(f"unknown parameter '{name}'{known_names(name, known)}", key)
+        if name not in node_of:
+            raise root.error(f"unknown parameter '{name}'{known_names(name, node_of)}", key)
         try:
             values[name] = _value(node)
         except ValueError as error:
             raise root.error(f"{name}: {error}", node) from error
-        table = TABLES[known[name]]
+        table = TABLES[node_of[name]]
         if problem := next(p for p in table if p.name == name).problem(values[name]):
             raise root.error(problem, node)
     return values

@@ -236,9 +236,9 @@ def _undo(q: Any, mounting: Rotation) -> Rotation:
 def speed_reading(message: Any) -> SpeedReading:
     """Speed of a TwistWithCovarianceStamped; a variance of 0 or less is unknown."""
     variance = float(message.twist.covariance[0])
-    known = 0 < variance < math.inf
+    has_variance = 0 < variance < math.inf
     speed = usable(message.twist.twist.linear.x)
-    return SpeedReading(stamp_ns(message), speed, variance if known else math.nan)
+    return SpeedReading(stamp_ns(message), speed, variance if has_variance else math.nan)
 
 
 def velocity_report_reading(message: Any) -> SpeedReading:

@@ -55,8 +55,8 @@ class LocalExecutor:
             pool = self._worker()
             running[pool.submit(work, task)] = (pool, task)
         while running:
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
+            finished, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in finished:
                 pool, task = running.pop(future)
                 error = future.exception()
                 for following in islice(left, 1):
@@ -112,13 +112,13 @@ class DaskExecutor:
         left = iter(tasks)
         window = 2 * sum(self._client.nthreads().values())
         self._running = {self._begin(work, task): task for task in islice(left, window)}
-        done = as_completed(list(self._running), loop=self._client.loop)
-        for future in done:
+        finished = as_completed(list(self._running), loop=self._client.loop)
+        for future in finished:
             task = self._running.pop(future)
             for following in islice(left, 1):
                 begun = self._begin(work, following)
                 self._running[begun] = following
-                done.add(begun)
+                finished.add(begun)
             error: BaseException | None = RuntimeError("the scheduler lost the task")
             if future.status in ("finished", "error"):
                 error = future.exception()

@@ -182,8 +182,8 @@ def _driven(speed: np.ndarray) -> np.ndarray:
 
 def planned_in_bag(path: Path, vehicle: Vehicle) -> Plan | None:
     """The newest plan in a bag, as the node reads it; None if there is none, or a drive."""
-    own = vehicle.nominal_speed
-    usual = NOMINAL_SPEED if math.isnan(own) else own
+    nominal = vehicle.nominal_speed
+    usual = NOMINAL_SPEED if math.isnan(nominal) else nominal
     plan: Plan | PlanError | None = None
     with BagReader(path) as bag:
         if DRIVEN & {topic.type_name for topic in bag.topics.values()}:

@@ -22,12 +22,12 @@ class Heights(NamedTuple):
 
     def climbs(self, distance: np.ndarray) -> np.ndarray | None:
         """Smoothed climb, m, from each of n distances to the next; NaN or None if unknown."""
-        known = np.isfinite(self.height)
-        if known.sum() < 2:
+        finite = np.isfinite(self.height)
+        if finite.sum() < 2:
             return None
-        along = np.clip(self.along[known], 0.0, FARTHEST)
+        along = np.clip(self.along[finite], 0.0, FARTHEST)
         middle = (distance[1:] + distance[:-1]) / 2
-        height = plausible_heights(along, self.height[known])
+        height = plausible_heights(along, self.height[finite])
         climb = np.diff(road_height(along, height, distance))
         return np.where((middle >= along[0]) & (middle <= along[-1]), climb, np.nan)
 

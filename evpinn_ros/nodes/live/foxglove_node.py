@@ -21,8 +21,10 @@ class FoxgloveNode(GuardedNode):
         """Serve to Foxglove and to pages of `origins`; port 0: any; or InputError."""
         super().__init__("foxglove", **kwargs)
         self._count = 0
-        known = installed(TOPICS)
-        offered = {self.resolve_topic_name(topic.name): topic.type_name for topic in known}
+        installed_topics = installed(TOPICS)
+        offered = {
+            self.resolve_topic_name(topic.name): topic.type_name for topic in installed_topics
+        }
         self._server = FoxgloveServer(host, port, offered, origins=origins)
         self._text, self._level = f"serving {self._server.address}", Level.OK
         if not is_loopback(host):
@@ -31,7 +33,7 @@ class FoxgloveNode(GuardedNode):
             self.get_logger().warning(self._text)
         else:
             self.get_logger().info(self._text)
-        for topic in known:
+        for topic in installed_topics:
             self.listen(topic, partial(self._send, topic), raw=True)
 
     def statuses(self) -> list[Status]:

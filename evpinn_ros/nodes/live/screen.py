@@ -189,8 +189,8 @@ def _power(data: LiveData, now: float, width: int, rows: int) -> Iterable[Text]:
 
 def power_axis(values: Sequence[float]) -> tuple[float, float]:
     """Round ends, W, of an axis that holds zero and all values a car can have; NaN are none."""
-    known = [value for value in values if abs(value) < BEYOND_ANY_CAR]
-    low, high = min([0.0, *known]), max([0.0, *known])
+    plausible = [value for value in values if abs(value) < BEYOND_ANY_CAR]
+    low, high = min([0.0, *plausible]), max([0.0, *plausible])
     span = max(high - low, 1000.0)
     step = 10.0 ** math.floor(math.log10(span))
     step = next((step / n for n in (5, 2) if span / step * n <= 8), step)
