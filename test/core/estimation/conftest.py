@@ -12,6 +12,7 @@ import pytest
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
 from evpinn_ros.core.estimation.posterior import passed
+from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.interval import Interval, Steps
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
@@ -124,21 +125,25 @@ def intervals() -> Callable[..., list[Interval]]:
     return cut
 
 
+def measured(equation, drive, noise=0.0, seed=0, **factors) -> list[Interval]:
+    """Intervals with the energy of the prior car, some of its states multiplied by a factor."""
+    truth, rng = equation.mean.copy(), np.random.default_rng(seed)
+    for name, factor in factors.items():
+        truth[State[name]] *= factor
+    return [
+        replace(
+            one,
+            energy=float(passed(equation, one, 0.0).journey.row @ truth) + rng.normal(0.0, noise),
+            sampling_variance=0.0,
+        )
+        for one in drive
+    ]
+
+
 @pytest.fixture(scope="session")
 def as_prior(intervals) -> Callable[..., list[Interval]]:
     """Intervals of a kind of drive, with the energy that the prior car takes."""
-
-    def measured(equation, drive) -> list[Interval]:
-        return [
-            replace(
-                interval,
-                energy=float(passed(equation, interval, 0.0).journey.row @ equation.mean),
-                sampling_variance=0.0,
-            )
-            for interval in intervals(drive, begin_ns=0)
-        ]
-
-    return measured
+    return lambda equation, drive: measured(equation, intervals(drive, begin_ns=0))
 
 
 @cache
@@ -152,7 +157,7 @@ def drive() -> Callable[[int, float], SimulatedDrive]:
     return _drive
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def new_estimator(vehicle) -> Callable[..., OnlineEstimator]:
     """An estimator of this car with these settings."""
 

@@ -7,33 +7,18 @@ import pytest
 
 from evpinn_ros.core.estimation.breakdown import net_climb
 from evpinn_ros.core.estimation.car import LearnedCar
-from evpinn_ros.core.estimation.posterior import passed
-from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import WHOLE, Part, equation_of
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
+from test.core.estimation.conftest import measured
 
 EQUATION = equation_of(load_vehicle("tesla_model_3_lr"))
-TRUTH = EQUATION.mean.copy()
-TRUTH[State.MASS] *= 1.05
-
-
-def measured(drive, noise=500.0, seed=0):
-    """Intervals with the energy of a car a little heavier than the prior."""
-    rng = np.random.default_rng(seed)
-    return [
-        replace(
-            one,
-            energy=float(passed(EQUATION, one, 0.0).journey.row @ TRUTH) + rng.normal(0, noise),
-            sampling_variance=0.0,
-        )
-        for one in drive
-    ]
 
 
 @pytest.fixture(scope="module")
 def town(intervals):
-    return measured(intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0))
+    """Five minutes of a car a little heavier than the prior."""
+    return measured(EQUATION, intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0), 500.0, MASS=1.05)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +37,8 @@ def seen(town) -> LearnedCar:
 def later(learned, intervals):
     """Another drive in town, a minute after the first."""
     begin_ns = learned.end_ns + 60 * 10**9
-    return measured(intervals((DriveKind.URBAN, 300.0, 1), begin_ns=begin_ns), seed=1)
+    drive = intervals((DriveKind.URBAN, 300.0, 1), begin_ns=begin_ns)
+    return measured(EQUATION, drive, 500.0, seed=1, MASS=1.05)
 
 
 @pytest.fixture(scope="module")

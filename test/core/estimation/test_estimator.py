@@ -44,23 +44,6 @@ def test_the_first_predictions_are_the_prior_s(new_estimator, play, powers, vehi
     assert all(power.power == pytest.approx(expected, rel=0.02) for power in found)
 
 
-def test_measured_power_is_passed_on(new_estimator, play, powers, at_start):
-    readings = [
-        BatteryReading(at_start, 400.0, -25.0),
-        BatteryReading(at_start + 1, math.nan, -25.0),
-        BatteryReading(at_start + 2, 400.0, 5.0),
-    ]
-    found = powers(play(new_estimator(), readings), PowerKind.MEASURED)
-    assert [(p.stamp_ns, p.power) for p in found] == [
-        (at_start, 10_000.0),
-        (at_start + 1, 10_000.0),  # with the last voltage
-        (at_start + 2, -2000.0),
-    ]
-    # 30 W and 1 % of the reading
-    expected = [math.hypot(30, 100), math.hypot(30, 100), math.hypot(30, 20)]
-    assert [p.sigma for p in found] == pytest.approx(expected)
-
-
 @pytest.fixture
 def at_start(cruise) -> int:
     return cruise(0, 1)[0].stamp_ns
@@ -70,13 +53,6 @@ def test_parameters_come_once_a_second(new_estimator, play, cruise, at_start):
     outputs = play(new_estimator(), cruise(0, 5.2))
     found = [output for output in outputs if isinstance(output, ParameterSet)]
     assert [f.stamp_ns - at_start for f in found] == [k * NANOSECONDS for k in (1, 2, 3, 4, 5)]
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_the_same_readings_give_the_same_bits(new_estimator, play, drive, mode):
-    readings = up_to(drive(1, 240.0).readings, 15.0 if mode is Mode.HYBRID else 9.0)
-    first, second = (play(new_estimator(mode=mode), readings) for _ in range(2))
-    assert text(first) == text(second) and len(first) > 250
 
 
 @pytest.mark.parametrize(

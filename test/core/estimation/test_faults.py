@@ -8,8 +8,6 @@ import pytest
 from benchmarks.truth import CarChain
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.replays.simulation.drive import DriveKind
-from evpinn_ros.replays.simulation.simulate import simulate
 
 HELD = ("mass_over_eta", "regeneration")
 
@@ -50,18 +48,3 @@ def test_hours_without_excitation_move_nothing(vehicle, drive, speed, power, sec
     at_first = CarChain(vehicle).parameters().parameters
     for name, estimate in after.parameters.items():
         assert estimate.std <= 3.0 * at_first[name].std, name  # a network may do it too
-
-
-@pytest.mark.slow
-def test_a_heavier_car_has_the_ratio_of_its_mass(vehicle):
-    """One drive with a tenth more in the car: m/eta tells the ratio, whatever eta is."""
-    first = simulate(DriveKind.URBAN, vehicle, 600.0, 5, car={"mass": 1750.0})
-    heavier = simulate(DriveKind.URBAN, vehicle, 600.0, 5, car={"mass": 1925.0})
-    found = []
-    for driven in (first, heavier):
-        chain = CarChain(vehicle)
-        chain.add_readings(driven.readings)
-        found.append(chain.parameters().identifiable.mass_over_eta)
-    true = heavier.truth.identifiable.mass_over_eta / first.truth.identifiable.mass_over_eta
-    assert true == pytest.approx(1.1, rel=0.01)
-    assert found[1] / found[0] == pytest.approx(true, rel=0.01)

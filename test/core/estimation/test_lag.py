@@ -11,9 +11,8 @@ import pytest
 
 from evpinn_ros.common.saved_fields import plain
 from evpinn_ros.core.estimation.estimate import Trust
-from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
+from evpinn_ros.core.estimation.estimator import OnlineEstimator
 from evpinn_ros.core.estimation.lag import SLEW, Aligned, Alignment, Lag, LagLearner
-from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.replays.simulation.sensors import BATTERY_LAG, SPEED_LAG
@@ -73,12 +72,12 @@ def test_a_car_that_keeps_its_speed_shows_no_lag(cruise):
 
 
 @pytest.fixture(scope="module")
-def drives_of(vehicle, drive):
+def drives_of(new_estimator, drive):
     """An estimator that has learned the drive, its speed late by some seconds."""
 
     @cache
     def learn(lag) -> OnlineEstimator:
-        estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
+        estimator = new_estimator()
         outputs = estimator.add_block(Block.of(later(drive(1, 600.0).readings, lag)))
         assert set(outputs.measured.stamp_ns.tolist()) <= stamps
         estimator.finish()

@@ -133,13 +133,6 @@ def test_no_sigma_is_wider_than_the_values_that_there_are(prior, name):
     assert 0.0 <= unsure.parameters[name].std <= upper - lower
 
 
-def test_values_lie_within_bounds_and_bounds_within_limits(prior):
-    for share in (1.0, 0.5, 0.01):
-        for name, found in parameter_set(0, learned(prior, share)).parameters.items():
-            assert LIMITS[name].lower <= found.lower <= found.value <= found.upper
-            assert found.upper <= LIMITS[name].upper and found.std > 0.0
-
-
 def test_bounds_by_hand(prior):
     """eta and mu in [q, 1]; mass and C_d in [q, 1] of theirs over eta, each two sigmas wider."""
     parameters = parameter_set(0, learned(prior, 0.01, eta=math.log(0.85), mu=math.log(0.75)))

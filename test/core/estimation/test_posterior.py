@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.estimation import posterior
-from evpinn_ros.core.estimation.journey import LOAD_TIME, NOWHERE, Journey, noise_of, wandered
+from evpinn_ros.core.estimation.journey import NOWHERE, Journey, noise_of, wandered
 from evpinn_ros.core.estimation.posterior import (
     BANK,
     advance,
@@ -25,6 +25,7 @@ from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.physics import GRAVITY
 from evpinn_ros.replays.simulation.drive import DriveKind
+from test.core.estimation.conftest import measured
 
 CAR = load_vehicle("tesla_model_3_lr")
 EQUATION = equation_of(CAR)
@@ -33,15 +34,8 @@ EQUATION = equation_of(CAR)
 @pytest.fixture(scope="module")
 def town(intervals):
     """Four minutes of a car that differs from the prior, with noise."""
-    rng = np.random.default_rng(1)
-    truth = EQUATION.mean.copy()
-    truth[State.MASS] *= 1.1
-    truth[State.DRAG] *= 0.9
-    found = []
-    for interval in intervals((DriveKind.URBAN, 240.0, 0), begin_ns=0):
-        energy = float(passed(EQUATION, interval, 0.0).journey.row @ truth)
-        found.append(replace(interval, energy=energy + rng.normal(0, 2e3), sampling_variance=0.0))
-    return found
+    drive = intervals((DriveKind.URBAN, 240.0, 0), begin_ns=0)
+    return measured(EQUATION, drive, 2e3, seed=1, MASS=1.1, DRAG=0.9)
 
 
 def learned(drive):
@@ -72,9 +66,9 @@ def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
     rows[:, State.LOAD :] = 0.0  # states of this moment: the journey puts them in
     rows[:, WEIGHTS] = rng.normal(size=(count, rows[:, WEIGHTS].shape[1])) * 1e3
     energy, sampling = rng.normal(size=count) * 1e5, 4e6
-    for row, measured in zip(rows, energy, strict=True):
+    for row, drawn in zip(rows, energy, strict=True):
         journey = Journey(row, seconds, np.zeros(3), 0.0)
-        state, _ = condition(advance(state, seconds), journey, measured, sampling)
+        state, _ = condition(advance(state, seconds), journey, drawn, sampling)
     left, integral, rest = wandered(seconds)
     for k in range(len(BANK)):
         # Loads of each interval as sums of independent numbers: start, then fresh ones.
@@ -103,20 +97,6 @@ def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
         block = np.ix_(index, index)
         apart = (state.covariance[k][block] - left_over[block]) / np.outer(scale, scale)
         assert np.abs(apart).max() < 1e-9
-
-
-def test_the_wandering_load_forgets_itself():
-    state = initial_state(EQUATION)
-    kept, integral, rest = wandered(np.array([0.0, LOAD_TIME, 1e6]))
-    assert kept == pytest.approx([1.0, math.exp(-1.0), 0.0])
-    assert integral[2] == pytest.approx(LOAD_TIME) and rest[0] == 0.0
-    later = advance(state, 1e6)
-    assert later.covariance[:, State.LOAD, State.LOAD] == pytest.approx(BANK[:, 1] ** 2)
-    mean = np.zeros(SIZE)
-    mean[State.LOAD] = 100.0  # W
-    long = Journey(np.zeros(SIZE), 1e6, np.zeros(3), 0.0)
-    energy, _ = replace(state.model(EQUATION), mean=mean).predicted(long)
-    assert energy == pytest.approx(100.0 * LOAD_TIME)
 
 
 def test_another_drive_keeps_the_car_and_part_of_the_offsets(known):

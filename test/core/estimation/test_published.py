@@ -37,7 +37,7 @@ from evpinn_ros.core.signals.readings import (
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
-from test.core.estimation.test_breakdown import measured
+from test.core.estimation.conftest import measured
 from test.core.signals.test_interval import polled
 
 
@@ -180,13 +180,16 @@ def test_motor_torque_tells_the_mass_in_kilograms(name, most):
 @pytest.fixture(scope="module")
 def mixed(vehicle, intervals) -> Callable[[float], LearnedCar]:
     """A car learned on mixed roads, of whose heights the first share is not known."""
-    drive = measured(intervals((DriveKind.MIXED, 600.0, 3), begin_ns=0))
+    equation = equation_of(vehicle)
+    drive = measured(
+        equation, intervals((DriveKind.MIXED, 600.0, 3), begin_ns=0), 500.0, MASS=1.05
+    )
 
     @cache
     def after(unseen: float) -> LearnedCar:
         gap = int(unseen * len(drive))
         seen = (replace(one, height_known=k >= gap) for k, one in enumerate(drive))
-        return LearnedCar.new(equation_of(vehicle)).after(seen)
+        return LearnedCar.new(equation).after(seen)
 
     return after
 
@@ -206,25 +209,16 @@ def test_rolling_resistance_without_heights_is_as_unsure_as_the_climb(mixed):
     assert parameter_set(0, unseen).parameters["c_rr"].trust is not Trust.VALID
 
 
-def test_the_road_of_a_drive_that_begins_is_as_the_last_one(vehicle, intervals):
-    drive = measured(intervals((DriveKind.URBAN, 120.0, 0), begin_ns=0))
-    car = LearnedCar.new(equation_of(vehicle)).after(
-        replace(one, height_known=False) for one in drive
-    )
-    car = car.begin_drive()
+def test_the_road_of_a_drive_that_begins_is_as_the_last_one(vehicle, as_prior):
+    """Heights that begin late leave what is known: the first hundred metres are not all roads."""
+    equation = equation_of(vehicle)
+    drive = as_prior(equation, (DriveKind.URBAN, 120.0, 0))
+    with_heights, without = ([replace(i, height_known=k) for i in drive] for k in (True, False))
+    new = LearnedCar.new(equation)
+    car = new.after(without).begin_drive()
     assert not publish(car).hills_seen
-    car = car.after(replace(one, height_known=True) for one in drive)
-    assert publish(car).hills_seen
-
-
-def test_heights_that_begin_late_leave_what_is_known_of_the_road(vehicle, intervals):
-    """The first hundred metres of a drive are not the road of the car."""
-    drive = measured(intervals((DriveKind.URBAN, 120.0, 0), begin_ns=0))
-    car = LearnedCar.new(equation_of(vehicle)).after(
-        replace(one, height_known=True) for one in drive
-    )
-    car = car.begin_drive().after(replace(one, height_known=False) for one in drive[:15])
-    assert publish(car).hills_seen
+    assert publish(car.after(with_heights)).hills_seen
+    assert publish(new.after(with_heights).begin_drive().after(without[:15])).hills_seen
 
 
 def test_a_short_stretch_without_heights_takes_little_of_what_is_known(mixed):

@@ -13,13 +13,14 @@ from evpinn_ros.common.saved_fields import plain, read
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.payload import PayloadChange, SavedPayload
 from evpinn_ros.core.estimation.pinn import PinnLearner
-from evpinn_ros.core.estimation.posterior import CarState, initial_state, passed
+from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.saved_car import saved_state, state_of
 from evpinn_ros.core.estimation.states import NAMES, OFFSETS, SIZE, State
 from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.estimation.unevenness import prior_rows
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
+from test.core.estimation.conftest import measured
 from test.declared import changes, plain_fields
 
 CAR = load_vehicle("bmw_i3")
@@ -30,13 +31,8 @@ FRESH = initial_state(EQUATION)
 @pytest.fixture(scope="module")
 def town(intervals):
     """Five minutes of a car that is heavier than its prior, on a cold day."""
-    truth, rng = EQUATION.mean.copy(), np.random.default_rng(2)
-    truth[State.MASS] *= 1.1
-    found, conditions = [], {"celsius": 5.0}
-    for interval in intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0, **conditions):
-        energy = float(passed(EQUATION, interval, 0.0).journey.row @ truth) + rng.normal(0.0, 1e3)
-        found.append(replace(interval, energy=energy, sampling_variance=0.0))
-    return found
+    drive = intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0, celsius=5.0)
+    return measured(EQUATION, drive, 1e3, seed=2, MASS=1.1)
 
 
 @pytest.fixture(scope="module")

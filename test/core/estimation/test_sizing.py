@@ -20,7 +20,6 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
 )
 from evpinn_ros.core.vehicle.files import load_vehicle
-from test.robots import moments
 
 STEP = 0.5  # s
 # kg, drag area, rolling, top speed m/s, acceleration m/s^2, load W, V, eta, mu
@@ -55,15 +54,6 @@ def readings(name: str, seconds: float = 600.0, seed: int = 1) -> Iterator[Readi
         yield SpeedReading(stamp_ns, speed + rng.normal(0.0, 0.02))
 
 
-def robot_readings() -> Iterator[Reading]:
-    """The robot of the examples, of 85 kg."""
-    for now in moments(1, 1200.0):
-        stamp_ns = DRIVE_START_NS + round(now.time * NANOSECONDS)
-        yield SpeedReading(stamp_ns, now.speed)
-        if now.battery_due:
-            yield BatteryReading(stamp_ns, now.voltage, -now.current)
-
-
 def intervals(drive: Iterable[Reading]) -> Intervals:
     """Intervals of a drive."""
     return _intervals(Block.of(drive))
@@ -84,12 +74,6 @@ def test_a_vehicle_of_another_size_is_known_by_its_first_drive(name):
     size = size_of(intervals(readings(name)))
     assert size is not None and size.is_another
     assert abs(math.log(size.value * 2040.0 / VEHICLES[name][0])) < 3.0 * size.std < 1.5
-
-
-def test_a_robot_is_known():
-    size = size_of(intervals(robot_readings()))
-    assert size is not None and size.is_another
-    assert 30.0 < 2040.0 * size.value < 250.0
 
 
 @pytest.mark.parametrize("name", ["car", "heated car", "van"])

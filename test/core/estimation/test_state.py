@@ -7,7 +7,7 @@ import tracemalloc
 
 import pytest
 
-from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
+from evpinn_ros.core.estimation.estimator import Mode, OnlineEstimator
 from evpinn_ros.core.estimation.state_file import (
     MAX_FILE_BYTES,
     Half,
@@ -17,7 +17,6 @@ from evpinn_ros.core.estimation.state_file import (
     write_halves,
     write_state,
 )
-from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MODES = [Mode.HYBRID, pytest.param(Mode.PAPER, marks=pytest.mark.torch)]
@@ -25,7 +24,7 @@ LEARNED_FOR = 15  # s
 
 
 @pytest.fixture(scope="module")
-def learned(drive, taught, new_of):
+def learned(drive, taught, new_estimator):
     """An estimator of a mode after LEARNED_FOR seconds."""
     readings = drive(1, 240.0).readings
     cut = readings[0].stamp_ns + LEARNED_FOR * NANOSECONDS
@@ -34,7 +33,7 @@ def learned(drive, taught, new_of):
     def of(mode: Mode) -> OnlineEstimator:
         if mode is Mode.HYBRID:
             return taught(LEARNED_FOR)
-        estimator = new_of(mode)
+        estimator = new_estimator(mode=mode)
         estimator.add_readings(r for r in readings if r.stamp_ns < cut)
         return estimator
 
@@ -50,27 +49,6 @@ def test_a_round_trip_through_a_file_is_exact(learned, new_estimator, tmp_path, 
     assert other.export() == estimator.export()
     one, two = (found.parameters().identifiable for found in (estimator, other))
     assert one == pytest.approx(two, rel=1e-12)  # the order in memory shows in the last bit
-
-
-@pytest.mark.slow
-def test_a_restart_goes_on_within_a_fifth_of_sigma(taught, new_estimator, play, drive):
-    """Six seconds later, beside one that was never stopped.
-
-    Not bit for bit: the interval under way is not saved. In paper mode nothing but the window is
-    trained on, so there the two part; what was learned is the same at the restart.
-    """
-    readings = drive(1, 240.0).readings
-    begin = readings[0].stamp_ns + 200 * NANOSECONDS
-    later = [r for r in readings if begin <= r.stamp_ns < begin + 6 * NANOSECONDS]
-    on, stopped, again = taught(200.0), new_estimator(), new_estimator()
-    for estimator in (stopped, again):
-        estimator.restore(json.loads(json.dumps(on.export())))
-    for estimator in (on, stopped, again):
-        play(estimator, later)
-    assert text_of(stopped) == text_of(again)
-    found = stopped.parameters().parameters
-    for name, estimate in on.parameters().parameters.items():
-        assert abs(found[name].value - estimate.value) < 0.2 * estimate.std, name
 
 
 def text_of(estimator) -> str:
@@ -104,13 +82,6 @@ def test_a_refused_state_changes_nothing(learned, new_estimator, mode):
         with pytest.raises(ValueError, match=r"."):
             estimator.restore(wrong)
         assert text_of(estimator) == before
-
-
-@pytest.fixture(scope="module")
-def new_of(vehicle):
-    return lambda mode: OnlineEstimator(
-        vehicle, EstimatorSettings(mode=mode), InlineWorker(lambda: 0.0)
-    )
 
 
 def test_a_new_state_is_for_its_owner_alone(tmp_path):

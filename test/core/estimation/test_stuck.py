@@ -5,13 +5,11 @@ from copy import deepcopy
 from dataclasses import replace
 import math
 from pathlib import Path
-import time
 
 import pytest
 
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
-from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.estimation.estimator import OnlineEstimator
 from evpinn_ros.core.signals.detector import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 from evpinn_ros.core.signals.stuck import StuckDetector
@@ -21,11 +19,8 @@ FROM, UNTIL = 5.0, 20.0  # s
 
 
 @pytest.mark.parametrize("stuck", [SPEED_STUCK, BATTERY_STUCK])
-def test_a_stuck_sensor_teaches_nothing(stuck):
-    estimator = OnlineEstimator(
-        load_vehicle("tesla_model_3_lr"), EstimatorSettings(), InlineWorker(time.perf_counter)
-    )
-    kinds = []
+def test_a_stuck_sensor_teaches_nothing(new_estimator, stuck):
+    estimator, kinds = new_estimator(), []
     for step in range(round(10 * UNTIL)):
         now = step / 10
         speed, current = 14 + 8 * math.sin(now / 3), -60 - 150 * math.cos(now / 3)
@@ -58,10 +53,9 @@ def readings() -> list[Reading]:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(readings) -> dict[float, OnlineEstimator]:
+def undisturbed(readings, new_estimator) -> dict[float, OnlineEstimator]:
     """Cars that learned from the first 60 and the first 75 s of the drive."""
-    car = load_vehicle("tesla_model_3_lr")
-    estimator = OnlineEstimator(car, EstimatorSettings(), InlineWorker(time.perf_counter))
+    estimator = new_estimator()
     seconds = [(reading.stamp_ns - readings[0].stamp_ns) / NANOSECONDS for reading in readings]
     first, found = 0, {}
     for until in (60.0, 75.0):
@@ -108,16 +102,15 @@ def test_a_speed_that_hangs_for_seconds_moves_next_to_nothing(
 
 @pytest.mark.slow
 def test_a_speed_that_hangs_leaves_no_hole_in_the_energy_of_a_silent_battery(
-    readings, monkeypatch
+    readings, new_estimator, monkeypatch
 ):
     """Where no battery is measured nothing is learned that a doubtful speed could spoil.
 
     A third of the energy of a first drive was missing when its intervals were left out.
     """
-    car = load_vehicle("tesla_model_3_lr")
     energies = []
     for doubts in (True, False):
-        estimator = OnlineEstimator(car, EstimatorSettings(), InlineWorker(time.perf_counter))
+        estimator = new_estimator()
         if not doubts:
             monkeypatch.setattr(StuckDetector, "why_not", lambda *_: None)
         for reading in readings:

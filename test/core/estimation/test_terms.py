@@ -45,13 +45,6 @@ def steps_of(seed: int, count: int = 12, *, motor: bool = False, length: float =
     return Steps(one, distance, air, (end**2 - start**2) / 2.0, climb, *motors)
 
 
-def one_more(state: int, amount: float) -> np.ndarray:
-    """States of the prior, one of them changed."""
-    mean = EQUATION.mean.copy()
-    mean[state] += amount
-    return mean
-
-
 def parts_of(steps, conditions) -> np.ndarray:
     rows, wheels = EQUATION.rows(steps, conditions, START), EQUATION.of_steps(steps, conditions)
     return EQUATION.split(rows, wheels, coldness(conditions.celsius), START.tyres)
@@ -112,13 +105,6 @@ def test_power_of_the_prior_car_is_that_of_eq_21():
             air_density=1.2, rotating_mass_factor=CAR.rotating_mass_factor,
         )  # fmt: skip
         assert found == pytest.approx(float(expected[0]), rel=1e-9)
-
-
-@pytest.mark.parametrize("state", [*State])
-def test_a_row_is_the_gradient_of_energy(state):
-    rows = EQUATION.rows(steps_of(3), REPORTED, START).sum(0)
-    more, less = (rows @ one_more(state, side) for side in (0.5, -0.5))
-    assert more - less == pytest.approx(rows[state], rel=1e-9, abs=1e-6)
 
 
 def test_the_network_has_no_part_in_the_terms_of_eq_21():
