@@ -1,15 +1,12 @@
-import json
 import math
 
 import numpy as np
 import pytest
 
-from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.core.energy.forecast import Forecast
-from evpinn_ros.core.energy.meter import EnergyMeter
-from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading
 
 START = 1_700_000_000_000_000_000
@@ -113,16 +110,18 @@ def test_readings_of_no_battery_change_nothing(wrong):
     assert model.export() == sound.export()
 
 
-@pytest.mark.slow
-def test_saved_and_restored_it_forecasts_the_same():
-    account = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
-    charge = drive(account.add_reading, 3000, every=5)
-    again = EnergyAccount(EnergyMeter(load_rknn()), "bmw_i3", CAPACITY)
-    again.restore(json.loads(json.dumps(account.export(), allow_nan=False)))
-    ends = [
-        each.battery.after(plan(1e4, 900.0), Uncertain(charge, 0.0), UNKNOWN)
-        for each in (account, again)
-    ]
-    # What the straight line lacks just now is forgotten over night.
-    assert ends[1].charge.value == pytest.approx(ends[0].charge.value, abs=1e-4)
-    assert ends[1].voltage == pytest.approx(ends[0].voltage, abs=2.0)
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"state": [1e5, 50.0, 0.1]},
+        {"covariance": [-1.0, 0, 0, 0, 1, 0, 0, 0, 1]},
+        {"covariance": [1.0, 5, 0, 0, 1, 0, 0, 0, 1]},
+    ],
+)
+def test_a_saved_model_of_no_battery_is_refused_and_changes_nothing(wrong):
+    model = BatteryModel(CAPACITY)
+    drive(model.add_reading, 100)
+    before = model.export()
+    with pytest.raises(InputError, match="saved"):
+        model.restore({**before, **wrong})
+    assert model.export() == before

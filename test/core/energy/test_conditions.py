@@ -112,18 +112,6 @@ def test_a_car_that_stood_is_cold_again_and_a_prewarmed_cabin_saves():
     assert cost(0.0, stood=3600.0) == pytest.approx(hour, rel=1e-3)
 
 
-def test_what_a_planner_gives_comes_before_what_the_car_measures():
-    forecaster = Forecaster(CAR)
-    forecaster.set_air(TemperatureReading(0, -15.0), 0)
-    cold = answer(forecaster)
-    forecaster.set_conditions(PlanConditions(temperature=20.0))
-    mild = answer(forecaster)
-    forecaster.set_conditions(PlanConditions())
-    assert cold.conditions == () and mild.conditions == ("temperature",)
-    assert mild.forecast.energy[-1] < cold.forecast.energy[-1]
-    assert answer(forecaster).forecast.energy[-1] == cold.forecast.energy[-1]
-
-
 def test_the_charge_of_a_plan_is_where_it_begins():
     forecaster = Forecaster(CAR)
     now = answer(forecaster, Uncertain(0.5, 0.01)).charge.value

@@ -11,7 +11,6 @@ from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.core.estimation.states import TABLE, WEIGHTS, State
-from evpinn_ros.core.estimation.terms import WARM
 from evpinn_ros.core.signals.interval import Steps
 from test.core.energy.cars import CAR, taught
 
@@ -24,19 +23,6 @@ def trip(seed, points=600):
     speed = np.maximum(12 + np.cumsum(rng.normal(0, 0.9, points)) * 0.8, 0.0).clip(0, 34)
     climb = speed * np.sin(0.03 * np.sin(np.arange(points) / 60.0 + seed))
     return Steps(np.ones(points), speed, speed**3, speed * np.gradient(speed), climb)
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 10_000), st.integers(1, 599))
-def test_rows_add_up_however_a_trip_is_cut(seed, cut):
-    motion, model = trip(seed), taught()
-    weather = MILD._replace(start=WARM)  # warm: a second part does not begin cold
-    whole = model.rows(motion, weather).sum(0)
-    parts = (
-        Steps(*(column[part] for column in motion[:5])) for part in (slice(cut), slice(cut, None))
-    )
-    added = sum(model.rows(part, weather).sum(0) for part in parts)
-    np.testing.assert_allclose(added, whole, rtol=1e-9, atol=1e-6)
 
 
 @settings(max_examples=20, deadline=None)
