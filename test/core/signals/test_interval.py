@@ -156,19 +156,6 @@ def test_pitch_and_altitude_go_on_from_each_other_without_a_step(new_stream, pla
     assert climbs == pytest.approx(SLOPE * sum(one.distance for one in found[1:]), rel=0.1)
 
 
-def test_separate_rows_give_the_energy_of_pairs(new_stream, play, journey):
-    readings = journey(60.0)
-    apart = []
-    for reading in readings:
-        if isinstance(reading, BatteryReading):
-            apart += [replace(reading, voltage=math.nan), replace(reading, current=math.nan)]
-        else:
-            apart.append(reading)
-    one, other = (play(new_stream(), each) for each in (readings, apart))
-    energies = [[i.energy for i in each[1:]] for each in (one, other)]
-    assert energies[0] == pytest.approx(energies[1], rel=1e-12) and len(one) > 5
-
-
 def test_a_silent_battery_is_not_waited_for(new_stream, journey, at):
     """An interval without energy is given within seconds of its end, not after `WAIT_NS`."""
     stream, waits = new_stream(), []

@@ -128,14 +128,6 @@ def test_smoothing_averages_noise():
     assert np.std(slopes) == pytest.approx(expected, rel=0.06)  # 4 sigma of 2000 draws
 
 
-def test_what_comes_after_until_is_not_used():
-    times = np.arange(0, 2, 0.1)
-    speeds = np.sin(times)
-    before = smoothed(track(times, speeds), 1.0, 1.3)
-    speeds[times > 1.3 + 1e-9] = 99.0
-    assert smoothed(track(times, speeds), 1.0, 1.3) == before
-
-
 @given(st.permutations(range(20)))
 @settings(max_examples=25)
 def test_the_order_of_arrival_within_the_track_is_all_the_same(order):

@@ -8,12 +8,9 @@ from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.kinematics import LAG_TOLERANCE_NS
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
-    AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
-    MotorReading,
     SpeedReading,
-    TemperatureReading,
 )
 from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.signals.stream import SAMPLE_PERIOD
@@ -237,32 +234,6 @@ def test_late_and_doubled_batteries(new_stream, play, battery, at):
     play(stream, battery(1.0, 0.7, 0.72, 1.0))
     assert stream.dropped == {"battery_late": 1, "battery_doubled": 1}
     assert stream.battery_ns == at(1.0)
-
-
-def test_impossible_readings_are_dropped(new_stream, play, ramp, at):
-    stream = new_stream()
-    wrong = [
-        SpeedReading(at(0), 100.1),
-        BatteryReading(at(0), 350.0, math.inf),
-        BatteryReading(at(0), math.nan, math.nan),
-        TemperatureReading(at(0), -273.15),
-        AltitudeReading(at(0), math.nan),
-        AuxiliaryReading(at(0), -1.0),
-        MotorReading(at(0), 20_001.0),
-        MotorReading(at(0), math.nan),
-    ]
-    assert play(stream, wrong) == [] and (stream.newest_ns, stream.battery_ns) == (None, None)
-    events = play(stream, ramp(10.0, 0.0, 1.0))
-    assert {(e.grade, e.air_density, e.known_auxiliary) for e in events} == {(0.0, 1.2, 0.0)}
-    assert stream.dropped == {
-        "speed_out_of_range": 1,
-        "battery_out_of_range": 1,
-        "battery_unmeasured": 1,
-        "temperature_out_of_range": 1,
-        "altitude_out_of_range": 1,
-        "auxiliary_out_of_range": 1,
-        "motor_torque_out_of_range": 2,
-    }
 
 
 def test_a_reset_forgets_readings_and_keeps_what_was_learned(new_stream, play, ramp, at):
