@@ -247,23 +247,8 @@ def _disturb(
     quoted: str,
 ) -> None:
     """Another header, another car, rows in another order or torn."""
-    what = chance.choice(
-        [
-            "",
-            "",
-            "",
-            "",
-            "header",
-            "order",
-            "unit",
-            "cars",
-            "newest",
-            "torn",
-            "ended",
-            "units",
-            "sep",
-        ]
-    )
+    kinds = ["header", "order", "unit", "cars", "newest", "torn", "ended", "units", "sep"]
+    what = chance.choice(["", "", "", "", *kinds])
     export.kind["disturbed"] = what
     middle = len(lines) // 2
     if what == "header":

@@ -17,7 +17,6 @@ from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_drive
 from evpinn_ros.logs.table_drive import TableDrive
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
 NOMINAL = 350.0
 
 
@@ -106,36 +105,6 @@ def test_names_in_the_owners_language(tmp_path, language, encoding):
 
 
 ROWS = list(enumerate(rows()))
-
-
-def test_semicolons_brackets_decimal_commas_and_a_degree_sign(tmp_path):
-    drive = drive_of(
-        tmp_path,
-        "Time [s];Velocity [km/h];Battery Voltage [V];Battery Current [A];"
-        "Ambient Temperature [°C];max. Battery Temperature [°C]",
-        (
-            f"{t:.1f};{3.6 * v:.4f};{u:.1f};{-i:.4f};21,5;30,0".replace(".", ",")
-            for t, v, u, i in rows()
-        ),
-        encoding="cp1252",
-    )
-    readings = {type(reading).__name__ for reading in drive.readings()}
-    assert "TemperatureReading" in readings
-    assert tuple(drive.ignored) == ("max. Battery Temperature [°C]",)
-    units = {rule.quantity: (rule.unit, rule.why) for rule in drive.rules}
-    assert units["speed"] == ("km/h", "by its name")
-    assert units["current"][0] == "-a" and "as accelerating shows" in units["current"][1]
-    check(drive)
-
-
-def test_no_units_at_all_and_milliseconds(tmp_path):
-    lines = (f"{1000 * t:.0f},{3.6 * v:.4f},{u},{i:.4f},7" for t, v, u, i in rows())
-    drive = drive_of(tmp_path, "timestamp,VehicleSpeed,packVoltage,pack_current,rpm", lines)
-    check(drive)
-    why = {rule.quantity: (rule.unit, rule.why) for rule in drive.rules}
-    assert why["time"] == ("ms", "by the step between rows")
-    assert why["speed"] == ("km/h", "by the power that accelerating takes")
-    assert tuple(drive.ignored) == ("rpm",)
 
 
 @pytest.mark.parametrize("clock", ["{:.2f}", "2024-03-05 07:08:{:05.2f}"])
@@ -236,13 +205,6 @@ def test_times_since_1970_by_their_size(tmp_path, factor, unit):
     assert drive.rules[0].unit == unit
 
 
-def test_told_columns_win(tmp_path):
-    lines = (f"{t:.1f},{v:.4f},99,{-u * i / 1000:.6f}" for t, v, u, i in rows())
-    header = "when,v,speed,p"
-    chosen = ["time=when", "speed=v:m/s", "power=p:-kW"]
-    check(drive_of(tmp_path, header, lines, columns=chosen))
-
-
 def test_battery_before_motor_and_the_12_volt_net():
     header = ["t", "speed", "Motor Power [W]", "12V voltage", "Battery Voltage", "motor current"]
     header += ["battery current", "max battery current"]
@@ -253,16 +215,6 @@ def test_battery_before_motor_and_the_12_volt_net():
         "voltage": "Battery Voltage",
         "current": "battery current",
     }
-
-
-def test_our_names_are_taken_as_they_are():
-    header = ["t_s", "speed_mps", "power_w", "note", "soc"]
-    columns = columns_by_name(header, [])
-    assert [(column.name, column.factor, column.why) for column in columns] == [
-        ("t_s", 1.0, ""),
-        ("speed_mps", 1.0, ""),
-        ("power_w", 1.0, ""),
-    ]
 
 
 def test_the_cars_own_speed_before_that_of_a_phone_in_a_pocket(tmp_path):

@@ -109,14 +109,6 @@ def test_a_part_of_a_drive():
     assert of([*whole[:4], 100.0, 0.6], 0.0, 1.0, size=1) == whole[:2]  # ends behind the part
 
 
-def test_a_bag():
-    found = contents(ROOT / "bags" / "urban")
-    assert found.kind == "bag" and found.profile is None and not found.notes
-    speed = next(topic for topic in found.topics if topic.name == "/ev/vehicle/speed")
-    assert speed.flow.rate == pytest.approx(10, abs=0.1) and speed.flow.count == 3595
-    assert found.drive.seconds == pytest.approx(360, abs=1)
-
-
 def test_a_bag_of_nothing_of_ours(tmp_path):
     with BagWriter(tmp_path / "bag") as writer:
         for i in range(3):

@@ -15,7 +15,6 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.logs.sources import open_drive
 
 DRIVE = simulated()
-LIGHT = simulated(mass=220.0, volts=20.0)
 PLAIN = "time,Speed (km/h),HV Battery Voltage (V),HV Battery Current (A)"
 
 
@@ -41,10 +40,6 @@ def written(header: str, line: str, drive: Drive = DRIVE) -> str:
 MILES = (
     "timestamp,speed,odometer,soc,elevation,power,shift_state",
     "{epoch:.0f}000,{mph:.1f},{miles:.2f},{soc:.0f},1,{kw:.2f},D",
-)
-MINUTES = (
-    "Voltage,Current,Velocity,Elapsed minutes",
-    "{volts:.3f},{amps:.3f},{mps:.3f},{minutes:.6f}",
 )
 STAMPS_OF_A_MINUTE = (
     "Time_Stamp,vehicle_speed,Odometer,DC_Link_Voltage,DC_Link_Current",
@@ -73,13 +68,6 @@ def thousands():
             f"{date(t)},{(far - 28_582_000) / 1000 + 997.5:,.1f},{3.6 * v:.2f},{u:.2f},{i:.2f}"
         ),
     )
-
-
-def second_header():
-    lines = table(PLAIN, DRIVE, plain).splitlines()
-    places = [0, 2, 3, 1]
-    turned = [",".join(line.split(",")[place] for place in places) for line in lines]
-    return "\n".join([*lines[:450], turned[0], *turned[450:]])
 
 
 def three_decimals_and_a_torn_row():
@@ -118,7 +106,6 @@ def repeated_with_power():
 RIGHT: dict[str, tuple[Callable[[], str], str]] = {
     "decimal comma as separator": (decimal_comma, ""),
     "thousands": (thousands, ""),
-    "second header": (second_header, ""),
     "mph and miles": (
         lambda: written(*MILES),
         "'speed' is assumed to be in mph, and could be in km/h",
@@ -153,27 +140,10 @@ def test_minutes_and_seconds_can_be_given_where_hours_and_minutes_are_assumed(tm
     assert "assumed" not in " ".join(source.notes)
 
 
-def test_a_light_vehicle_in_metres_a_second_and_minutes(tmp_path):
-    source = opened(tmp_path, written(*MINUTES, LIGHT))
-    distance, energy = measured(source)
-    assert distance == pytest.approx(LIGHT.distance, rel=0.01)
-    assert energy == pytest.approx(LIGHT.energy, rel=0.01)
-    assert "'Velocity' is assumed to be in m/s" in " ".join(source.notes)
+MASSES, VOLTS = (200, 250, 700, 1900, 700, 250, 700, 9000), (20, 60, 48, 48, 100, 350, 350, 600)
 
 
-VEHICLES = [
-    (200, 20),
-    (250, 60),
-    (700, 48),
-    (1900, 48),
-    (700, 100),
-    (250, 350),
-    (700, 350),
-    (9000, 600),
-]
-
-
-@pytest.mark.parametrize(("mass", "volts"), VEHICLES)
+@pytest.mark.parametrize(("mass", "volts"), zip(MASSES, VOLTS, strict=True))
 @pytest.mark.parametrize("odometer", ["", ",{miles:.2f}"])
 def test_a_speed_in_mph_is_read_so_or_the_unit_is_assumed(tmp_path, mass, volts, odometer):
     drive = simulated(mass=mass, volts=volts)
@@ -248,17 +218,6 @@ def test_a_twin_can_be_chosen(tmp_path):
     )
     source = opened(tmp_path, text, columns=["speed=Speed (km/h) #2"])
     assert measured(source)[0] == pytest.approx(DRIVE.distance, rel=0.01)
-
-
-@pytest.mark.parametrize("name", ["id", "device", "plate", "asset", "bus no"])
-def test_two_cars_are_refused(tmp_path, name):
-    other = simulated(seed=1)
-    lines = table(f"{name},{PLAIN}", DRIVE, lambda *v: "A7," + plain(*v)).splitlines()
-    lines += table("", other, lambda *v: "B2," + plain(*v)).splitlines()[1:]
-    with pytest.raises(InputError, match=f"2 cars; column '{name}' has A7, B2; say --car NAME"):
-        opened(tmp_path, "\n".join(lines))
-    numbered = table(f"{name},{PLAIN}", DRIVE, lambda t, *v: f"{t:.0f},{plain(t, *v)}")
-    assert measured(opened(tmp_path, numbered))[0] == pytest.approx(DRIVE.distance, rel=0.01)
 
 
 @pytest.mark.parametrize("form", ["wide", "long"])

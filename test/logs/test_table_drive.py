@@ -1,15 +1,11 @@
-from contextlib import suppress
 import gzip
 import math
 from pathlib import Path
 import re
 
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 import polars as pl
 import pytest
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals import readings as kinds
 from evpinn_ros.core.signals.readings import DRIVE_START_NS, BatteryReading, SpeedReading
 from evpinn_ros.logs.sources import open_drive
@@ -54,12 +50,6 @@ def test_a_torque_needs_no_motor_speed_and_a_speed_alone_is_no_reading(tmp_path)
 
 def batteries(drive: TableDrive) -> list[tuple[float, float]]:
     return [(r.voltage, r.current) for r in drive.readings() if isinstance(r, BatteryReading)]
-
-
-def test_discharge_is_positive_in_the_file_and_negative_in_the_reading(tmp_path):
-    drive = drive_of(tmp_path, "t_s,speed_mps,voltage_v,current_a\n0,1,400,50\n1,1,400,-20\n")
-    readings = [r for r in drive.readings() if isinstance(r, BatteryReading)]
-    assert [r.power for r in readings] == [20_000.0, -8_000.0]
 
 
 def test_a_state_of_charge_that_is_none_is_left_out(tmp_path):
@@ -128,32 +118,6 @@ def test_a_file_that_ends_early_says_where(tmp_path):
     drive = open_drive(tmp_path / "a.csv.gz", NOMINAL)
     assert len(list(drive.readings())) > 1000
     assert re.search(r"a.csv.gz:\d+: Compressed file ended", drive.problem)
-
-
-CELLS = st.one_of(
-    st.just(""),
-    st.floats(allow_nan=True, width=32).map(str),
-    st.text(alphabet="0123456789.e-+ ,\"'x", max_size=6),
-)
-
-
-@pytest.mark.slow
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(rows=st.lists(st.lists(CELLS, min_size=5, max_size=5), max_size=8))
-def test_any_cells_give_finite_readings_in_order(tmp_path, rows):
-    lines = ["t_s,speed_mps,voltage_v,current_a,power_w", *(",".join(row) for row in rows)]
-    readings = []
-    with suppress(InputError):  # there is none, or all of one time
-        readings = list(drive_of(tmp_path, "\n".join(lines) + "\n").readings())
-    stamps = [reading.stamp_ns for reading in readings]
-    assert stamps == sorted(stamps)
-    for reading in readings:
-        if isinstance(reading, SpeedReading):
-            assert math.isfinite(reading.speed)
-        if isinstance(reading, BatteryReading):
-            assert not reading.voltage <= 0
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")

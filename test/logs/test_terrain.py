@@ -49,34 +49,35 @@ def test_where_no_tile_has_a_height_there_is_none(tiles):
     assert np.isnan(Terrain(tiles).heights(*places)).all(), "a void, and beyond the tiles"
 
 
+def heights_of_a_log(folder, rows, terrain, header="t_s,speed_mps,power_w,latitude,longitude"):
+    (folder / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
+    log = open_drive(folder / "drive.csv", options=ReadOptions(terrain=terrain))
+    return [each.altitude for each in log.readings() if isinstance(each, AltitudeReading)]
+
+
 def test_a_log_with_places_alone_gets_heights(tmp_path, tiles):
     rows = [f"{i},10,1000,{48.2 + 1e-4 * i:.6f},11.5" for i in range(60)]
-    header = "t_s,speed_mps,power_w,latitude,longitude"
-    (tmp_path / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
-    found = {}
-    for terrain in (None, Terrain(tiles)):
-        readings = open_drive(
-            tmp_path / "drive.csv", options=ReadOptions(terrain=terrain)
-        ).readings()
-        found[terrain] = [each for each in readings if isinstance(each, AltitudeReading)]
-    without, heights = found.values()
-    assert not without and len(heights) == 60
-    climb = heights[-1].altitude - heights[0].altitude
-    assert climb == pytest.approx(900.0 * 59e-4, abs=1.0)
+    assert not heights_of_a_log(tmp_path, rows, None)
+    heights = heights_of_a_log(tmp_path, rows, Terrain(tiles))
+    assert len(heights) == 60
+    assert heights[-1] - heights[0] == pytest.approx(900.0 * 59e-4, abs=1.0)
 
 
 def test_a_place_may_come_in_two_rows_as_apps_write_one_signal_a_row(tmp_path, tiles):
     rows = []
     for i in range(60):
         rows += [f"{i},10,1000,,", f"{i}.3,,,{48.2 + 1e-4 * i:.6f},", f"{i}.6,,,,11.5"]
-    header = "t_s,speed_mps,power_w,latitude,longitude"
-    (tmp_path / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
-    readings = open_drive(
-        tmp_path / "drive.csv", options=ReadOptions(terrain=Terrain(tiles))
-    ).readings()
-    heights = [each.altitude for each in readings if isinstance(each, AltitudeReading)]
+    heights = heights_of_a_log(tmp_path, rows, Terrain(tiles))
     assert len(heights) > 100 and not any(map(math.isnan, heights))
     assert heights[-1] - heights[0] == pytest.approx(900.0 * 59e-4, abs=1.5)
+
+
+def test_heights_of_a_log_stay_where_no_tile_has_one(tmp_path, tiles):
+    rows = [f"{i},10,1000,{lat},11.5,123" for i, lat in enumerate([48.5] * 30 + [50.5] * 30)]
+    header = "t_s,speed_mps,power_w,latitude,longitude,elevation_m"
+    heights = heights_of_a_log(tmp_path, rows, Terrain(tiles), header)
+    assert len(heights) == 60 and set(heights[31:]) == {123.0}
+    assert heights[0] == pytest.approx(700.0, abs=1.0)
 
 
 def test_recorded_altitudes_give_way_to_the_ground(tiles):
@@ -94,18 +95,6 @@ def test_folders_without_tiles_and_broken_tiles_are_refused(tmp_path):
     (tmp_path / "N48E011.hgt").write_bytes(b"\0" * 1000)
     with pytest.raises(InputError, match="no tile of 1201"):
         Terrain(tmp_path).heights(np.array([48.5]), np.array([11.5]))
-
-
-def test_heights_of_a_log_stay_where_no_tile_has_one(tmp_path, tiles):
-    rows = [f"{i},10,1000,{lat},11.5,123" for i, lat in enumerate([48.5] * 30 + [50.5] * 30)]
-    header = "t_s,speed_mps,power_w,latitude,longitude,elevation_m"
-    (tmp_path / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
-    readings = open_drive(
-        tmp_path / "drive.csv", options=ReadOptions(terrain=Terrain(tiles))
-    ).readings()
-    heights = [each.altitude for each in readings if isinstance(each, AltitudeReading)]
-    assert len(heights) == 60 and set(heights[31:]) == {123.0}
-    assert heights[0] == pytest.approx(700.0, abs=1.0)
 
 
 def write_geotiff(path, crs, west, north, step, heights):
