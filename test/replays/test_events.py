@@ -7,7 +7,8 @@ from evpinn_ros.core.estimation.payload import PayloadChange
 from evpinn_ros.core.signals.detector import CURRENT_SIGN
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.replays.events import EventKind, drive_events
-from evpinn_ros.replays.history import Detection, Drive, PowerSeries
+from evpinn_ros.replays.history import Detection, Drive
+from test.replays.conftest import made
 
 START_NS = 1_700_000_000 * NANOSECONDS
 
@@ -19,19 +20,8 @@ def drive(speed=None, measured=None, detections=()) -> Drive:
         np.stack((times, np.zeros(len(times))), axis=1)
         for times in (np.array(whole if t is None else t, float) for t in (speed, measured))
     ]
-    nothing = PowerSeries(*np.empty((4, 0)))
-    return Drive(
-        duration=60.0,
-        speed=rows[0],
-        measured=rows[1],
-        smoothed=nothing,
-        newest=nothing,
-        energy=np.empty((0, 4)),
-        parameters={},
-        final=None,
-        start_ns=START_NS,
-        detections=tuple(Detection(time, report) for time, report in detections),
-    )
+    told = tuple(Detection(time, report) for time, report in detections)
+    return made(speed=rows[0], measured=rows[1], start_ns=START_NS, detections=told)
 
 
 def kinds(found) -> list[tuple[float, EventKind]]:

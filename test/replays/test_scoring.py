@@ -15,27 +15,17 @@ from evpinn_ros.replays.scoring import (
     power_score,
     speed_floor,
 )
+from test.replays.conftest import made
 
 
 def drive(measured, predicted, *, sigma=100.0, energy=None) -> Drive:
     """A drive of one reading and one prediction a second."""
     time = np.arange(float(len(predicted)))
-    columns = (
-        time,
-        np.array(predicted, float),
-        np.full(len(time), sigma),
-        np.full(len(time), 0.3),
-    )
-    return Drive(
-        duration=float(len(measured)) - 1.0,
-        speed=np.zeros((0, 2)),
-        measured=np.stack((np.arange(float(len(measured))), np.array(measured, float)), axis=1),
-        smoothed=PowerSeries(*columns),
-        newest=PowerSeries(*columns),
-        energy=np.zeros((0, 3)) if energy is None else np.array(energy, float),
-        parameters={},
-        final=None,
-    )
+    ones = np.ones(len(time))
+    series = PowerSeries(time, np.array(predicted, float), sigma * ones, 0.3 * ones)
+    rows = np.column_stack((np.arange(float(len(measured))), np.array(measured, float)))
+    counted = np.zeros((0, 3)) if energy is None else np.array(energy, float)
+    return made(measured=rows, smoothed=series, newest=series, energy=counted)
 
 
 WHOLE = Span(-1.0, 1e9)
@@ -65,7 +55,7 @@ def test_nothing_measured_gives_null_not_zero():
 def test_power_is_not_known_across_a_gap():
     scored = drive([0, 0, 0, 0, 0, 0], [0])
     rows = np.array([[0.0, 1.0], [1.0, 1.0], [9.0, 1.0], [10.0, 1.0]])
-    gappy = Drive(**{**{f: getattr(scored, f) for f in scored.__slots__}, "measured": rows})
+    gappy = replace(scored, measured=rows)
     _, known = measured_at(gappy, np.array([0.5, 5.0, 9.5, 11.0]))
     assert known.tolist() == [True, False, True, False]
 
@@ -91,7 +81,7 @@ def test_a_hole_in_the_battery_is_left_out_of_both_energies():
     energy = [[float(t), 1000.0 * t, 1000.0 * t] for t in range(14)]
     whole = drive([1000] * 14, [0], energy=energy)
     rows = np.array([[float(t), 1000.0] for t in (0, 1, 2, 3, 10, 11, 12, 13)])
-    gappy = Drive(**{**{f: getattr(whole, f) for f in whole.__slots__}, "measured": rows})
+    gappy = replace(whole, measured=rows)
     score = energy_score(gappy, WHOLE)
     assert score["measured_j"] == pytest.approx(6000.0)
     assert score["error_percent"] == pytest.approx(0.0, abs=1e-9)

@@ -8,12 +8,12 @@ import pytest
 from evpinn_ros.core.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.core.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.core.vehicle.identifiable import Identifiable
-from evpinn_ros.replays.history import Drive, PowerSeries
+from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.trends import CAPACITY, ROLLING, drive_point, trends
+from test.replays.conftest import made
 
 MONDAY = 1_700_438_400 * NANOSECONDS  # 2023-11-20
 WEEK = 7 * 86_400 * NANOSECONDS
-NOTHING = PowerSeries(np.empty(0), np.empty(0), np.empty(0), 0.0)
 
 
 def drive(start_ns: int, celsius: float, minutes: float, kilowatts: float, c_rr: float) -> Drive:
@@ -21,14 +21,10 @@ def drive(start_ns: int, celsius: float, minutes: float, kilowatts: float, c_rr:
     time = np.arange(0.0, 60.0 * minutes + 1.0)
     rolling = ParameterEstimate(c_rr, 1e-3, 0.2, 0.004, 0.02, Trust.VALID, progress=100.0)
     unknown = Identifiable(*[0.0] * len(Identifiable._fields))
-    return Drive(
+    return made(
         duration=float(time[-1]),
         speed=np.column_stack((time, np.full(time.size, 20.0))),
         measured=np.column_stack((time, np.full(time.size, 1e3 * kilowatts))),
-        smoothed=NOTHING,
-        newest=NOTHING,
-        energy=np.empty((0, 4)),
-        parameters={},
         final=ParameterSet(0, {"c_rr": rolling}, unknown, unknown, True),
         start_ns=start_ns,
         charge=np.array([[0.0, 0.8], [time[-1], 0.6]]),
