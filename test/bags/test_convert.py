@@ -92,16 +92,6 @@ def test_any_namespace_is_read(tmp_path, namespace):
         assert [reading.speed for reading in readings] == [1.0]
 
 
-def test_of_two_cars_one_is_asked_for(tmp_path):
-    with BagWriter(tmp_path / "a") as writer:
-        write_readings([SpeedReading(START, 1.0)], writer, "/one")
-        write_readings([SpeedReading(START, 2.0)], writer, "/two")
-    with BagReader(tmp_path / "a") as reader:
-        with pytest.raises(InputError, match="topics of 2 cars, /one, /two; say --car NAME"):
-            BagReadings(reader)
-        assert [reading.speed for reading in BagReadings(reader, "/two")] == [2.0]
-
-
 def test_a_topic_that_was_nearly_ours_is_named(tmp_path):
     speed = speed_message(new_message, SpeedReading(START, 1.0))
     with BagWriter(tmp_path / "a") as writer:
