@@ -67,14 +67,3 @@ def test_another_bus(profile):
     status = bridge.status(0)
     assert "no frame of this profile" in status.text
     assert (status.frames, status.unknown_frames, status.unknown_ids) == (0, 1, 1)
-
-
-def test_wrong_profile_is_told(profile):
-    other = load_profile("tesla_model_3")
-    bridge = CanBridge(other)
-    encoder = Encoder(load_profile("tesla_model_3_2019"))
-    for time in range(100):
-        assert not bridge.decode(encoder.battery(BatteryReading(time, 380.0, -20.0)))
-    status = bridge.status(100)
-    assert not status.ok and "implausible" in status.text
-    assert status.dropped == {"out_of_range": 100}

@@ -7,9 +7,6 @@ import os
 from pathlib import Path
 import socket
 import struct
-import subprocess
-import sys
-import time
 import tty
 
 import can
@@ -17,13 +14,7 @@ import pytest
 
 from evpinn_ros.can import bus as bus_module
 from evpinn_ros.can.bus import BusCondition, BusReader
-from evpinn_ros.can.decoder import Decoder
-from evpinn_ros.can.encoder import Encoder
-from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.logs import LogFile, write_log
-from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import running
 from test.waiting import pause, wait_until
 
@@ -36,52 +27,6 @@ def reading(reader):
     with running(reader):
         yield
     assert reader.status().condition is BusCondition.CLOSED
-
-
-SENDER = """
-import sys, can
-log, group, port = sys.argv[1:]
-with can.Bus(group, interface="udp_multicast", port=int(port), hop_limit=0) as bus:
-    for message in can.LogReader(log):
-        bus.send(message)
-        sys.stdin.readline()  # UDP loses what nobody takes
-"""
-
-
-def test_frames_from_another_process_decode_as_the_log_does(tmp_path):
-    profile = load_profile("tesla_model_3")
-    encoder = Encoder(profile)
-    frames = []
-    for index in range(200):
-        stamp = NOW + index * 10_000_000
-        frames.append(encoder.battery(BatteryReading(stamp, 380.0, -index / 2)))
-        frames.append(encoder.speed(SpeedReading(stamp, index / 10)))
-    log = tmp_path / "drive.log"
-    write_log(log, frames)
-
-    port = 20_000 + os.getpid() % 20_000
-    received, before_ns = [], time.time_ns()
-
-    def receive(frame):
-        received.append(frame)
-        sender.stdin.write(b"\n")
-        sender.stdin.flush()
-
-    reader = BusReader("udp_multicast", GROUP, receive, time.time_ns, port=port, hop_limit=0)
-    try:
-        reader.open()
-    except InputError as error:
-        pytest.skip(f"no multicast here: {error}")
-    command = [sys.executable, "-c", SENDER, log, GROUP, str(port)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE) as sender, reading(reader):
-        wait_until(lambda: len(received) == len(frames))
-        wait_until(lambda: reader.status().condition is BusCondition.SILENT)
-    assert reader.status().counters == {"opened": 1, "frames": len(frames)}
-    live, offline = Decoder(profile), Decoder(profile)
-    for frame, logged in zip(received, LogFile(log).frames(), strict=True):
-        assert before_ns < frame.stamp_ns < time.time_ns()
-        same_time = CanFrame(logged.stamp_ns, frame.can_id, frame.data, frame.extended)
-        assert repr(live.decode(same_time)) == repr(offline.decode(logged))
 
 
 class Adapter:

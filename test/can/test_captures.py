@@ -14,10 +14,9 @@ import pytest
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.guard import FitGuard
-from evpinn_ros.can.inspection import Inspection
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.can.profile import MOTORS, load_profile
-from evpinn_ros.core.signals.readings import BatteryReading, MotorReading, SpeedReading
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import ALL
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "can"
@@ -125,18 +124,6 @@ CAPTURES = [
 ]
 
 
-@pytest.mark.parametrize(("right", "log"), CAPTURES, ids=lambda value: Path(value).stem)
-def test_inspection_names_the_profile(right, log):
-    inspection = Inspection(ALL, 500_000)
-    for frame in first_frames(log):
-        inspection.add_frame(frame)
-    report = inspection.report()
-    assert report.best.fit.profile == right and report.best.fit.score > 0.99
-    assert report.best.sign is None and report.best.sign_decided
-    assert 0.0 < report.load[0] < report.load[1] < 0.5
-    assert all(profile.fit.score < 0.7 for profile in report.profiles[1:])
-
-
 @pytest.mark.parametrize("patient", [False, True])
 @pytest.mark.parametrize(("right", "log"), CAPTURES, ids=lambda value: Path(value).stem)
 def test_the_guard_lets_out_the_right_profile_alone(right, log, patient):
@@ -150,38 +137,3 @@ def test_the_guard_lets_out_the_right_profile_alone(right, log, patient):
             assert repr(got) == repr([r for frame in first for r in plain.decode(frame)])
         else:
             assert not got, profile.key
-
-
-# Gear over tyre, rad/m, where the bus tells no motor speed; s by which the battery lags; least
-# correlation; battery over motor power, driving and braking.
-TORQUE = [
-    *(("nissan_leaf", *log, None, 0.05, 0.999, (1.06, 1.09), (0.85, 0.91))
-      for log in ((f"nissan_leaf_62kwh/{name}",) for name in LEAF)),
-    ("tesla_model_s", "tesla_model_s_2017/models_2017-02-19", None, 0.0, 0.998,
-     (1.15, 1.19), (0.74, 0.78)),
-    ("tesla_model_3_2019", "tesla_model3_2019/drive_first_300s", 9.04 / 0.334, 0.0, 0.99,
-     (1.08, 1.12), (0.83, 0.87)),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("profile", "log", "gear", "lag", "alike", "driving", "braking"), TORQUE)
-def test_motor_power_explains_battery_power(profile, log, gear, lag, alike, driving, braking):
-    decoder = Decoder(load_profile(profile))
-    path = DATA / f"{log}.candump.log"
-    readings = [reading for frame in frames(path) for reading in decoder.decode(frame)]
-
-    def rows(kind, *names):
-        of_kind = [reading for reading in readings if isinstance(reading, kind)]
-        return np.array([[r.stamp_ns / 1e9, *(getattr(r, n) for n in names)] for r in of_kind])
-
-    motor, battery = rows(MotorReading, "torque", "speed"), rows(BatteryReading, "power")
-    speed = rows(SpeedReading, "speed")
-    turning = motor[:, 2]
-    if gear is not None:
-        assert np.isnan(turning).all()
-        turning = gear * np.interp(motor[:, 0], speed[:, 0], speed[:, 1])
-    drawn = np.interp(motor[:, 0] + lag, battery[:, 0], battery[:, 1])
-    shaft = motor[:, 1] * turning
-    assert np.corrcoef(shaft, drawn)[0, 1] > alike and not decoder.dropped
-    for part, (low, high) in ((shaft > 3e3, driving), (shaft < -3e3, braking)):
-        assert low < drawn[part].sum() / shaft[part].sum() < high

@@ -85,35 +85,6 @@ def test_no_profile_lets_out_what_another_car_did_not_say(right, wrong, bus):
             assert reading.current == pytest.approx(true.current, abs=1.0)
 
 
-def door_status(frame, value):
-    """0x102 of a Model 3: latches of doors, which a Model S would call voltage and current."""
-    return CanFrame(frame.stamp_ns, 0x102, bytes.fromhex("2290") + value + bytes(4))
-
-
-@pytest.mark.parametrize("moving", [False, True])
-def test_model_s_on_the_bus_of_a_model_3(moving, bus):
-    chance = random.Random(1)
-    frames = []
-    for frame in bus("tesla_model_3"):
-        if frame.can_id == 0x292:
-            continue  # the charge comes once a second: the verdict must not need it
-        low = chance.randrange(0x2500, 0x2900) if moving else 0x2600
-        frames += [frame, door_status(frame, low.to_bytes(2, "little"))]
-    doors = [frame for frame in frames if frame.can_id == 0x102]
-    assert decoded("tesla_model_s", doors)  # alone each is a plausible battery
-    guard, bridge = guarded("tesla_model_s")
-    assert run(bridge, frames) == []
-    assert guard.contradiction.better == "tesla_model_3"
-    status = bridge.status(frames[-1].stamp_ns)
-    assert not status.ok and status.refusal == status.text
-    assert (
-        "profile 'tesla_model_s' contradicts the traffic: speed (0x116) never came" in status.text
-    )
-    assert status.text.endswith("'tesla_model_3' fits better")
-    dropped = status.dropped["undecided"] + status.dropped["contradicted"]
-    assert dropped == len(doors) and status.dropped["undecided"] < 20
-
-
 @pytest.mark.parametrize("patient", [False, True])
 def test_the_firmware_of_another_year(patient, bus):
     guard, bridge = guarded("tesla_model_3", patient=patient)

@@ -249,21 +249,6 @@ def test_no_bus_is_waited_for_without_a_stop():
     assert poller.status().ok and not poller.status().counters
 
 
-def test_a_log_of_a_polled_drive_decodes_like_the_live_bus(channel, unit):
-    units = kona(unit, lambda: [pack_answer(250, 3600)])
-    with can.Bus(channel, interface="virtual") as log:
-        with live(channel, KONA, units) as car:
-            car.wait_until(lambda: len(car.of(BatteryReading)) >= 3)
-        offline, readings = CanBridge(KONA), []
-        for message in iter(lambda: log.recv(0), None):
-            readings += offline.decode(CanFrame(0, message.arbitration_id, bytes(message.data)))
-
-    def values(readings):
-        return [repr(reading).partition(",")[2] for reading in readings]
-
-    assert values(readings)[: len(car.readings)] == values(car.readings)
-
-
 def test_a_car_that_is_another_is_not_asked():
     bolt, clock, sent = load_profile("chevrolet_bolt"), Clock(), []
 
