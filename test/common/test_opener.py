@@ -80,25 +80,9 @@ BESIDES = {  # what may open by itself, and why
     "evpinn_ros/cli/vehicles.py": "comments of a file that the opener has read",
 }
 OPENS = {"open", "fdopen", "read_text", "read_bytes", "ZipFile", "GzipFile", "loadtxt", "memmap"}
-OPENS |= {
-    "read_csv",
-    "read_parquet",
-    "read_excel",
-    "scan_parquet",
-    "scan_ipc",
-    "scan_csv",
-    "load_workbook",
-}
-OPENS |= {
-    "load",
-    "safe_load",
-    "fromfile",
-    "genfromtxt",
-    "read_json",
-    "read_table",
-    "MDF",
-    "MF4Reader",
-}
+OPENS |= {"read_csv", "read_parquet", "read_excel", "read_json", "read_table", "load_workbook"}
+OPENS |= {"scan_parquet", "scan_ipc", "scan_csv", "MDF", "MF4Reader"}
+OPENS |= {"load", "safe_load", "fromfile", "genfromtxt"}
 # Whose `open` and `load` are not of files.
 OURS = ("reader", "state_file", "self", "car", "car_replay", "json")
 

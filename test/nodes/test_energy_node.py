@@ -145,15 +145,6 @@ def test_forecasts_follow_the_model_and_expect_the_uneven_speed_that_the_car_has
     assert (level, text, values["forecasts_from"]) == (Level.OK, "ready", "estimate/model")
 
 
-def test_the_model_of_another_car_is_refused(bench):
-    bench.start(EstimatorNode, vehicle="bmw_i3")
-    node = bench.start(EnergyNode)
-    bench.pump(lambda: node.received[topics.MODEL] == 1)
-    values = bench.diagnosis(node)["meter"][2]
-    assert values["bad.estimate/model: other_vehicle_or_version"] == "1"
-    assert bench.diagnosis(node)["plan"][2]["forecasts_from"] == "vehicle file"
-
-
 def implausible(model):
     """Finite models and combinations that leave no plan a finite answer, each on its topic."""
     for change in (

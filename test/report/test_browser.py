@@ -77,19 +77,6 @@ def test_every_plot_is_drawn_without_a_word(browser, page, width, dark):
     assert browser.requests == [page.as_uri()]
 
 
-def test_to_zoom_one_curve_zooms_all_over_time_and_back(browser, page):
-    browser.open(page, width=1100)
-    before = pictures(browser)
-    zoom(browser, "power", 0.3, 0.5)
-    changed = differ(before, pictures(browser))
-    # Four maps and plots of errors, and energy by speed, stay; the rest follows.
-    assert changed.count(False) == 5 and len(changed) == 18
-    browser.run("document.querySelector('button').click()")
-    browser.settle()
-    assert not any(differ(before, pictures(browser)))
-    assert browser.troubles == []
-
-
 def test_a_stretch_has_its_own_figures(browser, reported, page):
     browser.open(page, width=1100)
     whole = stretch(browser)

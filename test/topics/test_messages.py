@@ -314,18 +314,10 @@ def every_message(new: messages.NewMessage) -> list[tuple[str, Any]]:
         AuxiliaryReading(NOW, 1500.0, 250.0),
         MotorReading(NOW, 120.5, 400.0),
     ]
-    built = [
-        ("geometry_msgs/msg/TwistWithCovarianceStamped", 0),
-        ("sensor_msgs/msg/BatteryState", 1),
-        ("sensor_msgs/msg/Imu", 2),
-        ("sensor_msgs/msg/NavSatFix", 3),
-        ("sensor_msgs/msg/Temperature", 4),
-        ("sensor_msgs/msg/JointState", 5),
-        ("sensor_msgs/msg/JointState", 6),
-    ]
+    kinds = reading_messages.READING_TOPICS
     level_reasons = {"updates": 3, "sigma": 0.5, "state": "predicting"}
     return [
-        *((name, reading_messages.reading_message(new, readings[index])) for name, index in built),
+        *((kinds[type(r)].type_name, reading_messages.reading_message(new, r)) for r in readings),
         ("std_msgs/msg/Float64", messages.scalar(new, np.float64(3.5))),
         ("sensor_msgs/msg/JointState",
          messages.named_vector(new, NOW, ["a", "b"], np.array([1.0, 2.0]), [0.1, 0.2], [3, 4])),

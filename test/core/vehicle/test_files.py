@@ -14,17 +14,6 @@ from evpinn_ros.core.vehicle.files import (
 )
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES, Parameters
 
-NAMES = [
-    "bmw_i3",
-    "bmw_i4",
-    "chevrolet_bolt",
-    "generic",
-    "hyundai_ioniq_6",
-    "mobile_robot",
-    "nissan_leaf",
-    "tesla_model_3_lr",
-    "tesla_model_s",
-]
 GOOD = """\
 name: A car
 frontal_area: {value: 2.2, source: "a sheet"}
@@ -54,11 +43,7 @@ def car(tmp_path):
     return write
 
 
-def test_the_files_of_the_package():
-    assert vehicle_names() == NAMES
-
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", vehicle_names())
 def test_every_file_of_the_package_loads(name):
     vehicle = load_vehicle(name)
     assert vehicle.key == name and vehicle.name
