@@ -102,8 +102,8 @@ class Columns:
         self._numbers.frombytes(np.stack(columns, axis=1).astype(float).tobytes())
 
     def values(self) -> np.ndarray:
-        """All rows, shape (n, width)."""
-        return np.array(self._numbers).reshape(-1, self._width)
+        """All rows, shape (n, width), not copied: none may be added while they are in use."""
+        return np.asarray(self._numbers).reshape(-1, self._width)
 
 
 class PowerSeries(NamedTuple):
