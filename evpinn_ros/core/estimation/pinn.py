@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -77,7 +78,6 @@ class _Ahead:
     Power is computed some samples ahead, by one product, and anew once the car is another.
 
     Attributes:
-        rows: what the trim takes of them.
         computed: how many powers are those of the present car.
         passed: how many moments are over.
         predicted: how many are predicted; those between wait for the trim.
@@ -85,11 +85,16 @@ class _Ahead:
     """
 
     def __init__(self, samples: Samples, trim: Trim) -> None:
-        self.samples, self.rows = samples, trim.rows_of(samples)
+        self.samples, self._trim = samples, trim
         self.stamps = samples.stamp_ns.tolist()
         self.power, self.sigma = np.zeros(samples.size), np.zeros(samples.size)
         self.computed = self.passed = self.predicted = 0
         self.ages: list[float] = []
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """What the trim takes of them."""
+        return self._trim.rows_of(self.samples)
 
     def let_pass(self, age: float) -> None:
         """Let the next moment be over, at an age of the trim, s."""

@@ -186,7 +186,8 @@ def profile(slopes: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
 
     Slopes, shape (n, PROFILE), less the acceleration, shape (n,), m/s^2; 0 where not known.
     """
-    return np.asarray(np.nan_to_num(slopes - acceleration[:, None], nan=0.0))
+    beyond = slopes - acceleration[:, None]
+    return np.where(np.isnan(beyond), 0.0, beyond)
 
 
 def _ones(*arrays: np.ndarray) -> Iterator[list[np.ndarray]]:

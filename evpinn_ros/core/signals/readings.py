@@ -46,7 +46,7 @@ def drawn_power(volts: Numbers, amperes: Numbers) -> Numbers:
 def sensor_sigma(power: Any, coarse: Any) -> Any:
     """1-sigma of measured power, W; coarse: what its resolution adds, NaN where that is fine."""
     square = SENSOR_STD**2 + (SENSOR_SHARE * power) ** 2
-    return np.sqrt(square + np.nan_to_num(coarse, nan=0.0) ** 2)
+    return np.sqrt(square + np.where(np.isnan(coarse), 0.0, coarse) ** 2)
 
 
 def has_position(latitude: Any, longitude: Any) -> Any:

@@ -237,7 +237,7 @@ class SampleStream:
         in_order = self._speed.in_order(speeds.stamps)
         if in_order:
             stamps = speeds.stamps[:in_order]
-            _, gaps = self._speed.rates(stamps)
+            *_, gaps = self._speed.rates(stamps)
             before = np.concatenate(([self._speed.gap_ns()], gaps[:-1]))
             newest = self._speed.newest_ns if len(self._speed) else stamps[0]
             apart = np.flatnonzero(np.diff(stamps, prepend=newest) > before)

@@ -61,19 +61,18 @@ class SignalTrack:
 
     def in_order(self, stamps: np.ndarray) -> int:
         """How many of these stamps, from the first on, each come after the one before."""
-        if not len(stamps):
-            return 0
         before = np.concatenate((self.stamps[-1:], stamps))
-        wrong = np.flatnonzero(np.diff(before) <= 0)
-        return int(wrong[0]) + (not len(self.stamps)) if len(wrong) else len(stamps)
+        rises = before[1:] > before[:-1]
+        return len(stamps) if rises.all() else int(rises.argmin()) + (not len(self.stamps))
 
-    def rates(self, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Usual step, s, and gap, ns, once each of more readings in order has come."""
-        steps = np.diff(np.concatenate((self.stamps[-1:], stamps))) / NANOSECONDS
-        periods = np.full(len(stamps), self._period)
-        if len(steps):
-            periods[-len(steps) :] = medians(np.concatenate((self._steps, steps)), len(steps))
-        return periods, self._gaps(periods)
+    def rates(self, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Latest steps, s, and usual step, s, and gap, ns, once each of more readings has come."""
+        moments = np.concatenate((self.stamps[-1:], stamps))
+        new = (moments[1:] - moments[:-1]) / NANOSECONDS
+        steps, periods = np.concatenate((self._steps, new)), np.full(len(stamps), self._period)
+        if len(new):
+            periods[-len(new) :] = medians(steps, len(new))
+        return steps[-RATE_READINGS:], periods, self._gaps(periods)
 
     def _gaps(self, periods: np.ndarray) -> np.ndarray:
         gaps = np.maximum(self._max_gap, GAP_STEPS * periods) * NANOSECONDS
@@ -83,9 +82,7 @@ class SignalTrack:
         """Take readings that come in order of stamps, after all before."""
         if not len(stamps):
             return
-        periods, gaps = self.rates(stamps)
-        steps = np.diff(np.concatenate((self.stamps[-1:], stamps))) / NANOSECONDS
-        self._steps = np.concatenate((self._steps, steps))[-RATE_READINGS:]
+        self._steps, periods, gaps = self.rates(stamps)
         self._period, self._gap_ns = float(periods[-1]), int(gaps[-1])
         self.stamps = np.concatenate((self.stamps, stamps))
         self.values = np.concatenate((self.values, values))
@@ -117,8 +114,7 @@ class SignalTrack:
         kept = slice(first, None)
         self.stamps, self.values = self.stamps[kept], self.values[kept]
         self.orders = np.full(len(self.stamps), BEFORE)
-        self.periods = np.full(len(self.stamps), self._period)
-        self.gaps = np.full(len(self.stamps), self._gap_ns)
+        self.periods, self.gaps = self.periods[kept], self.gaps[kept]
 
     def restart(self, gap: float) -> None:
         """Forget the readings before a gap, s; of a slow signal it is a step like others."""
