@@ -71,10 +71,9 @@ def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
     return 0.5 * (time[stride:] + time[:-stride])[near], change
 
 
-def speeds_up_and_down(speed: Signal, factor: float = 1.0) -> bool:
-    """True if a car does so often enough that its battery has to show it; the factor makes m/s."""
-    change = np.abs(accelerations(speed)[1]) * factor
-    return int((change > EVENT).sum()) >= LEAST_EVENTS
+def speeds_up_and_down(speed: Signal) -> bool:
+    """True if a car does so often enough that its battery has to show it; m/s."""
+    return int((np.abs(accelerations(speed)[1]) > EVENT).sum()) >= LEAST_EVENTS
 
 
 def at_times(signal: Signal, times: FloatArray) -> FloatArray:
