@@ -16,20 +16,13 @@ def drives(evpinn, tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def compared(evpinn, drives):
+def test_two_drives_side_by_side(evpinn, drives):
     files = ("--json", "c.json", "--report", "deep/c.html")
-    return evpinn("compare", "mild", "cold", *CAR, *files, cwd=drives)
-
-
-def test_two_drives_side_by_side(compared, drives):
+    compared = evpinn("compare", "mild", "cold", *CAR, *files, cwd=drives)
     assert compared.returncode == 0, compared.stderr
     assert "cold minus mild" in compared.stdout
     assert "Explained by: other standing load +" in compared.stdout
     assert "cold minus mild" in (drives / "deep" / "c.html").read_text()
-
-
-def test_the_same_for_scripts(compared, drives):
     document = json.loads((drives / "c.json").read_text())
     assert [drive["name"] for drive in document["drives"]] == ["mild", "cold"]
     (difference,) = document["differences"]

@@ -35,26 +35,17 @@ class Counter:
         self.count = 0
 
 
-def refuse_and_save(path):
-    state_file = StateFile(path, Counter(), Half.LEARNED)
-    state_file.restore()
-    assert f"{path.name}.refused" in state_file.problem
-    assert state_file.save() is None and state_file.problem is None
-
-
 def test_the_newest_refused_files_are_kept(tmp_path):
     path = tmp_path / "car.json"
     for number in range(REFUSED_KEPT + 2):
         path.write_text(f"broken {number}")
-        refuse_and_save(path)
+        state_file = StateFile(path, Counter(), Half.LEARNED)
+        state_file.restore()
+        assert "car.json.refused" in state_file.problem
+        assert state_file.save() is None and state_file.problem is None
     kept = sorted(tmp_path.glob("car.json.refused*"))
-    assert [file.name.removeprefix("car.json.refused") for file in kept] == [
-        "",
-        ".2",
-        ".3",
-        ".4",
-        ".5",
-    ]
+    numbers = [file.name.removeprefix("car.json.refused") for file in kept]
+    assert numbers == ["", ".2", ".3", ".4", ".5"]
     newest = [f"broken {number}" for number in range(REFUSED_KEPT + 1, 1, -1)]
     assert [file.read_text() for file in kept] == newest
 

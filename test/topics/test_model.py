@@ -31,21 +31,9 @@ def uneven(**values):
     return changed(unevenness=dataclasses.replace(MODEL.unevenness, **values))
 
 
-def shorter():
+def with_data(change):
     message = model_message(new_message, "bmw_i3", MODEL)
-    message.data = message.data[:-1]
-    return message
-
-
-def not_finite():
-    message = model_message(new_message, "bmw_i3", MODEL)
-    message.data[100] = np.nan
-    return message
-
-
-def far_too_long():
-    message = model_message(new_message, "bmw_i3", MODEL)
-    message.data = np.zeros(MOST_NUMBERS + 1)
+    message.data = change(message.data)
     return message
 
 
@@ -53,9 +41,9 @@ def far_too_long():
     ("make", "reason"),
     [
         (lambda: model_message(new_message, "nissan_leaf", MODEL), "other_vehicle_or_version"),
-        (shorter, "lengths_differ"),
-        (far_too_long, "too_large"),
-        (not_finite, "not_finite"),
+        (lambda: with_data(lambda data: data[:-1]), "lengths_differ"),
+        (lambda: with_data(lambda _: np.zeros(MOST_NUMBERS + 1)), "too_large"),
+        (lambda: with_data(lambda data: np.append(data[:-1], np.nan)), "not_finite"),
         (lambda: changed(mean=-MODEL.mean), "out_of_range"),
         (lambda: changed(trust=1e9), "out_of_range"),
         (lambda: changed(covariance=-MODEL.covariance), "out_of_range"),

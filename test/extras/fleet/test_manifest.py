@@ -41,11 +41,6 @@ def test_a_top_folder_is_a_car(data):
     assert names_of(cars_by_folder([str(data / "data")], LEAF), data) == ALL
 
 
-def test_folders_of_cars_may_be_given_themselves(data):
-    cars = cars_by_folder([str(data / "data" / "bob"), str(data / "data" / "loose.csv")], LEAF)
-    assert names_of(cars, data) == {"bob": ALL["bob"], "data": ALL["data"]}
-
-
 def test_two_folders_of_one_name_are_not_mixed(data):
     with pytest.raises(InputError, match="would both be car 'bob'"):
         cars_by_folder([str(data / "data"), str(data / "other")], LEAF)
