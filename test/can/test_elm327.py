@@ -178,33 +178,26 @@ def test_monitoring_stops_for_a_question_and_goes_on(adapter):
     assert " " in car.heard and "ATSH7E1" in car.heard and "ATCRA7E9" in car.heard
 
 
-def test_extended_addressing_of_an_i3(adapter):
-    answers = {"22D107": b"660F10562D107012C", "22DD68": b"607F10562DD689088"}
-    answers["22DD69"] = b"607F1100762DD690000\r607F12103E8"
-    car = adapter(answers)
-    with elm327(car.place, I3) as live:
-        wait_until(lambda: live.of(BatteryReading) and live.of(SpeedReading))
-    assert live.of(SpeedReading)[0].speed == pytest.approx(30.0 / 3.6)
-    assert live.of(BatteryReading)[0].voltage == pytest.approx(370.0)
-    assert live.of(BatteryReading)[0].current == pytest.approx(10.0)  # charging
-    for word in ("ATSH6F1", "ATCEA60", "ATCEA07", "ATCRA607", "ATFCSD07300000", "ATFCSM1"):
-        assert word in car.heard
-
-
 def test_voltage_and_current_behind_a_slow_adapter_keep_their_own_stamps(adapter):
     """A second from one to the other: no power of one moment, and nothing is thrown away."""
     answers = {"22D107": b"660F10562D107012C", "22DD68": b"607F10562DD689088"}
     answers["22DD69"] = b"607F1100762DD690000\r607F12103E8"
     car = adapter(answers, delay=0.25)
     with elm327(car.place, I3, lambda: car.now_s) as live:
-        wait_until(lambda: len(live.of(BatteryReading)) > 5)
+        wait_until(lambda: len(live.of(BatteryReading)) > 5 and live.of(SpeedReading))
         counters = live.counters
+    assert live.of(SpeedReading)[0].speed == pytest.approx(30.0 / 3.6)
     volts = [r for r in live.of(BatteryReading) if not math.isnan(r.voltage)]
     amps = [r for r in live.of(BatteryReading) if not math.isnan(r.current)]
-    assert {r.voltage for r in volts} == {370.0} and {r.current for r in amps} == {10.0}
+    assert {r.voltage for r in volts} == {370.0} and {r.current for r in amps} == {
+        10.0
+    }  # charging
     assert {r.stamp_ns for r in volts}.isdisjoint(r.stamp_ns for r in amps)
     stamps = [reading.stamp_ns for reading in live.of(BatteryReading)]
     assert stamps == sorted(stamps) and counters["answered"] >= len(stamps)
+    # Of its extended addresses:
+    for word in ("ATSH6F1", "ATCEA60", "ATCEA07", "ATCRA607", "ATFCSD07300000", "ATFCSM1"):
+        assert word in car.heard
 
 
 def test_only_the_questions_of_the_profile_leave(adapter):

@@ -6,13 +6,10 @@ import pytest
 from std_srvs.srv import SetBool
 
 from evpinn_ros import topics
-from evpinn_ros.core.estimation.trim import Correction
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.nodes.estimator import EstimatorNode
-from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.topics.messages import Level, read_named_vector
-from evpinn_ros.topics.readings import speed_message
 from test.nodes.plans import NOW, VEHICLE
 
 
@@ -97,30 +94,13 @@ def test_enable_pauses_learning_alone(bench):
     assert unsure(node) < 0.9
 
 
-def test_bad_messages_are_counted_by_reason(bench):
-    node = bench.start(EstimatorNode)
-    bench.read(node, speed(0.0))
-    broken = speed_message(new_message, speed(0.1))
-    broken.twist.twist.linear.x = math.nan
-    bench.deliver(node, topics.SPEED, broken)
-    bench.deliver(node, topics.SPEED, new_message(topics.SPEED_TYPE))
-    bench.deliver(node, topics.BATTERY, new_message(topics.BATTERY_TYPE))
-    bench.deliver(node, topics.IMU, new_message(topics.IMU_TYPE))
-    bench.read(node, speed(0.2, 1e9))
-    values = said(bench, node)[2]
-    assert values["bad.vehicle/speed: not_finite"] == "1"
-    assert values["bad.vehicle/speed: no_stamp"] == "1"
-    assert values["bad.battery/state: no_stamp"] == "1"
-    assert values["bad.vehicle/imu: no_stamp"] == "1"
-    assert values["dropped.speed_out_of_range"] == "1"
-
-
 def test_nothing_that_is_not_finite_is_published(bench, monkeypatch):
     node = bench.start(EstimatorNode)
     bench.read(node, speed(0.0))
     published = node.published[topics.POWER_PREDICTED]
     trim = node.estimator._learner._trim
-    monkeypatch.setattr(trim, "correct", lambda inputs, speed: Correction(math.nan, 1.0))
+    outputs = trim.outputs
+    monkeypatch.setattr(trim, "outputs", lambda rows, ages: outputs(rows, ages * math.nan))
     bench.read(node, speed(0.1))
     assert node.published[topics.POWER_PREDICTED] == published
     assert said(bench, node)[2]["bad.output_not_finite"] == "1"
@@ -137,11 +117,3 @@ def test_a_fault_of_ours_is_told_and_the_node_lives(bench, monkeypatch):
     bench.read(node, speed(0.2))
     assert node.estimator.status().newest_ns is not None
     bench.faulty.add(node)
-
-
-def test_the_reliable_estimate_reaches_a_late_subscriber(bench):
-    node = bench.start(EstimatorNode)
-    message = new_message(topics.NAMED_VECTOR_TYPE, name=["eta"], position=[0.9])
-    node.publish([(topics.RELIABLE, message)])
-    bench.listen(topics.RELIABLE)
-    bench.pump(lambda: bench.heard[topics.RELIABLE])
