@@ -13,10 +13,19 @@ def silence(energy=1000 * WH, sigma=60 * WH, duration=600.0, covered=600.0):
     return Dropout(0, duration, bridge, 10 * WH, sigma)
 
 
-def test_without_a_state_of_charge_only_the_prediction_is_there():
-    found = reconcile(silence(), UNKNOWN)
-    assert (found.verdict, found.correction) == (Verdict.PREDICTED, 0.0)
-    assert math.isnan(found.by_charge.value)
+@pytest.mark.parametrize(
+    ("dropout", "by_charge", "verdict"),
+    [
+        (silence(), UNKNOWN, Verdict.PREDICTED),
+        (silence(duration=59.0, covered=59.0), Uncertain(1100 * WH, 60 * WH), Verdict.SHORT),
+        (silence(), Uncertain(2000 * WH, 60 * WH), Verdict.CONTRADICTED),
+        (silence(covered=100.0), Uncertain(-9000 * WH, 60 * WH), Verdict.CHARGED),
+    ],
+)
+def test_what_the_charge_cannot_say_changes_nothing(dropout, by_charge, verdict):
+    found = reconcile(dropout, by_charge)
+    assert (found.verdict, found.correction) == (verdict, 0.0)
+    assert math.isnan(found.by_charge.value) == (by_charge is UNKNOWN)
 
 
 def test_two_statements_are_joined_by_their_variances():
@@ -26,21 +35,6 @@ def test_two_statements_are_joined_by_their_variances():
     assert found.variance_taken == pytest.approx((60 * WH) ** 2 / 2)
     rough = reconcile(silence(), Uncertain(1100 * WH, 600 * WH))
     assert rough.correction == pytest.approx(1 * WH, rel=0.02)
-
-
-def test_in_a_minute_the_state_of_charge_says_nothing():
-    found = reconcile(silence(duration=59.0, covered=59.0), Uncertain(1100 * WH, 60 * WH))
-    assert (found.verdict, found.correction) == (Verdict.SHORT, 0.0)
-
-
-def test_a_contradiction_is_told_and_changes_nothing():
-    found = reconcile(silence(), Uncertain(2000 * WH, 60 * WH))
-    assert (found.verdict, found.correction) == (Verdict.CONTRADICTED, 0.0)
-
-
-def test_a_charge_in_between_is_no_consumption():
-    found = reconcile(silence(covered=100.0), Uncertain(-9000 * WH, 60 * WH))
-    assert (found.verdict, found.correction) == (Verdict.CHARGED, 0.0)
 
 
 def test_where_speed_was_silent_too_the_state_of_charge_counts_alone():

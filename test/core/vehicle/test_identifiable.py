@@ -31,15 +31,6 @@ def test_combinations_by_hand():
     assert combined == pytest.approx((2000.0, 0.6, 0.01, 0.48, 500.0))
 
 
-@given(moments, cars, st.floats(0.5, 2.0))
-def test_scaling_along_the_null_direction_changes_nothing(moment, car, scale):
-    scaled = car._replace(
-        eta=scale * car.eta, mu=car.mu / scale, mass=scale * car.mass, c_d=scale * car.c_d
-    )
-    assert power(moment, scaled) == pytest.approx(power(moment, car), rel=1e-9, abs=1e-6)
-    assert identifiable(scaled, AREA) == pytest.approx(identifiable(car, AREA), rel=1e-12)
-
-
 @given(moments, cars)
 def test_combined_power_is_battery_power(moment, car):
     v, a, grade = moment
