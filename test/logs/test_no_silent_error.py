@@ -143,7 +143,7 @@ def test_minutes_and_seconds_can_be_given_where_hours_and_minutes_are_assumed(tm
 MASSES, VOLTS = (200, 250, 700, 1900, 700, 250, 700, 9000), (20, 60, 48, 48, 100, 350, 350, 600)
 
 
-@pytest.mark.parametrize(("mass", "volts"), zip(MASSES, VOLTS, strict=True))
+@pytest.mark.parametrize(("mass", "volts"), [*zip(MASSES, VOLTS, strict=True)])
 @pytest.mark.parametrize("odometer", ["", ",{miles:.2f}"])
 def test_a_speed_in_mph_is_read_so_or_the_unit_is_assumed(tmp_path, mass, volts, odometer):
     drive = simulated(mass=mass, volts=volts)
