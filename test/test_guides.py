@@ -133,7 +133,7 @@ def guides():
         yield pytest.param(page, id=page.stem, marks=marks)
 
 
-@pytest.mark.parametrize("page", guides())
+@pytest.mark.parametrize("page", list(guides()))
 def test_blocks_run_as_they_stand(page, checkout):
     environment = {
         **os.environ,

@@ -37,7 +37,7 @@ QUANTITIES = {
 ENDS = {"BatteryEnergy": ("", RATE, SIGMA), "EnergyConsumption": ("",)}
 
 
-@pytest.mark.parametrize(("name", "quantities"), QUANTITIES.items())
+@pytest.mark.parametrize(("name", "quantities"), list(QUANTITIES.items()))
 def test_a_message_file_has_the_quantities_of_its_vector(name, quantities):
     text = (PACKAGE / "msg" / f"{name}.msg").read_text()
     fields = re.findall(r"^float64 (\w+)", text, re.MULTILINE)

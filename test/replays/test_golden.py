@@ -18,7 +18,7 @@ def drives():
         yield pytest.param(drive, id=drive.path.stem, marks=marks)
 
 
-@pytest.mark.parametrize("drive", drives())
+@pytest.mark.parametrize("drive", list(drives()))
 def test_outputs_are_those_of_the_record(drive):
     record = golden.load(drive.path)
     assert len(record) > 50

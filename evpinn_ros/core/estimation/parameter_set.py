@@ -204,7 +204,7 @@ def _value(name: str, index: int, source: Published) -> tuple[float, float, Limi
         for share in (INTERVAL[0], 0.5, INTERVAL[1])
     )
     spread = (high - low) / (NORMAL.inv_cdf(INTERVAL[1]) - NORMAL.inv_cdf(INTERVAL[0]))
-    return middle, spread, Limits(max(low, LIMITS[name].lower), min(high, 1.0))
+    return middle, spread, _within((low, high), LIMITS[name])
 
 
 def _bounds(name: str, limits: Limits, combined: Mapping[str, _Combined], area: float) -> Limits:
@@ -226,8 +226,12 @@ def _bounds(name: str, limits: Limits, combined: Mapping[str, _Combined], area: 
         return limits
     divisor = area if name == "c_d" else 1.0
     spread = BOUND_SIGMAS * whole.std
-    ends = np.array((low * (whole.value - spread), whole.value + spread)) / divisor
-    return Limits(*(float(end) for end in np.clip(ends, *limits)))
+    ends = low * (whole.value - spread) / divisor, (whole.value + spread) / divisor
+    return _within(ends, limits)
+
+
+def _within(ends: tuple[float, float], limits: Limits) -> Limits:
+    return Limits(*(min(max(end, limits.lower), limits.upper) for end in ends))
 
 
 def _trust(combined_share: float, own_share: float, *, possible: bool) -> Trust:

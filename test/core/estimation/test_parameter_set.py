@@ -211,3 +211,14 @@ def test_a_value_that_is_unsure_by_a_quarter_is_not_valid_however_wide_its_prior
     wide.covariance[c_d, c_d] = 10.0
     found = parameter_set(0, source._replace(prior=wide)).parameters["c_d"]
     assert found.trust is state
+
+
+@pytest.mark.parametrize("beyond", [-9.0, 9.0])
+def test_a_value_beyond_what_any_car_has_is_shown_at_its_limit(prior, beyond):
+    """Means are logarithms for all but c_rr and p_aux, whose limits are passed in their unit."""
+    away = {
+        name: beyond * 1e4 if name in ("c_rr", "p_aux") else beyond for name in PARAMETER_NAMES
+    }
+    for name, estimate in parameter_set(0, learned(prior, 0.01, **away)).parameters.items():
+        assert estimate.lower <= estimate.value <= estimate.upper
+        assert LIMITS[name].lower <= estimate.lower and estimate.upper <= LIMITS[name].upper
