@@ -86,7 +86,7 @@ def test_a_command_whose_extra_is_missing_says_at_once_how_to_install_it(tmp_pat
 def test_from_python_too_a_missing_extra_is_named(tmp_path):
     code = (
         f"import sys; sys.modules.update(dict.fromkeys({ABSENT}))\n"
-        "import evpinn_ros as ev; ev.replay"
+        "import evpinn_ros as ev; ev.Estimator().parameters"
     )
     words = [sys.executable, "-c", code]
     ended = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
