@@ -243,8 +243,8 @@ class IntervalBuilder:
             map(tuple, motor.T.tolist()), _each(conditions), leaps.tolist(),
             self._heights(edge_ns, odometers, by), periods.tolist(), strict=True,
         )  # fmt: skip
-        for *row, known, period in rows:
-            self._last = _Edge(*row, *known)
+        for *row, heights, period in rows:
+            self._last = _Edge(*row, *heights)
             added.append(self._last)
             self._edges.append(self._last)
             whole_ns = int(max(DURATION, READINGS * period) * NANOSECONDS) - LAG_TOLERANCE_NS
@@ -265,12 +265,12 @@ class IntervalBuilder:
         self._passed = stamps[1 - PASSED :], ways[1 - PASSED :]
         if not self._road.shows_heights:
             return [self._height.known] * len(edge_ns)
-        known = []
+        counts = []
         for heights in self._road.heights(stamps, ways, by, passed, PASSED):
             for place, height in heights:
                 self._height.add(place, height)
-            known.append(self._height.known)
-        return known
+            counts.append(self._height.known)
+        return counts
 
     def _next_edges(self, settled_ns: int) -> np.ndarray:
         """Stamps of speed at least `STEP` apart, up to the moment from which more may come."""

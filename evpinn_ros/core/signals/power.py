@@ -202,18 +202,18 @@ class MotorTrack:
             return np.full((2, len(by)), np.nan)
         first = track.stamps.searchsorted(ends[:-1], side="right") - 1
         last = track.stamps.searchsorted(ends[1:])
-        known = (first >= 0) & (last < track.count(by))
+        covered = (first >= 0) & (last < track.count(by))
         first = np.clip(first, 0, len(track) - 2)
         around = np.column_stack((first, np.clip(last, first + 1, len(track) - 1)))
         widest = np.maximum.reduceat(np.append(np.diff(track.stamps), 0), around.ravel())[::2]
-        known &= widest <= track.gap_ns(by)
+        covered &= widest <= track.gap_ns(by)
         within = slice(*track.stamps.searchsorted(ends[[0, -1]]))
         knots = np.union1d(ends, track.stamps[within])
         power = np.interp(knots - ends[0], track.stamps - ends[0], track.values)
         signed = np.maximum(np.stack((power, -power)), 0.0)
         steps = (signed[:, 1:] + signed[:, :-1]) * (np.diff(knots) / (2 * NANOSECONDS))
         energies = np.add.reduceat(steps, knots.searchsorted(ends[:-1]), axis=1)
-        return np.where(known, energies, np.nan)
+        return np.where(covered, energies, np.nan)
 
 
 def _trapezoid(power: np.ndarray, step: np.ndarray) -> float:

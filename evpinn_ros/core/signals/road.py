@@ -257,30 +257,30 @@ class Road:
         told_ns, pitches = self._pitch.at(by)
         fresh = _age(stamps[passed:], told_ns) < STALE_AFTER
         fresh &= self._source in (GradeSource.AUTO, GradeSource.IMU)
-        known, altitudes = self.altitudes.stamps, self.altitudes.values.tolist()
-        upto = known.searchsorted(stamps[passed:], side="right")
+        seen_ns, altitudes = self.altitudes.stamps, self.altitudes.values.tolist()
+        upto = seen_ns.searchsorted(stamps[passed:], side="right")
         upto = np.minimum(upto, self.altitudes.count(by))
         begins = stamps[np.maximum(np.arange(passed, len(stamps)) - (kept - 1), 0)]
-        oldest = known.searchsorted(begins).tolist()
-        places = np.interp(known - stamps[0], stamps - stamps[0], odometers).tolist()
+        oldest = seen_ns.searchsorted(begins).tolist()
+        places = np.interp(seen_ns - stamps[0], stamps - stamps[0], odometers).tolist()
         if self._source not in (GradeSource.AUTO, GradeSource.FIX):
             upto = np.zeros_like(upto)
         rows = zip(
             fresh.tolist(), pitches.tolist(), stamps[passed:].tolist(),
             odometers[passed:].tolist(), oldest, upto.tolist(), strict=True,
         )  # fmt: skip
-        placed = int(known.searchsorted(self._placed_ns, side="right"))
+        placed = int(seen_ns.searchsorted(self._placed_ns, side="right"))
         for is_fresh, pitch, now_ns, odometer, first, last in rows:
             way, self._odometer = odometer - self._odometer, odometer
             if is_fresh:
                 self._height += way * math.sin(pitch)
                 self._altitude, self._placed_ns = AltitudeDetector(), now_ns
-                placed = int(known.searchsorted(now_ns, side="right"))
+                placed = int(seen_ns.searchsorted(now_ns, side="right"))
                 yield [(odometer, self._height)]
                 continue
             first, placed = max(first, placed), max(last, placed)
             if first < last:
-                self._placed_ns = int(known[last - 1])
+                self._placed_ns = int(seen_ns[last - 1])
             yield list(self._risen(places[first:last], altitudes[first:last]))
 
     def _risen(

@@ -139,22 +139,22 @@ def energies(motor: MotorTrack, *seconds: float) -> np.ndarray:
 
 def test_energy_of_driving_and_braking_stand_apart():
     """A torque that changes its sign, at 200 rad/s: 2 s of either sign, 100 N m at most."""
-    found = MotorTrack(2.5, math.nan)
+    motor = MotorTrack(2.5, math.nan)
     for t in np.arange(0.0, 2 * math.pi + 0.02, 0.01).tolist():
-        insert(found, MotorReading(at(t), float(torque(t)), 200.0), math.nan)
-    whole = energies(found, 0.0, 2 * math.pi)
+        insert(motor, MotorReading(at(t), float(torque(t)), 200.0), math.nan)
+    whole = energies(motor, 0.0, 2 * math.pi)
     assert whole[:, 0] == pytest.approx([200.0 * 200.0] * 2, rel=1e-4)
-    halves = energies(found, 0.0, math.pi, 2 * math.pi)
+    halves = energies(motor, 0.0, math.pi, 2 * math.pi)
     assert halves[1, 0] == pytest.approx(0.0, abs=1.0) == halves[0, 1]
-    steps = energies(found, *np.linspace(0.0, 2 * math.pi, 8))
+    steps = energies(motor, *np.linspace(0.0, 2 * math.pi, 8))
     assert steps.sum(axis=1) == pytest.approx(whole[:, 0], rel=1e-9)
 
 
 def test_only_steps_across_a_gap_have_no_motor_energy():
-    found = MotorTrack(2.5, math.nan)
+    motor = MotorTrack(2.5, math.nan)
     for t in (*np.arange(0.0, 5.0, 0.5), *np.arange(9.0, 12.0, 0.5)):
-        insert(found, MotorReading(at(float(t)), 100.0, 20.0), math.nan)
-    drive, brake = energies(found, -1.0, 1.0, 2.2, 4.0, 9.5, 11.5, 12.5)
+        insert(motor, MotorReading(at(float(t)), 100.0, 20.0), math.nan)
+    drive, brake = energies(motor, -1.0, 1.0, 2.2, 4.0, 9.5, 11.5, 12.5)
     unknown = [True, False, False, True, False, True]
     assert np.isnan(drive).tolist() == unknown == np.isnan(brake).tolist()
     assert drive[[1, 2, 4]] == pytest.approx([2400.0, 3600.0, 4000.0])
