@@ -11,7 +11,14 @@ import pytest
 from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    BatteryReading,
+    MotorReading,
+    Reading,
+    SpeedReading,
+)
 from evpinn_ros.replays.chain import Chain, ChainOutput
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
@@ -48,12 +55,18 @@ def polled(readings: list[Reading]) -> list[Reading]:
     return sorted(chosen, key=lambda reading: reading.stamp_ns)
 
 
-DRIVES = {"damaged": damaged, "polled": polled}
+def slow_sensors(readings: list[Reading]) -> list[Reading]:
+    """The drive with each height and torque a second late, as receivers and gateways have them."""
+    late_ns = {AltitudeReading: NANOSECONDS, MotorReading: NANOSECONDS}
+    return sorted(readings, key=lambda r: r.stamp_ns + late_ns.get(type(r), 0))
+
+
+DRIVES = {"damaged": damaged, "polled": polled, "slow_sensors": slow_sensors}
 
 
 @pytest.fixture(scope="module", params=DRIVES)
 def drive(request: pytest.FixtureRequest, vehicle: Any) -> list[Reading]:
-    seconds = SECONDS if request.param == "damaged" else 3 * SECONDS
+    seconds = 3 * SECONDS if request.param == "polled" else SECONDS
     recorded = simulate(
         DriveKind.URBAN, vehicle, seconds, seed=3, altitude=True, motor_torque=True
     ).readings

@@ -203,6 +203,18 @@ def test_the_newest_sample_is_predicted_and_nothing_follows_it(learner):
     assert first.tolist() == again.tolist()
 
 
+def test_samples_before_a_jump_of_time_are_in_no_energy(learner):
+    without = deepcopy(learner)
+    for tick in range(20):
+        battery_measured(learner, tick)
+        predicted(learner, tick)
+    learner.forget_window()
+    without.forget_window()
+    for tick in (100, 101, 102):
+        expected = predicted(without, tick).energy
+        assert predicted(learner, tick).energy == pytest.approx(expected, rel=1e-9, nan_ok=False)
+
+
 def test_a_standing_car_teaches_the_trim_nothing(learner):
     newest = Samples.of([sample(0)])
     before = followed(learner, Step.NEWEST, newest=newest).newest.tolist()
