@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 import math
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -209,6 +209,7 @@ class _Arrived:
         yield from np.concatenate(rows, axis=1)
 
 
+Log = TypeVar("Log", TripLog, BatteryModel)
 PLACES = 4  # for each reading: itself, what it measures, and what is predicted with it
 
 
@@ -217,9 +218,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     Attributes:
         meter: integrates power, since the last reset.
-        trip: distance and consumption.
         gauge: state of charge and capacity.
-        battery: its charge and voltage, for the end of a plan.
         reconciled: of the last battery dropout that ended, None before.
         usual: `remaining.usual_cost`, J/m, NaN if unknown; who learns the car sets it.
         route: of the last plan (`follow`), None before any.
@@ -241,8 +240,11 @@ class EnergyAccount(Saveable[SavedAccount]):
             capacity: energy of the full battery in the vehicle file, J, NaN if unknown.
             limits: of the car.
         """
-        self.meter, self.trip, self.gauge = meter, TripLog(), ChargeGauge(capacity)
-        self.battery = BatteryModel(capacity)
+        self.meter, self.gauge = meter, ChargeGauge(capacity)
+        self._battery = BatteryModel(capacity)
+        # What the trip and the battery are extended by once somebody asks for them.
+        self._driven: list[tuple[np.ndarray, ...]] = []
+        self._told: list[tuple[np.ndarray, ...]] = []
         self.usual = math.nan
         self._vehicle = vehicle
         self.admission = Admission(limits)
@@ -257,7 +259,8 @@ class EnergyAccount(Saveable[SavedAccount]):
         """Forget all, as if nothing had ever been counted."""
         self._shown = EnergyTotals()  # of the lifetime, last published
         self.meter.reset()
-        self.trip = TripLog()
+        self._trip = TripLog()
+        self._driven.clear()
         self.gauge.reset()
         self.battery.reset()
         self.route: Route | None = None
@@ -286,7 +289,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def begin_readings_anew(self) -> None:
         """Join no speed and no battery reading to those before: their time jumped."""
-        self.count()
+        self._count()
         self.admission.begin_anew()
         self.trip.begin_anew()
         self.battery.begin_anew()
@@ -364,6 +367,14 @@ class EnergyAccount(Saveable[SavedAccount]):
         """Count what has arrived; gives the states at each prediction of it."""
         if not self._arrived:
             return NO_STATES
+        corrections, course = self._count(), self.meter.course
+        states = course.states(course.at_predictions())
+        return self._corrected(states, course.predicted, corrections)
+
+    def _count(self) -> list[_Correction]:
+        """Count what has arrived; gives what was corrected."""
+        if not self._arrived:
+            return []
         arrived, self._arrived = self._arrived, _Arrived()
         predicted, measured = (PowerBlock(*arrived.columns(kind, 4)) for kind in _POWERS)
         course = self.meter.add(predicted, measured)
@@ -373,9 +384,19 @@ class EnergyAccount(Saveable[SavedAccount]):
                 self.route.see(arrived.first_ns)
         order, stamps, speeds = arrived.columns(_Kind.SPEED, 1)
         if len(order):
-            self.trip.extend(stamps, speeds, course.consumed(course.before(order))[0])
-        corrections = self._charged(course, *arrived.columns(_Kind.BATTERY, 3))
-        return self._corrected(course.states(course.at_predictions()), predicted, corrections)
+            energies, _, _ = course.consumed(course.before(order))
+            self._driven.append((stamps, speeds, energies))
+        return self._charged(course, *arrived.columns(_Kind.BATTERY, 3))
+
+    @property
+    def trip(self) -> TripLog:
+        """Distance and consumption."""
+        return _extended(self._trip, self._driven)
+
+    @property
+    def battery(self) -> BatteryModel:
+        """The battery's charge and voltage, for the end of a plan."""
+        return _extended(self._battery, self._told)
 
     def _corrected(
         self, states: EnergyState, predicted: PowerBlock, later: Sequence[_Correction]
@@ -407,12 +428,14 @@ class EnergyAccount(Saveable[SavedAccount]):
         """Take battery readings; gives what dropouts were corrected by, and when."""
         if not (len(order) or course.ended):
             return []
-        self.battery.extend(stamps, voltage, current, charge)
+        self._told.append((stamps, voltage, current, charge))
         told = np.flatnonzero((charge >= 0.0) & (charge <= 1.0))
+        if not (len(told) or course.ended):
+            return []
         order, stamps, charge = order[told], stamps[told], charge[told]
         at = course.before(order)
         consumed, variances, unmeasured_s = course.consumed(at)
-        silent = course.silent(at, stamps)
+        silent = course.silent(at, course.silent_s(at, stamps))
         heard = np.append(self._charge_before, charge[~silent])
         told = np.searchsorted(order[~silent], [place for place, _ in course.ended])
         ends = list(zip(course.ended, heard[told].tolist(), strict=True))
@@ -460,14 +483,14 @@ class EnergyAccount(Saveable[SavedAccount]):
     @property
     def state(self) -> EnergyState:
         """The meter's, with what reconciling added."""
-        self.count()
+        self._count()
         course = self.meter.course
         return next(self._corrected(course.states(course.end), NOTHING, ()).rows())
 
     @property
     def measuring(self) -> bool:
         """True if the battery was measured within its timeout."""
-        self.count()
+        self._count()
         return self.meter.measuring
 
     def since_reset(self) -> EnergyTotals:
@@ -486,7 +509,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     @property
     def odometer(self) -> float:
         """Distance since the first start, m."""
-        self.count()
+        self._count()
         return self._before_reset.distance + self.trip.total.distance
 
     def follow(self, plan: Plan, forecast: Forecast) -> None:
@@ -494,7 +517,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
         A plan shorter than `SHORTEST` is the horizon of a controller and changes nothing.
         """
-        self.count()
+        self._count()
         if plan.distance[-1] - plan.distance[0] >= SHORTEST:
             self.route = Route.from_here(plan, forecast, self.odometer, self._newest_ns)
 
@@ -504,12 +527,12 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def charge(self) -> Uncertain:
         """State of charge now, 0..1, its value NaN while unknown."""
-        self.count()
+        self._count()
         return self.gauge.charge(self._newest_ns, self.lifetime().net)
 
     def tick(self) -> AccountSummary | None:
         """The summary, when the last is a second of stamps old."""
-        self.count()
+        self._count()
         if self._newest_ns - self._summary_ns < SUMMARY_NS:
             return None
         self._summary_ns = self._newest_ns
@@ -585,7 +608,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def saved(self) -> SavedAccount:
         """State to save."""
-        self.count()
+        self._count()
         return SavedAccount(
             version=STATE_VERSION,
             vehicle=self._vehicle,
@@ -616,3 +639,11 @@ def _is_possible(power: Any, sigma: Any, most: float) -> Any:
     """Whether power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
     unknown = np.isnan(sigma)
     return (np.abs(power) <= most) & (unknown | ((sigma >= 0.0) & (sigma <= MAX_POWER)))
+
+
+def _extended(log: Log, waiting: list[tuple[np.ndarray, ...]]) -> Log:
+    """A log, extended by the columns that wait: of one block, which costs as much as a row."""
+    if waiting:
+        log.extend(*map(np.concatenate, zip(*waiting, strict=True)))
+        waiting.clear()
+    return log

@@ -127,7 +127,7 @@ class BatteryModel(Saveable[SavedBattery]):
         possible = (voltage >= MIN_VOLTAGE) & (voltage <= MAX_VOLTAGE)
         possible &= np.abs(current) <= MAX_CURRENT
         course = self._current.extend(stamps[possible], -current[possible])
-        kept = np.flatnonzero(possible)[np.flatnonzero(np.diff(course.used))]
+        kept = np.flatnonzero(possible)[course.places]
         taken = (course.drawn - course.regenerated)[1:]
         rows = zip(
             course.stamps.tolist(),

@@ -216,12 +216,12 @@ class MeterCourse:
     def before(self, order: np.ndarray) -> Counts:
         """How much had arrived before others in the order of arrival, shape (k,)."""
         blocks = self.predicted, self.measured
-        return Counts(*(np.searchsorted(arrived.order, order, side="left") for arrived in blocks))
+        return Counts(*(arrived.order.searchsorted(order, side="left") for arrived in blocks))
 
     def at_predictions(self) -> Counts:
         """How much had arrived with each prediction."""
         order = self.predicted.order
-        heard = np.searchsorted(self.measured.order, order, side="right")
+        heard = self.measured.order.searchsorted(order, side="right")
         return Counts(np.arange(1, len(order) + 1), heard)
 
     def newest(self, at: Counts) -> np.ndarray:
@@ -237,17 +237,16 @@ class MeterCourse:
         since_ns = np.where(since_ns == 0, self.first_ns[at.predicted], since_ns)
         return np.where(since_ns == 0, 0, np.maximum(stamp_ns - since_ns, 0)) / NANOSECONDS
 
-    def silent(self, at: Counts, stamp_ns: np.ndarray) -> np.ndarray:
-        """True where the battery gave nothing within its timeout before stamps."""
-        seconds, integral = self.silent_s(at, stamp_ns), self.integrals[1]
+    def silent(self, at: Counts, seconds: np.ndarray) -> np.ndarray:
+        """True where the battery gave nothing within its timeout, for it was silent so long."""
+        silent: np.ndarray = ~self.heard[at.measured]
         late = seconds > MAX_GAP
-        if not late.any():
-            return np.asarray(~self.heard[at.measured])
-        counts, which = np.unique(integral.used[at.measured[late]], return_inverse=True)
-        longest = np.array([integral.longest(count) for count in counts.tolist()])
-        late[late] = seconds[late] > longest[which]
-        silent: np.ndarray = late | ~self.heard[at.measured]
-        return silent
+        if late.any():
+            integral = self.integrals[1]
+            counts, which = np.unique(integral.used[at.measured[late]], return_inverse=True)
+            longest = np.array([integral.longest(count) for count in counts.tolist()])
+            late[late] = seconds[late] > longest[which]
+        return silent | late
 
     def predicted_at(self, at: np.ndarray) -> np.ndarray:
         """`parts` and variance after so many predictions, shape (k, 5)."""
@@ -275,15 +274,16 @@ class MeterCourse:
 
     def until_now(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
         """All dropouts, the present one among them, and where there is one; shape (k, 7), (k,)."""
-        stamp_ns = self.newest(at)
-        silent = self.silent(at, stamp_ns)
-        seconds = self.silent_s(at, stamp_ns)
+        seconds = self.silent_s(at, self.newest(at))
+        silent, dropouts = self.silent(at, seconds), self.dropouts[at.measured]
+        open_step = silent | (seconds > MAX_GAP)
+        if not open_step.any():
+            return dropouts, silent
         bridge, short, sigma = self.bridges(at, seconds, self.predicted_at(at.predicted))
         variance = sigma**2
         unmeasured_s = np.where(silent, seconds, 0.0)  # a slow battery will tell of this time
         present = np.column_stack((bridge, variance, variance - short**2, unmeasured_s))
-        open_step = silent | (seconds > MAX_GAP)
-        return self.dropouts[at.measured] + np.where(open_step[:, None], present, 0.0), silent
+        return dropouts + np.where(open_step[:, None], present, 0.0), silent
 
     def consumed(self, at: Counts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Net energy, J, its variance, J^2, and time without the battery, s, shape (k,) each."""
@@ -415,22 +415,23 @@ class EnergyMeter(Saveable[SavedMeter]):
         plain = ours.drawn - ours.regenerated
         energy = rknn[:, 0] if self._integrator is Integrator.RKNN else plain
         gross = ours.drawn + ours.regenerated
-        parts = np.column_stack((energy, ours.regenerated, gross, ours.covered_s))[ours.used]
+        parts = np.stack((energy, ours.regenerated, gross, ours.covered_s), axis=-1)[ours.used]
         variances = (
             _variances(self._errors[0], ours, predicted.sigma),
             _variances(self._errors[1], theirs, measured.sigma, sampled),
         )
         # Places of the measurements that are used, and how many predictions came before each.
-        places = np.flatnonzero(np.diff(theirs.used))
-        passed = np.searchsorted(predicted.order, measured.order[places], side="left")
-        rows = np.column_stack((parts, variances[0]))
-        predictions = np.flatnonzero(np.diff(ours.used)) + 1
-        late_ns = np.append(last.late_ns, ours.stamps)
-        late = np.vstack((last.late, rows[predictions]))
+        places = theirs.places
+        passed = predicted.order.searchsorted(measured.order[places], side="left")
+        rows = np.concatenate((parts, variances[0][:, None]), axis=1)
+        late_ns = np.concatenate((last.late_ns, ours.stamps))
+        late = np.concatenate((last.late, rows[ours.places + 1]))
         arrived = len(last.late_ns) + ours.used[passed]
-        anchors = np.vstack((last.anchors[-1:], _at(theirs.stamps, late_ns, late, arrived)))
-        kept = np.searchsorted(late_ns, late_ns[-1] - LATEST_NS)
-        since_ns = np.append(last.since_ns[-1], theirs.stamps)
+        anchors = _at(theirs.stamps, late_ns, late, arrived)
+        anchors = np.concatenate((last.anchors[-1:], anchors))
+        kept = late_ns.searchsorted(late_ns[-1] - LATEST_NS)
+        since_ns = np.concatenate((last.since_ns[-1:], theirs.stamps))
+        told = np.stack((predicted.energy, predicted.energy_sigma), axis=-1)
         first_ns = last.first_ns[-1] or int(predicted.stamp_ns[:1].sum())
         course = MeterCourse(
             predicted,
@@ -441,18 +442,16 @@ class EnergyMeter(Saveable[SavedMeter]):
             rknn=rknn[ours.used],
             variances=variances,
             powers=(
-                np.append(last.powers[0][-1], ours.end)[ours.used],
-                np.append(last.powers[1][-1], theirs.end)[theirs.used],
+                np.concatenate((last.powers[0][-1:], ours.end))[ours.used],
+                np.concatenate((last.powers[1][-1:], theirs.end))[theirs.used],
             ),
             newest_ns=(
-                np.maximum.accumulate(np.append(last.newest_ns[0][-1], predicted.stamp_ns)),
-                np.maximum.accumulate(np.append(last.newest_ns[1][-1], measured.stamp_ns)),
+                _newest(last.newest_ns[0], predicted.stamp_ns),
+                _newest(last.newest_ns[1], measured.stamp_ns),
             ),
-            told=np.vstack(
-                (last.told[-1:], np.column_stack((predicted.energy, predicted.energy_sigma)))
-            ),
+            told=np.concatenate((last.told[-1:], told)),
             since_ns=since_ns[theirs.used],
-            first_ns=np.append(last.first_ns[-1], np.full(len(predicted.order), first_ns)),
+            first_ns=np.repeat((last.first_ns[-1], first_ns), (1, len(predicted.order))),
             heard=last.heard[-1] | (theirs.used > 0),
             anchors=anchors[theirs.used],
             late_ns=late_ns[kept:],
@@ -461,7 +460,7 @@ class EnergyMeter(Saveable[SavedMeter]):
             ended=(),
             dropped=dropped,
         )
-        silences = np.flatnonzero(~theirs.joined)
+        silences = (~theirs.joined).nonzero()[0]
         at = Counts(passed[silences], places[silences])
         self.course = _with_ended(course, at, theirs.stamps[silences])
         return self.course
@@ -469,14 +468,14 @@ class EnergyMeter(Saveable[SavedMeter]):
     def _by_network(self, course: Course, last: np.ndarray) -> np.ndarray:
         """Energy by the network after each sample used, and its last mean power, J and W."""
         energies = np.zeros(len(course.steps))
-        joined = np.flatnonzero(course.joined)
+        joined = course.joined.nonzero()[0]
         for batch in np.split(joined, range(BATCH, len(joined), BATCH)) if len(joined) else ():
             energies[batch] = self._network.step(
                 course.begin[batch], course.end[batch], course.steps[batch]
             )
-        means = np.append(last[1], energies[joined] / course.steps[joined])
-        latest = np.append(0, np.cumsum(course.joined))
-        return np.column_stack((np.cumsum(np.append(last[0], energies)), means[latest]))
+        means = np.concatenate((last[1:], energies[joined] / course.steps[joined]))
+        running = np.concatenate((last[:1], energies)).cumsum()
+        return np.stack((running, means[counted(course.joined)]), axis=-1)
 
     @property
     def measuring(self) -> bool:
@@ -504,6 +503,19 @@ class EnergyMeter(Saveable[SavedMeter]):
         )
 
 
+def counted(flags: np.ndarray) -> np.ndarray:
+    """How many are true before each of n flags and after the last, shape (n + 1,)."""
+    counts = np.zeros(len(flags) + 1, np.int64)
+    flags.cumsum(out=counts[1:])
+    return counts
+
+
+def _newest(last_ns: np.ndarray, stamps: np.ndarray) -> np.ndarray:
+    """The newest stamp after none of some and after each, ns."""
+    newest_ns: np.ndarray = np.maximum.accumulate(np.concatenate((last_ns[-1:], stamps)))
+    return newest_ns
+
+
 def _variances(
     error: CorrelatedError,
     course: Course,
@@ -514,12 +526,10 @@ def _variances(
 
     `besides` gives what is added for steps, s, and rises of power, W.
     """
-    used = sigmas[np.flatnonzero(np.diff(course.used))]
     joined, steps = course.joined, course.steps[course.joined]
-    rises = (course.end - course.begin)[joined]
-    variances = error.integrate(used[joined], steps, besides and besides(steps, rises))
-    steps = np.append(0, np.cumsum(course.joined))
-    after: np.ndarray = variances[steps[course.used]]
+    used, rises = sigmas[course.places][joined], (course.end - course.begin)[joined]
+    variances = error.integrate(used, steps, besides and besides(steps, rises))
+    after: np.ndarray = variances[counted(joined)[course.used]]
     return after
 
 

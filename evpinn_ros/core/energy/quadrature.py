@@ -19,6 +19,8 @@ from evpinn_ros.core.signals.track import GAP_STEPS, RATE_READINGS
 
 MAX_GAP = 2.0  # s
 NONE = np.empty(0)
+NO_STAMP = np.iinfo(np.int64).min
+NO_STEP = np.zeros(1, dtype=bool)
 MOST_COUNTED = 1e15  # of any saved value: sums of two stay numbers
 Amount: TypeAlias = Annotated[float, Range(0.0, MOST_COUNTED)]
 Count: TypeAlias = Annotated[int, Range(0, MOST_COUNTED)]
@@ -96,6 +98,7 @@ class Course(NamedTuple):
 
     Attributes:
         used: how many of the block are used before each sample and after the last, shape (n + 1,).
+        places: of those used, in the block, shape (m,).
         stamps: of those used, ns, shape (m,).
         steps: s from the sample used before to each of these, 0 at the first of all, shape (m,).
         joined: whether that step was integrated, shape (m,).
@@ -109,6 +112,7 @@ class Course(NamedTuple):
     """
 
     used: np.ndarray
+    places: np.ndarray
     stamps: np.ndarray
     steps: np.ndarray
     joined: np.ndarray
@@ -146,7 +150,7 @@ class EnergyIntegral:
             saved: totals and counters before the first sample.
         """
         self._max_gap, self.total = max_gap, saved
-        self._last: tuple[int, float] | None = None
+        self._last_ns, self._last = np.array([NO_STAMP]), np.zeros(1)
         self._recent = np.empty(0)
 
     @property
@@ -161,55 +165,57 @@ class EnergyIntegral:
 
     def extend(self, stamps: np.ndarray, values: np.ndarray) -> Course:
         """Take samples in order of arrival: stamps, ns, and values, W, shape (n,) each."""
-        total, first = self.total, self._last is None
         finite = np.isfinite(values)
-        oldest = np.iinfo(np.int64).min if self._last is None else self._last[0]
-        newest = np.maximum.accumulate(np.append(oldest, np.where(finite, stamps, oldest)))
+        newest = np.maximum.accumulate(
+            np.concatenate((self._last_ns, np.where(finite, stamps, NO_STAMP)))
+        )
         taken = finite & (stamps > newest[:-1])
-        at, power = stamps[taken], values[taken]
-        if first:
-            before = (at[:1], power[:1])
-        else:
-            before = (np.array([self._last[0]]), np.array([self._last[1]]))  # type: ignore[index]
-        steps = np.diff(np.concatenate((before[0], at))) / NANOSECONDS
-        begin = np.concatenate((before[1], power))[: len(power)]
-        new = steps[1:] if first else steps
+        used = np.zeros(len(values) + 1, np.int64)
+        taken.cumsum(out=used[1:])
+        at, end = stamps[taken], values[taken]
+        is_first = self._last_ns[0] == NO_STAMP
+        before_ns, before = (at, end) if is_first else (self._last_ns, self._last)
+        steps = at - np.concatenate((before_ns[:1], at[:-1]))[: len(at)]
+        steps = steps / NANOSECONDS
+        begin = np.concatenate((before[:1], end[:-1]))[: len(at)]
+        new = steps[1:] if is_first else steps
         mask = joined(new, self._max_gap, self._recent)
         gap = ~mask
-        if first and len(steps):
-            mask, gap = (np.append(np.zeros(1, dtype=bool), flags) for flags in (mask, gap))
-        drawn, regenerated = (energy * mask for energy in split(steps, begin, power))
+        if is_first and len(at):
+            mask, gap = (np.concatenate((NO_STEP, flags)) for flags in (mask, gap))
+        totals = np.empty((5, len(at) + 1))
+        total = self.total
+        totals[:, 0] = total.drawn, total.regenerated, total.covered_s, total.gaps, total.gap_s
+        totals[:2, 1:] = split(steps, begin, end)
+        totals[2, 1:] = steps
+        totals[:3, 1:] *= mask
+        totals[3, 1:], totals[4, 1:] = gap, steps * gap
+        drawn, regenerated, covered_s, gaps, gap_s = totals.cumsum(axis=1)
         course = Course(
-            np.append(0, np.cumsum(taken)),
+            used,
+            taken.nonzero()[0],
             at,
             steps,
             mask,
             begin,
-            power,
-            _running(total.drawn, drawn),
-            _running(total.regenerated, regenerated),
-            _running(total.covered_s, steps * mask),
-            _running(total.gaps, gap),
+            end,
+            drawn,
+            regenerated,
+            covered_s,
+            gaps,
             np.concatenate((self._recent, new)),
         )
         self._recent = course.recent[-RATE_READINGS:]
         if len(at):
-            self._last = int(at[-1]), float(power[-1])
-        not_finite = len(values) - int(finite.sum())
+            self._last_ns, self._last = at[-1:], end[-1:]
+        finite_count = int(np.count_nonzero(finite))
         self.total = SavedIntegral(
-            float(course.drawn[-1]),
-            float(course.regenerated[-1]),
-            float(course.covered_s[-1]),
-            int(course.gaps[-1]),
-            float(_running(total.gap_s, steps * gap)[-1]),
-            total.out_of_order + len(values) - not_finite - len(at),
-            total.not_finite + not_finite,
+            float(drawn[-1]),
+            float(regenerated[-1]),
+            float(covered_s[-1]),
+            int(gaps[-1]),
+            float(gap_s[-1]),
+            total.out_of_order + finite_count - len(at),
+            total.not_finite + len(values) - finite_count,
         )
         return course
-
-
-def _running(start: float, parts: np.ndarray) -> np.ndarray:
-    """Running total of parts, shape (m,), from a start on, shape (m + 1,)."""
-    totals = np.empty(len(parts) + 1)
-    totals[0], totals[1:] = start, parts
-    return np.cumsum(totals, out=totals)

@@ -121,7 +121,7 @@ class TripLog(Saveable[SavedTrip]):
         """Take speeds, m/s, and the net energy since whenever, J, then; shape (n,) each."""
         # The integral of speed is distance: one way to deal with gaps and doubled stamps.
         course = self._speed.extend(stamps, np.abs(speeds))
-        used = energies[np.flatnonzero(np.diff(course.used))]
+        used = energies[course.places]
         if not len(used):
             return
         before = used[0] if self._energy_before is None else self._energy_before
