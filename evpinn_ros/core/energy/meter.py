@@ -11,7 +11,7 @@ arrival; how they are cut changes nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import starmap
 import math
@@ -88,13 +88,13 @@ class EnergyState:
 
     def rows(self) -> Iterator[EnergyState]:
         """The n states one by one."""
-        contents = (getattr(self, column.name) for column in fields(self))
-        columns: Iterator[Iterable[Any]] = (
-            map(Flow, *(part.tolist() for part in content))
+        contents = [getattr(self, name) for name in self.__slots__]
+        columns: list[Iterable[Any]] = [
+            map(Flow, *[part.tolist() for part in content])
             if isinstance(content, Flow)
             else content.tolist()
             for content in contents
-        )
+        ]
         return starmap(EnergyState, zip(*columns, strict=True))
 
 

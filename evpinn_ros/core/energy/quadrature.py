@@ -40,13 +40,13 @@ def joined(steps: np.ndarray, max_gap: float, before: np.ndarray = NONE) -> np.n
         before: steps that went before.
     """
     mask: np.ndarray = steps <= max_gap
-    long = np.flatnonzero(~mask)
-    if len(long):
-        series = np.concatenate((before, steps))
-        for index in long.tolist():
-            last = len(before) + index
-            recent = np.sort(series[max(0, last - RATE_READINGS) : last])
-            mask[index] = len(recent) and steps[index] <= GAP_STEPS * recent[len(recent) // 2]
+    if mask.all():
+        return mask
+    series = np.concatenate((before, steps))
+    for index in np.flatnonzero(~mask).tolist():
+        last = len(before) + index
+        recent = np.sort(series[max(0, last - RATE_READINGS) : last])
+        mask[index] = len(recent) and steps[index] <= GAP_STEPS * recent[len(recent) // 2]
     return mask
 
 

@@ -420,18 +420,20 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         stuck = self._followed_stuck(aligned.block, events.taken)
         told = self._told(events, stuck)
         measured = self._admitted(events.measured, stuck)
+        checkable = admitted(measured)
         learned_from = measured if self.enabled else measured.where(slice(0))
         if len(learned_from.order):
-            self._seen.add(learned_from.samples.where(admitted(learned_from)))
+            self._seen.add(learned_from.samples.where(checkable))
         moments = Moments.of(events, learned_from, told[:2])
         predictions = self._learner.begin(moments)
         learned = self._learned(moments, events, stuck, self._ticks(events, aligned, before))
         newest = self._calibrated(
-            PowerKind.PREDICTED, events.newest, events.newest_order, predictions.newest, measured
-        )
+            PowerKind.PREDICTED, events.newest, events.newest_order, predictions.newest, measured,
+            checkable,
+        )  # fmt: skip
         smoothed = self._calibrated(
             PowerKind.SMOOTHED, events.smoothed, events.smoothed_order, predictions.smoothed,
-            measured,
+            measured, checkable,
         )  # fmt: skip
         if smoothed is not NO_POWERS:
             energies = predictions.energies.T
@@ -521,6 +523,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         order: np.ndarray,
         predicted: np.ndarray,
         measured: Measured,
+        checkable: np.ndarray,
     ) -> PowerRows:
         """Predictions with 1-sigma by how errors really spread, each by what was known before.
 
@@ -530,18 +533,18 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             order: places at which they are.
             predicted: power, W, and the model's 1-sigma, W, shape (n, 2).
             measured: samples that are known meanwhile.
+            checkable: which of them may be learned from, shape (k,).
         """
         if not (len(predicted) or len(measured.order)):
             return NO_POWERS
         power, sigma = predicted.T
         new = Waiting(samples.stamp_ns, power, sigma, np.abs(samples.speed) > STANDSTILL_SPEED)
         waiting = self._predictions[kind].and_then(new)
-        checkable = admitted(measured)
         stamps = measured.samples.stamp_ns
-        index = np.searchsorted(waiting.stamp_ns, stamps)
-        checkable &= np.append(waiting.stamp_ns, NEVER)[index] == stamps
+        index = waiting.stamp_ns.searchsorted(stamps)
+        checkable = checkable & (np.append(waiting.stamp_ns, NEVER)[index] == stamps)
         if kind is PowerKind.PREDICTED:
-            place = np.searchsorted(order, measured.order, side="right")
+            place = order.searchsorted(measured.order, side="right")
         else:
             place = measured.place
         index, place = index[checkable], place[checkable]

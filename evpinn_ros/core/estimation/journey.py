@@ -11,7 +11,8 @@ from evpinn_ros.core.estimation.states import SIZE
 from evpinn_ros.core.estimation.terms import Equation, Warmth
 from evpinn_ros.core.signals.interval import Interval, Steps
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import NO_SAMPLES, Samples
+from evpinn_ros.core.signals.sample import NO_SAMPLES, Samples, joined_samples
+from evpinn_ros.core.signals.track import NEVER
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 LOAD_TIME = 300.0  # s in which the wandering load forgets itself
@@ -127,14 +128,24 @@ class Tail:
     def __init__(self, equation: Equation) -> None:
         """Nothing driven by a car."""
         self._equation = equation
-        self._samples = NO_SAMPLES
+        self._samples, self._later, self._newest_ns = NO_SAMPLES, [NO_SAMPLES], NEVER
         self._sums = Journey(np.empty((0, SIZE)), np.empty(0), np.empty((0, 3)), np.empty(0))
 
     def extend(self, samples: Samples) -> None:
         """Take the samples that follow."""
-        if self._samples.size:
-            samples = samples.where(samples.stamp_ns > self._samples.stamp_ns[-1])
-        self._samples = self._samples.and_then(samples)
+        if samples.size and samples.stamp_ns[0] <= self._newest_ns:
+            samples = samples.where(samples.stamp_ns > self._newest_ns)
+        if not samples.size:
+            return
+        self._newest_ns = int(samples.stamp_ns[-1])
+        self._later.append(samples)
+        if len(self._later) > SAMPLES_KEPT:
+            self._join()
+
+    def _join(self) -> None:
+        """Put what came later behind the rest, of which the latest are kept."""
+        self._samples = joined_samples((self._samples, *self._later))
+        self._later.clear()
         surplus = self._samples.size - 2 * SAMPLES_KEPT
         if surplus > SAMPLES_KEPT:
             self._samples = self._samples.where(slice(surplus, None))
@@ -142,6 +153,7 @@ class Tail:
 
     def between(self, start_ns: int, ends: np.ndarray, warmth: Warmth) -> Journey:
         """Journeys from one stamp to others, as far as they are remembered, shape (n,) each."""
+        self._join()
         stamps = self._samples.stamp_ns
         if not len(stamps):
             return Journey(*(np.repeat(column[None], len(ends), 0) for column in NOWHERE_ARRAYS))

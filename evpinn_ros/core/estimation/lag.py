@@ -398,8 +398,8 @@ class Alignment:
         if len(speeds.order) and speeds.order[0] == 0 and self._learner.is_due(speeds.stamps[0]):
             self._learner.add_due(int(speeds.stamps[0]), float(speeds.values[0, 0]))
             speeds = speeds.where(slice(1, None))
-        due = np.append(self._learner.is_due(speeds.stamps), True)
-        end = int(np.append(speeds.order, block.length)[due.argmax()])
+        due = self._learner.is_due(speeds.stamps)
+        end = int(speeds.order[due.argmax()]) if due.any() else block.length
         before_ns, known = self.shift_ns, self._jumped
         battery = battery.where(battery.order < end)
         shifts, self._jumped = self._moved(battery.stamps)
@@ -418,11 +418,14 @@ class Alignment:
         if not len(stamps):
             return shifts, False
         before_ns, self._battery_ns = self._battery_ns, int(stamps[-1])
+        away = self._target - self.shift_ns / NANOSECONDS
+        is_right = not round(away * NANOSECONDS)
+        if is_right and (self._settled or not self._learner.known):
+            return shifts, False
         passed = np.diff(stamps, prepend=stamps[0] if before_ns is None else before_ns)
         passed = passed / NANOSECONDS
         joined = np.flatnonzero((passed > 0.0) & (passed <= self._learner.gap))
-        away = self._target - self.shift_ns / NANOSECONDS
-        if not round(away * NANOSECONDS):
+        if is_right:
             self._settled |= self._learner.known and len(joined) > 0
             return shifts, False
         for index in joined.tolist():

@@ -216,8 +216,7 @@ def gates(samples: Samples, power: np.ndarray) -> list[str | None]:
 
 def admitted(measured: Measured) -> np.ndarray:
     """Which samples may be learned from, shape (n,)."""
-    reasons = gates(measured.samples, measured.power)
-    return np.fromiter((reason is None for reason in reasons), bool, len(reasons))
+    return np.array([reason is None for reason in gates(measured.samples, measured.power)], bool)
 
 
 def gate_interval(interval: Interval) -> str | None:

@@ -13,8 +13,8 @@ import numpy as np
 
 from evpinn_ros.core.signals.sample import Samples
 
-SPEED_EDGES = (30, 60, 90, 120)  # km/h
-BRAKING, ACCELERATING = -0.3, 0.3  # m/s^2
+SPEED_EDGES = np.array([30.0, 60.0, 90.0, 120.0])  # km/h
+MANNER_EDGES = np.array([-0.3, 0.3])  # m/s^2, between braking, steady and accelerating
 SPEEDS = ("0_30", "30_60", "60_90", "90_120", "over_120")
 MANNERS = ("braking", "steady", "accelerating")
 
@@ -27,8 +27,8 @@ class OperatingRange:
 
     def add(self, samples: Samples) -> None:
         """Count samples that were learned from."""
-        speed = np.searchsorted(SPEED_EDGES, np.abs(samples.speed) * 3.6, side="right")
-        manner = np.searchsorted((BRAKING, ACCELERATING), samples.acceleration, side="right")
+        speed = SPEED_EDGES.searchsorted(np.abs(samples.speed) * 3.6, side="right")
+        manner = MANNER_EDGES.searchsorted(samples.acceleration, side="right")
         self._counts.update(zip(speed.tolist(), manner.tolist(), strict=True))
 
     def counts(self) -> Mapping[str, int]:

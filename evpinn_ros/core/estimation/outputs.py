@@ -78,9 +78,8 @@ class Outputs(NamedTuple):
         """Each output with the place in the block of the reading that completed it, in order."""
         rows: list[tuple[int, Output]] = []
         for kind, columns in self.powers():
-            order, *values = (column.tolist() for column in columns)
-            estimates = (PowerEstimate(kind, *row) for row in zip(*values, strict=True))
-            rows += zip(order, estimates, strict=True)
+            lists = [column.tolist() for column in columns]
+            rows += [(row[0], PowerEstimate(kind, *row[1:])) for row in zip(*lists, strict=True)]
         rows += [(learned.place, learned.parameters) for learned in self.learned]
         return sorted(rows, key=itemgetter(0))
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -61,7 +60,7 @@ from evpinn_ros.core.estimation.trim import MOST_TRIM_EVIDENCE, Outputs, Persist
 from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import NO_SAMPLES, Samples
+from evpinn_ros.core.signals.sample import NO_SAMPLES, joined_samples
 from evpinn_ros.core.signals.sign_detectors import GradeDetector, SignDetector
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
@@ -78,23 +77,20 @@ class _Ahead:
     Power is computed some samples ahead, by one product, and anew once the car is another.
 
     Attributes:
+        first: place of their first among the samples of all kinds.
+        rows: what the trim takes of them.
         computed: how many powers are those of the present car.
         passed: how many moments are over.
         predicted: how many are predicted; those between wait for the trim.
         ages: s since the trim last learned, of those that wait.
     """
 
-    def __init__(self, samples: Samples, trim: Trim) -> None:
-        self.samples, self._trim = samples, trim
-        self.stamps = samples.stamp_ns.tolist()
-        self.power, self.sigma = np.zeros(samples.size), np.zeros(samples.size)
+    def __init__(self, stamps: np.ndarray, first: int, rows: np.ndarray) -> None:
+        self.stamps, self.first = stamps.tolist(), first
+        self.rows = rows[first : first + len(stamps)]
+        self.power, self.sigma = np.zeros(len(stamps)), np.zeros(len(stamps))
         self.computed = self.passed = self.predicted = 0
         self.ages: list[float] = []
-
-    @cached_property
-    def rows(self) -> np.ndarray:
-        """What the trim takes of them."""
-        return self._trim.rows_of(self.samples)
 
     def let_pass(self, age: float) -> None:
         """Let the next moment be over, at an age of the trim, s."""
@@ -136,7 +132,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._passed = 0.0  # s that the newest predicted sample stands for
         self.gated: Counter[str] = Counter()
         self._tail, self._moments, self._in_tail = Tail(self._equation), NO_MOMENTS, 0
-        self._smoothed = _Ahead(NO_SAMPLES, self._trim)
+        self._smoothed = _Ahead(NO_SAMPLES.stamp_ns, 0, np.empty((0, 0)))
         self.begin(NO_MOMENTS)
         self._measured_ns: int | None = None  # newest measured sample
         self._trimmed = 0.0  # J that the trim gave since `_trimmed_from`
@@ -150,10 +146,14 @@ class PinnLearner(Saveable[SavedPinn]):
         """Begin to follow a block; gives the predictions, which `follow` fills."""
         self._extend_tail()
         self._moments, self._predictions = moments, Predictions.of(moments)
-        self._newest, self._smoothed, self._measured = (
-            _Ahead(samples, self._trim)
-            for samples in (moments.newest, moments.smoothed, moments.measured)
-        )
+        kinds = moments.newest, moments.smoothed, moments.measured
+        self._samples = joined_samples(kinds)
+        rows, first = self._trim.rows_of(self._samples), 0
+        self._ahead: list[_Ahead] = []
+        for samples in kinds:
+            self._ahead.append(_Ahead(samples.stamp_ns, first, rows))
+            first += samples.size
+        self._newest, self._smoothed, self._measured = self._ahead
         self._gates = gates(moments.measured, moments.power)
         self._powers, measured = moments.power.tolist(), moments.measured
         self._speeds, self._accelerations = measured.speed.tolist(), measured.acceleration.tolist()
@@ -210,9 +210,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """Predict the samples that wait; gives the trim's outputs, last at a row to learn from."""
         kinds = self._newest, self._smoothed
         if any(ahead.passed > ahead.computed for ahead in kinds):
-            # The last smoothed sample may be measured yet, and is learned from by the present car.
-            firsts = self._newest.predicted, max(0, self._smoothed.predicted - 1)
-            self._compute(*zip(kinds, firsts, strict=True))
+            self._compute()
         parts = [slice(ahead.predicted, ahead.passed) for ahead in kinds]
         rows = [ahead.rows[part] for ahead, part in zip(kinds, parts, strict=True)]
         ages = [*self._newest.ages, *self._smoothed.ages, *(self._trim.age for _ in learned)]
@@ -249,6 +247,7 @@ class PinnLearner(Saveable[SavedPinn]):
     def _observe(self, index: int) -> None:
         """Let the trim learn from a measured sample."""
         ahead, power, speed = self._measured, self._powers[index], self._speeds[index]
+        ahead.predicted = index
         step = self._step(ahead.stamps[index])
         if (reason := self._gates[index]) is not None:
             self.gated[reason] += 1
@@ -264,7 +263,7 @@ class PinnLearner(Saveable[SavedPinn]):
             ahead, index = self._smoothed, latest  # whose power is computed anyway
         outputs = self._predict(ahead.rows[index : index + 1])
         if index >= ahead.computed:
-            self._compute((ahead, index))
+            self._compute()
         self._trim.learn(ahead.rows[index], outputs, power - float(ahead.power[index]), step)
 
     def add_interval(self, interval: Interval) -> bool:
@@ -385,29 +384,32 @@ class PinnLearner(Saveable[SavedPinn]):
         """Use this car from now on."""
         self._car, self._model = car, car.model()
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
-        for ahead in (self._newest, self._smoothed, self._measured):
+        for ahead in self._ahead:
             ahead.computed = 0
         self._judged = None
 
-    def _compute(self, *wanted: tuple[_Ahead, int]) -> None:
+    def _compute(self) -> None:
         """Power of the car alone at the next samples of each kind, by one product for all."""
-        parts = [(ahead, slice(first, first + AT_ONCE)) for ahead, first in wanted]
-        samples, model = NO_SAMPLES, self._model
-        for ahead, part in parts:
-            samples = samples.and_then(ahead.samples.where(part))
+        places, model = [], self._model
+        for ahead in self._ahead:
+            # The last smoothed sample may be measured yet, and is learned from by the present car.
+            begin = max(0, ahead.predicted - 1)
+            ahead.computed = min(begin + AT_ONCE, len(ahead.stamps))
+            places.append(np.arange(ahead.first + begin, ahead.first + ahead.computed))
+        samples = self._samples.where(np.concatenate(places))
         rows = self._equation.rows_of(samples, self._warmth)
         left, _, _ = wandered(self._car.dropout.seconds)
         rows[:, State.LOAD] = left
-        variance = np.einsum("ij,ij->i", rows @ model.covariance, rows)
+        variance = ((rows @ model.covariance) * rows).sum(axis=1)
         variance += (1.0 - left**2) * model.load_variance
         noise = POWER_NOISE**2 + FORCE_NOISE**2 * model.noise[1] * samples.speed**2
         power, sigma = rows @ model.mean, np.sqrt(np.maximum(variance, 0.0) + noise)
         begin = 0
-        for ahead, part in parts:
-            ahead.computed = min(part.stop, ahead.samples.size)
-            of_kind = slice(begin, begin + ahead.computed - part.start)
-            ahead.power[part], ahead.sigma[part] = power[of_kind].tolist(), sigma[of_kind].tolist()
-            begin = of_kind.stop
+        for ahead, of_kind in zip(self._ahead, places, strict=True):
+            part = slice(ahead.computed - len(of_kind), ahead.computed)
+            end = begin + len(of_kind)
+            ahead.power[part], ahead.sigma[part] = power[begin:end], sigma[begin:end]
+            begin = end
 
     def _begin_tail(self) -> None:
         """Join nothing to the samples before."""

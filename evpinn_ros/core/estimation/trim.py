@@ -136,9 +136,10 @@ class Trim:
         Inputs of the units, the last for their bias; what the units make of them with their first
         weights; and speed, m/s.
         """
-        columns = samples.speed, samples.acceleration, samples.profile, np.ones(samples.size)
-        inputs = (np.column_stack(columns) - INPUT_CENTRE) / INPUT_SCALE
-        return np.column_stack((inputs, inputs @ self._start, np.abs(samples.speed)))
+        speed, acceleration = samples.speed[:, None], samples.acceleration[:, None]
+        columns = speed, acceleration, samples.profile, np.ones((samples.size, 1))
+        inputs = (np.concatenate(columns, axis=1) - INPUT_CENTRE) / INPUT_SCALE
+        return np.concatenate((inputs, inputs @ self._start, np.abs(speed)), axis=1)
 
     def outputs(self, rows: np.ndarray, ages: np.ndarray) -> Outputs:
         """The trim at n of `rows_of`, each some s after it last learned, shape (n,)."""
@@ -152,7 +153,7 @@ class Trim:
         left = keep * keep
         along = (left * self._scale) * gradient.dot(self._shape)
         along += (1.0 - left) * self._prior * gradient
-        variance = np.einsum("ij,ij->i", gradient, along)
+        variance = (gradient * along).sum(axis=1)
         reach = self.share * rows[:, -1]
         power = reach * force * self.persistence.share_after(ages)
         return Outputs(power, reach * np.sqrt(np.maximum(variance, 0.0)), force, variance, along)

@@ -31,6 +31,8 @@ PROFILE = len(PROFILE_EDGES)
 
 TAPS = 10  # speed differences in the causal differentiator
 TAP_PERIOD = 0.1  # s between them
+FIRST = np.ones(1, dtype=bool)
+UNKNOWN_FIT = np.eye(3)
 INITIAL_TAPS = 4  # the first guess is the mean slope over this many
 TAP_STD = 0.2  # 1-sigma of a weight before learning
 LOOK_BACK_NS = int((TAPS + 2) * TAP_PERIOD * NANOSECONDS)  # of speed that a moment rests on
@@ -142,7 +144,7 @@ class Speeds(NamedTuple):
         basis = np.stack((np.ones_like(time), time, time**2), axis=1) * used[:, None]
         normal = basis @ basis.transpose(0, 2, 1)
         few = until < MIN_POINTS
-        normal[few] = np.eye(3)
+        normal[few] = UNKNOWN_FIT
         try:
             coefficients = np.linalg.solve(normal, basis @ self.values[index][..., None])[..., 0]
         except np.linalg.LinAlgError:
@@ -233,8 +235,9 @@ class CausalDifferentiator:
         self._stamps = np.concatenate((self._stamps, stamps))
         self._differences = np.concatenate((self._differences, differences))
         accelerations = np.empty(len(stamps))
-        counts, begin = np.unique(learned, return_index=True)
-        ends, taken = np.append(begin[1:], len(stamps)), 0
+        rises = learned[1:] != learned[:-1]
+        begin, taken = np.concatenate((FIRST, rises)).nonzero()[0], 0
+        counts, ends = learned[begin], np.concatenate((begin[1:], (len(stamps),)))
         for first in range(0, len(counts), LEARNED_AT_ONCE):  # so that memory stays bounded
             chosen = slice(first, first + LEARNED_AT_ONCE)
             until = int(counts[chosen][-1])
@@ -243,8 +246,9 @@ class CausalDifferentiator:
             weights = np.linalg.solve(informations[at], products[at][..., None])[..., 0]
             taken, rows = until, slice(begin[chosen][0], ends[chosen][-1])
             of_each = np.repeat(weights, (ends - begin)[chosen], axis=0)
-            accelerations[rows] = np.einsum("ij,ij->i", differences[rows], of_each)
-        self._learn(*(part[taken:] for part in smoothed))
+            accelerations[rows] = (differences[rows] * of_each).sum(axis=1)
+        if taken < len(smoothed[0]):
+            self._learn(*(part[taken:] for part in smoothed))
         if len(smoothed[0]):
             kept = int(self._stamps.searchsorted(smoothed[0][-1], side="right"))
             self._stamps, self._differences = self._stamps[kept:], self._differences[kept:]
@@ -256,8 +260,8 @@ class CausalDifferentiator:
         """Information and its products before these and after each of them."""
         x = self._differences[self._stamps.searchsorted(stamps)]
         squares = x[:, :, None] * x[:, None, :] / TARGET_STD**2
-        informations = np.cumsum(np.concatenate((self._information[None], squares)), axis=0)
+        informations = np.concatenate((self._information[None], squares)).cumsum(axis=0)
         along = x * accelerations[:, None] / TARGET_STD**2
-        products = np.cumsum(np.concatenate((self._products[None], along)), axis=0)
+        products = np.concatenate((self._products[None], along)).cumsum(axis=0)
         self._information, self._products = informations[-1], products[-1]
         return informations, products

@@ -76,13 +76,11 @@ class Samples(NamedTuple):
 
     def where(self, chosen: np.ndarray | slice) -> Samples:
         """The chosen ones."""
-        return Samples._make(column[chosen] for column in self)
+        return Samples._make([column[chosen] for column in self])
 
     def and_then(self, later: Samples) -> Samples:
         """These, and those that follow."""
-        if not self.size:
-            return later
-        return Samples._make(map(np.concatenate, zip(self, later, strict=True)))
+        return joined_samples((self, later))
 
     def rows(self) -> Iterator[Sample]:
         """Give them one by one."""
@@ -95,6 +93,14 @@ NO_SAMPLES = Samples._make((
     np.empty(0, np.int64), *(np.empty(0) for _ in range(5)), np.empty((0, PROFILE)),
     *(np.empty(0) for _ in range(4)), np.empty(0, dtype=bool),
 ))  # fmt: skip
+
+
+def joined_samples(parts: Sequence[Samples]) -> Samples:
+    """Some samples, one part after another."""
+    filled = [samples for samples in parts if samples.size]
+    if len(filled) < 2:
+        return filled[0] if filled else NO_SAMPLES
+    return Samples._make(map(np.concatenate, zip(*filled, strict=True)))
 
 
 class Measured(NamedTuple):

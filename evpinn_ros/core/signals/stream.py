@@ -49,7 +49,7 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
 )
 from evpinn_ros.core.signals.road import GradeSource, Road
-from evpinn_ros.core.signals.sample import NO_SAMPLES, Events, Measured, Samples
+from evpinn_ros.core.signals.sample import NO_SAMPLES, Events, Measured, Samples, joined_samples
 from evpinn_ros.core.signals.track import BEFORE, LATER, NEVER
 
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
@@ -237,11 +237,13 @@ class SampleStream:
         in_order = self._speed.in_order(speeds.stamps)
         if in_order:
             stamps = speeds.stamps[:in_order]
-            *_, gaps = self._speed.rates(stamps)
-            before = np.concatenate(([self._speed.gap_ns()], gaps[:-1]))
-            newest = self._speed.newest_ns if len(self._speed) else stamps[0]
-            apart = np.flatnonzero(np.diff(stamps, prepend=newest) > before)
-            in_order = int(apart[0]) if len(apart) else in_order
+            newest = self._speed.stamps[-1:] if len(self._speed) else stamps[:1]
+            steps = stamps - np.concatenate((newest, stamps[:-1]))
+            if steps.max() > self._settings.max_gap * NANOSECONDS:  # no gap is shorter
+                *_, gaps = self._speed.rates(stamps)
+                before = np.concatenate(([self._speed.gap_ns()], gaps[:-1]))
+                apart = np.flatnonzero(steps > before)
+                in_order = int(apart[0]) if len(apart) else in_order
         tracks = (
             (speeds, in_order),
             (rows := block.of_kind(BatteryReading), self._battery.in_order(rows)),
@@ -318,7 +320,7 @@ class SampleStream:
         part = self._battery_part(battery, first)
         last_moment_ns = self._last_moment_ns
         if len(speeds.order):
-            part = part._replace(moments=np.stack((speeds.order + first, speeds.stamps)))
+            part = part._replace(moments=np.array((speeds.order + first, speeds.stamps)))
             if not self._intervals_alone:
                 part = self._sampled(part, speeds, first)
             ready = self._intervals.intervals(speeds.order, speeds.stamps)
@@ -351,9 +353,9 @@ class SampleStream:
         order = rows.order + first
         newest, gap = self._battery.newest_ns(rows.order), self._battery.gap_ns(rows.order)
         return _Part(
-            told=np.stack((order, rows.stamps)),
-            powers=np.stack((self._battery.told(rows), rows.values[3])),
-            battery=np.stack((order, newest, gap)),
+            told=np.array((order, rows.stamps)),
+            powers=np.array((self._battery.told(rows), rows.values[3])),
+            battery=np.array((order, newest, gap)),
         )
 
     def _sampled(self, part: _Part, speeds: Rows, first: int) -> _Part:
@@ -480,7 +482,7 @@ class SampleStream:
         power = self._battery.at(measured.stamp_ns, by)
         known = ~np.isnan(power)
         return part._replace(
-            measured=measured.where(known),
+            measured=measured if known.all() else measured.where(known),
             measured_order=by[known] + first,
             measured_place=place[known] + begin,
             measured_power=power[known],
@@ -520,10 +522,8 @@ def _joined_parts(parts: Sequence[_Part]) -> _Part:
     for column in zip(*(parts or [_Part()]), strict=True):
         if not isinstance(column[0], Samples):
             whole.append(np.concatenate(column, axis=-1))
-        elif any(samples.size for samples in column):
-            whole.append(Samples._make(map(np.concatenate, zip(*column, strict=True))))
         else:
-            whole.append(NO_SAMPLES)
+            whole.append(joined_samples(column))
     return _Part(*whole)
 
 

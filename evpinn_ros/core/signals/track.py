@@ -17,6 +17,7 @@ RATE_READINGS = 15  # steps whose median is the rate of a signal
 GAP_STEPS = 6.0  # median steps across which readings are still joined
 BEFORE = -1  # the place of a reading that came before the present block
 LATER = 2**62  # a place, and a moment in ns, that is never reached
+AFTER_ALL = np.array([LATER])
 NEVER = -LATER  # ns, of what did not come yet
 
 
@@ -143,7 +144,7 @@ class SignalTrack:
     def first_after(self, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stamps and places of the first readings from moments on, `LATER` where there is none."""
         index = self.stamps.searchsorted(moments)
-        stamps, orders = np.append(self.stamps, LATER), np.append(self.orders, LATER)
+        stamps, orders = (np.concatenate((c, AFTER_ALL)) for c in (self.stamps, self.orders))
         return stamps[index], orders[index]
 
     def last(self, moments: np.ndarray, by: np.ndarray) -> np.ndarray:

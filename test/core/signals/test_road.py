@@ -11,6 +11,7 @@ from evpinn_ros.core.signals.readings import (
     GradeReading,
     PressureReading,
     Reading,
+    SpeedReading,
     TemperatureReading,
     WindReading,
 )
@@ -186,3 +187,23 @@ def test_what_no_input_tells_is_named():
     ):
         add(road, reading)
     assert road.unknown(at(1)) == ("temperature", "wind")
+
+
+def test_no_height_is_known_before_its_altitude_came():
+    """Of altitudes 3 s late, on a road that rises by 5 %: one a second, of 3 s before."""
+    late, step = 3, 20.0  # s, m
+    readings: list[Reading] = []
+    for second in range(12):
+        readings.append(SpeedReading(at(second), step))
+        if second >= late:
+            readings.append(AltitudeReading(at(second - late), 100.0 + second - late))
+    block = Block.of(readings)
+    speeds = block.of_kind(SpeedReading)
+    road = Road(GradeSource.AUTO, 1.2)
+    road.extend(block, speeds.order[1:], np.full(len(speeds.order) - 1, step))
+    ways = step * np.arange(len(speeds.order))
+    heights = list(road.heights(speeds.stamps, ways, speeds.order, 0, len(ways)))
+    # The altitude that comes with a speed has the place behind it, and the first shows no rise.
+    assert [len(known) for known in heights[: late + 2]] == [0] * (late + 2)
+    newest = [known[-1] for known in heights[late + 2 :]]
+    assert newest == [(step * (k + 1), pytest.approx(k + 1.0)) for k in range(len(newest))]
