@@ -4,7 +4,6 @@ python docs/paper_choices.py LOG VEHICLE [EPOCHS]
 """
 
 from collections.abc import Callable
-from copy import copy
 from pathlib import Path
 import sys
 
@@ -14,36 +13,30 @@ from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.core.vehicle.physics import RegenForm
-from evpinn_ros.extras.paper import optimizers, problem
+from evpinn_ros.extras.paper import network, problem
 from evpinn_ros.extras.paper.drive_log import DriveLog, read_drive_log
 from evpinn_ros.extras.paper.optimizers import Adam
-from evpinn_ros.extras.paper.problem import (
-    InputForm,
-    PhysicsInputs,
-    Problem,
-    chronological_split,
-    random_split,
-)
+from evpinn_ros.extras.paper.problem import InputForm, Problem, chronological_split, random_split
 from evpinn_ros.extras.paper.scores import combinations, least_squares_power, power_score
 
-Choice = Callable[[DriveLog, Vehicle], Adam]
+Choice = Callable[[DriveLog, Vehicle, int], Adam]  # takes the epochs as well
 
 
-def published(log: DriveLog, vehicle: Vehicle, **options: object) -> Adam:
+def published(log: DriveLog, vehicle: Vehicle, epochs: int, **options: object) -> Adam:
     """Adam on the problem as `evpinn reproduce` sets it."""
     split = random_split(len(log.time), 0)
-    return Adam(Problem(log, vehicle, split, **options), seed=0)
+    return Adam(Problem(log, vehicle, split, **options), epochs, seed=0)
 
 
-def without_time(log: DriveLog, vehicle: Vehicle) -> Adam:
+def without_time(log: DriveLog, vehicle: Vehicle, epochs: int) -> Adam:
     """Speed alone: time is held at zero."""
     still = log._replace(time=log.time * 0.0)
-    return published(still, vehicle)
+    return published(still, vehicle, epochs)
 
 
-def pytorch_start(log: DriveLog, vehicle: Vehicle) -> Adam:
+def pytorch_start(log: DriveLog, vehicle: Vehicle, epochs: int) -> Adam:
     """PyTorch's own initial weights in place of Glorot's."""
-    adam = published(log, vehicle)
+    adam = published(log, vehicle, epochs)
     torch.manual_seed(0)
     for layer in adam.network.layers:
         layer.reset_parameters()
@@ -58,24 +51,21 @@ class BatchedAdam(Adam):
     def step(self) -> None:
         """One pass over the training data."""
         whole = self.problem.training
-        for rows in torch.randperm(len(whole)).split(self.SIZE):
-            batch = copy(whole)
-            batch.inputs, batch.power = whole.inputs[rows], whole.power[rows]
-            batch.motion = PhysicsInputs(*(column[rows] for column in whole.motion))
-            self.problem.training = batch
+        for rows in torch.randperm(len(whole.power)).split(self.SIZE):
+            self.problem.training = chosen_rows(whole, rows)
             super().step()
         self.problem.training = whole
 
 
-def batched(log: DriveLog, vehicle: Vehicle) -> Adam:
+def batched(log: DriveLog, vehicle: Vehicle, epochs: int) -> Adam:
     """Twenty-four steps an epoch in place of one."""
     torch.manual_seed(0)
-    return BatchedAdam(Problem(log, vehicle, random_split(len(log.time), 0)), seed=0)
+    return BatchedAdam(Problem(log, vehicle, random_split(len(log.time), 0)), epochs, seed=0)
 
 
-def chronological(log: DriveLog, vehicle: Vehicle) -> Adam:
+def chronological(log: DriveLog, vehicle: Vehicle, epochs: int) -> Adam:
     """Trained on the first four fifths."""
-    return Adam(Problem(log, vehicle, chronological_split(len(log.time))), seed=0)
+    return Adam(Problem(log, vehicle, chronological_split(len(log.time))), epochs, seed=0)
 
 
 CHOICES: dict[str, Choice] = {
@@ -90,15 +80,14 @@ CHOICES: dict[str, Choice] = {
 }
 
 
-def row(title: str, adam: Adam, epochs: int) -> str:
+def row(title: str, adam: Adam) -> str:
     """One line of the table, after training."""
-    for _ in range(epochs):
-        adam.step()
+    adam.run_to(adam.epochs)
     own = adam.problem
     held = chosen_rows(own.log, own.split.validation)
     score = power_score(own.predicted_power(adam.network, held), held.power, own.scale)
     losses = own.losses(own.validation, adam.network, adam.log_scale.detach())
-    values = own.values(adam.log_scale)
+    values = adam.values
     determined = combinations(values, own.vehicle.frontal_area, RegenForm.RECOVERY)
     return (
         f"| {title} | {losses.total:.4f} | {losses.data:.4f} | {score.r2:.3f} | "
@@ -135,13 +124,13 @@ def main(path: str, vehicle_name: str, epochs: str = "1000") -> None:
     print(f"\n| choice, {epochs} epochs of Adam | total | data | R\u00b2 | m/eta | mu | C_rr |")
     print("|---|---|---|---|---|---|---|")
     for title, choice in CHOICES.items():
-        print(row(title, choice(log, vehicle), int(epochs)), flush=True)
+        print(row(title, choice(log, vehicle, int(epochs))), flush=True)
     for rate in (3e-4, 3e-3):
-        optimizers.NETWORK_RATE = rate
-        print(row(f"learning rate {rate:g}", published(log, vehicle), int(epochs)), flush=True)
-    optimizers.NETWORK_RATE = 1e-3
+        network.NETWORK_RATE = rate
+        print(row(f"learning rate {rate:g}", published(log, vehicle, int(epochs))), flush=True)
+    network.NETWORK_RATE = 1e-3
     problem.PHYSICS_LOSS = 1.0  # `Problem.terms` looks it up there
-    print(row("lambda = 1", published(log, vehicle), int(epochs)), flush=True)
+    print(row("lambda = 1", published(log, vehicle, int(epochs))), flush=True)
 
 
 if __name__ == "__main__":

@@ -10,15 +10,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import hashlib
 import json
-import math
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
 from evpinn_ros.common.arrays import chosen_rows
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm
@@ -26,7 +23,7 @@ from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
 from evpinn_ros.extras.paper.drive_log import DriveLog
 from evpinn_ros.extras.paper.energy_network import EnergyTraining, StepData, step_data
 from evpinn_ros.extras.paper.log_parameters import standing_load
-from evpinn_ros.extras.paper.optimizers import INPUTS, OPTIMIZERS
+from evpinn_ros.extras.paper.optimizers import INPUTS, OPTIMIZERS, Optimizer
 from evpinn_ros.extras.paper.problem import (
     Problem,
     SampleSplit,
@@ -34,7 +31,7 @@ from evpinn_ros.extras.paper.problem import (
     chronological_split,
     random_split,
 )
-from evpinn_ros.extras.paper.published import LOGGED_EPOCHS, PREDICTED, EnergyRow, Losses, LossRow
+from evpinn_ros.extras.paper.published import PREDICTED, EnergyRow
 from evpinn_ros.extras.paper.scores import (
     PowerScore,
     TableFiveRow,
@@ -55,69 +52,9 @@ NETWORK, TIME_HELD = "network", "network, time held"
 BASELINES = {RANDOM: "baseline: line in time", CHRONOLOGICAL: "baseline: last power held"}
 REGRESSION = "eq. 21, least squares"
 
-CURVE_POINTS = 120  # of Fig. 5 and 6, evenly spread over the logarithm of the epoch
-OnEpoch = Callable[[int, float], None]  # takes the epoch and the newest validation loss
 # Takes the title of a training, its epoch, its last epoch and the newest loss.
 OnProgress = Callable[[str, int, int, float], None]
 TRAININGS = ("power network", "chronological split", "energy networks")  # in their order
-
-
-def curve_epochs(last: int) -> list[int]:
-    """Epochs at which losses are logged: those of the tables, the last, and for the figure."""
-    spread = np.geomspace(1, last, CURVE_POINTS).round().astype(int).tolist()
-    return sorted({*spread, *(epoch for epoch in LOGGED_EPOCHS if epoch <= last), last})
-
-
-class PowerTraining:
-    """One optimiser on one problem."""
-
-    def __init__(self, name: OptimizerName, problem: Problem, epochs: int, seed: int) -> None:
-        self.problem = problem
-        self.optimizer = OPTIMIZERS[name](problem, seed)
-        self.epoch = 0  # how far it is
-        self.epochs = epochs
-        self.rows: list[LossRow] = []  # losses at `curve_epochs` so far
-        self._logged = set(curve_epochs(epochs))
-
-    def run_to(self, epoch: int, on_epoch: OnEpoch | None = None) -> None:
-        """Train up to an epoch; InputError if a loss is not finite."""
-        while self.epoch < min(epoch, self.epochs):
-            self.optimizer.step()
-            self.epoch += 1
-            if self.epoch in self._logged:
-                self._log()
-            if on_epoch is not None and self.rows:
-                on_epoch(self.epoch, self.rows[-1].validation.total)
-
-    def state(self) -> dict[str, torch.Tensor]:
-        """State that `load_state` needs to go on with the same numbers."""
-        rows = [(row.epoch, *row.training, *row.validation) for row in self.rows]
-        return {
-            **self.optimizer.state(),
-            "epoch_done": torch.tensor(self.epoch),
-            "rows": torch.tensor(rows, dtype=torch.float64),
-        }
-
-    def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
-        """Go on from `state`."""
-        self.optimizer.load_state(state)
-        self.epoch = int(state["epoch_done"])
-        self.rows = [
-            LossRow(int(row[0]), Losses(*row[1:4]), Losses(*row[4:7]))
-            for row in state["rows"].tolist()
-        ]
-
-    def _log(self) -> None:
-        problem, network = self.problem, self.optimizer.network
-        log_scale = self.optimizer.log_scale.detach()
-        row = LossRow(
-            self.epoch,
-            problem.losses(problem.training, network, log_scale),
-            problem.losses(problem.validation, network, log_scale),
-        )
-        if not all(math.isfinite(loss) for loss in (*row.training, *row.validation)):
-            raise InputError(f"the training diverged before epoch {self.epoch}")
-        self.rows.append(row)
 
 
 class Scored(NamedTuple):
@@ -144,8 +81,8 @@ class Outcome:
     log: DriveLog
     vehicle: Vehicle
     settings: Settings
-    training: PowerTraining
-    chronological: PowerTraining
+    training: Optimizer  # under the paper's random split
+    chronological: Optimizer
     energy_rows: list[EnergyRow]
     scores: list[Scored]
     parameters: list[TableFiveRow]
@@ -155,17 +92,6 @@ class Outcome:
     predicted_power: np.ndarray
     unseen_power: np.ndarray
     energies: EnergyCurves
-
-    @property
-    def values(self) -> Parameters:
-        """The parameters found."""
-        optimizer = self.training.optimizer
-        return self.training.problem.values(optimizer.log_scale)
-
-    @property
-    def power_rows(self) -> list[LossRow]:
-        """Losses under the paper's random split."""
-        return self.training.rows
 
 
 class Experiment:
@@ -184,14 +110,13 @@ class Experiment:
         training = self._power(TRAININGS[0], split, on_progress)
         later = self._power(TRAININGS[1], chronological_split(count), on_progress)
         energy = self._energy(steps, on_progress)
-        problem, optimizer = training.problem, training.optimizer
-        covariance = problem.covariance(optimizer.log_scale)
+        problem = training.problem
+        covariance = problem.covariance(training.log_scale)
         if settings.optimizer is not OptimizerName.GAUSS_NEWTON:
-            covariance = drift_included(self._vehicle, optimizer.log_scale, covariance)
-        values = problem.values(optimizer.log_scale)
-        predicted = problem.predicted_power(optimizer.network, log)
+            covariance = drift_included(self._vehicle, training.log_scale, covariance)
+        predicted = problem.predicted_power(training.network, log)
         rknn, dnn = energy.integrate(log.time, log.power)
-        rows = (self._vehicle, values, covariance, settings.form)
+        rows = (self._vehicle, training.values, covariance, settings.form)
         return Outcome(
             log=log,
             vehicle=self._vehicle,
@@ -209,7 +134,7 @@ class Experiment:
             regression=least_squares_power(problem)[1],
             covariance=covariance,
             predicted_power=predicted,
-            unseen_power=later.problem.predicted_power(later.optimizer.network, log),
+            unseen_power=later.problem.predicted_power(later.network, log),
             energies=EnergyCurves(
                 measured=exact_energy(log.time, log.power),
                 predicted=exact_energy(log.time, predicted),
@@ -218,7 +143,7 @@ class Experiment:
             ),
         )
 
-    def _power(self, title: str, split: SampleSplit, on_progress: OnProgress) -> PowerTraining:
+    def _power(self, title: str, split: SampleSplit, on_progress: OnProgress) -> Optimizer:
         settings = self._settings
         problem = Problem(
             self._log,
@@ -228,7 +153,7 @@ class Experiment:
             inputs=INPUTS[settings.optimizer],
             device=settings.device,
         )
-        training = PowerTraining(settings.optimizer, problem, settings.epochs, settings.seed)
+        training = OPTIMIZERS[settings.optimizer](problem, settings.epochs, settings.seed)
         made_of = (settings.optimizer.value, settings.form.value, settings.seed, settings.epochs)
         self._train(title, training, made_of, on_progress)
         return training
@@ -243,7 +168,7 @@ class Experiment:
     def _train(
         self,
         title: str,
-        training: PowerTraining | EnergyTraining,
+        training: Optimizer | EnergyTraining,
         settings: tuple[object, ...],
         on_progress: OnProgress,
     ) -> None:
@@ -289,19 +214,19 @@ class Experiment:
         return scored
 
 
-def _scores(training: PowerTraining, split: str) -> list[Scored]:
+def _scores(training: Optimizer, split: str) -> list[Scored]:
     problem = training.problem
     log, rows = problem.log, problem.split
     trained, held = (chosen_rows(log, part) for part in rows)
     powers = {
-        NETWORK: problem.predicted_power(training.optimizer.network, held),
+        NETWORK: problem.predicted_power(training.network, held),
         REGRESSION: least_squares_power(problem)[0],
         # Between the neighbours trained on a line; after the last of them its power is held.
         BASELINES[split]: np.interp(held.time, trained.time, trained.power),
     }
     if split == CHRONOLOGICAL:
         last = held._replace(time=np.minimum(held.time, trained.time[-1]))
-        powers[TIME_HELD] = problem.predicted_power(training.optimizer.network, last)
+        powers[TIME_HELD] = problem.predicted_power(training.network, last)
     return [
         Scored(method, split, power_score(power, held.power, problem.scale))
         for method, power in powers.items()

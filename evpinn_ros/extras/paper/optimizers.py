@@ -12,10 +12,14 @@ under Glorot's rule all bend near t = 0.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+import math
 
+import numpy as np
 import torch
 
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.extras.paper.checkpoint import adam_state, load_adam_state
 from evpinn_ros.extras.paper.gauss_newton import gauss_newton_step
 from evpinn_ros.extras.paper.log_parameters import LEARNED
@@ -27,6 +31,7 @@ from evpinn_ros.extras.paper.network import (
     spread_over_time,
 )
 from evpinn_ros.extras.paper.problem import InputForm, Problem
+from evpinn_ros.extras.paper.published import LOGGED_EPOCHS, Losses, LossRow
 from evpinn_ros.extras.paper.settings import OptimizerName
 
 ADAM_EPOCHS_BEFORE_LBFGS = 1000
@@ -40,6 +45,9 @@ DAMPING = 1e-4  # of the mean diagonal
 PARAMETERS_EVERY = 10  # steps between solutions for the parameters
 KINK_SHARPNESS = 3.0  # distance of two kinks over the width of one
 
+CURVE_POINTS = 120  # of Fig. 5 and 6, evenly spread over the logarithm of the epoch
+OnEpoch = Callable[[int, float], None]  # takes the epoch and the newest validation loss
+
 # Raw inputs suit Adam best of those tried. Gauss-Newton wants its inputs of one size.
 INPUTS = {
     OptimizerName.ADAM: InputForm.RAW,
@@ -48,35 +56,81 @@ INPUTS = {
 }
 
 
+def curve_epochs(last: int) -> list[int]:
+    """Epochs at which losses are logged: those of the tables, the last, and for the figure."""
+    spread = np.geomspace(1, last, CURVE_POINTS).round().astype(int).tolist()
+    return sorted({*spread, *(epoch for epoch in LOGGED_EPOCHS if epoch <= last), last})
+
+
 class Optimizer(ABC):
     """Trains on a problem; `state()` resumes with the same numbers (but for L-BFGS's memory)."""
 
-    def __init__(self, problem: Problem, seed: int) -> None:
+    def __init__(self, problem: Problem, epochs: int, seed: int) -> None:
+        """An untrained network, to be trained for so many epochs in all."""
         self.problem = problem
         network = PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=problem.dtype)
         self.network = network.to(problem.device)  # of Fig. 4, by Glorot's rule
         self.log_scale = torch.zeros(len(LEARNED), dtype=problem.dtype, device=problem.device)
+        self.epoch, self.epochs = 0, epochs  # how far it is, and where it ends
+        self.rows: list[LossRow] = []  # losses at `curve_epochs` so far
+        self._logged = set(curve_epochs(epochs))
 
     @abstractmethod
     def step(self) -> None:
-        """One epoch."""
+        """Train for the epoch that has begun, number `epoch`."""
+
+    @property
+    def values(self) -> Parameters:
+        """The parameters found so far."""
+        return self.problem.values(self.log_scale)
+
+    def run_to(self, epoch: int, on_epoch: OnEpoch | None = None) -> None:
+        """Train up to an epoch; InputError if a loss is not finite."""
+        while self.epoch < min(epoch, self.epochs):
+            self.epoch += 1
+            self.step()
+            if self.epoch in self._logged:
+                self._log()
+            if on_epoch is not None and self.rows:
+                on_epoch(self.epoch, self.rows[-1].validation.total)
 
     def state(self) -> dict[str, torch.Tensor]:
         """State that a resumed training needs, besides the problem and the seed."""
-        return {"weights": self.network.vector(), "log_scale": self.log_scale.detach().clone()}
+        rows = [(row.epoch, *row.training, *row.validation) for row in self.rows]
+        return {
+            "weights": self.network.vector(),
+            "log_scale": self.log_scale.detach().clone(),
+            "epoch_done": torch.tensor(self.epoch),
+            "rows": torch.tensor(rows, dtype=torch.float64),
+        }
 
     def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
         """Go on from `state`."""
         self.network.load_vector(state["weights"].to(self.problem.device))
         with torch.no_grad():
             self.log_scale.copy_(state["log_scale"])
+        self.epoch = int(state["epoch_done"])
+        self.rows = [
+            LossRow(int(row[0]), Losses(*row[1:4]), Losses(*row[4:7]))
+            for row in state["rows"].tolist()
+        ]
+
+    def _log(self) -> None:
+        problem, log_scale = self.problem, self.log_scale.detach()
+        training, validation = (
+            problem.losses(samples, self.network, log_scale)
+            for samples in (problem.training, problem.validation)
+        )
+        if not all(map(math.isfinite, (*training, *validation))):
+            raise InputError(f"the training diverged before epoch {self.epoch}")
+        self.rows.append(LossRow(self.epoch, training, validation))
 
 
 class Adam(Optimizer):
     """Adam as published (section III.D)."""
 
-    def __init__(self, problem: Problem, seed: int) -> None:
-        super().__init__(problem, seed)
+    def __init__(self, problem: Problem, epochs: int, seed: int) -> None:
+        super().__init__(problem, epochs, seed)
         self.log_scale.requires_grad_()
         self._adam = paper_adam(self.network, self.log_scale)
 
@@ -110,9 +164,8 @@ class Adam(Optimizer):
 class AdamThenLbfgs(Adam):
     """`ADAM_EPOCHS_BEFORE_LBFGS` epochs of Adam, then L-BFGS with a line search."""
 
-    def __init__(self, problem: Problem, seed: int) -> None:
-        super().__init__(problem, seed)
-        self._epoch = 0
+    def __init__(self, problem: Problem, epochs: int, seed: int) -> None:
+        super().__init__(problem, epochs, seed)
         self._lbfgs = torch.optim.LBFGS(
             self.trained(),
             max_iter=1,
@@ -123,57 +176,43 @@ class AdamThenLbfgs(Adam):
 
     def step(self) -> None:
         """One step of Adam, or one iteration of L-BFGS."""
-        self._epoch += 1
-        if self._epoch <= ADAM_EPOCHS_BEFORE_LBFGS:
+        if self.epoch <= ADAM_EPOCHS_BEFORE_LBFGS:
             super().step()
         else:
             self._lbfgs.step(self.loss)
-
-    def state(self) -> dict[str, torch.Tensor]:
-        """As `Adam`, and how far it is."""
-        return {**super().state(), "epoch": torch.tensor(self._epoch)}
-
-    def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
-        """Go on from `state`."""
-        super().load_state(state)
-        self._epoch = int(state["epoch"])
 
 
 class GaussNewton(Optimizer):
     """Parameters solved for, network by dual Gauss-Newton on random batches."""
 
-    def __init__(self, problem: Problem, seed: int) -> None:
-        super().__init__(problem, seed)
+    def __init__(self, problem: Problem, epochs: int, seed: int) -> None:
+        super().__init__(problem, epochs, seed)
         self._generator = torch.Generator().manual_seed(seed)
         spread_over_time(self.network, self._generator, -1.0, 1.0, KINK_SHARPNESS)
         self.log_scale = problem.fit(problem.training, problem.training.power).log_scale
-        self._steps = 0
 
     @torch.no_grad()
     def step(self) -> None:
         """One batch; now and then the parameters too."""
         samples, network = self.problem.training, self.network
-        if self._steps % PARAMETERS_EVERY == 0 and self._steps > 0:
+        if (self.epoch - 1) % PARAMETERS_EVERY == 0 and self.epoch > 1:
             fit = self.problem.fit(samples, network(samples.inputs), self.log_scale)
             self.log_scale = fit.log_scale
-        self._steps += 1
         rows = torch.randperm(len(samples.power), generator=self._generator)[:BATCH]
         rows = rows.to(self.problem.device)
         physics = self.problem.physics(samples, self.log_scale)[rows]
         target = (samples.power[rows] + PHYSICS_LOSS * physics) / (1.0 + PHYSICS_LOSS)
         step = gauss_newton_step(network, samples.inputs[rows], target, DAMPING)
-        share = STEP * min(1.0, FULL_STEPS / self._steps)
+        share = STEP * min(1.0, FULL_STEPS / self.epoch)
         network.load_vector(network.vector() + share * step)
 
     def state(self) -> dict[str, torch.Tensor]:
         """Weights, z, and where in the draw of batches it is."""
-        drawn = {"steps": torch.tensor(self._steps), "generator": self._generator.get_state()}
-        return super().state() | drawn
+        return super().state() | {"generator": self._generator.get_state()}
 
     def load_state(self, state: Mapping[str, torch.Tensor]) -> None:
         """Go on from `state`."""
         super().load_state(state)
-        self._steps = int(state["steps"])
         self._generator.set_state(state["generator"])
 
 

@@ -93,7 +93,7 @@ def _power_losses(outcome: Outcome) -> Figure:
     sides = figure.subplots(2, 1, sharex=True)
     published = POWER_LOSSES.get(outcome.vehicle.key, ())
     for axes, side in zip(sides, ("training", "validation"), strict=True):
-        _draw_losses(axes, outcome.power_rows, side, "-", "")
+        _draw_losses(axes, outcome.training.rows, side, "-", "")
         if published:
             _draw_losses(axes, published, side, "o", "paper, ")
         axes.set_ylabel(f"loss in {side}")

@@ -77,11 +77,11 @@ def write_estimator_state(path: Path, outcome: Outcome) -> None:
     """
     settings = EstimatorSettings(mode=Mode.PAPER, regen_form=outcome.settings.form)
     estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
-    problem, optimizer = outcome.training.problem, outcome.training.optimizer
+    problem, training = outcome.training.problem, outcome.training
     residual = outcome.predicted_power - outcome.log.power
     learner = SavedPaper(
-        network=window_network(problem, optimizer.network).vector().detach().numpy(),
-        log_scale=optimizer.log_scale.detach().cpu().numpy(),
+        network=window_network(problem, training.network).vector().detach().numpy(),
+        log_scale=training.log_scale.detach().cpu().numpy(),
         p_aux=problem.p_aux,
         covariance=outcome.covariance,
         variance=float(np.mean(residual**2)),
@@ -105,7 +105,7 @@ def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
         outcome.log, vehicle, outcome.training.problem.split, form=RegenForm.WHEEL_POWER
     )
     fit = problem.fit(problem.training, problem.training.power)
-    fitted = outcome.values._replace(mu=problem.values(fit.log_scale).mu)
+    fitted = outcome.training.values._replace(mu=problem.values(fit.log_scale).mu)
     values = possible(fitted, outcome.settings.form)
     variance = np.diag(outcome.covariance).copy()
     variance[LEARNED.index("mu")] = np.diag(fit.covariance)[LEARNED.index("mu")]
@@ -282,7 +282,7 @@ def results_of(outcome: Outcome) -> dict[str, Any]:
             "p_aux_w": problem.p_aux,
         },
         "power_losses": {
-            "random": [_loss_row(row) for row in outcome.power_rows],
+            "random": [_loss_row(row) for row in outcome.training.rows],
             "chronological": [_loss_row(row) for row in outcome.chronological.rows],
         },
         "energy_losses": [row._asdict() for row in outcome.energy_rows],

@@ -68,8 +68,8 @@ def power_loss_table(outcome: Outcome) -> ResultTable:
     if outcome.vehicle.key == "tesla_model_s":
         key, number = outcome.vehicle.key, "III"
     published = {row.epoch: row for row in POWER_LOSSES[key]}
-    measured = {row.epoch: row for row in outcome.power_rows}
-    last = outcome.power_rows[-1].epoch
+    measured = {row.epoch: row for row in outcome.training.rows}
+    last = outcome.training.rows[-1].epoch
     rows = []
     for epoch in sorted({*LOGGED_EPOCHS, last}):
         both = measured.get(epoch), published.get(epoch)
@@ -169,7 +169,7 @@ def vehicle_table(outcome: Outcome) -> ResultTable:
         rows.append(["  our vehicle file", *_four(load_vehicle(compared.vehicle).initial)])
     for key, title in (("tesla_model_3_lr", "Model 3 LR"), ("tesla_model_s", "Model S")):
         rows.append([f"paper, {title}", *_four(PREDICTED[key])])
-    rows.append([f"found here, {outcome.vehicle.name}", *_four(outcome.values)])
+    rows.append([f"found here, {outcome.vehicle.name}", *_four(outcome.training.values)])
     return ResultTable(
         "Table VI: compared with other vehicles",
         ["vehicle", "eta", "mass, kg", "C_rr", "C_d"],

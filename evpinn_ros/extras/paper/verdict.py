@@ -71,7 +71,7 @@ def _fits(outcome: Outcome) -> Finding:
     settings, rows = outcome.settings, POWER_LOSSES.get(outcome.vehicle.key)
     published = [rows] if rows else POWER_LOSSES.values()
     asked = max(losses[-1].validation.total for losses in published)
-    reached = outcome.power_rows[-1].validation.total
+    reached = outcome.training.rows[-1].validation.total
     if reached <= asked:
         answer = ClaimAnswer.HOLDS
     elif settings.epochs < DEFAULT_EPOCHS[settings.optimizer]:

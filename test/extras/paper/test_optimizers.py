@@ -7,8 +7,7 @@ import torch
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.vehicle.physics import RegenForm
 from evpinn_ros.extras.paper.checkpoint import load_checkpoint, save_checkpoint
-from evpinn_ros.extras.paper.experiment import PowerTraining
-from evpinn_ros.extras.paper.optimizers import INPUTS
+from evpinn_ros.extras.paper.optimizers import INPUTS, OPTIMIZERS
 from evpinn_ros.extras.paper.problem import Problem, random_split
 from evpinn_ros.extras.paper.scores import combinations
 from evpinn_ros.extras.paper.settings import OptimizerName
@@ -22,7 +21,7 @@ def begin(make_log, vehicle):
     def make(name, epochs):
         split = random_split(len(log.time), 0)
         problem = Problem(log, vehicle, split, inputs=INPUTS[name])
-        return PowerTraining(name, problem, epochs, seed=1)
+        return OPTIMIZERS[name](problem, epochs, seed=1)
 
     return make
 
@@ -38,7 +37,7 @@ def test_resumed_training_gives_the_same_numbers(name, begin, tmp_path):
     second.load_state(load_checkpoint(tmp_path / "a.npz", "same"))
     second.run_to(12)
     assert second.rows == whole.rows
-    assert torch.equal(second.optimizer.network.vector(), whole.optimizer.network.vector())
+    assert torch.equal(second.network.vector(), whole.network.vector())
 
 
 def test_ours_is_below_adam_after_as_many_epochs_and_finds_the_true_combinations(begin, vehicle):
@@ -48,8 +47,7 @@ def test_ours_is_below_adam_after_as_many_epochs_and_finds_the_true_combinations
         training.run_to(40)
         final[name] = training.rows[-1].validation.total
     assert final[OptimizerName.GAUSS_NEWTON] < 0.2 * final[OptimizerName.ADAM]
-    values = training.problem.values(training.optimizer.log_scale)
-    fitted = combinations(values, vehicle.frontal_area, RegenForm.RECOVERY)
+    fitted = combinations(training.values, vehicle.frontal_area, RegenForm.RECOVERY)
     truth = combinations(TRUE, vehicle.frontal_area, RegenForm.RECOVERY)
     for name in ("mass_over_eta", "mu", "c_rr"):
         assert fitted[name] == pytest.approx(truth[name], rel=0.05)

@@ -32,7 +32,7 @@ def test_vehicle_file_is_valid_and_holds_what_was_found(outcome, tmp_path):
     path = tmp_path / "found.yaml"
     write_vehicle_file(path, outcome, "drive.csv")
     read = load_vehicle(path)
-    values = possible(outcome.values, outcome.settings.form)
+    values = possible(outcome.training.values, outcome.settings.form)
     for name in ("eta", "mass", "c_rr", "c_d", "p_aux"):
         assert getattr(read.initial, name) == pytest.approx(getattr(values, name), rel=1e-6)
     assert 0.7 < read.initial.mu <= 1.0  # that of `wheel_power`, whatever the experiment's form
