@@ -108,16 +108,8 @@ def forecast(
         InputError: a column is missing, the vehicle does not exist, or the plan is invalid
             (`PlanError`).
     """
-    given = PlanConditions(
-        temperature_c,
-        heating_w,
-        head_wind,
-        payload_kg,
-        None if charge_pct is None else charge_pct / 100,
-        None if stood_h is None else 3600.0 * stood_h,
-        float(prewarmed),
-        None if steady is None else float(steady),
-    )
+    given = PlanConditions(temperature_c, heating_w, head_wind, payload_kg)
+    given = with_state(given, charge_pct, stood_h, prewarmed, steady)
     _, trip, _, energies, charge, _ = planned_energy(plan, car, given, air_density)
     columns = {
         "distance_m": trip.distance,
@@ -131,6 +123,23 @@ def forecast(
     }
     pd = pandas()
     return pd.DataFrame(columns, index=pd.Index(energies.time, name="t_s"))
+
+
+def with_state(
+    given: PlanConditions,
+    charge_pct: float | None,
+    stood_h: float | None,
+    prewarmed: bool,
+    steady: bool | None,
+) -> PlanConditions:
+    """Conditions with those of the car and of its driving, in the units of people."""
+    return replace(
+        given,
+        charge=None if charge_pct is None else charge_pct / 100,
+        stood=None if stood_h is None else 3600.0 * stood_h,
+        prewarmed=float(prewarmed),
+        steady=None if steady is None else float(steady),
+    )
 
 
 def planned_energy(

@@ -133,14 +133,12 @@ def _opened(
     mode: str | None = None,
     params: str | os.PathLike[str] | None = None,
     state: str | os.PathLike[str] | None = None,
-    can_profile: str | None = None,
-    trust_profile: bool = False,
-    columns: Sequence[str] = (),
-    car: str | None = None,
     elevation: str | os.PathLike[str] | None = None,
+    **reading: Any,
 ) -> Iterator[tuple[CarReplay, Source]]:
-    """The car and its drive; what was learned is written when nothing went wrong."""
+    """The car and its drive, `reading` of `ReadOptions`; then writes what was learned."""
     written = None if state is None else Path(state)
+    terrain = None if elevation is None else Terrain(Path(elevation))
     with StateClaim(written):
         car_replay = CarReplay(
             vehicle,
@@ -149,13 +147,7 @@ def _opened(
             params=None if params is None else Path(params),
             state=written,
         )
-        read_options = ReadOptions(
-            can_profile,
-            trust_profile,
-            columns,
-            car,
-            None if elevation is None else Terrain(Path(elevation)),
-        )
+        read_options = ReadOptions(terrain=terrain, **reading)
         with TemporaryDirectory() as folder:
             yield car_replay, car_replay.open(_path_of(drive, Path(folder)), read_options)
         if written is not None:

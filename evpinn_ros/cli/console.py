@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 import shlex
@@ -14,14 +14,12 @@ from typing import Any
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    DownloadColumn,
     Progress,
     ProgressColumn,
     Task,
     TaskProgressColumn,
     TextColumn,
     TimeRemainingColumn,
-    TransferSpeedColumn,
 )
 from rich.text import Text
 
@@ -103,17 +101,23 @@ class RateColumn(ProgressColumn):
         return Text(text + (" x real time" if self._unit == DRIVE else " a second"))
 
 
-def progress_bar(
-    title: str, total: float | None, unit: str = DRIVE
-) -> AbstractContextManager[Report]:
+@contextmanager
+def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator[Report]:
     """Show progress: a bar on a terminal, a line every 10 s in a pipe; `total` may be None."""
+    if not notes.is_terminal:
+        yield progress_lines(title, total, unit)
+        return
+    name = TextColumn("{task.description}", markup=False)  # often that of a file
     amount = TextColumn(f"{{task.completed:.0f}} {unit}", markup=False)
-    columns = (TaskProgressColumn(), amount, RateColumn(unit))
-    return _bar(title, total, columns, lambda done: f"{done:.0f} {unit}")
+    word = TextColumn("{task.fields[word]}", markup=False)
+    columns = (TaskProgressColumn(), amount, RateColumn(unit), word, TimeRemainingColumn())
+    with Progress(name, BarColumn(), *columns, console=notes) as bar:
+        task = bar.add_task(printable(title), total=total, word="")
+        yield lambda done, word="": bar.update(task, completed=done, word=word)
 
 
-def progress_lines(title: str, total: float | None, amount: Callable[[float], str]) -> Report:
-    """Progress as lines on stderr, of `amount`'s text, none in the first `LINE_PERIOD_S`."""
+def progress_lines(title: str, total: float | None, unit: str) -> Report:
+    """Progress as lines on stderr, none in the first `LINE_PERIOD_S`."""
     begun = due = time.monotonic()
 
     def report(done: float, _word: str = "") -> None:
@@ -125,32 +129,9 @@ def progress_lines(title: str, total: float | None, amount: Callable[[float], st
         share = done / total if total else 0.0
         left = (now - begun) * (1.0 - share) / share if 0.0 < share <= 1.0 else None
         progress = "" if left is None else f", {100.0 * share:.0f} %, {left:.0f} s left"
-        note(f"{title}: {amount(done)}{progress}")
+        note(f"{title}: {done:.0f} {unit}{progress}")
 
     return report
-
-
-def bytes_bar(title: str, total: int) -> AbstractContextManager[Report]:
-    """Progress through a file: takes bytes done, shows the rate and the time left."""
-    columns = (DownloadColumn(), TransferSpeedColumn())
-    return _bar(title, total, columns, lambda done: f"{done / 1e6:.0f} MB")
-
-
-@contextmanager
-def _bar(
-    title: str,
-    total: float | None,
-    columns: Sequence[ProgressColumn],
-    amount: Callable[[float], str],
-) -> Iterator[Report]:
-    if not notes.is_terminal:
-        yield progress_lines(title, total, amount)
-        return
-    name = TextColumn("{task.description}", markup=False)  # often that of a file
-    word = TextColumn("{task.fields[word]}", markup=False)
-    with Progress(name, BarColumn(), *columns, word, TimeRemainingColumn(), console=notes) as bar:
-        task = bar.add_task(printable(title), total=total, word="")
-        yield lambda done, word="": bar.update(task, completed=done, word=word)
 
 
 @contextmanager

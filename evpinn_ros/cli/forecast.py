@@ -102,7 +102,7 @@ def forecast(
     """
     # Here, for pandas takes longer to import than all else together.
     from evpinn_ros.api.estimator import Estimator
-    from evpinn_ros.api.plan import planned_energy, what_if
+    from evpinn_ros.api.plan import planned_energy, what_if, with_state
     from evpinn_ros.core.energy.plan import PlanConditions
     from evpinn_ros.core.estimation.state_file import vehicle_of
     from evpinn_ros.core.vehicle.files import load_vehicle
@@ -112,18 +112,8 @@ def forecast(
         vehicle = (None if state is None else vehicle_of(state)) or "generic"
     check_outputs((json_file, report), (*plans, state, Path(vehicle)))
     car = vehicle if state is None else Estimator(vehicle, state=state)
-    share = None if charge is None else charge / 100
-    seconds = None if stood is None else 3600 * stood
-    given = PlanConditions(
-        temperature,
-        heating,
-        head_wind,
-        payload,
-        share,
-        seconds,
-        float(prewarmed),
-        None if steady is None else float(steady),
-    )
+    given = PlanConditions(temperature, heating, head_wind, payload)
+    given = with_state(given, charge, stood, prewarmed, steady)
     planned_car = load_vehicle(vehicle)
     shown = units.units
     forecasts = []

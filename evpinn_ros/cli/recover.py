@@ -13,8 +13,9 @@ import typer
 from evpinn_ros.bags.mcap_records import Loss
 from evpinn_ros.bags.recover import RecoveredFile, broken_files
 from evpinn_ros.bags.recover import recover as recover_bag
-from evpinn_ros.cli.console import bytes_bar, moment, note, say, write_json, writing
+from evpinn_ros.cli.console import moment, note, progress_bar, say, write_json, writing
 from evpinn_ros.cli.options import JsonOption
+from evpinn_ros.common.units import MEGABYTE
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MOST_LINES = 20  # of losses on the terminal; --json has them all
@@ -35,8 +36,8 @@ def recover(
     Example: evpinn recover out/today/today_0.mcap out/saved
     """
     total = sum(path.stat().st_size for path in broken_files(broken))
-    with writing(out), bytes_bar(broken.name, total) as progress:
-        files = recover_bag(broken, out, progress)
+    with writing(out), progress_bar(broken.name, total / MEGABYTE, "MB") as progress:
+        files = recover_bag(broken, out, lambda done: progress(done / MEGABYTE))
     for file in files:
         for line in _lines(file):
             say(line)

@@ -145,10 +145,8 @@ def rmf(
 
     Example: evpinn export rmf robot.json --vehicle mobile_robot --capacity 25
     """
-    # Here, for these import what takes longer than all else together.
+    # Here, for it imports what takes longer than all else together.
     from evpinn_ros.api.estimator import Estimator
-    from evpinn_ros.core.energy.charge import Uncertain
-    from evpinn_ros.extras.export import rmf_energy
 
     car = Estimator(vehicle, state=state)
     gauge = car.account.gauge

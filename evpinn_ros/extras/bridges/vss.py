@@ -12,10 +12,13 @@ import typer
 
 from evpinn_ros.cli.console import note
 from evpinn_ros.cli.options import KeptStateOption, VehicleOption
+from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.stopping import at_stop
 from evpinn_ros.common.units import KMH
+from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.extras.bridges.car import BridgedCar
 from evpinn_ros.extras.bridges.layouts import PERCENT, Measurand, Parsed, Rule, Value
 from evpinn_ros.extras.bridges.mqtt import secret_of, split_address
@@ -24,8 +27,6 @@ from evpinn_ros.extras.bridges.snapshot import Snapshots, is_due
 from evpinn_ros.replays.energy_metrics import MEANINGS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from kuksa_client.grpc import VSSClient
 
 BATTERY = "Vehicle.Powertrain.TractionBattery"
@@ -156,13 +157,6 @@ def vss(
 
     Example: evpinn vss --vehicle tesla_model_3_lr --databroker localhost:55555
     """
-    # Imported here: other commands need neither the chain nor kuksa-client.
-    from evpinn_ros.common.blas_threads import limit_blas_threads
-    from evpinn_ros.core.estimation.estimator import EstimatorSettings
-    from evpinn_ros.core.vehicle.files import load_vehicle
-    from evpinn_ros.extras.bridges.car import BridgedCar
-    from evpinn_ros.extras.bridges.vss import DatabrokerFeed
-
     with optional_imports():
         from kuksa_client.grpc import VSSClient, VSSClientError
     limit_blas_threads()
