@@ -6,6 +6,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 
+import numpy as np
+
 from evpinn_ros.common.errors import InputError, near_names
 from evpinn_ros.logs.apps import app_of
 from evpinn_ros.logs.quantities import (
@@ -19,6 +21,7 @@ from evpinn_ros.logs.quantities import (
     unit_of,
     words_of,
 )
+from evpinn_ros.logs.signal import FloatArray, Signal
 
 SIGNED = ("current", "power")
 LONGEST_LIST = 200  # characters of column names in a message
@@ -64,6 +67,16 @@ class Column:
     def turned(self) -> Column:
         """Column with the other sign."""
         return replace(self, factor=-self.factor, offset=-self.offset, unit=f"-{self.unit}")
+
+    def si(self, numbers: FloatArray) -> FloatArray:
+        """SI values of numbers of the file; the upper half of those that wrap is negative."""
+        if self.wraps:
+            numbers = np.where(numbers > 0.5 * self.wraps, numbers - self.wraps, numbers)
+        return numbers * self.factor + self.offset
+
+    def in_si(self, signal: Signal) -> Signal:
+        """The column's signal in SI, of one in the file's unit."""
+        return Signal(signal.time, self.si(signal.value))
 
     def guessed(self, others: Sequence[str]) -> Column:
         """Column whose unit is assumed, for it could be others as well."""

@@ -13,6 +13,7 @@ LEAST_EVENTS = 20  # moments of accelerating, and of braking, that tell a sign
 LONGEST_STEP = 10.0  # s between two speeds that still tell an acceleration
 EARTH = 6_371_000.0  # m
 LEAST_WAY = 1e-9  # in any unit
+HARDEST, LEAST_LEAP, LONGEST_LEAP = 4.0, 1.0, 3.0  # m/s^2, m/s, s
 LIKE = 0.4  # correlation of power with speed times acceleration from which on it tells the mass
 
 FloatArray = NDArray[np.float64]
@@ -57,6 +58,23 @@ def pull(speed: Signal, power: Signal) -> float:
     return float(spread[0, 1] / spread[0, 0])
 
 
+def battery_power(signals: Mapping[str, Signal]) -> Signal | None:
+    """Voltage times current where both are there, else the power; None without either."""
+    if {"voltage", "current"} <= signals.keys():
+        current = signals["current"]
+        return Signal(current.time, current.value * at_times(signals["voltage"], current.time))
+    return signals.get("power")
+
+
+def correlation(values: FloatArray, others: FloatArray, least: int = LEAST_EVENTS) -> float:
+    """Correlation of what is finite in both; NaN of fewer than `least`, or of a constant."""
+    both = np.isfinite(values) & np.isfinite(others)
+    values, others = values[both], others[both]
+    if values.size < least or not np.ptp(values) or not np.ptp(others):
+        return np.nan
+    return float(np.corrcoef(values, others)[0, 1])
+
+
 def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
     """Middles, s, and changes of speed per second over about a second, shape (n,) each."""
     time, value = speed.points()
@@ -69,6 +87,12 @@ def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
     near = (span > 0.2) & (span <= LONGEST_STEP)
     change = (value[stride:] - value[:-stride])[near] / span[near]
     return 0.5 * (time[stride:] + time[:-stride])[near], change
+
+
+def leaps(time: FloatArray, speed: FloatArray) -> NDArray[np.bool_]:
+    """Mask of the steps, shape (n - 1,), of a speed, m/s, that no car does."""
+    steps, change = np.diff(time), np.abs(np.diff(speed))
+    return np.asarray((change > LEAST_LEAP + HARDEST * steps) & (steps <= LONGEST_LEAP))
 
 
 def speeds_up_and_down(speed: Signal) -> bool:

@@ -16,10 +16,9 @@ from evpinn_ros.logs.column import Column
 from evpinn_ros.logs.quantities import PLACES, QUANTITIES
 from evpinn_ros.logs.signal import (
     LEAST_EVENTS,
-    FloatArray,
     Signal,
     accelerations,
-    at_times,
+    battery_power,
     pull,
     steps_of_places,
     ways,
@@ -34,7 +33,8 @@ STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is in a
 SAME_ROAD = 0.15  # logarithm of two ways that are one; m/s by miles is 0.33 from mph by km
 LEAST_SEGMENTS, MOST_SEGMENTS = 3, 20  # from one step of the odometer to a later one
 SEGMENT = 300.0  # m between two positions that tell a way
-CANDIDATES = ("km/h", "mph", "m/s")
+SPEEDS = {text: QUANTITIES["speed"].units[text].factor for text in ("km/h", "mph", "m/s")}
+LENGTHS = {text: QUANTITIES["odometer"].units[text].factor for text in ("km", "mi")}
 
 
 class Masses(NamedTuple):
@@ -65,25 +65,24 @@ def with_speed_unit(
 
 
 def _decided(speed: Column, columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> Column:
-    factors = {text: QUANTITIES["speed"].units[text].factor for text in CANDIDATES}
     signal, odometer = cells["speed"], columns.get("odometer")
-    if (text := _nearest(_road_of_places(cells), factors)) is not None:
+    if (text := _nearest(_road_of_places(cells), SPEEDS)) is not None:
         return speed.in_unit(text, "by the positions")
     road = road_of_odometer(cells)
     if odometer is not None and odometer.has_unit:
-        if (text := _nearest(road * odometer.factor, factors)) is not None:
+        if (text := _nearest(road * odometer.factor, SPEEDS)) is not None:
             return speed.in_unit(text, "by the odometer")
         if odometer.why == "by its name":
             text = "mph" if odometer.unit.startswith("mi") else "km/h"
-            return speed.in_unit(text, "as the odometer").guessed(_others(text))
-    lengths = [QUANTITIES["odometer"].units[text].factor for text in ("km", "mi")]
+            others = [other for other in SPEEDS if other != text]
+            return speed.in_unit(text, "as the odometer").guessed(others)
     possible = {
         text
-        for text, factor in factors.items()
+        for text, factor in SPEEDS.items()
         if not road > 0
-        or any(abs(np.log(road * length / factor)) < SAME_ROAD for length in lengths)
-    } or set(CANDIDATES)
-    possible = (possible - _too_fast(signal)) or set(CANDIDATES)  # a unit that is none of these
+        or any(abs(np.log(road * length / factor)) < SAME_ROAD for length in LENGTHS.values())
+    } or set(SPEEDS)
+    possible = (possible - _too_fast(signal)) or set(SPEEDS)  # a unit that is none of these
     if len(possible) == 1:
         why = "by the odometer" if road > 0 else "by its values"
         return speed.in_unit(possible.pop(), why)
@@ -92,31 +91,29 @@ def _decided(speed: Column, columns: Mapping[str, Column], cells: Mapping[str, S
     return column if left == {text} else column.guessed(tuple(sorted(left - {text})))
 
 
-def _others(text: str) -> tuple[str, ...]:
-    return tuple(other for other in CANDIDATES if other != text)
-
-
 def _too_fast(signal: Signal) -> set[str]:
     fastest = float(np.quantile(np.abs(signal.known), 0.999)) if signal.known.size else 0.0
-    too_fast = {text for text, limit in FASTEST.items() if fastest > limit}
     changes = np.sort(np.abs(accelerations(signal)[1]))
     hardest = changes[int(0.99 * changes.size)] if changes.size else 0.0
-    units = QUANTITIES["speed"].units
-    return too_fast | {text for text in FASTEST if hardest * units[text].factor > STRONGEST}
+    return {
+        text
+        for text, factor in SPEEDS.items()
+        if fastest > FASTEST[text] or hardest * factor > STRONGEST
+    }
 
 
 def _by_mass(
     possible: set[str], columns: Mapping[str, Column], cells: Mapping[str, Signal]
 ) -> tuple[str, str, set[str]] | None:
     """Unit in which the mass is the likeliest, why, and those in which it is possible."""
-    power = power_of(columns, cells)
+    of_battery = columns.keys() & {"voltage", "current", "power"}
+    signals = {name: columns[name].in_si(cells[name]) for name in of_battery}
+    power = battery_power(signals)
     mass = abs(pull(cells["speed"], power)) if power is not None else np.nan
-    if power is None or not mass > 0:
+    if not mass > 0:
         return None
-    volts = cells["voltage"].value * columns["voltage"].factor if "voltage" in cells else None
-    usual = _class_of(volts, power.known)
-    units = QUANTITIES["speed"].units
-    masses = {text: mass / units[text].factor ** 2 for text in possible}
+    usual = _class_of(signals.get("voltage"))
+    masses = {text: mass / SPEEDS[text] ** 2 for text in possible}
     left = {text for text, value in masses.items() if usual.least <= value <= usual.most}
     if not left:
         return None
@@ -126,12 +123,12 @@ def _by_mass(
     return text, "by the power that accelerating takes", left
 
 
-def _class_of(volts: FloatArray | None, power: FloatArray) -> Masses:
+def _class_of(voltage: Signal | None) -> Masses:
     """The class of vehicles that has such a battery."""
-    if volts is not None and np.isfinite(volts).any():
-        middle = float(np.nanmedian(volts))
-        return LIGHT if middle < LIGHT_BELOW else MIDDLE if middle < CAR_FROM else CAR
-    return CAR
+    if voltage is None or not voltage.known.size:
+        return CAR
+    middle = float(np.median(voltage.known))
+    return LIGHT if middle < LIGHT_BELOW else MIDDLE if middle < CAR_FROM else CAR
 
 
 def _usual(possible: set[str], signal: Signal) -> tuple[str, str, set[str]]:
@@ -146,9 +143,8 @@ def _usual(possible: set[str], signal: Signal) -> tuple[str, str, set[str]]:
 
 def _odometer(odometer: Column, speed: Column, cells: Mapping[str, Signal]) -> Column:
     """The odometer in the unit by which it goes as far as the speed does."""
-    lengths = {text: QUANTITIES["odometer"].units[text].factor for text in ("km", "mi")}
     road = road_of_odometer(cells)
-    text = _nearest(speed.factor / road if road > 0 else np.nan, lengths)
+    text = _nearest(speed.factor / road if road > 0 else np.nan, LENGTHS)
     if text is None:
         return odometer.in_unit("km", "").guessed(("mi",))
     column = odometer.in_unit(text, "as the speed")
@@ -186,15 +182,3 @@ def _road_of_places(cells: Mapping[str, Signal]) -> float:
     ratios = far / ways(cells["speed"], times)
     ratios = ratios[np.isfinite(ratios)]
     return float(np.quantile(ratios, 0.75)) if ratios.size >= LEAST_SEGMENTS else np.nan
-
-
-def power_of(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> Signal | None:
-    """Power of the battery, W, its sign unknown."""
-    if {"voltage", "current"} <= columns.keys():
-        current = cells["current"]
-        scale = columns["voltage"].factor * columns["current"].factor
-        volts = at_times(cells["voltage"], current.time)
-        return Signal(current.time, scale * current.value * volts)
-    if "power" in columns:
-        return Signal(cells["power"].time, cells["power"].value * columns["power"].factor)
-    return None

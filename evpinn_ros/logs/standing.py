@@ -22,6 +22,8 @@ from evpinn_ros.logs.signal import (
     Signal,
     accelerations,
     at_times,
+    battery_power,
+    leaps,
     pull,
     speeds_up_and_down,
     steps_of_places,
@@ -43,7 +45,6 @@ FINER = 5.0  # resolutions of a current by which it has to change
 WRONG_WAY, APART = 0.15, 50.0  # of a way, and m between positions
 LEAST_WAY = 200.0  # m: positions wander while a car stands
 OTHER_WAY = 0.3  # logarithm of two ways that no error of an odometer explains
-HARDEST, LEAST_LEAP, LONGEST_LEAP = 4.0, 1.0, 3.0  # m/s^2, m/s, s
 SLOWEST_UNIT = 1.0 / 3.6  # m/s: of a speed, knots and mph are faster
 MOST_ASKED = 1000  # values that tell a resolution
 LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and the share of the hardest moments in them
@@ -104,8 +105,8 @@ class Standing:
                 self._zeros[name] += int(zeros.sum())
                 self._dropped[f"{name}_sentinel_0"] += int(zeros.sum())
         signals = _signals(time, values, rows)
-        leaps = _leaps(signals["speed"], 1.0)
-        self._steps, self._leaps = self._steps + leaps.size, self._leaps + int(leaps.sum())
+        leapt = leaps(*signals["speed"].points())
+        self._steps, self._leaps = self._steps + leapt.size, self._leaps + int(leapt.sum())
         for name, stand, why in _contradicted(signals):
             inside = (time >= stand.begin) & (time <= stand.begin + stand.seconds)
             inside &= np.isfinite(signals[name].value)
@@ -206,19 +207,12 @@ def _is_fill(time: FloatArray, value: FloatArray, hardest: FloatArray) -> bool:
 
 def _leaps_to_zero(speed: Signal, least_unit: float) -> bool:
     """True if the speed leaps to most of its zeros and back as no car stops."""
-    value = speed.points()[1]
+    time, value = speed.points()
     to_zero = (value[1:] == 0.0) != (value[:-1] == 0.0)
     changes = np.flatnonzero(to_zero)
     if changes.size < LEAST_LEAPS:
         return False
-    return bool(_leaps(speed, least_unit)[changes].mean() > 0.5)
-
-
-def _leaps(speed: Signal, unit: float) -> NDArray[np.bool_]:
-    """Mask of the steps of a speed that no car does, in a unit, m/s."""
-    time, value = speed.points()
-    steps, change = np.diff(time), np.abs(np.diff(value)) * unit
-    return np.asarray((change > LEAST_LEAP + HARDEST * steps) & (steps <= LONGEST_LEAP))
+    return bool(leaps(time, least_unit * value)[changes].mean() > 0.5)
 
 
 def _resolution(values: FloatArray) -> float:
@@ -232,7 +226,7 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
     speed = signals["speed"]
     stands = list(_stands(speed))
     seen = _without(speed, [stand for stand in stands if stand.value])
-    drawn = _drawn(signals)
+    drawn = battery_power(signals)
     mass = np.nan if drawn is None else abs(pull(_without(speed, stands), drawn))
     for stand in stands:
         if why := _other_way(stand, seen, signals):
@@ -250,13 +244,6 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
 def _possible(name: str, signal: Signal) -> Signal:
     most = MOST.get(name, LARGEST)
     return Signal(signal.time, np.where(np.abs(signal.value) <= most, signal.value, np.nan))
-
-
-def _drawn(signals: Signals) -> Signal | None:
-    if {"voltage", "current"} <= signals.keys():
-        current = signals["current"]
-        return Signal(current.time, current.value * at_times(signals["voltage"], current.time))
-    return signals.get("power")
 
 
 def _stands(signal: Signal) -> Iterator[Stand]:

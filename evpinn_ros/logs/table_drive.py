@@ -61,7 +61,6 @@ from evpinn_ros.logs.values import (
     is_engine,
     of_12_volts,
     power_beside,
-    signed,
     with_units,
 )
 
@@ -355,7 +354,7 @@ class TableDrive(Source):
         values = to_floats(batch.cells(rule.place), self._survey.styles[rule.place])
         self._count_bad(batch, rule, ~np.isfinite(values), "is no number")
         values = np.where(np.abs(values) < MOST, values, math.nan)  # no factor makes it infinite
-        values = signed(values, rule.wraps) * rule.factor + rule.offset
+        values = rule.si(values)
         values[~(np.abs(values) < MOST)] = math.nan
         return values
 

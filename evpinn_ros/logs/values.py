@@ -25,6 +25,8 @@ from evpinn_ros.logs.signal import (
     Signal,
     accelerations,
     at_times,
+    battery_power,
+    correlation,
     pull,
 )
 from evpinn_ros.logs.speed_unit import with_speed_unit
@@ -66,7 +68,7 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
             or wrapped_while_braking(cells[name], cells["speed"])
         ):
             decided[name] = replace(decided[name], wraps=span)
-            cells = {**cells, name: unwrapped(cells[name], span)}
+            cells = {**cells, name: Column(name, "", wraps=span).in_si(cells[name])}
     decided = with_speed_unit(decided, cells)
     for name in SIGNED:
         if name in decided and decided[name].why != "as given" and not decided[name].is_ours:
@@ -82,12 +84,8 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
 
 def is_engine(turning: Signal, speed: Signal) -> bool:
     """True for a hybrid's engine, which at times stands while the car drives."""
-    at = at_times(turning, speed.time)
-    both = np.isfinite(at) & np.isfinite(speed.value)
-    fast, turns = speed.value[both], at[both]
-    if turns.size < LEAST_EVENTS or not (turns > 0).any() or not np.ptp(turns) or not np.ptp(fast):
-        return False
-    return float(np.corrcoef(fast, turns)[0, 1]) < GEARED
+    turns = at_times(turning, speed.time)
+    return bool((turns > 0).any()) and correlation(speed.value, turns) < GEARED
 
 
 def of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> str:
@@ -102,8 +100,11 @@ def of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> s
     both = np.isfinite(volts) & np.isfinite(cells["current"].value)
     if both.sum() < LEAST_SAGS or not np.ptp(volts[both]):
         return ""
-    ranks = [values[both].argsort().argsort() for values in (volts, cells["current"].value)]
-    alike = np.asarray(np.corrcoef(ranks))[0, 1]  # which no glitch hides
+    ranks = [
+        values[both].argsort().argsort().astype(np.float64)
+        for values in (volts, cells["current"].value)
+    ]
+    alike = correlation(ranks[0], ranks[1])  # which no glitch hides
     if abs(alike) > ALIKE or _sag(cells["current"], cells["voltage"]) != 0.0:
         return ""
     return f"about {middle:.3g} V whatever the current, not that of the traction battery"
@@ -132,11 +133,8 @@ def _sag(current: Signal, voltage: Signal) -> float:
     both = np.isfinite(at) & np.isfinite(current.value)
     amps, volts = np.diff(current.value[both]), np.diff(at[both])
     near = np.diff(current.time[both]) <= LONGEST_STEP
-    amps, volts = amps[near], volts[near]
-    if amps.size < LEAST_SAGS or not amps.any() or not volts.any():
-        return 0.0
-    correlation = float(np.corrcoef(amps, volts)[0, 1])
-    return correlation if abs(correlation) > SAG else 0.0
+    alike = correlation(amps[near], volts[near], LEAST_SAGS)
+    return alike if abs(alike) > SAG else 0.0
 
 
 def _say_sign(column: Column, positive: bool, shows: str) -> Column:
@@ -166,16 +164,6 @@ def wrapped_at(numbers: FloatArray, spans: Sequence[float] = SPANS) -> float:
     middle = (numbers > 0.25 * span) & (numbers < 0.75 * span)
     upper = numbers >= 0.75 * span
     return span if upper.sum() >= LEAST_WRAPPED and not middle.any() else 0.0
-
-
-def unwrapped(signal: Signal, span: float) -> Signal:
-    """The signal with signed values."""
-    return Signal(signal.time, signed(signal.value, span))
-
-
-def signed(values: FloatArray, span: float) -> FloatArray:
-    """Numbers with the sign that their upper half should have; none changes for a span of 0."""
-    return np.where(values > 0.5 * span, values - span, values) if span else values
 
 
 def _voltage_unit(column: Column, values: FloatArray) -> Column:
@@ -254,29 +242,26 @@ def power_beside(header: Sequence[str], used: Sequence[Column]) -> Column | None
     taken = {column.quantity: column.place for column in used}
     if not {"voltage", "current"} <= taken.keys() or "power" in taken:
         return None
-    scores = {place: score("power", name) for place, name in enumerate(header)}
-    for place, name in enumerate(header):
-        if place in taken.values() or any(score(load, name) > 0.0 for load in LOADS):
-            scores[place] = 0.0
-    place = max(scores, key=lambda i: scores[i])
-    if scores[place] <= 0.0:
-        return None
+    free = (place for place in range(len(header)) if place not in taken.values())
+    scores = {
+        place: score("power", header[place])
+        for place in free
+        if not any(score(load, header[place]) > 0.0 for load in LOADS)
+    }
+    place = max(scores, key=lambda i: scores[i], default=0)
     with suppress(InputError):  # of a unit that is not known it tells nothing
-        return column_of("power", header, place)
+        return column_of("power", header, place) if scores.get(place, 0.0) > 0.0 else None
     return None
 
 
 def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> Iterator[str]:
     """Sentences on columns that contradict each other, or the car; cells in file units."""
-    signals = {name: _in_si(cells[name], column) for name, column in used.items()}
-    drawn = signals.get("power")
-    if {"voltage", "current"} <= signals.keys():
-        current = signals["current"]
-        drawn = Signal(current.time, current.value * at_times(signals["voltage"], current.time))
-        if "power" in signals:
-            yield from _compared(used["power"], signals["power"], drawn)
+    signals = {name: column.in_si(cells[name]) for name, column in used.items()}
+    drawn = battery_power(signals)
     if drawn is None:
         return
+    if {"power", "voltage", "current"} <= signals.keys():
+        yield from _compared(used["power"], signals["power"], drawn)
     yield from drawn_at_rest(drawn, signals["speed"])
     yield from never_back(drawn, signals["speed"])
     if pull(signals["speed"], drawn) < 0.0:
@@ -324,29 +309,21 @@ def drawn_at_rest(drawn: Signal, speed: Signal) -> Iterator[str]:
 def _rises_while_braking(drawn: Signal, speed: Signal) -> bool:
     times, change = accelerations(speed)
     power, kinetic = at_times(drawn, times), change * at_times(speed, times)
-    braking = (change < -EVENT) & np.isfinite(power) & np.isfinite(kinetic)
-    given, taken = kinetic[braking], power[braking]
-    if given.size < LEAST_EVENTS or not np.ptp(given) or not np.ptp(taken):
-        return False
-    return float(np.corrcoef(given, taken)[0, 1]) < -RISES
-
-
-def _in_si(signal: Signal, column: Column) -> Signal:
-    return Signal(signal.time, signal.value * column.factor + column.offset)
+    braking = change < -EVENT
+    return correlation(kinetic[braking], power[braking]) < -RISES
 
 
 def _compared(column: Column, power: Signal, drawn: Signal) -> Iterator[str]:
     name = column.name
     at = at_times(power, drawn.time)
-    both = np.isfinite(at) & np.isfinite(drawn.value)
-    beside, other = at[both], drawn.value[both]
-    if beside.size < LEAST_EVENTS or not np.ptp(beside) or not np.ptp(other):
+    alike = correlation(at, drawn.value)
+    if np.isnan(alike):
         return
-    alike = float(np.corrcoef(beside, other)[0, 1])
     if abs(alike) < ALIKE:
         yield f"{name!r} has little in common with voltage times current, which are used"
         return
-    ratio = float(np.std(beside) / np.std(other))
+    both = np.isfinite(at) & np.isfinite(drawn.value)
+    ratio = float(np.std(at[both]) / np.std(drawn.value[both]))
     if not column.has_unit:  # W, kW or mW
         ratio /= 1e3 ** round(np.log10(ratio) / 3.0)
     if alike < 0.0:

@@ -34,6 +34,7 @@ from evpinn_ros.core.signals.readings import (
 from evpinn_ros.core.signals.time_jump import Jump
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.logs.signal import leaps
 from evpinn_ros.replays.chain import ChainOutput
 
 BEYOND = 8.0  # sigmas of what sag leaves of the voltage
@@ -42,8 +43,6 @@ FOLLOWS = 0.5  # of a voltage at most so much is left by sag, or it tells nothin
 MOST, NEAR = 0.9, 2.5  # so many are within so many sigmas, or nothing is told.
 FEW = 30  # readings that tell nothing
 BESIDE = 7  # readings whose median a lone one is compared with
-LONGEST_STEP = 3.0  # s
-HARDEST, LEAST_LEAP = 4.0, 1.0  # m/s^2 there and then back, and m/s
 
 
 def lone_battery(voltage: np.ndarray, current: np.ndarray) -> np.ndarray:
@@ -67,10 +66,9 @@ def lone_battery(voltage: np.ndarray, current: np.ndarray) -> np.ndarray:
 
 def lone_speeds(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Mask of speeds that leap there and back; both of shape (n,), in order of time."""
-    steps, change = np.diff(time), np.diff(speed)
-    leaps = (np.abs(change) > LEAST_LEAP + HARDEST * steps) & (steps <= LONGEST_STEP)
+    leapt, change = leaps(time, speed), np.diff(speed)
     lone = np.zeros(len(time), dtype=bool)
-    lone[1:-1] = leaps[1:] & leaps[:-1] & (change[1:] * change[:-1] < 0.0)
+    lone[1:-1] = leapt[1:] & leapt[:-1] & (change[1:] * change[:-1] < 0.0)
     return lone
 
 
