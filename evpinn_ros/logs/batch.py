@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.optional import optional_imports
 
 with optional_imports():
@@ -20,71 +21,55 @@ Cells: TypeAlias = "Sequence[str] | pl.Series"
 MOST_ROWS, MOST_CELLS = 16_384, 500_000  # of a batch
 
 
+@dataclass(frozen=True, slots=True)
 class Batch:
-    """Rows of a table: as lists of cells, or as columns where all rows are alike.
+    """Rows of a table, column by column."""
 
-    Attributes:
-        lines: numbers of their lines in the file.
-        columns: text of each column, where all rows have as many cells; else None.
-    """
-
-    def __init__(
-        self,
-        lines: Sequence[int],
-        rows: Sequence[list[str]] = (),
-        columns: Sequence[pl.Series] | None = None,
-    ) -> None:
-        """Take rows, or columns."""
-        self.lines, self._rows, self.columns = lines, rows, columns
+    lines: Sequence[int]  # numbers of the rows' lines in the file
+    columns: Sequence[pl.Series]  # text of each column, "" where a row is shorter
+    widths: NDArray[np.int64]  # how many cells each row has
 
     @classmethod
     def of(cls, rows: Sequence[Row]) -> Batch:
         """A batch of rows."""
-        return cls([line for line, _ in rows], [cells for _, cells in rows])
+        cells = [row for _, row in rows]
+        columns = zip_longest(*cells, fillvalue="")
+        return cls(
+            [line for line, _ in rows],
+            [pl.Series("", column, dtype=pl.String) for column in columns],
+            np.array([len(row) for row in cells], np.int64),
+        )
 
     def __len__(self) -> int:
         return len(self.lines)
 
-    @property
-    def widths(self) -> NDArray[np.int64]:
-        """How many cells each row has."""
-        if self.columns is not None:
-            return np.full(len(self.lines), len(self.columns))
-        return np.array([len(row) for row in self._rows], np.int64)
-
-    def cells(self, place: int) -> Cells:
+    def cells(self, place: int) -> pl.Series:
         """Cells of a column; "" where a row has none there."""
-        if self.columns is None:
-            return [row[place] if place < len(row) else "" for row in self._rows]
-        return self.columns[place] if place < len(self.columns) else [""] * len(self.lines)
+        if place < len(self.columns):
+            return self.columns[place]
+        return pl.repeat("", len(self), dtype=pl.String, eager=True)
 
     def rows(self) -> Iterator[Row]:
         """The rows one by one."""
-        if self.columns is None:
-            return zip(self.lines, self._rows, strict=True)
         cells = zip(*(column.to_list() for column in self.columns), strict=True)
-        return zip(self.lines, map(list, cells), strict=True)
+        for line, width, row in zip(self.lines, self.widths.tolist(), cells, strict=True):
+            yield line, list(row[:width])
 
     def where(self, chosen: NDArray[np.bool_]) -> Batch:
         """The chosen rows, a mask of shape (n,)."""
-        places = np.flatnonzero(chosen).tolist()
-        lines = [self.lines[place] for place in places]
-        if self.columns is None:
-            return Batch(lines, [self._rows[place] for place in places])
-        return Batch(lines, columns=[column.filter(pl.Series(chosen)) for column in self.columns])
+        lines = [self.lines[place] for place in np.flatnonzero(chosen).tolist()]
+        columns = [column.filter(pl.Series(chosen)) for column in self.columns]
+        return Batch(lines, columns, self.widths[chosen])
 
     def part(self, first: int, last: int | None = None) -> Batch:
         """The rows from one place to before another."""
-        some = slice(first, last)
-        columns = None if self.columns is None else [column[some] for column in self.columns]
-        return Batch(self.lines[some], self._rows[some], columns)
+        rows = slice(first, last)
+        columns = [column[rows] for column in self.columns]
+        return Batch(self.lines[rows], columns, self.widths[rows])
 
-    def within(self, width: int) -> Batch | None:
-        """Of a batch of columns the first `width` of them; None if a later one has text."""
-        columns = self.columns or ()
-        if any((column != "").any() for column in columns[width:]):
-            return None
-        return Batch(self.lines, columns=columns[:width])
+    def within(self, width: int) -> Batch:
+        """The first columns, `width` at most."""
+        return Batch(self.lines, self.columns[:width], np.minimum(self.widths, width))
 
 
 def batches_of(rows: Iterable[Row]) -> Iterator[Batch]:
@@ -98,7 +83,7 @@ def batches_of(rows: Iterable[Row]) -> Iterator[Batch]:
             if len(batch) == MOST_ROWS or cells > MOST_CELLS:
                 yield Batch.of(batch)
                 batch, cells = [], 0
-    except InputError:
+    except Exception:
         yield Batch.of(batch)
         raise
     if batch:
@@ -121,15 +106,12 @@ def regrouped(batches: Iterable[Batch]) -> Iterator[Batch]:
 
 
 def _joined(batches: Sequence[Batch]) -> Batch:
-    """Batches one after another; by column where all rows have as many cells."""
+    """Batches one after another."""
     if len(batches) == 1:
         return batches[0]
-    lines = [line for batch in batches for line in batch.lines]
-    widths = np.unique(np.concatenate([batch.widths for batch in batches]))
-    if widths.size > 1:
-        return Batch(lines, [row for batch in batches for _, row in batch.rows()])
-    columns = (
-        [pl.Series("", batch.cells(place), dtype=pl.String) for batch in batches]
-        for place in range(int(widths[0]))
+    places = range(max(len(batch.columns) for batch in batches))
+    return Batch(
+        [line for batch in batches for line in batch.lines],
+        [pl.concat([batch.cells(place) for batch in batches]) for place in places],
+        np.concatenate([batch.widths for batch in batches]),
     )
-    return Batch(lines, columns=[pl.concat(parts) for parts in columns])

@@ -241,10 +241,10 @@ def data_batches(table: Table, head: Head) -> Iterator[Batch]:
     """`data_rows` in batches."""
     below = _Below(head)
     for batch in table.batches() if isinstance(table, TextTable) else batches_of(table.rows()):
-        within = None
-        if batch.columns is not None and batch.lines[0] > head.row and below.is_as_the_first:
-            within = batch.within(max(len(head.names), 1))
-        yield from [within] if within is not None else batches_of(below.rows(batch.rows()))
+        if len(batch) and below.are_as_the_first(batch):
+            yield batch.within(max(len(head.names), 1))
+        else:
+            yield from batches_of(below.rows(batch.rows()))
 
 
 def data_rows(table: Table, head: Head) -> Iterator[Row]:
@@ -260,10 +260,14 @@ class _Below:
         # Of the header's columns, below another header with another order.
         self._places: list[int | None] | None = None
 
-    @property
-    def is_as_the_first(self) -> bool:
-        """True if rows have the order of the first header, and no header begins with a digit."""
-        return self._places is None and not any(name[:1] in _NO_NAME for name in self._names)
+    def are_as_the_first(self, batch: Batch) -> bool:
+        """True if rows are no headers, and have the columns of the first one and no more."""
+        if self._places is not None or batch.lines[0] <= self._head.row:
+            return False
+        beyond = batch.columns[max(len(self._head.names), 1) :]
+        numbers = batch.columns[0].str.contains("^[ 0-9+.-]").all()
+        names = any(name[:1] in _NO_NAME for name in self._names)
+        return bool(numbers) and not names and not any((c != "").any() for c in beyond)
 
     def rows(self, rows: Iterator[Row]) -> Iterator[Row]:
         head, width = self._head, len(self._head.names)

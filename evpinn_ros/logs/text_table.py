@@ -21,7 +21,7 @@ from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, reason_of
 from evpinn_ros.common.opener import LONGEST_LINE, MOST_COLUMNS, open_unpacked
 from evpinn_ros.common.optional import optional_imports
-from evpinn_ros.logs.batch import Batch, Row
+from evpinn_ros.logs.batch import Batch, Row, batches_of
 
 with optional_imports():
     import polars as pl
@@ -97,16 +97,11 @@ class TextTable:
             for text in texts:
                 columns = self._columns(text)
                 if columns is None:
-                    rows: list[Row] = []
-                    try:
-                        rows.extend(self._rows_of(text))
-                    except READ_ERRORS:
-                        yield Batch.of(rows)
-                        raise
-                    yield Batch.of(rows)
+                    yield from batches_of(self._rows_of(text))
                     continue
                 first, self._line = self._line + 1, self._line + len(columns[0])
-                yield Batch(range(first, self._line + 1), columns=columns)
+                widths = np.full(len(columns[0]), len(columns))
+                yield Batch(range(first, self._line + 1), columns, widths)
 
     @contextmanager
     def _texts(self) -> Iterator[Iterator[str]]:
@@ -168,7 +163,8 @@ class TextTable:
             rest = lines[0].strip('\ufeff"\r\n ')[4:]
             return rest[:1] or "\t"
         counts = {
-            sign: Counter(_outside_quotes(line, sign) for line in lines) for sign in SEPARATORS
+            sign: Counter(sum(part.count(sign) for part in line.split('"')[::2]) for line in lines)
+            for sign in SEPARATORS
         }
 
         def merit(sign: str) -> tuple[int, int]:
@@ -253,10 +249,6 @@ class ConvertedTable(TextTable):
 def _says_separator(line: str) -> bool:
     """True for the line that tells Excel the separator: `sep=;`."""
     return line.lstrip('\ufeff"').lower().startswith("sep=")
-
-
-def _outside_quotes(line: str, sign: str) -> int:
-    return sum(part.count(sign) for part in line.split('"')[::2])
 
 
 def _encoding(start: bytes) -> str:
