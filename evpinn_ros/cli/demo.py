@@ -17,17 +17,14 @@ from evpinn_ros.can.profile import load_profile
 from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import JsonOption
-from evpinn_ros.cli.replay import score_table
+from evpinn_ros.cli.replay import parameter_table, score_table
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.package_data import share_directory
-from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.identifiable import identifiable
-from evpinn_ros.core.vehicle.parameters import QUANTITIES, Parameters
-from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import WARM_UP
-from evpinn_ros.replays.scoring import drive_scores
+from evpinn_ros.replays.scoring import drive_scores, parameter_metrics
 from evpinn_ros.replays.simulation.truth_file import read_truth
 from evpinn_ros.report.tables import energy_lines
 from evpinn_ros.topics.node_parameters import Value
@@ -83,7 +80,7 @@ def demo(
     show(score_table(drive, scores))
     for line in energy_lines(scores):
         say(line)
-    show(_live_table(drive, truth))
+    show(parameter_table({"parameters": parameter_metrics(drive.final)}, truth))
     say(f"Picture  {picture}")
     say(f"Bag      {bag}")
     if json_file is not None:
@@ -101,22 +98,6 @@ def _frames(source: Path) -> list[CanFrame]:
             for reading in BagReadings(reader)
             if type(reading) in encode
         ]
-
-
-def _live_table(drive: Drive, truth: Parameters | None) -> PlainTable:
-    columns = ("parameter", "live value", "1-sigma", "true value", "off by", "prior")
-    table = PlainTable("Parameters of the car", columns)
-    final = drive.final.parameters if drive.final is not None else {}
-    for name, estimate in final.items():
-        text = QUANTITIES[name].text
-        true_text, off = "-", "-"
-        if truth is not None:
-            true = float(getattr(truth, name))
-            true_text, off = text(true), f"{(estimate.value - true) / estimate.std:+.1f} sigma"
-        share = f"{100 * estimate.prior_share:.0f} %"
-        row = f"{name}  {QUANTITIES[name].word}", text(estimate.value), text(estimate.std)
-        table.add_row(*row, true_text, off, share)
-    return table
 
 
 def _clear(bag: Path, log: Path) -> None:
