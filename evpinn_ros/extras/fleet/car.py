@@ -54,42 +54,35 @@ PARAMETERS = {
 
 def drive_row(replayed: Replayed) -> dict[str, Any]:
     """The scores of a drive and the parameters of the car after it."""
-    metrics = replayed.metrics
+    metrics, point = replayed.metrics, drive_point(replayed.drive)
+    parameters = metrics["parameters"]
     return {
         "problem": replayed.problem,
         "samples": metrics["input"]["samples"],
         **{column: metrics[part][name] for column, (part, name) in NUMBERS.items()},
-        **_point(drive_point(replayed.drive)),
-        **_parameters(metrics["parameters"]),
+        **({} if point is None else point._asdict()),
+        **{
+            column: parameters[name][figure]
+            for column, (name, figure) in PARAMETERS.items()
+            if name in parameters
+        },
     }
 
 
 def failed_row(problem: str) -> dict[str, Any]:
-    """A drive of which nothing came."""
-    numbers = dict.fromkeys(NUMBERS)
-    return {"problem": problem, "samples": 0, **numbers, **_point(None), **_parameters({})}
+    """A drive of which nothing came; all other columns are unknown."""
+    return {"problem": problem, "samples": 0}
 
 
 def point_of(row: Mapping[str, Any]) -> DrivePoint | None:
     """Point of a drive in trends, by its row; None of a short or failed one."""
-    return None if row["distance_m"] is None else DrivePoint(*(row[name] for name in POINT))
-
-
-def _point(point: DrivePoint | None) -> dict[str, Any]:
-    return dict.fromkeys(POINT) if point is None else point._asdict()
-
-
-def _parameters(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    none: Mapping[str, Any] = {}
-    return {
-        column: parameters.get(name, none).get(figure)
-        for column, (name, figure) in PARAMETERS.items()
-    }
+    known = row.get("distance_m") is not None
+    return DrivePoint(*(row[name] for name in POINT)) if known else None
 
 
 def impossible(row: Mapping[str, Any]) -> list[str]:
     """Parameters that lie where no such car can be, or whose signals contradict each other."""
-    return [name for name in PARAMETER_NAMES if row[f"{name}_state"] == Trust.INVALID.value]
+    return [name for name in PARAMETER_NAMES if row.get(f"{name}_state") == Trust.INVALID.value]
 
 
 STATE_FILE, RESULT_FILE = "state.json", "result.json"

@@ -20,6 +20,7 @@ from evpinn_ros.core.vehicle.files import write_vehicle
 from evpinn_ros.extras.fleet.car import CarDone, CarTask, car_folder, learn_car
 from evpinn_ros.extras.fleet.executor import DaskExecutor, Executor, LocalExecutor, TaskOutcome
 from evpinn_ros.extras.fleet.manifest import (
+    YAML,
     CarDrives,
     cars_by_folder,
     cars_by_manifest,
@@ -84,7 +85,10 @@ def fleet(
     """
     require_extra()
     cars = _cars(bags or [], vehicle, manifest)
-    _refuse_one_file_for_many(write_vehicle_to, cars)
+    models = sorted({car.vehicle.key for car in cars})
+    if len(models) > 1 and write_vehicle_to and write_vehicle_to.suffix in YAML:
+        names = ", ".join(models)
+        raise InputError(f"{write_vehicle_to}: one file for {names}; give the name of a folder")
     drives = (drive for car in cars for drive in car.drives)
     check_outputs((report, write_vehicle_to, json_file), (manifest, Path(vehicle), *drives))
     executor: Executor = DaskExecutor(scheduler) if scheduler else LocalExecutor(workers)
@@ -139,12 +143,6 @@ def _cars(bags: list[str], vehicle: str, manifest: Path | None) -> list[CarDrive
     return cars_by_folder(bags, load_model(vehicle, Path()))
 
 
-def _refuse_one_file_for_many(path: Path | None, cars: list[CarDrives]) -> None:
-    models = sorted({car.vehicle.key for car in cars})
-    if path is not None and path.suffix in (".yaml", ".yml") and len(models) > 1:
-        raise InputError(f"{path}: one file for {', '.join(models)}; give the name of a folder")
-
-
 def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
     try:
         with (
@@ -167,8 +165,7 @@ def _write(summary: FleetSummary, report: Path, vehicles: Path | None) -> None:
         write_fleet_page(report, summary, command_line())
         for key, population in summary.populations.items():
             if vehicles is not None:
-                single = vehicles.suffix in (".yaml", ".yml")
-                path = vehicles if single else vehicles / f"{key}.yaml"
+                path = vehicles if vehicles.suffix in YAML else vehicles / f"{key}.yaml"
                 write_vehicle(path, population.priors("evpinn fleet"))
 
 

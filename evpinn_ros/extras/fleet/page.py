@@ -67,14 +67,11 @@ def fleet_sentence(counts: Mapping[str, int]) -> str:
 
 def population_cells(population: Population) -> list[tuple[str, ...]]:
     """Rows under `POPULATION_HEAD`: the parameters, then what data determine."""
-    named = [(name, population.value(name)) for name in PARAMETER_NAMES]
-    priors = population.vehicle.priors
-    files = [with_sigma(priors[name].value, priors[name].std) for name in PARAMETER_NAMES]
-    named += [(name, population.value(name)) for name in COMBINATIONS]
-    files += [""] * len(COMBINATIONS)
+    priors = population.vehicle.priors.items()
+    files = {name: with_sigma(prior.value, prior.std) for name, prior in priors}
     return [
-        (name, file, *_value_cells(name, shared))
-        for (name, shared), file in zip(named, files, strict=True)
+        (name, files.get(name, ""), *_value_cells(name, population.value(name)))
+        for name in (*PARAMETER_NAMES, *COMBINATIONS)
     ]
 
 

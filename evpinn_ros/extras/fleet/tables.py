@@ -28,7 +28,7 @@ from evpinn_ros.extras.fleet.car import (
     read_result,
 )
 from evpinn_ros.extras.fleet.manifest import CarDrives
-from evpinn_ros.extras.fleet.population import COMBINATIONS, Population, PopulationValue
+from evpinn_ros.extras.fleet.population import COMBINATIONS, Population
 from evpinn_ros.replays.trends import DrivePoint
 
 DRIVES, CARS, POPULATION = "drives.parquet", "cars.parquet", "population.parquet"
@@ -109,9 +109,7 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
                 learned = Evidence(np.array(result["precision"]), np.array(result["information"]))
                 evidence_of_model[car.vehicle.key].append(learned)
                 if len(summary.known[car.vehicle.key]) < CHARTED:
-                    summary.known[car.vehicle.key][car.car] = evidence_of_model[car.vehicle.key][
-                        -1
-                    ]
+                    summary.known[car.vehicle.key][car.car] = learned
     for key, vehicle in sorted(vehicles.items()):
         summary.populations[key] = Population(vehicle, evidence_of_model[key])
     with _table(out / POPULATION, POPULATION_COLUMNS) as add:
@@ -123,21 +121,17 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
 
 def population_rows(key: str, population: Population) -> Iterator[dict[str, Any]]:
     """A row for each parameter and each combination that data determine."""
-    covariance = population.covariance()
-    for name, line in zip(PARAMETER_NAMES, covariance, strict=True):
-        yield _value_row(key, name, population.value(name)) | {"covariance": line.tolist()}
-    for name in COMBINATIONS:
-        yield _value_row(key, name, population.value(name)) | {"covariance": None}
-
-
-def _value_row(key: str, name: str, shared: PopulationValue) -> dict[str, Any]:
-    return {
-        "vehicle": key,
-        "name": name,
-        "value": shared.mean if name == LINEAR else math.exp(shared.mean),
-        **asdict(shared),
-        "new_car_std": shared.new_car_std,
-    }
+    covariance = dict(zip(PARAMETER_NAMES, population.covariance().tolist(), strict=True))
+    for name in (*PARAMETER_NAMES, *COMBINATIONS):
+        shared = population.value(name)
+        yield {
+            "vehicle": key,
+            "name": name,
+            "value": shared.mean if name == LINEAR else math.exp(shared.mean),
+            **asdict(shared),
+            "new_car_std": shared.new_car_std,
+            "covariance": covariance.get(name),
+        }
 
 
 def _car_row(
