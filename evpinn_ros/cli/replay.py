@@ -318,9 +318,11 @@ def _write(
     if not car.done:
         return True
     state, metrics, report = files
+    documents = [result.metrics for result in car.done]
+    together = several or len(documents) > 1
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
         (state, car.write_state),  # first, for it cannot be made again
-        (metrics, lambda path: _write_metrics(path, car.done, several)),
+        (metrics, lambda path: write_json(path, documents if together else documents[0])),
         (report, lambda path: _write_report(path, car, units)),
     ]
     problems = 0
@@ -333,11 +335,6 @@ def _write(
             problems += 1
             note(f"evpinn: {error}")
     return problems == 0
-
-
-def _write_metrics(path: Path, replays: list[Replayed], several: bool) -> None:
-    documents: list[dict[str, Any]] = [result.metrics for result in replays]
-    write_json(path, documents if several or len(documents) > 1 else documents[0])
 
 
 def _write_report(path: Path, car: CarReplay, units: Units) -> None:

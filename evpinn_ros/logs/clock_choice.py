@@ -135,7 +135,9 @@ def clock_of_numbers(
     clock = Clock((column,), "number", unit=name, why=why, style=style)
     if _begins_anew(times, DAY_NS / UNITS_NS[name]):
         return replace(clock, daily=True)
-    if _holds_drives(times, BACK_NS / UNITS_NS[name]):
+    # Drives that each go back to the first time, and on from there.
+    first, back = times[0], BACK_NS / UNITS_NS[name]
+    if _is_in_order(times) and begin_drives(times, times[[0, 0]], first, back).any():
         return replace(clock, drives_from_ns=int(times[0] * UNITS_NS[name]))
     return clock
 
@@ -168,11 +170,6 @@ def _is_in_order(times: NDArray[np.float64]) -> bool:
     return times.size > 1 and float(np.mean(np.diff(times) < 0)) <= SELDOM
 
 
-def _holds_drives(times: NDArray[np.float64], back: float) -> bool:
-    """True if times go back to the first one, by more than `back`, and on from there."""
-    return _is_in_order(times) and bool(begin_drives(times, times[[0, 0]], times[0], back).any())
-
-
 def clock_of_text(
     columns: tuple[int, ...], cells: Sequence[Sequence[str]], days: Collection[int] = ()
 ) -> Clock | None:
@@ -191,7 +188,9 @@ def clock_of_text(
             continue
         stamps = parsed_times(text, pattern)
         stamps = stamps[stamps != NONE]
-        if stamps.size < 0.5 * len(text) or (with_date and not _plausible(stamps)):
+        if stamps.size < 0.5 * len(text):
+            continue
+        if with_date and not FIRST_TIME_NS < np.median(stamps) < LAST_TIME_NS:
             continue
         steps = np.diff(_forward(stamps))
         backwards = int((steps < 0).sum())
@@ -220,10 +219,6 @@ def _best(candidates: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
         doubt = f"{clock.why}; could be {rivals[0].why} as well"
         clock = replace(clock, why=doubt)
     return clock
-
-
-def _plausible(stamps: NDArray[np.int64]) -> bool:
-    return bool(FIRST_TIME_NS < np.median(stamps) < LAST_TIME_NS)
 
 
 def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:

@@ -29,6 +29,7 @@ CONVERTERS = {  # what writes a table that is no text as one, in a process of it
     MEASUREMENT_SUFFIX: "evpinn_ros.logs.measurement:write_signals",
 }
 _DRIVES = (*TABLE_SUFFIXES, *LOG_SUFFIXES)  # that a folder of drives may hold
+_RECORDINGS = {*BAG_SUFFIXES, *_DRIVES} - {".txt"}  # that are sought in folders of folders
 _BAG_FILES = (*BAG_SUFFIXES, ".yaml", ".zstd")  # of a folder that is a bag
 FRAME_COLUMNS = (b"arbitration_id", GVRET_HEADER.encode())  # tell a CAN log's CSV from a drive's
 
@@ -94,16 +95,8 @@ def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
             yield entry
             continue
         for inner in entry.iterdir():
-            if not (inner.is_dir() or _is_recording(inner)):
-                continue
-            if inner.is_symlink():
-                waiting.append(inner)
-            else:
-                waiting.appendleft(inner)
-
-
-def _is_recording(path: Path) -> bool:
-    return suffix_of(path) in {*BAG_SUFFIXES, *LOG_SUFFIXES, *TABLE_SUFFIXES} - {".txt"}
+            if inner.is_dir() or suffix_of(inner) in _RECORDINGS:
+                (waiting.append if inner.is_symlink() else waiting.appendleft)(inner)
 
 
 def _is_bag_folder(path: Path) -> bool:

@@ -153,7 +153,12 @@ class Standing:
 def _signals(
     time: FloatArray, values: Mapping[str, FloatArray], rows: NDArray[np.intp]
 ) -> Signals:
-    return {name: _possible(name, Signal(time, column[rows])) for name, column in values.items()}
+    signals = {}
+    for name, column in values.items():
+        value = column[rows]
+        possible = np.abs(value) <= MOST.get(name, LARGEST)
+        signals[name] = Signal(time, np.where(possible, value, np.nan))
+    return signals
 
 
 def measured_alone(signals: Mapping[str, Signal]) -> Signals:
@@ -239,11 +244,6 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
             for stand in _stands(signals[name]):
                 if _needs_power(stand, seen, signals[name], mass / volts):
                     yield name, stand, "the car speeds up and slows down"
-
-
-def _possible(name: str, signal: Signal) -> Signal:
-    most = MOST.get(name, LARGEST)
-    return Signal(signal.time, np.where(np.abs(signal.value) <= most, signal.value, np.nan))
 
 
 def _stands(signal: Signal) -> Iterator[Stand]:

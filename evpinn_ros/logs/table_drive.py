@@ -131,7 +131,7 @@ class TableDrive(Source):
         if survey.is_wider and self._long is None:
             self._table = joined_table(self._table, self._head)
             survey = self._look_through(columns, limit)
-        for is_useless in (_is_empty, _is_silent):
+        for is_useless in (lambda survey, column: column.place in survey.empty, _is_silent):
             columns, survey = self._better(columns, survey, options.columns, is_useless, limit)
         self._looked_at_all = survey.widths.total() < limit
         self._survey = survey
@@ -256,7 +256,13 @@ class TableDrive(Source):
     ) -> tuple[list[Column], Survey]:
         """The columns, others in place of useless guesses; the needed stay if none is better."""
         first, useless = (columns, survey), set(survey.empty)
-        while places := {c.place for c in columns if _is_guessed(c) and is_useless(survey, c)}:
+        while places := {
+            column.place
+            for column in columns
+            if column.quantity != "time"
+            and not (column.why == "as given" or column.is_ours)
+            and is_useless(survey, column)
+        }:
             useless |= places
             others = columns_by_name(self._head.names, chosen, useless)
             names = {column.quantity for column in others}
@@ -441,14 +447,6 @@ class TableDrive(Source):
 def _is_numbered_like(name: str, other: str) -> bool:
     """True if two names differ in a number alone, as those of two packs do."""
     return name != other and DIGITS.sub("0", name) == DIGITS.sub("0", other)
-
-
-def _is_guessed(column: Column) -> bool:
-    return column.quantity != "time" and column.why != "as given" and not column.is_ours
-
-
-def _is_empty(survey: Survey, column: Column) -> bool:
-    return column.place in survey.empty
 
 
 def _is_silent(survey: Survey, column: Column) -> bool:

@@ -180,7 +180,9 @@ def trips_of(blocks: Iterable[Block]) -> Trips:
     voltage, current = battery.values[:2]
     drawn = _series(battery.stamps - start_ns, drawn_power(last_known(voltage), current))
     breaks, charged = [(-math.inf, -math.inf)], 0.0
-    for begin, end in sorted([*_pauses(time), *stands(time, fast)]):
+    pauses = np.flatnonzero(np.diff(time) > LONGEST_PAUSE)
+    spans = zip(time[pauses].tolist(), time[pauses + 1].tolist(), strict=True)
+    for begin, end in sorted([*spans, *stands(time, fast)]):
         taken = _charged(*drawn, begin, end)
         if taken > CHARGING_POWER * (end - begin) and end - begin >= LEAST_CHARGING:
             charged += taken
@@ -208,11 +210,6 @@ def _steps(time: np.ndarray) -> np.ndarray:
     """Steps of time, none across a pause."""
     steps = np.diff(time)
     return np.where(steps > LONGEST_PAUSE, 0.0, steps)
-
-
-def _pauses(time: np.ndarray) -> Iterator[tuple[float, float]]:
-    for i in np.flatnonzero(np.diff(time) > LONGEST_PAUSE).tolist():
-        yield float(time[i]), float(time[i + 1])
 
 
 def stands(time: np.ndarray, speed: np.ndarray) -> Iterator[tuple[float, float]]:

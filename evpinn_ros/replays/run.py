@@ -259,8 +259,5 @@ def output_folders(out: Path | None, paths: Sequence[Path], *, several: bool) ->
         return [None] * len(paths)
     if not several:
         return [out]
-    return [out / f"{index:03d}_{_stem(path)}" for index, path in enumerate(paths, start=1)]
-
-
-def _stem(path: Path) -> str:
-    return path.name.split(".")[0] or path.resolve().name
+    stems = (path.name.split(".")[0] or path.resolve().name for path in paths)
+    return [out / f"{index:03d}_{stem}" for index, stem in enumerate(stems, start=1)]
