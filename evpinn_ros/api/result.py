@@ -23,7 +23,7 @@ from evpinn_ros.replays.driven import rising
 from evpinn_ros.replays.forecasts import forecast_outcomes, known_model
 from evpinn_ros.replays.history import PowerSeries
 from evpinn_ros.replays.run import Replayed, ReplayOptions
-from evpinn_ros.replays.scoring import measured_at, running_total
+from evpinn_ros.replays.scoring import known_at, running_total
 from evpinn_ros.report.owner_text import owner_line
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class Result:
             _predictions(drive.smoothed, "smoothed"), how="outer"
         )
         time = frame.index.to_numpy()
-        measured, is_measured = measured_at(drive, time)
+        measured, is_measured = known_at(drive.measured, time)
         frame.insert(0, "speed_mps", np.interp(time, *rising(drive.speed).T))
         frame.insert(1, "measured_w", np.where(is_measured, measured, np.nan))
         return frame

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 import csv
 from datetime import datetime
+from functools import partial
 import io
 from itertools import pairwise
 import logging
@@ -51,45 +52,6 @@ _DATE = re.compile(
 _TIME = re.compile(r"\s*(-?\d+\.\d+)(\s.*)", re.DOTALL)
 _FRAME = re.compile(r"\s+(\d+\s+(\w+\s+(Tx|Rx)|ErrorFrame)|CANFD)", re.ASCII | re.IGNORECASE)
 _STAMP = re.compile(r"\s*\((\d+\.\d+)\)(.*)", re.DOTALL)
-
-
-class TimedLines:
-    """The lines of a log with times that run on."""
-
-    summed = False
-
-    def asc(self, lines: Iterable[str]) -> Iterator[str]:
-        """Lines of an .asc, with times since 1970 if its date is known."""
-        start: datetime | None = None
-        base: float | None = None
-        passed = 0.0
-        for line in lines:
-            if match := _DATE.match(line.strip()):
-                start, base = _date(match), None
-            elif line.lower().startswith("base"):
-                self.summed = "relative" in line.lower()
-            if not (match := _TIME.fullmatch(line)):
-                yield line
-                continue
-            passed = float(match[1]) + (passed if self.summed else 0.0)
-            if base is None and _FRAME.match(match[2]):
-                base = _base(start, passed)
-            if base is not None:
-                yield f"{base + passed:.9f}{match[2]}"
-
-    def candump(self, ahead: Iterable[str], lines: Iterable[str]) -> Iterator[str]:
-        """Lines of candump with times since 1970 or the first; `ahead` are the first of them."""
-        stamps = [float(stamp[1]) for line in ahead if (stamp := _STAMP.fullmatch(line))]
-        back = sum(later < earlier for earlier, later in pairwise(stamps))
-        self.summed = back > GOES_BACK * len(stamps) and max(stamps) < EPOCH
-        passed = 0.0
-        for line in lines:
-            stamp = _STAMP.fullmatch(line) if self.summed else None
-            if stamp is None:
-                yield line
-                continue
-            passed += float(stamp[1])
-            yield f"({passed:.6f}){stamp[2]}"
 
 
 def _date(match: re.Match[str]) -> datetime | None:
@@ -176,9 +138,9 @@ class LogFile:
                     reader = BlfReader(file)
                     seconds = reader.stop_timestamp - reader.start_timestamp
                 else:
-                    lines = _Lines(_ends(file))
+                    lines = _Lines(_ends(file), self._suffix)
                     frames = list(ends._read(lines))
-                    if lines.timed.summed:  # of lines that are not there
+                    if lines.summed:  # of lines that are not there
                         return None
                     seconds = (frames[-1].stamp_ns - frames[0].stamp_ns) / NANOSECONDS
         except Exception:  # foreign code over a damaged file; why, reading it will tell
@@ -196,7 +158,7 @@ class LogFile:
 
     def _until_broken(self) -> Iterator[CanFrame]:
         with self._open() as file:
-            lines = None if self._suffix == ".blf" else _Lines(file)
+            lines = None if self._suffix == ".blf" else _Lines(file, self._suffix)
             # The readers are foreign code over a damaged file: whatever they raise says the same
             # thing, that the log ends here. Whoever takes the frames is not inside the try.
             try:
@@ -279,43 +241,74 @@ def _csv_reader(lines: _Lines) -> Any:
 
 
 class _Lines:
-    """The whole lines of a text file; a last one without an end was cut, so it is dropped."""
+    """The whole lines of a text file, .asc and .log with times that run on.
 
-    def __init__(self, file: IO[str]) -> None:
+    A last line without an end was cut, so it is dropped.
+    """
+
+    def __init__(self, file: IO[str], suffix: str) -> None:
         self.number, self.cut_off, self.line = 0, False, ""
-        self.timed = TimedLines()
+        self.summed = False  # times are since the line before
         self.read, self.close = file.read, file.close
-        self._file = file
+        self._readline = partial(file.readline, LONGEST_LINE + 1)
         self._peeked: deque[str] = deque()
+        self._timed = {".asc": self._asc, ".log": self._candump}.get(suffix, self._whole)()
 
     def peek(self, count: int) -> list[str]:
         """The next lines, so many at most, which will come again; empty ones at the end."""
         while len(self._peeked) < count:
-            self._peeked.append(self._file.readline(LONGEST_LINE + 1))
+            self._peeked.append(self._readline())
         return [line.lstrip("\ufeff") for line in self._peeked]
 
     def __iter__(self) -> Iterator[str]:
-        return self
+        return self._timed
 
-    def __next__(self) -> str:
-        line = self._peeked.popleft() if self._peeked else self._file.readline(LONGEST_LINE + 1)
-        if not line:
-            raise StopIteration
-        if len(line) > LONGEST_LINE:
-            raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
-        self.number, self.line = self.number + 1, line
-        self.cut_off = not line.endswith("\n")
-        if self.cut_off:
-            raise StopIteration
-        return line
+    def __next__(self) -> str:  # which python-can takes a header with
+        return next(self._timed)
 
+    def _whole(self) -> Iterator[str]:
+        while line := self._peeked.popleft() if self._peeked else self._readline():
+            if len(line) > LONGEST_LINE:
+                raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
+            self.number, self.line = self.number + 1, line
+            self.cut_off = not line.endswith("\n")
+            if self.cut_off:
+                return
+            yield line
 
-class _Timed:
-    def __init__(self, file: _Lines, lines: Iterator[str]) -> None:
-        self.read, self.close, self._lines = file.read, file.close, lines
+    def _asc(self) -> Iterator[str]:
+        """Lines with times since 1970 if the date is known."""
+        start: datetime | None = None
+        base: float | None = None
+        passed = 0.0
+        for line in self._whole():
+            if match := _DATE.match(line.strip()):
+                start, base = _date(match), None
+            elif line.lower().startswith("base"):
+                self.summed = "relative" in line.lower()
+            if not (match := _TIME.fullmatch(line)):
+                yield line
+                continue
+            passed = float(match[1]) + (passed if self.summed else 0.0)
+            if base is None and _FRAME.match(match[2]):
+                base = _base(start, passed)
+            if base is not None:
+                yield f"{base + passed:.9f}{match[2]}"
 
-    def __iter__(self) -> Iterator[str]:
-        return self._lines
+    def _candump(self) -> Iterator[str]:
+        """Lines with times since 1970 or the first."""
+        ahead = self.peek(LOOKED_AT)
+        stamps = [float(stamp[1]) for line in ahead if (stamp := _STAMP.fullmatch(line))]
+        back = sum(later < earlier for earlier, later in pairwise(stamps))
+        self.summed = back > GOES_BACK * len(stamps) and max(stamps) < EPOCH
+        passed = 0.0
+        for line in self._whole():
+            stamp = _STAMP.fullmatch(line) if self.summed else None
+            if stamp is None:
+                yield line
+                continue
+            passed += float(stamp[1])
+            yield f"({passed:.6f}){stamp[2]}"
 
 
 def convert_mf4(path: Path, out: Path) -> None:
@@ -428,10 +421,8 @@ def gvret_messages(lines: Iterable[str]) -> Iterator[can.Message]:
 
 
 _READERS: dict[str, Callable[..., Any]] = {
-    ".log": lambda file: can.CanutilsLogReader(
-        _Timed(file, file.timed.candump(file.peek(LOOKED_AT), file))
-    ),
-    ".asc": lambda file: can.ASCReader(_Timed(file, file.timed.asc(file))),
+    ".log": can.CanutilsLogReader,
+    ".asc": can.ASCReader,
     ".blf": BlfReader,
     ".trc": can.TRCReader,
     ".csv": _csv_reader,

@@ -54,7 +54,9 @@ def demo(
 
     source = share_directory() / "bags" / DRIVE
     bag, picture, log = out / "bag", out / "demo.png", out / f"{DRIVE}.log"
-    _clear(bag, log)
+    if bag.exists() and not log.is_file():  # beside which an earlier demonstration left one
+        raise InputError(f"{bag}: is in the way and not of an earlier demo; give another --out")
+    shutil.rmtree(bag, ignore_errors=True)
     frames = _frames(source)
     with as_input_error(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -98,10 +100,3 @@ def _frames(source: Path) -> list[CanFrame]:
             for reading in BagReadings(reader)
             if type(reading) in encode
         ]
-
-
-def _clear(bag: Path, log: Path) -> None:
-    """Remove the bag of an earlier demonstration, recognised by the log beside it."""
-    if bag.exists() and not log.is_file():
-        raise InputError(f"{bag}: is in the way and not of an earlier demo; give another --out")
-    shutil.rmtree(bag, ignore_errors=True)

@@ -106,16 +106,20 @@ def _cell(units: Units, name: str, value: str | float | None) -> str:
 
 
 def _line(vehicle: Vehicle) -> dict[str, str | float | None]:
-    start = vehicle.initial
+    key, start = vehicle.key, vehicle.initial
     return {
-        "vehicle": vehicle.key,
+        "vehicle": key,
         "battery_kwh": vehicle.battery_capacity / JOULES_PER_KWH,
         ECONOMY: _consumption(vehicle),
         "mass_kg": start.mass,
         "c_rr": start.c_rr,
         "drag_area_m2": start.c_d * vehicle.frontal_area,
         "can_profile": vehicle.can_profile,
-        "from": _origin(vehicle.key),
+        "from": "certified"
+        if key in certified_cars()
+        else "rated"
+        if key in rated_cars()
+        else "file",
     }
 
 
@@ -127,9 +131,3 @@ def _consumption(vehicle: Vehicle) -> float:
     c_d = start.c_d * vehicle.frontal_area / FRONTAL_AREA
     values = np.array([start.eta, start.mu, start.mass, start.c_rr, c_d])
     return cycle_energy(values) / METRIC.rate_joules
-
-
-def _origin(key: str) -> str:
-    if key in certified_cars():
-        return "certified"
-    return "rated" if key in rated_cars() else "file"

@@ -9,28 +9,24 @@ from pathlib import Path
 import zlib
 
 from evpinn_ros.bags.names import BAG_SUFFIXES
-from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES
+from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES, MF4
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import open_unpacked
+from evpinn_ros.common.writer import BAG_FILES
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
 SHEET_SUFFIXES = (".xlsx", ".xlsm")
 COLUMNAR_SUFFIXES = (".parquet", ".pq", ".feather", ".arrow")
 JSON_SUFFIXES = (".jsonl", ".ndjson")
-MEASUREMENT_SUFFIX = ".mf4"
-TABLE_SUFFIXES = (
-    *(*TEXT_SUFFIXES, *SHEET_SUFFIXES, *COLUMNAR_SUFFIXES),
-    *(*JSON_SUFFIXES, MEASUREMENT_SUFFIX),
-)
+TABLE_SUFFIXES = (*TEXT_SUFFIXES, *SHEET_SUFFIXES, *COLUMNAR_SUFFIXES, *JSON_SUFFIXES, MF4)
 CONVERTERS = {  # what writes a table that is no text as one, in a process of its own
     **dict.fromkeys(SHEET_SUFFIXES, "evpinn_ros.logs.sheets:write_sheet"),
     **dict.fromkeys(COLUMNAR_SUFFIXES, "evpinn_ros.logs.columnar:write_columns"),
     **dict.fromkeys(JSON_SUFFIXES, "evpinn_ros.logs.json_lines:write_objects"),
-    MEASUREMENT_SUFFIX: "evpinn_ros.logs.measurement:write_signals",
+    MF4: "evpinn_ros.logs.measurement:write_signals",
 }
 _DRIVES = (*TABLE_SUFFIXES, *LOG_SUFFIXES)  # that a folder of drives may hold
 _RECORDINGS = {*BAG_SUFFIXES, *_DRIVES} - {".txt"}  # that are sought in folders of folders
-_BAG_FILES = (*BAG_SUFFIXES, ".yaml", ".zstd")  # of a folder that is a bag
 FRAME_COLUMNS = (b"arbitration_id", GVRET_HEADER.encode())  # tell a CAN log's CSV from a drive's
 
 
@@ -50,7 +46,7 @@ def is_drive_table(path: Path) -> bool:
     suffix = suffix_of(path)
     if path.is_dir() or suffix not in TABLE_SUFFIXES:
         return False
-    if suffix == MEASUREMENT_SUFFIX:
+    if suffix == MF4:
         return _holds_signals(path)
     if suffix != ".csv":
         return True
@@ -64,7 +60,7 @@ def _holds_signals(path: Path) -> bool:
     from evpinn_ros.logs.text_table import ConvertedTable  # polars: a car's computer has none
 
     try:
-        ConvertedTable(path, CONVERTERS[MEASUREMENT_SUFFIX])
+        ConvertedTable(path, CONVERTERS[MF4])
     except InputError:
         return False
     return True
@@ -72,7 +68,7 @@ def _holds_signals(path: Path) -> bool:
 
 def files_of(path: Path) -> list[Path]:
     """The path itself, or the drives in a folder that is no bag, in order of their names."""
-    if not path.is_dir() or any(file.suffix in _BAG_FILES for file in path.iterdir()):
+    if not path.is_dir() or any(file.suffix in BAG_FILES for file in path.iterdir()):
         return [path]
     return sorted(file for file in path.iterdir() if suffix_of(file) in _DRIVES) or [path]
 

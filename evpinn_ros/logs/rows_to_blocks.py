@@ -18,6 +18,7 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
     TemperatureReading,
 )
+from evpinn_ros.logs.signal import FloatArray
 from evpinn_ros.logs.source import STRAGGLING_NS
 
 AMBIENT_C = (-60.0, 70.0)  # what lies outside is no weather but a sensor that says nothing
@@ -28,7 +29,6 @@ BATTERY = ("voltage", "current", "power", "charge")
 LOADS = ("heating", "aircon", "auxiliary")
 MOST = 1e12  # of anything in SI; beyond, products would be infinite
 
-FloatArray = NDArray[np.float64]
 Columns = dict[str, FloatArray]
 
 

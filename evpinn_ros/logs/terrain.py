@@ -24,6 +24,7 @@ from evpinn_ros.common.opener import open_file, open_unpacked
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import AltitudeReading
+from evpinn_ros.logs.signal import FloatArray
 
 with suppress(ImportError):  # at once, for the process is limited from what it took until then
     import rasterio  # noqa: F401
@@ -34,8 +35,6 @@ TILES_KEPT = 16
 _SIDES = (1201, 3601)  # samples
 _VOID = -32768
 MOST_HEIGHTS = 200_000_000  # of a GeoTIFF: 14 000 x 14 000
-
-FloatArray = NDArray[np.float64]
 
 
 class Terrain:

@@ -17,6 +17,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.detector import DRAWN_AT_REST
 from evpinn_ros.logs.column import SIGNED, Column, column_of
 from evpinn_ros.logs.quantities import QUANTITIES, Unit, score
+from evpinn_ros.logs.rows_to_blocks import LOADS
 from evpinn_ros.logs.signal import (
     EVENT,
     LEAST_EVENTS,
@@ -39,7 +40,6 @@ STRONG = 150.0  # kW: more is seldom, and as many W move a light vehicle
 WEAKEST = 1000.0  # W: a car that takes no more than this in its whole drive does not drive
 HIGHEST, HEAVIEST = 2000.0, 5000.0  # V, A: of no battery of a vehicle
 HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
-LOADS = ("heating", "aircon", "auxiliary")
 ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
 RISES = 0.7  # correlation of power with braking from which on it is that of braking
 SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one

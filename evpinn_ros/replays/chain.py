@@ -77,10 +77,8 @@ class Chain:
             elif len(admitted := self.account.admission.admit(passed)):
                 yield admitted
 
-    def take(
-        self, items: Iterable[Block | Jump], *, breakdowns: bool = False
-    ) -> Iterator[list[ChainOutput]]:
-        """Outputs of each block of readings or jump, with accounts and, if asked, breakdowns."""
+    def take(self, items: Iterable[Block | Jump]) -> Iterator[list[ChainOutput]]:
+        """Outputs of each block of readings or jump, with accounts."""
         for _, alike in groupby(items, type):
             blocks = []
             for item in alike:
@@ -89,7 +87,7 @@ class Chain:
                 else:
                     self.jump()
                     yield []
-            yield from self.take_block(joined(blocks), breakdowns=breakdowns)
+            yield from self.take_block(joined(blocks))
 
     def read(self, block: Block) -> Outputs:
         """Take readings that may be used; `account.count` then gives the states of the account."""
@@ -99,7 +97,7 @@ class Chain:
         return outputs
 
     def take_block(self, block: Block, *, breakdowns: bool = False) -> Iterator[list[ChainOutput]]:
-        """`take` for readings alone."""
+        """`take` for readings alone, with breakdowns if asked."""
         if not block.length:
             return
         usual = self.estimator.model()

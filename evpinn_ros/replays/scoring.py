@@ -42,7 +42,7 @@ def power_score(drive: Drive, series: PowerSeries, span: Span) -> dict[str, floa
     chosen = scored(drive, series, span)
     if not chosen.any():
         return dict.fromkeys(("rmse_w", "mae_w", "r2", "coverage_90"))
-    truth, sigma = measured_at(drive, series.time)[0][chosen], series.sigma[chosen]
+    truth, sigma = known_at(drive.measured, series.time)[0][chosen], series.sigma[chosen]
     error = series.power[chosen] - truth
     variance = float(np.var(truth))
     return {
@@ -59,7 +59,7 @@ def power_score(drive: Drive, series: PowerSeries, span: Span) -> dict[str, floa
 
 def scored(drive: Drive, series: PowerSeries, span: Span) -> np.ndarray:
     """Mask of scored predictions: in the span, and measured at their moment; shape (n,)."""
-    _, is_measured = measured_at(drive, series.time)
+    _, is_measured = known_at(drive.measured, series.time)
     chosen: np.ndarray = is_measured & span.holds(series.time)
     return chosen
 
@@ -124,7 +124,7 @@ def speed_floor(drive: Drive, span: Span) -> float | None:
     if chosen.sum() < 10 * FLOOR_BINS:
         return None
     time = drive.smoothed.time[chosen]
-    power = measured_at(drive, time)[0]
+    power = known_at(drive.measured, time)[0]
     order = np.argsort(np.interp(time, *drive.speed.T), kind="stable")
     rest = [powers - powers.mean() for powers in np.array_split(power[order], FLOOR_BINS)]
     return float(np.sqrt(np.mean(np.concatenate(rest) ** 2)))
@@ -192,11 +192,6 @@ def _part(drive: Drive, power: Span, energy: Span) -> dict[str, Any]:
     }
 
 
-def measured_at(drive: Drive, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Measured power at times, W, and where it is known; shape (n,) each."""
-    return known_at(drive.measured, time)
-
-
 def known_at(rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A series, time and value, rising, at times, and where it has no gap; shape (n,) each."""
     if len(rows) < 2:
@@ -230,7 +225,7 @@ def battery_age_scores(
     scores_by_age = {f"{age:g}": dict(empty) for age in BATTERY_AGES}
     if len(given) < 2 or not len(series.time):
         return scores_by_age
-    truth, is_measured = measured_at(drive, series.time)
+    truth, is_measured = known_at(drive.measured, series.time)
     last = np.searchsorted(given[:, 0], series.time, side="right") - 1
     chosen = is_measured & (series.time > warm_up) & (last >= 0)
     age = series.time[chosen] - given[last[chosen], 0]

@@ -66,8 +66,9 @@ def trends(points: Sequence[DrivePoint], units: Units = METRIC) -> list[Trend]:
     if len(points) < LEAST_DRIVES:
         return []
     ways: list[tuple[str, Callable[[DrivePoint], Group | None]]] = [
-        ("by week", _week), ("by outside temperature", lambda point: _warmth(point, units)),
-    ]  # fmt: skip
+        ("by week", lambda point: (point.week, f"week of {point.week}") if point.week else None),
+        ("by outside temperature", lambda point: _warmth(point, units)),
+    ]
     quantities = ((f"consumption, {units.rate}", 1), (ROLLING, 4), (CAPACITY, 1))
     candidates = (
         Trend(f"{title} {way}", digits, tuple(_rows(points, title, group, units)))
@@ -98,10 +99,6 @@ def drive_point(drive: Drive) -> DrivePoint | None:
 def _monday(drive: Drive) -> str:
     day = datetime.fromtimestamp(drive.start_ns // NANOSECONDS, tz=timezone.utc)
     return f"{day - timedelta(days=day.weekday()):%Y-%m-%d}"
-
-
-def _week(point: DrivePoint) -> Group | None:
-    return None if point.week is None else (point.week, f"week of {point.week}")
 
 
 def _warmth(point: DrivePoint, units: Units) -> Group | None:

@@ -17,7 +17,7 @@ from evpinn_ros.core.vehicle.parameters import QUANTITIES, Parameters
 from evpinn_ros.replays.driven import DrivenSteps
 from evpinn_ros.replays.forecasts import ForecastOutcome, known_model
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.scoring import measured_at
+from evpinn_ros.replays.scoring import known_at
 from evpinn_ros.report.breakdown_text import (
     breakdown_columns,
     breakdown_lines,
@@ -73,7 +73,7 @@ def power_chart(drive: Drive, points: int) -> Chart:
 def error_chart(drive: Drive, points: int) -> Chart:
     """Predicted minus measured power, and the predicted 90 % band around zero."""
     time, predicted, sigma, _ = drive.smoothed
-    measured, is_measured = measured_at(drive, time)
+    measured, is_measured = known_at(drive.measured, time)
     grid = grid_for(time if len(time) else drive.speed[:, 0], drive.duration, points)
     error = np.where(is_measured, predicted - measured, np.nan) / KILO
     half = GAUSSIAN_QUANTILE * sigma / KILO

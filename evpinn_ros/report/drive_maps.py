@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,8 +10,8 @@ from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.units import Units
 from evpinn_ros.replays.driven import DrivenSteps, rising
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.scoring import Span, longest_step, measured_at, scored
-from evpinn_ros.report.drive_charts import KILO
+from evpinn_ros.replays.scoring import Span, known_at, longest_step, scored
+from evpinn_ros.report.drive_charts import KILO, Chart
 from evpinn_ros.report.thinning import packed
 
 HALF_SPAN = 0.5  # s on each side, over which acceleration is taken
@@ -23,8 +23,6 @@ ROUTE_POINTS = 500  # evenly along the road
 POINTS = 2500  # of single moments beside their spread
 HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
 FAST_SPEED, SLOW_SPEED = 80.0 / 3.6, 5.0 / 3.6  # m/s: drag tells above, auxiliary power below
-
-Chart = dict[str, Any]
 
 
 class Moments(NamedTuple):
@@ -40,7 +38,7 @@ class Moments(NamedTuple):
 def moments(drive: Drive) -> Moments:
     """The moments of `power/smoothed` at which the battery was measured."""
     series = drive.smoothed
-    measured, is_measured = measured_at(drive, series.time)
+    measured, is_measured = known_at(drive.measured, series.time)
     time, speed = rising(drive.speed).T
     if not len(time):
         return Moments(*(np.empty(0) for _ in Moments._fields))

@@ -11,7 +11,7 @@ from evpinn_ros.replays.scoring import (
     baseline_scores,
     energy_score,
     held_scores,
-    measured_at,
+    known_at,
     power_score,
     speed_floor,
 )
@@ -56,7 +56,7 @@ def test_power_is_not_known_across_a_gap():
     scored = drive([0, 0, 0, 0, 0, 0], [0])
     rows = np.array([[0.0, 1.0], [1.0, 1.0], [9.0, 1.0], [10.0, 1.0]])
     gappy = replace(scored, measured=rows)
-    _, known = measured_at(gappy, np.array([0.5, 5.0, 9.5, 11.0]))
+    _, known = known_at(gappy.measured, np.array([0.5, 5.0, 9.5, 11.0]))
     assert known.tolist() == [True, False, True, False]
 
 

@@ -174,7 +174,10 @@ class Experiment:
     ) -> None:
         """Run a training to its end from where its file left it; its last setting is the end."""
         epochs = int(str(settings[-1]))
-        key = self._key(title, settings)
+        # All inputs that it is made from; each key has a file of its own.
+        data = hashlib.sha256(b"".join(column.tobytes() for column in self._log)).hexdigest()
+        vehicle = hashlib.sha256(repr(self._vehicle).encode()).hexdigest()
+        key = json.dumps([CHECKPOINT_VERSION, title, data, vehicle, *map(str, settings)])
         name = hashlib.sha256(key.encode()).hexdigest()[:12]
         path = self._folder / f"{title.replace(' ', '_')}-{name}.npz"
         saved = load_checkpoint(path, key)
@@ -188,12 +191,6 @@ class Experiment:
         while training.epoch < epochs:
             training.run_to(min(training.epoch + CHECKPOINT_EVERY, epochs), show)
             save_checkpoint(path, key, training.state())
-
-    def _key(self, title: str, settings: tuple[object, ...]) -> str:
-        """Key of a training: all inputs it was made from; each key has a file of its own."""
-        data = hashlib.sha256(b"".join(column.tobytes() for column in self._log)).hexdigest()
-        vehicle = hashlib.sha256(repr(self._vehicle).encode()).hexdigest()
-        return json.dumps([CHECKPOINT_VERSION, title, data, vehicle, *map(str, settings)])
 
     def _whole_drive(self) -> list[Scored]:
         vehicle, log = self._vehicle, self._log

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from itertools import chain
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -76,8 +77,7 @@ class DriveKind(str, Enum):
     MIXED = "mixed"
 
 
-@dataclass(frozen=True, slots=True)
-class Leg:
+class Leg(NamedTuple):
     """A piece of the route: m, m/s, speed at its end m/s, s to wait there, m/s^2, m/s^2."""
 
     length: float
