@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 
 class App(NamedTuple):
-    """An app, known by a column that no other has."""
+    """An app, known by columns that no other has."""
 
-    mark: str  # the name of that column
+    marks: tuple[str, ...]  # the names of these columns
     columns: Mapping[str, str]  # by quantity the column to take, whatever other names say
     units: Mapping[str, str]  # by column, as `QUANTITIES` spells them
-    could_be: Mapping[str, tuple[str, ...]]  # by column, other units that a setting chooses
+    could_be: Mapping[str, tuple[str, ...]] = {}  # by column, other units that a setting chooses
 
 
 # LeafSpy writes the ambient temperature in degrees F beside packs in both ("LeafSpy Log file
@@ -23,7 +23,7 @@ class App(NamedTuple):
 # Its A/C Pwr is the sum of both estimates, of which the heater's would count twice.
 APPS = (
     App(
-        "Gids",
+        ("Gids",),
         {"speed": "Speed2", "aircon": "Est Pwr A/C(50w)", "heating": "Est Pwr Htr(250w)"},
         {"Ambient": "f", "Speed2": "0.01 km/h"},
         {"Ambient": ("c",)},
@@ -35,7 +35,7 @@ ANNOTATIONS = ("#group", "#datatype", "#default")  # of InfluxDB's columns, abov
 
 def app_of(header: Collection[str]) -> App | None:
     """The app that wrote a table of these columns; None where it is not known, or needs not be."""
-    return next((app for app in APPS if app.mark in header), None)
+    return next((app for app in APPS if set(app.marks) <= set(header)), None)
 
 
 # LeafSpy: the columns of its logs of 2017 and 2018, in three versions of the app.

@@ -136,15 +136,18 @@ def columns_by_name(
     for quantity in QUANTITIES:
         if quantity in quantities:
             continue
+        best_name = app.columns.get(quantity) if app else None
         if quantity == "time":
-            names = [i for i in range(len(header)) if score(quantity, header[i]) > 0]
-            columns += [column_of(quantity, header, i) for i in names if i not in taken]
+            columns += [
+                column_of(quantity, header, i)
+                for i, name in enumerate(header)
+                if i not in taken and (name == best_name or score(quantity, name) > 0)
+            ]
             continue
         # Power is voltage times current: of a stranger's file it is not needed then.
         if quantity == "power" and {"voltage", "current"} <= quantities:
             continue
         free = (i for i in range(len(header)) if i not in taken and i not in empty)
-        best_name = app.columns.get(quantity) if app else None
         scores = {
             i: math.inf if header[i] == best_name else score(quantity, header[i]) for i in free
         }
@@ -238,7 +241,8 @@ def _named(quantity: str, header: Sequence[str], place: int) -> tuple[Column, st
         return column.measured_in(text, unit, "by its name"), ""
     by_app = app.units.get(name, "") if app else ""
     if app and (unit := known_unit(quantity, by_app)):
-        column = column.measured_in(by_app, unit, f"as in logs with a column {app.mark!r}")
+        marks = ", ".join(map(repr, app.marks))
+        column = column.measured_in(by_app, unit, f"as in logs with a column {marks}")
         return column.guessed(app.could_be.get(name, ())), ""
     return column, text
 

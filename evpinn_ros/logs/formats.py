@@ -17,15 +17,16 @@ from evpinn_ros.common.writer import BAG_FILES
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
 SHEET_SUFFIXES = (".xlsx", ".xlsm")
 COLUMNAR_SUFFIXES = (".parquet", ".pq", ".feather", ".arrow")
-JSON_SUFFIXES = (".jsonl", ".ndjson")
+JSON_SUFFIXES = (".jsonl", ".ndjson", ".json")
 TABLE_SUFFIXES = (*TEXT_SUFFIXES, *SHEET_SUFFIXES, *COLUMNAR_SUFFIXES, *JSON_SUFFIXES, MF4)
 CONVERTERS = {  # what writes a table that is no text as one, in a process of its own
     **dict.fromkeys(SHEET_SUFFIXES, "evpinn_ros.logs.sheets:write_sheet"),
     **dict.fromkeys(COLUMNAR_SUFFIXES, "evpinn_ros.logs.columnar:write_columns"),
-    **dict.fromkeys(JSON_SUFFIXES, "evpinn_ros.logs.json_lines:write_objects"),
+    **dict.fromkeys(JSON_SUFFIXES, "evpinn_ros.logs.json_objects:write_objects"),
     MF4: "evpinn_ros.logs.measurement:write_signals",
 }
-_DRIVES = (*TABLE_SUFFIXES, *LOG_SUFFIXES)  # that a folder of drives may hold
+# That a folder of drives may hold; a .json beside them may be a learned car or scores.
+_DRIVES = {*TABLE_SUFFIXES, *LOG_SUFFIXES} - {".json"}
 _RECORDINGS = {*BAG_SUFFIXES, *_DRIVES} - {".txt"}  # that are sought in folders of folders
 FRAME_COLUMNS = (b"arbitration_id", GVRET_HEADER.encode())  # tell a CAN log's CSV from a drive's
 

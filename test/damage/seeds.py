@@ -140,6 +140,11 @@ def json_lines() -> list[bytes]:
     return [pl.read_csv(csv_drive()[0]).write_ndjson().encode()]
 
 
+def json_document() -> list[bytes]:
+    """A drive as a list in a document of JSON."""
+    return [b'{"samples":' + pl.read_csv(csv_drive()[0]).write_json().encode() + b"}"]
+
+
 def feather_files() -> list[bytes]:
     """A drive as a Feather file."""
     pl.read_csv(csv_drive()[0]).write_ipc(file := BytesIO(), compression="lz4")

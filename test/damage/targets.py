@@ -346,6 +346,7 @@ TARGETS = (
     Target("parquet", "drive.parquet", seeds.parquet_files, _csv_drive),
     Target("feather", "drive.feather", seeds.feather_files, _csv_drive),
     Target("jsonl", "drive.jsonl", seeds.json_lines, _csv_drive, mutate=mutate_text),
+    Target("json", "drive.json", seeds.json_document, _csv_drive, mutate=mutate_json),
     Target("route", "plan", seeds.plan_files, _plan_file, mutate=mutate_plan),
     Target("legs", "plan.csv", seeds.plan_tables, _plan_file, mutate=mutate_table),
     Target(

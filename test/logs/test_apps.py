@@ -202,6 +202,10 @@ def test_tables_of_columns_and_spreadsheets(tmp_path):
     table.write_parquet(tmp_path / "d.parquet")
     table.write_ipc(tmp_path / "d.feather")
     table.write_ndjson(tmp_path / "d.jsonl")
+    rows = json.loads(table.write_json())
+    trips = [{"samples": rows[:40]}, {"samples": rows[40:]}]
+    document = {"app": {"name": "x", "devices": [{"id": 1}]}, "trips": trips}
+    (tmp_path / "d.json").write_text(json.dumps(document))
     book = openpyxl.Workbook()
     book.active.append(["notes of mine"])
     sheet = book.create_sheet("data")
@@ -210,7 +214,7 @@ def test_tables_of_columns_and_spreadsheets(tmp_path):
     for at, *values in zip(*columns.values(), strict=True):
         sheet.append([at.date(), at.time(), *values])
     book.save(tmp_path / "d.xlsx")
-    for name in ("d.parquet", "d.feather", "d.jsonl", "d.xlsx"):
+    for name in ("d.parquet", "d.feather", "d.jsonl", "d.json", "d.xlsx"):
         speeds = [r for r in open_drive(tmp_path / name).readings() if isinstance(r, SpeedReading)]
         assert len(speeds) == SECONDS
         assert speeds[0].stamp_ns == START.timestamp() * 1e9

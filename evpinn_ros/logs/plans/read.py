@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 import json
 import math
@@ -47,7 +48,7 @@ BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - TEXTS  # and logs of other forms tha
 DAMAGED = (AttributeError, IndexError, OverflowError, RecursionError, TypeError, ValueError)
 KNOWN = (
     "JSON of no known kind: known are GeoJSON and the answers of Valhalla, OSRM, GraphHopper and "
-    "openrouteservice"
+    "openrouteservice, and drives that `evpinn replay` reads"
 )
 
 
@@ -74,8 +75,15 @@ def _plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan | Legs:
     if suffix_of(path) in BINARY and not is_bag(path):
         return driven_plan(path, vehicle, options)
     begin = _content(path, 64).lstrip(BLANK)[:1]
-    if begin == b"{":
-        return _json_plan(_whole(path, MOST_JSON))
+    is_json = suffix_of(path) == ".json"
+    if begin == b"{" or (begin == b"[" and is_json):
+        try:
+            return _json_plan(_whole(path, MOST_JSON))
+        except PlanError:
+            if is_json:
+                with suppress(InputError):
+                    return driven_plan(path, vehicle, options)
+            raise
     if begin == b"<":
         return legs_of_track(gpx_track(_whole(path, MOST_XML)))
     if is_bag(path):

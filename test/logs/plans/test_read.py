@@ -6,6 +6,7 @@ import json
 import os
 
 import numpy as np
+import polars as pl
 import pytest
 
 from evpinn_ros.bags.convert import BagReadings
@@ -61,6 +62,9 @@ def test_a_recorded_drive_is_its_speed_and_height_without_its_battery(read):
     assert plan.time.tolist() == [*range(99), 99.5]
     assert plan.speed == pytest.approx(np.minimum(plan.time, 20.0))
     assert plan.elevation[80] - plan.elevation[20] == pytest.approx(12.0, abs=0.2)
+    rows = json.loads(pl.read_csv(DRIVE.encode()).write_json())
+    for document in (rows, {"trip": {"samples": rows}}):
+        assert (read(document, "drive.json").distance == plan.distance).all()
     other = DRIVE.replace(",0,", ",-99,").replace("350", "400")
     assert (read(other, "other.csv").distance == plan.distance).all()
 

@@ -1,0 +1,88 @@
+"""Objects of JSON as text, a row each: those of lines, or the longest list in a document.
+
+polars cannot read a file with a `NaN` or a torn last line.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from contextlib import suppress
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.opener import MOST_COLUMNS, open_file
+from evpinn_ros.common.writer import new_table, plain_cell
+
+NESTED = dict, list
+_decoded = json.JSONDecoder(parse_constant=lambda _: None).decode
+
+
+def write_objects(path: Path, out: Path) -> None:
+    """Write names and values; InputError at the end if some lines were no objects."""
+    if path.suffix.lower() == ".json":
+        with open_file(path) as file, suppress(ValueError, RecursionError):
+            rows = longest_list(_decoded(file.read().decode("utf-8-sig")))
+            return _write(rows, rows, out)
+    with open_file(path) as names, open_file(path) as values:
+        _write(map(_object, names), map(_object, values), out)
+
+
+def longest_list(document: object) -> list[dict[str, Any]]:
+    """The longest list of objects in a document; lists under the same names are one list."""
+    lists: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    waiting: deque[tuple[tuple[str, ...], object]] = deque([((), document)])
+    while waiting:
+        path, value = waiting.popleft()
+        if isinstance(value, dict):
+            waiting.extend(
+                ((*path, name), inner)
+                for name, inner in value.items()
+                if isinstance(inner, NESTED)
+            )
+        elif isinstance(value, list):
+            lists.setdefault(path, []).extend(row for row in value if isinstance(row, dict))
+            waiting.extend((path, inner) for inner in value if isinstance(inner, NESTED))
+    return max(lists.values(), key=len, default=[])
+
+
+def _write(
+    first: Iterable[dict[str, Any] | None], again: Iterable[dict[str, Any] | None], out: Path
+) -> None:
+    """Write the names of rows, which come once for these and again for their values."""
+    names: dict[str, None] = {}
+    for row in first:
+        names.update(dict.fromkeys(row or ()))
+        if len(names) > MOST_COLUMNS:
+            raise InputError(f"more than {MOST_COLUMNS} columns")
+    if not names:
+        raise InputError("no JSON objects in it")
+    bad: list[int] = []
+    with new_table(out) as text:
+        table = csv.writer(text)
+        table.writerow(map(plain_cell, names))
+        for number, row in enumerate(again, 1):
+            if row is None:
+                bad.append(number)
+            else:
+                table.writerow([_cell(row.get(name)) for name in names])
+    if bad:
+        raise InputError(f"{len(bad)} lines are no JSON objects, the first is line {bad[0]}")
+
+
+def _object(line: bytes) -> dict[str, Any] | None:
+    """The object of a line, none of a blank one; None where it is something else."""
+    with suppress(ValueError, RecursionError):
+        row = _decoded(line.decode("utf-8-sig")) if line.strip() else {}
+        return row if isinstance(row, dict) else None
+    return None
+
+
+def _cell(value: object) -> object:
+    """A value on one line; none for a nested one, which is no signal."""
+    if isinstance(value, str):
+        return plain_cell(value)
+    return None if isinstance(value, NESTED) else value
