@@ -96,17 +96,22 @@ def outputs(drive: Drive) -> Record:
 
 
 def differences(old: Record, new: Record, near: float) -> Iterator[str]:
-    """A line for each number that is not what it was."""
+    """A line for each topic with numbers that are not what they were, and the largest change."""
     scales: dict[tuple[str, int], float] = defaultdict(float)
     for (topic, place, _), number in old.items():
         if np.isfinite(number):
             scales[topic, place] = max(scales[topic, place], abs(number))
+    changes: dict[str, list[tuple[float, str]]] = defaultdict(list)
     for key in sorted({*old, *new}):
-        before, now = old.get(key), new.get(key)
-        if before is None or now is None:
-            yield f"{key}: {before} -> {now}"
-        elif not np.isclose(now, before, rtol=0, atol=near * scales[key[:2]], equal_nan=True):
-            yield f"{key}: {before:.9g} -> {now:.9g}"
+        before, now, scale = old.get(key, np.inf), new.get(key, np.inf), scales[key[:2]]
+        is_near = np.isclose(now, before, rtol=0, atol=near * scale, equal_nan=True)
+        if not is_near or (key in old) != (key in new):
+            share = abs(now - before) / scale if scale else np.inf
+            what = f"number {key[1]} at {key[2]} s, {before:.9g} -> {now:.9g}"
+            changes[key[0]].append((np.inf if np.isnan(share) else share, what))
+    for topic, lines in changes.items():
+        share, what = max(lines)
+        yield f"{topic}: {len(lines)} changed, by at most {share:.1e} of the largest: {what}"
 
 
 def load(path: Path) -> Record:
@@ -130,7 +135,7 @@ def main(renew: bool) -> int:
     for drive in DRIVES:
         record = outputs(drive)
         lines = list(differences(load(drive.path), record, drive.near))
-        print(f"{drive.path.name}: {len(record)} numbers, {len(lines)} changed")
+        print(f"{drive.path.name}: {len(record)} numbers, {len(lines)} topics changed")
         print(*(f"  {line}\n" for line in lines), sep="", end="")
         changed += len(lines)
         if renew and lines:

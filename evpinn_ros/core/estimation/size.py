@@ -33,7 +33,6 @@ from evpinn_ros.core.signals.readings import (
 )
 from evpinn_ros.core.vehicle.files import EXTENSIVE, Vehicle
 
-PURE = ("1", "1/(10 K)")  # units of states that are the same of all sizes
 Value = TypeVar("Value")
 EXTENSIVE_FIELDS: Mapping[type[Reading], tuple[str, ...]] = {
     BatteryReading: ("current", "power_std"),
@@ -55,7 +54,7 @@ class Similarity:
         """See `Vehicle.similar_car`; nothing changes for a vehicle of size 1."""
         self._vehicle, self.car, self.size = vehicle, vehicle.similar_car, vehicle.relative_size
         self._states = np.full(SIZE, self.size)  # vehicle over car
-        self._states[[state for state in State if state.unit in PURE]] = 1.0
+        self._states[[state for state in State if state.unit.startswith("1")]] = 1.0
 
     def block(self, block: Block) -> Block:
         """Readings of the vehicle as the car would have given them."""
