@@ -40,7 +40,7 @@ class Range(NamedTuple):
     least: float  # the smallest number
     most: float  # the largest number
     unknown: bool = False  # whether a number may be NaN, which is saved as null
-    shape: tuple[int, ...] = ()  # of an array; empty: a row of any length
+    shape: tuple[Any, ...] = ()  # of an array, None for any length; empty: a row of any length
     # whether an array is saved as a row of any length: its states are named beside it, for another
     # version has others
     by_state: bool = False

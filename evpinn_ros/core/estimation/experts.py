@@ -19,7 +19,7 @@ from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.bands import CASES_KEPT, MOST_DEVIATE, Spread
 from evpinn_ros.core.estimation.calibration import MOST_SUM
 from evpinn_ros.core.estimation.states import State
-from evpinn_ros.core.estimation.terms import CLIMATE, EXPLAINED, STANDING_LOADS, TYRES
+from evpinn_ros.core.estimation.terms import BESIDE, CLIMATE, STANDING_LOADS, TYRES
 
 PRIOR_ODDS = np.log([0.15 / 0.7, 0.15 / 0.7])  # of the simple experts over the learned car
 LEAST_ODDS, LEAST_DRIVES = math.log(100.0), 3
@@ -32,10 +32,7 @@ PARTS = {
     "tyres": [State.ROLLING, *TYRES],
     "mass": [State.MASS],
     "braking": [State.BACK, State.MOTOR_BRAKE],
-    "motor and drivetrain": [
-        *(State.TURNING, State.MOTOR_DRIVE, State.MOTOR_RATIO),
-        *EXPLAINED,
-    ],
+    "motor and drivetrain": [State.MOTOR_DRIVE, State.MOTOR_RATIO, *BESIDE],
     "heating and cooling": CLIMATE,
     "other standing load": STANDING_LOADS,
 }

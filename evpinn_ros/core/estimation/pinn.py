@@ -370,7 +370,7 @@ class PinnLearner(Saveable[SavedPinn]):
             state=state,
             unevenness=unevenness_of(saved.unevenness, self._equation),
             hills=saved.hills,
-            driven=saved.driven,
+            driven=saved.driven.of_this_version(),
             rehearsals=Rehearsals(Rehearsal(state)),
             payload=PayloadDetector.of(saved.payload),
             grade=saved.grade,

@@ -28,10 +28,18 @@ from evpinn_ros.core.estimation.evidence import Evidence, evidence, file_prior
 from evpinn_ros.core.estimation.gaussian import Gaussian
 from evpinn_ros.core.estimation.journey import unseen_of
 from evpinn_ros.core.estimation.posterior import CarState, PassedInterval, initial_state
-from evpinn_ros.core.estimation.states import PHYSICS, SIZE, TABLE, State
-from evpinn_ros.core.estimation.terms import TYRES, WARM, Equation, climate_powers, coldness
+from evpinn_ros.core.estimation.states import NAMES, PHYSICS, SIZE, State, known_names
+from evpinn_ros.core.estimation.terms import (
+    BESIDE,
+    NETWORK_WEIGHTS,
+    TYRES,
+    WARM,
+    Equation,
+    climate_powers,
+    coldness,
+)
 
-BESIDE = [State.FORCE_SQUARED, State.TURNING, *range(TABLE, SIZE)]  # what eq. 21 lacks
+UNNAMED = [State.FORCE_SQUARED, State.TURNING, *NETWORK_WEIGHTS]  # in files that name none
 DRIVING_MEMORY = 36_000.0  # s over which driving is remembered
 # Power that no state explains, as density, W^2 s: with less the projection is not determined.
 NOISE_DENSITY = 2.7e5
@@ -64,21 +72,35 @@ class Driven:
             that of the drive before.
         returned: energy that went back into the battery, J, forgotten as `braked` is; None where
             it was not looked at.
+        names: those of the columns of `cross`.
     """
 
     gram: Annotated[np.ndarray, Range(-1e30, 1e30, shape=(4, 4))]
-    cross: Annotated[np.ndarray, Range(-1e30, 1e30, shape=(4, len(BESIDE)))]
+    cross: Annotated[np.ndarray, Range(-1e30, 1e30, shape=(4, None))]
     braked: Annotated[np.ndarray, Range(-1e15, 1e15, shape=(3,))]
     distance: Annotated[float, Range(0.0, 1e12)] = 0.0
     cold_tyres: Annotated[float, Range(0.0, 1e12)] = 0.0
     load_known: bool = False
     unseen: Annotated[float, Range(0.0, 1.0)] | None = None
     returned: Annotated[float, Range(0.0, 1e15)] | None = None
+    names: tuple[str, ...] = tuple(NAMES[state] for state in UNNAMED)
 
     @classmethod
     def nowhere(cls) -> Driven:
         """No driving."""
-        return cls(np.zeros((4, 4)), np.zeros((4, len(BESIDE))), np.zeros(3), returned=0.0)
+        names = tuple(NAMES[state] for state in BESIDE)
+        return cls(
+            np.zeros((4, 4)), np.zeros((4, len(names))), np.zeros(3), returned=0.0, names=names
+        )
+
+    def of_this_version(self) -> Driven:
+        """Driving that was saved, with zeros for a state that the file lacks; ValueError."""
+        if self.cross.shape != (4, len(self.names)):
+            raise ValueError("numbers of the driving are missing")
+        theirs, ours = known_names(self.names)
+        columns = np.zeros((4, SIZE))
+        columns[:, ours] = self.cross[:, theirs]
+        return replace(self, cross=columns[:, BESIDE], names=Driven.nowhere().names)
 
     def plus(self, done: PassedInterval) -> Driven:
         """With one more interval; of one with motor torque the way alone: its rows differ."""

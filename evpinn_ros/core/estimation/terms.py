@@ -38,7 +38,7 @@ from evpinn_ros.core.estimation.network import (
     reference_driving,
     share_of_terms,
 )
-from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State, prior_of
+from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, Duration, State, prior_of
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import Conditions
 from evpinn_ros.core.signals.sample import Samples
@@ -57,10 +57,18 @@ CLIMATE = [
     State.COLD, State.HOT, State.COLD_START, State.HOT_START,
     State.REPORTED, State.DOUBTED, State.CLIMATE_DRIVE,
 ]  # fmt: skip
-EXPLAINED = [State.FORCE_SQUARED, *range(WEIGHTS.start, WEIGHTS.stop)]  # beside eq. 21
+NETWORK_WEIGHTS = range(WEIGHTS.start, WEIGHTS.stop)
+EXPLAINED = [State.FORCE_SQUARED, *NETWORK_WEIGHTS]  # beside eq. 21
 STANDING_LOADS = [State.P_AUX, State.LOAD_DRIVE, State.LOAD]
 TYRES = [State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]  # of rolling
 WHEELS = [*PHYSICS, *TYRES]  # that the motor's energy stands in for
+MOTOR = [State.MOTOR_DRIVE, State.MOTOR_BRAKE, State.MOTOR_RATIO]
+# What moving takes beside eq. 21: every state of the car that is in no other list.
+LISTED = {*WHEELS, *MOTOR, *CLIMATE, *STANDING_LOADS, State.ETA}
+BESIDE = [
+    *(state for state in State if state.level is Duration.CAR and state not in LISTED),
+    *NETWORK_WEIGHTS,
+]
 
 
 class Part(IntEnum):

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.common.saved_fields import plain, read
+from evpinn_ros.common.saved_fields import StateError, plain, read
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.payload import PayloadChange, SavedPayload
 from evpinn_ros.core.estimation.pinn import PinnLearner
 from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.saved_car import saved_state, state_of
 from evpinn_ros.core.estimation.states import NAMES, OFFSETS, SIZE, State
-from evpinn_ros.core.estimation.terms import equation_of
+from evpinn_ros.core.estimation.terms import BESIDE, equation_of
 from evpinn_ros.core.estimation.unevenness import prior_rows
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
@@ -173,6 +173,9 @@ def without(saved: dict, state: State) -> dict:
     uneven["rows"] = np.delete(rows, at, 1).ravel().tolist()
     for names in (car["names"], uneven["names"], car["offset_variance"]):
         del names[at]
+    if state in BESIDE:
+        for row in (older["driven"]["names"], *older["driven"]["cross"]):
+            del row[BESIDE.index(state)]
     return older
 
 
@@ -189,6 +192,23 @@ def test_a_car_of_an_older_version_goes_on_learning(saved, town, state):
     update = older.prepare_update()
     assert update is not None and older.consider(update()) is None
     assert older.export()["car"]["names"] == [*NAMES]
+
+
+def test_driving_of_a_file_without_names_has_those_of_that_version(saved):
+    """And of a state that the file lacks it has nothing."""
+    older, learner = deepcopy(saved), PinnLearner(CAR)
+    del older["driven"]["names"]
+    learner.restore(older)
+    assert learner.export()["driven"] == saved["driven"]
+    learner.restore(without(saved, State.TURNING))
+    cross = learner.export()["driven"]["cross"]
+    expected = np.array(saved["driven"]["cross"])
+    assert expected[:, BESIDE.index(State.TURNING)].any()
+    expected[:, BESIDE.index(State.TURNING)] = 0.0
+    assert cross == expected.tolist()
+    del older["driven"]["cross"][0][-1]
+    with pytest.raises(StateError):
+        learner.restore(older)
 
 
 def test_uneven_speed_costs_a_new_state_what_simulated_drives_say(saved):
