@@ -35,9 +35,10 @@ from evpinn_ros.core.estimation.terms import (
     TYRES,
     WARM,
     Equation,
-    climate_powers,
     coldness,
+    standing_powers,
 )
+from evpinn_ros.core.signals.road import Conditions
 
 UNNAMED = [State.FORCE_SQUARED, State.TURNING, *NETWORK_WEIGHTS]  # in files that name none
 DRIVING_MEMORY = 36_000.0  # s over which driving is remembered
@@ -280,9 +281,11 @@ def _linear(
     regeneration = min(max(equation.back + share * back, 0.01), 1.5)
     eta = min(max(equation.eta + float(mean[State.ETA]), 0.05), 1.2)
     log_eta, log_mass = state[State.ETA] / eta, theta[2] / mass
-    standing = state[State.P_AUX] + state[State.LOAD_DRIVE]
-    for load, power in climate_powers(celsius, WARM).items():
+    standing = np.zeros(SIZE)
+    of_the_weather = Conditions(1.0, 0.0, celsius, load=0.0, load_known=False)
+    for load, power in standing_powers(of_the_weather, WARM).items():
         standing[load] = power
+    standing[State.LOAD] = 0.0  # it wanders
     rows = np.array([
         log_eta,
         share * theta[3] / regeneration - log_eta,
