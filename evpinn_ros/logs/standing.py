@@ -238,11 +238,12 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
             yield "speed", stand, why
         elif drawn is not None and mass > 0.0 and _is_driven(stand, drawn, mass):
             yield "speed", stand, "the battery shows that the car drives"
-    for name in DRAWN:
+    volts = signals["voltage"].known if "voltage" in signals else np.empty(0)
+    units = {"current": np.median(volts) if volts.size else np.nan, "power": 1.0}
+    for name, unit in units.items():
         if name in signals and drawn is not None and drawn.known.size:
-            volts = np.median(signals["voltage"].known) if name == "current" else 1.0
             for stand in _stands(signals[name]):
-                if _needs_power(stand, seen, signals[name], mass / volts):
+                if _needs_power(stand, seen, signals[name], mass / unit):
                     yield name, stand, "the car speeds up and slows down"
 
 

@@ -122,6 +122,17 @@ def test_a_current_in_one_of_a_hundred_rows_is_not_measured_in_the_others(tmp_pa
     assert any("current stands still at 0 A" in note for note in source.notes)
 
 
+def test_a_current_beside_power_stands_still_without_a_voltage(tmp_path):
+    """A damaged header had no name for the voltage: a KeyError."""
+
+    def line(t, v, u, i, *_):
+        return f"{t:.0f},{v:.3f},{u * i:.1f},{20.0 if BEGIN <= t < END else i:.2f}"
+
+    source = opened(tmp_path, table("t_s,speed_mps,power_w,current_a", DRIVE, line))
+    assert measured(source)[1] == pytest.approx(DRIVE.energy, rel=0.01)
+    assert any(f"current stands still at 20 A from {BEGIN} s" in note for note in source.notes)
+
+
 @pytest.mark.parametrize("way", ["odometer", "places"])
 @pytest.mark.parametrize("value", [None, 0.0])
 def test_the_way_shows_that_a_speed_stands_still(tmp_path, way, value):
