@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -34,6 +35,15 @@ def recorded(tmp_path_factory):
         write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 20.0, index), folder / name)
     (folder / "bob" / "bad.mcap").write_bytes(b"no bag")
     return folder
+
+
+def write_long_drive(path):
+    """A day of driving, which takes a minute to learn; the cars before it, tenths of a second."""
+    seconds = np.arange(0.0, 86_400.0, 0.1)
+    speed = 15.0 + 10.0 * np.sin(seconds / 20.0)
+    columns = seconds, speed, np.full_like(speed, 360.0), 20.0 + speed
+    header = "t_s,speed_mps,voltage_v,current_a"
+    np.savetxt(path, np.stack(columns, axis=1), "%.2f", ",", header=header, comments="")
 
 
 def run(*arguments):
@@ -97,7 +107,8 @@ def processes_of(group):
 def test_an_interrupted_run_leaves_results_and_goes_on(recorded, tmp_path, end):
     data, out = tmp_path / "data", tmp_path / "out"
     shutil.copytree(recorded, data)
-    write(simulate(DriveKind.URBAN, load_vehicle("nissan_leaf"), 300.0, 9), data / "cy" / "long")
+    (data / "cy").mkdir()
+    write_long_drive(data / "cy" / "long.csv")
     arguments = [data, "--vehicle", "nissan_leaf", "--out", out, "--workers", "1"]
     process = subprocess.Popen(
         [*COMMAND, *map(str, arguments)],
