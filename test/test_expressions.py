@@ -119,14 +119,14 @@ class Automaton:
         if kind is op.ANY:
             return label is ANY or char != "\n"
         if kind is op.RANGE:
-            return any(chr(value[0]) <= each <= chr(value[1]) for each in both)
+            return any(chr(value[0]) <= variant <= chr(value[1]) for variant in both)
         if kind is op.CATEGORY:
             return re.fullmatch(CATEGORIES[value], char) is not None
         if kind is op.ASSERT_NOT:
             return not self.takes(value, char)
         assert kind is op.IN, kind
         negated = value[0][0] is op.NEGATE
-        return any(self.takes(each, char) for each in value[negated:]) != negated
+        return any(self.takes(option, char) for option in value[negated:]) != negated
 
     def reached(self, begins):
         seen, new = set(begins), list(begins)

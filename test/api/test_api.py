@@ -69,12 +69,12 @@ def without_timing(metrics: dict) -> dict:
 
 
 def test_numbers_are_the_commands_to_the_bit(result, tmp_path):
-    found = tmp_path / "found.json"
+    metrics = tmp_path / "found.json"
     options = [f"--{name.replace('_', '-')}={value}" for name, value in SPAN.items()]
-    words = ["replay", str(URBAN), "--vehicle", CAR, "--metrics", str(found), *options]
+    words = ["replay", str(URBAN), "--vehicle", CAR, "--metrics", str(metrics), *options]
     ended = CliRunner().invoke(app, words, catch_exceptions=False)
     assert ended.exit_code == 0, ended.output
-    assert without_timing(result.metrics) == without_timing(json.loads(found.read_text()))
+    assert without_timing(result.metrics) == without_timing(json.loads(metrics.read_text()))
 
 
 def test_frames_hold_what_the_scores_are_of(result):

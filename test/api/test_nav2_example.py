@@ -42,7 +42,9 @@ def grid(heights, speeds):
 
 
 def edges_of(graph):
-    shapes = ((each["geometry"]["type"], each["properties"]) for each in graph["features"])
+    shapes = (
+        (feature["geometry"]["type"], feature["properties"]) for feature in graph["features"]
+    )
     return [properties for shape, properties in shapes if shape != "Point"]
 
 
@@ -71,7 +73,7 @@ def test_no_route_takes_less_than_the_one_that_costs_least(heights, speeds):
     edges = edges_of(graph)
     assert all(edge["cost"] > 0.0 and edge["overridable"] is False for edge in edges)
     table = {"length_m": [], "speed_kmh": [], "climb_m": []}
-    points = [each["geometry"]["coordinates"] for each in graph["features"][: SIDE**2]]
+    points = [feature["geometry"]["coordinates"] for feature in graph["features"][: SIDE**2]]
     for edge in edges:
         begin, end = points[edge["startid"]], points[edge["endid"]]
         table["length_m"].append(EXAMPLE.math.dist(begin, end))

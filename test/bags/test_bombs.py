@@ -86,7 +86,7 @@ def test_order_is_given_up_rather_than_memory(tmp_path, monkeypatch):
     monkeypatch.setattr(mcap_file, "MOST_HELD", 3000)
     chunks = b"".join(chunk_of(number, 100 - number) for number in range(30))
     with BagReader(few_types(tmp_path / "a.mcap", chunks)) as reader:
-        assert sorted(each.message.data for each in reader.records()) == list(range(30))
+        assert sorted(stored.message.data for stored in reader.records()) == list(range(30))
         assert reader.problem.count("overlap too far") == 1
 
 
@@ -123,11 +123,11 @@ def test_chunks_that_overlap_are_put_in_order_once(tmp_path, monkeypatch):
     body = b""
     for number in range(4000):
         message = struct.pack("<d", number)
-        one = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, number, 5) + b"\0\1\0\0" + message)
+        in_time = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, number, 5) + b"\0\1\0\0" + message)
         late = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 10**9, 5) + b"\0\1\0\0" + message)
-        body += chunk(one + 9 * late, len(one + 9 * late), "", start=number)
+        body += chunk(in_time + 9 * late, len(in_time + 9 * late), "", start=number)
     with BagReader(few_types(tmp_path / "a.mcap", body)) as reader:
-        times = [each.log_time_ns for each in reader.raw_records()]
+        times = [raw.log_time_ns for raw in reader.raw_records()]
     assert len(times) == 40_000 and times == sorted(times)
     assert calls == {"push": 40_000, "pop": 40_000}
 
@@ -175,14 +175,14 @@ def test_each_limit_holds_with_and_without_a_summary(
 
 def test_messages_packed_one_by_one_are_bounded_together(tmp_path):
     """Each may unpack to a megabyte by itself."""
-    one = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + zstd(bytes(FREE_BYTES)))
+    packed = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + zstd(bytes(FREE_BYTES)))
     (tmp_path / "metadata.yaml").write_text(
         "rosbag2_bagfile_information:\n  compression_mode: MESSAGE\n"
         "  relative_file_paths: [a.mcap]\n"
     )
-    path = few_types(tmp_path / "a.mcap", one * 1000)
+    path = few_types(tmp_path / "a.mcap", packed * 1000)
     with BagReader(tmp_path) as reader:
-        read = sum(len(each.message) for each in reader.raw_records())
+        read = sum(len(raw.message) for raw in reader.raw_records())
         assert 0 < read <= most_unpacked(path.stat().st_size) < 1000 * FREE_BYTES
         assert "messages do not unpack" in reader.problem
 
@@ -232,7 +232,7 @@ def test_a_database_whose_pages_lead_to_one_another_is_refused(tmp_path):
         pages.append(below)  # as the last page, to which 300 cells of the next lead
         cells = struct.pack(">IB", len(pages), 1) * 300
         begin = size - len(cells)
-        places = b"".join(struct.pack(">H", begin + 5 * each) for each in range(300))
+        places = b"".join(struct.pack(">H", begin + 5 * number) for number in range(300))
         head = struct.pack(">BHHHBI", 5, 0, 300, begin, 0, len(pages)) + places
         below = head + bytes(begin - len(head)) + cells
     pages[root - 1] = below

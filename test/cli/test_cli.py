@@ -209,7 +209,7 @@ def test_vehicles_are_listed_found_and_shown(evpinn, folder):
 def test_several_inputs_give_a_list_and_a_folder_though_they_are_one_drive(evpinn, tmp_path):
     row = "{},10,350,20\n"
     for name, begin in (("a", 0), ("b", 103)):
-        lines = [row.format(1_700_000_000 + begin + each) for each in range(100)]
+        lines = [row.format(1_700_000_000 + begin + second) for second in range(100)]
         (tmp_path / f"{name}.csv").write_text(
             "time,speed_mps,voltage_v,current_a\n" + "".join(lines)
         )

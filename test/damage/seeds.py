@@ -54,7 +54,10 @@ def mcap_files() -> list[bytes]:
         {"compression": CompressionType.NONE, "index_types": IndexType.NONE},
         {"use_chunking": False},
     ]
-    return [_file("drive.mcap", lambda path, each=each: _mcap(path, each)) for each in options]
+    return [
+        _file("drive.mcap", lambda path, written=written: _mcap(path, written))
+        for written in options
+    ]
 
 
 def database() -> list[bytes]:
@@ -93,7 +96,7 @@ def can_log(suffix: str) -> list[bytes]:
 
 def zipped_log() -> list[bytes]:
     """A gzipped candump log."""
-    return [gzip.compress(each, mtime=0) for each in can_log(".log")]
+    return [gzip.compress(log, mtime=0) for log in can_log(".log")]
 
 
 def bundled(pattern: str) -> list[bytes]:
@@ -110,7 +113,7 @@ def csv_drive() -> list[bytes]:
 
 def zipped_drive() -> list[bytes]:
     """A gzipped table of a drive."""
-    return [gzip.compress(each, mtime=0) for each in csv_drive()]
+    return [gzip.compress(table, mtime=0) for table in csv_drive()]
 
 
 def workbooks() -> list[bytes]:
@@ -183,7 +186,7 @@ def plan_files() -> list[bytes]:
         {"type": "Feature", "properties": {"times": [0, 900]}, "geometry": place},
     ]
     texts = (json.dumps(answer) for answer in answers)
-    return [each.encode() for each in (f"<gpx><trk>{track}</trk></gpx>", *texts)]
+    return [plan.encode() for plan in (f"<gpx><trk>{track}</trk></gpx>", *texts)]
 
 
 def plan_tables() -> list[bytes]:
@@ -238,7 +241,9 @@ def plans() -> list[bytes]:
 def frames() -> list[bytes]:
     """Frames in a row, each as its id, its length and its data, and answers in parts."""
     seen = [(0x132, 8), (0x257, 8), (0x118, 8), (0x1DB, 8), (0x1DA, 8), (0x355, 8)]
-    answers = [(0x7EC, bytes.fromhex(each)) for each in ("101462010100FFFF", "2100000000000000")]
+    answers = [
+        (0x7EC, bytes.fromhex(digits)) for digits in ("101462010100FFFF", "2100000000000000")
+    ]
     whole = [(can_id, bytes(range(length))) for can_id, length in seen] + answers
     return [b"".join(_framed(can_id, data) for can_id, data in whole * 3)]
 

@@ -284,8 +284,8 @@ def _change_table(rows: list[list[str]], chance: Random) -> None:
     elif what == 4:
         column = chance.randrange(max(map(len, rows), default=0) + 1)
         cell = chance.choice(CELLS)
-        for each in rows[chance.randint(0, 1) :]:
-            each[column : column + 1] = [cell]
+        for changed in rows[chance.randint(0, 1) :]:
+            changed[column : column + 1] = [cell]
     elif what == 5:
         rows[0][:] = [chance.choice((*rows[0], *CELLS)) for _ in rows[0]]
     elif row:

@@ -126,7 +126,7 @@ def _bag_folder(path: Path) -> None:
 def _recovered(path: Path) -> None:
     """Check that a recovered bag holds what the recovery reported."""
     with TemporaryDirectory(dir=path.parent) as folder:
-        saved = sum(one.messages for one in recover(path, Path(folder, "saved")))
+        saved = sum(report.messages for report in recover(path, Path(folder, "saved")))
         try:
             with BagReader(Path(folder, "saved")) as reader:
                 read = sum(1 for _ in reader.log_times())

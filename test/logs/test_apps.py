@@ -120,12 +120,12 @@ def test_an_app_is_read_without_a_flag(tmp_path, name):
     voltages = [r.voltage for r in readings if isinstance(r, BatteryReading)]
     assert len(speeds) == len(currents) == SECONDS
     assert min(v for v in voltages if not math.isnan(v)) > 360
-    for (t, at, speed, *_), found in zip(moments(), speeds, strict=True):
+    for (t, at, speed, *_), reading in zip(moments(), speeds, strict=True):
         begin = 86_350 - 7 * 3600 - 8 * 60 - 9 if name.startswith("2024") else 0
-        assert found.stamp_ns / 1e9 == pytest.approx(at.timestamp() + begin, abs=1e-3), t
-        assert found.speed == pytest.approx(speed, abs=1e-3)
-    for (*_, current, _, _), found in zip(moments(), currents, strict=True):
-        assert found.current == pytest.approx(-current, abs=1e-3)
+        assert reading.stamp_ns / 1e9 == pytest.approx(at.timestamp() + begin, abs=1e-3), t
+        assert reading.speed == pytest.approx(speed, abs=1e-3)
+    for (*_, current, _, _), reading in zip(moments(), currents, strict=True):
+        assert reading.current == pytest.approx(-current, abs=1e-3)
 
 
 def test_teslamate_has_power_alone_in_kilowatts(tmp_path):
@@ -186,13 +186,13 @@ def test_signals_that_follow_each_other_are_read_together(tmp_path, kind):
     assert stamps == sorted(stamps) and not drive.dropped and not drive.in_order
     assert drive.seconds == SECONDS - 1
     for kind, place, of in (
-        (SpeedReading, 2, lambda one: 3.6 * one.speed),
-        (BatteryReading, 3, lambda one: one.voltage),
-        (BatteryReading, 4, lambda one: -one.current),
+        (SpeedReading, 2, lambda r: 3.6 * r.speed),
+        (BatteryReading, 3, lambda r: r.voltage),
+        (BatteryReading, 4, lambda r: -r.current),
     ):
-        found = [of(one) for one in readings if isinstance(one, kind)]
-        found = [value for value in found if not math.isnan(value)]
-        assert found == pytest.approx([moment[place] for moment in moments()], abs=1e-5)
+        values = [of(r) for r in readings if isinstance(r, kind)]
+        values = [value for value in values if not math.isnan(value)]
+        assert values == pytest.approx([moment[place] for moment in moments()], abs=1e-5)
 
 
 def test_tables_of_columns_and_spreadsheets(tmp_path):
@@ -319,8 +319,8 @@ def test_times_of_day_go_on_over_midnight(tmp_path):
     day = ["23:59:58,1,1", "23:59:59,1,1", "00:00:01,1,1", "00:00:02,1,1"]
     source = small(tmp_path, "time,speed_mps,power_w", *day)
     assert times(source) == [0, 1, 3, 4] and source.dated == ""
-    found = contents(tmp_path / "drive.csv")
-    assert found.dated == "" and found.columns[0].unit == "time of day"
+    described = contents(tmp_path / "drive.csv")
+    assert described.dated == "" and described.columns[0].unit == "time of day"
 
 
 def test_fahrenheit_is_not_taken_for_celsius(tmp_path):
@@ -328,8 +328,8 @@ def test_fahrenheit_is_not_taken_for_celsius(tmp_path):
     for values, celsius in (((41, 45), 5.0), ((3, 8), 3.0), ((20, 38), 20.0)):
         rows = [row.format(i, values[0] if i < 6 else values[1]) for i in range(11)]
         source = small(tmp_path, header, *rows)
-        found = [r.celsius for r in source.readings() if isinstance(r, TemperatureReading)]
-        assert found[0] == pytest.approx(celsius)
+        ambient = [r.celsius for r in source.readings() if isinstance(r, TemperatureReading)]
+        assert ambient[0] == pytest.approx(celsius)
         why = next(rule.why for rule in source.rules if rule.quantity == "ambient")
         assert "its median" in why
 
@@ -356,8 +356,8 @@ def test_real_logs_are_read_with_no_flag():
         assert "time_not_increasing" not in drive.dropped and drive.dated
         units = {rule.quantity: rule.unit for rule in drive.rules}
         assert units["speed"] in ("km/h", "0.01 km/h") and not units["current"].startswith("-")
-        found = {type(reading).__name__ for reading in readings}
-        assert {"BatteryReading", "TemperatureReading"} <= found
+        kinds = {type(reading).__name__ for reading in readings}
+        assert {"BatteryReading", "TemperatureReading"} <= kinds
         volts = [r.voltage for r in readings if isinstance(r, BatteryReading)]
         assert 340 < min(v for v in volts if not math.isnan(v)) < 440
         temperatures = [r.celsius for r in readings if isinstance(r, TemperatureReading)]
@@ -391,7 +391,7 @@ def test_a_continuation_of_leafspy_is_read_as_the_whole_log(tmp_path, name):
     header, _, below = text.partition("\n")
     (tmp_path / "whole.csv").write_text(text, "latin-1")
     (tmp_path / "continued.csv").write_text(below, "latin-1")
-    whole, continued = (open_drive(tmp_path / f"{each}.csv") for each in ("whole", "continued"))
+    whole, continued = (open_drive(tmp_path / f"{stem}.csv") for stem in ("whole", "continued"))
     assert repr(list(continued.readings())) == repr(list(whole.readings()))  # NaN is no place
     ours = layout_of(
         next(row for row in (line.split(",") for line in below.split("\n")) if row[30:])

@@ -25,15 +25,15 @@ def lines_of(car: str, trip: int, count: int = 1200) -> list[str]:
 
 
 def speeds(drive) -> list[SpeedReading]:
-    return [each for each in drive.readings() if isinstance(each, SpeedReading)]
+    return [reading for reading in drive.readings() if isinstance(reading, SpeedReading)]
 
 
 def test_one_car_of_a_fleet_is_read(tmp_path):
     table = lines_of("455", 1605) + lines_of("541", 1700, 900) + lines_of("455", 1610)
     drive = drive_of(tmp_path, HEADER, table, car="541")
-    found = speeds(drive)
-    assert len(found) == 900 and not drive.dropped
-    assert found[-1].speed == pytest.approx(speed_at(89.9), abs=1e-3)
+    readings = speeds(drive)
+    assert len(readings) == 900 and not drive.dropped
+    assert readings[-1].speed == pytest.approx(speed_at(89.9), abs=1e-3)
     assert len(speeds(drive_of(tmp_path, HEADER, table, car="455"))) == 2400
 
 
@@ -64,8 +64,8 @@ def test_a_fleet_with_one_signal_a_row_is_no_car(tmp_path):
     header = "vehicle,time,name,value"
     with pytest.raises(InputError, match="column 'vehicle' has one, two; say --car NAME"):
         drive_of(tmp_path, header, table)
-    found = speeds(drive_of(tmp_path, header, table, car="two"))
-    assert len(found) == 1200 and found[0].speed == pytest.approx(speed_at(7.0))
+    readings = speeds(drive_of(tmp_path, header, table, car="two"))
+    assert len(readings) == 1200 and readings[0].speed == pytest.approx(speed_at(7.0))
 
 
 def test_cars_are_told_apart_where_a_model_has_a_column_too(tmp_path):
@@ -93,9 +93,9 @@ def test_a_measured_value_is_no_car(tmp_path, name):
 def test_drives_whose_clock_begins_anew_follow_each_other(tmp_path):
     table = lines_of("455", 1605) + lines_of("455", 1610, 900) + lines_of("455", 1611)
     drive = drive_of(tmp_path, HEADER, table)
-    found = speeds(drive)
-    assert len(found) == 3300 and not drive.dropped
-    steps = np.diff([each.stamp_ns for each in found])
+    readings = speeds(drive)
+    assert len(readings) == 3300 and not drive.dropped
+    steps = np.diff([reading.stamp_ns for reading in readings])
     assert np.flatnonzero(steps > NANOSECONDS).tolist() == [1199, 2099]
     assert set(steps[[1199, 2099]].tolist()) == {PAUSE_NS}
     assert drive.seconds == pytest.approx(119.9 + 89.9 + 119.9 + 7200.0)
@@ -113,9 +113,9 @@ def in_blocks(begin: float) -> list[str]:
 def test_columns_that_follow_each_other_are_no_drives(tmp_path, begins):
     table = [line for begin in begins for line in in_blocks(begin)]
     drive = drive_of(tmp_path, "time,speed [m/s],pack volts,pack amps", table)
-    found = speeds(drive)
-    assert len(found) == 1200 * len(begins) and not drive.dropped and not drive.in_order
-    seconds = (found[-1].stamp_ns - found[0].stamp_ns) / NANOSECONDS
+    readings = speeds(drive)
+    assert len(readings) == 1200 * len(begins) and not drive.dropped and not drive.in_order
+    seconds = (readings[-1].stamp_ns - readings[0].stamp_ns) / NANOSECONDS
     assert seconds == pytest.approx(begins[-1] - begins[0] + 119.9)
     assert "anew" not in drive.clock.why
 
@@ -125,7 +125,9 @@ def test_a_sign_is_told_by_signals_that_stand_far_down(tmp_path, monkeypatch):
     signals = {"speed [m/s]": 1, "pack volts": 2, "pack amps": 3}
     moments = [(t, v, u, -i) for t, v, u, i in rows()]
     table = [
-        f"{each[0]:.1f},{name},{each[at]}" for name, at in signals.items() for each in moments
+        f"{moment[0]:.1f},{name},{moment[at]}"
+        for name, at in signals.items()
+        for moment in moments
     ]
     current = drive_of(tmp_path, "time,name,value", table).rules[-1]
     assert current.quantity == "current" and "negative while it discharges" in current.why
@@ -136,9 +138,9 @@ def test_a_wrong_time_is_no_new_drive(tmp_path):
     table[600] = table[600].replace(",60000,", ",9960000,")
     table[900] = table[900].replace(",90000,", ",0,")
     drive = drive_of(tmp_path, HEADER, table)
-    found = speeds(drive)
-    assert len(found) == 1198 and drive.dropped == {"time_not_increasing": 2}
-    assert found[-1].stamp_ns - found[0].stamp_ns == 119_900_000_000
+    readings = speeds(drive)
+    assert len(readings) == 1198 and drive.dropped == {"time_not_increasing": 2}
+    assert readings[-1].stamp_ns - readings[0].stamp_ns == 119_900_000_000
 
 
 def test_one_car_of_a_bag_is_read(tmp_path):
@@ -149,5 +151,5 @@ def test_one_car_of_a_bag_is_read(tmp_path):
     with pytest.raises(InputError, match="topics of 2 cars, /fleet/two, /one; say --car NAME"):
         open_source(tmp_path / "bag", vehicle)
     for name in ("fleet/two", "/fleet/two"):
-        found = speeds(open_source(tmp_path / "bag", vehicle, ReadOptions(car=name)))
-        assert [each.speed for each in found] == [2.0]
+        readings = speeds(open_source(tmp_path / "bag", vehicle, ReadOptions(car=name)))
+        assert [reading.speed for reading in readings] == [2.0]

@@ -71,8 +71,8 @@ def test_a_day_in_the_files_name_is_that_of_its_times_of_day(tmp_path, name, day
     path.write_text("\n".join(["time,speed [m/s],pack volts,pack amps", *lines]))
     drive = open_drive(path, NOMINAL)
     first = next(iter(drive.readings())).stamp_ns
-    found = str(np.datetime64(first, "ns").astype("datetime64[D]"))
-    assert (found if drive.dated == "name" else "") == day
+    date = str(np.datetime64(first, "ns").astype("datetime64[D]"))
+    assert (date if drive.dated == "name" else "") == day
 
 
 LANGUAGES = {
@@ -95,7 +95,11 @@ LANGUAGES = {
 
 @pytest.mark.parametrize(
     ("language", "encoding"),
-    [*((each, "utf-8") for each in LANGUAGES), ("chinese", "gb18030"), ("french", "cp1252")],
+    [
+        *((language, "utf-8") for language in LANGUAGES),
+        ("chinese", "gb18030"),
+        ("french", "cp1252"),
+    ],
 )
 def test_names_in_the_owners_language(tmp_path, language, encoding):
     lines = (f"{t:.1f},{3.6 * v:.3f},{u},{i:.3f},20.5,80" for t, v, u, i in rows())
@@ -208,8 +212,8 @@ def test_times_since_1970_by_their_size(tmp_path, factor, unit):
 def test_battery_before_motor_and_the_12_volt_net():
     header = ["t", "speed", "Motor Power [W]", "12V voltage", "Battery Voltage", "motor current"]
     header += ["battery current", "max battery current"]
-    found = {column.quantity: column.name for column in columns_by_name(header, [])}
-    assert found == {
+    columns = {column.quantity: column.name for column in columns_by_name(header, [])}
+    assert columns == {
         "time": "t",
         "speed": "speed",
         "voltage": "Battery Voltage",

@@ -28,21 +28,21 @@ def drive(speed_times, battery_times, speed=10.0):
     return [reading for _, reading in sorted(stamped, key=lambda pair: pair[0])]
 
 
-def seconds(found):
-    return [((a - START) / 1e9, (b - START) / 1e9) for a, b in found.spans]
+def seconds(coverage):
+    return [((a - START) / 1e9, (b - START) / 1e9) for a, b in coverage.spans]
 
 
 def test_spans_need_speed_and_battery_without_long_gaps():
     tenths = [0.1 * i for i in range(1000)]
     speeds = [t for t in tenths if not 20 < t < 25]
     batteries = [t for t in tenths if t < 60]
-    found = data_coverage(drive(speeds, batteries))
-    assert seconds(found) == [(0.0, 20.0), pytest.approx((25.0, 59.9))]
-    assert found.moving == pytest.approx(54.9) and found.voltage == 400.0
-    assert found.flows["speed"].gaps == 1
-    assert found.flows["speed"].longest_gap == pytest.approx(5.0)
-    assert found.distance == pytest.approx(949.0)
-    assert "55 s can be used" in found.verdict
+    coverage = data_coverage(drive(speeds, batteries))
+    assert seconds(coverage) == [(0.0, 20.0), pytest.approx((25.0, 59.9))]
+    assert coverage.moving == pytest.approx(54.9) and coverage.voltage == 400.0
+    assert coverage.flows["speed"].gaps == 1
+    assert coverage.flows["speed"].longest_gap == pytest.approx(5.0)
+    assert coverage.distance == pytest.approx(949.0)
+    assert "55 s can be used" in coverage.verdict
 
 
 VERDICTS = [
@@ -80,17 +80,17 @@ def test_voltage_and_current_have_stamps_of_their_own():
     ]
     late = [t + 0.8 for t in steps if not 100 < t < 150]
     polled += [(t, BatteryReading(START + int(t * 1e9), math.nan, -20.0, 0.5)) for t in late]
-    found = data_coverage(reading for _, reading in sorted(polled, key=lambda pair: pair[0]))
-    assert [flow.count for flow in found.flows.values()] == [200, 200, len(late), len(late)]
-    assert len(found.spans) == 2 and found.seconds == pytest.approx(238 - 50, abs=3)
-    assert found.charge == (0.5, 0.5)
+    coverage = data_coverage(reading for _, reading in sorted(polled, key=lambda pair: pair[0]))
+    assert [flow.count for flow in coverage.flows.values()] == [200, 200, len(late), len(late)]
+    assert len(coverage.spans) == 2 and coverage.seconds == pytest.approx(238 - 50, abs=3)
+    assert coverage.charge == (0.5, 0.5)
 
 
 def test_a_signal_every_five_seconds_is_bridged_over_its_own_steps():
     times = [5.0 * i for i in range(100) if i not in (40, 41) and not 60 <= i < 70]
-    found = data_coverage(drive(times, times))
-    assert seconds(found) == [(0.0, 295.0), (350.0, 495.0)]
-    assert found.distance == pytest.approx(10 * (295 + 145))
+    coverage = data_coverage(drive(times, times))
+    assert seconds(coverage) == [(0.0, 295.0), (350.0, 495.0)]
+    assert coverage.distance == pytest.approx(10 * (295 + 145))
 
 
 def test_a_part_of_a_drive():
@@ -113,9 +113,9 @@ def test_a_bag_of_nothing_of_ours(tmp_path):
     with BagWriter(tmp_path / "bag") as writer:
         for i in range(3):
             writer.write_raw("/odd", "std_msgs/msg/String", b"not even CDR", START + i)
-    found = contents(tmp_path / "bag")
-    assert [(topic.name, topic.flow.count) for topic in found.topics] == [("/odd", 3)]
-    assert found.drive is None and "none of the topics" in found.notes[0]
+    described = contents(tmp_path / "bag")
+    assert [(topic.name, topic.flow.count) for topic in described.topics] == [("/odd", 3)]
+    assert described.drive is None and "none of the topics" in described.notes[0]
 
 
 @pytest.mark.slow
@@ -129,6 +129,6 @@ def test_a_can_log_and_a_bag_of_its_frames(tmp_path):
                 data = encode_frame(frame)
                 writer.write_raw(f"/ev/{FRAMES_TOPIC}", FRAME_TYPE, data, frame.stamp_ns)
     for path in (log, tmp_path / "bag"):
-        found = contents(path)
-        assert (found.profile, found.vehicles) == ("nissan_leaf", ("nissan_leaf",))
-        assert found.drive.seconds == pytest.approx(19, abs=0.5)
+        described = contents(path)
+        assert (described.profile, described.vehicles) == ("nissan_leaf", ("nissan_leaf",))
+        assert described.drive.seconds == pytest.approx(19, abs=0.5)

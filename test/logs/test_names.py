@@ -54,7 +54,7 @@ def write(path: Path) -> None:
 def test_a_folder_of_drives_is_its_files_in_order_and_a_bag_is_itself(tmp_path):
     for name in ("b.csv", "a.csv.gz", "c.log", "notes.md", "i3.json"):
         (tmp_path / name).write_text("t_s,speed_mps,power_w\n0,1,2\n")
-    assert [each.name for each in files_of(tmp_path)] == ["a.csv.gz", "b.csv", "c.log"]
+    assert [path.name for path in files_of(tmp_path)] == ["a.csv.gz", "b.csv", "c.log"]
     assert files_of(tmp_path / "b.csv") == [tmp_path / "b.csv"]
     (tmp_path / "metadata.yaml").write_text("")
     assert files_of(tmp_path) == [tmp_path]

@@ -55,8 +55,8 @@ def batteries(drive: TableDrive) -> list[tuple[float, float]]:
 def test_a_state_of_charge_that_is_none_is_left_out(tmp_path):
     lines = [f"{i},1,400,50,{percent}" for i, percent in enumerate((100, 0, "NaN", 101, -1, "?!"))]
     drive = drive_of(tmp_path, "\n".join(["t_s,speed_mps,voltage_v,current_a,soc_pct", *lines]))
-    found = [r.state_of_charge for r in drive.readings() if isinstance(r, BatteryReading)]
-    assert found[:2] == [1.0, 0.0] and len(found) == 6 and all(map(math.isnan, found[2:]))
+    charges = [r.state_of_charge for r in drive.readings() if isinstance(r, BatteryReading)]
+    assert charges[:2] == [1.0, 0.0] and len(charges) == 6 and all(map(math.isnan, charges[2:]))
     assert drive.dropped == {"soc_pct_out_of_range": 2, "soc_pct_not_a_number": 1}
 
 
@@ -77,8 +77,8 @@ def test_each_row_takes_what_it_has(tmp_path):
         "5,1,0,0,\n"  # a sensor that is off
         "6,1,,,\n",
     )
-    found = [(400.0, -50.0), (350.0, -20.0), (400.0, -20.0), (400.0, math.nan), (math.nan, -50.0)]
-    assert list(map(repr, batteries(drive))) == list(map(repr, found))
+    pairs = [(400.0, -50.0), (350.0, -20.0), (400.0, -20.0), (400.0, math.nan), (math.nan, -50.0)]
+    assert list(map(repr, batteries(drive))) == list(map(repr, pairs))
     assert drive.dropped == {"voltage_not_positive": 1} and (drive.rows, drive.used) == (7, 7)
 
 
@@ -141,8 +141,8 @@ def test_rows_that_are_late_are_put_in_order_and_one_in_the_future_costs_no_othe
     stamps = [0, 1, 3, 2, 4, 9_999_999, 5, 6, 8, 7, 9]
     rows = "".join(f"{stamp},1,1\n" for stamp in stamps)
     drive = drive_of(tmp_path, "t_s,speed_mps,power_w\n" + rows)
-    found = [r.stamp_ns - START for r in drive.readings() if isinstance(r, SpeedReading)]
-    assert found == [1_000_000_000 * t for t in range(10)]
+    kept = [r.stamp_ns - START for r in drive.readings() if isinstance(r, SpeedReading)]
+    assert kept == [1_000_000_000 * t for t in range(10)]
     assert drive.dropped == {"time_not_increasing": 1}
 
 

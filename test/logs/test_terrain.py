@@ -52,7 +52,7 @@ def test_where_no_tile_has_a_height_there_is_none(tiles):
 def heights_of_a_log(folder, rows, terrain, header="t_s,speed_mps,power_w,latitude,longitude"):
     (folder / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
     log = open_drive(folder / "drive.csv", options=ReadOptions(terrain=terrain))
-    return [each.altitude for each in log.readings() if isinstance(each, AltitudeReading)]
+    return [r.altitude for r in log.readings() if isinstance(r, AltitudeReading)]
 
 
 def test_a_log_with_places_alone_gets_heights(tmp_path, tiles):
@@ -84,7 +84,7 @@ def test_recorded_altitudes_give_way_to_the_ground(tiles):
     reading = AltitudeReading(1, 5.0, 48.5, 11.5)
     beyond = AltitudeReading(2, 5.0, 50.5, 11.5)
     over = Terrain(tiles).over(Block.of([reading, beyond]))
-    assert [each.altitude for each in over.readings()] == [pytest.approx(700.0, abs=1.0), 5.0]
+    assert [r.altitude for r in over.readings()] == [pytest.approx(700.0, abs=1.0), 5.0]
 
 
 def test_folders_without_tiles_and_broken_tiles_are_refused(tmp_path):

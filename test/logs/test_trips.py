@@ -34,7 +34,7 @@ def test_trips_end_where_the_car_charges_and_where_the_log_pauses(day: Path) -> 
     assert charged == pytest.approx(3600 * 3500.0, rel=0.01)
     for trip in trips:
         speeds = [r for r in trip.readings() if isinstance(r, SpeedReading)]
-        assert sum(one.speed > 0 for one in speeds) == 300
+        assert sum(reading.speed > 0 for reading in speeds) == 300
         assert len(speeds) < 370  # half a minute of standing at either end
 
 

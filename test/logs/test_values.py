@@ -64,15 +64,15 @@ def write_log(path, *, held: bool):
 
 
 def test_a_speed_that_was_filled_forward_is_taken_once(tmp_path):
-    found = []
+    signals = []
     for held in (True, False):
         drive = open_drive(write_log(tmp_path / f"{held}.csv", held=held))
         readings = list(drive.readings())
         speeds = [(r.stamp_ns, r.speed) for r in readings if isinstance(r, SpeedReading)]
         amps = [r.current for r in readings if isinstance(r, BatteryReading)]
-        found.append((speeds, [each for each in amps if each == each]))
+        signals.append((speeds, [current for current in amps if current == current]))
         assert ("repeat the last value" in " ".join(drive.notes)) == held
-    assert found[0] == found[1] and len(found[0][0]) == 600
+    assert signals[0] == signals[1] and len(signals[0][0]) == 600
 
 
 @pytest.mark.parametrize("step", [0.1, 1.0])

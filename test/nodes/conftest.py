@@ -93,7 +93,9 @@ class Bench:
         node = make(namespace=NAMESPACE, parameter_overrides=overrides(values))
         self.nodes.append(node)
         named = {subscription.topic_name: subscription for subscription in node.subscriptions}
-        self._inputs[node] = {name: each for name, each in named.items() if topic_of(name)}
+        self._inputs[node] = {
+            name: subscription for name, subscription in named.items() if topic_of(name)
+        }
         self.executor.add_node(node)
         return node
 
@@ -210,14 +212,18 @@ class Bench:
 
     def _take(self, *nodes: Any) -> bool:
         """Take all that has come: an executor makes its wait set anew for each message."""
-        found = False
+        taken_any = False
         for node in nodes:
             bench = node is self.node
-            for each in node.subscriptions if bench else self._inputs[node].values():
-                while (taken := each.handle.take_message(each.msg_type, each.raw)) is not None:
-                    found = True
-                    each.callback(*(taken[:1] if bench else taken))
-        return found
+            for subscription in node.subscriptions if bench else self._inputs[node].values():
+                while (
+                    taken := subscription.handle.take_message(
+                        subscription.msg_type, subscription.raw
+                    )
+                ) is not None:
+                    taken_any = True
+                    subscription.callback(*(taken[:1] if bench else taken))
+        return taken_any
 
     def settle(self) -> None:
         """Let every listener hear all that the nodes under test have published."""

@@ -45,8 +45,8 @@ def test_can_frames(bench):
         sent.append(time.time_ns())
         battery = encoder.battery(BatteryReading(sent[-1], 350.0 + count % 5, -count % 50))
         speed = encoder.speed(SpeedReading(sent[-1], count % 20 / 10))
-        for each in (battery, speed):
-            bench.post(node, bus, frame(each))
+        for encoded in (battery, speed):
+            bench.post(node, bus, frame(encoded))
     bench.post(node, bus, frame(speed, is_error=True))
     bench.post(node, bus, frame(speed, is_rtr=True))
     level, text, values = bench.diagnosis(node)["bus"]
@@ -108,8 +108,8 @@ def plans(bench):
         bench.pump(lambda n=number: len(bench.heard[topics.FORECAST_STATUS]) == n)
     with_times, without, stops = bench.heard[topics.FORECAST]
     assert with_times.header.frame_id == "map" and with_times.header.stamp.sec == START // 10**9
-    for one, other in zip(with_times.points, without.points, strict=True):
-        assert abs(one.positions[0] - other.positions[0]) <= 1e-3 * abs(one.positions[0]) + 1.0
+    for point, other in zip(with_times.points, without.points, strict=True):
+        assert abs(point.positions[0] - other.positions[0]) <= 1e-3 * abs(point.positions[0]) + 1.0
     assert len(stops.points) == 33  # it ends where it stops
     refused = bench.heard[topics.FORECAST_STATUS][-1].status[0]
     assert "it stands, and has no times" in refused.message

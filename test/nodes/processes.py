@@ -54,10 +54,10 @@ def stopped(process: subprocess.Popen[str], by: signal.Signals = signal.SIGINT) 
 def await_line(process: subprocess.Popen[str], pattern: str) -> str:
     """Read stderr up to a line with this pattern; gives what fits."""
     said: list[str] = []
-    while not (found := re.search(pattern, said[-1] if said else "")):
+    while not (matched := re.search(pattern, said[-1] if said else "")):
         said.append(process.stderr.readline())
         assert said[-1], "".join(said)
-    return found[0]
+    return matched[0]
 
 
 def node(name: str, *deep: Topic, **parameters: object) -> tuple[str, ...]:

@@ -15,8 +15,8 @@ def info(number, publisher=b"a"):
 def test_a_gap_in_the_numbers_of_a_publisher_is_what_was_lost():
     for name in (b"a", None):  # None as in Jazzy
         numbers = MessageNumbers()
-        found = [numbers.record("speed", info(n, name), 0.0).lost for n in (301, 302, 305, 306)]
-        assert found == [0, 0, 2, 0]
+        lost = [numbers.record("speed", info(n, name), 0.0).lost for n in (301, 302, 305, 306)]
+        assert lost == [0, 0, 2, 0]
         assert numbers.record("battery", info(900, name), 0.0).lost == 0
         assert numbers.record("speed", info(1, name and b"b"), 0.0).lost == 0
 
@@ -47,9 +47,9 @@ def test_two_publishers_are_told_from_one_that_was_started_anew(names):
     anew = recorded((0, 301), (0, 302), (1, 1), (1, 2), (1, 3))
     assert set(anew) == {(0, False)}
     two = recorded((0, 301), (1, 1), (0, 302), (1, 2), (0, 303))
-    assert [each.by_turns for each in two] == [False, False, False, True, False]
+    assert [arrival.by_turns for arrival in two] == [False, False, False, True, False]
     assert recorded((0, 7), (1, 7), (0, 8), (1, 8))[-1].by_turns  # both began at once
-    assert {each.lost for each in two} == {0}
+    assert {arrival.lost for arrival in two} == {0}
 
 
 def watch(*moments):

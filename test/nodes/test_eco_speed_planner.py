@@ -104,7 +104,7 @@ def test_without_an_energy_node_it_says_so_and_goes_on(bench, start, capfd):
     assert "no energy node listens to /ev/plan/speed_profile" in shown.err
     assert shown.out.count("no answer") >= len(planner.candidates)
     in_time = [candidate for candidate in planner.candidates if candidate.arrival <= 720.0]
-    assert chosen[0].header.frame_id == max(in_time, key=lambda each: each.arrival).name
+    assert chosen[0].header.frame_id == max(in_time, key=lambda answer: answer.arrival).name
     start_energy(bench)
     planner._timeout.timer_period_ns = int(HANG_S * NANOSECONDS)
     bench.pump(lambda: answered(planner))

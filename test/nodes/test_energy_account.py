@@ -58,7 +58,7 @@ def test_a_planner_hears_consistent_totals_across_a_restart(bench, tmp_path):
     bench.pump(lambda: len(before) == heard + second.published[topics.ENERGY_TOTALS])
     bench.pump(lambda: after and after[-1] == before[-1])
     assert before[-len(after) :] == after
-    net = [values(each)["net"] for each in before]
+    net = [values(message)["net"] for message in before]
     steps = [b - a for a, b in pairwise(net)]
     assert min(steps) >= 0.0 and max(steps) <= 2 * POWER
     # 59 s and 54 s of driving; the five seconds between nobody heard.

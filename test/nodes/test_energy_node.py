@@ -257,9 +257,9 @@ def test_plans_asked_together_are_compared(bench):
 
 
 def conditions(**given: float):
-    found = named_vector(new_message, NOW, [*given], [0.0] * len(given), [])
-    found.position = [*given.values()]  # NaN is for heating that is not known
-    return found
+    message = named_vector(new_message, NOW, [*given], [0.0] * len(given), [])
+    message.position = [*given.values()]  # NaN is for heating that is not known
+    return message
 
 
 def test_plans_after_it_take_the_conditions(bench):

@@ -89,7 +89,7 @@ class Client:
                 self.info = said
                 self.sessions.append(said["sessionId"])
             elif said["op"] == "advertise":
-                self.channels |= {each["topic"]: each for each in said["channels"]}
+                self.channels |= {channel["topic"]: channel for channel in said["channels"]}
         elif frame[0] == MESSAGE:
             subscription, time_ns = struct.unpack_from("<IQ", frame, 1)
             return Received(self._subscribed[subscription], time_ns, frame[13:])
@@ -156,11 +156,11 @@ def test_live_topics_come_as_they_are_published(bench, urban):
         app.subscribe("/ev/vehicle/speed", "/diagnostics")
         assert {t.under() for t in installed(topics.TOPICS)} <= app.channels.keys()
         bench.pump(lambda: bench.diagnosis(node)["server"][2]["watched"] == "True")
-        _, sent, message = next(each for each in urban(1.0) if each[0] == topics.SPEED)
+        _, sent, message = next(sample for sample in urban(1.0) if sample[0] == topics.SPEED)
         bench.deliver(node, topics.SPEED, message)
-        found = next(m for m in app.messages() if m.topic == "/ev/vehicle/speed")
-    assert decode(topics.SPEED_TYPE, found.data).twist.twist.linear == sent.twist.twist.linear
-    assert found.time_ns == pytest.approx(node.now_ns(), abs=60 * SECOND)
+        received = next(m for m in app.messages() if m.topic == "/ev/vehicle/speed")
+    assert decode(topics.SPEED_TYPE, received.data).twist.twist.linear == sent.twist.twist.linear
+    assert received.time_ns == pytest.approx(node.now_ns(), abs=60 * SECOND)
 
 
 def test_run_serves_what_its_nodes_say():

@@ -73,7 +73,7 @@ def test_of_a_bag_in_a_loop_too(bench, urban, policy):
     turns = [*once[:100], once[200], *once[100:], *once[:90], once[-1], *once[90:200]]
     core = equal(bench, turns, policy)
     assert core.account.trip.total.distance > 0.0
-    newest = max(stamp_of(each) for each in once[:200])
+    newest = max(stamp_of(message) for message in once[:200])
     at_the_end = core.estimator.status().newest_ns > newest + NANOSECONDS
     assert at_the_end == (policy is JumpPolicy.IGNORE)
 
@@ -102,13 +102,13 @@ def equal(bench, drive, policy):
     for topic in HEARD:
         heard, told = bench.heard[topic], expected[topic]
         assert len(heard) == len(told) > 0, topic.name
-        for one, other in zip(heard, told, strict=True):
+        for message, same in zip(heard, told, strict=True):
             # Two predictions of one reading are counted together by the cores.
-            for part, expected_part in zip(parts(one), parts(other), strict=True):
+            for part, expected_part in zip(parts(message), parts(same), strict=True):
                 if isinstance(part, float):
                     expected_part = pytest.approx(expected_part, rel=1e-9, nan_ok=True)
                 assert part == expected_part, topic.name
-    state, same = (each.account.state for each in (energy, core))
+    state, same = (counted.account.state for counted in (energy, core))
     assert state.consumed == pytest.approx(same.consumed, rel=1e-9)
     assert state.rknn.energy == pytest.approx(same.rknn.energy, rel=1e-9)
     return core

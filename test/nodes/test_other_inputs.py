@@ -119,8 +119,8 @@ def powers(folder, *options):
     assert ended.returncode == 0, ended.stderr
     assert ("frame 'camera_imu' is not base_link" in ended.stdout) == (not options)
     with BagReader(out) as bag:
-        found = bag.records(["/ev/power/predicted"])
-        return [read_named_vector(record.message).values["power"] for record in found]
+        records = bag.records(["/ev/power/predicted"])
+        return [read_named_vector(record.message).values["power"] for record in records]
 
 
 def test_a_bag_with_odometry_alone_has_a_speed(tmp_path):
@@ -154,7 +154,7 @@ def test_a_recorded_bag_of_autoware_replays_with_its_speed(tmp_path, beside):
             if beside:
                 bag.write("/odom", odometry(tenth, 7.0, bag_message), stamp(tenth))
     with BagReader(tmp_path / "drive") as bag:
-        found = [r.speed for r in BagReadings(bag) if isinstance(r, SpeedReading)]
-    assert found == 300 * [7.0 if beside else 8.0]
+        speeds = [r.speed for r in BagReadings(bag) if isinstance(r, SpeedReading)]
+    assert speeds == 300 * [7.0 if beside else 8.0]
     car = ev.replay(tmp_path / "drive", vehicle=VEHICLE)
-    assert car.metrics["breakdown"]["distance_m"] == pytest.approx(30 * found[0], rel=0.4)
+    assert car.metrics["breakdown"]["distance_m"] == pytest.approx(30 * speeds[0], rel=0.4)

@@ -201,7 +201,9 @@ def test_a_bag_through_three_processes_gives_the_numbers_of_the_cores(bench, urb
     # What came before the nodes had found each other is lost: compared is what they counted since.
     names = ("measured", "predicted", "rknn")
     counted = {stamp_ns(m): energies(m) for m in heard[topics.ENERGY_STATE]}
-    complete = [at for at, each in counted.items() if {*names} <= each.keys() and each["measured"]]
+    complete = [
+        at for at, counts in counted.items() if {*names} <= counts.keys() and counts["measured"]
+    ]
     _, _, begin_ns, *_, end_ns = [at for at in complete if at in states]  # two begin the count
     begin, end = counted[begin_ns], counted[end_ns]
     for name in names:

@@ -34,25 +34,25 @@ def allowed(name):
     assert enclave.get("path") == f"{NAMESPACE}/{name}"
     (profile,) = enclave.findall("profiles/profile")
     assert (profile.get("ns"), profile.get("node")) == (NAMESPACE, name)
-    found: dict[str, set[str]] = {kind: set() for kind in ATTRIBUTES}
+    names: dict[str, set[str]] = {kind: set() for kind in ATTRIBUTES}
     for rule in profile:
         assert (
             rule.attrib and {*rule.attrib} <= ATTRIBUTES and {*rule.attrib.values()} == {"ALLOW"}
         )
         for kind in rule.attrib:
-            found[kind] |= {full_name(entry.text, name) for entry in rule}
-    return found
+            names[kind] |= {full_name(entry.text, name) for entry in rule}
+    return names
 
 
 def without_messages(name):
     """Topics of the nodes where no messages of other packages are installed."""
-    beside = {f"{NAMESPACE}/{each}" for each in OPTIONAL.get(name, ())}
+    beside = {f"{NAMESPACE}/{topic}" for topic in OPTIONAL.get(name, ())}
     typed = f"{NAMESPACE}/{topics.TYPED}/"
-    found = {
-        kind: {each for each in names - beside if not each.startswith(typed)}
+    by_kind = {
+        kind: {topic for topic in names - beside if not topic.startswith(typed)}
         for kind, names in allowed(name).items()
     }
-    return {**found, "execute": set()}
+    return {**by_kind, "execute": set()}
 
 
 def full_name(text, node):
@@ -90,9 +90,9 @@ def test_a_policy_allows_what_the_node_has_and_nothing_else(bench, name):
 
 def test_the_typed_interface_and_the_messages_of_others_are_allowed():
     node, energy = allowed("estimator"), allowed("energy")
-    typed = {f"{NAMESPACE}/{each.name}" for each in (*TYPED.values(), TYPED_FORECAST)}
+    typed = {f"{NAMESPACE}/{entry.name}" for entry in (*TYPED.values(), TYPED_FORECAST)}
     published = node["publish"] | energy["publish"]
-    assert {each for each in published if f"/{topics.TYPED}/" in each} == typed
+    assert {topic for topic in published if f"/{topics.TYPED}/" in topic} == typed
     for topic in (topics.VELOCITY_REPORT, topics.TRAJECTORY):
         assert f"{NAMESPACE}/{topic.name}" in energy["subscribe"]
     assert f"{NAMESPACE}/{topics.VELOCITY_REPORT.name}" in node["subscribe"]

@@ -48,8 +48,8 @@ def test_a_robot_is_learned_in_watts_and_its_path_costs_what_it_should(bench):
     answer = bench.heard[topics.FORECAST][-1].points[-1]
     seconds = answer.time_from_start.sec + 1e-9 * answer.time_from_start.nanosec
     assert seconds == pytest.approx(101.0, abs=0.1)  # at the 1 m/s of the vehicle file
-    found, sigma = answer.positions[0], answer.effort[0]
-    assert load * seconds < found < 3.0 * load * seconds and 0.0 < sigma < 0.5 * found
+    forecast, sigma = answer.positions[0], answer.effort[0]
+    assert load * seconds < forecast < 3.0 * load * seconds and 0.0 < sigma < 0.5 * forecast
 
 
 def test_the_example_publishes_what_the_nodes_take(bench):

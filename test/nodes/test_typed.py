@@ -46,7 +46,7 @@ def test_a_message_file_has_the_quantities_of_its_vector(name, quantities):
 
 
 def test_every_typed_topic_has_its_message_file():
-    assert {each.type_name.rpartition("/")[2] for each in TYPED.values()} == {*QUANTITIES}
+    assert {topic.type_name.rpartition("/")[2] for topic in TYPED.values()} == {*QUANTITIES}
 
 
 def test_conditions_are_those_of_the_named_vector():

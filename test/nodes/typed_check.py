@@ -35,8 +35,8 @@ NOT_YET = {topics.ENERGY_RANGE}  # not known without a state of charge
 PAIRS = {**TYPED, topics.FORECAST: TYPED_FORECAST}
 
 
-def same(one, other):
-    return one == other or (math.isnan(one) and math.isnan(other))
+def same(value, expected):
+    return value == expected or (math.isnan(value) and math.isnan(expected))
 
 
 def compare(topic, standard, typed):
@@ -87,7 +87,7 @@ def conditions(bench, node):
     name, given = "/ev/energy/estimate_plan", {"temperature": -10.0, "payload": 200.0}
 
     def ask(**typed):
-        asked = PlanConditions(**{each: [value] for each, value in typed.items()})
+        asked = PlanConditions(**{field: [value] for field, value in typed.items()})
         return bench.call(EstimatePlan, name, plans=[plan("cold", 10.0)], conditions=asked)
 
     def tell(**vector):
@@ -211,13 +211,13 @@ def batches(bench, node):
         assert not whole.done()
         go_on.set()
         bench.pump(whole.done)
-    found = whole.result()
-    assert found.status == GoalStatus.STATUS_SUCCEEDED and len(found.result.results) == 30
-    energies = {result.energy for result in found.result.results}
+    response = whole.result()
+    assert response.status == GoalStatus.STATUS_SUCCEEDED and len(response.result.results) == 30
+    energies = {result.energy for result in response.result.results}
     assert len(energies) == 1 and energies == {single.result().results[0].energy}
-    assert found.result.results[29].more[3] == 0.0 and found.result.basis == "estimate/model"
+    assert response.result.results[29].more[3] == 0.0 and response.result.basis == "estimate/model"
     bench.pump(lambda: len(told) == 30)
-    assert [each.done for each in told] == [*range(1, 31)]
+    assert [feedback.done for feedback in told] == [*range(1, 31)]
     assert told[4].newest.name == "4" and math.isnan(told[4].newest.more[5])
     with held_before(10) as (there, go_on):
         goal = start(asked)
@@ -248,7 +248,7 @@ def refusals(bench, node):
     with mock.patch.object(energy, "SERVICE", SERVICE._replace(points=2 * 200)):
         answer = bench.call(call, name, plans=plans)
     *answered, beyond = answer.results
-    assert "points" in beyond.refusal and not any(each.refusal for each in answered)
+    assert "points" in beyond.refusal and not any(plan_answer.refusal for plan_answer in answered)
     said = bench.diagnosis(node)
     assert said["plan"][0].name == "OK" and int(said["plan"][2]["refused"]) >= 2
     assert int(said["meter"][2]["calls.~/estimate_plan"]) >= 3
@@ -270,7 +270,9 @@ def test_typed_and_standard_topics_are_equal_and_plans_are_compared(bench, urban
         for pair in zip(heard, beside, strict=True):
             compare(topic, *pair)
     learned = (topics.MODEL, topics.IDENTIFIABLE)
-    bench.pump(lambda: all(node.received[each] == estimator.published[each] for each in learned))
+    bench.pump(
+        lambda: all(node.received[model] == estimator.published[model] for model in learned)
+    )
     bench.stop(estimator)  # else it may tell a new model between two calls that are compared
     for check in (service, conditions, batches, energy_goes_on_beside_plans, refusals):
         check(bench, node)
@@ -297,6 +299,6 @@ def test_calls_are_answered_though_nothing_else_wakes_the_node(bench):
         result = goal.result().get_result_async()
         bench.pump(result.done)
         assert [r.name for r in result.result().result.results] == [r.name for r in answer.results]
-        assert not any(each.refusal for each in result.result().result.results)
+        assert not any(r.refusal for r in result.result().result.results)
         client.destroy()
         processes.stopped(process)

@@ -67,8 +67,8 @@ def numbers(message) -> Iterator[float]:
     if isinstance(message, (int, float, np.number)):
         yield float(message)
     elif isinstance(message, (list, np.ndarray)):
-        for each in message:
-            yield from numbers(each)
+        for item in message:
+            yield from numbers(item)
 
 
 def outputs(drive: Drive) -> Record:

@@ -89,14 +89,14 @@ def numbers(value: Any) -> Iterator[float]:
 def outputs(drive: list[Reading], sizes: Iterator[int], vehicle: Any) -> list[ChainOutput]:
     """Outputs of the chain for a drive cut into blocks of these sizes."""
     chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
-    found: list[ChainOutput] = []
+    outputs_so_far: list[ChainOutput] = []
     begin = 0
     while begin < len(drive):
         end = begin + next(sizes)
-        found += chain.add_readings(drive[begin:end])
+        outputs_so_far += chain.add_readings(drive[begin:end])
         begin = end
     assert chain.estimator.status().accepted > 1
-    return found
+    return outputs_so_far
 
 
 def sizes(cut: int | None) -> Iterator[int]:

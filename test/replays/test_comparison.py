@@ -37,7 +37,7 @@ def heated(readings, watts: float):
 
 def compared(vehicle, *drives, **given) -> Comparison:
     car = CarReplay(vehicle, ReplayOptions(), keep_drives=True, **given)
-    sources = [Recorded(list(one), Path(f"drive{i}")) for i, one in enumerate(drives)]
+    sources = [Recorded(list(readings), Path(f"drive{i}")) for i, readings in enumerate(drives)]
     return compare(car, sources, progress=lambda _: nullcontext(lambda _: None))
 
 
@@ -56,8 +56,8 @@ def test_a_load_is_found_as_what_explains_the_difference(vehicle):
     readings = [reading for reading in drive.readings if isinstance(reading, known)]
     winter = compared(vehicle, readings, heated(readings, LOAD))
     (difference,) = winter.differences()
-    one = winter.parts()[0]
-    true = LOAD * one.seconds / one.distance * 1e5 / 3.6e6
+    unloaded = winter.parts()[0]
+    true = LOAD * unloaded.seconds / unloaded.distance * 1e5 / 3.6e6
     standing = difference.amounts()["standing"]
     assert abs(standing.kwh - true) < 3.0 * standing.sigma_kwh
     assert standing.sigma_kwh < 0.25 * true
@@ -100,13 +100,13 @@ def test_a_charge_on_the_way_is_no_energy_of_the_road(winter):
         speed=np.vstack([drive.speed, np.column_stack([time, 0 * time])]),
         measured=np.vstack([drive.measured, np.column_stack([time, 0 * time - 7000.0])]),
     )
-    before, after = (over_distance(each, 50).energy[-1] for each in (drive, plugged))
+    before, after = (over_distance(driven, 50).energy[-1] for driven in (drive, plugged))
     assert after == pytest.approx(before, abs=0.002)
 
 
 def test_a_drive_without_battery_is_refused_by_name(vehicle, readings):
     minute = readings[: len(readings) // 2]
-    speeds = [each for each in minute if isinstance(each, SpeedReading)]
+    speeds = [reading for reading in minute if isinstance(reading, SpeedReading)]
     with pytest.raises(InputError, match="drive1: where its energy went is unknown"):
         compared(vehicle, minute, speeds)
 
@@ -119,8 +119,8 @@ def test_parameters_of_the_nodes_hold_here_too(vehicle, readings, tmp_path):
     file.write_text("estimator: {ros__parameters: {time_jump_policy: reset}}")
     minute = readings[: len(readings) // 2]
     again = [*minute, *minute]  # starts over, which must not forget the drive before
-    one, two = compared(vehicle, minute, again, params=file).parts()
-    assert two.distance == pytest.approx(2 * one.distance, rel=0.05)
+    once, twice = compared(vehicle, minute, again, params=file).parts()
+    assert twice.distance == pytest.approx(2 * once.distance, rel=0.05)
 
 
 def test_the_page_loads_and_runs_nothing_and_escapes_names(winter, tmp_path):

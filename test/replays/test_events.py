@@ -24,8 +24,8 @@ def drive(speed=None, measured=None, detections=()) -> Drive:
     return made(speed=rows[0], measured=rows[1], start_ns=START_NS, detections=told)
 
 
-def kinds(found) -> list[tuple[float, EventKind]]:
-    return [(event.time, event.kind) for event in found]
+def kinds(events) -> list[tuple[float, EventKind]]:
+    return [(event.time, event.kind) for event in events]
 
 
 def test_gaps_are_events_at_the_ends_too():

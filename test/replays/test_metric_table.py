@@ -39,9 +39,9 @@ def test_the_table_is_what_a_replay_writes(readings, vehicle):
     chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
     options = ReplayOptions(withhold_battery_after=60.0, warm_up=10.0)
     source = Recorded(readings, short_frame=2)
-    found = replay(source, chain, options, vehicle=vehicle.key, mode="hybrid").metrics
-    found["updates"]["rejected"]["overrun"] = 1  # a computer that keeps up rejects nothing
-    assert set(keys(found)) == {metric.key for metric in METRICS}
+    metrics = replay(source, chain, options, vehicle=vehicle.key, mode="hybrid").metrics
+    metrics["updates"]["rejected"]["overrun"] = 1  # a computer that keeps up rejects nothing
+    assert set(keys(metrics)) == {metric.key for metric in METRICS}
 
 
 def test_every_key_is_told_once_and_has_a_meaning():

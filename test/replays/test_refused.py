@@ -128,10 +128,10 @@ def test_the_account_counts_what_the_page_says(vehicle, readings):
         for reading in readings
         if not 40.0 < (reading.stamp_ns - readings[0].stamp_ns) / NANOSECONDS < 50.0
     ]
-    batteries = [i for i, each in enumerate(spoilt) if isinstance(each, BatteryReading)]
+    batteries = [i for i, reading in enumerate(spoilt) if isinstance(reading, BatteryReading)]
     for index in batteries[100::150]:
         spoilt[index] = replace(spoilt[index], voltage=6553.5)
-    speeds = [i for i, each in enumerate(spoilt) if isinstance(each, SpeedReading)]
+    speeds = [i for i, reading in enumerate(spoilt) if isinstance(reading, SpeedReading)]
     for index in speeds[50::170]:
         spoilt[index] = replace(spoilt[index], speed=6553.5 / 3.6)
     chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))

@@ -68,15 +68,15 @@ def once(readings, vehicle, tmp_path_factory):
 
 
 def test_same_readings_give_the_same_bytes(readings, vehicle, tmp_path):
-    digests, found = [], []
+    digests, metrics = [], []
     for name in ("first", "second"):
         with BagWriter(tmp_path / name / "bag") as writer:
             result = run(readings[:1200], vehicle, tmp_path, writer=writer)
-        found.append(without_timing(result.metrics))
+        metrics.append(without_timing(result.metrics))
         (bag,) = (tmp_path / name / "bag").glob("*.mcap")
         digests.append(hashlib.sha256(bag.read_bytes()).hexdigest())
     assert digests[0] == digests[1]
-    assert found[0] == found[1]
+    assert metrics[0] == metrics[1]
 
 
 def test_a_drive_that_starts_over_is_reset_where_the_policy_says_so(once, vehicle, tmp_path):
@@ -85,12 +85,12 @@ def test_a_drive_that_starts_over_is_reset_where_the_policy_says_so(once, vehicl
     used = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter), rule)
     with BagWriter(folder) as writer:
         looped = run([*once, *once], vehicle, tmp_path, writer=writer, used=used)
-    both, one = looped.drive, single.drive
+    both, turn = looped.drive, single.drive
     half = len(both.smoothed.time) // 2
-    for column, alone in zip(both.smoothed[1:3], one.smoothed[1:3], strict=True):
+    for column, alone in zip(both.smoothed[1:3], turn.smoothed[1:3], strict=True):
         assert np.array_equal(column[:half], alone) and np.array_equal(column[half:], alone)
-    np.testing.assert_allclose(both.energy[len(one.energy) :, 1:], one.energy[:, 1:], rtol=1e-9)
-    for name in one.parameters:
+    np.testing.assert_allclose(both.energy[len(turn.energy) :, 1:], turn.energy[:, 1:], rtol=1e-9)
+    for name in turn.parameters:
         assert looped.metrics["parameters"][name] == single.metrics["parameters"][name]
     assert (np.diff(both.speed[:, 0]) > 0).all() and (np.diff(both.energy[:, 0]) >= 0).all()
     assert looped.metrics["energy"]["measured_j"] == pytest.approx(
@@ -113,7 +113,7 @@ def test_to_hold_keeps_what_was_learned_and_counted(once, vehicle, tmp_path):
     (once, _, single), rule = once, JumpRule(JumpPolicy.HOLD)
     used = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter), rule)
     run([*once, *once], vehicle, tmp_path, used=used)
-    counted, alone = (each.account.since_reset().distance for each in (used, single))
+    counted, alone = (driven.account.since_reset().distance for driven in (used, single))
     assert counted == pytest.approx(2 * alone, rel=0.01)
     stds = [e.estimator.parameters().parameters["eta"].std for e in (used, single)]
     assert stds[0] != stds[1]
@@ -130,8 +130,8 @@ def test_a_stray_stamp_stops_nothing(readings, vehicle):
     ]
     outputs = []
     for index, reading in enumerate(readings[:400]):
-        for each in [*strays[index // 100 : index // 100 + 1][: index % 100 == 99], reading]:
-            outputs += used.add_reading(each)
+        for taken in [*strays[index // 100 : index // 100 + 1][: index % 100 == 99], reading]:
+            outputs += used.add_reading(taken)
     fresh = chain(vehicle)
     in_order = [output for reading in readings[:400] for output in fresh.add_reading(reading)]
     assert repr(outputs) == repr(in_order)

@@ -92,12 +92,12 @@ def test_the_floor_is_what_no_function_of_speed_explains():
     speed = rng.uniform(0.0, 30.0, 20_000)
     rest = rng.choice([-2000.0, 2000.0], speed.size)
     power = 500.0 * speed + 20.0 * speed**2 + rest
-    found = drive(power, np.zeros(speed.size))
-    found = replace(found, speed=np.stack((found.smoothed.time, speed), axis=1))
-    assert speed_floor(found, WHOLE) == pytest.approx(2000.0, rel=0.02)
-    assert speed_floor(found, Span(-1.0, 400.0)) is None  # too few samples for its bins
+    noisy = drive(power, np.zeros(speed.size))
+    noisy = replace(noisy, speed=np.stack((noisy.smoothed.time, speed), axis=1))
+    assert speed_floor(noisy, WHOLE) == pytest.approx(2000.0, rel=0.02)
+    assert speed_floor(noisy, Span(-1.0, 400.0)) is None  # too few samples for its bins
     # Power that speed determines leaves what it varies by within a bin.
-    alone = replace(found, measured=np.stack((found.measured[:, 0], power - rest), axis=1))
+    alone = replace(noisy, measured=np.stack((noisy.measured[:, 0], power - rest), axis=1))
     assert speed_floor(alone, WHOLE) < 350.0
 
 

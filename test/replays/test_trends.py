@@ -40,7 +40,7 @@ DRIVES = [
 
 
 def points(drives):
-    return [drive_point(each) for each in drives]
+    return [drive_point(reported) for reported in drives]
 
 
 POINTS = points(DRIVES)
@@ -61,15 +61,17 @@ def test_drives_are_weighted_by_their_distance():
 
 
 def test_a_rolling_resistance_that_cannot_be_trusted_is_left_out():
-    doubted = [replace(each, final=_doubted(each.final)) for each in DRIVES]
+    doubted = [replace(reported, final=_doubted(reported.final)) for reported in DRIVES]
     assert not any(ROLLING in trend.title for trend in trends(points(doubted)))
 
 
-def _doubted(found: ParameterSet) -> ParameterSet:
-    return replace(found, parameters={"c_rr": replace(found.parameters["c_rr"], possible=False)})
+def _doubted(parameters: ParameterSet) -> ParameterSet:
+    return replace(
+        parameters, parameters={"c_rr": replace(parameters.parameters["c_rr"], possible=False)}
+    )
 
 
 def test_too_few_drives_and_those_without_a_day_have_no_trend():
     assert trends(POINTS[:2]) == []
-    undated = [replace(each, start_ns=DRIVE_START_NS) for each in DRIVES]
+    undated = [replace(reported, start_ns=DRIVE_START_NS) for reported in DRIVES]
     assert undated and not any("by week" in trend.title for trend in trends(points(undated)))

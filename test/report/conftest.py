@@ -135,15 +135,15 @@ class Browser:
         message, _, self._buffer = self._buffer.partition(b"\0")
         return json.loads(message)
 
-    def _note(self, method: str | None, found: dict[str, Any]) -> None:
-        if method == "Runtime.consoleAPICalled" and found["type"] in ("error", "warning"):
-            self.troubles.append(str(found["args"]))
+    def _note(self, method: str | None, event: dict[str, Any]) -> None:
+        if method == "Runtime.consoleAPICalled" and event["type"] in ("error", "warning"):
+            self.troubles.append(str(event["args"]))
         elif method == "Runtime.exceptionThrown":
-            self.troubles.append(str(found["exceptionDetails"]))
+            self.troubles.append(str(event["exceptionDetails"]))
         elif method == "Log.entryAdded":
-            self.troubles.append(found["entry"]["text"])
+            self.troubles.append(event["entry"]["text"])
         elif method == "Network.requestWillBeSent":
-            self.requests.append(found["request"]["url"])
+            self.requests.append(event["request"]["url"])
 
     def close(self) -> None:
         os.close(self._to)

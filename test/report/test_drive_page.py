@@ -57,7 +57,7 @@ class Page(HTMLParser):
 
     @property
     def plots(self) -> list[str]:
-        return [found["data-plot"] for _, found in self.tags if "data-plot" in found]
+        return [named["data-plot"] for _, named in self.tags if "data-plot" in named]
 
 
 def page(tmp_path, *drives: ReportedDrive, command="evpinn replay x", units=METRIC) -> Page:
@@ -67,8 +67,8 @@ def page(tmp_path, *drives: ReportedDrive, command="evpinn replay x", units=METR
 
 
 def with_path(reported: ReportedDrive, path: str) -> ReportedDrive:
-    found = dict(reported.metrics) | {"input": dict(reported.metrics["input"]) | {"path": path}}
-    return replace(reported, metrics=found)
+    metrics = dict(reported.metrics) | {"input": dict(reported.metrics["input"]) | {"path": path}}
+    return replace(reported, metrics=metrics)
 
 
 def test_a_steady_speed_takes_what_the_true_car_would(reported, tmp_path):
@@ -131,7 +131,7 @@ def test_units_of_the_united_states_stand_alone(reported, tmp_path):
     axes = [chart.get("axis", chart.get("axes")) for chart in us.data[0]["charts"].values()]
     assert "km" not in str(axes)
     speeds = [
-        unpacked(found.data[0]["charts"]["speed"]["series"][0]["values"]) for found in (metric, us)
+        unpacked(shown.data[0]["charts"]["speed"]["series"][0]["values"]) for shown in (metric, us)
     ]
     assert np.nanmax(speeds[0]) / np.nanmax(speeds[1]) == pytest.approx(1.609344, rel=1e-3)
 
@@ -152,8 +152,8 @@ def test_what_a_bag_holds_is_text(reported, tmp_path):
     harmless = page(tmp_path / "a", with_path(reported, "out/town"))
     dropped = {"dropped": {HOSTILE: 3}}
     hostile = with_path(reported, f"out/{HOSTILE}")
-    found = dict(hostile.metrics) | {"input": dict(hostile.metrics["input"]) | dropped}
-    attacked = page(tmp_path / "b", replace(hostile, metrics=found), command=HOSTILE)
+    metrics = dict(hostile.metrics) | {"input": dict(hostile.metrics["input"]) | dropped}
+    attacked = page(tmp_path / "b", replace(hostile, metrics=metrics), command=HOSTILE)
     assert [tag for tag, _ in attacked.tags] == [tag for tag, _ in harmless.tags]
     assert attacked.data == harmless.data
 
@@ -186,8 +186,8 @@ def single_reading(reported: ReportedDrive) -> ReportedDrive:
         final=None,
         start_ns=-(2**62),
     )
-    found = dict(silent.metrics) | {"parameters": {}}
-    return replace(silent, drive=drive, metrics=found, truth=None)
+    metrics = dict(silent.metrics) | {"parameters": {}}
+    return replace(silent, drive=drive, metrics=metrics, truth=None)
 
 
 @pytest.mark.parametrize("less", [without_battery, single_reading])

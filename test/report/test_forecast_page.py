@@ -74,13 +74,13 @@ def test_a_plan_without_heights_says_so_and_is_less_sure(plan, given):
 
 
 def test_faster_takes_more_and_less_time_and_colder_takes_more():
-    variants = {each.words: each for each in what_if(FINE, "bmw_i3", COLD)}
+    variants = {variant.words: variant for variant in what_if(FINE, "bmw_i3", COLD)}
     slower, faster = variants["10 km/h slower"], variants["10 km/h faster"]
     assert slower.energy.value < 0.0 < faster.energy.value
     assert faster.seconds < 0.0 < slower.seconds
     assert variants["10 °C warmer"].energy.value < 0.0 < variants["10 °C colder"].energy.value
     sigma = planned_energy(FINE, "bmw_i3", COLD).energies.sigma[-1]
-    assert all(each.energy.sigma < 0.7 * sigma for each in variants.values())
+    assert all(variant.energy.sigma < 0.7 * sigma for variant in variants.values())
 
 
 @pytest.mark.parametrize("charge", [0.05, 0.03, 0.01])

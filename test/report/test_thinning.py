@@ -9,9 +9,9 @@ import numpy as np
 from evpinn_ros.report.thinning import LEVELS, NO_VALUE, Grid, packed, thinned
 
 
-def unpacked(found: dict) -> np.ndarray:
-    levels = np.frombuffer(base64.b64decode(found["levels"]), dtype="<i2").astype(float)
-    values = found["low"] + (levels + LEVELS // 2) * found["step"]
+def unpacked(series: dict) -> np.ndarray:
+    levels = np.frombuffer(base64.b64decode(series["levels"]), dtype="<i2").astype(float)
+    values = series["low"] + (levels + LEVELS // 2) * series["step"]
     return np.where(levels == NO_VALUE, np.nan, values)
 
 
@@ -27,18 +27,18 @@ def unpacked(found: dict) -> np.ndarray:
 def test_peaks_of_every_bucket_stay(rows, buckets):
     time, values = np.array(rows).T
     grid = Grid(100.0 / buckets, buckets)
-    found = thinned(time, values, grid).reshape(buckets, 2)
+    extremes = thinned(time, values, grid).reshape(buckets, 2)
     bucket = np.minimum(np.floor(time / grid.width).astype(int), buckets - 1)
     for index in np.unique(bucket):
         inside = values[bucket == index]
-        assert (found[index].min(), found[index].max()) == (inside.min(), inside.max())
+        assert (extremes[index].min(), extremes[index].max()) == (inside.min(), inside.max())
 
 
 def test_a_gap_stays_and_a_missing_reading_is_bridged():
     time = np.array([0.5, 1.5, 3.5, 20.5])
-    found = thinned(time, np.array([0.0, 1.0, 3.0, 20.0]), Grid(1.0, 21)).reshape(21, 2)
-    assert found[2].tolist() == [2.0, 2.0]
-    assert np.isnan(found[4:20]).all() and found[20, 0] == 20.0
+    extremes = thinned(time, np.array([0.0, 1.0, 3.0, 20.0]), Grid(1.0, 21)).reshape(21, 2)
+    assert extremes[2].tolist() == [2.0, 2.0]
+    assert np.isnan(extremes[4:20]).all() and extremes[20, 0] == 20.0
 
 
 def test_what_is_not_finite_or_not_of_the_drive_is_left_out():

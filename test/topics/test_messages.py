@@ -242,8 +242,8 @@ def test_altitude_is_a_valid_fix_without_a_place():
 @pytest.mark.parametrize("place", [(0.0, 0.0), (91.0, 11.0), (48.0, 181.0), (math.nan, 11.0)])
 def test_what_is_no_place_leaves_its_altitude(place):
     message = reading_messages.altitude_message(new_message, AltitudeReading(NOW, 570.0, *place))
-    found = reading_messages.altitude_reading(message)
-    assert found.altitude == 570.0 and math.isnan(found.latitude) and math.isnan(found.longitude)
+    read = reading_messages.altitude_reading(message)
+    assert read.altitude == 570.0 and math.isnan(read.latitude) and math.isnan(read.longitude)
 
 
 def test_a_named_vector_reads_back_by_name():

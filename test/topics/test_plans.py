@@ -158,8 +158,8 @@ def test_a_forecast_is_the_message_with_these_numbers(name, points):
     assert [list(p.velocities) for p in answer.points] == power[:, None].tolist()
     assert [list(p.effort) for p in answer.points] == sigma[:, None].tolist()
     assert all(len(p.accelerations) == 0 for p in answer.points)
-    found = [p.time_from_start.sec + p.time_from_start.nanosec / 1e9 for p in answer.points]
-    assert found == times.tolist()
+    seconds = [p.time_from_start.sec + p.time_from_start.nanosec / 1e9 for p in answer.points]
+    assert seconds == times.tolist()
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -1.0])

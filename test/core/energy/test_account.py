@@ -65,9 +65,9 @@ def hour():
 
 
 def restored(saved):
-    found = account()
-    found.restore(json.loads(json.dumps(saved, allow_nan=False)))
-    return found
+    counted = account()
+    counted.restore(json.loads(json.dumps(saved, allow_nan=False)))
+    return counted
 
 
 def test_totals_and_consumption_of_a_drive():
@@ -104,11 +104,11 @@ def test_a_silence_is_reconciled_with_the_state_of_charge(hour):
     assert counted.gauge.learned
     before = counted.lifetime().net.value
     drive(counted, range(3600, 5460), predicted=9e3, silent=range(3660, 4860))
-    found = counted.reconciled
-    assert found.verdict is Verdict.JOINED
-    assert found.dropout.duration == pytest.approx(1200.0, abs=1.0)
-    assert found.dropout.bridge.energy == pytest.approx(10.8e6, rel=0.01)
-    assert found.by_charge.value == pytest.approx(12e6, abs=2 * found.by_charge.sigma)
+    silence = counted.reconciled
+    assert silence.verdict is Verdict.JOINED
+    assert silence.dropout.duration == pytest.approx(1200.0, abs=1.0)
+    assert silence.dropout.bridge.energy == pytest.approx(10.8e6, rel=0.01)
+    assert silence.by_charge.value == pytest.approx(12e6, abs=2 * silence.by_charge.sigma)
     error = counted.lifetime().net.value - before - 18.6e6
     assert abs(error) < 0.5 * 1.2e6
     net = counted.since_reset().net
@@ -166,10 +166,10 @@ def test_a_route_planned_before_setting_off_is_followed_until_it_is_driven():
     start = drive(planned, range(40)).summary()
     assert drive(usual, range(40)).summary().remaining is None
     assert start.remaining.distance == pytest.approx(start.usable.value / 1e3, abs=3.0)
-    found = [drive(each, range(41, 520)).summary().remaining for each in (planned, usual)]
+    on_route = [drive(counted, range(41, 520)).summary().remaining for counted in (planned, usual)]
     left = 12e3 - 520 * SPEED
-    assert found[0].distance == pytest.approx(found[1].distance - left, abs=30.0)
-    over = [drive(each, range(521, 620)).summary().remaining for each in (planned, usual)]
+    assert on_route[0].distance == pytest.approx(on_route[1].distance - left, abs=30.0)
+    over = [drive(counted, range(521, 620)).summary().remaining for counted in (planned, usual)]
     assert over[0] == over[1]
 
 
@@ -186,12 +186,12 @@ def test_the_horizon_of_a_controller_changes_nothing(power, driven):
     alone, planned = account(), account()
     if driven > 100:
         alone.usual = planned.usual = 600.0
-    for each in (alone, planned):
-        drive(each, range(driven))
+    for counted in (alone, planned):
+        drive(counted, range(driven))
     for second in range(driven, driven + 8):
         planned.follow(*horizon(power))
-        for each in (alone, planned):
-            drive(each, range(second, second + 1))
+        for counted in (alone, planned):
+            drive(counted, range(second, second + 1))
         assert planned.summary().remaining == alone.summary().remaining
 
 
@@ -221,19 +221,23 @@ def test_a_route_is_followed_on_after_a_restart_and_not_the_next_morning():
     first.follow(plan, Forecast(time, energy, np.full(3, 2e4), 0.1 * energy))
     saved = json.loads(json.dumps(drive(first, range(600, 700)).export(), allow_nan=False))
     older = {name: value for name, value in saved.items() if name != "route"}
-    one, another, without, morning = account(), account(), account(), account()
-    one.restore(saved)
-    another.restore(one.export())  # stopped before anything came
+    once, another, without, morning = account(), account(), account(), account()
+    once.restore(saved)
+    another.restore(once.export())  # stopped before anything came
     without.restore(older)
     morning.restore(saved)
     left = first.route.left(first.odometer, 0)
     assert left == pytest.approx(12e3 - 101 * SPEED, abs=SPEED)
-    on = [drive(each, range(700, 720)).summary().remaining for each in (one, another, without)]
+    on = [
+        drive(counted, range(700, 720)).summary().remaining for counted in (once, another, without)
+    ]
     assert on[0] == on[1]
-    dearer = one.route.left(one.odometer, 0)  # by as many metres as cost twice as much
+    dearer = once.route.left(once.odometer, 0)  # by as many metres as cost twice as much
     assert left - 20 * SPEED <= dearer < left - 15 * SPEED
     assert on[2].distance - on[0].distance == pytest.approx(dearer, rel=0.05)
-    late = [drive(each, range(3000, 3020)).summary().remaining for each in (morning, without)]
+    late = [
+        drive(counted, range(3000, 3020)).summary().remaining for counted in (morning, without)
+    ]
     assert late[0].distance == pytest.approx(late[1].distance, rel=0.01)
     saved["route"]["energy"].pop()
     with pytest.raises(ValueError, match="route"):

@@ -62,8 +62,8 @@ def counted(calls, cut):
             left = next(cut)
     blocks.append(account.count())
     columns = {
-        each.name: np.concatenate([getattr(block, each.name) for block in blocks], axis=-1)
-        for each in fields(EnergyState)
+        field.name: np.concatenate([getattr(block, field.name) for block in blocks], axis=-1)
+        for field in fields(EnergyState)
     }
     return columns, account
 

@@ -23,22 +23,22 @@ def silence(energy=1000 * WH, sigma=60 * WH, duration=600.0, covered=600.0):
     ],
 )
 def test_what_the_charge_cannot_say_changes_nothing(dropout, by_charge, verdict):
-    found = reconcile(dropout, by_charge)
-    assert (found.verdict, found.correction) == (verdict, 0.0)
-    assert math.isnan(found.by_charge.value) == (by_charge is UNKNOWN)
+    joined = reconcile(dropout, by_charge)
+    assert (joined.verdict, joined.correction) == (verdict, 0.0)
+    assert math.isnan(joined.by_charge.value) == (by_charge is UNKNOWN)
 
 
 def test_two_statements_are_joined_by_their_variances():
-    found = reconcile(silence(), Uncertain(1100 * WH, 60 * WH))
-    assert found.verdict is Verdict.JOINED
-    assert found.correction == pytest.approx(50 * WH)
-    assert found.variance_taken == pytest.approx((60 * WH) ** 2 / 2)
+    joined = reconcile(silence(), Uncertain(1100 * WH, 60 * WH))
+    assert joined.verdict is Verdict.JOINED
+    assert joined.correction == pytest.approx(50 * WH)
+    assert joined.variance_taken == pytest.approx((60 * WH) ** 2 / 2)
     rough = reconcile(silence(), Uncertain(1100 * WH, 600 * WH))
     assert rough.correction == pytest.approx(1 * WH, rel=0.02)
 
 
 def test_where_speed_was_silent_too_the_state_of_charge_counts_alone():
-    found = reconcile(silence(covered=300.0), Uncertain(2000 * WH, 80 * WH))
-    assert found.verdict is Verdict.CHARGE_ALONE
-    assert found.correction == pytest.approx(1000 * WH)
-    assert found.variance_taken == pytest.approx((60 * WH) ** 2 - (80 * WH) ** 2)
+    joined = reconcile(silence(covered=300.0), Uncertain(2000 * WH, 80 * WH))
+    assert joined.verdict is Verdict.CHARGE_ALONE
+    assert joined.correction == pytest.approx(1000 * WH)
+    assert joined.variance_taken == pytest.approx((60 * WH) ** 2 - (80 * WH) ** 2)

@@ -106,7 +106,7 @@ def test_hills_never_save_energy(speed, grade):
     prior, _ = prior_identifiable(CAR)
     duration = 100.0
     climb = speed * duration * math.sin(grade)
-    up, down = (energy(cruise(speed, duration, each), prior) for each in (climb, -climb))
+    up, down = (energy(cruise(speed, duration, rise), prior) for rise in (climb, -climb))
     assert up + down - 2 * energy(cruise(speed, duration), prior) >= -1e-6 * abs(up + down)
 
 
@@ -196,7 +196,7 @@ def test_a_forecast_of_the_end_alone_is_that_of_the_whole_way():
     mean = car.mean + 0.5 * np.sqrt(np.diag(car.covariance))
     mean[State.LOAD] = 300.0  # which fades within minutes
     model, plan = PowerModel(dataclasses.replace(car, mean=mean)), cruise(20.0, 2000.0, 1500)
-    whole, end = (forecast_plan(plan, model, AIR, 5.0, along=each) for each in (True, False))
+    whole, end = (forecast_plan(plan, model, AIR, 5.0, along=along) for along in (True, False))
     np.testing.assert_allclose(end.energy, whole.energy, rtol=1e-9)
     np.testing.assert_allclose(end.power, whole.power, rtol=1e-9)
     assert np.isnan(end.sigma[1:-1]).all() and end.sigma[-1] == pytest.approx(whole.sigma[-1])
@@ -228,26 +228,26 @@ def test_the_sigma_of_a_difference_is_what_drawing_cars_gives():
         plan_from_speed_profile(time, speed * time, np.full(time.size, speed))
         for speed in (15.0, 17.0)
     ]
-    one, other = (forecast_plan(plan, model, AIR) for plan in plans)
+    slow, fast = (forecast_plan(plan, model, AIR) for plan in plans)
     rng = np.random.default_rng(1)
     drawn = rng.multivariate_normal(car.mean, car.covariance, 20_000, method="eigh")
-    energies = [drawn @ found.end.row for found in (one, other)]
-    found = model.difference(one.end, other.end)
-    assert found.value == pytest.approx(one.energy[-1] - other.energy[-1])
-    assert found.sigma == pytest.approx(np.std(energies[0] - energies[1]), rel=0.03)
-    assert found.sigma < 0.5 * one.sigma[-1]
-    assert one.sigma[-1] == pytest.approx(np.std(energies[0]), rel=0.03)
+    energies = [drawn @ trip.end.row for trip in (slow, fast)]
+    difference = model.difference(slow.end, fast.end)
+    assert difference.value == pytest.approx(slow.energy[-1] - fast.energy[-1])
+    assert difference.sigma == pytest.approx(np.std(energies[0] - energies[1]), rel=0.03)
+    assert difference.sigma < 0.5 * slow.sigma[-1]
+    assert slow.sigma[-1] == pytest.approx(np.std(energies[0]), rel=0.03)
 
 
 def test_the_wandering_load_cancels_while_both_last():
     """Against paths of the load itself, drawn step by step."""
     car = dataclasses.replace(plain().car, load_variance=500.0**2)
     model = PowerModel(car)
-    one, other = (forecast_plan(cruise(0.0, t), model, AIR) for t in (100.0, 400.0))
+    short, long = (forecast_plan(cruise(0.0, t), model, AIR) for t in (100.0, 400.0))
     rng, keep = np.random.default_rng(2), math.exp(-1.0 / LOAD_TIME)
     load, total = np.zeros(20_000), np.zeros(20_000)
     for second in range(400):
         total += load if second >= 100 else 0.0
         load = keep * load + 500.0 * math.sqrt(1 - keep**2) * rng.normal(size=load.size)
-    assert model.difference(one.end, other.end).sigma == pytest.approx(np.std(total), rel=0.03)
-    assert model.difference(one.end, one.end).sigma == 0.0
+    assert model.difference(short.end, long.end).sigma == pytest.approx(np.std(total), rel=0.03)
+    assert model.difference(short.end, short.end).sigma == 0.0

@@ -48,8 +48,8 @@ def test_unevenness_vanishes_as_steps_become_short():
     shares = []
     for seconds in (60.0, 1.0, 0.1, 0.01):
         count = round(120.0 / seconds)
-        one, zero = np.full(count, seconds), np.zeros(count)
-        path = Path(one, 15.0 * one, zero, zero, zero, zero + 1.2, zero)
+        duration, zero = np.full(count, seconds), np.zeros(count)
+        path = Path(duration, 15.0 * duration, zero, zero, zero, zero + 1.2, zero)
         whole, beyond = MODEL.leg_rows(path, Weather(1.2))
         shares.append(float((beyond @ MODEL.car.mean).sum() / (whole @ MODEL.car.mean).sum()))
     assert shares[0] > 0.05 and shares[3] < 2e-3 * shares[0]
@@ -91,7 +91,7 @@ def test_at_one_mean_speed_longer_legs_never_take_less(name, seed, speed, counts
 def test_a_coarse_plan_costs_more_than_even_speed_and_is_less_sure():
     legs = legs_of_trip([9000.0], [600.0])
     minute = legs_of_trip(np.full(10, 900.0), np.full(10, 60.0))
-    whole, parts = (forecast_plan(each, MODEL, Weather(1.2)) for each in (legs, minute))
+    whole, parts = (forecast_plan(path, MODEL, Weather(1.2)) for path in (legs, minute))
     time = np.arange(0.0, 601.0)
     even = Plan(time, 15.0 * time, np.full(601, 15.0), np.zeros(601))
     fine = forecast_plan(even, MODEL, Weather(1.2))

@@ -28,8 +28,8 @@ def profiles(seed=0, batch=5, points=60, hills=True):
     return Profiles(np.arange(float(points)), speed, elevation if hills else None)
 
 
-def energy(found, model):
-    return forecast(found, CAR, model).energy[0]
+def energy(driven, model):
+    return forecast(driven, CAR, model).energy[0]
 
 
 @MODELS
@@ -39,10 +39,10 @@ def test_a_batch_is_its_plans(model):
     for i, (speed, height) in enumerate(zip(many.speed, many.elevation, strict=True)):
         distance = np.concatenate(([0.0], np.cumsum((speed[1:] + speed[:-1]) / 2)))
         plan = plan_from_speed_profile(many.time, distance, speed, height)
-        one = forecast_plan(plan, model, Weather(CAR.air_density))
+        single = forecast_plan(plan, model, Weather(CAR.air_density))
         # One point in the middle of a leg against three, where the car turns to braking.
-        assert batch.energy[i] == pytest.approx(one.energy[-1], rel=0.01)
-        assert batch.sigma[i] == pytest.approx(one.sigma[-1], rel=0.01)
+        assert batch.energy[i] == pytest.approx(single.energy[-1], rel=0.01)
+        assert batch.sigma[i] == pytest.approx(single.sigma[-1], rel=0.01)
 
 
 @MODELS
@@ -51,8 +51,8 @@ def test_chunks_make_no_difference(model):
     batch = forecast(many, CAR, model)
     alone = [forecast(Profiles(many.time, v[None], z[None]), CAR, model)
              for v, z in zip(many.speed, many.elevation, strict=True)]  # fmt: skip
-    assert batch.energy == pytest.approx([one.energy[0] for one in alone], rel=1e-12)
-    assert batch.sigma == pytest.approx([one.sigma[0] for one in alone], rel=1e-12)
+    assert batch.energy == pytest.approx([single.energy[0] for single in alone], rel=1e-12)
+    assert batch.sigma == pytest.approx([single.sigma[0] for single in alone], rel=1e-12)
 
 
 @pytest.mark.slow

@@ -172,6 +172,6 @@ def test_the_noise_of_a_map_is_no_bend():
 
 def test_a_plan_driven_twice_as_fast_stands_as_long_as_before():
     time, distance = np.array([0.0, 10.0, 20.0, 30.0]), np.array([0.0, 100.0, 100.0, 200.0])
-    found = Plan(time, distance, np.array([10.0, 0.0, 0.0, 10.0]), 0.0 * time).quicker(2.0)
-    assert found.time.tolist() == [0.0, 5.0, 15.0, 20.0]
-    assert found.speed.tolist() == [20.0, 0.0, 0.0, 20.0]
+    plan = Plan(time, distance, np.array([10.0, 0.0, 0.0, 10.0]), 0.0 * time).quicker(2.0)
+    assert plan.time.tolist() == [0.0, 5.0, 15.0, 20.0]
+    assert plan.speed.tolist() == [20.0, 0.0, 0.0, 20.0]

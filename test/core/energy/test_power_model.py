@@ -33,10 +33,10 @@ def test_rows_along_a_trip_and_of_the_whole_are_sums_of_those_of_its_steps(seed,
     along = np.cumsum(steps, axis=0)
     size, way = np.abs(along).max(), np.cumsum(motion.distance)[:, None]
 
-    def check(found, wanted, metres):
+    def check(rows, wanted, metres):
         """Units of the network, of 1 at most, are in single precision, all else is in double."""
-        np.testing.assert_allclose(found[..., :TABLE], wanted[..., :TABLE], atol=1e-12 * size)
-        assert (np.abs(found - wanted)[..., WEIGHTS] <= 1e-6 * metres).all()
+        np.testing.assert_allclose(rows[..., :TABLE], wanted[..., :TABLE], atol=1e-12 * size)
+        assert (np.abs(rows - wanted)[..., WEIGHTS] <= 1e-6 * metres).all()
 
     check(model.rows_along(motion, weather), along, way)
     row, energy = model.whole_row(motion, weather)
@@ -45,8 +45,8 @@ def test_rows_along_a_trip_and_of_the_whole_are_sums_of_those_of_its_steps(seed,
     rounding = 1e-6 * motion.distance * np.abs(model.car.mean[WEIGHTS]).sum()
     assert (np.abs(energy - steps @ model.car.mean) <= rounding + 1e-9 * np.ptp(energy)).all()
     many = Steps(*(np.stack((column, column)) for column in motion[:5]))
-    for each in model.rows_along(many, weather):
-        check(each, along, way)
+    for rows in model.rows_along(many, weather):
+        check(rows, along, way)
 
 
 @settings(max_examples=20, deadline=None)

@@ -28,12 +28,12 @@ def test_sign_change_inside_a_step_is_split_exactly():
 
 @given(st.floats(1e-3, 10), powers, powers)
 def test_parts_of_a_step_are_positive_and_make_the_whole(dt, power, power_next):
-    one = np.array([dt]), np.array([power]), np.array([power_next])
-    (drawn,), (regenerated,) = split(*one)
+    step = np.array([dt]), np.array([power]), np.array([power_next])
+    (drawn,), (regenerated,) = split(*step)
     assert drawn >= 0 and regenerated >= 0
     whole = (power + power_next) / 2 * dt
     assert drawn - regenerated == pytest.approx(whole, rel=1e-9, abs=1e-6)
-    backwards = np.ravel(split(one[0], one[2], one[1]))
+    backwards = np.ravel(split(step[0], step[2], step[1]))
     assert backwards == pytest.approx([drawn, regenerated])
 
 

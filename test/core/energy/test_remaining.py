@@ -27,23 +27,23 @@ costs = st.floats(200.0, 1500.0)
 
 
 def test_at_an_even_cost_it_is_energy_over_cost():
-    found = remaining(USABLE, EVEN)
-    assert found.distance == pytest.approx(120e3, abs=1.0)
-    assert found.lower < 0.9 * found.distance and found.upper > 1.1 * found.distance
-    assert found.sigma == pytest.approx((found.upper - found.lower) / (2 * 1.6449))
+    reach = remaining(USABLE, EVEN)
+    assert reach.distance == pytest.approx(120e3, abs=1.0)
+    assert reach.lower < 0.9 * reach.distance and reach.upper > 1.1 * reach.distance
+    assert reach.sigma == pytest.approx((reach.upper - reach.lower) / (2 * 1.6449))
 
 
 @given(costs, costs, st.floats(1e5, 4e8), st.floats(0.0, 0.3), st.floats(0.0, 0.4))
 def test_the_energy_of_the_distance_is_what_is_left(near, long, usable, doubt, spread):
     cost = Cost(near, long, spread)
-    found = remaining(Uncertain(usable, doubt * usable), cost)
-    if found is None:  # so much that its upper end is beyond what is given
+    reach = remaining(Uncertain(usable, doubt * usable), cost)
+    if reach is None:  # so much that its upper end is beyond what is given
         assert usable * (1 + 3 * doubt) > 200.0 * 3e5
         return
-    assert 0.0 <= found.lower <= found.distance <= found.upper
-    assert cost.energy(found.distance) == pytest.approx(usable, abs=2 * max(near, long))
+    assert 0.0 <= reach.lower <= reach.distance <= reach.upper
+    assert cost.energy(reach.distance) == pytest.approx(usable, abs=2 * max(near, long))
     low, high = sorted((near, long))
-    assert usable / high - 2.0 <= found.distance <= usable / low + 2.0
+    assert usable / high - 2.0 <= reach.distance <= usable / low + 2.0
 
 
 def test_what_is_usual_now_counts_near_and_the_long_run_far():
@@ -107,8 +107,8 @@ def test_a_dear_route_shortens_the_way_until_it_is_driven():
 
 def test_who_cannot_cross_the_pass_stops_before_it():
     over_the_pass = route([0, 10, 20], [0, 30, 5])
-    found = remaining(Uncertain(20e6, 0.0), over_the_pass.ahead(0.0, EVEN))
-    assert found.distance == pytest.approx(1e4 * 20 / 30, abs=3.0)
+    reach = remaining(Uncertain(20e6, 0.0), over_the_pass.ahead(0.0, EVEN))
+    assert reach.distance == pytest.approx(1e4 * 20 / 30, abs=3.0)
     enough = remaining(Uncertain(31e6, 0.0), over_the_pass.ahead(0.0, EVEN._replace(spread=0.0)))
     assert enough.distance == pytest.approx(20e3 + 26e6 / 500.0, abs=3.0)
 

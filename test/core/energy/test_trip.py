@@ -31,12 +31,12 @@ def drive(to, seconds, *, speed=20.0, cost=500.0, start=0.0, silent=range(0)):
 @given(stretches, st.sampled_from(WINDOWS))
 def test_a_window_holds_exactly_the_end_of_what_was_driven(driven, length):
     window = DistanceWindow(length)
-    for each in driven:
-        window.extend(*(np.array([part]) for part in each))
+    for step in driven:
+        window.extend(*(np.array([part]) for part in step))
     total = window.total
     assert len(window.whole) <= BUCKETS
-    longest = max(each.distance for each in driven)
-    distance = math.fsum(each.distance for each in driven)
+    longest = max(step.distance for step in driven)
+    distance = math.fsum(step.distance for step in driven)
     assert total.distance <= length * (1 + 1 / BUCKETS) + 2 * longest
     assert total.distance >= min(distance, length) * (1 - 1e-12)
     # What it spans are the last stretches, whole.

@@ -99,7 +99,7 @@ def intervals() -> Callable[..., list[Interval]]:
             speed = _speed(*speed)
         middle = (speed[1:] + speed[:-1]) / 2
         odometer, air = (
-            np.concatenate(([0.0], np.cumsum(each / SAMPLE_RATE))) for each in (middle, middle**3)
+            np.concatenate(([0.0], np.cumsum(rate / SAMPLE_RATE))) for rate in (middle, middle**3)
         )
         edges = np.arange(0, len(speed), SAMPLE_RATE)
         heights = np.zeros(len(edges)) if height is None else height(odometer[edges])
@@ -132,11 +132,12 @@ def measured(equation, drive, noise=0.0, seed=0, **factors) -> list[Interval]:
         truth[State[name]] *= factor
     return [
         replace(
-            one,
-            energy=float(passed(equation, one, 0.0).journey.row @ truth) + rng.normal(0.0, noise),
+            interval,
+            energy=float(passed(equation, interval, 0.0).journey.row @ truth)
+            + rng.normal(0.0, noise),
             sampling_variance=0.0,
         )
-        for one in drive
+        for interval in drive
     ]
 
 
@@ -177,11 +178,11 @@ def taught(vehicle, drive) -> Callable[[float], OnlineEstimator]:
 
     def up_to(seconds: float) -> OnlineEstimator:
         if seconds not in kept:
-            earlier = max((each for each in kept if each < seconds), default=0.0)
+            earlier = max((shorter for shorter in kept if shorter < seconds), default=0.0)
             fresh = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
             estimator = deepcopy(kept.get(earlier, fresh))
             first, last = (
-                readings[0].stamp_ns + round(each * NANOSECONDS) for each in (earlier, seconds)
+                readings[0].stamp_ns + round(until * NANOSECONDS) for until in (earlier, seconds)
             )
             estimator.add_readings(r for r in readings if first <= r.stamp_ns < last)
             kept[seconds] = estimator

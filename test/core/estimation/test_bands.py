@@ -80,27 +80,27 @@ def intervals_of(readings, vehicle: Vehicle) -> list[Interval]:
         StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
     )
     intervals = (interval for _, interval in stream.add_block(Block.of(readings)).intervals)
-    return [each for each in intervals if not math.isnan(each.energy)]
+    return [interval for interval in intervals if not math.isnan(interval.energy)]
 
 
 def errors(equation: Equation, states: list[LearnedCar], drive: list[Interval], count: int):
     """Errors in sigmas of dropouts of so many intervals that begin along a drive."""
     journeys = [
-        passed(equation, one, car.state.seconds).journey
-        for one, car in zip(drive, states, strict=False)
+        passed(equation, interval, car.state.seconds).journey
+        for interval, car in zip(drive, states, strict=False)
     ]
     for first in range(12, len(drive) - count, 3):
         end = first + count
-        drawn = sum(one.energy for one in drive[first:end])
+        drawn = sum(interval.energy for interval in drive[first:end])
         whole = reduce(Journey.plus, journeys[first:end])
         energy, sigma = states[first].state.model(equation).predicted(whole)
         yield (drawn - energy) / sigma
 
 
 @pytest.fixture(scope="module")
-def found() -> dict[int, np.ndarray]:
+def errors_by_count() -> dict[int, np.ndarray]:
     """Errors of dropouts of 60 and 200 s, on the second drive of three cars."""
-    found = {6: [], 20: []}
+    errors_by_count = {6: [], 20: []}
     for name, kind in (
         ("tesla_model_3_lr", DriveKind.MIXED),
         ("bmw_i3", DriveKind.URBAN),
@@ -115,17 +115,19 @@ def found() -> dict[int, np.ndarray]:
         )
         car = LearnedCar.new(equation).after(intervals_of(first.readings, vehicle)).begin_drive()
         drive, states = intervals_of(second.readings, vehicle), [car]
-        for one in drive:
-            states.append(states[-1].after([one]))
-        assert all(one.end_ns <= other.end_ns for one, other in pairwise(states))
-        for count, errs in found.items():
+        for interval in drive:
+            states.append(states[-1].after([interval]))
+        assert all(
+            car_before.end_ns <= car_after.end_ns for car_before, car_after in pairwise(states)
+        )
+        for count, errs in errors_by_count.items():
             errs.extend(errors(equation, states, drive, count))
-    return {count: np.array(errs) for count, errs in found.items()}
+    return {count: np.array(errs) for count, errs in errors_by_count.items()}
 
 
 @pytest.mark.parametrize("count", [6, 20])
 @pytest.mark.slow
-def test_dropouts_of_simulated_drives_stay_within_their_bands(found, count):
-    held = np.mean(np.abs(found[count]) < NINETY)
-    assert len(found[count]) > 30 and 0.8 < held < 0.99
-    assert 0.6 < np.sqrt(np.mean(found[count] ** 2)) < 1.5
+def test_dropouts_of_simulated_drives_stay_within_their_bands(errors_by_count, count):
+    held = np.mean(np.abs(errors_by_count[count]) < NINETY)
+    assert len(errors_by_count[count]) > 30 and 0.8 < held < 0.99
+    assert 0.6 < np.sqrt(np.mean(errors_by_count[count] ** 2)) < 1.5

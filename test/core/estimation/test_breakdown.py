@@ -30,7 +30,9 @@ def learned(town) -> LearnedCar:
 @pytest.fixture(scope="module")
 def seen(town) -> LearnedCar:
     """From the same intervals, their heights known."""
-    return LearnedCar.new(EQUATION).after(replace(one, height_known=True) for one in town)
+    return LearnedCar.new(EQUATION).after(
+        replace(interval, height_known=True) for interval in town
+    )
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +50,7 @@ def both(learned, later):
 
 def test_parts_and_the_unexplained_are_the_measured_energy(learned, town):
     parts = learned.breakdowns().of(-1)
-    total = sum(one.energy for one in town)
+    total = sum(interval.energy for interval in town)
     assert parts.measured == pytest.approx(total)
     explained = sum(parts.energy[WHOLE])
     assert explained == pytest.approx(total, rel=0.02)
@@ -76,7 +78,7 @@ def test_a_difference_is_the_one_less_the_other_per_100_km(both):
     difference = both.difference(1, 0)
     for part in Part:
         base, other = (
-            each.of(part).kwh * 1e5 / each.distance for each in (both.of(0), both.of(1))
+            drive.of(part).kwh * 1e5 / drive.distance for drive in (both.of(0), both.of(1))
         )
         assert difference.of(part).kwh == pytest.approx(other - base, abs=1e-6)
 
@@ -84,13 +86,13 @@ def test_a_difference_is_the_one_less_the_other_per_100_km(both):
 def test_a_drive_that_goes_on_over_a_long_stop_is_one(learned, later):
     on = learned.begin_drive(goes_on=True).after(later).breakdowns()
     assert len(on.drives) == 1
-    total = learned.breakdowns().of(-1).measured + sum(each.energy for each in later)
+    total = learned.breakdowns().of(-1).measured + sum(interval.energy for interval in later)
     assert on.of(-1).measured == pytest.approx(total)
 
 
 def test_an_interval_without_battery_is_in_no_part(learned, town):
     before = learned.breakdowns().of(-1)
-    silent = [replace(one, energy=float("nan")) for one in town]
+    silent = [replace(interval, energy=float("nan")) for interval in town]
     after = learned.after(silent).breakdowns().of(-1)
     assert after.measured == before.measured
     assert after.energy == pytest.approx(before.energy)
@@ -110,7 +112,7 @@ def test_without_heights_the_net_climb_is_as_unknown_as_roads_make_it(seen, lear
 
 
 def test_what_one_hard_braking_leaves_unexplained_is_no_reason_to_doubt_the_model(learned, town):
-    energies = [one.energy for one in town]
+    energies = [interval.energy for interval in town]
     hard = [*town[:-1], replace(town[-1], energy=energies[-1] + 5e5)]  # friction took it
     calm, braked = (
         car.breakdowns().of(-1).amounts()["unexplained"]
@@ -125,11 +127,11 @@ def test_parts_of_a_known_car_are_as_unsure_as_they_are_mistaken_for_each_other(
     state = seen.state
     mean = np.repeat(state.mixture().mean[None], len(state.mean), axis=0)
     known = replace(state, mean=mean, covariance=1e-9 * state.covariance)
-    found = replace(seen, state=known).breakdowns().of(0)
-    energy, std = found.energy, np.sqrt(np.diagonal(found.covariance))
+    breakdown = replace(seen, state=known).breakdowns().of(0)
+    energy, std = breakdown.energy, np.sqrt(np.diagonal(breakdown.covariance))
     for part, share in {Part.AIR: 0.05, Part.STANDING: 0.05}.items():
         assert std[part] == pytest.approx(share * energy[part], rel=0.1)
     # No torque shows braking here, and what brakes took is missing in what was regained.
     assert 0.08 < std[Part.REGAINED] / energy[Part.REGAINED] < 0.15
     assert std[Part.BRAKES] == pytest.approx(std[Part.REGAINED], rel=0.1)
-    assert np.sqrt(found.covariance[WHOLE, WHOLE].sum()) < 0.5 * std[Part.REGAINED]
+    assert np.sqrt(breakdown.covariance[WHOLE, WHOLE].sum()) < 0.5 * std[Part.REGAINED]

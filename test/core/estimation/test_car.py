@@ -27,9 +27,9 @@ def driven(town) -> LearnedCar:
 
 def test_a_car_is_frozen_and_forks_are_free(town):
     car = LearnedCar.new(EQUATION).after(town[:20])
-    one, other = car.after(town[20:30]), car.after(town[20:30])
-    assert np.array_equal(one.state.mean, other.state.mean)
-    assert car.end_ns == town[19].end_ns and one.end_ns == town[29].end_ns
+    fork, another = car.after(town[20:30]), car.after(town[20:30])
+    assert np.array_equal(fork.state.mean, another.state.mean)
+    assert car.end_ns == town[19].end_ns and fork.end_ns == town[29].end_ns
     with pytest.raises(FrozenInstanceError):
         car.end_ns = 0
 
@@ -47,10 +47,10 @@ def test_what_cannot_be_is_counted_and_teaches_nothing(town):
 
 def test_a_dropout_is_driven_and_not_learned(town):
     car = LearnedCar.new(EQUATION).after(town[:20])
-    silent = car.after([replace(one, energy=math.nan) for one in town[20:]])
+    silent = car.after([replace(interval, energy=math.nan) for interval in town[20:]])
     assert silent.state is car.state and not silent.measured
     energy, sigma = silent.state.model(EQUATION).predicted(silent.dropout)
-    assert abs(energy - sum(one.energy for one in town[20:])) < 2.0 * sigma
+    assert abs(energy - sum(interval.energy for interval in town[20:])) < 2.0 * sigma
     again = silent.after([replace(town[0], start_ns=silent.end_ns, end_ns=silent.end_ns + 1)])
     assert again.measured and again.dropout.seconds == 0.0
 
@@ -58,6 +58,6 @@ def test_a_dropout_is_driven_and_not_learned(town):
 def test_uneven_speed_is_learned_with_the_drive(town, driven):
     assert not driven.unevenness.metres.any()
     uneven = driven.begin_drive().unevenness
-    way = sum(one.distance for one in town)
+    way = sum(interval.distance for interval in town)
     assert uneven.metres.max() <= 12 * way and uneven.metres.sum() > way
     assert not Unevenness.none().metres.any()

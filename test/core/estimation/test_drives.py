@@ -46,11 +46,11 @@ class Replayed:
 
     def errors(self, kind: PowerKind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Error, sigma and measured power of the predictions after the warm-up."""
-        found, measured = self._columns(kind), self._measured
-        scored = found[:, 0] >= measured[0, 0] + WARM_UP * NANOSECONDS
-        found = found[scored & (found[:, 0] <= measured[-1, 0])]
-        truth = np.interp(found[:, 0], measured[:, 0], measured[:, 1])
-        return found[:, 1] - truth, found[:, 2], truth
+        powers, measured = self._columns(kind), self._measured
+        scored = powers[:, 0] >= measured[0, 0] + WARM_UP * NANOSECONDS
+        powers = powers[scored & (powers[:, 0] <= measured[-1, 0])]
+        truth = np.interp(powers[:, 0], measured[:, 0], measured[:, 1])
+        return powers[:, 1] - truth, powers[:, 2], truth
 
     def check_finite(self) -> None:
         for power in self.powers:
@@ -69,16 +69,16 @@ def simulated(request, drive):
 
 
 def test_power_is_finite_and_bands_cover_90_percent(simulated):
-    _, found = simulated
-    found.check_finite()
+    _, replayed = simulated
+    replayed.check_finite()
     for kind in (PowerKind.SMOOTHED, PowerKind.PREDICTED):
-        assert 0.85 <= found.coverage(kind) <= 0.95, kind
+        assert 0.85 <= replayed.coverage(kind) <= 0.95, kind
 
 
 def test_power_and_energy_of_a_simulated_drive(simulated):
-    _, found = simulated
-    error, _, truth = found.errors(PowerKind.SMOOTHED)
-    now, _, _ = found.errors(PowerKind.PREDICTED)
+    _, replayed = simulated
+    error, _, truth = replayed.errors(PowerKind.SMOOTHED)
+    now, _, _ = replayed.errors(PowerKind.PREDICTED)
     assert np.sqrt(np.mean(error**2)) < 0.15 * np.std(truth)
     assert np.sqrt(np.mean(now**2)) < 0.30 * np.std(truth)
     assert abs(error.sum() / truth.sum()) < 0.05
@@ -86,12 +86,12 @@ def test_power_and_energy_of_a_simulated_drive(simulated):
 
 def test_what_data_determine_of_a_simulated_car(simulated):
     """Four minutes of town."""
-    truth, found = simulated
-    last = found.parameters[-1]
-    found, true, sigma = last.identifiable, truth.identifiable, last.identifiable_std
+    truth, replayed = simulated
+    last = replayed.parameters[-1]
+    learned, true, sigma = last.identifiable, truth.identifiable, last.identifiable_std
     for name in ("mass_over_eta", "regeneration"):  # four minutes leave a network its say
-        assert abs(getattr(found, name) - getattr(true, name)) < 2.5 * getattr(sigma, name), name
-    assert found.mass_over_eta == pytest.approx(true.mass_over_eta, rel=0.1)
+        assert abs(getattr(learned, name) - getattr(true, name)) < 2.5 * getattr(sigma, name), name
+    assert learned.mass_over_eta == pytest.approx(true.mass_over_eta, rel=0.1)
     for name in ("eta", "mu", "mass", "c_d"):
         estimate = last.parameters[name]
         assert abs(estimate.value - getattr(truth.parameters, name)) < 2.5 * estimate.std, name
@@ -104,9 +104,9 @@ def test_a_real_drive():
     readings = open_drive(REAL).readings()
     first = next(readings)
     within = [r for r in readings if r.stamp_ns < first.stamp_ns + 240 * NANOSECONDS]
-    found = Replayed([first, *within])
-    found.check_finite()
-    error, _, truth = found.errors(PowerKind.SMOOTHED)
+    replayed = Replayed([first, *within])
+    replayed.check_finite()
+    error, _, truth = replayed.errors(PowerKind.SMOOTHED)
     assert np.sqrt(np.mean(error**2)) <= 1500.0
     assert abs(error.sum() / truth.sum()) <= 0.05
-    assert 0.85 <= found.coverage(PowerKind.SMOOTHED) <= 0.95
+    assert 0.85 <= replayed.coverage(PowerKind.SMOOTHED) <= 0.95

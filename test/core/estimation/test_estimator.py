@@ -38,10 +38,10 @@ def test_the_first_predictions_are_the_prior_s(new_estimator, play, powers, vehi
     driven = combined_power(15.0, 0.0, combined, air_density=1.17)
     force = (driven - vehicle.initial.p_aux) / 15.0 / combined.mass_over_eta  # over the mass
     expected = driven + 150.0 * (0.5 + 0.5 * 15.0 / 10.0) + 200.0 * force**2
-    found = powers(outputs)
-    assert {power.kind for power in found} == {PowerKind.PREDICTED, PowerKind.SMOOTHED}
+    predictions = powers(outputs)
+    assert {power.kind for power in predictions} == {PowerKind.PREDICTED, PowerKind.SMOOTHED}
     # Of heat by force what eq. 21 explains is taken away.
-    assert all(power.power == pytest.approx(expected, rel=0.02) for power in found)
+    assert all(power.power == pytest.approx(expected, rel=0.02) for power in predictions)
 
 
 @pytest.fixture
@@ -51,8 +51,8 @@ def at_start(cruise) -> int:
 
 def test_parameters_come_once_a_second(new_estimator, play, cruise, at_start):
     outputs = play(new_estimator(), cruise(0, 5.2))
-    found = [output for output in outputs if isinstance(output, ParameterSet)]
-    assert [f.stamp_ns - at_start for f in found] == [k * NANOSECONDS for k in (1, 2, 3, 4, 5)]
+    published = [output for output in outputs if isinstance(output, ParameterSet)]
+    assert [f.stamp_ns - at_start for f in published] == [k * NANOSECONDS for k in (1, 2, 3, 4, 5)]
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,10 @@ def test_no_prediction_knows_the_battery_of_its_moment_or_later(
         return powers(play(new_estimator(mode=mode), in_order))
 
     as_it_was, otherwise = outputs(batteries), outputs(changed)
-    before = [text([p for p in found if p.stamp_ns <= cut]) for found in (as_it_was, otherwise)]
+    before = [
+        text([p for p in predictions if p.stamp_ns <= cut])
+        for predictions in (as_it_was, otherwise)
+    ]
     assert before[0] == before[1] and len(before[0]) > 180
     assert text(as_it_was) != text(otherwise)
 
@@ -106,11 +109,11 @@ def test_without_a_battery_predictions_go_on(new_estimator, taught, play, powers
     updates = estimator.status().updates
     silent = [r for r in from_on(readings, seconds) if not isinstance(r, BatteryReading)]
     # The last battery readings are learned when the speed a lag after them has come.
-    found = powers(play(estimator, silent[:5]))
+    predictions = powers(play(estimator, silent[:5]))
     probe = probe_sigma(estimator)
-    found += powers(play(estimator, silent[5:]))
-    assert len(found) > 18 * seconds
-    assert all(math.isfinite(p.power) and 0 < p.sigma < math.inf for p in found)
+    predictions += powers(play(estimator, silent[5:]))
+    assert len(predictions) > 18 * seconds
+    assert all(math.isfinite(p.power) and 0 < p.sigma < math.inf for p in predictions)
     assert probe_sigma(estimator) >= probe
     status = estimator.status()
     assert status.activity is Activity.PREDICTING
@@ -134,12 +137,12 @@ def test_energy_of_a_dropout_begins_where_the_battery_was_last_measured(
     ]
     play(estimator, before)
     silent = [r for r in from_on(readings, CUT) if not isinstance(r, BatteryReading)]
-    found = [p for p in powers(play(estimator, silent)) if math.isfinite(p.energy)]
-    first, last = found[0], found[-1]
+    predictions = [p for p in powers(play(estimator, silent)) if math.isfinite(p.energy)]
+    first, last = predictions[0], predictions[-1]
     assert (first.stamp_ns - begin_ns) / NANOSECONDS < CUT + 2.0
     assert abs(first.energy) < 2.0 * 15_000.0  # J: of two seconds
-    seconds = np.diff([p.stamp_ns for p in found]) / NANOSECONDS
-    drawn = float(np.array([p.power for p in found[1:]]) @ seconds)
+    seconds = np.diff([p.stamp_ns for p in predictions]) / NANOSECONDS
+    drawn = float(np.array([p.power for p in predictions[1:]]) @ seconds)
     assert last.energy - first.energy == pytest.approx(drawn, abs=3 * last.energy_sigma)
 
 
@@ -161,9 +164,9 @@ def test_parameters_are_stale_after_five_minutes_of_silence(taught, play, drive,
     begin = (readings[0].stamp_ns - cruise(0, 1)[0].stamp_ns) / NANOSECONDS + 230.0
     for seconds, state in ((299.0, Trust.VALID), (302.0, Trust.STALE)):
         play(estimator, cruise(begin + seconds - 1, begin + seconds, battery=False))
-        found = estimator.parameters()
-        assert found.identifiable_trust["mass_over_eta"] is state
-        assert found.parameters["eta"].trust is (state if eta is Trust.VALID else eta)
+        published = estimator.parameters()
+        assert published.identifiable_trust["mass_over_eta"] is state
+        assert published.parameters["eta"].trust is (state if eta is Trust.VALID else eta)
 
 
 def test_reverse_and_charging_teach_nothing_and_stay_counted(new_estimator, play, cruise):

@@ -43,10 +43,13 @@ def test_in_other_units_about_another_origin_it_is_the_same_likelihood():
     own = Evidence(rows.T @ rows, rng.standard_normal(SIZE))
     other, places = own.about(mean, scale), rng.standard_normal((3, SIZE))
 
-    def logs(found, where):
-        return [each @ found.information - each @ found.precision @ each / 2 for each in where]
+    def logs(gaussian, where):
+        return [x @ gaussian.information - x @ gaussian.precision @ x / 2 for x in where]
 
-    ratios = (np.diff(logs(*each)) for each in ((own, places), (other, (places - mean) / scale)))
+    ratios = (
+        np.diff(logs(*likelihood))
+        for likelihood in ((own, places), (other, (places - mean) / scale))
+    )
     np.testing.assert_allclose(*ratios)
 
 

@@ -151,7 +151,7 @@ def test_a_car_that_is_restored_before_each_drive_is_judged_as_one_that_goes_on(
                 assert learner.add_interval(measured)
             update = learner.prepare_update()
             assert learner.consider(update()) is None
-    one, other = (learner._car.judged() for learner in (goes_on, stored))
-    assert one.experts.drives == other.experts.drives == 3.0
-    assert other.experts.odds == pytest.approx(one.experts.odds, rel=1e-6)
-    assert other.bands.drive == pytest.approx(one.bands.drive, rel=1e-6)
+    running, restored = (learner._car.judged() for learner in (goes_on, stored))
+    assert running.experts.drives == restored.experts.drives == 3.0
+    assert restored.experts.odds == pytest.approx(running.experts.odds, rel=1e-6)
+    assert restored.bands.drive == pytest.approx(running.bands.drive, rel=1e-6)

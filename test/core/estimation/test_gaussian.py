@@ -36,27 +36,28 @@ def test_a_measurement_is_that_of_each_hypothesis_alone(seed):
     gradient, measured = rng.standard_normal((COUNT, SIZE)), rng.standard_normal(COUNT)
     variance, extra = rng.uniform(0.1, 2.0, (2, COUNT))
     seen = innovate(state, gradient, measured, variance)
-    found = condition(state, seen, extra)
+    conditioned = condition(state, seen, extra)
     for k in range(COUNT):
         # The information form: precisions add up.
         row, noise = gradient[k], variance[k] + extra[k]
         inverse = np.linalg.inv(state.covariance[k]) + np.outer(row, row) / noise
         posterior = np.linalg.inv(inverse)
-        np.testing.assert_allclose(found.covariance[k], posterior, rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(conditioned.covariance[k], posterior, rtol=1e-6, atol=1e-8)
         expected = state.mean[k] + posterior @ row * measured[k] / noise
-        np.testing.assert_allclose(found.mean[k], expected, rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(conditioned.mean[k], expected, rtol=1e-6, atol=1e-8)
 
 
 @given(seeds)
 def test_a_mixture_of_equals_is_the_one_and_moments_are_those_of_draws(seed):
     rng = np.random.default_rng(seed)
-    one, weights = drawn(rng), rng.dirichlet(np.ones(COUNT))
-    equal = mixture(weights, Gaussian(*(np.repeat(part[:1], COUNT, 0) for part in one)))
-    np.testing.assert_allclose(equal.mean, one.mean[0], atol=1e-12)
-    np.testing.assert_allclose(equal.covariance, one.covariance[0], atol=1e-12)
-    whole = mixture(weights, one)
+    bank, weights = drawn(rng), rng.dirichlet(np.ones(COUNT))
+    equal = mixture(weights, Gaussian(*(np.repeat(part[:1], COUNT, 0) for part in bank)))
+    np.testing.assert_allclose(equal.mean, bank.mean[0], atol=1e-12)
+    np.testing.assert_allclose(equal.covariance, bank.covariance[0], atol=1e-12)
+    whole = mixture(weights, bank)
     second = sum(
-        w * (c + np.outer(m, m)) for w, m, c in zip(weights, one.mean, one.covariance, strict=True)
+        w * (c + np.outer(m, m))
+        for w, m, c in zip(weights, bank.mean, bank.covariance, strict=True)
     )
     outer = np.outer(whole.mean, whole.mean)
     np.testing.assert_allclose(whole.covariance + outer, second, atol=1e-9)
@@ -65,14 +66,14 @@ def test_a_mixture_of_equals_is_the_one_and_moments_are_those_of_draws(seed):
 def test_what_is_replaced_is_without_correlation_and_the_rest_is_as_it_was():
     state = drawn(np.random.default_rng(0))
     before = Gaussian(state.mean.copy(), state.covariance.copy())
-    found = replace_states(state, {1: np.array([1.0, 2.0, 3.0]), 3: 0.0})
-    assert found.mean[:, [1, 3]].tolist() == [[0.0, 0.0]] * COUNT
-    assert found.covariance[:, 1, 1].tolist() == [1.0, 2.0, 3.0]
-    off = found.covariance.copy()
+    replaced = replace_states(state, {1: np.array([1.0, 2.0, 3.0]), 3: 0.0})
+    assert replaced.mean[:, [1, 3]].tolist() == [[0.0, 0.0]] * COUNT
+    assert replaced.covariance[:, 1, 1].tolist() == [1.0, 2.0, 3.0]
+    off = replaced.covariance.copy()
     off[:, 1, 1] = 0.0
     assert not off[:, [1, 3]].any() and not off[:, :, [1, 3]].any()
     rest = np.ix_(range(COUNT), [0, 2, 4], [0, 2, 4])
-    assert np.array_equal(found.covariance[rest], state.covariance[rest])
+    assert np.array_equal(replaced.covariance[rest], state.covariance[rest])
     assert np.array_equal(before.covariance, state.covariance), "functions are pure"
 
 

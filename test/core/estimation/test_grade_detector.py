@@ -66,9 +66,9 @@ def test_a_flipped_grade_is_found_within_ten_kilometres_and_mended(hills):
 )
 def test_a_verdict_stays_between_its_limits(intervals, fall, before, after):
     """`fall` is the evidence, in sigmas; one more interval changes that of 50 km by little."""
-    one = next(iter(intervals(np.full(1100, 15.0), height=lambda odometer: 0.0 * odometer)))
+    interval = next(iter(intervals(np.full(1100, 15.0), height=lambda odometer: 0.0 * odometer)))
     road = 50e3
     correlation = -fall / np.hypot(fall, np.sqrt(road / ALIKE))
     sums = (road, 0.0, 0.0, 1e-4 * road, 1e-4 * correlation * road, 1e-4 * road)
-    found = GradeDetector(sums, before).after(one, 0.0, 2e4)
-    assert found.detected == (GRADE_SIGN if after else None)
+    detector = GradeDetector(sums, before).after(interval, 0.0, 2e4)
+    assert detector.detected == (GRADE_SIGN if after else None)

@@ -37,11 +37,11 @@ def test_hills_of_long_ago_are_forgotten():
 
 def test_a_road_without_heights_is_none_of_them(vehicle, intervals):
     car = LearnedCar.new(equation_of(vehicle))
-    found = intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0)
-    unknown = [replace(one, height_known=False) for one in found]
+    town = intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0)
+    unknown = [replace(interval, height_known=False) for interval in town]
     assert car.after(unknown).hills == Hills()
-    level = [replace(one, height_known=True) for one in found]
-    way = sum(abs(one.distance) for one in found)
+    level = [replace(interval, height_known=True) for interval in town]
+    way = sum(abs(interval.distance) for interval in town)
     assert car.after(level).hills.way == pytest.approx(way)
 
 

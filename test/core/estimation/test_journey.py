@@ -19,12 +19,12 @@ TENTH = NANOSECONDS // 10
 
 def town(count: int, *, grade: float = 0.01, **others) -> list[Sample]:
     """Samples at 10 Hz of a speed that goes up and down, on a slope."""
-    found = []
+    samples = []
     for k in range(count):
         speed = 10.0 + 5.0 * math.sin(k / 40.0)
         acceleration = 5.0 / 4.0 * math.cos(k / 40.0)
-        found.append(Sample(k * TENTH, speed, acceleration, grade, 1.2, 0.0, **others))
-    return found
+        samples.append(Sample(k * TENTH, speed, acceleration, grade, 1.2, 0.0, **others))
+    return samples
 
 
 def tail_of(samples) -> Tail:

@@ -92,8 +92,8 @@ def test_rolling_resistance_that_no_tyre_has_is_never_valid(prior, c_rr):
     ("name", "value"), [("c_d", math.log(1.34)), ("c_d", math.log(0.08)), ("eta", math.log(1.2))]
 )
 def test_values_that_no_car_has_are_never_valid(prior, name, value):
-    found = parameter_set(0, learned(prior, 0.001, **{name: value})).parameters[name]
-    assert found.trust is ESTIMATING and not found.possible
+    parameter = parameter_set(0, learned(prior, 0.001, **{name: value})).parameters[name]
+    assert parameter.trust is ESTIMATING and not parameter.possible
 
 
 def test_rolling_resistance_is_not_valid_where_a_climb_looks_like_it(prior):
@@ -110,16 +110,16 @@ def test_rolling_resistance_is_not_valid_where_a_climb_looks_like_it(prior):
 def test_an_efficiency_at_its_bound_is_published_as_an_interval(prior):
     """A normal logarithm cut off at 1, of 3 % sigma about 1.05."""
     source = learned(prior, 0.2, eta=math.log(1.05))
-    found = parameter_set(0, source).parameters["eta"]
-    assert found.lower < found.value < found.upper <= 1.0
-    assert found.lower < 0.98 and found.upper > 0.99 and found.std > 0.0
+    eta = parameter_set(0, source).parameters["eta"]
+    assert eta.lower < eta.value < eta.upper <= 1.0
+    assert eta.lower < 0.98 and eta.upper > 0.99 and eta.std > 0.0
     rng = np.random.default_rng(0)
     std = math.sqrt(source.now.covariance[0, 0])
     draws = np.exp(math.log(1.05) + std * rng.standard_normal(400_000))
     draws = draws[draws <= 1.0]
-    assert found.value == pytest.approx(np.median(draws), abs=0.005)
-    assert found.upper == pytest.approx(np.quantile(draws, 0.975), abs=0.005)
-    assert found.lower >= np.quantile(draws, 0.025) - 0.005
+    assert eta.value == pytest.approx(np.median(draws), abs=0.005)
+    assert eta.upper == pytest.approx(np.quantile(draws, 0.975), abs=0.005)
+    assert eta.lower >= np.quantile(draws, 0.025) - 0.005
 
 
 @pytest.mark.parametrize("name", PARAMETER_NAMES)
@@ -192,9 +192,9 @@ def test_what_is_stale_was_valid(prior):
     stale = parameters.stale()
     assert {p.trust for p in stale.parameters.values()} == {Trust.STALE}
     assert set(stale.identifiable_trust.values()) == {Trust.STALE} and not stale.reliable
-    one = replace(parameters.parameters["mass"], trust=ESTIMATING)
+    mass = replace(parameters.parameters["mass"], trust=ESTIMATING)
     assert (
-        replace(parameters, parameters={"mass": one}).stale().parameters["mass"].trust
+        replace(parameters, parameters={"mass": mass}).stale().parameters["mass"].trust
         is ESTIMATING
     )
 
@@ -209,8 +209,8 @@ def test_a_value_that_is_unsure_by_a_quarter_is_not_valid_however_wide_its_prior
     source.now.covariance[c_d, c_d] = std**2
     wide = source.prior._replace(covariance=100.0 * source.prior.covariance)
     wide.covariance[c_d, c_d] = 10.0
-    found = parameter_set(0, source._replace(prior=wide)).parameters["c_d"]
-    assert found.trust is state
+    drag = parameter_set(0, source._replace(prior=wide)).parameters["c_d"]
+    assert drag.trust is state
 
 
 @pytest.mark.parametrize("beyond", [-9.0, 9.0])

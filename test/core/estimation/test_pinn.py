@@ -43,17 +43,17 @@ def followed(learner: PinnLearner, kind: Step, count: int = 1, **moments) -> Pre
 
 def predicted(learner: PinnLearner, tick: int) -> Predicted:
     """The prediction of a smoothed sample, up to which time passes."""
-    found = followed(learner, Step.SMOOTHED, smoothed=Samples.of([sample(tick)]))
-    return Predicted(*found.smoothed[0], *found.energies[0])
+    outputs = followed(learner, Step.SMOOTHED, smoothed=Samples.of([sample(tick)]))
+    return Predicted(*outputs.smoothed[0], *outputs.energies[0])
 
 
 def battery_measured(learner: PinnLearner, tick: int) -> None:
     followed(learner, Step.BATTERY, battery_ns=[sample(tick).stamp_ns])
 
 
-def observe(learner: PinnLearner, one: Sample, power: float) -> None:
+def observe(learner: PinnLearner, moment: Sample, power: float) -> None:
     """Let it learn from a measured sample."""
-    measured = Samples.of([one])
+    measured = Samples.of([moment])
     followed(learner, Step.MEASURED, measured=measured, power=np.array([power]))
 
 
@@ -65,11 +65,11 @@ def town(vehicle, as_prior):
 
 @pytest.fixture(scope="module")
 def learned(vehicle, town) -> PinnLearner:
-    found = PinnLearner(vehicle)
-    for one in town:
-        found.add_interval(one)
-    assert found.consider(found.prepare_update()()) is None
-    return found
+    taught = PinnLearner(vehicle)
+    for interval in town:
+        taught.add_interval(interval)
+    assert taught.consider(taught.prepare_update()()) is None
+    return taught
 
 
 @pytest.fixture
@@ -92,8 +92,8 @@ def test_an_update_works_on_a_copy_and_a_snapshot(learner, town, vehicle):
 
 def test_one_by_one_and_all_at_once_are_the_same(vehicle, town, learner):
     other = PinnLearner(vehicle)
-    for one in town:
-        other.add_interval(one)
+    for interval in town:
+        other.add_interval(interval)
         other.consider(other.prepare_update()())
     assert other.export() == learner.export()
 
@@ -147,21 +147,21 @@ def test_the_breakdown_goes_on_over_a_long_stop_and_begins_with_another_drive(le
 def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(learner, town):
     silent = [
         replace(
-            one,
+            interval,
             energy=math.nan,
-            start_ns=one.start_ns + 200 * NANOSECONDS,
-            end_ns=one.end_ns + 200 * NANOSECONDS,
+            start_ns=interval.start_ns + 200 * NANOSECONDS,
+            end_ns=interval.end_ns + 200 * NANOSECONDS,
         )
-        for one in town
+        for interval in town
     ]
     predicted(learner, 0)
     sigmas = []
-    for one in silent:
-        learner.add_interval(one)
+    for interval in silent:
+        learner.add_interval(interval)
         learner.consider(learner.prepare_update()())
-        sigmas.append(predicted(learner, one.end_ns // STEP).energy_sigma)
+        sigmas.append(predicted(learner, interval.end_ns // STEP).energy_sigma)
     total = predicted(learner, silent[-1].end_ns // STEP + 1).energy
-    truth = sum(one.energy for one in town)
+    truth = sum(interval.energy for interval in town)
     assert sigmas[-1] > sigmas[0] > 0.0 and abs(total - truth) < 2 * sigmas[-1]
     learner.add_interval(replace(silent[-1], energy=town[-1].energy))
     learner.consider(learner.prepare_update()())
@@ -172,21 +172,23 @@ def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(lea
 @pytest.fixture(scope="module")
 def drew_more(learned) -> PinnLearner:
     """For a minute, to its tick 600, the car drew 3 kW more than it does alone."""
-    found = deepcopy(learned)
-    alone = predicted(deepcopy(found), 0).power
+    heavier = deepcopy(learned)
+    alone = predicted(deepcopy(heavier), 0).power
     for tick in range(1, 600):
-        predicted(found, tick)
-        battery_measured(found, tick)
-        observe(found, sample(tick), alone + 3000.0)
-    return found
+        predicted(heavier, tick)
+        battery_measured(heavier, tick)
+        observe(heavier, sample(tick), alone + 3000.0)
+    return heavier
 
 
 def test_a_dropout_begins_with_what_the_last_seconds_had_beyond_the_car(learner, drew_more):
     """Energy of its first seconds is the integral of the power that is published."""
     alone, learner = predicted(deepcopy(learner), 0).power, deepcopy(drew_more)
-    found = [predicted(learner, tick) for tick in range(600, 630)]
-    assert found[0].power - alone > 1000.0
-    assert found[-1].energy == pytest.approx(0.1 * sum(each.power for each in found), rel=0.03)
+    predictions = [predicted(learner, tick) for tick in range(600, 630)]
+    assert predictions[0].power - alone > 1000.0
+    assert predictions[-1].energy == pytest.approx(
+        0.1 * sum(prediction.power for prediction in predictions), rel=0.03
+    )
 
 
 def test_of_a_step_that_the_battery_saw_in_part_the_rest_counts(drew_more):

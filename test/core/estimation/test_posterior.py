@@ -40,8 +40,8 @@ def town(intervals):
 
 def learned(drive):
     state = initial_state(EQUATION)
-    for one in drive:
-        state, _ = learn(state, EQUATION, passed(EQUATION, one, state.seconds))
+    for interval in drive:
+        state, _ = learn(state, EQUATION, passed(EQUATION, interval, state.seconds))
     return state
 
 
@@ -79,8 +79,8 @@ def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
         load, drawn = [size], []
         shape = np.linalg.cholesky(fresh)
         for _ in range(count):
-            drawn.append([each * integral for each in load])
-            load = [each * left for each in load] + shape[0].tolist()
+            drawn.append([part * integral for part in load])
+            load = [part * left for part in load] + shape[0].tolist()
             drawn[-1] += shape[1].tolist()
         parts = np.array([row + [0.0] * (len(drawn[-1]) - len(row)) for row in drawn])
         covariance = parts @ parts.T + sampling * np.eye(count)
@@ -150,13 +150,13 @@ def test_heating_that_the_battery_does_not_give_loses_its_share(intervals):
 
 def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town, known):
     model, sigmas = known.model(EQUATION), []
-    first, second = (passed(EQUATION, one, 300.0).journey for one in town[:2])
+    first, second = (passed(EQUATION, interval, 300.0).journey for interval in town[:2])
     both = first.plus(second)
     assert both.less(second).row == pytest.approx(first.row)
     assert both.share(0.5).seconds == pytest.approx(first.seconds)
     journey = NOWHERE
-    for one in town:
-        journey = journey.plus(passed(EQUATION, one, 300.0).journey)
+    for interval in town:
+        journey = journey.plus(passed(EQUATION, interval, 300.0).journey)
         sigmas.append(model.predicted(journey)[1])
     assert (np.diff(sigmas) > 0.0).all()
     assert model.predicted(NOWHERE) == (0.0, 0.0)
@@ -166,16 +166,19 @@ def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town, known):
 
 def test_what_is_wrong_while_driving_says_nothing_of_a_car_that_stands(town):
     """Where clocks of speed and battery differ, starts and stops are wrong, and nothing else."""
-    town = [replace(one, height_known=True) for one in town]  # no hill takes the blame
-    way = [abs(one.distance) / one.duration for one in town]
+    town = [replace(interval, height_known=True) for interval in town]  # no hill takes the blame
+    way = [abs(interval.distance) / interval.duration for interval in town]
     assert min(way) < 0.1, "it stands at times"
     wrong = [
-        replace(one, energy=one.energy + (-1) ** i * 2000.0 * one.duration * (0.2 < speed < 5.0))
-        for i, (one, speed) in enumerate(zip(town, way, strict=True))
+        replace(
+            interval,
+            energy=interval.energy + (-1) ** i * 2000.0 * interval.duration * (0.2 < speed < 5.0),
+        )
+        for i, (interval, speed) in enumerate(zip(town, way, strict=True))
     ]
-    right, spoilt = (learned(4 * each).model(EQUATION) for each in (town, wrong))
-    journeys = [passed(EQUATION, one, 600.0).journey for one in town]
-    still, fast = (journeys[way.index(found)] for found in (min(way), max(way)))
+    right, spoilt = (learned(4 * drive).model(EQUATION) for drive in (town, wrong))
+    journeys = [passed(EQUATION, interval, 600.0).journey for interval in town]
+    still, fast = (journeys[way.index(speed)] for speed in (min(way), max(way)))
     assert spoilt.predicted(fast)[1] > 2.0 * right.predicted(fast)[1]
     assert spoilt.predicted(still)[1] < 1.3 * right.predicted(still)[1]
 
@@ -207,10 +210,10 @@ def test_what_the_hypotheses_were_worth_is_forgotten(town):
     state = learned(town[:5])
     head_start = np.arange(len(BANK)) * 3.0
     ahead = replace(state, evidence=state.evidence + head_start)
-    one, other = (
-        learn(each, EQUATION, passed(EQUATION, town[5], 30.0))[0] for each in (state, ahead)
+    level, biased = (
+        learn(start, EQUATION, passed(EQUATION, town[5], 30.0))[0] for start in (state, ahead)
     )
-    left = np.diff(other.evidence - one.evidence)
+    left = np.diff(biased.evidence - level.evidence)
     assert left == pytest.approx(3.0 * (1.0 - 1.0 / posterior.EVIDENCE_KEPT), abs=1e-9)
 
 
@@ -219,7 +222,9 @@ def test_a_fast_car_s_motor_tells_less_of_its_mass():
     rows = np.zeros((2, SIZE))
     rows[:, State.MASS], rows[:, State.MOTOR_DRIVE] = 100.0, -1e5
     slow, fast = (see_motor(initial_state(EQUATION), rows, square) for square in (1e2, 1e5))
-    variances = [each.covariance[:, State.MASS, State.MASS] for each in (slow, fast)]
+    variances = [
+        posterior_state.covariance[:, State.MASS, State.MASS] for posterior_state in (slow, fast)
+    ]
     assert (variances[0] < 0.9 * variances[1]).all()
 
 

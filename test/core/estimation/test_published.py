@@ -43,9 +43,9 @@ from test.core.signals.test_interval import polled
 
 def test_it_starts_at_the_priors(vehicle):
     equation = equation_of(vehicle)
-    found = published(initial_state(equation), equation, Driven.nowhere())
-    mean = [*np.exp(found.now.mean[:3]), found.now.mean[3], *np.exp(found.now.mean[4:5])]
-    assert [*mean, found.now.mean[5]] == pytest.approx(vehicle.initial, rel=1e-6)
+    prior = published(initial_state(equation), equation, Driven.nowhere())
+    mean = [*np.exp(prior.now.mean[:3]), prior.now.mean[3], *np.exp(prior.now.mean[4:5])]
+    assert [*mean, prior.now.mean[5]] == pytest.approx(vehicle.initial, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -60,16 +60,16 @@ def test_sigmas_grow_as_rehearsed_dropouts_err(vehicle, deviates, growth):
         bands = replace(bands, dropout=bands.dropout.after(deviate))
     state = initial_state(equation)
     learned = replace(state, covariance=state.covariance / 4.0)
-    first, found = (
-        published(replace(learned, bands=each), equation, Driven.nowhere())
-        for each in (Bands(), bands)
+    first, grown = (
+        published(replace(learned, bands=judged), equation, Driven.nowhere())
+        for judged in (Bands(), bands)
     )
-    own = np.sqrt(np.diag(found.now.covariance) / np.diag(first.now.covariance))
+    own = np.sqrt(np.diag(grown.now.covariance) / np.diag(first.now.covariance))
     assert own[[MASS, C_RR, C_D]] == pytest.approx(growth, rel=1e-6)
     shares = []
-    for each in (first, found):
-        sigma = np.sqrt(np.diag(each.now.covariance))
-        shares.append(each.now.covariance[MASS, C_D] / sigma[MASS] / sigma[C_D])
+    for version in (first, grown):
+        sigma = np.sqrt(np.diag(version.now.covariance))
+        shares.append(version.now.covariance[MASS, C_D] / sigma[MASS] / sigma[C_D])
     assert shares[0] == pytest.approx(shares[1])
 
 
@@ -79,8 +79,8 @@ def test_energies_of_eq_21_project_onto_their_coefficients(vehicle):
     rng = np.random.default_rng(0)
     terms = rng.normal(size=(20_000, 4)) * [1e4, 1e6, 1e5, 1e7]
     change = np.array([[0.1, 2.0, 200.0, 0.05]]).T
-    found = project(terms.T @ terms, terms.T @ terms @ change, equation)
-    assert found == pytest.approx(change, rel=1e-3)
+    projected = project(terms.T @ terms, terms.T @ terms @ change, equation)
+    assert projected == pytest.approx(change, rel=1e-3)
     nothing = np.zeros((4, 4))
     assert not project(nothing, nothing @ change, equation).any()
 
@@ -103,22 +103,22 @@ def test_a_network_taught_in_town_is_hardly_booked_as_drag(in_town, seed):
     """Town tells drag from rolling badly: a small network made 0.3 of a car's drag there."""
     _, car = in_town(seed)
     drag, rolling = (car.driven.share(car.equation)[:2, -NETWORK:] ** 2).sum(1) ** 0.5
-    one = min(NETWORK_STDS)
-    assert 0.0 < one * drag < 0.12 * car.equation.mean[State.DRAG]
-    assert 0.0 < one * rolling < 0.2 * car.equation.mean[State.ROLLING]
+    std = min(NETWORK_STDS)
+    assert 0.0 < std * drag < 0.12 * car.equation.mean[State.DRAG]
+    assert 0.0 < std * rolling < 0.2 * car.equation.mean[State.ROLLING]
 
 
 @pytest.mark.slow
 def test_an_efficiency_map_is_published_by_energy():
     """Ten minutes of mixed roads with cars of three models that have a map of losses."""
-    found = list(compare(DriveKind.MIXED, VEHICLES, range(2), marks=(600,)))
+    rows = list(compare(DriveKind.MIXED, VEHICLES, range(2), marks=(600,)))
     errors = {
-        name: np.abs([one.error_percent for one in found if one.name == name])
+        name: np.abs([row.error_percent for row in rows if row.name == name])
         for name in ("mass_over_eta", "regeneration")
     }
     assert np.median(errors["mass_over_eta"]) < 2.0 and errors["mass_over_eta"].max() < 4.0
     assert np.median(errors["regeneration"]) < 3.0
-    assert np.mean([one.covered for one in found]) >= 0.85
+    assert np.mean([row.covered for row in rows]) >= 0.85
 
 
 def learned(vehicle, readings) -> LearnedCar:
@@ -133,10 +133,10 @@ def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, in_town, seed):
     """10 Hz thinned to 1.2 s, each signal at a time of its own: within the sigma of both."""
     readings, dense = in_town(seed)
     thin = learned(vehicle, polled(readings))
-    one, other = publish(dense).now, publish(thin).now
+    full, polled_now = publish(dense).now, publish(thin).now
     for weights in ([-1, 0, 1, 0, 0, 0], [1, 1, 0, 0, 0, 0], [0, 0, 0, 1, 0, 0]):
-        away = abs(np.dot(weights, one.mean - other.mean))
-        assert away < 1.5 * math.sqrt(weights @ other.covariance @ weights), weights
+        away = abs(np.dot(weights, full.mean - polled_now.mean))
+        assert away < 1.5 * math.sqrt(weights @ polled_now.covariance @ weights), weights
 
 
 @pytest.mark.parametrize("kind", ["slip", "dropouts"])
@@ -188,7 +188,7 @@ def mixed(vehicle, intervals) -> Callable[[float], LearnedCar]:
     @cache
     def after(unseen: float) -> LearnedCar:
         gap = int(unseen * len(drive))
-        seen = (replace(one, height_known=k >= gap) for k, one in enumerate(drive))
+        seen = (replace(interval, height_known=k >= gap) for k, interval in enumerate(drive))
         return LearnedCar.new(equation).after(seen)
 
     return after
@@ -201,7 +201,7 @@ def publish(car: LearnedCar) -> Published:
 def test_rolling_resistance_without_heights_is_as_unsure_as_the_climb(mixed):
     """Its sigma holds the climb that such a road may have, and it is never valid."""
     seen, unseen = publish(mixed(0.0)), publish(mixed(1.0))
-    known, guessed = (math.sqrt(each.now.covariance[C_RR, C_RR]) for each in (seen, unseen))
+    known, guessed = (math.sqrt(version.now.covariance[C_RR, C_RR]) for version in (seen, unseen))
     climb = climb_as_rolling(mixed(1.0).driven.distance)
     assert guessed >= min(climb, math.sqrt(unseen.prior.covariance[C_RR, C_RR]))
     assert guessed > known
@@ -223,8 +223,10 @@ def test_the_road_of_a_drive_that_begins_is_as_the_last_one(vehicle, as_prior):
 
 def test_a_short_stretch_without_heights_takes_little_of_what_is_known(mixed):
     """The climb of 5 % of the road is off by what it is to the whole."""
-    found = (publish(mixed(unseen)).now.covariance for unseen in (0.0, 0.05, 1.0))
-    all_seen, some, none = (np.sqrt(np.diag(each)[[C_RR, C_D]]) for each in found)
+    covariances = (publish(mixed(unseen)).now.covariance for unseen in (0.0, 0.05, 1.0))
+    all_seen, some, none = (
+        np.sqrt(np.diag(covariance)[[C_RR, C_D]]) for covariance in covariances
+    )
     assert (some - all_seen < 0.2 * (none - all_seen)).all()
 
 
@@ -234,11 +236,11 @@ def test_motor_torque_without_heights_tells_the_same_car():
     model = load_vehicle("nissan_leaf")
     hilly = {"rms_grade": 0.04, "motor_torque": True, "can_profile": PROFILE}
     drive = simulate(DriveKind.MIXED, model, 900.0, 4, **hilly)
-    found = {}
+    etas = {}
     for seen in (True, False):
         chain = CarChain(model)
         chain.add_readings(r for r in drive.readings if seen or not isinstance(r, AltitudeReading))
-        found[seen] = chain.parameters().parameters["eta"]
-    assert found[True].trust.value == "valid"
-    assert abs(found[False].value - drive.truth.parameters.eta) < 2.0 * found[False].std
-    assert found[False].std < 2.0 * found[True].std
+        etas[seen] = chain.parameters().parameters["eta"]
+    assert etas[True].trust.value == "valid"
+    assert abs(etas[False].value - drive.truth.parameters.eta) < 2.0 * etas[False].std
+    assert etas[False].std < 2.0 * etas[True].std

@@ -26,9 +26,9 @@ EQUATION = equation_of(load_vehicle("tesla_model_3_lr"))
 def learned(intervals, energy, seconds=1200.0, seed=0):
     """A car after a drive of which each interval took `energy(number)` J beside the prior's."""
     car = LearnedCar.new(EQUATION)
-    for number, one in enumerate(intervals((DriveKind.URBAN, seconds, seed), begin_ns=0)):
-        own = float(passed(EQUATION, one, 0.0).journey.row @ EQUATION.mean)
-        measured = replace(one, energy=own + energy(number), sampling_variance=0.0)
+    for number, interval in enumerate(intervals((DriveKind.URBAN, seconds, seed), begin_ns=0)):
+        own = float(passed(EQUATION, interval, 0.0).journey.row @ EQUATION.mean)
+        measured = replace(interval, energy=own + energy(number), sampling_variance=0.0)
         car = car.after([measured])
     return car
 
@@ -59,8 +59,8 @@ def test_nothing_is_proved_by_a_dropout_or_a_car_that_stands(intervals):
         car = car.after([interval])  # its battery was not measured
     assert car.state.bands == Bands() and not car.measured
     parked = LearnedCar.new(EQUATION)
-    for one in intervals(np.zeros(60_000), begin_ns=0):
-        parked = parked.after([replace(one, energy=3e3, sampling_variance=0.0)])
+    for interval in intervals(np.zeros(60_000), begin_ns=0):
+        parked = parked.after([replace(interval, energy=3e3, sampling_variance=0.0)])
     assert parked.state.bands == Bands()
 
 
@@ -76,7 +76,7 @@ def test_a_spread_goes_both_ways_and_one_odd_road_counts_little():
 
 def test_flat_country_has_narrow_bands_and_mountains_wide_ones():
     """By the errors of 60 s without a height, of 20 km of road each."""
-    rng, found = np.random.default_rng(0), []
+    rng, widths = np.random.default_rng(0), []
     for growth in (GROWTHS[0], GROWTHS[-1]):
         bands = Bands()
         weight = 2e4**2
@@ -84,8 +84,8 @@ def test_flat_country_has_narrow_bands_and_mountains_wide_ones():
             energy = PredictedEnergy(0.0, 1e9, weight * 1000.0)
             drawn = rng.normal(0.0, np.sqrt(1e9 + growth * weight * 1000.0))
             bands = bands.after_dropout(energy, drawn, long=False)
-        found.append(bands.growth)
-    assert found[0] < 2.0 * GROWTHS[0] and found[1] > 0.5 * GROWTHS[-1]
+        widths.append(bands.growth)
+    assert widths[0] < 2.0 * GROWTHS[0] and widths[1] > 0.5 * GROWTHS[-1]
 
 
 def test_a_whole_drive_is_judged_from_the_second_on(intervals):

@@ -23,7 +23,7 @@ def test_what_a_robot_teaches_in_ten_minutes(seed):
         line = np.array([0.0, metres / 2, metres])
         plan = plan_from_path(line, 0.0 * line, 0.0 * line, nominal_speed=1.0)
         truth = true_energy(plan)
-        before, after = (forecast_plan(plan, each, Weather(1.2), 0.0) for each in (never, known))
+        before, after = (forecast_plan(plan, model, Weather(1.2), 0.0) for model in (never, known))
         assert abs(after.energy[-1] - truth) < min(3.0 * after.sigma[-1], 0.2 * truth)
         assert after.sigma[-1] < 0.25 * truth < 0.5 * before.sigma[-1]
         assert abs(before.energy[-1] - truth) < 2.0 * before.sigma[-1]
@@ -40,8 +40,8 @@ def test_a_robot_s_battery_may_drop_out_for_ten_minutes():
     for now in moments(1, 1200.0):
         measured = now.battery_due and now.time < 600.0
         battery = (now.voltage, now.current) if measured else (math.nan, math.nan)
-        found = estimator.add(now.time, now.speed, *battery)
+        estimate = estimator.add(now.time, now.speed, *battery)
         truth += now.true_power * robot().STEP if now.time >= 600.0 else 0.0
-        energies[now.time >= 600.0] = found.energy_j, found.energy_sigma_j
+        energies[now.time >= 600.0] = estimate.energy_j, estimate.energy_sigma_j
     taken, sigma = energies[True][0] - energies[False][0], energies[True][1]
     assert abs(taken - truth) < 2.0 * sigma < 0.3 * truth

@@ -56,7 +56,7 @@ def with_states(saved: CarState, order: list[int | None]) -> CarState:
     count, size = len(saved.evidence), len(saved.names)
     mean = np.reshape(saved.mean, (count, size))
     covariance = np.reshape(saved.covariance, (count, size, size))
-    like = [State.MASS if each is None else each for each in order]
+    like = [State.MASS if place is None else place for place in order]
     own = covariance[:, like][:, :, like]
     names = [f"of_later_{k}" if i is None else saved.names[i] for k, i in enumerate(order)]
     return replace(
@@ -68,9 +68,9 @@ def with_states(saved: CarState, order: list[int | None]) -> CarState:
     )
 
 
-def assert_same(found: CarState, other: CarState) -> None:
+def assert_same(state: CarState, other: CarState) -> None:
     for field in fields(CarState):
-        values = getattr(found, field.name), getattr(other, field.name)
+        values = getattr(state, field.name), getattr(other, field.name)
         if field.name == "experts":
             values = plain(values[0]), plain(values[1])
         np.testing.assert_equal(*values, err_msg=field.name)
@@ -131,18 +131,18 @@ def test_the_order_of_states_in_a_file_means_nothing(learned, order):
 @given(st.sets(st.integers(0, SIZE - 1), min_size=1, max_size=3))
 def test_a_state_that_a_file_lacks_begins_at_its_prior(learned, missing):
     kept = [index for index in range(SIZE) if index not in missing]
-    found = state_of(with_states(saved_state(learned), kept), EQUATION)
+    restored = state_of(with_states(saved_state(learned), kept), EQUATION)
     lacked = sorted(missing)
-    np.testing.assert_array_equal(found.mean[:, lacked], FRESH.mean[:, lacked])
+    np.testing.assert_array_equal(restored.mean[:, lacked], FRESH.mean[:, lacked])
     block = np.ix_(range(len(FRESH.mean)), lacked, lacked)
-    np.testing.assert_array_equal(found.covariance[block], FRESH.covariance[block])
-    assert not found.covariance[:, lacked][:, :, kept].any()  # tells nothing of the others
-    np.testing.assert_array_equal(found.mean[:, kept], learned.mean[:, kept])
+    np.testing.assert_array_equal(restored.covariance[block], FRESH.covariance[block])
+    assert not restored.covariance[:, lacked][:, :, kept].any()  # tells nothing of the others
+    np.testing.assert_array_equal(restored.mean[:, kept], learned.mean[:, kept])
     theirs = np.ix_(range(len(FRESH.mean)), kept, kept)
-    np.testing.assert_array_equal(found.covariance[theirs], learned.covariance[theirs])
+    np.testing.assert_array_equal(restored.covariance[theirs], learned.covariance[theirs])
     for place, state in enumerate(OFFSETS):
         source = FRESH if state in missing else learned
-        assert found.offset_variance[place] == source.offset_variance[place]
+        assert restored.offset_variance[place] == source.offset_variance[place]
 
 
 def test_a_state_of_a_later_version_is_left_out(learned):
@@ -154,8 +154,8 @@ def test_a_state_of_a_later_version_is_left_out(learned):
 def saved(town) -> dict:
     """What a learner saves after that drive."""
     learner = PinnLearner(CAR)
-    for one in town:
-        learner.add_interval(one)
+    for interval in town:
+        learner.add_interval(interval)
     update = learner.prepare_update()
     assert update is not None and learner.consider(update()) is None
     return json.loads(json.dumps(learner.export()))
@@ -185,11 +185,11 @@ def test_a_car_of_an_older_version_goes_on_learning(saved, town, state):
     older, same = PinnLearner(CAR), PinnLearner(CAR)
     older.restore(without(saved, state))
     same.restore(saved)
-    found, before = older.model(), same.model()
-    assert found.mean[State.MASS] == pytest.approx(before.mean[State.MASS], rel=1e-12)
-    assert found.mean[state] == pytest.approx(EQUATION.mean[state])
-    for one in town[:10]:
-        older.add_interval(one)
+    model, before = older.model(), same.model()
+    assert model.mean[State.MASS] == pytest.approx(before.mean[State.MASS], rel=1e-12)
+    assert model.mean[state] == pytest.approx(EQUATION.mean[state])
+    for interval in town[:10]:
+        older.add_interval(interval)
     update = older.prepare_update()
     assert update is not None and older.consider(update()) is None
     assert older.export()["car"]["names"] == [*NAMES]

@@ -42,8 +42,8 @@ def smaller(vehicle: Vehicle) -> Vehicle:
 def run(vehicle, readings):
     """An estimator after some readings, with the powers it gave."""
     estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
-    found = estimator.add_readings(readings)
-    return estimator, found
+    outputs = estimator.add_readings(readings)
+    return estimator, outputs
 
 
 @pytest.mark.slow
@@ -61,19 +61,19 @@ def test_a_vehicle_of_a_part_of_a_car_s_size_is_learned_as_that_car(vehicle, dri
     ]
     (car, big), (robot, little) = run(vehicle, readings), run(smaller(vehicle), small)
     assert len(big) == len(little) > 1000
-    for one, other in zip(big, little, strict=True):
-        if isinstance(one, PowerEstimate):
-            assert SIZE * one.power == pytest.approx(other.power, rel=1e-9, abs=1e-9)
-            assert SIZE * one.sigma == pytest.approx(other.sigma, rel=1e-9)
+    for full, scaled in zip(big, little, strict=True):
+        if isinstance(full, PowerEstimate):
+            assert SIZE * full.power == pytest.approx(scaled.power, rel=1e-9, abs=1e-9)
+            assert SIZE * full.sigma == pytest.approx(scaled.sigma, rel=1e-9)
         else:
-            assert isinstance(other, ParameterSet) and one.stamp_ns == other.stamp_ns
+            assert isinstance(scaled, ParameterSet) and full.stamp_ns == scaled.stamp_ns
     ours, theirs = car.parameters(), robot.parameters()
     for name in PARAMETER_NAMES:
         scale = SIZE if name in EXTENSIVE else 1.0
-        one, other = ours.parameters[name], theirs.parameters[name]
-        assert scale * one.value == pytest.approx(other.value)
-        assert scale * one.std == pytest.approx(other.std)
-        assert one.trust == other.trust
+        full, scaled = ours.parameters[name], theirs.parameters[name]
+        assert scale * full.value == pytest.approx(scaled.value)
+        assert scale * full.std == pytest.approx(scaled.std)
+        assert full.trust == scaled.trust
     assert SIZE * ours.identifiable.mass_over_eta == pytest.approx(
         theirs.identifiable.mass_over_eta
     )
@@ -81,7 +81,8 @@ def test_a_vehicle_of_a_part_of_a_car_s_size_is_learned_as_that_car(vehicle, dri
     assert small_parts.energy == pytest.approx(SIZE * parts.energy)
     assert small_parts.measured == pytest.approx(SIZE * parts.measured)
     by_car, by_robot = (
-        forecast_plan(PLAN, PowerModel(each.model()), Weather(1.2), 60.0) for each in (car, robot)
+        forecast_plan(PLAN, PowerModel(estimator.model()), Weather(1.2), 60.0)
+        for estimator in (car, robot)
     )
     assert by_robot.energy == pytest.approx(SIZE * by_car.energy, rel=1e-6)
     assert by_robot.sigma == pytest.approx(SIZE * by_car.sigma, rel=1e-6)
@@ -89,8 +90,8 @@ def test_a_vehicle_of_a_part_of_a_car_s_size_is_learned_as_that_car(vehicle, dri
 
 def test_a_plan_of_a_vehicle_never_driven_goes_with_its_size(vehicle):
     by_car, by_robot = (
-        forecast_plan(PLAN, vehicle_model(each), Weather(1.2), 60.0)
-        for each in (vehicle, smaller(vehicle))
+        forecast_plan(PLAN, vehicle_model(driven), Weather(1.2), 60.0)
+        for driven in (vehicle, smaller(vehicle))
     )
     assert by_robot.energy == pytest.approx(SIZE * by_car.energy)
     assert by_robot.sigma == pytest.approx(SIZE * by_car.sigma)

@@ -47,8 +47,8 @@ def test_a_round_trip_through_a_file_is_exact(learned, new_estimator, tmp_path, 
     write_state(tmp_path / "state.json", estimator.export())
     other.restore(read_state(tmp_path / "state.json"))
     assert other.export() == estimator.export()
-    one, two = (found.parameters().identifiable for found in (estimator, other))
-    assert one == pytest.approx(two, rel=1e-12)  # the order in memory shows in the last bit
+    before, after = (owner.parameters().identifiable for owner in (estimator, other))
+    assert before == pytest.approx(after, rel=1e-12)  # the order in memory shows in the last bit
 
 
 def text_of(estimator) -> str:

@@ -195,7 +195,7 @@ def test_whatever_is_saved_in_a_place_is_saved_again(new, states, place, data):
         owner.restore(state)
     except ValueError:
         return
-    saved, sent = (np.ravel(content_of(each, path)) for each in (owner.export(), state))
+    saved, sent = (np.ravel(content_of(document, path)) for document in (owner.export(), state))
     assert saved == pytest.approx(sent, rel=1e-6)  # mode paper has float32
 
 

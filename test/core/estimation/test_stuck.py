@@ -57,12 +57,12 @@ def undisturbed(readings, new_estimator) -> dict[float, OnlineEstimator]:
     """Cars that learned from the first 60 and the first 75 s of the drive."""
     estimator = new_estimator()
     seconds = [(reading.stamp_ns - readings[0].stamp_ns) / NANOSECONDS for reading in readings]
-    first, found = 0, {}
+    first, cars = 0, {}
     for until in (60.0, 75.0):
         last = bisect_right(seconds, until)
         estimator.add_readings(readings[first:last])
-        first, found[until] = last, deepcopy(estimator)
-    return found
+        first, cars[until] = last, deepcopy(estimator)
+    return cars
 
 
 @pytest.mark.slow

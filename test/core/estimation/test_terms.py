@@ -41,8 +41,8 @@ def steps_of(seed: int, count: int = 12, *, motor: bool = False, length: float =
     climb = distance * rng.normal(0.0, 0.03, count)
     power = rng.normal(0.0, 2e4, count) * length if motor else np.full(count, math.nan)
     motors = np.maximum(power, 0.0), np.maximum(-power, 0.0)
-    one = np.full(count, length)
-    return Steps(one, distance, air, (end**2 - start**2) / 2.0, climb, *motors)
+    duration = np.full(count, length)
+    return Steps(duration, distance, air, (end**2 - start**2) / 2.0, climb, *motors)
 
 
 def parts_of(steps, conditions) -> np.ndarray:
@@ -74,17 +74,17 @@ def test_rows_of_steps_do_not_depend_on_their_neighbours(seed, cut):
         columns = Steps._make(
             column[part] if isinstance(column, np.ndarray) else column for column in steps
         )
-        found = EQUATION.rows(columns, COLD, START)
-        np.testing.assert_allclose(found, whole[part], rtol=1e-9, atol=1e-9)
+        rows = EQUATION.rows(columns, COLD, START)
+        np.testing.assert_allclose(rows, whole[part], rtol=1e-9, atol=1e-9)
 
 
 def test_an_even_step_costs_the_same_in_one_piece_or_many():
     """Energies are exact whatever the length of a step, for the network too."""
 
     def even(count: int) -> np.ndarray:
-        one = np.full(count, 60.0 / count)
+        dt = np.full(count, 60.0 / count)
         nothing, none = np.zeros(count), np.full(count, math.nan)
-        columns = one, 20.0 * one, 20.0**3 * one, nothing, 0.2 * one, none, none
+        columns = dt, 20.0 * dt, 20.0**3 * dt, nothing, 0.2 * dt, none, none
         return EQUATION.rows(Steps(*columns), COLD, START).sum(0)
 
     np.testing.assert_allclose(even(1), even(60), rtol=1e-9, atol=1e-6)
@@ -97,14 +97,14 @@ def test_power_of_the_prior_car_is_that_of_eq_21():
     mean[[*PHYSICS, State.P_AUX]] = EQUATION.mean[[*PHYSICS, State.P_AUX]]
     for speed, acceleration in ((20.0, 0.0), (10.0, 1.0), (15.0, -1.5), (0.0, 0.0)):
         none = np.full(1, math.nan)
-        one, v = np.ones(1), np.full(1, speed)
-        steps = Steps(one, v, v**3, v * acceleration, 0.0 * v, none, none)
-        found = float(EQUATION.rows(steps, MILD, Warmth(0.0, 0.0))[0] @ mean)
+        duration, v = np.ones(1), np.full(1, speed)
+        steps = Steps(duration, v, v**3, v * acceleration, 0.0 * v, none, none)
+        power = float(EQUATION.rows(steps, MILD, Warmth(0.0, 0.0))[0] @ mean)
         expected = combined_power(
             v, np.full(1, acceleration), combined,
             air_density=1.2, rotating_mass_factor=CAR.rotating_mass_factor,
         )  # fmt: skip
-        assert found == pytest.approx(float(expected[0]), rel=1e-9)
+        assert power == pytest.approx(float(expected[0]), rel=1e-9)
 
 
 def test_the_network_has_no_part_in_the_terms_of_eq_21():
@@ -138,7 +138,7 @@ def test_a_motor_that_reports_its_torque_stands_in_for_the_wheels():
 def test_loads_are_those_of_the_temperature_or_of_the_report():
     steps = steps_of(1)
     mild, cold, reported = (
-        EQUATION.rows(steps, each, START)[0] for each in (MILD, COLD, REPORTED)
+        EQUATION.rows(steps, conditions, START)[0] for conditions in (MILD, COLD, REPORTED)
     )
     assert mild[State.COLD] == mild[State.HOT] == 0.0 and cold[State.COLD] == 25.0
     assert 0.0 < cold[State.COLD_START] <= 25.0 and cold[State.HOT_START] == 0.0
@@ -148,15 +148,17 @@ def test_loads_are_those_of_the_temperature_or_of_the_report():
 
 
 def test_lifting_a_car_takes_its_weight_times_the_height():
-    one, none = np.ones(1), np.full(1, math.nan)
-    steps = Steps(one, 20.0 * one, 8000.0 * one, 0.0 * one, one, none, none)
+    second, none = np.ones(1), np.full(1, math.nan)
+    steps = Steps(second, 20.0 * second, 8000.0 * second, 0.0 * second, second, none, none)
     parts = parts_of(steps, MILD) @ EQUATION.mean
     assert parts[Part.SLOPE] == pytest.approx(GRAVITY * CAR.initial.mass)
 
 
 def test_a_drivetrain_that_turns_loses_as_much_while_the_car_brakes():
-    one, none = np.ones(1), np.full(1, math.nan)
-    braking = Steps(one, 20.0 * one, 8000.0 * one, -30.0 * one, 0.0 * one, none, none)
+    second, none = np.ones(1), np.full(1, math.nan)
+    braking = Steps(
+        second, 20.0 * second, 8000.0 * second, -30.0 * second, 0.0 * second, none, none
+    )
     parts = parts_of(braking, MILD)
     assert parts[Part.REGAINED, State.BACK] > 0.0
     assert parts[Part.DRIVETRAIN, State.TURNING] == pytest.approx(1.5)

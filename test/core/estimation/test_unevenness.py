@@ -23,10 +23,10 @@ EQUATION = equation_of(load_vehicle("bmw_i3"))
 def path_of(speed: np.ndarray) -> Path:
     """Steps of a flat road from speed once a second."""
     start, end = speed[:-1], speed[1:]
-    one = np.ones(len(start))
+    dt = np.ones(len(start))
     air = (start + end) * (start**2 + end**2) / 4.0
     kinetic = (end**2 - start**2) / 2.0
-    return Path(one, (start + end) / 2.0, air, kinetic, 0.0 * one, 1.2 * one, 0.0 * one)
+    return Path(dt, (start + end) / 2.0, air, kinetic, 0.0 * dt, 1.2 * dt, 0.0 * dt)
 
 
 def town(seed: int, seconds: float = 900.0) -> Path:
@@ -45,14 +45,14 @@ def legs(seconds: int, path: Path) -> Path:
 
 
 def test_even_legs_keep_way_and_time_and_begin_and_end_standing():
-    found = even_rows(EQUATION, legs(60, town(0))).sum(0)
+    even = even_rows(EQUATION, legs(60, town(0))).sum(0)
     path = town(0)
-    assert found[State.TURNING] > 0.0
+    assert even[State.TURNING] > 0.0
     climbed = path.distance.sum() * 9.80665
     mean = EQUATION.mean[PHYSICS]
-    assert found[PHYSICS] @ mean > 0.5 * EQUATION.mean[State.ROLLING] * climbed * 0.5
+    assert even[PHYSICS] @ mean > 0.5 * EQUATION.mean[State.ROLLING] * climbed * 0.5
     whole = rows_of(path) @ EQUATION.mean
-    assert 0.3 * whole < found @ EQUATION.mean < whole  # even is cheaper, not free
+    assert 0.3 * whole < even @ EQUATION.mean < whole  # even is cheaper, not free
 
 
 def test_a_drive_that_was_driven_before_is_expected_as_it_was():
@@ -88,11 +88,11 @@ def test_what_is_expected_of_legs_makes_up_for_even_speed():
 
 def test_it_vanishes_with_the_duration_of_a_leg():
     unevenness = Unevenness.none()
-    one = np.ones(1)
+    dt = np.ones(1)
     powers = []
     for seconds in (10.0, 1.0, 0.1):
-        step = Path(seconds * one, 8.0 * seconds * one, 512.0 * seconds * one, *(0.0 * one,) * 2,
-                    1.2 * one, 0.0 * one)  # fmt: skip
+        step = Path(seconds * dt, 8.0 * seconds * dt, 512.0 * seconds * dt, *(0.0 * dt,) * 2,
+                    1.2 * dt, 0.0 * dt)  # fmt: skip
         powers.append(
             float(unevenness.of_legs(EQUATION, EQUATION.mean, step)[0] @ EQUATION.mean) / seconds
         )

@@ -56,19 +56,19 @@ StreamEvent: TypeAlias = Newest | Smoothed | MeasuredSample | Interval
 
 def completed(stream: SampleStream, readings: Iterable[Reading]) -> list[StreamEvent]:
     """What readings complete, in order, taken as one block."""
-    found = stream.add_block(Block.of(readings))
+    block = stream.add_block(Block.of(readings))
     rows: list[tuple[tuple[int, int], StreamEvent]] = []
-    for order, sample in zip(found.newest_order.tolist(), found.newest.rows(), strict=True):
+    for order, sample in zip(block.newest_order.tolist(), block.newest.rows(), strict=True):
         rows.append(((order, -1), Newest(*sample)))
-    smoothed = zip(found.smoothed_order.tolist(), found.smoothed.rows(), strict=True)
+    smoothed = zip(block.smoothed_order.tolist(), block.smoothed.rows(), strict=True)
     for index, (order, sample) in enumerate(smoothed):
         rows.append(((order, 2 * index + 1), Smoothed(*sample)))
-    order, place, samples, power = found.measured
+    order, place, samples, power = block.measured
     for at, turn, sample, watts in zip(
         order.tolist(), place.tolist(), samples.rows(), power.tolist(), strict=True
     ):
         rows.append(((at, 2 * turn), MeasuredSample(sample, watts)))
-    rows += [((at, 10**9), interval) for at, interval in found.intervals]
+    rows += [((at, 10**9), interval) for at, interval in block.intervals]
     return [event for _, event in sorted(rows, key=lambda row: row[0])]
 
 

@@ -36,7 +36,7 @@ def speeds(values, step=1.0):
 
 def admitted(readings, limits=LIMITS):
     admission = Admission(limits)
-    return [each for each in readings if admission.admits(each)], admission.refused
+    return [reading for reading in readings if admission.admits(reading)], admission.refused
 
 
 def test_limits_are_those_of_the_car():
@@ -110,12 +110,12 @@ def test_a_speed_that_leaps_and_returns_is_refused(wrong, reason):
     values[4] = wrong
     kept, refused = admitted(speeds(values))
     reason = "speed_leaps" if reason == "speed_sentinel_0" else reason
-    assert refused == {reason: 1} and [each.speed for each in kept] == [25.0] * 9
+    assert refused == {reason: 1} and [reading.speed for reading in kept] == [25.0] * 9
 
 
 def test_a_speed_that_leaps_and_stays_is_confirmed_by_the_second_reading():
     kept, refused = admitted(speeds([0.0, 0.0, 30.0, 31.0, 32.0]))
-    assert [each.speed for each in kept] == [0.0, 0.0, 31.0, 32.0]
+    assert [reading.speed for reading in kept] == [0.0, 0.0, 31.0, 32.0]
     assert refused == {"speed_leaps": 1}
 
 

@@ -57,11 +57,11 @@ def test_the_road_behind_is_forgotten_and_no_average_changes():
 
 def rises(*altitudes) -> list:
     """Rises between (odometer, altitude), m, and the fault that is seen at the end."""
-    detector, found = AltitudeDetector(), []
+    detector, seen = AltitudeDetector(), []
     for place in altitudes:
         detector = detector.after(*place)
-        found.append(detector.rise)
-    return [*found, detector.detected]
+        seen.append(detector.rise)
+    return [*seen, detector.detected]
 
 
 def test_an_altitude_counts_once_it_has_moved_and_until_it_is_stuck():
@@ -73,6 +73,6 @@ def test_an_altitude_counts_once_it_has_moved_and_until_it_is_stuck():
 
 
 def test_a_leap_is_no_rise():
-    found = rises((0.0, 0.0), (10.0, LEAP), (20.0, 1000.0), (30.0, 1001.0))
-    assert [rise.height for rise in found[1:4]] == [LEAP, 0.0, 1.0]
+    seen = rises((0.0, 0.0), (10.0, LEAP), (20.0, 1000.0), (30.0, 1001.0))
+    assert [rise.height for rise in seen[1:4]] == [LEAP, 0.0, 1.0]
     assert rises((0.0, 0.0), (10.0, 1.0), (210.0, 61.0))[2].height == 60.0  # a street of 30 %

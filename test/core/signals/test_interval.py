@@ -36,16 +36,16 @@ def journey(at):
     """Readings of speed at 10 Hz, battery and altitude, all at stamps of their own."""
 
     def readings(seconds, *, start=0.0, speed=wave, silent_from=math.inf, altitude_step=1.0):
-        found, way = [], 0.0
+        readings, way = [], 0.0
         for tick in range(round(start * 10), round((start + seconds) * 10)):
             t = tick / 10
-            found.append(SpeedReading(at(t), speed(t)))
+            readings.append(SpeedReading(at(t), speed(t)))
             way += speed(t) / 10
             if t < silent_from:
-                found.append(BatteryReading(at(t + 0.03), 350.0, -10.0 - speed(t)))
+                readings.append(BatteryReading(at(t + 0.03), 350.0, -10.0 - speed(t)))
             if altitude_step and tick % round(10 * altitude_step) == 0:
-                found.append(AltitudeReading(at(t + 0.06), 100.0 + SLOPE * way))
-        return found
+                readings.append(AltitudeReading(at(t + 0.06), 100.0 + SLOPE * way))
+        return readings
 
     return readings
 
@@ -58,12 +58,12 @@ def new_stream():
 
 def settled(events) -> list[Interval]:
     """Intervals from where heights are averaged to both sides: `REACH` after the start."""
-    found, way = [], 0.0
+    intervals, way = [], 0.0
     for interval in events:
         if way > REACH:
-            found.append(interval)
+            intervals.append(interval)
         way += interval.distance
-    return found
+    return intervals
 
 
 def test_ups_and_downs_of_speed_are_as_large_as_they_are(new_stream, play, journey, at):
@@ -72,34 +72,39 @@ def test_ups_and_downs_of_speed_are_as_large_as_they_are(new_stream, play, journ
     def traffic(t):
         return 12.0 + 2.0 * math.sin(2 * math.pi * t / 5.0)
 
-    found = play(new_stream(), journey(100.0, speed=traffic))[3:-3]
-    edges = np.array([[one.start_ns - at(0), one.end_ns - at(0)] for one in found]) / NANOSECONDS
+    intervals = play(new_stream(), journey(100.0, speed=traffic))[3:-3]
+    edges = (
+        np.array([[interval.start_ns - at(0), interval.end_ns - at(0)] for interval in intervals])
+        / NANOSECONDS
+    )
     true = np.diff(np.vectorize(traffic)(edges) ** 2 / 2)[:, 0]
-    kinetic = np.array([one.steps.kinetic.sum() for one in found])
+    kinetic = np.array([interval.steps.kinetic.sum() for interval in intervals])
     assert kinetic @ true == pytest.approx(true @ true, rel=2e-3)
 
 
 def test_a_drive_telescopes(new_stream, play, journey, at):
     """Distances, kinetic energy and climb of all intervals are those of the whole way."""
-    found = settled(play(new_stream(), journey(120.0)))
-    assert len(found) > 8
-    assert all(a.end_ns == b.start_ns for a, b in pairwise(found))
-    assert all(one.duration == pytest.approx(DURATION) for one in found)
-    begin, end = ((one - at(0)) / NANOSECONDS for one in (found[0].start_ns, found[-1].end_ns))
+    intervals = settled(play(new_stream(), journey(120.0)))
+    assert len(intervals) > 8
+    assert all(a.end_ns == b.start_ns for a, b in pairwise(intervals))
+    assert all(interval.duration == pytest.approx(DURATION) for interval in intervals)
+    begin, end = (
+        (stamp - at(0)) / NANOSECONDS for stamp in (intervals[0].start_ns, intervals[-1].end_ns)
+    )
     fine = np.linspace(begin, end, 100_001)
     speed = np.array([wave(t) for t in fine])
     way = float(np.trapezoid(speed, fine))
-    assert sum(one.distance for one in found) == pytest.approx(way, rel=1e-3)
+    assert sum(interval.distance for interval in intervals) == pytest.approx(way, rel=1e-3)
     total = {
-        name: sum(float(getattr(one.steps, name).sum()) for one in found)
+        name: sum(float(getattr(interval.steps, name).sum()) for interval in intervals)
         for name in ("kinetic", "air", "climb", "duration")
     }
     assert total["duration"] == pytest.approx(end - begin)
     assert total["kinetic"] == pytest.approx((speed[-1] ** 2 - speed[0] ** 2) / 2, abs=0.2)
     assert total["air"] == pytest.approx(float(np.trapezoid(speed**3, fine)), rel=1e-3)
-    assert all(one.height_known for one in found)
+    assert all(interval.height_known for interval in intervals)
     assert total["climb"] == pytest.approx(SLOPE * way, rel=1e-2)
-    energy = sum(one.energy for one in found)
+    energy = sum(interval.energy for interval in intervals)
     assert energy == pytest.approx(350.0 * (10.0 * (end - begin) + way), rel=1e-3)
 
 
@@ -110,12 +115,13 @@ def test_a_slow_or_late_barometer_gives_heights_all_the_same(
     readings = journey(120.0, altitude_step=altitude_step)
     delay = {AltitudeReading: round(late * NANOSECONDS)}
     arrivals = sorted(readings, key=lambda r: r.stamp_ns + delay.get(type(r), 0))
-    found = settled(play(new_stream(), arrivals))
-    assert found and all(one.height_known for one in found)
+    intervals = settled(play(new_stream(), arrivals))
+    assert intervals and all(interval.height_known for interval in intervals)
     # Over 6 s each: a barometer of 2 s puts some of a climb into the neighbour.
-    groups = [found[k : k + 4] for k in range(0, len(found) - 3, 4)]
+    groups = [intervals[k : k + 4] for k in range(0, len(intervals) - 3, 4)]
     slopes = [
-        sum(one.steps.climb.sum() for one in group) / sum(one.distance for one in group)
+        sum(interval.steps.climb.sum() for interval in group)
+        / sum(interval.distance for interval in group)
         for group in groups
     ]
     assert slopes == pytest.approx([SLOPE] * len(groups), rel=0.05)
@@ -124,36 +130,38 @@ def test_a_slow_or_late_barometer_gives_heights_all_the_same(
 def test_an_altitude_that_never_moves_is_no_height(new_stream, play, journey):
     """A phone without a fix logs one altitude, 0 as a rule; the road is not flat for that."""
     drive = [
-        replace(one, altitude=0.0) if isinstance(one, AltitudeReading) else one
-        for one in journey(90.0)
+        replace(reading, altitude=0.0) if isinstance(reading, AltitudeReading) else reading
+        for reading in journey(90.0)
     ]
-    found = play(new_stream(), drive)
-    assert found and not any(one.height_known for one in found)
+    intervals = play(new_stream(), drive)
+    assert intervals and not any(interval.height_known for interval in intervals)
 
 
 def test_the_leap_to_a_first_fix_is_no_hill(new_stream, play, journey, at):
     """The last of `0, 0, 0, 103` adds nothing, and what follows is measured."""
     drive = [
-        replace(one, altitude=-1000.0)
-        if isinstance(one, AltitudeReading) and one.stamp_ns < at(40)
-        else one
-        for one in journey(120.0)
+        replace(reading, altitude=-1000.0)
+        if isinstance(reading, AltitudeReading) and reading.stamp_ns < at(40)
+        else reading
+        for reading in journey(120.0)
     ]
-    found = play(new_stream(), drive)
-    steepest = max(abs(one.steps.climb.sum()) / one.distance for one in found)
+    intervals = play(new_stream(), drive)
+    steepest = max(abs(interval.steps.climb.sum()) / interval.distance for interval in intervals)
     assert steepest < 1.2 * SLOPE
-    assert all(one.height_known for one in found if one.start_ns > at(70))
+    assert all(interval.height_known for interval in intervals if interval.start_ns > at(70))
 
 
 def test_pitch_and_altitude_go_on_from_each_other_without_a_step(new_stream, play, journey, at):
     """The IMU falls silent in the middle; 100 m of altitude are no hill."""
     readings = journey(150.0)
     readings += [GradeReading(at(t / 10), math.atan(SLOPE)) for t in range(600)]
-    found = play(new_stream(), sorted(readings, key=lambda r: r.stamp_ns))
-    climbs = sum(one.steps.climb.sum() for one in found[1:])
-    assert all(one.height_known for one in found[1:])
+    intervals = play(new_stream(), sorted(readings, key=lambda r: r.stamp_ns))
+    climbs = sum(interval.steps.climb.sum() for interval in intervals[1:])
+    assert all(interval.height_known for interval in intervals[1:])
     # Ten seconds pass until the IMU counts as silent.
-    assert climbs == pytest.approx(SLOPE * sum(one.distance for one in found[1:]), rel=0.1)
+    assert climbs == pytest.approx(
+        SLOPE * sum(interval.distance for interval in intervals[1:]), rel=0.1
+    )
 
 
 def test_a_silent_battery_is_not_waited_for(new_stream, journey, at):
@@ -179,24 +187,24 @@ def test_a_gap_finishes_what_waits(new_stream, play, journey, at):
     stream = new_stream()
     before = play(stream, journey(58.0))
     events = play(stream, journey(60.0, start=75.0))
-    finished = [one for one in events if one.start_ns < at(75)]
+    finished = [interval for interval in events if interval.start_ns < at(75)]
     ended = before + finished
     assert finished and (ended[-1].end_ns - ended[0].start_ns) / NANOSECONDS == pytest.approx(
         57.5, abs=0.6
     )
     later = events[len(finished) :]
-    assert min(one.start_ns for one in later) >= ended[-1].end_ns + 15 * NANOSECONDS
+    assert min(interval.start_ns for interval in later) >= ended[-1].end_ns + 15 * NANOSECONDS
 
 
 def test_a_motor_that_tells_is_counted_by_step(new_stream, play, journey, at):
     readings = journey(60.0, altitude_step=None)
     readings += [MotorReading(at(t / 10 + 0.02), 50.0, 300.0) for t in range(600)]
-    found = play(new_stream(), sorted(readings, key=lambda r: r.stamp_ns))
-    for one in found[1:]:
-        assert one.steps.motor_drive.sum() == pytest.approx(15e3 * one.duration)
-        assert not one.steps.motor_brake.any()
+    intervals = play(new_stream(), sorted(readings, key=lambda r: r.stamp_ns))
+    for interval in intervals[1:]:
+        assert interval.steps.motor_drive.sum() == pytest.approx(15e3 * interval.duration)
+        assert not interval.steps.motor_brake.any()
     without = play(new_stream(), journey(60.0, altitude_step=None))
-    assert all(np.isnan(one.steps.motor_drive).all() for one in without)
+    assert all(np.isnan(interval.steps.motor_drive).all() for interval in without)
 
 
 def test_loads_are_means_and_wheels_that_slip_are_told(new_stream, play, journey, at):
@@ -204,26 +212,34 @@ def test_loads_are_means_and_wheels_that_slip_are_told(new_stream, play, journey
     readings = journey(60.0, altitude_step=None)
     readings = [replace(r, speed=r.speed + 10.0) if r == readings[700] else r for r in readings]
     readings += [AuxiliaryReading(at(t - 0.01), 3e3 * (t > 25)) for t in range(60)]
-    found = play(new_stream(), sorted(readings, key=lambda r: r.stamp_ns))
-    heated = sum(one.conditions.load * one.duration for one in found)
-    assert heated == pytest.approx(3e3 * ((found[-1].end_ns - at(0)) / 1e9 - 25.0), rel=0.05)
-    assert [one.leaps for one in found] == [one.start_ns < at(35) < one.end_ns for one in found]
-    assert any(one.leaps for one in found)
+    intervals = play(new_stream(), sorted(readings, key=lambda r: r.stamp_ns))
+    heated = sum(interval.conditions.load * interval.duration for interval in intervals)
+    assert heated == pytest.approx(3e3 * ((intervals[-1].end_ns - at(0)) / 1e9 - 25.0), rel=0.05)
+    assert [interval.leaps for interval in intervals] == [
+        interval.start_ns < at(35) < interval.end_ns for interval in intervals
+    ]
+    assert any(interval.leaps for interval in intervals)
 
 
 def test_slow_signals_make_longer_intervals(new_stream, play):
     """Speed, voltage and current polled every 1.2 s, each at a time of its own."""
     drive = simulate(DriveKind.URBAN, load_vehicle("tesla_model_3_lr"), 150.0, 2)
     stream = new_stream()
-    found = play(stream, polled(drive.readings))
-    assert all(one.duration >= 6 * 1.1 and not math.isnan(one.energy) for one in found[3:])
+    intervals = play(stream, polled(drive.readings))
+    assert all(
+        interval.duration >= 6 * 1.1 and not math.isnan(interval.energy)
+        for interval in intervals[3:]
+    )
     time = EPOCH_NS + drive.trace.motion.time * NANOSECONDS
     drawn = np.concatenate(([0.0], np.cumsum(drive.trace.power) / SAMPLE_RATE))[:-1]
-    measured = [one for one in found if not math.isnan(one.energy)]
+    measured = [interval for interval in intervals if not math.isnan(interval.energy)]
     deviates = [
-        (one.energy - float(np.diff(np.interp((one.start_ns, one.end_ns), time, drawn))[0]))
-        / math.sqrt(one.sampling_variance)
-        for one in measured
+        (
+            interval.energy
+            - float(np.diff(np.interp((interval.start_ns, interval.end_ns), time, drawn))[0])
+        )
+        / math.sqrt(interval.sampling_variance)
+        for interval in measured
     ]
     assert 0.3 < np.sqrt(np.mean(np.square(deviates))) < 1.5
     assert not stream.dropped

@@ -26,35 +26,37 @@ from test.core.signals.conftest import stamp_at as at
 
 
 def track(times, speeds) -> SpeedTrack:
-    found = SpeedTrack(2.5)
+    speed_track = SpeedTrack(2.5)
     stamps = np.array([at(time) for time in times], np.int64)
     if (np.diff(stamps) > 0).all():
-        found.extend(np.zeros(len(stamps), int), stamps, np.array(speeds, dtype=float))
-        return found
+        speed_track.extend(np.zeros(len(stamps), int), stamps, np.array(speeds, dtype=float))
+        return speed_track
     for stamp_ns, speed in zip(stamps.tolist(), speeds, strict=True):
-        found.insert(stamp_ns, speed)
-    return found
+        speed_track.insert(stamp_ns, speed)
+    return speed_track
 
 
-def smoothed(found: SpeedTrack, moment: float, until: float) -> tuple[float, float]:
+def smoothed(speed_track: SpeedTrack, moment: float, until: float) -> tuple[float, float]:
     """Speed and acceleration at a moment from speeds up to another, s."""
-    speeds = found.since(at(0.0), at(0.0))
+    speeds = speed_track.since(at(0.0), at(0.0))
     last = np.searchsorted(speeds.stamps, at(until) - at(0.0), side="right")
     speed, acceleration = speeds.smoothed(np.array([at(moment) - at(0.0)]), np.array([last]))
     return float(speed[0]), float(acceleration[0])
 
 
-def profile_of(found: SpeedTrack, moment: float, until: float, acceleration: float):
+def profile_of(speed_track: SpeedTrack, moment: float, until: float, acceleration: float):
     """Acceleration profile at a moment from speeds up to another, s."""
-    speeds = found.since(at(0.0), at(0.0))
+    speeds = speed_track.since(at(0.0), at(0.0))
     last = np.searchsorted(speeds.stamps, at(until) - at(0.0), side="right")
     slopes = speeds.slopes(np.array([at(moment) - at(0.0)]), np.array([last]))
     return profile(slopes, np.array([acceleration]))[0].tolist()
 
 
-def differences(found: SpeedTrack) -> np.ndarray:
+def differences(speed_track: SpeedTrack) -> np.ndarray:
     """Mean slopes of speed before the newest one."""
-    return found.since(found.stamps[0], found.newest_ns).differences(np.zeros(1, int))[0]
+    return speed_track.since(speed_track.stamps[0], speed_track.newest_ns).differences(
+        np.zeros(1, int)
+    )[0]
 
 
 steps = st.lists(st.floats(0.01, 0.5), min_size=8, max_size=40)
@@ -67,36 +69,36 @@ def test_the_local_quadratic_is_exact_on_quadratics_at_uneven_steps(gaps, shape,
     level, slope, bend = shape
     speeds = level + slope * times + bend * times**2
     moment = times[min(pick, len(times) - 3)]
-    found = smoothed(track(times, speeds), moment, times[-1])
+    fitted = smoothed(track(times, speeds), moment, times[-1])
     expected = (level + slope * moment + bend * moment**2, slope + 2 * bend * moment)
-    assert found == pytest.approx(expected, rel=1e-6, abs=1e-5)
+    assert fitted == pytest.approx(expected, rel=1e-6, abs=1e-5)
 
 
 @pytest.mark.parametrize("rate", [2.0, 10.0, 33.0, 100.0])
 def test_a_constant_acceleration_has_no_profile(rate):
     times = np.arange(0, 4, 1 / rate)
-    found = profile_of(track(times, 3.0 + 1.5 * times), 2.0, times[-1], 1.5)
-    assert found == pytest.approx([0.0] * PROFILE, abs=1e-6)
+    excess = profile_of(track(times, 3.0 + 1.5 * times), 2.0, times[-1], 1.5)
+    assert excess == pytest.approx([0.0] * PROFILE, abs=1e-6)
 
 
 def test_the_profile_of_a_jerk_by_hand():
     """v = t^3 / 6 m/s: mean slopes over the spans, less a = t^2 / 2 at 2 s."""
     times = np.arange(0, 40) / 10
-    found = profile_of(track(times, times**3 / 6), 2.0, 2.3, 2.0)
+    excess = profile_of(track(times, times**3 / 6), 2.0, 2.3, 2.0)
     begin, end = 2.0 + PROFILE_EDGES.T
     expected = (end**3 - begin**3) / 6 / (end - begin) - 2.0
-    assert found == pytest.approx(expected, abs=1e-6)
-    assert found[0] > 0.3 and found[-1] < -0.8
+    assert excess == pytest.approx(expected, abs=1e-6)
+    assert excess[0] > 0.3 and excess[-1] < -0.8
 
 
 def test_what_is_not_known_has_no_profile():
     """Neither before the first speed nor after the last that may be used."""
     times = 1.6 + np.arange(0, 10) / 10
     speeds = np.random.default_rng(0).standard_normal(10)
-    found = profile_of(track(times, speeds), 2.0, 2.1, 0.5)
-    assert found[0] == found[2] == 0.0 != found[1]
+    excess = profile_of(track(times, speeds), 2.0, 2.1, 0.5)
+    assert excess[0] == excess[2] == 0.0 != excess[1]
     speeds[6:] += 5.0  # of 2.2 s on
-    assert profile_of(track(times, speeds), 2.0, 2.1, 0.5) == found
+    assert profile_of(track(times, speeds), 2.0, 2.1, 0.5) == excess
 
 
 @given(steps, st.floats(-5, 20))
@@ -104,11 +106,11 @@ def test_what_is_not_known_has_no_profile():
 def test_distance_and_flow_are_exact_where_speed_is_linear(gaps, head_wind):
     """In pieces as in one, and as the integrals of v and w |w| v by hand."""
     times = np.cumsum(gaps)
-    found = track(times, 5.0 + 2.0 * times)
+    linear = track(times, 5.0 + 2.0 * times)
     stamps = [at(time) for time in times]
     ends = np.array([stamps[0], stamps[-1]])
-    whole = [column[0] for column in found.driven(ends, np.array([head_wind]))[:2]]
-    pieces = found.driven(np.array(stamps), np.full(len(stamps) - 1, head_wind))[:2]
+    whole = [column[0] for column in linear.driven(ends, np.array([head_wind]))[:2]]
+    pieces = linear.driven(np.array(stamps), np.full(len(stamps) - 1, head_wind))[:2]
     assert np.sum(pieces, axis=1) == pytest.approx(whole, rel=1e-9)
     fine = np.linspace(times[0], times[-1], 20_001)
     speed = 5.0 + 2.0 * fine
@@ -132,16 +134,16 @@ def test_smoothing_averages_noise():
 @settings(max_examples=25)
 def test_the_order_of_arrival_within_the_track_is_all_the_same(order):
     speeds = [math.sin(0.3 * k) for k in range(20)]
-    found = track([0.1 * k for k in order], [speeds[k] for k in order])
-    expected = track([0.1 * k for k in range(20)], speeds)
-    assert smoothed(found, 1.5, 1.9) == smoothed(expected, 1.5, 1.9)
-    assert differences(found).tolist() == differences(expected).tolist()
+    shuffled = track([0.1 * k for k in order], [speeds[k] for k in order])
+    in_order = track([0.1 * k for k in range(20)], speeds)
+    assert smoothed(shuffled, 1.5, 1.9) == smoothed(in_order, 1.5, 1.9)
+    assert differences(shuffled).tolist() == differences(in_order).tolist()
 
 
 def test_differences_by_hand():
     # 0 at 0 s, 1 at 0.1 s, 3 at 0.2 s: slopes 20 and 10 m/s^2, and nothing before.
-    found = differences(track([0.0, 0.1, 0.2], [0.0, 1.0, 3.0]))
-    assert found == pytest.approx([20.0, 10.0] + [0.0] * (TAPS - 2))
+    fast = differences(track([0.0, 0.1, 0.2], [0.0, 1.0, 3.0]))
+    assert fast == pytest.approx([20.0, 10.0] + [0.0] * (TAPS - 2))
     # Between readings, linear: 1 Hz readings 2 m/s apart give 2 m/s^2 throughout.
     slow = differences(track([0.0, 1.0, 2.0], [0.0, 2.0, 4.0]))
     assert slow == pytest.approx([2.0] * TAPS)
@@ -153,9 +155,9 @@ def test_the_differentiator_learns_a_rule_that_is_linear():
     slopes = rng.standard_normal((3001, TAPS))
     stamps, learner = np.arange(3001), CausalDifferentiator()
     smoothed_ones = stamps[:3000], slopes[:3000] @ rule
-    found = learner.accelerations(stamps, slopes, smoothed_ones, stamps)
+    accelerations = learner.accelerations(stamps, slopes, smoothed_ones, stamps)
     # Ridge regression with penalty (0.2 / 0.2)^2 = 1 on about 3000 unit rows: 1/3000 is left.
-    assert found[-1] == pytest.approx(float(slopes[-1] @ rule), abs=TAPS * 1e-3)
+    assert accelerations[-1] == pytest.approx(float(slopes[-1] @ rule), abs=TAPS * 1e-3)
     # By hand: all sums up to each.
     for k in (0, 1, 7, 200):
         weights = np.zeros(TAPS)
@@ -165,7 +167,7 @@ def test_the_differentiator_learns_a_rule_that_is_linear():
         information = information + slopes[:k].T @ slopes[:k] / TARGET_STD**2
         products = products + slopes[:k].T @ (slopes[:k] @ rule) / TARGET_STD**2
         expected = slopes[k] @ np.linalg.solve(information, products)
-        assert found[k] == pytest.approx(float(expected), rel=1e-9)
+        assert accelerations[k] == pytest.approx(float(expected), rel=1e-9)
 
 
 def test_the_learned_differentiator_beats_a_plain_difference():
@@ -176,7 +178,7 @@ def test_the_learned_differentiator_beats_a_plain_difference():
     times += (readings[0].stamp_ns - 1_735_689_600 * NANOSECONDS) / NANOSECONDS
     truth = np.interp(times, drive.trace.motion.time, drive.trace.motion.acceleration)
     stream = SampleStream(StreamSettings(), 1.2)
-    found = stream.add_block(Block.of(readings)).newest.acceleration
+    learned = stream.add_block(Block.of(readings)).newest.acceleration
     speeds = track([], [])
     first_guess = []
     for reading in readings:
@@ -188,5 +190,5 @@ def test_the_learned_differentiator_beats_a_plain_difference():
         late = slice(len(times) // 2, None)
         return float(np.sqrt(np.mean((np.asarray(estimate)[late] - truth[late]) ** 2)))
 
-    assert error(found) < error(first_guess)
-    assert error(found) < 0.9 * error(raw)
+    assert error(learned) < error(first_guess)
+    assert error(learned) < 0.9 * error(raw)

@@ -23,14 +23,14 @@ def current(t):
 
 def track(step=0.1, shift=0.0, paired=True, seconds=40.0) -> BatteryTrack:
     """Readings each `step`, all in one row or the current `shift` later on its own."""
-    found = BatteryTrack(2.5)
+    battery = BatteryTrack(2.5)
     for t in np.arange(0.0, seconds, step).tolist():
         if paired:
-            found.insert(BatteryReading(at(t), voltage(t), float(current(t))))
+            battery.insert(BatteryReading(at(t), voltage(t), float(current(t))))
         else:
-            found.insert(BatteryReading(at(t), voltage(t), math.nan))
-            found.insert(BatteryReading(at(t + shift), math.nan, float(current(t + shift))))
-    return found
+            battery.insert(BatteryReading(at(t), voltage(t), math.nan))
+            battery.insert(BatteryReading(at(t + shift), math.nan, float(current(t + shift))))
+    return battery
 
 
 def drawn(start: float, end: float) -> float:
@@ -42,16 +42,16 @@ def test_power_is_positive_when_drawn_from_the_battery():
     """`sensor_msgs/BatteryState`: a discharging current is negative. P = -V I."""
     assert BatteryReading(0, 350.0, -20.0).power == 7000.0
     assert BatteryReading(0, 350.0, 20.0).power == -7000.0
-    found = BatteryTrack(2.5)
-    found.insert(BatteryReading(at(0.0), 350.0, 20.0))
-    assert found.at(*now(at(0.0))) == [-7000.0]
+    battery = BatteryTrack(2.5)
+    battery.insert(BatteryReading(at(0.0), 350.0, 20.0))
+    assert battery.at(*now(at(0.0))) == [-7000.0]
 
 
 def test_energy_of_separate_rows_is_that_of_pairs():
     paired, apart = track(), track(shift=0.05, paired=False)
     expected = drawn(5.0, 11.0)
-    for found in (paired, apart):
-        assert found.energy(at(5.0), at(11.0)).energy == pytest.approx(expected, rel=1e-4)
+    for battery in (paired, apart):
+        assert battery.energy(at(5.0), at(11.0)).energy == pytest.approx(expected, rel=1e-4)
     expected = -voltage(5.02) * current(5.02)
     assert apart.at(*now(at(5.02))) == pytest.approx([expected], rel=1e-3)
     assert apart.newest_ns() == at(39.9)
@@ -61,8 +61,8 @@ def test_the_slower_the_less_certain_and_the_error_is_within():
     """Also with the ends between readings: their interpolation is part of it."""
     variances, deviates = [], []
     for step in (0.1, 0.5, 1.2, 3.0):
-        found = track(step=step, shift=step / 2, paired=False)
-        parts = [found.energy(at(b), at(b + 6.0)) for b in np.arange(5.3, 25.0, 1.7)]
+        battery = track(step=step, shift=step / 2, paired=False)
+        parts = [battery.energy(at(b), at(b + 6.0)) for b in np.arange(5.3, 25.0, 1.7)]
         variances.append(np.mean([part.variance for part in parts]))
         truth = [drawn(b, b + 6.0) for b in np.arange(5.3, 25.0, 1.7)]
         deviates += [
@@ -74,10 +74,10 @@ def test_the_slower_the_less_certain_and_the_error_is_within():
 
 
 def test_what_was_not_measured_has_no_energy():
-    found = track(seconds=20.0)
-    assert found.energy(at(-1.0), at(5.0)) is UNMEASURED is found.energy(at(18.0), at(24.0))
-    found.insert(BatteryReading(at(30.0), 380.0, -1.0))
-    assert found.energy(at(18.0), at(24.0)) is UNMEASURED, "across a gap nothing is joined"
+    battery = track(seconds=20.0)
+    assert battery.energy(at(-1.0), at(5.0)) is UNMEASURED is battery.energy(at(18.0), at(24.0))
+    battery.insert(BatteryReading(at(30.0), 380.0, -1.0))
+    assert battery.energy(at(18.0), at(24.0)) is UNMEASURED, "across a gap nothing is joined"
     only_voltage = BatteryTrack(2.5)
     only_voltage.insert(BatteryReading(at(0.0), 380.0, math.nan))
     after, _ = only_voltage.first_after(np.array([at(0.0)]))
@@ -85,14 +85,14 @@ def test_what_was_not_measured_has_no_energy():
 
 
 def test_the_latest_voltage_serves_a_current_alone():
-    found = track(step=1.2, shift=0.6, paired=False, seconds=6.0)
+    battery = track(step=1.2, shift=0.6, paired=False, seconds=6.0)
     alone = [BatteryReading(at(t), math.nan, -10.0) for t in (5.5, -0.1, 60.0)]
     rows = Block.of(alone).rows[BatteryReading]
-    told = found.told(rows._replace(order=np.full(3, LATER)))
+    told = battery.told(rows._replace(order=np.full(3, LATER)))
     assert told[0] == pytest.approx(10.0 * voltage(4.8)) and np.isnan(told[1:]).all()
-    after, _ = found.first_after(np.array([at(1.0), at(5.5)]))
+    after, _ = battery.first_after(np.array([at(1.0), at(5.5)]))
     assert after.tolist() == [at(1.8), LATER]
-    assert not found.insert(BatteryReading(at(4.8), 99.0, math.nan)), "doubled"
+    assert not battery.insert(BatteryReading(at(4.8), 99.0, math.nan)), "doubled"
 
 
 def test_whole_kilowatts_are_as_unsure_as_their_energies_are_off():
@@ -111,20 +111,20 @@ def test_whole_kilowatts_are_as_unsure_as_their_energies_are_off():
             whole = -1000.0 * round(watts / 1000.0) / 400.0
             coarse.insert(BatteryReading(at(second), 400.0, whole, power_std=std))
             plain.insert(BatteryReading(at(second), 400.0, whole))
-        found, known = coarse.energy(at(0), at(10)), plain.energy(at(0), at(10))
-        own = found.variance - known.variance
-        deviates.append((found.energy - exact.energy(at(0), at(10)).energy) / math.sqrt(own))
+        rounded, without_std = coarse.energy(at(0), at(10)), plain.energy(at(0), at(10))
+        own = rounded.variance - without_std.variance
+        deviates.append((rounded.energy - exact.energy(at(0), at(10)).energy) / math.sqrt(own))
         shares.append(math.sqrt(own) / (std * 10.0))
     assert 0.8 < np.std(deviates) < 1.2
     assert min(shares) < 0.4 and max(shares) == pytest.approx(1.0)
 
 
-def insert(found: MotorTrack, reading: MotorReading, car_speed: float) -> None:
+def insert(motor: MotorTrack, reading: MotorReading, car_speed: float) -> None:
     """Take a reading at a speed of the car."""
     rows = Block.of([reading]).rows[MotorReading]
-    (power,) = found.powers(rows, np.array([car_speed]))
-    found.power.insert(reading.stamp_ns, float(power))
-    found.settle(LATER)
+    (power,) = motor.powers(rows, np.array([car_speed]))
+    motor.power.insert(reading.stamp_ns, float(power))
+    motor.settle(LATER)
 
 
 def torque(t):
@@ -162,16 +162,16 @@ def test_only_steps_across_a_gap_have_no_motor_energy():
 
 @pytest.mark.parametrize(("ratio", "taken"), [(27.0, 27.0), (math.nan, NOMINAL_RATIO)])
 def test_turning_comes_from_the_car_where_the_motor_is_silent(ratio, taken):
-    found = MotorTrack(2.5, ratio)
+    motor = MotorTrack(2.5, ratio)
     for t in (0.0, 0.5, 1.0):
-        insert(found, MotorReading(at(t), 100.0), 15.0)
-    assert found.scaled() != math.isnan(ratio)
-    assert found.at(*now(at(0.7))) == pytest.approx([100.0 * taken * 15.0])
+        insert(motor, MotorReading(at(t), 100.0), 15.0)
+    assert motor.scaled() != math.isnan(ratio)
+    assert motor.at(*now(at(0.7))) == pytest.approx([100.0 * taken * 15.0])
 
 
 def test_the_last_reading_holds_for_a_while_and_no_longer():
-    found = MotorTrack(2.5, math.nan)
-    insert(found, MotorReading(at(0.0), 50.0, 100.0), math.nan)
-    held, late, early = found.at(*now(at(2.0), at(3.0), at(-1.0)))
+    motor = MotorTrack(2.5, math.nan)
+    insert(motor, MotorReading(at(0.0), 50.0, 100.0), math.nan)
+    held, late, early = motor.at(*now(at(2.0), at(3.0), at(-1.0)))
     assert held == 5000.0 and math.isnan(late) and math.isnan(early)
-    assert np.isnan(energies(found, 0.0, 1.0)).all()
+    assert np.isnan(energies(motor, 0.0, 1.0)).all()

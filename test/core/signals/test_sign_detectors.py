@@ -63,10 +63,10 @@ def test_a_moment_of_much_is_no_charging():
 
 
 def test_the_verdict_is_withdrawn():
-    found = fed(11_000.0, RISING)
-    assert found.detected == CURRENT_SIGN
+    rising = fed(11_000.0, RISING)
+    assert rising.detected == CURRENT_SIGN
     back = [RISING[-1] - 0.0001 * second for second in range(600)]
-    assert fed(11_000.0, back, detector=found).verdict is False
+    assert fed(11_000.0, back, detector=rising).verdict is False
 
 
 def pulling(wrong: float, seconds: int, detector=None) -> SignDetector:
@@ -80,13 +80,13 @@ def pulling(wrong: float, seconds: int, detector=None) -> SignDetector:
 
 def test_acceleration_shows_the_sign_with_hysteresis():
     """Detected above half of the power against the acceleration, cleared when none is; ever."""
-    found = pulling(0.7, 400)
-    assert found.verdict is None
-    found = pulling(0.9, 400, found)
-    assert found.detected == CURRENT_SIGN
-    found = pulling(0.7, 400, found)
-    assert found.detected == CURRENT_SIGN
-    assert pulling(0.2, 400, found).verdict is False
+    detector = pulling(0.7, 400)
+    assert detector.verdict is None
+    detector = pulling(0.9, 400, detector)
+    assert detector.detected == CURRENT_SIGN
+    detector = pulling(0.7, 400, detector)
+    assert detector.detected == CURRENT_SIGN
+    assert pulling(0.2, 400, detector).verdict is False
 
 
 @pytest.mark.parametrize("kind", [SignDetector, GradeDetector])

@@ -73,9 +73,9 @@ def test_every_speed_gives_a_newest_sample_and_smoothed_ones_follow(
     readings = ramp(rate, 0.0, 8.0)
     events = play(new_stream(), readings)
     assert stamps(newest(events)) == [reading.stamp_ns for reading in readings]
-    found = smoothed(events)
-    assert len(found) >= min(rate, 6.0) * (8.0 - 0.5) - 4
-    for event in found:
+    samples = smoothed(events)
+    assert len(samples) >= min(rate, 6.0) * (8.0 - 0.5) - 4
+    for event in samples:
         seconds = (event.stamp_ns - at(0)) / NANOSECONDS
         assert event.speed == pytest.approx(5.0 + 0.5 * seconds, rel=1e-6)
         assert event.acceleration == pytest.approx(0.5, rel=1e-5)
@@ -106,7 +106,7 @@ def test_a_smoothed_sample_uses_no_speed_beyond_its_lag(new_stream, play, ramp, 
     for event in reference[10::13]:
         beyond = event.stamp_ns + int(LAG * NANOSECONDS) + LAG_TOLERANCE_NS
         changed = [SpeedReading(r.stamp_ns, 0.0) if r.stamp_ns > beyond else r for r in readings]
-        again = {one.stamp_ns: one for one in smoothed(play(new_stream(), changed))}
+        again = {sample.stamp_ns: sample for sample in smoothed(play(new_stream(), changed))}
         assert numbers(again[event.stamp_ns]) == approx(numbers(event))
 
 
@@ -114,8 +114,8 @@ def test_the_newest_acceleration_rests_on_the_past(new_stream, play, ramp):
     events = newest(play(new_stream(), ramp(10.0, 0.0, 5.0)))
     assert events[0].acceleration == 0.0  # one speed tells none
     # Before it has learned: the mean slope of the last 0.4 s, of which 0.1, 0.2... are known.
-    found = [e.acceleration for e in events[1:4]]
-    assert found == pytest.approx([0.5 / 4, 2 * 0.5 / 4, 3 * 0.5 / 4])
+    first = [e.acceleration for e in events[1:4]]
+    assert first == pytest.approx([0.5 / 4, 2 * 0.5 / 4, 3 * 0.5 / 4])
     assert events[-1].acceleration == pytest.approx(0.5, rel=0.01)
 
 
@@ -125,9 +125,9 @@ def test_measured_samples_interpolate_power(new_stream, play, ramp, battery, at)
     readings = sorted(
         [*ramp(10.0, 0.0, 6.0), *battery(*times.tolist())], key=lambda reading: reading.stamp_ns
     )
-    found = of(play(new_stream(), readings), MeasuredSample)
-    assert len(found) > 45
-    for event in found:
+    samples = of(play(new_stream(), readings), MeasuredSample)
+    assert len(samples) > 45
+    for event in samples:
         seconds = (event.sample.stamp_ns - at(0)) / NANOSECONDS
         assert seconds >= 0.07 and event.power == pytest.approx(100.0 * seconds, rel=1e-6)
 
@@ -187,9 +187,12 @@ def test_speeds_that_all_come_after_a_gap_are_joined_once_their_rate_is_known(ne
     stream, intervals = new_stream(), []
     for seconds in range(0, 480, 12):
         readings = [SpeedReading(at(seconds), 10.0), BatteryReading(at(seconds), 350.0, -20.0)]
-        intervals += [one for _, one in stream.add_block(Block.of(readings)).intervals]
+        intervals += [interval for _, interval in stream.add_block(Block.of(readings)).intervals]
     assert len(intervals) >= 5
-    assert all(one.energy == pytest.approx(7e3 * one.steps.duration.sum()) for one in intervals)
+    assert all(
+        interval.energy == pytest.approx(7e3 * interval.steps.duration.sum())
+        for interval in intervals
+    )
 
 
 def test_late_and_doubled_speeds(new_stream, play, ramp, at):
@@ -206,11 +209,11 @@ def test_a_straggler_within_the_lateness_is_used(new_stream, play, ramp, at):
     straggler = readings[17]
     late = [*readings[:17], *readings[18:20], straggler, *readings[20:]]
     in_order = smoothed(play(new_stream(), readings))
-    found = smoothed(play(new_stream(), late))
+    with_straggler = smoothed(play(new_stream(), late))
     # Those after it are smoothed with it; it is no moment of its own.
     assert in_order[-1].stamp_ns == at(1.8)
-    assert numbers(found[-1]) == approx(numbers(in_order[-1]))
-    assert straggler.stamp_ns not in [event.stamp_ns for event in found]
+    assert numbers(with_straggler[-1]) == approx(numbers(in_order[-1]))
+    assert straggler.stamp_ns not in [event.stamp_ns for event in with_straggler]
 
 
 def test_voltage_and_current_may_come_apart(new_stream, play, ramp, at):
@@ -219,9 +222,9 @@ def test_voltage_and_current_may_come_apart(new_stream, play, ramp, at):
     rows += [BatteryReading(at(k / 10 + 0.05), math.nan, -10.0) for k in range(60)]
     stream = new_stream()
     events = play(stream, sorted([*ramp(10.0, 0.0, 6.0), *rows], key=lambda r: r.stamp_ns))
-    found = of(events, MeasuredSample)
-    assert len(found) > 45 and not stream.dropped
-    for event in found:
+    samples = of(events, MeasuredSample)
+    assert len(samples) > 45 and not stream.dropped
+    for event in samples:
         seconds = (event.sample.stamp_ns - at(0)) / NANOSECONDS
         assert event.power == pytest.approx(10.0 * (200.0 + 100.0 * seconds))
     rows = [BatteryReading(at(5.97), math.nan, -10.0), BatteryReading(at(5.98), 800.0, math.nan)]
@@ -245,9 +248,9 @@ def test_a_reset_forgets_readings_and_keeps_what_was_learned(new_stream, play, r
     stream.reset()
     assert (stream.newest_ns, stream.battery_ns) == (None, None)
     # As the first time, but for what the differentiator has learned meanwhile.
-    again, fresh = (play(one, readings[:20]) for one in (stream, new_stream()))
-    for one, other in zip(smoothed(again), smoothed(fresh), strict=True):
-        assert numbers(one) == approx(numbers(other))
-    found, first = (newest(events) for events in (again, fresh))
-    assert [e.stamp_ns for e in found] == [e.stamp_ns for e in first]
-    assert found[2].acceleration != first[2].acceleration
+    again, fresh = (play(used, readings[:20]) for used in (stream, new_stream()))
+    for sample, same in zip(smoothed(again), smoothed(fresh), strict=True):
+        assert numbers(sample) == approx(numbers(same))
+    taught, first = (newest(events) for events in (again, fresh))
+    assert [e.stamp_ns for e in taught] == [e.stamp_ns for e in first]
+    assert taught[2].acceleration != first[2].acceleration

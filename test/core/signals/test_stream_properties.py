@@ -59,14 +59,14 @@ def test_batteries_that_come_up_to_the_allowed_lateness_late_change_nothing(
     assert len(in_order) > 50 and any(isinstance(event, Interval) for event in in_order)
     late = measured(delays)
     assert [*map(stamp_of, late)] == [*map(stamp_of, in_order)]
-    for one, other in zip(late, in_order, strict=True):
-        if isinstance(one, Interval):
-            assert one.energy == pytest.approx(other.energy, rel=1e-9, nan_ok=True)
-            assert one.returned == pytest.approx(other.returned, rel=1e-9, nan_ok=True)
-            for column, same in zip(one.steps[:5], other.steps[:5], strict=True):
+    for event, other in zip(late, in_order, strict=True):
+        if isinstance(event, Interval):
+            assert event.energy == pytest.approx(other.energy, rel=1e-9, nan_ok=True)
+            assert event.returned == pytest.approx(other.returned, rel=1e-9, nan_ok=True)
+            for column, same in zip(event.steps[:5], other.steps[:5], strict=True):
                 np.testing.assert_allclose(column, same, rtol=1e-9, atol=1e-12)
         else:
-            assert one.power == pytest.approx(other.power, rel=1e-9)
+            assert event.power == pytest.approx(other.power, rel=1e-9)
 
 
 def stamp_of(event) -> int:

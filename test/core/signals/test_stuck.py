@@ -117,7 +117,7 @@ def test_what_lies_behind_is_spoilt_from_before_the_value_hung_until_it_moved():
     detector = driven(5, waves(15, 8), waves(-50, 20), detector, begin=11.5)
 
     def why_not(*span):
-        return detector.why_not(*(round(each * NANOSECONDS) for each in span))
+        return detector.why_not(*(round(seconds * NANOSECONDS) for seconds in span))
 
     assert why_not(9.6, 9.6) == why_not(10.5, 10.5) == why_not(11.8, 11.8) == SPEED_REPEATS
     assert why_not(8.0, 9.6) == why_not(11.8, 13.0) == why_not(9.0, 12.0) == SPEED_REPEATS
@@ -155,9 +155,9 @@ def test_a_block_is_judged_as_its_readings_one_by_one(seed, size, coarse):
         block = Block.of(readings[first : first + size])
         course = detector.course(block.of_kind(SpeedReading), block.of_kind(BatteryReading))
         for place in range(len(block)):
-            expected, one = alone[first + place + 1], course.at(place)
+            expected, judged = alone[first + place + 1], course.at(place)
             if course.places:
-                assert (one.detected, one.spoilt) == (expected.detected, expected.spoilt)
+                assert (judged.detected, judged.spoilt) == (expected.detected, expected.spoilt)
             else:  # nothing is suspected in it
                 assert expected.detected is None and expected.spoilt == detector.spoilt
         detector, first = course.last, first + len(block)

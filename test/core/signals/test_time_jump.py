@@ -16,11 +16,11 @@ START = 1_700_000_000 * S
 
 def passed(guard, items, rule=DEFAULT_RULE):
     """What the guard makes of (source, seconds) pairs."""
-    found = []
+    admitted = []
     for source, seconds in items:
         stamp = START + round(seconds * S)
-        found += guard.admit(source, stamp, (source, seconds), rule)
-    return found
+        admitted += guard.admit(source, stamp, (source, seconds), rule)
+    return admitted
 
 
 def speeds(*seconds):
@@ -29,11 +29,11 @@ def speeds(*seconds):
 
 def test_a_bag_that_starts_over_loses_nothing():
     first = [("battery", 0.0), *speeds(0.1), ("battery", 1.0), *speeds(1.1, 2.1, 200.0, 200.1)]
-    found = passed(guard := StampGuard("speed"), [*first, *first])
-    jump = next(item for item in found if isinstance(item, Jump))
+    admitted = passed(guard := StampGuard("speed"), [*first, *first])
+    jump = next(item for item in admitted if isinstance(item, Jump))
     assert jump.seconds == pytest.approx(199.0)
-    at = found.index(jump)
-    assert found[:at] == found[at + 1 :] == first
+    at = admitted.index(jump)
+    assert admitted[:at] == admitted[at + 1 :] == first
     assert guard.jumps == 1 and not guard.dropped
 
 
@@ -69,11 +69,11 @@ def test_a_late_source_loses_nothing(late, lag, since):
     """From the start one reading may stay in doubt: nothing before it says which one is late."""
     both = [(source, s / 10) for s in range(600) for source in ("speed", "battery")]
     items = sorted(both, key=lambda i: i[1] + (lag if i[0] == late and i[1] >= since else 0.0))
-    found = passed(guard := StampGuard("speed"), items)
+    admitted = passed(guard := StampGuard("speed"), items)
     assert guard.jumps == 0
-    lost = set(items) - set(found)
+    lost = set(items) - set(admitted)
     assert len(lost) <= (1 if since == 0.0 else 0)
-    assert sorted(found, key=items.index) == found
+    assert sorted(admitted, key=items.index) == admitted
 
 
 def test_a_leader_that_is_late_by_more_and_more_is_followed():
@@ -97,25 +97,25 @@ def test_the_clock_is_a_second_witness():
     guard.clock_went_back()
     passed(guard, speeds(100.0))
     guard.clock_went_back()
-    found = passed(guard, speeds(1.0))
-    assert found == [Jump(99.0), ("speed", 1.0)]
+    admitted = passed(guard, speeds(1.0))
+    assert admitted == [Jump(99.0), ("speed", 1.0)]
 
 
-def two_publishers(apart, bursts=40, each=3):
+def two_publishers(apart, bursts=40, burst=3):
     """Two speeds at 10 Hz whose stamps lie apart, by turns of a few messages."""
     for turn in range(bursts):
         for offset in (0.0, apart):
-            yield from speeds(*(1e4 + offset + (turn * each + i) / 10 for i in range(each)))
+            yield from speeds(*(1e4 + offset + (turn * burst + i) / 10 for i in range(burst)))
 
 
 @pytest.mark.parametrize("apart", [3600.0, -3600.0, 20.0])
 def test_of_two_publishers_an_hour_apart_one_is_ignored(apart):
     """By turns of three, where two stamps in a row used to be a jump every time."""
     guard, items = StampGuard("speed"), list(two_publishers(apart))
-    found = passed(guard, items)
+    admitted = passed(guard, items)
     assert guard.jumps <= 1
     assert guard.dropped["stamps_of_a_second_publisher"] == len(items) // 2 - 3
-    followed = [item for item in found if not isinstance(item, Jump)]
+    followed = [item for item in admitted if not isinstance(item, Jump)]
     leaps = [b[1] - a[1] for a, b in pairwise(followed) if abs(b[1] - a[1]) > 1.0]
     assert len(followed) == len(items) // 2 + 3 and len(leaps) == 2  # there, and back for good
 
@@ -126,8 +126,8 @@ def test_a_clock_that_is_set_to_and_fro_makes_no_second_publisher(pause):
     times = [s / 10 for s in range(600)]
     stamps = [t + 3.0 * (20.0 <= t < 30.0) + pause * (t >= 50.0) for t in times]
     guard = StampGuard("speed")
-    found = [each for each in passed(guard, speeds(*stamps)) if not isinstance(each, Jump)]
-    assert len(found) == len(stamps) and not guard.dropped
+    admitted = [item for item in passed(guard, speeds(*stamps)) if not isinstance(item, Jump)]
+    assert len(admitted) == len(stamps) and not guard.dropped
 
 
 def test_a_third_publisher_is_ignored_too():
@@ -143,8 +143,8 @@ def test_when_the_publisher_that_is_followed_ends_the_other_takes_over():
     guard = StampGuard("speed")
     both = list(two_publishers(-3600.0, bursts=4))
     alone = speeds(*(1e4 + 1.2 + i / 10 for i in range(100)))
-    found = passed(guard, [*both, *alone])
-    assert found[-75:] == alone[-75:]
+    admitted = passed(guard, [*both, *alone])
+    assert admitted[-75:] == alone[-75:]
 
 
 def test_a_bag_that_is_started_over_again_and_again_is_no_second_publisher():
@@ -184,9 +184,9 @@ def test_what_is_held_has_a_limit():
 @given(st.lists(st.tuples(st.sampled_from(["speed", "battery"]), st.floats(0, 1e4)), max_size=60))
 def test_nothing_is_doubled_and_all_is_accounted_for(items):
     guard = StampGuard("speed")
-    found = [item for item in passed(guard, items) if not isinstance(item, Jump)]
-    assert len(found) + guard.dropped.total() + len(guard._held) == len(items)
-    assert all(found.count(item) <= items.count(item) for item in found)
+    admitted = [item for item in passed(guard, items) if not isinstance(item, Jump)]
+    assert len(admitted) + guard.dropped.total() + len(guard._held) == len(items)
+    assert all(admitted.count(item) <= items.count(item) for item in admitted)
 
 
 steps = st.lists(

@@ -21,17 +21,17 @@ from test.core.signals.conftest import stamp_at as at
 MILLI = NANOSECONDS // 1000
 
 
-def value(found: SignalTrack, moment: int) -> float:
+def value(signal: SignalTrack, moment: int) -> float:
     """The value at a moment, by all that came."""
-    return float(found.at(*now(moment))[0])
+    return float(signal.at(*now(moment))[0])
 
 
 def track(*readings, max_gap=2.5) -> SignalTrack:
     """A track of (s, value)."""
-    found = SignalTrack(max_gap)
+    signal = SignalTrack(max_gap)
     for second, value in readings:
-        found.insert(at(second), value)
-    return found
+        signal.insert(at(second), value)
+    return signal
 
 
 @given(
@@ -41,59 +41,59 @@ def track(*readings, max_gap=2.5) -> SignalTrack:
     st.integers(0, 5000),
 )
 def test_interpolation_is_exact_on_what_is_linear(steps, level, slope, pick):
-    found, stamp, stamps = SignalTrack(2.5), START, []
+    signal, stamp, stamps = SignalTrack(2.5), START, []
     for step in steps:
         stamp += step * MILLI
         stamps.append(stamp)
-        found.insert(stamp, level + slope * (stamp - START) / NANOSECONDS)
+        signal.insert(stamp, level + slope * (stamp - START) / NANOSECONDS)
     moment = min(stamps[0] + pick * MILLI, stamps[-1])
     expected = level + slope * (moment - START) / NANOSECONDS
-    assert value(found, moment) == pytest.approx(expected, rel=1e-9, abs=1e-6)
+    assert value(signal, moment) == pytest.approx(expected, rel=1e-9, abs=1e-6)
 
 
 def test_nothing_is_joined_across_a_gap_nor_beyond_the_ends():
-    found = track((0.0, 1.0), (0.1, 1.0), (0.2, 1.0), (0.3, 3.0), (2.8, 5.0), (5.4, 7.0))
-    assert value(found, at(1.55)) == 4.0
-    assert math.isnan(value(found, at(3.0)))  # 2.6 s lie between
-    assert (value(found, at(2.8)), value(found, at(5.4))) == (5.0, 7.0)
-    assert math.isnan(value(found, at(-0.1))) and math.isnan(value(found, at(5.5)))
-    after, _ = found.first_after(np.array([at(0.3) + 1, at(6.0)]))
+    signal = track((0.0, 1.0), (0.1, 1.0), (0.2, 1.0), (0.3, 3.0), (2.8, 5.0), (5.4, 7.0))
+    assert value(signal, at(1.55)) == 4.0
+    assert math.isnan(value(signal, at(3.0)))  # 2.6 s lie between
+    assert (value(signal, at(2.8)), value(signal, at(5.4))) == (5.0, 7.0)
+    assert math.isnan(value(signal, at(-0.1))) and math.isnan(value(signal, at(5.5)))
+    after, _ = signal.first_after(np.array([at(0.3) + 1, at(6.0)]))
     assert after.tolist() == [at(2.8), LATER]
     assert (
-        found.covered(np.array([at(0.1), at(2.8)]))[0]
-        and not found.covered(np.array([at(0.1), at(3.0)]))[0]
+        signal.covered(np.array([at(0.1), at(2.8)]))[0]
+        and not signal.covered(np.array([at(0.1), at(3.0)]))[0]
     )
     assert (
-        not found.covered(np.array([at(-1.0), at(0.1)]))[0]
-        and not found.covered(np.array([at(5.0), at(6.0)]))[0]
+        not signal.covered(np.array([at(-1.0), at(0.1)]))[0]
+        and not signal.covered(np.array([at(5.0), at(6.0)]))[0]
     )
-    assert found.within(at(0.1), at(2.8)).tolist() == [at(0.2), at(0.3)]
+    assert signal.within(at(0.1), at(2.8)).tolist() == [at(0.2), at(0.3)]
 
 
 def test_a_slow_signal_is_joined_across_some_of_its_own_steps():
-    found = track(*((5.0 * k, float(k)) for k in range(10)))
-    assert value(found, at(22.5)) == 4.5
-    found.insert(at(45.0 + 5.0 * GAP_STEPS), 0.0)
-    assert not math.isnan(value(found, at(50.0)))
-    found.insert(at(51.0 + 10.0 * GAP_STEPS), 1.0)
-    assert math.isnan(value(found, at(48.0 + 10.0 * GAP_STEPS)))
+    signal = track(*((5.0 * k, float(k)) for k in range(10)))
+    assert value(signal, at(22.5)) == 4.5
+    signal.insert(at(45.0 + 5.0 * GAP_STEPS), 0.0)
+    assert not math.isnan(value(signal, at(50.0)))
+    signal.insert(at(51.0 + 10.0 * GAP_STEPS), 1.0)
+    assert math.isnan(value(signal, at(48.0 + 10.0 * GAP_STEPS)))
 
 
 @given(st.permutations(range(12)))
 def test_order_does_not_matter_and_the_first_of_a_stamp_counts(order):
-    found = track(*((0.1 * k, float(k)) for k in order))
-    assert found.values.tolist() == [float(k) for k in range(12)]
-    assert not found.insert(at(0.2), 99.0) and value(found, at(0.2)) == 2.0
+    signal = track(*((0.1 * k, float(k)) for k in order))
+    assert signal.values.tolist() == [float(k) for k in range(12)]
+    assert not signal.insert(at(0.2), 99.0) and value(signal, at(0.2)) == 2.0
 
 
 def test_what_no_moment_rests_on_is_forgotten():
-    found = SignalTrack(2.5)
+    signal = SignalTrack(2.5)
     stamps = at(0.0) + NANOSECONDS // 10 * np.arange(5000)
-    found.extend(np.arange(5000), stamps, np.ones(5000))
-    found.settle(LATER)
-    kept = (found.stamps[-1] - found.stamps[0]) / NANOSECONDS
+    signal.extend(np.arange(5000), stamps, np.ones(5000))
+    signal.settle(LATER)
+    kept = (signal.stamps[-1] - signal.stamps[0]) / NANOSECONDS
     assert TRACK_NS / NANOSECONDS <= kept <= TRACK_NS / NANOSECONDS + RATE_READINGS
-    assert len(found.stamps) == len(found.values)
+    assert len(signal.stamps) == len(signal.values)
 
 
 @given(st.lists(st.integers(1, 9000), min_size=3, max_size=60), st.integers(0, 60))

@@ -32,12 +32,12 @@ def test_the_table_is_the_list():
         for row in csv.DictReader(file):
             names = ("test_mass_kg", "a_n", "b_n_per_mps", "c_n_per_mps2")
             load = tuple(float(row[name]) for name in names)
-            each = energies.setdefault(load, {"UDDS": [], "Highway": []})
+            cycles = energies.setdefault(load, {"UDDS": [], "Highway": []})
             kind = row["procedure"].removeprefix("Charge Depleting ")
-            if kind in each and row["economy"]:
+            if kind in cycles and row["economy"]:
                 stated = float(row["economy"])
                 kwh_per_100_miles = stated if stated < 50 else 3370.5 / stated
-                each[kind].append(kwh_per_100_miles * 1000 / 160.9344)
+                cycles[kind].append(kwh_per_100_miles * 1000 / 160.9344)
     assert {tuple(load) for car in CARS.values() for load in car.loads} == energies.keys()
     for car in CARS.values():
         if len(car.loads) == 1:
@@ -85,8 +85,8 @@ def test_generic_is_the_population():
     """So that the file holds the priors, and this test why."""
     generic, (mean, covariance) = load_vehicle("generic"), population(CARS.values())
     start, sigma = generic.initial, np.sqrt(covariance.diagonal())
-    found = [start.mass, start.c_rr, start.c_d * generic.frontal_area]
-    assert found == pytest.approx(np.exp(mean), rel=0.01)
+    priors = [start.mass, start.c_rr, start.c_d * generic.frontal_area]
+    assert priors == pytest.approx(np.exp(mean), rel=0.01)
     shares = [prior.std / prior.value for prior in generic.priors.values()][2:5]
     assert shares == pytest.approx(sigma, rel=0.02)
     correlation = covariance / np.outer(sigma, sigma)

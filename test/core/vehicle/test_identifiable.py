@@ -35,8 +35,8 @@ def test_combinations_by_hand():
 def test_combined_power_is_battery_power(moment, car):
     v, a, grade = moment
     combined = identifiable(car, AREA)
-    found = combined_power(v, a, combined, air_density=DENSITY, grade=grade)
-    assert found == pytest.approx(power(moment, car), rel=1e-9, abs=1e-6)
+    by_combinations = combined_power(v, a, combined, air_density=DENSITY, grade=grade)
+    assert by_combinations == pytest.approx(power(moment, car), rel=1e-9, abs=1e-6)
 
 
 def test_rotating_parts_scale_the_inertia_alone():

@@ -62,7 +62,9 @@ def test_the_energy_of_the_cycle_is_known_better_than_its_shares():
     covariance = vehicle.correlation[:5, :5] * np.outer(share, share)
     step = 1e-4
     moved = middle * (1.0 + step * np.eye(5))
-    row = np.array([np.log(cycle_energy(each) / cycle_energy(middle)) / step for each in moved])
+    row = np.array(
+        [np.log(cycle_energy(changed) / cycle_energy(middle)) / step for changed in moved]
+    )
     whole = np.sqrt(row @ covariance @ row)
     assert whole < ENERGY_SPREAD and whole < 0.75 * np.sqrt(row**2 @ share**2)
 
@@ -91,5 +93,5 @@ def test_the_sums_of_the_cycle_are_those_of_the_cycle():
     force = 0.0085 * 9.81 * 1900 * (middle > 0) + 0.6 * 0.68 * middle**2 + 1.03 * 1900 * gained
     for part, sums in ((force > 0, DRIVING), (force <= 0, BRAKING)):
         way = middle[part]
-        found = np.array([way.sum(), (way**3).sum(), (way * gained[part]).sum()]) / middle.sum()
-        np.testing.assert_allclose(found, sums, rtol=0.002)
+        shares = np.array([way.sum(), (way**3).sum(), (way * gained[part]).sum()]) / middle.sum()
+        np.testing.assert_allclose(shares, sums, rtol=0.002)

@@ -29,14 +29,14 @@ def encoded(rows: Sequence[Sequence[float]], scales: Sequence[float]) -> str:
 
 def places(points_a_leg: int = 20) -> list[tuple[float, float, float]]:
     """Latitude, longitude and height, some points to a leg."""
-    found, along = [], 0.0
+    points, along = [], 0.0
     for length, low, high in zip(LENGTHS, HEIGHTS[:-1], HEIGHTS[1:], strict=True):
         for i in range(points_a_leg):
             part = i / points_a_leg
             north = math.degrees((along + part * length) / EARTH_RADIUS)
-            found.append((SOUTH + north, EAST, low + part * (high - low)))
+            points.append((SOUTH + north, EAST, low + part * (high - low)))
         along += length
-    return [*found, (SOUTH + math.degrees(TOTAL / EARTH_RADIUS), EAST, HEIGHTS[-1])]
+    return [*points, (SOUTH + math.degrees(TOTAL / EARTH_RADIUS), EAST, HEIGHTS[-1])]
 
 
 def height_at(along: float) -> float:
@@ -100,19 +100,19 @@ def osrm(annotated: bool = True, steps: bool = True) -> dict:
 
 def graphhopper(details: Sequence[str] = (), encode: bool = True, up: bool = True) -> dict:
     n = 20
-    intervals = [(n * i, n * (i + 1)) for i in range(4)]
+    spans = [(n * i, n * (i + 1)) for i in range(4)]
     made = {
-        "time": [[*each, int(1000 * t)] for each, t in zip(intervals, DURATIONS, strict=True)],
-        "average_speed": [[*each, 3.6 * length / time] for each, length, time
-                          in zip(intervals, LENGTHS, DURATIONS, strict=True)],
+        "time": [[*span, int(1000 * t)] for span, t in zip(spans, DURATIONS, strict=True)],
+        "average_speed": [[*span, 3.6 * length / time] for span, length, time
+                          in zip(spans, LENGTHS, DURATIONS, strict=True)],
     }  # fmt: skip
     points = places(n)
     scales = [1e5, 1e5, 100.0][: 3 if up else 2]
     line = encoded([place[: len(scales)] for place in points], scales)
     plain = [[x, y, z][: len(scales)] for y, x, z in points]
     parts = [
-        {"distance": length, "time": int(1000 * time), "interval": [*each], "sign": 0}
-        for length, time, each in zip(LENGTHS, DURATIONS, intervals, strict=True)
+        {"distance": length, "time": int(1000 * time), "interval": [*span], "sign": 0}
+        for length, time, span in zip(LENGTHS, DURATIONS, spans, strict=True)
     ]
     parts.append({"distance": 0.0, "time": 0, "interval": [80, 80], "sign": 4})
     path = {

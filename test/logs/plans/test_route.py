@@ -81,12 +81,12 @@ def test_edges_of_a_service_are_no_finer_than_its_steps(read):
     edges, steps = read(fine), read(samples.osrm(annotated=False))
     assert edges.duration.min() >= 60.0
     car = vehicle_model(load_vehicle("bmw_i3"))
-    of_edges, of_steps = (forecast_plan(each, car, Weather(1.2)) for each in (edges, steps))
+    of_edges, of_steps = (forecast_plan(legs, car, Weather(1.2)) for legs in (edges, steps))
     # Legs of a minute have less speeding up and braking than those of minutes, but edges of
     # seconds would have next to none.
     uneven, all_of_it = (
-        each.energy[-1] - forecast_plan(legs, car, Weather(1.2), steady=True).energy[-1]
-        for each, legs in ((of_edges, edges), (of_steps, steps))
+        forecast.energy[-1] - forecast_plan(legs, car, Weather(1.2), steady=True).energy[-1]
+        for forecast, legs in ((of_edges, edges), (of_steps, steps))
     )
     assert 0.6 * all_of_it < uneven <= all_of_it
     assert of_edges.sigma[-1] == pytest.approx(of_steps.sigma[-1], rel=0.1)
@@ -146,8 +146,8 @@ def test_a_polyline_is_that_of_its_documentation():
 def test_a_polyline_comes_back(points, scale, dimensions):
     rows = [point[:dimensions] for point in points]
     scales = [scale, scale, 100.0][:dimensions]
-    found = decode_polyline(samples.encoded(rows, scales), scale, dimensions)
-    np.testing.assert_allclose(found, rows, atol=0.51 / min(scales[-1], scale), rtol=0)
+    decoded = decode_polyline(samples.encoded(rows, scales), scale, dimensions)
+    np.testing.assert_allclose(decoded, rows, atol=0.51 / min(scales[-1], scale), rtol=0)
 
 
 @settings(max_examples=25)

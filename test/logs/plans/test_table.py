@@ -154,9 +154,9 @@ def test_python_takes_the_same_columns_and_files(tmp_path):
     (tmp_path / "legs.csv").write_text(LEGS)
     for plan in (columns, pd.DataFrame(columns)):
         pd.testing.assert_frame_equal(ev.forecast(tmp_path / "legs.csv"), ev.forecast(plan))
-    found = ev.forecast(columns, "bmw_i3", charge_pct=80.0)
-    assert found.loc[[0, 150, 630, 870], "distance_m"].tolist() == [0, 1200, 13200, 16200]
-    assert 0 < found["charge_pct"].iloc[-1] < 80
+    table = ev.forecast(columns, "bmw_i3", charge_pct=80.0)
+    assert table.loc[[0, 150, 630, 870], "distance_m"].tolist() == [0, 1200, 13200, 16200]
+    assert 0 < table["charge_pct"].iloc[-1] < 80
 
 
 def test_air_is_denser_when_it_is_cold():

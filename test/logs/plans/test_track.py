@@ -88,8 +88,8 @@ TRACKS = {
     "gpx 1.0": gpx(version="1.0"),
     "route of gpx": gpx(kind="rte"),
     "gpx in utf-16": gpx().replace("UTF-8", "UTF-16").encode("utf-16"),
-    "gpx of a zone": gpx([each.replace("Z", ".000+00:00") for each in CLOCK]),
-    "gpx without a zone": gpx([each.rstrip("Z") for each in CLOCK]),
+    "gpx of a zone": gpx([clock.replace("Z", ".000+00:00") for clock in CLOCK]),
+    "gpx without a zone": gpx([clock.rstrip("Z") for clock in CLOCK]),
     "coordTimes": geojson(coordTimes=CLOCK),
     "times, ms since 1970": geojson("FeatureCollection", times=MILLIS),
     "times, s": geojson(times=SECONDS),
@@ -108,7 +108,7 @@ def test_places_with_times_are_legs_from_each_to_the_next(read, track):
 
 def test_with_speeds_no_times_are_needed(read):
     speeds = [10.0, 30.0, 30.0, 20.0, 20.0]
-    old, new = (gpx(times=None, speeds=speeds, version=each) for each in ("1.0", "1.1"))
+    old, new = (gpx(times=None, speeds=speeds, version=version) for version in ("1.0", "1.1"))
     for track in (old, new, geojson(speeds=speeds)):
         legs = read(track)
         assert legs.length == pytest.approx([400.0, 500.0], abs=0.01)

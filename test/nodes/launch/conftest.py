@@ -104,9 +104,9 @@ class Ros2:
                 process.wait()
 
     def _command(self, words: tuple[object, ...]) -> list[str]:
-        found = shutil.which("ros2", path=self.environment["PATH"])
-        assert found is not None
-        return [found, *map(str, words)]
+        command = shutil.which("ros2", path=self.environment["PATH"])
+        assert command is not None
+        return [command, *map(str, words)]
 
 
 class Running:
@@ -147,20 +147,20 @@ def tools() -> Path | None:
 @pytest.fixture(scope="session")
 def ros2(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros2]:
     """The command line, with this package installed by colcon."""
-    folder, found = tmp_path_factory.mktemp("ros2"), tools()
+    folder, plugins = tmp_path_factory.mktemp("ros2"), tools()
     sourced = shutil.which("ros2") and importlib.util.find_spec("ros2launch")
-    if found is None and not sourced:
+    if plugins is None and not sourced:
         pytest.skip("neither ../shared/ros2_tools nor a sourced ROS 2 is here")
     prefix = installed / "evpinn_ros"
     package = sysconfig.get_path("purelib", vars={"base": str(prefix)})
     paths = {
         "AMENT_PREFIX_PATH": [prefix, os.environ.get("AMENT_PREFIX_PATH", sys.prefix)],
-        "PYTHONPATH": [package, *([found] if found else []), os.environ.get("PYTHONPATH", "")],
+        "PYTHONPATH": [package, *([plugins] if plugins else []), os.environ.get("PYTHONPATH", "")],
         # Scripts begin with `env python3`: that of this environment.
         "PATH": [folder / "bin", Path(sys.executable).parent, os.environ["PATH"]],
     }
     (folder / "bin").mkdir()
-    if found is not None:
+    if plugins is not None:
         command = folder / "bin" / "ros2"
         command.write_text(COMMAND.format(python=sys.executable, stand_in=STAND_IN))
         command.chmod(0o755)

@@ -128,7 +128,7 @@ def test_two_cars_in_one_graph_have_estimates_and_diagnostics_of_their_own(
     def all_is_said():
         first, second = map(fastest, names)  # two cars that set off may be as fast for a moment
         drive = min(first, second) > 2.0 and abs(first - second) > 0.1
-        learn = all(len(each) > 5 for each in learned.values())
+        learn = all(len(messages) > 5 for messages in learned.values())
         return drive and learn and those_who_spoke() >= cars
 
     given = (f"first:={tmp_path}/urban.yaml", f"second:={tmp_path}/highway.yaml")
@@ -160,7 +160,8 @@ def assert_each_is_in_one_group_of_its_car(names):
         "analyzers", cli_args=words, automatically_declare_parameters_from_overrides=True,
         use_global_arguments=False,
     )  # fmt: skip
-    values = {name: each.value for name, each in node.get_parameters_by_prefix("").items()}
+    parameters = node.get_parameters_by_prefix("")
+    values = {name: parameter.value for name, parameter in parameters.items()}
     node.destroy_node()
     groups = {name.removesuffix(".startswith"): value for name, value in values.items()
               if name.endswith(".startswith")}  # fmt: skip
@@ -171,8 +172,9 @@ def assert_each_is_in_one_group_of_its_car(names):
         "diagnostic_aggregator/AnalyzerGroup"
     }
     for name in names:
-        found = [group for group, starts in groups.items() if name.startswith(tuple(starts))]
-        assert len(found) == 1 and found[0].startswith(name.split("/")[1] + ".analyzers."), name
+        matching = [group for group, starts in groups.items() if name.startswith(tuple(starts))]
+        assert len(matching) == 1, name
+        assert matching[0].startswith(name.split("/")[1] + ".analyzers."), name
 
 
 WRONG = {

@@ -45,7 +45,7 @@ def test_never_wider_or_higher_than_asked(width, height, values, power, statuses
         (topics.ENERGY_RANGE, ["distance_to_empty"], [power]),
     ):
         data.take(topic, named_vector(new_message, 10**9, list(names), numbers), 1.0)
-    found = [
+    statuses_sent = [
         (
             f"/ev/estimator: {name}",
             level,
@@ -54,11 +54,11 @@ def test_never_wider_or_higher_than_asked(width, height, values, power, statuses
         )
         for level, name, text, state_ in statuses
     ]
-    found += [
+    statuses_sent += [
         ("/ev/estimator: estimate", Level.OK, text, {"state.mu": text})
         for _, _, text, _ in statuses
     ]
-    message = diagnostics(new_message, 10**9, found)
+    message = diagnostics(new_message, 10**9, statuses_sent)
     data.take(topics.DIAGNOSTICS, message, 1.0)
     drawn = screen(data, 1.0, width, height).plain
     rows = drawn.split("\n") if drawn else []
@@ -87,9 +87,9 @@ def test_what_is_drawn_has_one_sign_on_screen(well):
     data.take(topics.BATTERY, battery_message(new_message, braking), 110.0)
     power = named_vector(new_message, 110 * 10**9, ["power"], [-28160.0])
     data.take(topics.POWER_MEASURED, power, 110.0)
-    found = lines(data, 110.0, 80, 24)
-    assert "-80.0 A drawn" in found[0]
-    assert any(line.startswith("kW drawn  measured -28.2") for line in found)
+    drawn = lines(data, 110.0, 80, 24)
+    assert "-80.0 A drawn" in drawn[0]
+    assert any(line.startswith("kW drawn  measured -28.2") for line in drawn)
 
 
 def test_charge_is_that_of_the_battery_until_the_node_projects_it():
@@ -138,4 +138,4 @@ def test_a_script_reads_that_nothing_is_known_and_what_fell_silent(well):
     assert document["receiving"] is False and document["problems"][0]["text"] == NOTHING
     later = json.loads(json_text(as_json(well(160.0), 170.0)))
     assert later["speed_mps"] is later["power_w"]["measured"]["value"] is None
-    assert {"error"} == {one["level"] for one in later["problems"]}
+    assert {"error"} == {problem["level"] for problem in later["problems"]}

@@ -24,10 +24,10 @@ def test_a_car_that_is_eq_21_has_its_own_parameters():
     rng, count = np.random.default_rng(0), 1800
     speed = np.clip(15 + np.cumsum(rng.normal(0, 0.8, count)), 0.0, 35.0)
     climb = speed * 0.02 * np.sin(np.arange(count) / 60.0)
-    one = np.ones(count)
-    wheels = equation.wheels(one, speed, speed**3, speed * np.gradient(speed), climb, 1.2)
+    second = np.ones(count)
+    wheels = equation.wheels(second, speed, speed**3, speed * np.gradient(speed), climb, 1.2)
     truth = equation.mean[PHYSICS] * [1.1, 0.9, 1.05, 1.0] + [0.0, 0.0, 0.0, 0.03]
-    combined = combinations(equation, wheels, one, np.asarray(wheels.terms) @ truth)
+    combined = combinations(equation, wheels, second, np.asarray(wheels.terms) @ truth)
     drag, rolling, mass, _ = truth
     assert combined["mass_over_eta"] == pytest.approx(mass, rel=2e-3)
     assert combined["rolling_over_eta"] == pytest.approx(rolling, rel=0.02)
