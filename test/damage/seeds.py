@@ -28,6 +28,7 @@ from evpinn_ros.topics.messages import header, scalar
 from evpinn_ros.topics.model import model_message
 from evpinn_ros.topics.plans import DISTANCE_JOINT
 from evpinn_ros.topics.readings import reading_message, speed_message
+from test.logs.plans import samples
 
 VEHICLE = "tesla_model_3_lr"
 START = 1_700_000_000 * NANOSECONDS
@@ -168,23 +169,13 @@ def plan_files() -> list[bytes]:
     """A track, and an answer of each route service; their content tells them apart."""
     point = '<trkpt lat="48.%d" lon="11"><ele>5</ele><time>2024-05-01T10:%d:00Z</time></trkpt>'
     track = "".join(point % (i, i) for i in range(10, 30))
-    part = {"distance": 900, "duration": 60, "length": 0.9, "time": 60, "interval": [0, 1]}
-    line = {"distance": 2224, "time": 2e5, "points": "__~cH_mcbAg^o}@?gEo}@?gE"}
-    details = {"time": [[0, 1, 9e4], [1, 2, 9e4]], "max_speed": [[0, 1, 50], [1, 2, None]]}
     place = {"type": "LineString", "coordinates": [[11, 48, 5], [11, 48.1, 9]]}
-    annotation = {"distance": [5, 9], "duration": [1, 1]}
-    answers: list[Any] = [
-        {
-            "trip": {
-                "legs": [{"maneuvers": [part], "elevation": [1, 2], "elevation_interval": 900}]
-            }
-        },
-        {"edges": [{**part, "mean_elevation": 7, "end_node": {"elapsed_time": 60}}]},
-        {"routes": [{"legs": [{**part, "steps": [part]}, {**part, "annotation": annotation}]}]},
-        {"paths": [{**line, "details": details, "instructions": [part]}]},
-        {"routes": [{"segments": [{**part, "steps": [part]}], "geometry": line["points"]}]},
+    answers = (
+        *(samples.valhalla(), samples.valhalla_edges(), samples.osrm(), samples.osrm(steps=False)),
+        *(samples.graphhopper(("time", "average_speed")), samples.openrouteservice()),
+        samples.openrouteservice("geojson"),
         {"type": "Feature", "properties": {"times": [0, 900]}, "geometry": place},
-    ]
+    )
     texts = (json.dumps(answer) for answer in answers)
     return [plan.encode() for plan in (f"<gpx><trk>{track}</trk></gpx>", *texts)]
 

@@ -51,6 +51,7 @@ def readings(drive: Drive) -> list[SpeedReading | BatteryReading]:
         reading
         for stamp, v, u, i in rows
         for reading in (SpeedReading(stamp, v), BatteryReading(stamp, u, -i))
+        if isinstance(reading, SpeedReading) or not math.isnan(u)
     ]
 
 
@@ -133,6 +134,31 @@ def test_a_current_beside_power_stands_still_without_a_voltage(tmp_path):
     assert any(f"current stands still at 20 A from {BEGIN} s" in note for note in source.notes)
 
 
+CHANGES = {
+    "right": (lambda amperes: amperes, None),
+    "zero": (np.zeros_like, "current is always 0 A while the car speeds up"),
+    "turned": (
+        np.negative,
+        "the car speeds up while its battery is charged: the sign of the current",
+    ),
+    "unsigned": (np.abs, "the harder the car brakes, the more the battery seems to give"),
+    "one way": (lambda amperes: np.maximum(amperes, 0.0), "no current ever flows back into"),
+}
+
+
+@pytest.mark.parametrize("kind", [of_bag, of_can_log])
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_the_battery_cannot_be_is_said(tmp_path, kind, change):
+    """The log is read all the same; its battery is heard half a minute later than its speed."""
+    changed, note = CHANGES[change]
+    voltage = np.where(DRIVE.time < 30.0, math.nan, DRIVE.voltage)
+    source = kind(replace(DRIVE, voltage=voltage, current=changed(DRIVE.current)), tmp_path)
+    currents = [r.current for r in source.readings() if isinstance(r, BatteryReading)]
+    assert len(currents) == DRIVE.time.size - 30
+    assert all(map(math.isnan, currents)) == (change == "zero")
+    assert [text.startswith(note or "") for text in source.notes] == [True] * (note is not None)
+
+
 @pytest.mark.parametrize("way", ["odometer", "places"])
 @pytest.mark.parametrize("value", [None, 0.0])
 def test_the_way_shows_that_a_speed_stands_still(tmp_path, way, value):
@@ -160,8 +186,7 @@ def test_an_odometer_that_contradicts_the_speed_is_told(tmp_path):
         return f"{t:.0f},{v / 0.44704:.2f},{u:.1f},{i:.1f},{far / 1000:.2f}"
 
     source = opened(
-        tmp_path,
-        table("time,Speed (km/h),Voltage (V),Current (A),Odometer (km)", DRIVE, line),
+        tmp_path, table("time,Speed (km/h),Voltage (V),Current (A),Odometer (km)", DRIVE, line)
     )
     assert measured(source)[0] < DRIVE.distance
     assert "the odometer counts 1.6 times the way that the speed shows" in " ".join(source.notes)
