@@ -374,10 +374,7 @@ def two_cars_without_a_name():
 
 
 TOLD: dict[str, tuple[Callable[[], str], str]] = {
-    "two cars without a name": (
-        two_cars_without_a_name,
-        "as no car does, so doubt all totals",
-    ),
+    "two cars without a name": (two_cars_without_a_name, "as no car does, so doubt all totals"),
     "two packs": (
         lambda: written(
             "t_s,Speed (km/h),Pack Voltage (V),Pack 1 Current (A),Pack 2 Current (A)",

@@ -48,10 +48,7 @@ def said(bench, node):
 def test_prediction_goes_on_without_the_battery(bench):
     node = bench.start(EstimatorNode)
     bench.listen(topics.POWER_PREDICTED, topics.POWER_SMOOTHED, topics.POWER_MEASURED)
-    assert said(bench, node)[:2] == (
-        Level.WARN,
-        "waiting for vehicle/speed: nobody publishes it",
-    )
+    assert said(bench, node)[:2] == (Level.WARN, "waiting for vehicle/speed: nobody publishes it")
     drive(bench, node, 0, 4)
     assert said(bench, node)[0] is Level.OK and "learning" in said(bench, node)[1]
     measured = node.published[topics.POWER_MEASURED]

@@ -40,10 +40,7 @@ def drive_of(rows, vehicle):
     admission, history = Admission(CarLimits.of(vehicle)), History()
     for second, (speed, voltage, current) in enumerate(rows.tolist()):
         stamp_ns = (1_700_000_000 + second) * NANOSECONDS
-        for reading in (
-            SpeedReading(stamp_ns, speed),
-            BatteryReading(stamp_ns, voltage, current),
-        ):
+        for reading in (SpeedReading(stamp_ns, speed), BatteryReading(stamp_ns, voltage, current)):
             if admission.admits(reading):
                 history.add_reading(reading)
     return history.drive()

@@ -9,14 +9,7 @@ import pytest
 
 from evpinn_ros.core.estimation.network import reference_driving, share_of_terms
 from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State
-from evpinn_ros.core.estimation.terms import (
-    COUNT,
-    WHOLE,
-    Part,
-    Warmth,
-    coldness,
-    equation_of,
-)
+from evpinn_ros.core.estimation.terms import COUNT, WHOLE, Part, Warmth, coldness, equation_of
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import Conditions
 from evpinn_ros.core.vehicle.files import load_vehicle

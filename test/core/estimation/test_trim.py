@@ -5,11 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.trim import (
-    TRIM_SECONDS,
-    Outputs,
-    Trim,
-)
+from evpinn_ros.core.estimation.trim import TRIM_SECONDS, Outputs, Trim
 from evpinn_ros.core.signals.kinematics import PROFILE
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.signals.sample import Sample, Samples

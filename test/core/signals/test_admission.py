@@ -125,8 +125,7 @@ def test_across_a_gap_of_time_any_speed_follows_any_other():
 
 
 @given(
-    st.lists(st.floats(-8.0, 5.0), min_size=1, max_size=60),
-    st.sampled_from([0.01, 0.1, 1.0, 5.0]),
+    st.lists(st.floats(-8.0, 5.0), min_size=1, max_size=60), st.sampled_from([0.01, 0.1, 1.0, 5.0])
 )
 def test_no_speed_that_tyres_allow_is_refused(accelerations, step):
     values = np.clip(20.0 + np.cumsum(accelerations) * step, 0.0, 90.0)

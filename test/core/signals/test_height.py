@@ -2,12 +2,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.signals.detector import ALTITUDE_STUCK, ONE_ALTITUDE
-from evpinn_ros.core.signals.height import (
-    LEAP,
-    REACH,
-    AltitudeDetector,
-    HeightProfile,
-)
+from evpinn_ros.core.signals.height import LEAP, REACH, AltitudeDetector, HeightProfile
 
 
 def means(profile: HeightProfile, *places: float):

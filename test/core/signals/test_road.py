@@ -138,10 +138,7 @@ def test_air_density_follows_temperature():
 
 @pytest.mark.parametrize(
     ("kind", "value", "name", "seconds"),
-    [
-        (AuxiliaryReading, 1500.0, "load", 10.0),
-        (WindReading, 6.0, "head_wind", 600.0),
-    ],
+    [(AuxiliaryReading, 1500.0, "load", 10.0), (WindReading, 6.0, "head_wind", 600.0)],
 )
 def test_known_loads_and_wind_count_while_they_are_fresh(kind, value, name, seconds):
     road = Road(GradeSource.NONE, 1.2)

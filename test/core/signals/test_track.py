@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.track import (
-    GAP_STEPS,
-    LATER,
-    RATE_READINGS,
-    TRACK_NS,
-    SignalTrack,
-)
+from evpinn_ros.core.signals.track import GAP_STEPS, LATER, RATE_READINGS, TRACK_NS, SignalTrack
 from test.core.signals.conftest import START, now
 from test.core.signals.conftest import stamp_at as at
 

@@ -10,10 +10,7 @@ from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.core.vehicle.parameters import LIMITS
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
-from evpinn_ros.replays.simulation.truth import (
-    combinations,
-    prior_parameters,
-)
+from evpinn_ros.replays.simulation.truth import combinations, prior_parameters
 
 CAR = load_vehicle("tesla_model_3_lr")
 
