@@ -16,25 +16,11 @@ KEYS = {
 }
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("robot")
-    learned(1).save(folder / "robot.json")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def begun(tmp_path_factory):
-    """A folder with the state of a robot that has hardly driven."""
-    folder = tmp_path_factory.mktemp("begun")
-    learned(1, minutes=0.5).save(folder / "robot.json")
-    return folder
-
-
 @pytest.mark.nightly
-def test_the_learned_robot_for_a_fleet_adapter(evpinn, folder):
+def test_the_learned_robot_for_a_fleet_adapter(evpinn, tmp_path):
+    learned(1).save(tmp_path / "robot.json")
     given = ("--capacity", 25, "--charging-current", 5, "--radius", 0.4, "--tool", 12.5)
-    ended = evpinn("export", "rmf", "robot.json", *given, cwd=folder)
+    ended = evpinn("export", "rmf", "robot.json", *given, cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     fleet = yaml.safe_load(ended.stdout)["rmf_fleet"]
     assert {name: set(of) for name, of in fleet.items()} == KEYS
@@ -50,8 +36,9 @@ def test_the_learned_robot_for_a_fleet_adapter(evpinn, folder):
     assert fleet["ambient_system"]["power"] == pytest.approx(ours.COMPUTER, rel=0.15)
 
 
-def test_what_is_not_known_of_the_battery_is_asked_for(evpinn, begun):
-    ended = evpinn("export", "rmf", "robot.json", cwd=begun)
+def test_what_is_not_known_of_the_battery_is_asked_for(evpinn, tmp_path):
+    learned(1, minutes=0.5).save(tmp_path / "robot.json")
+    ended = evpinn("export", "rmf", "robot.json", cwd=tmp_path)
     assert (ended.returncode, ended.stdout) == (1, "")
     asked = "the capacity of the battery of mobile_robot is not known: give --capacity"
     assert asked in ended.stderr

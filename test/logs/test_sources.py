@@ -1,7 +1,5 @@
 """Every kind of recording gives the same readings."""
 
-import pytest
-
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.read_options import ReadOptions
@@ -10,13 +8,9 @@ from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 
 
-@pytest.fixture(scope="module")
-def vehicle():
-    return load_vehicle("tesla_model_3_lr")
-
-
-def test_a_can_log_that_later_contradicts_the_profile_ends_there(tmp_path, vehicle):
+def test_a_can_log_that_later_contradicts_the_profile_ends_there(tmp_path):
     """Two drives joined, the second of a car with the firmware of another year."""
+    vehicle = load_vehicle("tesla_model_3_lr")
     first = simulate(DriveKind.URBAN, vehicle, 30.0, seed=3)
     later = simulate(
         *(DriveKind.URBAN, vehicle, 30.0, 4),

@@ -19,17 +19,12 @@ def rows(begin: float, seconds: int, speed: float, current: float) -> str:
     return "".join(f"{time},{speed},350,{current}\n" for time in times)
 
 
-@pytest.fixture
-def day(tmp_path: Path) -> Path:
+def test_trips_end_where_the_car_charges_and_where_the_log_pauses(tmp_path: Path) -> None:
     """Two drives with an hour of charging between them, and a third after a night without rows."""
     path = tmp_path / "day.csv"
     text = rows(0, 300, 10.0, 20.0) + rows(300, 3600, 0.0, -10.0) + rows(3900, 300, 10.0, 20.0)
     path.write_text(HEADER + text + rows(40_000, 300, 10.0, 20.0), encoding="utf-8")
-    return path
-
-
-def test_trips_end_where_the_car_charges_and_where_the_log_pauses(day: Path) -> None:
-    trips, charged = split(open_drive(day))
+    trips, charged = split(open_drive(path))
     assert [trip.path.name for trip in trips] == ["day:1", "day:2", "day:3"]
     assert charged == pytest.approx(3600 * 3500.0, rel=0.01)
     for trip in trips:

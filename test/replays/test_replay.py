@@ -45,22 +45,6 @@ def without_timing(metrics) -> str:
 
 
 @pytest.fixture(scope="module")
-def withheld(readings, vehicle, tmp_path_factory):
-    """The drive without a battery after a minute: what replay gives, and the folder of its bag."""
-    folder = tmp_path_factory.mktemp("withheld")
-    with BagWriter(folder / "bag") as writer:
-        result = run(readings, vehicle, folder, writer=writer, withhold_battery_after=60.0)
-    return result, folder / "bag"
-
-
-@pytest.fixture(scope="module")
-def whole(readings, vehicle, tmp_path_factory):
-    """The drive as it is: what replay gives, and the chain at its end, to be copied."""
-    used = chain(vehicle)
-    return run(readings, vehicle, tmp_path_factory.mktemp("whole"), used=used), used
-
-
-@pytest.fixture(scope="module")
 def once(readings, vehicle, tmp_path_factory):
     """The first 45 s of it: the readings, what replay gives, and the chain at their end."""
     first, used = readings[:900], chain(vehicle)
@@ -138,8 +122,8 @@ def test_a_stray_stamp_stops_nothing(readings, vehicle):
     assert used.dropped == {"stamp_leaps": 4}
 
 
-def test_withheld_battery_gives_finite_predictions_to_the_end(withheld):
-    result, _ = withheld
+def test_withheld_battery_gives_finite_predictions_to_the_end(readings, vehicle, tmp_path):
+    result = run(readings, vehicle, tmp_path, withhold_battery_after=60.0)
     drive = result.drive
     assert drive.smoothed.time[-1] > drive.duration - 1.0
     assert np.isfinite(drive.smoothed.power).all() and np.isfinite(drive.newest.power).all()

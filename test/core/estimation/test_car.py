@@ -20,11 +20,6 @@ def town(as_prior):
     return as_prior(EQUATION, (DriveKind.URBAN, 300.0, 0))
 
 
-@pytest.fixture(scope="module")
-def driven(town) -> LearnedCar:
-    return LearnedCar.new(EQUATION).after(town)
-
-
 def test_a_car_is_frozen_and_forks_are_free(town):
     car = LearnedCar.new(EQUATION).after(town[:20])
     fork, another = car.after(town[20:30]), car.after(town[20:30])
@@ -55,7 +50,8 @@ def test_a_dropout_is_driven_and_not_learned(town):
     assert again.measured and again.dropout.seconds == 0.0
 
 
-def test_uneven_speed_is_learned_with_the_drive(town, driven):
+def test_uneven_speed_is_learned_with_the_drive(town):
+    driven = LearnedCar.new(EQUATION).after(town)
     assert not driven.unevenness.metres.any()
     uneven = driven.begin_drive().unevenness
     way = sum(interval.distance for interval in town)

@@ -44,13 +44,9 @@ def test_the_first_predictions_are_the_prior_s(new_estimator, play, powers, vehi
     assert all(power.power == pytest.approx(expected, rel=0.02) for power in predictions)
 
 
-@pytest.fixture
-def at_start(cruise) -> int:
-    return cruise(0, 1)[0].stamp_ns
-
-
-def test_parameters_come_once_a_second(new_estimator, play, cruise, at_start):
-    outputs = play(new_estimator(), cruise(0, 5.2))
+def test_parameters_come_once_a_second(new_estimator, play, cruise):
+    readings = cruise(0, 5.2)
+    outputs, at_start = play(new_estimator(), readings), readings[0].stamp_ns
     published = [output for output in outputs if isinstance(output, ParameterSet)]
     assert [f.stamp_ns - at_start for f in published] == [k * NANOSECONDS for k in (1, 2, 3, 4, 5)]
 

@@ -3,10 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import pytest
 
 from benchmarks.truth import CarChain
-from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.evidence import SIZE, Evidence, evidence
 from evpinn_ros.core.estimation.pinn import PinnLearner
 from evpinn_ros.core.estimation.published import evidence_of
@@ -64,15 +62,11 @@ def test_a_mean_that_was_pushed_is_no_evidence():
     assert not likelihood.precision.any() and not likelihood.information.any()
 
 
-@pytest.fixture(scope="module")
-def driven() -> LearnedCar:
+def test_a_drive_tells_nothing_of_what_cannot_be_told():
+    """eta, 1/mu, mass and C_d scaled together: not even a little, or many cars would add it up."""
     chain = CarChain(LEAF)
     chain.add_readings(simulate(DriveKind.URBAN, LEAF, 240.0, 3).readings)
-    return chain.car
-
-
-def test_a_drive_tells_nothing_of_what_cannot_be_told(driven):
-    """eta, 1/mu, mass and C_d scaled together: not even a little, or many cars would add it up."""
+    driven = chain.car
     sigma = np.array([LEAF.priors[n].std / LEAF.priors[n].value for n in ("eta", "mu", "mass")])
     drag = LEAF.priors["c_d"].std / LEAF.priors["c_d"].value
     untold = np.array([1 / sigma[0], -1 / sigma[1], 1 / sigma[2], 0.0, 1 / drag, 0.0])

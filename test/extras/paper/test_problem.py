@@ -13,25 +13,15 @@ WIDTHS = (2, 7, 7, 1)
 Z = torch.tensor([0.1, -0.2, 0.05, 0.03, -0.04], dtype=torch.float64)
 
 
-@pytest.fixture
-def problem(make_log, vehicle):
-    log = make_log()
-    return Problem(log, vehicle, random_split(len(log.time), 3), dtype=torch.float64)
-
-
-@pytest.fixture
-def network():
-    return PowerNetwork(WIDTHS, seed=2, dtype=torch.float64)
-
-
-def test_loss_is_eq_22_in_normalised_units(problem, network):
+def test_loss_is_eq_22_in_normalised_units(make_log, vehicle):
+    whole, network = make_log(), PowerNetwork(WIDTHS, seed=2, dtype=torch.float64)
+    problem = Problem(whole, vehicle, random_split(len(whole.time), 3), dtype=torch.float64)
     log = chosen_rows(problem.log, problem.split.validation)
     middle = (problem.log.power.max() + problem.log.power.min()) / 2
     half = (problem.log.power.max() - problem.log.power.min()) / 2
     inputs = torch.tensor(np.stack((log.speed, log.time), axis=1))
     with torch.no_grad():
         output = network(inputs).numpy()
-    vehicle = problem.vehicle
     physics = battery_power(
         log.speed,
         log.acceleration,
