@@ -24,7 +24,6 @@ ADDRESS = Address(0x7E4, 0x7EC, False, None, None)
 FIRST = RequestRule("first", ADDRESS, b"\x22\x01\x01", 3, 0.2)
 SECOND = RequestRule("second", ADDRESS, b"\x22\x01\x05", 1, 0.2)
 ALL = ("first", "second", "voltage")
-FLOW_CONTROL = bytes.fromhex("3000000000000000")
 
 
 class Desk:
@@ -64,14 +63,6 @@ def test_question_and_single_frame(desk):
     assert desk.unit.counters == {"asked": 2, "answered": 1}
 
 
-def test_multi_frame_gets_its_flow_control_and_the_stamp_of_its_first_frame(desk):
-    desk.advance()
-    assert desk.frame("100A620101000102", stamp=7) is None
-    assert desk.sent[1:] == [FLOW_CONTROL]
-    assert desk.frame("2103040506AAAAAA", stamp=8).data == bytes(range(7))
-    assert desk.unit.counters == {"asked": 1, "answered": 1}
-
-
 def test_extended_addressing():
     address = Address(0x6F1, 0x607, False, 0x07, 0xF1)
     desk = Desk(RequestRule("voltage", address, b"\x22\xdd\x68", 2, 0.2), address=address)
@@ -83,17 +74,6 @@ def test_extended_addressing():
     assert desk.sent[2] == bytes.fromhex("0730000000000000")
     answer = desk.frame("F1210203AAAAAAAA")
     assert answer.data == bytes(range(4)) and answer.stamp_ns == 3
-
-
-def test_one_question_at_a_time_in_turn():
-    desk = Desk(FIRST, SECOND)
-    desk.advance()
-    desk.advance(0.01)
-    assert len(desk.sent) == 1
-    assert desk.frame("06620101AABBCC00").request is FIRST
-    desk.advance(0.01)
-    assert desk.sent[1] == bytes.fromhex("0322010500000000")
-    assert desk.frame("0462010501000000").request is SECOND
 
 
 def test_silence_is_waited_for_and_counted(desk):
@@ -138,15 +118,6 @@ def test_refusals_retire_the_request_alone():
     desk.unit.revive()
     desk.advance(1.0)
     assert not desk.unit.retired and desk.sent[-1][3] == 1
-
-
-def test_an_answer_forgives_refusals(desk):
-    for _ in range(2 * REFUSALS):
-        desk.advance(0.2)
-        desk.frame("037F222200000000")
-        desk.advance(0.2)
-        desk.frame("06620101AABBCC00")
-    assert not desk.unit.retired
 
 
 @pytest.mark.parametrize(

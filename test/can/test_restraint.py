@@ -40,14 +40,6 @@ def traffic(restraint, now_s, ids=(0x100, 0x200, 0x300), frames=AWAKE_FRAMES, st
     return any(ends)
 
 
-def test_silence_stops(restraint):
-    restraint.asked(0.0, sent=True)
-    restraint.asked(UNANSWERED_S - 1, sent=True)
-    assert restraint.reason is None
-    restraint.asked(UNANSWERED_S, sent=True)
-    assert restraint.reason.startswith("no answer for 30 s")
-
-
 def test_an_answer_or_no_bus_starts_the_silence_anew(restraint):
     restraint.asked(0.0, sent=True)
     restraint.answered()
@@ -84,13 +76,6 @@ def test_stray_frames_are_no_car_that_wakes(restraint, stray):
     now = asleep(restraint)
     for turn in range(1, 100):
         assert not traffic(restraint, now + 30.0 * turn, **stray)
-
-
-def test_a_car_that_moves_is_awake(restraint):
-    now = asleep(restraint)
-    traffic(restraint, now, frames=1)
-    restraint.observe(SpeedReading(0, 10.0), now + 1)
-    assert restraint.record_frame(0x100, False, now + 1.1)
 
 
 def test_what_woke_in_vain_is_accepted_later_each_time(restraint):
