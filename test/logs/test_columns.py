@@ -95,11 +95,7 @@ LANGUAGES = {
 
 @pytest.mark.parametrize(
     ("language", "encoding"),
-    [
-        *((language, "utf-8") for language in LANGUAGES),
-        ("chinese", "gb18030"),
-        ("french", "cp1252"),
-    ],
+    [*((name, "utf-8") for name in LANGUAGES), ("chinese", "gb18030"), ("french", "cp1252")],
 )
 def test_names_in_the_owners_language(tmp_path, language, encoding):
     lines = (f"{t:.1f},{3.6 * v:.3f},{u},{i:.3f},20.5,80" for t, v, u, i in rows())

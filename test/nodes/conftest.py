@@ -93,9 +93,7 @@ class Bench:
         node = make(namespace=NAMESPACE, parameter_overrides=overrides(values))
         self.nodes.append(node)
         named = {subscription.topic_name: subscription for subscription in node.subscriptions}
-        self._inputs[node] = {
-            name: subscription for name, subscription in named.items() if topic_of(name)
-        }
+        self._inputs[node] = {name: inlet for name, inlet in named.items() if topic_of(name)}
         self.executor.add_node(node)
         return node
 
@@ -215,14 +213,10 @@ class Bench:
         taken_any = False
         for node in nodes:
             bench = node is self.node
-            for subscription in node.subscriptions if bench else self._inputs[node].values():
-                while (
-                    taken := subscription.handle.take_message(
-                        subscription.msg_type, subscription.raw
-                    )
-                ) is not None:
+            for inlet in node.subscriptions if bench else self._inputs[node].values():
+                while (taken := inlet.handle.take_message(inlet.msg_type, inlet.raw)) is not None:
                     taken_any = True
-                    subscription.callback(*(taken[:1] if bench else taken))
+                    inlet.callback(*(taken[:1] if bench else taken))
         return taken_any
 
     def settle(self) -> None:

@@ -222,9 +222,7 @@ def test_a_fast_car_s_motor_tells_less_of_its_mass():
     rows = np.zeros((2, SIZE))
     rows[:, State.MASS], rows[:, State.MOTOR_DRIVE] = 100.0, -1e5
     slow, fast = (see_motor(initial_state(EQUATION), rows, square) for square in (1e2, 1e5))
-    variances = [
-        posterior_state.covariance[:, State.MASS, State.MASS] for posterior_state in (slow, fast)
-    ]
+    variances = [state.covariance[:, State.MASS, State.MASS] for state in (slow, fast)]
     assert (variances[0] < 0.9 * variances[1]).all()
 
 

@@ -73,11 +73,8 @@ def test_ups_and_downs_of_speed_are_as_large_as_they_are(new_stream, play, journ
         return 12.0 + 2.0 * math.sin(2 * math.pi * t / 5.0)
 
     intervals = play(new_stream(), journey(100.0, speed=traffic))[3:-3]
-    edges = (
-        np.array([[interval.start_ns - at(0), interval.end_ns - at(0)] for interval in intervals])
-        / NANOSECONDS
-    )
-    true = np.diff(np.vectorize(traffic)(edges) ** 2 / 2)[:, 0]
+    edges = np.array([(interval.start_ns, interval.end_ns) for interval in intervals])
+    true = np.diff(np.vectorize(traffic)((edges - at(0)) / NANOSECONDS) ** 2 / 2)[:, 0]
     kinetic = np.array([interval.steps.kinetic.sum() for interval in intervals])
     assert kinetic @ true == pytest.approx(true @ true, rel=2e-3)
 
@@ -88,9 +85,8 @@ def test_a_drive_telescopes(new_stream, play, journey, at):
     assert len(intervals) > 8
     assert all(a.end_ns == b.start_ns for a, b in pairwise(intervals))
     assert all(interval.duration == pytest.approx(DURATION) for interval in intervals)
-    begin, end = (
-        (stamp - at(0)) / NANOSECONDS for stamp in (intervals[0].start_ns, intervals[-1].end_ns)
-    )
+    ends = intervals[0].start_ns, intervals[-1].end_ns
+    begin, end = ((stamp_ns - at(0)) / NANOSECONDS for stamp_ns in ends)
     fine = np.linspace(begin, end, 100_001)
     speed = np.array([wave(t) for t in fine])
     way = float(np.trapezoid(speed, fine))
@@ -159,9 +155,8 @@ def test_pitch_and_altitude_go_on_from_each_other_without_a_step(new_stream, pla
     climbs = sum(interval.steps.climb.sum() for interval in intervals[1:])
     assert all(interval.height_known for interval in intervals[1:])
     # Ten seconds pass until the IMU counts as silent.
-    assert climbs == pytest.approx(
-        SLOPE * sum(interval.distance for interval in intervals[1:]), rel=0.1
-    )
+    way = sum(interval.distance for interval in intervals[1:])
+    assert climbs == pytest.approx(SLOPE * way, rel=0.1)
 
 
 def test_a_silent_battery_is_not_waited_for(new_stream, journey, at):
@@ -215,10 +210,8 @@ def test_loads_are_means_and_wheels_that_slip_are_told(new_stream, play, journey
     intervals = play(new_stream(), sorted(readings, key=lambda r: r.stamp_ns))
     heated = sum(interval.conditions.load * interval.duration for interval in intervals)
     assert heated == pytest.approx(3e3 * ((intervals[-1].end_ns - at(0)) / 1e9 - 25.0), rel=0.05)
-    assert [interval.leaps for interval in intervals] == [
-        interval.start_ns < at(35) < interval.end_ns for interval in intervals
-    ]
-    assert any(interval.leaps for interval in intervals)
+    (leapt,) = (interval for interval in intervals if interval.leaps)
+    assert leapt.start_ns < at(35) < leapt.end_ns
 
 
 def test_slow_signals_make_longer_intervals(new_stream, play):
@@ -226,21 +219,15 @@ def test_slow_signals_make_longer_intervals(new_stream, play):
     drive = simulate(DriveKind.URBAN, load_vehicle("tesla_model_3_lr"), 150.0, 2)
     stream = new_stream()
     intervals = play(stream, polled(drive.readings))
-    assert all(
-        interval.duration >= 6 * 1.1 and not math.isnan(interval.energy)
-        for interval in intervals[3:]
-    )
+    assert all(interval.duration >= 6 * 1.1 for interval in intervals[3:])
+    assert not any(math.isnan(interval.energy) for interval in intervals[3:])
     time = EPOCH_NS + drive.trace.motion.time * NANOSECONDS
     drawn = np.concatenate(([0.0], np.cumsum(drive.trace.power) / SAMPLE_RATE))[:-1]
     measured = [interval for interval in intervals if not math.isnan(interval.energy)]
-    deviates = [
-        (
-            interval.energy
-            - float(np.diff(np.interp((interval.start_ns, interval.end_ns), time, drawn))[0])
-        )
-        / math.sqrt(interval.sampling_variance)
-        for interval in measured
-    ]
+    deviates = []
+    for interval in measured:
+        (true,) = np.diff(np.interp((interval.start_ns, interval.end_ns), time, drawn))
+        deviates.append((interval.energy - true) / math.sqrt(interval.sampling_variance))
     assert 0.3 < np.sqrt(np.mean(np.square(deviates))) < 1.5
     assert not stream.dropped
 
