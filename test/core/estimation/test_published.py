@@ -61,15 +61,15 @@ def test_sigmas_grow_as_rehearsed_dropouts_err(vehicle, deviates, growth):
     state = initial_state(equation)
     learned = replace(state, covariance=state.covariance / 4.0)
     first, grown = (
-        published(replace(learned, bands=judged), equation, Driven.nowhere())
-        for judged in (Bands(), bands)
+        published(replace(learned, bands=known), equation, Driven.nowhere())
+        for known in (Bands(), bands)
     )
     own = np.sqrt(np.diag(grown.now.covariance) / np.diag(first.now.covariance))
     assert own[[MASS, C_RR, C_D]] == pytest.approx(growth, rel=1e-6)
     shares = []
-    for version in (first, grown):
-        sigma = np.sqrt(np.diag(version.now.covariance))
-        shares.append(version.now.covariance[MASS, C_D] / sigma[MASS] / sigma[C_D])
+    for estimate in (first, grown):
+        sigma = np.sqrt(np.diag(estimate.now.covariance))
+        shares.append(estimate.now.covariance[MASS, C_D] / sigma[MASS] / sigma[C_D])
     assert shares[0] == pytest.approx(shares[1])
 
 
@@ -133,10 +133,10 @@ def test_a_polled_log_tells_the_same_car_as_a_dense_one(vehicle, in_town, seed):
     """10 Hz thinned to 1.2 s, each signal at a time of its own: within the sigma of both."""
     readings, dense = in_town(seed)
     thin = learned(vehicle, polled(readings))
-    full, polled_now = publish(dense).now, publish(thin).now
+    of_dense, of_thin = publish(dense).now, publish(thin).now
     for weights in ([-1, 0, 1, 0, 0, 0], [1, 1, 0, 0, 0, 0], [0, 0, 0, 1, 0, 0]):
-        away = abs(np.dot(weights, full.mean - polled_now.mean))
-        assert away < 1.5 * math.sqrt(weights @ polled_now.covariance @ weights), weights
+        away = abs(np.dot(weights, of_dense.mean - of_thin.mean))
+        assert away < 1.5 * math.sqrt(weights @ of_thin.covariance @ weights), weights
 
 
 @pytest.mark.parametrize("kind", ["slip", "dropouts"])
@@ -201,7 +201,7 @@ def publish(car: LearnedCar) -> Published:
 def test_rolling_resistance_without_heights_is_as_unsure_as_the_climb(mixed):
     """Its sigma holds the climb that such a road may have, and it is never valid."""
     seen, unseen = publish(mixed(0.0)), publish(mixed(1.0))
-    known, guessed = (math.sqrt(version.now.covariance[C_RR, C_RR]) for version in (seen, unseen))
+    known, guessed = (math.sqrt(car.now.covariance[C_RR, C_RR]) for car in (seen, unseen))
     climb = climb_as_rolling(mixed(1.0).driven.distance)
     assert guessed >= min(climb, math.sqrt(unseen.prior.covariance[C_RR, C_RR]))
     assert guessed > known
