@@ -34,8 +34,8 @@ from evpinn_ros.topics.settings import estimator_settings, imu_mounting
 
 MODEL_PERIOD = 10.0  # s
 FOR_PLOTS = (topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
-LONGEST_REST = 0.2  # s after a block; then the next speed is learned at once
-REST = 1.0  # s of rest for each second of work
+LONGEST_WAIT = 0.2  # s that a reading waits for the next speed
+REST = 1.0  # s of rest for each second of work; `LONGEST_WAIT` ends it
 SPEED_COMES_NS = NANOSECONDS // 2  # within it the next speed is waited for
 LISTENS_TO = tuple(topic for topic in topics.INPUTS if topic not in FOR_PLOTS)
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
@@ -73,6 +73,7 @@ class EstimatorNode(GuardedNode):
             self.listen(topic, partial(self._take, topic))
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.every(MODEL_PERIOD, self.publish_model)
+        self.every(LONGEST_WAIT, self._learn)
         self.publish_model()
         car = f"{self._vehicle.key} ({self.values['mode']})"
         self.begun(f"{car} {self.kept.start}; waiting for vehicle/speed", self.phases())
@@ -151,10 +152,9 @@ class EstimatorNode(GuardedNode):
         for learned in outputs.learned:  # once a second
             stamp_ns = learned.parameters.stamp_ns
             self.publish(breakdown_messages(new_message, stamp_ns, learned.breakdown))
-        # On a slow or busy computer more comes meanwhile, and one block of it costs less. What no
-        # speed follows is learned with the next report: a timer would cost more than all of it.
+        # On a slow or busy computer more comes meanwhile, and one block of it costs less.
         ended_s = self.steady_s()
-        self._rested_s = ended_s + min(REST * (ended_s - begun_s), LONGEST_REST)
+        self._rested_s = ended_s + REST * (ended_s - begun_s)
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         self._learn()
