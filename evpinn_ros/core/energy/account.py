@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 import math
-from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -209,7 +209,7 @@ class _Arrived:
         yield from np.concatenate(rows, axis=1)
 
 
-Log = TypeVar("Log", TripLog, BatteryModel)
+AT_ONCE = 1000  # places of a block from which on its readings do not wait
 PLACES = 4  # for each reading: itself, what it measures, and what is predicted with it
 
 
@@ -386,17 +386,29 @@ class EnergyAccount(Saveable[SavedAccount]):
         if len(order):
             energies, _, _ = course.consumed(course.before(order))
             self._driven.append((stamps, speeds, energies))
-        return self._charged(course, *arrived.columns(_Kind.BATTERY, 3))
+        corrections = self._charged(course, *arrived.columns(_Kind.BATTERY, 3))
+        if len(arrived) >= AT_ONCE:
+            self._extend()
+        return corrections
+
+    def _extend(self) -> None:
+        """Let trip and battery take what waits, which costs as much as a row of it."""
+        for log, waiting in ((self._trip, self._driven), (self._battery, self._told)):
+            if waiting:
+                log.extend(*map(np.concatenate, zip(*waiting, strict=True)))
+                waiting.clear()
 
     @property
     def trip(self) -> TripLog:
         """Distance and consumption."""
-        return _extended(self._trip, self._driven)
+        self._extend()
+        return self._trip
 
     @property
     def battery(self) -> BatteryModel:
         """The battery's charge and voltage, for the end of a plan."""
-        return _extended(self._battery, self._told)
+        self._extend()
+        return self._battery
 
     def _corrected(
         self, states: EnergyState, predicted: PowerBlock, later: Sequence[_Correction]
@@ -639,11 +651,3 @@ def _is_possible(power: Any, sigma: Any, most: float) -> Any:
     """Whether power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
     unknown = np.isnan(sigma)
     return (np.abs(power) <= most) & (unknown | ((sigma >= 0.0) & (sigma <= MAX_POWER)))
-
-
-def _extended(log: Log, waiting: list[tuple[np.ndarray, ...]]) -> Log:
-    """A log, extended by the columns that wait: of one block, which costs as much as a row."""
-    if waiting:
-        log.extend(*map(np.concatenate, zip(*waiting, strict=True)))
-        waiting.clear()
-    return log

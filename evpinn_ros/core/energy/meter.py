@@ -23,7 +23,13 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.saved_fields import Saveable
 from evpinn_ros.core.energy.dropout import LEAST_DROPOUT, Bridge, Dropout
 from evpinn_ros.core.energy.plausible import ROUNDING, Joules, Seconds, Sigma
-from evpinn_ros.core.energy.quadrature import MAX_GAP, Course, EnergyIntegral, SavedIntegral
+from evpinn_ros.core.energy.quadrature import (
+    MAX_GAP,
+    Course,
+    EnergyIntegral,
+    SavedIntegral,
+    counted,
+)
 from evpinn_ros.core.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.core.energy.uncertainty import LASTING_SHARE, CorrelatedError, sampled
 from evpinn_ros.core.signals.admission import MAX_POWER
@@ -501,13 +507,6 @@ class EnergyMeter(Saveable[SavedMeter]):
             lasting_sigma=math.sqrt(now[5]),
             unmeasured_s=now[6],
         )
-
-
-def counted(flags: np.ndarray) -> np.ndarray:
-    """How many are true before each of n flags and after the last, shape (n + 1,)."""
-    counts = np.zeros(len(flags) + 1, np.int64)
-    flags.cumsum(out=counts[1:])
-    return counts
 
 
 def _newest(last_ns: np.ndarray, stamps: np.ndarray) -> np.ndarray:

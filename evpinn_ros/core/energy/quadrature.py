@@ -50,6 +50,13 @@ def joined(steps: np.ndarray, max_gap: float, before: np.ndarray = NONE) -> np.n
     return mask
 
 
+def counted(flags: np.ndarray) -> np.ndarray:
+    """How many are true before each of n flags and after the last, shape (n + 1,)."""
+    counts = np.zeros(len(flags) + 1, np.int64)
+    flags.cumsum(out=counts[1:])
+    return counts
+
+
 def split(steps: np.ndarray, begin: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Drawn and regenerated energy of steps, J, both >= 0; exact where the power changes sign.
 
@@ -170,8 +177,6 @@ class EnergyIntegral:
             np.concatenate((self._last_ns, np.where(finite, stamps, NO_STAMP)))
         )
         taken = finite & (stamps > newest[:-1])
-        used = np.zeros(len(values) + 1, np.int64)
-        taken.cumsum(out=used[1:])
         at, end = stamps[taken], values[taken]
         is_first = self._last_ns[0] == NO_STAMP
         before_ns, before = (at, end) if is_first else (self._last_ns, self._last)
@@ -192,7 +197,7 @@ class EnergyIntegral:
         totals[3, 1:], totals[4, 1:] = gap, steps * gap
         drawn, regenerated, covered_s, gaps, gap_s = totals.cumsum(axis=1)
         course = Course(
-            used,
+            counted(taken),
             taken.nonzero()[0],
             at,
             steps,

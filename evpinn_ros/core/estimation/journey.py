@@ -128,7 +128,9 @@ class Tail:
     def __init__(self, equation: Equation) -> None:
         """Nothing driven by a car."""
         self._equation = equation
-        self._samples, self._later, self._newest_ns = NO_SAMPLES, [NO_SAMPLES], NEVER
+        self._samples, self._newest_ns = NO_SAMPLES, NEVER
+        self._later: list[Samples] = []
+        self._waiting = 0  # samples in these
         self._sums = Journey(np.empty((0, SIZE)), np.empty(0), np.empty((0, 3)), np.empty(0))
 
     def extend(self, samples: Samples) -> None:
@@ -139,13 +141,15 @@ class Tail:
             return
         self._newest_ns = int(samples.stamp_ns[-1])
         self._later.append(samples)
-        if len(self._later) > SAMPLES_KEPT:
+        self._waiting += samples.size
+        if self._waiting > SAMPLES_KEPT:
             self._join()
 
     def _join(self) -> None:
         """Put what came later behind the rest, of which the latest are kept."""
         self._samples = joined_samples((self._samples, *self._later))
         self._later.clear()
+        self._waiting = 0
         surplus = self._samples.size - 2 * SAMPLES_KEPT
         if surplus > SAMPLES_KEPT:
             self._samples = self._samples.where(slice(surplus, None))

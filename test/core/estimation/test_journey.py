@@ -96,3 +96,13 @@ def test_of_hours_the_newest_are_kept_and_before_any_there_is_nothing():
     kept = between(tail, end - 60 * NANOSECONDS, end)
     fresh = between(tail_of(samples[-700:]), end - 60 * NANOSECONDS, end)
     np.testing.assert_allclose(kept.row, fresh.row, rtol=1e-9, atol=1e-6)
+
+
+def test_a_tail_that_nobody_asks_holds_no_more_than_it_must():
+    """A replay extends it by minutes at once: an hour of them was held."""
+    tail, part = Tail(EQUATION), Samples.of(town(SAMPLES_KEPT))
+    for number in range(10):
+        later_ns = number * SAMPLES_KEPT * TENTH
+        tail.extend(part._replace(stamp_ns=part.stamp_ns + later_ns))
+    held = sum(samples.size for samples in (tail._samples, *tail._later))
+    assert 2 * SAMPLES_KEPT <= held <= 4 * SAMPLES_KEPT
