@@ -6,6 +6,7 @@ import pytest
 
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.dropout import Verdict
 from evpinn_ros.core.energy.forecast import Forecast
 from evpinn_ros.core.energy.meter import EnergyMeter
@@ -372,3 +373,15 @@ def test_a_saved_account_that_contradicts_itself_is_refused(minute, path, value)
     with pytest.raises(InputError, match="saved"):
         counted.restore(changed(minute, path, value))
     assert counted.export() == before
+
+
+def test_the_battery_is_learned_from_what_the_account_is_told():
+    counted, alone = account(), BatteryModel(CAPACITY)
+    for second in range(100):
+        stamp = START + second * 1_000_000_000
+        reading = BatteryReading(stamp, 360.0 - second % 7, second % 5 - 20.0, 0.9)
+        alone.add_reading(reading)
+        counted.add_reading(reading)
+        counted.count()
+    assert counted.battery.samples == alone.samples > 50
+    assert counted.battery.export() == alone.export()

@@ -15,7 +15,7 @@ from evpinn_ros.core.estimation.states import NAMES, State
 from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.signals.kinematics import PROFILE
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Sample, Samples
+from evpinn_ros.core.signals.sample import NO_SAMPLES, Sample, Samples
 from evpinn_ros.replays.simulation.drive import DriveKind
 
 STEP = NANOSECONDS // 10
@@ -264,3 +264,21 @@ def test_a_car_that_forecasts_is_the_car_that_was_learned(learner):
     assert car.mean[State.MASS] == pytest.approx(published.mass_over_eta, rel=0.05)
     learner.end_drive()
     assert learner.model().seconds == 0.0
+
+
+def test_each_kind_of_samples_is_predicted_from_its_own(vehicle):
+    """They are computed together: at 10 and 20 m/s as each alone, in either order."""
+    slow, fast = (Samples.of([sample(0, speed)]) for speed in (10.0, 20.0))
+
+    def powers(newest, smoothed):
+        learner = PinnLearner(vehicle)
+        steps = [(Step.NEWEST, 0)] * newest.size + [(Step.SMOOTHED, 0)] * smoothed.size
+        moments = replace(NO_MOMENTS, newest=newest, smoothed=smoothed, steps=steps)
+        predictions = learner.begin(moments)
+        learner.follow(0, len(steps))
+        return np.concatenate((predictions.newest, predictions.smoothed))
+
+    alone = np.concatenate((powers(slow, NO_SAMPLES), powers(fast, NO_SAMPLES)))
+    assert alone[1, 0] > 1.5 * alone[0, 0]
+    np.testing.assert_allclose(powers(slow, fast), alone, rtol=1e-12)
+    np.testing.assert_allclose(powers(fast, slow), alone[::-1], rtol=1e-12)
