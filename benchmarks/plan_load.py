@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
 from rclpy.serialization import serialize_message
 
 from benchmarks.processes import processor_seconds
@@ -151,7 +151,7 @@ class _Planner:
 
     def __init__(self) -> None:
         self._node = rclpy.create_node("planner", namespace=NAMESPACE)
-        self._executor = SingleThreadedExecutor()
+        self._executor = EventsExecutor()
         self._executor.add_node(self._node)
         self._plans = factory.advertise(self._node, topics.SPEED_PROFILE)
         self._model = factory.advertise(self._node, topics.MODEL)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import partial, wraps
 from inspect import isawaitable
 import math
 from pathlib import Path
@@ -162,13 +162,14 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self._refused.pop(topic.name, None)
 
         safe = self.guarded(take, topic.name)
-        subscription = factory.subscribe(
-            self,
-            topic,
-            lambda message, info: safe(message, info),
-            raw=raw,
-            on_mismatch=partial(self._on_mismatch, topic),
-        )
+
+        @wraps(take)
+        def unpacked(*taken: Any) -> None:
+            # rclpy's EventsExecutor hands over a message and its info as one.
+            safe(*(taken[0] if len(taken) == 1 else taken))
+
+        on_mismatch = partial(self._on_mismatch, topic)
+        subscription = factory.subscribe(self, topic, unpacked, raw=raw, on_mismatch=on_mismatch)
         self._made.append(partial(self.destroy_subscription, subscription))
         if not raw:
             self._inputs[topic] = subscription.topic_name
@@ -367,6 +368,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
     def guarded(self, callback: Callable[..., object], name: str) -> Callable[..., None]:
         """The callback, such that a bad message or a fault of ours cannot end the node."""
 
+        @wraps(callback)  # rclpy gives what the signature asks for
         def safe(*arguments: Any) -> None:
             try:
                 callback(*arguments)

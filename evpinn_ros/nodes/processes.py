@@ -12,7 +12,7 @@ import sys
 import time
 
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from evpinn_ros import topics
@@ -50,7 +50,7 @@ def record_through_nodes(
     recorder = RecorderNode(folder, namespace=NAMESPACE)
     watch = _Watch(end_ns, progress)
     recorder.listen(topics.POWER_SMOOTHED, watch.take)
-    executor = SingleThreadedExecutor()
+    executor = EventsExecutor()
     executor.add_node(recorder)
 
     def spin() -> None:

@@ -18,7 +18,8 @@ from types import FrameType
 from typing import NoReturn
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers, uninstall_signal_handlers
 from rclpy.utilities import try_shutdown
 
@@ -42,6 +43,9 @@ issue 6502)."""
 
 ONE_WISH = 1.0
 """s within which signals are one: a terminal and the launch that it stops both send theirs."""
+
+LONGEST_SPIN = 1.0
+"""s of one wait; with none given, that of Kilted's executor does not wait at all."""
 
 MakeNode = Callable[[], GuardedNode]
 GENERATOR = "rosidl_generator_py.generate_py_impl"
@@ -93,7 +97,7 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
         return _fail(f"ROS does not start: {error}")  # of arguments it names no more than those
     # It lives until `_end` has ended rclpy's thread, which wakes it up at each signal: a second
     # one, as a launch sends it, would find an executor of the past, and crash or hang there.
-    executor = SingleThreadedExecutor()
+    executor = EventsExecutor()
     nodes: list[GuardedNode] = []
     code = 0
     try:
@@ -112,7 +116,7 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
             # A signal that comes while rclpy installs its handlers reaches ours alone: the report
             # of a node wakes the executor a second later.
             while rclpy.ok() and not signals:
-                executor.spin_once()
+                executor.spin_once(timeout_sec=LONGEST_SPIN)
     except InputError as error:
         code = _fail(str(error))
     except ExternalShutdownException:
@@ -122,7 +126,7 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
             raise
         # The shutdown came in the middle of a call into rclpy.
     finally:
-        code = _end(nodes) or code
+        code = _end(nodes, executor) or code
     return code
 
 
@@ -131,7 +135,7 @@ def load_no_generator() -> None:
     sys.modules.setdefault(GENERATOR, None)  # type: ignore[arg-type]
 
 
-def _end(nodes: Sequence[GuardedNode]) -> int:
+def _end(nodes: Sequence[GuardedNode], executor: Executor) -> int:
     """Close all nodes; raises their first error, or returns 1 if something was not kept."""
     begin, code = time.monotonic(), 0
     tell("STOPPING=1")
@@ -148,10 +152,12 @@ def _end(nodes: Sequence[GuardedNode]) -> int:
         if time.monotonic() - begin > ONE_WISH:
             os._exit(code)
 
-    # A listener receives the others' last messages; a destroyed node announces that it is gone.
-    steps: list[Callable[[], None]] = [
+    # A listener receives the others' last messages; a destroyed node announces that it is gone,
+    # once no executor holds its endpoints.
+    steps: list[Callable[[], object]] = [
         uninstall_signal_handlers,
         partial(_at_signals, end_at_once),
+        executor.shutdown,
     ]
     steps += [node.destroy_node for node in nodes]
     steps.append(try_shutdown)  # not that of `rclpy`, which in Kilted ends the thread once more

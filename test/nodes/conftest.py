@@ -18,7 +18,7 @@ from unittest import mock
 import pytest
 from rcl_interfaces.msg import Log
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 
 from evpinn_ros.bags.reader import BagReader
@@ -74,7 +74,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("bench", namespace=NAMESPACE)
-        self.executor = SingleThreadedExecutor()
+        self.executor = EventsExecutor()
         self.executor.add_node(self.node)
         self.nodes: list[GuardedNode] = []
         self.heard: dict[Topic, list[Any]] = defaultdict(list)
@@ -85,12 +85,14 @@ class Bench:
         self._clients: dict[str, Any] = {}
         self._numbers: Counter[tuple[GuardedNode, Topic]] = Counter()  # of messages delivered
 
-    def start(self, make: Callable[..., GuardedNode], **parameters: Any) -> Any:
+    def start(
+        self, make: Callable[..., GuardedNode], namespace: str = NAMESPACE, /, **parameters: Any
+    ) -> Any:
         """Make a node under test; drives come faster than real time, so updates are awaited."""
         values = {"vehicle": VEHICLE, **parameters}
         if make is EstimatorNode:
             values.setdefault("wait_for_update", True)
-        node = make(namespace=NAMESPACE, parameter_overrides=overrides(values))
+        node = make(namespace=namespace, parameter_overrides=overrides(values))
         self.nodes.append(node)
         named = {subscription.topic_name: subscription for subscription in node.subscriptions}
         self._inputs[node] = {name: inlet for name, inlet in named.items() if topic_of(name)}
@@ -201,7 +203,8 @@ class Bench:
 
     def pump(self, condition: Callable[[], object], timeout: float = HANG_S) -> None:
         """Let all nodes work until something is so."""
-        wait_until(condition, timeout, meanwhile=self._work)
+        graph = self.node.get_node_names_and_namespaces
+        wait_until(condition, timeout, meanwhile=self._work, report=graph)
 
     def _work(self) -> None:
         if not self._take(self.node, *self.nodes) or time.monotonic() > self._spun + SPIN:

@@ -47,15 +47,19 @@ TAKES_LONG = """
 SHUTS_DOWN = """
     def __init__(self, **options):
         super().__init__(**options)
-        self.every(0.2, self.context.handle.shutdown)  # as rclpy's thread does at a signal
+        # As rclpy's thread does at a signal.
+        self.every(0.2, lambda: self.context.handle.shutdown())
 """
 EXECUTOR = """
+import weakref
 from rclpy.signals import get_current_signal_handlers_options
-class Executor(running.SingleThreadedExecutor):
-    def __del__(self):
-        print("executor ends;", get_current_signal_handlers_options().name, flush=True)
-        super().__del__()
-running.SingleThreadedExecutor = Executor
+make = running.EventsExecutor
+def executor():
+    made = make()
+    option = get_current_signal_handlers_options
+    weakref.finalize(made, lambda: print("executor ends;", option().name, flush=True))
+    return made
+running.EventsExecutor = executor
 """
 
 
