@@ -179,12 +179,10 @@ class PinnLearner(Saveable[SavedPinn]):
                 if self._silent:
                     self._add_energies()
                 self._measured_ns, self._before = self._moments.battery_ns[index], None
-            if len(self._newest.ages) == AT_ONCE:
+            if AT_ONCE in (len(self._newest.ages), len(self._smoothed.ages)):
                 self._predict()
-        if self._silent:
+        if last == len(self._moments.steps):
             self._add_energies()
-        elif self._newest.ages or self._smoothed.ages:
-            self._predict()
 
     def _advance(self, index: int) -> None:
         """Let time pass up to a smoothed sample.
@@ -381,7 +379,8 @@ class PinnLearner(Saveable[SavedPinn]):
         self._use(car)
 
     def _use(self, car: LearnedCar) -> None:
-        """Use this car from now on."""
+        """Use this car from now on, and the one before for all that is over."""
+        self._add_energies()
         self._car, self._model = car, car.model()
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
         for ahead in self._ahead:
@@ -394,7 +393,7 @@ class PinnLearner(Saveable[SavedPinn]):
         for ahead in self._ahead:
             # The last smoothed sample may be measured yet, and is learned from by the present car.
             begin = max(0, ahead.predicted - 1)
-            ahead.computed = min(begin + AT_ONCE, len(ahead.stamps))
+            ahead.computed = min(ahead.predicted + AT_ONCE, len(ahead.stamps))
             places.append(np.arange(ahead.first + begin, ahead.first + ahead.computed))
         samples = self._samples.where(np.concatenate(places))
         rows = self._equation.rows_of(samples, self._warmth)
