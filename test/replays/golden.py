@@ -77,21 +77,22 @@ def outputs(drive: Drive) -> Record:
     vehicle = load_vehicle(VEHICLE)
     chain = Chain(vehicle, EstimatorSettings(mode=drive.mode), InlineWorker(time.perf_counter))
     latest, record = {}, {}
-    start_ns, due = None, EVERY
+    start_ns, due, block = None, EVERY, []
     for reading in open_source(BAGS / drive.bag, vehicle).readings():
         start_ns = start_ns or reading.stamp_ns
         now = (reading.stamp_ns - start_ns) / NANOSECONDS
         if now > drive.seconds:
             break
         if now >= due:
+            for output in chain.add_readings(block):
+                messages = output_messages(new_message, output)
+                latest |= {topic.name: message for topic, message in messages}
             for topic, message in latest.items():
                 for place, number in enumerate(numbers(message)):
                     record[topic, place, str(due)] = number
             due += EVERY
-        for output in chain.add_reading(reading):
-            latest |= {
-                topic.name: message for topic, message in output_messages(new_message, output)
-            }
+            block.clear()
+        block.append(reading)
     return record
 
 
