@@ -13,6 +13,7 @@ import pytest
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.admission import Admission, CarLimits
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.driven import counted, without_lone
@@ -37,12 +38,12 @@ def rows():
 
 def drive_of(rows, vehicle):
     """The drive that a replay collects of these rows."""
-    admission, history = Admission(CarLimits.of(vehicle)), History()
+    readings, history = [], History()
     for second, (speed, voltage, current) in enumerate(rows.tolist()):
         stamp_ns = (1_700_000_000 + second) * NANOSECONDS
-        for reading in (SpeedReading(stamp_ns, speed), BatteryReading(stamp_ns, voltage, current)):
-            if admission.admits(reading):
-                history.add_reading(reading)
+        readings += SpeedReading(stamp_ns, speed), BatteryReading(stamp_ns, voltage, current)
+    moments = history.add_block(Admission(CarLimits.of(vehicle)).admit(Block.of(readings)))
+    history.move_to(int(moments[-1]))
     return history.drive()
 
 
