@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
-from rclpy.experimental import EventsExecutor
 from rclpy.serialization import serialize_message
 
 from benchmarks.processes import processor_seconds
@@ -24,6 +23,7 @@ from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.processes import START_TIMEOUT, node_process, own_network
+from evpinn_ros.nodes.running import new_executor
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import header
 from evpinn_ros.topics.model import model_message
@@ -151,7 +151,7 @@ class _Planner:
 
     def __init__(self) -> None:
         self._node = rclpy.create_node("planner", namespace=NAMESPACE)
-        self._executor = EventsExecutor()
+        self._executor = new_executor()
         self._executor.add_node(self._node)
         self._plans = factory.advertise(self._node, topics.SPEED_PROFILE)
         self._model = factory.advertise(self._node, topics.MODEL)

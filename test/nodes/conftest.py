@@ -18,7 +18,6 @@ from unittest import mock
 import pytest
 from rcl_interfaces.msg import Log
 import rclpy
-from rclpy.experimental import EventsExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 
 from evpinn_ros.bags.reader import BagReader
@@ -30,6 +29,7 @@ from evpinn_ros.nodes.discovery import announce_often
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameters import overrides
+from evpinn_ros.nodes.running import new_executor
 from evpinn_ros.topics import (
     BATTERY,
     DIAGNOSTICS,
@@ -74,7 +74,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("bench", namespace=NAMESPACE)
-        self.executor = EventsExecutor()
+        self.executor = new_executor()
         self.executor.add_node(self.node)
         self.nodes: list[GuardedNode] = []
         self.heard: dict[Topic, list[Any]] = defaultdict(list)

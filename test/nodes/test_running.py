@@ -53,13 +53,13 @@ SHUTS_DOWN = """
 EXECUTOR = """
 import weakref
 from rclpy.signals import get_current_signal_handlers_options
-make = running.EventsExecutor
+make = running.new_executor
 def executor():
     made = make()
     option = get_current_signal_handlers_options
     weakref.finalize(made, lambda: print("executor ends;", option().name, flush=True))
     return made
-running.EventsExecutor = executor
+running.new_executor = executor
 """
 
 
