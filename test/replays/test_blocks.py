@@ -106,13 +106,22 @@ def sizes(cut: int | None) -> Iterator[int]:
         yield int(rng.integers(1, 200)) if cut is None else cut
 
 
+def assert_equal(outputs_now: list[ChainOutput], expected: list[ChainOutput], what: str) -> None:
+    assert list(map(type, outputs_now)) == list(map(type, expected))
+    for now, before in zip(outputs_now, expected, strict=True):
+        np.testing.assert_allclose(
+            [*numbers(now)], [*numbers(before)], rtol=1e-9, atol=1e-9, err_msg=what
+        )
+
+
 def test_cuts_change_no_output(drive, vehicle):
     alone = outputs(drive, sizes(1), vehicle)
     assert any(isinstance(output, ParameterSet) for output in alone)
     for cut in (7, 64, None, len(drive) + 1):
-        cut_otherwise = outputs(drive, sizes(cut), vehicle)
-        assert list(map(type, cut_otherwise)) == list(map(type, alone))
-        for once, again in zip(alone, cut_otherwise, strict=True):
-            np.testing.assert_allclose(
-                [*numbers(again)], [*numbers(once)], rtol=1e-9, atol=1e-9, err_msg=str(cut)
-            )
+        assert_equal(outputs(drive, sizes(cut), vehicle), alone, str(cut))
+
+
+def test_how_many_powers_are_computed_at_once_changes_no_output(drive, vehicle, monkeypatch):
+    usual = outputs(drive, sizes(None), vehicle)
+    monkeypatch.setattr("evpinn_ros.core.estimation.pinn.AT_ONCE", 3)
+    assert_equal(outputs(drive, sizes(None), vehicle), usual, "by three")
