@@ -24,7 +24,7 @@ from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 
 pytestmark = pytest.mark.slow
-SECONDS = 100.0
+SECONDS = 70.0
 
 
 def damaged(readings: list[Reading]) -> list[Reading]:
