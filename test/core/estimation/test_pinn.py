@@ -282,3 +282,29 @@ def test_each_kind_of_samples_is_predicted_from_its_own(vehicle):
     assert alone[1, 0] > 1.5 * alone[0, 0]
     np.testing.assert_allclose(powers(slow, fast), alone, rtol=1e-12)
     np.testing.assert_allclose(powers(fast, slow), alone[::-1], rtol=1e-12)
+
+
+def test_what_is_over_before_an_update_is_predicted_by_the_car_before_it(vehicle, town):
+    """Predictions wait for the end of their block, or for this."""
+    samples = Samples.of([sample(20), sample(40)])
+    kinds = Step.NEWEST, Step.SMOOTHED
+    steps = [(kind, place) for place in range(2) for kind in kinds]
+    moments = replace(NO_MOMENTS, newest=samples, smoothed=samples, steps=steps)
+
+    def predictions(between):
+        learner = PinnLearner(vehicle)
+        battery_measured(learner, 0)
+        outputs = learner.begin(moments)
+        learner.follow(0, 2)
+        between(learner)
+        learner.follow(2, 4)
+        return np.column_stack((outputs.newest, outputs.smoothed, outputs.energies))
+
+    def update(learner):
+        for interval in town:
+            learner.add_interval(interval)
+        assert learner.consider(learner.prepare_update()()) is None
+
+    without, updated = predictions(lambda learner: None), predictions(update)
+    np.testing.assert_allclose(updated[0], without[0], rtol=1e-12)
+    assert (abs(updated[1] / without[1] - 1.0) > 1e-3).all()
