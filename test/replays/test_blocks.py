@@ -121,7 +121,14 @@ def test_cuts_change_no_output(drive, vehicle):
         assert_equal(outputs(drive, sizes(cut), vehicle), alone, str(cut))
 
 
-def test_how_many_powers_are_computed_at_once_changes_no_output(drive, vehicle, monkeypatch):
+BOUNDS = (
+    "estimation.pinn.AT_ONCE", "energy.account.AT_ONCE", "signals.kinematics.SMOOTHED_AT_ONCE",
+    "signals.kinematics.LEARNED_AT_ONCE",
+)  # fmt: skip
+
+
+def test_how_much_is_computed_at_once_changes_no_output(drive, vehicle, monkeypatch):
     usual = outputs(drive, sizes(None), vehicle)
-    monkeypatch.setattr("evpinn_ros.core.estimation.pinn.AT_ONCE", 3)
+    for bound in BOUNDS:
+        monkeypatch.setattr(f"evpinn_ros.core.{bound}", 3)
     assert_equal(outputs(drive, sizes(None), vehicle), usual, "by three")
