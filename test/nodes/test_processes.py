@@ -251,8 +251,17 @@ def play(bench, messages):
         next(pair for pair in messages if pair[0] == topic)
         for topic in (topics.SPEED, topics.BATTERY)
     )
-    bench.pump(lambda: has_speed() or bench.send(*speed))
-    bench.pump(lambda: answered(*battery) or bench.send(*battery))
+    asked: set[int] = set()
+
+    def ask(topic, message):
+        """Send it once with each report: sent at each turn it would flood the nodes."""
+        if (reports := len(bench.heard[topics.DIAGNOSTICS])) not in asked:
+            asked.add(reports)
+            bench.send(topic, message)
+
+    bench.pump(lambda: has_speed() or ask(*speed))
+    asked.clear()
+    bench.pump(lambda: answered(*battery) or ask(*battery))
     for topic, message in messages:
         bench.send(topic, message)
         bench.pump(lambda t=topic, m=message: answered(t, m))
