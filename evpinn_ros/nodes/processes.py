@@ -12,6 +12,7 @@ import sys
 import time
 
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from evpinn_ros import topics
@@ -20,7 +21,6 @@ from evpinn_ros.common.stopping import STOPS
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.discovery import announce_often
 from evpinn_ros.nodes.recorder import RecorderNode
-from evpinn_ros.nodes.running import new_executor
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import read_named_vector
 from evpinn_ros.topics.node_parameters import Value, of_node
@@ -50,7 +50,7 @@ def record_through_nodes(
     recorder = RecorderNode(folder, namespace=NAMESPACE)
     watch = _Watch(end_ns, progress)
     recorder.listen(topics.POWER_SMOOTHED, watch.take)
-    executor = new_executor()
+    executor = SingleThreadedExecutor()  # that of events keeps signals from the caller
     executor.add_node(recorder)
 
     def spin() -> None:

@@ -18,8 +18,8 @@ from types import FrameType
 from typing import NoReturn
 
 import rclpy
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions, install_signal_handlers, uninstall_signal_handlers
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from evpinn_ros.common.errors import InputError, printable
@@ -43,8 +43,9 @@ issue 6502)."""
 ONE_WISH = 1.0
 """s within which signals are one: a terminal and the launch that it stops both send theirs."""
 
-LONGEST_SPIN = 1.0
-"""s of one wait; with none given, that of Kilted's executor does not wait at all."""
+LONGEST_SPIN = 0.1
+"""s of one wait, after which Python learns of a signal; with none given, that of Kilted's
+executor does not wait at all."""
 
 MakeNode = Callable[[], GuardedNode]
 GENERATOR = "rosidl_generator_py.generate_py_impl"
@@ -62,27 +63,16 @@ def run(
 
     `makers` of listening nodes come first; `beside` is entered before the nodes start.
     """
-    # A signal shall wake rclpy up and nothing else: a KeyboardInterrupt would strike anywhere, in
-    # the middle of its C++ too, which turns it into some other error.
+    # A signal is noted and nothing else: a KeyboardInterrupt would strike anywhere, in the middle
+    # of rclpy's C++ too, which turns it into some other error, and rclpy's own handler shuts its
+    # context down while the executor enters endpoints, which aborts the process.
     signals: list[int] = []
-    _at_signals(signals.append)
+    at_stop(lambda number, _: signals.append(number))
     with beside or nullcontext():
         code = _run(makers, args, signals)
     if code == 0:
         _end_process()
     return code
-
-
-def _at_signals(act: Callable[[int], object]) -> None:
-    """Act at signals; a terminal that was closed stops as SIGTERM does."""
-
-    def handler(number: int, _: FrameType | None) -> None:
-        if number == signal.SIGHUP:
-            signal.raise_signal(signal.SIGTERM)  # which wakes rclpy up
-        else:
-            act(number)
-
-    at_stop(handler)
 
 
 def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[int]) -> int:
@@ -94,8 +84,6 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         return _fail(f"ROS does not start: {error}")  # of arguments it names no more than those
-    # It lives until `_end` has ended rclpy's thread, which wakes it up at each signal: a second
-    # one, as a launch sends it, would find an executor of the past, and crash or hang there.
     executor = new_executor()
     nodes: list[GuardedNode] = []
     code = 0
@@ -103,8 +91,6 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
         with deadline(START):
             for make in makers:
                 nodes.append(make())
-        # Only now: a node that is shut down while it is made does not end quietly.
-        install_signal_handlers()
         if not signals:
             tell("READY=1")
             period = watchdog_period()
@@ -112,18 +98,10 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
                 nodes[0].every(period, partial(tell, "WATCHDOG=1"))
             for node in nodes:
                 executor.add_node(node)
-            # A signal that comes while rclpy installs its handlers reaches ours alone: the report
-            # of a node wakes the executor a second later.
             while rclpy.ok() and not signals:
                 executor.spin_once(timeout_sec=LONGEST_SPIN)
     except InputError as error:
         code = _fail(str(error))
-    except ExternalShutdownException:
-        pass
-    except RuntimeError:
-        if rclpy.ok():
-            raise
-        # The shutdown came in the middle of a call into rclpy.
     finally:
         code = _end(nodes, executor) or code
     return code
@@ -139,7 +117,11 @@ def new_executor() -> Executor:
         return SingleThreadedExecutor()
     from rclpy.experimental import EventsExecutor  # here: older versions have none
 
-    return EventsExecutor()
+    executor = EventsExecutor()
+    for number in (signal.SIGINT, signal.SIGTERM):  # which it takes for itself
+        if (handler := signal.getsignal(number)) is not None:
+            signal.signal(number, handler)
+    return executor
 
 
 def load_no_generator() -> None:
@@ -160,15 +142,14 @@ def _end(nodes: Sequence[GuardedNode], executor: Executor) -> int:
             errors.append(error)
     code = 1 if errors else code
 
-    def end_at_once(_: int) -> None:
+    def end_at_once(_: int, __: FrameType | None) -> None:
         if time.monotonic() - begin > ONE_WISH:
             os._exit(code)
 
     # A listener receives the others' last messages; a destroyed node announces that it is gone,
     # once no executor holds its endpoints.
     steps: list[Callable[[], object]] = [
-        uninstall_signal_handlers,
-        partial(_at_signals, end_at_once),
+        partial(at_stop, end_at_once),
         executor.shutdown,
     ]
     steps += [node.destroy_node for node in nodes]
