@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 from test.nodes.processes import await_line, started
-from test.waiting import HANG_S
+from test.waiting import HANG_S, wait_until
 
 NODE = """
 import ctypes, sys
@@ -45,8 +45,9 @@ TAKES_LONG = """
             print("still here", flush=True)
 """
 SIGNALLED = """
-import os, signal, time
+import os, signal
 from itertools import count
+import rclpy
 from rclpy.event_handler import EventHandler
 numbers, add = count(1), EventHandler.add_to_wait_set
 
@@ -54,7 +55,8 @@ def add_and_signal(self, wait_set):
     add(self, wait_set)
     if next(numbers) == 2:  # one is entered, others are not
         os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.2)  # for rclpy's thread, if there is one, to shut the context down
+        turns = range(100_000)  # in which a thread of rclpy would shut the context down
+        any(not rclpy.ok() for _ in turns)
 
 EventHandler.add_to_wait_set = add_and_signal
 """
@@ -98,8 +100,9 @@ def test_a_later_signal_ends_at_once_what_has_saved(bench, tmp_path):
         process.send_signal(signal.SIGINT)  # as a launch does when Ctrl-C reached all its nodes
         print("0", file=process.stdin, flush=True)
         assert process.stdout.readline() == "still here\n"
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(HANG_S) == 0
+        # One that comes just before the process reads is looked at once the reading is over.
+        wait_until(lambda: process.poll() is not None or process.send_signal(signal.SIGTERM))
+        assert process.wait() == 0
     assert path.exists()
 
 
