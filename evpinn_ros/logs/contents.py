@@ -8,9 +8,12 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from evpinn_ros.bags.names import is_bag
 from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.progress import reported
 from evpinn_ros.core.vehicle.files import GENERIC, load_vehicle, vehicle_names
 from evpinn_ros.logs.column import Column
@@ -100,11 +103,11 @@ def _topics(path: Path) -> tuple[TopicContents, ...]:
     from evpinn_ros.bags.reader import BagReader
 
     with BagReader(path) as reader:
-        flows = {name: ReadingFlow() for name in reader.topics}
+        times: dict[str, list[int]] = {name: [] for name in reader.topics}
         for name, log_time_ns in reader.log_times():
-            flows[name].add(log_time_ns)
+            times[name].append(log_time_ns)
         return tuple(
-            TopicContents(name, info.type_name, flows[name])
+            TopicContents(name, info.type_name, ReadingFlow.of(np.array(times[name], np.int64)))
             for name, info in reader.topics.items()
         )
 
@@ -113,7 +116,7 @@ def _with_drive(recording: Contents, options: ReadOptions, bar: Bar) -> Contents
     try:
         source = _source(recording, options)
         with bar(source.seconds) as progress:
-            drive = data_coverage(reported(source.readings(), progress))
+            drive = data_coverage(reported(source.blocks(), progress, _begin_ns))
     except InputError as error:
         if recording.kind != "bag":
             raise
@@ -128,6 +131,10 @@ def _with_drive(recording: Contents, options: ReadOptions, bar: Bar) -> Contents
         dropped=source.dropped,
         notes=(*source.notes, *filter(None, [source.problem])),
     )
+
+
+def _begin_ns(block: Block) -> int:
+    return int(block.stamps()[0])
 
 
 def _source(recording: Contents, options: ReadOptions) -> Source:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 import math
 from typing import TypeAlias
 
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+import numpy as np
+from numpy.typing import NDArray
+
+from evpinn_ros.core.signals.block import KINDS, Block
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading
 from evpinn_ros.core.signals.stream import StreamSettings
 from evpinn_ros.logs.source import STRAGGLING_NS
 
@@ -17,23 +21,53 @@ MAX_GAP_NS = int(StreamSettings().max_gap * NANOSECONDS)
 # A signal that comes every 5 s is bridged over some of its own steps, but never over a stop.
 STEPS_BRIDGED = 6
 LONGEST_BRIDGED_NS = 30 * NANOSECONDS
+AT_ONCE = 4096  # stamps that are looked at again where time goes back
 
 Span: TypeAlias = tuple[int, int]  # first and last stamp, ns
+Stamps: TypeAlias = NDArray[np.int64]
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class ReadingFlow:
-    """Stamps of one kind, as they come."""
+    """Stamps of one kind, in the order in which they came.
 
-    count: int = 0  # of them
-    first_ns: int = 0  # the earliest
-    last_ns: int = 0  # the latest
-    longest_gap: float = 0.0  # between two, s
-    _breaks: list[Span] = field(default_factory=list)  # longer than `MAX_GAP_NS`, or back in time
-    _begin_ns: int = 0
-    _newest_ns: int = 0
-    _near_ns: int = 0  # the sum of steps that may be bridged at all
-    _near: int = 0
+    Attributes:
+        count: of them.
+        first_ns: the earliest.
+        last_ns: the latest.
+        longest_gap: between two, s.
+        limit_ns: the longest gap that is bridged: some steps of the signal's own.
+        runs: stretches without a longer gap.
+    """
+
+    count: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    longest_gap: float = 0.0
+    limit_ns: int = MAX_GAP_NS
+    runs: tuple[Span, ...] = ()
+
+    @classmethod
+    def of(cls, stamps: Stamps) -> ReadingFlow:
+        """The flow of stamps, ns, shape (n,); a straggler makes no gap."""
+        if not len(stamps):
+            return cls()
+        newest = _newest(stamps)
+        steps = stamps - newest[:-1]
+        near = steps[(steps > 0) & (steps <= LONGEST_BRIDGED_NS)]
+        typical = int(near.sum()) // len(near) if len(near) else 0
+        limit_ns = min(max(MAX_GAP_NS, STEPS_BRIDGED * typical), LONGEST_BRIDGED_NS)
+        broken = (steps > limit_ns) | (steps < -STRAGGLING_NS)
+        begins = [int(stamps[0]), *stamps[broken].tolist()]
+        ends = [*newest[:-1][broken].tolist(), int(newest[-1])]
+        return cls(
+            count=len(stamps),
+            first_ns=int(stamps.min()),
+            last_ns=int(stamps.max()),
+            longest_gap=max(0.0, float(steps.max()) / NANOSECONDS),
+            limit_ns=limit_ns,
+            runs=tuple(zip(begins, ends, strict=True)),
+        )
 
     @property
     def rate(self) -> float:
@@ -42,42 +76,27 @@ class ReadingFlow:
         return (self.count - 1) / passed if passed > 0 else math.nan
 
     @property
-    def limit_ns(self) -> int:
-        """The longest gap that is bridged: some steps of the signal's own."""
-        typical = self._near_ns // self._near if self._near else 0
-        return min(max(MAX_GAP_NS, STEPS_BRIDGED * typical), LONGEST_BRIDGED_NS)
-
-    @property
     def gaps(self) -> int:
         """Count of those that are longer than the estimator bridges."""
-        return sum(self._parts(place) for place in self._breaks)
+        return max(0, len(self.runs) - 1)
 
-    def add(self, stamp_ns: int) -> None:
-        """Take the next one; a straggler makes no gap."""
-        if not self.count:
-            self.first_ns = self.last_ns = self._begin_ns = self._newest_ns = stamp_ns
-        step = stamp_ns - self._newest_ns
-        if step > MAX_GAP_NS or step < -STRAGGLING_NS:
-            self._breaks.append((self._newest_ns, stamp_ns))
-        if 0 < step <= LONGEST_BRIDGED_NS:
-            self._near_ns, self._near = self._near_ns + step, self._near + 1
-        self.longest_gap = max(self.longest_gap, step / NANOSECONDS)
-        self.count += 1
-        self._newest_ns = max(self._newest_ns, stamp_ns) if step >= -STRAGGLING_NS else stamp_ns
-        self.first_ns, self.last_ns = min(self.first_ns, stamp_ns), max(self.last_ns, stamp_ns)
 
-    def all_runs(self) -> list[Span]:
-        """Stretches without a gap that is not bridged."""
-        if not self.count:
-            return []
-        parts = [place for place in self._breaks if self._parts(place)]
-        begins = [self._begin_ns, *(after for _, after in parts)]
-        ends = [*(before for before, _ in parts), self._newest_ns]
-        return list(zip(begins, ends, strict=True))
-
-    def _parts(self, gap: Span) -> bool:
-        before, after = gap
-        return after < before or after - before > self.limit_ns
+def _newest(stamps: Stamps) -> Stamps:
+    """The newest stamp before each, and after all, shape (n + 1,); a jump back begins anew."""
+    newest = np.empty(len(stamps) + 1, np.int64)
+    newest[0] = known = int(stamps[0])
+    first = 0
+    while first < len(stamps):
+        part = stamps[first : first + AT_ONCE]
+        highest = np.maximum(np.maximum.accumulate(part), known)
+        before = np.append(known, highest[:-1])
+        back = np.flatnonzero(part - before < -STRAGGLING_NS)
+        if len(back):
+            highest = highest[: back[0] + 1]
+            highest[-1] = part[back[0]]
+        newest[first + 1 : first + 1 + len(highest)] = highest
+        first, known = first + len(highest), int(highest[-1])
+    return newest
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,56 +137,43 @@ class DataCoverage:
         return f"{self.seconds:.0f} s can be used, {self.moving:.0f} s of them moving"
 
 
-def data_coverage(readings: Iterable[Reading]) -> DataCoverage:
-    """Look through the readings of a drive, in one pass; each signal has stamps of its own."""
-    flows: dict[str, ReadingFlow] = {}
-    moving = ReadingFlow()
-    distance, voltages, volts = 0.0, 0, 0.0
-    charge = (math.nan, math.nan)
-    before: SpeedReading | None = None
-    for reading in readings:
-        for kind in _kinds(reading):
-            flows.setdefault(kind, ReadingFlow()).add(reading.stamp_ns)
-        if isinstance(reading, BatteryReading):
-            if math.isfinite(reading.voltage):
-                voltages, volts = voltages + 1, volts + reading.voltage
-            if math.isfinite(reading.state_of_charge):
-                first = charge[0] if math.isfinite(charge[0]) else reading.state_of_charge
-                charge = first, reading.state_of_charge
-        if isinstance(reading, SpeedReading):
-            step = reading.stamp_ns - before.stamp_ns if before is not None else 0
-            if before is not None and 0 < step <= flows["speed"].limit_ns:
-                mean = 0.5 * abs(reading.speed + before.speed)
-                distance += mean * step / NANOSECONDS
-            if abs(reading.speed) > MOVING:
-                moving.add(reading.stamp_ns)
-            before = reading
-    empty = ReadingFlow()
-    speed, voltage, current = (
-        flows.get(kind, empty).all_runs() for kind in ("speed", "voltage", "current")
-    )
+def data_coverage(blocks: Iterable[Block]) -> DataCoverage:
+    """Look through the readings of a drive; each signal has stamps of its own."""
+    parts: dict[str, list[tuple[Stamps, np.ndarray]]] = {
+        name: [(np.empty(0, np.int64), np.empty(0))] for kind in KINDS for name in _names(kind)
+    }
+    for block in blocks:
+        for kind, (_, stamps, values) in block.rows.items():
+            for name, column in zip(_names(kind), values, strict=False):
+                known = np.isfinite(column)
+                parts[name].append((stamps[known], column[known]))
+    columns = {
+        name: [*map(np.concatenate, zip(*some, strict=True))] for name, some in parts.items()
+    }
+    flows = {name: ReadingFlow.of(stamps) for name, (stamps, _) in columns.items()}
+    speed, voltage, current = (flows[name].runs for name in ("speed", "voltage", "current"))
     both = _common(speed, _common(voltage, current))
     spans = tuple(span for span in both if _seconds([span]) >= SHORTEST)
+    stamps, speeds = columns["speed"]
+    steps, mean = np.diff(stamps), 0.5 * np.abs(speeds[1:] + speeds[:-1])
+    joined = (steps > 0) & (steps <= flows["speed"].limit_ns)
+    moving = ReadingFlow.of(stamps[np.abs(speeds) > MOVING])
+    volts, charge = columns["voltage"][1], columns["charge"][1]
     return DataCoverage(
-        flows=flows,
+        flows={name: flow for name, flow in flows.items() if flow.count},
         spans=spans,
-        moving=_seconds(_common(spans, moving.all_runs())),
-        distance=distance,
-        voltage=volts / voltages if voltages else math.nan,
-        charge=charge,
+        moving=_seconds(_common(spans, moving.runs)),
+        distance=float(mean[joined] @ steps[joined]) / NANOSECONDS,
+        voltage=float(volts.mean()) if len(volts) else math.nan,
+        charge=(float(charge[0]), float(charge[-1])) if len(charge) else (math.nan, math.nan),
     )
 
 
-def _kinds(reading: Reading) -> Iterator[str]:
-    if not isinstance(reading, BatteryReading):
-        yield type(reading).__name__.removesuffix("Reading").lower()
-        return
-    if math.isfinite(reading.voltage):
-        yield "voltage"
-    if math.isfinite(reading.current):
-        yield "current"
-    if math.isfinite(reading.state_of_charge):
-        yield "charge"
+def _names(kind: type[Reading]) -> tuple[str, ...]:
+    """The signals of a kind of reading, as its first fields."""
+    if kind is BatteryReading:
+        return "voltage", "current", "charge"
+    return (kind.__name__.removesuffix("Reading").lower(),)
 
 
 def _common(first: Sequence[Span], second: Sequence[Span]) -> list[Span]:

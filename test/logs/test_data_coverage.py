@@ -5,6 +5,7 @@ from pathlib import Path
 
 from hypothesis import given
 from hypothesis import strategies as st
+import numpy as np
 import pytest
 
 from evpinn_ros.bags.types import FRAMES_TOPIC, encode_frame
@@ -12,8 +13,10 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.logs import data_coverage as module
 from evpinn_ros.logs.contents import contents
 from evpinn_ros.logs.data_coverage import ReadingFlow, data_coverage
+from evpinn_ros.logs.source import STRAGGLING_NS
 from evpinn_ros.replays.run import span
 from evpinn_ros.topics import FRAME_TYPE
 
@@ -36,7 +39,7 @@ def test_spans_need_speed_and_battery_without_long_gaps():
     tenths = [0.1 * i for i in range(1000)]
     speeds = [t for t in tenths if not 20 < t < 25]
     batteries = [t for t in tenths if t < 60]
-    coverage = data_coverage(drive(speeds, batteries))
+    coverage = data_coverage([Block.of(drive(speeds, batteries))])
     assert seconds(coverage) == [(0.0, 20.0), pytest.approx((25.0, 59.9))]
     assert coverage.moving == pytest.approx(54.9) and coverage.voltage == 400.0
     assert coverage.flows["speed"].gaps == 1
@@ -58,17 +61,35 @@ VERDICTS = [
 
 @pytest.mark.parametrize(("readings", "words"), VERDICTS)
 def test_why_nothing_can_be_learned(readings, words):
-    assert words in data_coverage(readings).verdict
+    assert words in data_coverage([Block.of(readings)]).verdict
 
 
-@given(st.lists(st.integers(0, 10**12)))
-def test_a_flow_takes_any_stamps(stamps):
-    flow = ReadingFlow()
+@given(st.lists(st.integers(0, 10**12)), st.booleans())
+def test_a_flow_takes_any_stamps(stamps, rising):
+    stamps = sorted(stamps) if rising else stamps
+    flow = ReadingFlow.of(np.array(stamps, np.int64))
+    newest, breaks, gaps = None, [], [0]
     for stamp in stamps:
-        flow.add(stamp)
-    assert flow.count == len(stamps)
-    assert len(flow.all_runs()) == (flow.gaps + 1 if stamps else 0)
-    assert all(begin <= end for begin, end in flow.all_runs())
+        if newest is not None:
+            gaps.append(stamp - newest)
+            if gaps[-1] > flow.limit_ns or gaps[-1] < -STRAGGLING_NS:
+                breaks.append((newest, stamp))
+        back = newest is None or stamp < newest - STRAGGLING_NS
+        newest = stamp if back else max(newest, stamp)
+    assert flow.count == len(stamps) and flow.longest_gap == max(gaps) / 1e9
+    if stamps:
+        befores, afters = zip(*breaks, strict=True) if breaks else ((), ())
+        assert flow.runs == tuple(zip((stamps[0], *afters), (*befores, newest), strict=True))
+        assert (flow.first_ns, flow.last_ns) == (min(stamps), max(stamps))
+
+
+@given(st.lists(st.integers(-3 * 10**9, 4 * 10**9), min_size=1), st.integers(1, 5))
+def test_how_many_stamps_are_looked_at_at_once_changes_no_flow(steps, at_once):
+    stamps = 10**18 + np.cumsum(steps)
+    with pytest.MonkeyPatch.context() as patch:
+        whole = ReadingFlow.of(stamps)
+        patch.setattr(module, "AT_ONCE", at_once)
+        assert ReadingFlow.of(stamps) == whole
 
 
 def test_voltage_and_current_have_stamps_of_their_own():
@@ -80,7 +101,8 @@ def test_voltage_and_current_have_stamps_of_their_own():
     ]
     late = [t + 0.8 for t in steps if not 100 < t < 150]
     polled += [(t, BatteryReading(START + int(t * 1e9), math.nan, -20.0, 0.5)) for t in late]
-    coverage = data_coverage(reading for _, reading in sorted(polled, key=lambda pair: pair[0]))
+    readings = [reading for _, reading in sorted(polled, key=lambda pair: pair[0])]
+    coverage = data_coverage(Block.of(readings).parts(7))
     assert [flow.count for flow in coverage.flows.values()] == [200, 200, len(late), len(late)]
     assert len(coverage.spans) == 2 and coverage.seconds == pytest.approx(238 - 50, abs=3)
     assert coverage.charge == (0.5, 0.5)
@@ -88,7 +110,7 @@ def test_voltage_and_current_have_stamps_of_their_own():
 
 def test_a_signal_every_five_seconds_is_bridged_over_its_own_steps():
     times = [5.0 * i for i in range(100) if i not in (40, 41) and not 60 <= i < 70]
-    coverage = data_coverage(drive(times, times))
+    coverage = data_coverage([Block.of(drive(times, times))])
     assert seconds(coverage) == [(0.0, 295.0), (350.0, 495.0)]
     assert coverage.distance == pytest.approx(10 * (295 + 145))
 
