@@ -138,8 +138,9 @@ class PinnLearner(Saveable[SavedPinn]):
         self._trimmed = 0.0  # J that the trim gave since `_trimmed_from`
         self._trimmed_from: int | None = None
         self._before: Journey | None = None  # from the last interval measured to that sample
-        # What the present car publishes, suspected or not, once asked for.
+        # What the present car publishes, suspected or not, and its drive, once asked for.
         self._judged: tuple[bool, ParameterSet] | None
+        self._together: Breakdowns | None
         self._use(LearnedCar.new(self._equation))
 
     def begin(self, moments: Moments) -> Predictions:
@@ -301,9 +302,13 @@ class PinnLearner(Saveable[SavedPinn]):
         """Parts of this drive so far, to be kept for `together`."""
         return self._car.drive()
 
-    def together(self, before: Sequence[EndedDrive]) -> Breakdowns | None:
+    def together(self, before: Sequence[EndedDrive]) -> Breakdowns:
         """Energy of this drive and of others before it, as that of one."""
-        return self._car.together(before)
+        if before:
+            return self._car.together(before)
+        if self._together is None:
+            self._together = self._car.together(())
+        return self._together
 
     def breakdowns(self) -> Breakdowns | None:
         """Energy of this drive, and of those kept before it, by where it went."""
@@ -385,7 +390,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
         for ahead in self._ahead:
             ahead.computed = 0
-        self._judged = None
+        self._judged = self._together = None
 
     def _compute(self) -> None:
         """Power of the car alone at the next samples of each kind, by one product for all."""
