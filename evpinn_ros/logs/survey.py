@@ -14,12 +14,19 @@ from functools import cached_property
 from itertools import islice
 from typing import Protocol, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.logs.apps import ANNOTATIONS, layout_of
 from evpinn_ros.logs.batch import Batch, Row, batches_of
 from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of
 from evpinn_ros.logs.quantities import BY_COLUMN, QUANTITIES, known_unit, may_be_of_use, score
 from evpinn_ros.logs.text_table import TextTable
+
+with optional_imports():
+    import polars as pl
 
 # The columns of a table with one value a row.
 NAMES = (
@@ -158,7 +165,7 @@ def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:
 class Survey:
     """Survey of a table."""
 
-    cells: dict[int, list[str]]  # of each wanted column, in the order of the file, thinned evenly
+    cells: dict[int, pl.Series]  # of each wanted column, in the order of the file, thinned evenly
     widths: Counter[int]  # how many rows have so many cells
     width: int  # of the header
     stride: int = 1  # rows of the table from one whose cells are kept to the next
@@ -177,10 +184,13 @@ class Survey:
         """True if rows have more cells than the header."""
         return any(width > self.width for width in self.widths)
 
-    def put_in_order(self, rows: Sequence[int]) -> None:
+    def put_in_order(self, rows: NDArray[np.intp]) -> None:
         """Let the rows that were kept follow each other like this, by their places."""
-        for column in self.cells.values():
-            column[:] = [column[row] for row in rows]
+        self.cells = {place: column[rows] for place, column in self.cells.items()}
+
+    def forget_cells(self) -> None:
+        """Keep their styles alone, while the table is read."""
+        self.cells = dict.fromkeys(self.styles, pl.Series(dtype=pl.String))
 
     def is_whole(self, width: int) -> bool:
         """True if a row of so many cells is one of this table and not torn."""
@@ -199,7 +209,7 @@ def look_through(
 ) -> Survey:
     """Cells of the wanted columns, every k-th row; `early` may raise, to stop a bomb."""
     widths: Counter[int] = Counter()
-    kept: list[list[str]] = [[] for _ in wanted]
+    kept = [pl.Series(dtype=pl.String) for _ in wanted]
     most = max(1000, MOST_CELLS // max(1, len(wanted)))
     stride, seen = 1, 0  # rows
     empty = set(range(len(head.names)))
@@ -213,9 +223,9 @@ def look_through(
         widths.update(batch.widths.tolist())
         empty = {place for place in empty if all(map(is_missing, batch.cells(place)))}
         for column, place in zip(kept, wanted, strict=True):
-            column += list(batch.cells(place)[-seen % stride :: stride])
+            column.append(batch.cells(place)[-seen % stride :: stride])
         while kept and len(kept[0]) > most:
-            kept, stride = [column[::2] for column in kept], 2 * stride
+            kept, stride = [column.gather_every(2) for column in kept], 2 * stride
         if seen <= ROWS_THAT_TELL < seen + len(batch):
             early(survey())
         seen += len(batch)

@@ -148,18 +148,20 @@ class TableDrive(Source):
         if self.clock.order is not Order.OLDEST_FIRST:
             rows = self.clock.order.rows(stamps)
             stamps = stamps[rows]
-            survey.put_in_order(rows.tolist())
+            survey.put_in_order(rows)
         self._contradictions: tuple[str, ...] = ()
         self.rules = self._ruled(columns, all_ours, stamps)
         self.ignored = unused_columns(header, self.rules, self.clock.columns, survey.empty)
         if self._long is not None:
             self.ignored |= dict.fromkeys(self._long.others, NO_USE)
         self._start_ns, self.dated = self._start(clocks, stamps)
+        self._stamps = stamps  # of the rows that were kept
+        survey.forget_cells()
 
     @property
     def seconds(self) -> float | None:
         """Time from the first row to the last, s; None where only reading it tells."""
-        clock, cells = self.clock, self._survey.cells
+        clock, stamps = self.clock, self._stamps
         if not self._looked_at_all:
             ends_last = self.in_order and not clock.begins_anew
             last = self._table.last_row() if ends_last else []
@@ -167,8 +169,10 @@ class TableDrive(Source):
                 return None
             # Of the file; what was kept is turned.
             first = -1 if clock.order is Order.NEWEST_FIRST else 0
-            cells = {place: [cells[place][first], last[place]] for place in clock.columns}
-        ends = clock.running().add(clock.stamps(cells))
+            stamps = np.append(
+                stamps[first], clock.stamps({at: [last[at]] for at in clock.columns})
+            )
+        ends = clock.running().add(stamps)
         there = ends[ends != NONE]
         return abs(int(there[-1]) - int(there[0])) / NANOSECONDS if there.size > 1 else None
 

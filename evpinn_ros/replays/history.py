@@ -43,6 +43,7 @@ FOLLOWS = 0.5  # of a voltage at most so much is left by sag, or it tells nothin
 MOST, NEAR = 0.9, 2.5  # so many are within so many sigmas, or nothing is told.
 FEW = 30  # readings that tell nothing
 BESIDE = 7  # readings whose median a lone one is compared with
+AT_ONCE = 10_000  # medians
 
 
 def lone_battery(voltage: np.ndarray, current: np.ndarray) -> np.ndarray:
@@ -59,7 +60,9 @@ def lone_battery(voltage: np.ndarray, current: np.ndarray) -> np.ndarray:
     open_circuit = voltage - resistance * current
     around = np.pad(open_circuit, BESIDE // 2, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(around, BESIDE)
-    away = np.abs(open_circuit - np.median(windows, axis=1))
+    parts = range(0, len(windows), AT_ONCE)  # each is copied
+    median = np.concatenate([np.median(windows[i : i + AT_ONCE], axis=1) for i in parts])
+    away = np.abs(open_circuit - median)
     sigma = _sigma(away)
     return np.asarray((away > BEYOND * sigma) & (np.quantile(away, MOST) < NEAR * sigma))
 
@@ -352,5 +355,7 @@ class History:
 
 
 def _in_order(rows: np.ndarray) -> np.ndarray:
+    if (np.diff(rows[:, 0]) > 0.0).all():
+        return rows
     _, first = np.unique(rows[:, 0], return_index=True)
     return rows[first]
