@@ -26,7 +26,7 @@ from evpinn_ros.logs.clock import (
     parsed_times,
 )
 from evpinn_ros.logs.column import Column
-from evpinn_ros.logs.numbers import Style, is_missing, to_floats
+from evpinn_ros.logs.numbers import Style, filled, to_floats
 from evpinn_ros.logs.quantities import score
 from evpinn_ros.logs.source import STRAGGLING_NS
 from evpinn_ros.logs.survey import Survey
@@ -110,10 +110,10 @@ def clock_of_numbers(
     """The clock of a column of numbers, None if most are none; `in_seconds`: never minutes."""
     values = to_floats(cells, style)
     times = values[np.abs(values) < LARGEST]
-    filled = [cell for cell in cells if not is_missing(cell)]
-    if times.size == 0 or times.size < ENOUGH * len(filled):
+    told = filled(cells)
+    if times.size == 0 or times.size < ENOUGH * len(told):
         return None
-    if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", filled[0].strip()):
+    if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", told[0].strip()):
         return None  # 20240305070809 is a date
     if unit is None and not in_seconds and _is_clock_without_colons(times):
         return None
@@ -176,8 +176,7 @@ def clock_of_text(
     """The clock of columns of dates or times of day, or None; `days` decide ambiguous dates."""
     text = joined_cells(cells)
     text = text.filter(text.str.contains(r"\d\D\d|\d{8}"))
-    filled = max(sum(not is_missing(cell) for cell in column) for column in cells)
-    if len(text) == 0 or len(text) < 0.5 * filled:
+    if len(text) == 0 or len(text) < 0.5 * max(len(filled(column)) for column in cells):
         return None
     first = text.head(200)
     with_date = bool(text.str.contains(r"^\w+-\w+-\w+|^\d{8}").any())
@@ -242,12 +241,12 @@ def _in_its_order(
     """The clock with the order of rows; in columns that were stacked no drive begins."""
     there = stamps != NONE
     if not _is_newest_first(stamps[there]) and _goes_back(stamps[there]):
-        filled = (
+        numbers = (
             np.isfinite(to_floats(cells, survey.styles[place]))
             for place, cells in survey.cells.items()
             if place not in times
         )
-        columns = [stamps[there & of_column] for of_column in filled]
+        columns = [stamps[there & of_column] for of_column in numbers]
         if columns and not any(map(_goes_back, columns)):
             return replace(clock, order=Order.SHUFFLED, daily=False, drives_from_ns=None)
         if (first := clock.drives_from_ns) is not None:

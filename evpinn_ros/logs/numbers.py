@@ -35,6 +35,12 @@ def is_missing(cell: str) -> bool:
     return cell.strip().lower() in MISSING
 
 
+def filled(cells: Cells) -> pl.Series:
+    """The cells that say a value."""
+    series = pl.Series("", cells, dtype=pl.String)
+    return series.filter(~series.str.strip_chars().str.to_lowercase().is_in([*MISSING]))
+
+
 def style_of(cells: Sequence[str]) -> Style | None:
     """The decimal and thousands signs of cells; None if uncertain: `12,345`, not `12,5`."""
     text = pl.Series("", cells, dtype=pl.String).str.strip_chars()

@@ -36,7 +36,7 @@ from evpinn_ros.logs.column import (
     is_complete,
     unused_columns,
 )
-from evpinn_ros.logs.numbers import is_missing, to_floats
+from evpinn_ros.logs.numbers import filled, is_missing, to_floats
 from evpinn_ros.logs.quantities import NEEDED, PLACES, QUANTITIES, Unit, is_engine_speed
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.rows_to_blocks import MOST, HeldSignals, RowBlocks, RowOrder
@@ -378,7 +378,7 @@ class TableDrive(Source):
     def _count_bad(self, batch: Batch, rule: Column, bad: NDArray[np.bool_], what: str) -> None:
         """Count the bad cells of a column that are not just missing, and quote the first."""
         cells = batch.cells(rule.place)
-        if all(map(is_missing, pl.Series(cells).filter(bad).unique())):
+        if not bad.any() or not len(filled(pl.Series(cells).filter(bad))):
             return
         for i in np.flatnonzero(bad).tolist():
             line, cell = batch.lines[i], cells[i]
@@ -501,7 +501,7 @@ def _seconds(stamps: Stamps) -> NDArray[np.float64]:
 
 def _no_time(columns: Sequence[Column], survey: Survey) -> str:
     column = next(column for column in columns if column.quantity == "time")
-    cell = next((cell for cell in survey.cells[column.place] if not is_missing(cell)), "")
+    cell = next(iter(filled(survey.cells[column.place])), "")
     if not survey.widths.total():
         return "no row below the header"
     return (
