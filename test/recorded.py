@@ -21,5 +21,5 @@ class Recorded(Source):
         self._readings = list(readings)
         self.dropped = Counter(dropped)
 
-    def blocks(self) -> Iterator[Block]:
+    def read(self) -> Iterator[Block]:
         yield Block.of(self._readings)

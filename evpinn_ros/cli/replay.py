@@ -200,7 +200,8 @@ def _opened(
         note(f"{len(logs)} files make {len(drives)} logs: some continue the file before them")
     for log in drives:
         try:
-            trips, charged = split(log, whole=whole)
+            # Of many, what was read would wait for long.
+            trips, charged = split(log, whole=whole, ahead=len(drives) == 1)
         except InputError as error:
             unreadable.append(str(error))
             continue

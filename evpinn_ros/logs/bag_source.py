@@ -47,7 +47,7 @@ class BagSource(Source):
         """Topics that are nearly those that are missing, and what the battery cannot be."""
         return *self._readings.notes, *self._watch.notes
 
-    def blocks(self) -> Iterator[Block]:
+    def read(self) -> Iterator[Block]:
         """The readings in order of log time."""
         if self._is_read:  # a broken bag can be gone through once
             self._open()

@@ -130,7 +130,7 @@ class CanLogSource(Source):
         """What the battery cannot be."""
         return self._watch.notes
 
-    def blocks(self) -> Iterator[Block]:
+    def read(self) -> Iterator[Block]:
         """Readings up to where the log contradicts the profile; InputError if it gave none."""
         self._log, self._bridge = self._open_log(), self._make_bridge()
         self._watch = BatteryWatch(self.dropped)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
@@ -28,6 +28,7 @@ class Source(ABC):
         """Nothing was dropped yet; columns and clock are those of the log that it is made of."""
         self.path = path  # where it lies
         self.dropped: Counter[str] = Counter()  # by reason, complete at the end
+        self._ahead: deque[Block] | None = None
         if log is not None:
             self.rules, self.ignored, self.in_order = log.rules, log.ignored, log.in_order
             self.dated, self.zoned = log.dated, log.zoned
@@ -53,8 +54,22 @@ class Source(ABC):
         return ()
 
     @abstractmethod
+    def read(self) -> Iterator[Block]:
+        """Read the drive: `blocks`."""
+
+    def read_ahead(self) -> Sequence[Block]:
+        """Read the whole drive; the next `blocks` are these, each forgotten once it is given."""
+        self._ahead = deque(self.read())
+        return self._ahead
+
     def blocks(self) -> Iterator[Block]:
         """Readings in recorded order, in blocks, as far as readable; InputError if none."""
+        if self._ahead is None:
+            yield from self.read()
+            return
+        ahead, self._ahead = self._ahead, None
+        while ahead:
+            yield ahead.popleft()
 
     def readings(self) -> Iterator[Reading]:
         """The same one by one."""

@@ -221,7 +221,7 @@ class TableDrive(Source):
             )
         return (*notes, self.first_bad) if self.first_bad else tuple(notes)
 
-    def blocks(self) -> Iterator[Block]:
+    def read(self) -> Iterator[Block]:
         """Readings in order of time, as far as readable; InputError if there is none."""
         begun, self.problem = False, None
         try:

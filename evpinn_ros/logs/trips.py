@@ -75,7 +75,7 @@ class JoinedLog(Source):
         """Notes of all files, each once."""
         return tuple(dict.fromkeys(note for file in self._files for note in file.notes))
 
-    def blocks(self) -> Iterator[Block]:
+    def read(self) -> Iterator[Block]:
         """The readings of all files in order."""
         for file in self._files:
             yield from file.blocks()
@@ -136,7 +136,7 @@ class TripSource(Source):
         """Notes on how the log was read; the last trip has them, for then it was read whole."""
         return self._log.notes if self._last else ()
 
-    def blocks(self) -> Iterator[Block]:
+    def read(self) -> Iterator[Block]:
         """Readings of the trip in recorded order; what the log lost counts with its last trip."""
         begin, end = self._trip.begin_ns, self._trip.end_ns
         until = math.inf if self._last else end + STRAGGLING_NS
@@ -156,9 +156,14 @@ class TripSource(Source):
             self.dropped.update(self._log.dropped)
 
 
-def split(log: Source, *, whole: bool = False) -> tuple[Sequence[Source], float]:
-    """The trips of a log (one if `whole`), and J charged between; InputError if only charged."""
-    trips = trips_of(log.blocks())
+def split(
+    log: Source, *, whole: bool = False, ahead: bool = True
+) -> tuple[Sequence[Source], float]:
+    """The trips of a log (one if `whole`), and J charged between; InputError if only charged.
+
+    With `ahead` the log keeps what was read for its next `blocks`.
+    """
+    trips = trips_of(log.read_ahead() if ahead else log.blocks())
     if trips.charged and trips.distance < MANOEUVRE:
         kwh = trips.charged / JOULES_PER_KWH
         raise InputError(f"{log.path}: no drive: the car stood and was charged with {kwh:.2f} kWh")

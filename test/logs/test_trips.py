@@ -40,6 +40,20 @@ def test_a_log_of_one_trip_stays_whole(tmp_path: Path) -> None:
     assert split(log) == ([log], 0.0)
 
 
+@pytest.mark.parametrize("ahead", [True, False])
+def test_a_log_is_read_once_for_its_trips_and_its_replay(tmp_path: Path, ahead: bool) -> None:
+    path = tmp_path / "one.csv"
+    path.write_text(HEADER + rows(0, 300, 10.0, 20.0) + "torn\n" + rows(300, 300, 9.0, 20.0))
+    whole, log = open_drive(path), open_drive(path)
+    readings = [*map(repr, whole.readings())]  # of NaN, which is not itself
+    split(log, ahead=ahead)
+    path.write_text(HEADER + rows(0, 100, 10.0, 20.0))
+    assert [*map(repr, log.readings())] == (readings if ahead else readings[:200])
+    if ahead:
+        assert log.dropped == whole.dropped and log.notes == whole.notes
+    assert [*map(repr, log.readings())] == readings[:200]  # of the file, as it is now
+
+
 def test_red_lights_and_manoeuvres_are_no_trips(tmp_path: Path) -> None:
     path = tmp_path / "town.csv"
     text = rows(0, 300, 10.0, 20.0) + rows(300, 200, 0.0, 2.0) + rows(500, 300, 10.0, 20.0)
