@@ -33,6 +33,7 @@ def estimator() -> int:
 
 def evpinn() -> None:
     """Run the command `evpinn`."""
+    _open_streams()
     _check_address_space()
     is_run = sys.argv[1:2] == ["run"]
     before = {number: signal.getsignal(number) for number in STOPS}
@@ -43,6 +44,19 @@ def evpinn() -> None:
         for number, handler in before.items():
             signal.signal(number, handler)
     main()
+
+
+def _open_streams() -> None:
+    """Open on nothing what whoever started us has closed of stdin, stdout and stderr.
+
+    What is opened next would take their numbers, and get all that libraries print.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "w" if number else "r"))
 
 
 def _check_address_space() -> None:
@@ -56,6 +70,7 @@ def _check_address_space() -> None:
 
 
 def _node(name: str) -> int:
+    _open_streams()
     _check_address_space()
     at_stop(lambda *_: os._exit(0))
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)  # where `node_process` has held them back

@@ -77,8 +77,7 @@ def main() -> None:
             with optional_imports():
                 app()
         finally:
-            if sys.stdout is not None:  # whoever started us may have closed it
-                sys.stdout.flush()  # a full disk shows now, and not after the last line of code
+            sys.stdout.flush()  # a full disk shows now, and not after the last line of code
     except InputError as error:
         note(f"evpinn: {error}")
         sys.exit(FAILED)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -13,7 +14,7 @@ import numpy as np
 from evpinn_ros.bags.names import is_bag
 from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.signals.block import Block
+from evpinn_ros.core.signals.block import MOST_STAMP, Block
 from evpinn_ros.core.signals.progress import reported
 from evpinn_ros.core.vehicle.files import GENERIC, load_vehicle, vehicle_names
 from evpinn_ros.logs.column import Column
@@ -103,11 +104,11 @@ def _topics(path: Path) -> tuple[TopicContents, ...]:
     from evpinn_ros.bags.reader import BagReader
 
     with BagReader(path) as reader:
-        times: dict[str, list[int]] = {name: [] for name in reader.topics}
+        times = {name: array("q") for name in reader.topics}
         for name, log_time_ns in reader.log_times():
-            times[name].append(log_time_ns)
+            times[name].append(min(log_time_ns, MOST_STAMP))  # a broken one may be beyond 64 bits
         return tuple(
-            TopicContents(name, info.type_name, ReadingFlow.of(np.array(times[name], np.int64)))
+            TopicContents(name, info.type_name, ReadingFlow.of(np.asarray(times[name], np.int64)))
             for name, info in reader.topics.items()
         )
 

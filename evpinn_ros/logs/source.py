@@ -55,17 +55,17 @@ class Source(ABC):
 
     @abstractmethod
     def read(self) -> Iterator[Block]:
-        """Read the drive: `blocks`."""
+        """Read the drive: `blocks`, some of which may be without a reading."""
 
     def read_ahead(self) -> Sequence[Block]:
         """Read the whole drive; the next `blocks` are these, each forgotten once it is given."""
-        self._ahead = deque(self.read())
+        self._ahead = deque(self.blocks())
         return self._ahead
 
     def blocks(self) -> Iterator[Block]:
         """Readings in recorded order, in blocks, as far as readable; InputError if none."""
         if self._ahead is None:
-            yield from self.read()
+            yield from filter(len, self.read())
             return
         ahead, self._ahead = self._ahead, None
         while ahead:

@@ -226,9 +226,8 @@ class TableDrive(Source):
         begun, self.problem = False, None
         try:
             for block in self._read():
-                if len(block):
-                    begun = True
-                    yield block
+                begun |= len(block) > 0
+                yield block
         except InputError as error:
             if not begun:
                 raise

@@ -168,9 +168,8 @@ def _end(nodes: Sequence[GuardedNode], executor: Executor) -> int:
 def _end_process() -> NoReturn:
     """End without taking libraries to pieces: of torch, 0.6 s of the processor."""
     for stream in (sys.stdout, sys.stderr):
-        if stream is not None:  # whoever started us may have closed it
-            with suppress(OSError):
-                stream.flush()
+        with suppress(OSError):
+            stream.flush()
     os._exit(0)
 
 
@@ -199,9 +198,7 @@ def watchdog_period() -> float | None:
 @contextmanager
 def deadline(seconds: float) -> Iterator[None]:
     """End with 1, and say where it hangs, after so long; `faulthandler` needs no interpreter."""
-    # Whoever started us may have closed stderr.
-    said = os.open(os.devnull, os.O_WRONLY) if sys.stderr is None else 2
-    faulthandler.dump_traceback_later(seconds, exit=True, file=said)
+    faulthandler.dump_traceback_later(seconds, exit=True)
     try:
         yield
     finally:

@@ -8,17 +8,19 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.bags.types import FRAMES_TOPIC, encode_frame
+from evpinn_ros.bags.types import FRAMES_TOPIC, encode_frame, new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.logs import data_coverage as module
+from evpinn_ros.logs.bag_source import BagSource
 from evpinn_ros.logs.contents import contents
 from evpinn_ros.logs.data_coverage import ReadingFlow, data_coverage
 from evpinn_ros.logs.source import STRAGGLING_NS
 from evpinn_ros.replays.run import span
 from evpinn_ros.topics import FRAME_TYPE
+from evpinn_ros.topics.readings import reading_messages
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -138,6 +140,28 @@ def test_a_bag_of_nothing_of_ours(tmp_path):
     described = contents(tmp_path / "bag")
     assert [(topic.name, topic.flow.count) for topic in described.topics] == [("/odd", 3)]
     assert described.drive is None and "none of the topics" in described.notes[0]
+
+
+def test_a_log_time_beyond_64_bits_is_a_time(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        for log_time_ns in (START, 2**63, 2**64 - 1):
+            writer.write_raw("/odd", "std_msgs/msg/String", b"", log_time_ns)
+    (topic,) = contents(tmp_path / "bag").topics
+    assert topic.flow.count == 3 and topic.flow.first_ns == START
+
+
+def test_a_block_of_which_nothing_is_left_is_none(tmp_path):
+    """Zeros fill in between readings; from where the clock is set back there are zeros alone."""
+    times = [(200 + i / 2, 0.0 if i % 2 else 20.0 + i % 7 / 10) for i in range(60)]
+    times += [(50 + i / 2, 0.0) for i in range(5)]
+    with BagWriter(tmp_path / "bag") as writer:
+        for number, (time, speed) in enumerate(times):
+            reading = SpeedReading(START + int(time * 1e9), speed)
+            for topic, message in reading_messages(new_message, reading):
+                writer.write(topic.under(), message, START + number * 10**8)
+    source = BagSource(tmp_path / "bag")
+    assert not all(map(len, source.read())) and all(map(len, source.blocks()))
+    assert contents(tmp_path / "bag").drive.flows["speed"].count == 30
 
 
 @pytest.mark.slow

@@ -46,10 +46,11 @@ def test_a_node_that_is_stopped_at_once_ends_well():
     assert process.returncode == 0
 
 
-WITHOUT_OUTPUT = ("sh", "-c", 'exec "$@" >&-', "sh")  # as who starts it may have closed it
+# As who starts it may have closed them.
+WITHOUT_STREAMS = ("sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh")
 
 
-@pytest.mark.parametrize(("stop", "by"), [(signal.SIGTERM, WITHOUT_OUTPUT), (signal.SIGHUP, ())])
+@pytest.mark.parametrize(("stop", "by"), [(signal.SIGTERM, WITHOUT_STREAMS), (signal.SIGHUP, ())])
 def test_a_signal_ends_the_node_well_and_saves_the_state(bench, tmp_path, stop, by):
     path = tmp_path / "car.json"
     with started(*by, *node("estimator", state_file=str(path))) as process:
