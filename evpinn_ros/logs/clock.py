@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from evpinn_ros.common.months import IN_ENGLISH
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.signals.readings import DAY_NS, NANOSECONDS
+from evpinn_ros.logs.batch import Cells
 from evpinn_ros.logs.numbers import POINT, Style, to_floats
 from evpinn_ros.logs.quantities import QUANTITIES
 
@@ -93,7 +94,7 @@ class Clock:
         """True if the cells hold the date."""
         return self.kind == "date" or (self.kind == "number" and self.zoned)
 
-    def stamps(self, cells: Mapping[int, Sequence[str]]) -> NDArray[np.int64]:
+    def stamps(self, cells: Mapping[int, Cells]) -> NDArray[np.int64]:
         """Times, ns since 1970, midnight or the start, `NONE` if unknown; of cells by column."""
         columns = [cells[place] for place in self.columns]
         if self.as_written:
@@ -207,7 +208,7 @@ def begin_drives(
     return np.asarray((np.maximum(times, following) < least) & (times <= first + back))
 
 
-def joined_cells(cells: Sequence[Sequence[str]]) -> pl.Series:
+def joined_cells(cells: Sequence[Cells]) -> pl.Series:
     """Date and time of each row in one cell, their signs made uniform."""
     columns = pl.DataFrame(
         {str(i): pl.Series(column, dtype=pl.String) for i, column in enumerate(cells)}

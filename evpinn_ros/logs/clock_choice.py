@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evpinn_ros.core.signals.readings import DAY_NS, NANOSECONDS
+from evpinn_ros.logs.batch import Cells
 from evpinn_ros.logs.clock import (
     BACK_NS,
     DAY_OF_FORMAT,
@@ -105,7 +106,7 @@ def clock_of_format(column: int, formats: str) -> Clock:
 
 
 def clock_of_numbers(
-    column: int, cells: Sequence[str], style: Style, unit: str | None, *, in_seconds: bool = False
+    column: int, cells: Cells, style: Style, unit: str | None, *, in_seconds: bool = False
 ) -> Clock | None:
     """The clock of a column of numbers, None if most are none; `in_seconds`: never minutes."""
     values = to_floats(cells, style)
@@ -171,7 +172,7 @@ def _is_in_order(times: NDArray[np.float64]) -> bool:
 
 
 def clock_of_text(
-    columns: tuple[int, ...], cells: Sequence[Sequence[str]], days: Collection[int] = ()
+    columns: tuple[int, ...], cells: Sequence[Cells], days: Collection[int] = ()
 ) -> Clock | None:
     """The clock of columns of dates or times of day, or None; `days` decide ambiguous dates."""
     text = joined_cells(cells)

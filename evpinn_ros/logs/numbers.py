@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import re
 from typing import NamedTuple
 
@@ -41,7 +40,7 @@ def filled(cells: Cells) -> pl.Series:
     return series.filter(~series.str.strip_chars().str.to_lowercase().is_in([*MISSING]))
 
 
-def style_of(cells: Sequence[str]) -> Style | None:
+def style_of(cells: Cells) -> Style | None:
     """The decimal and thousands signs of cells; None if uncertain: `12,345`, not `12,5`."""
     text = pl.Series("", cells, dtype=pl.String).str.strip_chars()
     votes = {style: text.str.contains(_certain(style)).sum() for style in (POINT, COMMA)}
