@@ -12,7 +12,7 @@ from evpinn_ros.core.energy.power_model import Weather, vehicle_model
 from evpinn_ros.core.vehicle.files import load_vehicle
 from test.robots import learned, moments, robot, true_energy
 
-pytestmark = pytest.mark.nightly
+pytestmark = [pytest.mark.nightly, pytest.mark.timeout(1800)]  # 6000 samples, one by one
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
