@@ -198,7 +198,7 @@ def watchdog_period() -> float | None:
 @contextmanager
 def deadline(seconds: float) -> Iterator[None]:
     """End with 1, and say where it hangs, after so long; `faulthandler` needs no interpreter."""
-    faulthandler.dump_traceback_later(seconds, exit=True)
+    faulthandler.dump_traceback_later(seconds, exit=True, file=2)
     try:
         yield
     finally:
