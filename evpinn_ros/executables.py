@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from io import FileIO, TextIOWrapper
 import os
 import resource
 import signal
@@ -54,8 +55,8 @@ def _open_streams() -> None:
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
     os.close(number)
-    sys.stdout = sys.stdout or os.fdopen(1, "w")
-    sys.stderr = sys.stderr or os.fdopen(2, "w")
+    sys.stdout = sys.stdout or TextIOWrapper(FileIO(os.devnull, "w"))
+    sys.stderr = sys.stderr or TextIOWrapper(FileIO(os.devnull, "w"))
 
 
 def _check_address_space() -> None:
