@@ -241,8 +241,8 @@ def play(bench, messages):
     def counted():
         """True if the meter, once it is there, has counted the newest power: queues end."""
         states, powers = bench.heard[topics.ENERGY_STATE], bench.heard[topics.POWER_SMOOTHED]
-        # Either may be heard first.
-        return not states or (powers and stamp_ns(states[-1]) >= stamp_ns(powers[-1]))
+        # A meter that heard the first speed has a state before any power is smoothed.
+        return not states or not powers or stamp_ns(states[-1]) >= stamp_ns(powers[-1])
 
     def has_speed():
         return "waiting" not in said(bench, "estimator").get("estimate", ("", "waiting"))[1]
