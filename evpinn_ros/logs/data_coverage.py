@@ -84,18 +84,18 @@ class ReadingFlow:
 def _newest(stamps: Stamps) -> Stamps:
     """The newest stamp before each, and after all, shape (n + 1,); a jump back begins anew."""
     newest = np.empty(len(stamps) + 1, np.int64)
-    newest[0] = known = int(stamps[0])
+    newest[0] = newest_ns = int(stamps[0])
     first = 0
     while first < len(stamps):
         part = stamps[first : first + AT_ONCE]
-        highest = np.maximum(np.maximum.accumulate(part), known)
-        before = np.append(known, highest[:-1])
+        highest = np.maximum(np.maximum.accumulate(part), newest_ns)
+        before = np.append(newest_ns, highest[:-1])
         back = np.flatnonzero(part - before < -STRAGGLING_NS)
         if len(back):
             highest = highest[: back[0] + 1]
             highest[-1] = part[back[0]]
         newest[first + 1 : first + 1 + len(highest)] = highest
-        first, known = first + len(highest), int(highest[-1])
+        first, newest_ns = first + len(highest), int(highest[-1])
     return newest
 
 
@@ -145,8 +145,8 @@ def data_coverage(blocks: Iterable[Block]) -> DataCoverage:
     for block in blocks:
         for kind, (_, stamps, values) in block.rows.items():
             for name, column in zip(_names(kind), values, strict=False):
-                known = np.isfinite(column)
-                parts[name].append((stamps[known], column[known]))
+                finite = np.isfinite(column)
+                parts[name].append((stamps[finite], column[finite]))
     columns = {
         name: [*map(np.concatenate, zip(*some, strict=True))] for name, some in parts.items()
     }
