@@ -50,7 +50,7 @@ def record_through_nodes(
     recorder = RecorderNode(folder, namespace=NAMESPACE)
     watch = _Watch(end_ns, progress)
     recorder.listen(topics.POWER_SMOOTHED, watch.take)
-    executor = SingleThreadedExecutor()  # that of events keeps signals from the caller
+    executor = SingleThreadedExecutor()  # that of events takes the caller's handlers with it
     executor.add_node(recorder)
 
     def spin() -> None:
