@@ -144,6 +144,22 @@ def test_the_breakdown_goes_on_over_a_long_stop_and_begins_with_another_drive(le
     assert learner.breakdowns().of(-1) is None
 
 
+def test_the_breakdown_is_that_of_the_present_car_however_often_it_is_asked_for(vehicle, town):
+    learner, others = PinnLearner(vehicle), PinnLearner(vehicle)
+    told = []
+    for interval in town:
+        for taught in (learner, others):
+            taught.add_interval(interval)
+            assert taught.consider(taught.prepare_update()()) is None
+        told.append(learner.together(()).of(0).measured)
+        assert learner.together(()).of(0).measured == told[-1]
+    assert told == pytest.approx(np.cumsum([interval.energy for interval in town]))
+    last = learner.together(()).of(0)
+    np.testing.assert_array_equal(last.energy, others.together(()).of(0).energy)
+    learner.end_drive()
+    assert learner.together(()).of(0) is None
+
+
 def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(learner, town):
     silent = [
         replace(
