@@ -24,6 +24,8 @@ MOVING = 0.3  # m/s, below which acceleration is of no use
 class StepMethod(ABC):
     """Predicts each step first and learns from it once its power is known; heirs say how."""
 
+    pairs = True
+
     def __init__(self, vehicle: Vehicle) -> None:
         self._stream = StepStream(vehicle)
 

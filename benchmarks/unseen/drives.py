@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+import math
 from pathlib import Path
+
+import numpy as np
 
 from benchmarks.unseen.fastsim_cars import (
     FASTSIM_CARS,
@@ -25,6 +28,7 @@ from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
     AuxiliaryReading,
+    BatteryReading,
     MotorReading,
     Reading,
     TemperatureReading,
@@ -66,6 +70,21 @@ class UnseenDrive:
         return battery_power(self.readings, self.start_ns)
 
     @cached_property
+    def paired(self) -> tuple[Reading, ...]:
+        """The readings; a voltage or current without the other has it by its straight line."""
+        rows = [reading for reading in self.readings if isinstance(reading, BatteryReading)]
+        time = np.array([self.seconds(reading.stamp_ns) for reading in rows])
+        volts, amperes = (
+            Line(time, np.array([getattr(reading, name) for reading in rows], float)).at(time)
+            for name in ("voltage", "current")
+        )
+        pairs = iter(zip(volts.tolist(), amperes.tolist(), strict=True))
+        return tuple(
+            _completed(reading, *next(pairs)) if isinstance(reading, BatteryReading) else reading
+            for reading in self.readings
+        )
+
+    @cached_property
     def speed(self) -> Line:
         """Measured speed, m/s."""
         return speed_line(self.readings, self.start_ns)
@@ -84,6 +103,13 @@ class UnseenDrive:
     def distance(self) -> float:
         """Driven, m."""
         return self.speed.over(DrivePart(0.0, self.duration)) if self.speed.time.size > 1 else 0.0
+
+
+def _completed(reading: BatteryReading, volts: float, amperes: float) -> BatteryReading:
+    """The reading with the voltage or current that it lacks."""
+    if math.isnan(reading.voltage):
+        return replace(reading, voltage=volts)
+    return replace(reading, current=amperes) if math.isnan(reading.current) else reading
 
 
 @dataclass(frozen=True)

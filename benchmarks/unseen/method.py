@@ -43,7 +43,8 @@ class Method(Protocol):
     """Method that is scored.
 
     One that also has `add_readings(readings)`, which gives the predictions of several readings,
-    gets many at once.
+    gets many at once. One that has `pairs = True` joins voltage and current of different stamps by
+    itself; for the others each battery reading has both.
     """
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction] | None:
@@ -61,6 +62,8 @@ Factory: TypeAlias = Callable[[Vehicle], Method]
 
 class OnlineChain:
     """Our estimator and energy account, as `evpinn replay` runs them."""
+
+    pairs = True
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))

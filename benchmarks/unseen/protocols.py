@@ -99,20 +99,21 @@ def _through(
     waiting = sorted(planned, key=lambda cut: (cut.begin, -cut.length))
     rows: list[Prediction] = []
     track, begin = Track(drive, rows), -1.0
+    readings = drive.readings if getattr(method, "pairs", False) else drive.paired
     seconds = np.maximum.accumulate([drive.seconds(r.stamp_ns) for r in drive.readings])
     first = 0
     for cut in waiting:
         index = int(np.searchsorted(seconds, cut.begin, side="right"))
         if index == len(seconds):
             break
-        rows.extend(_predictions(method, drive.readings[first:index]))
+        rows.extend(_predictions(method, readings[first:index]))
         first = index
         if cut.begin != begin:  # else the longer dropout from there holds the shorter
             track = predicted(copy.deepcopy(method), drive, index, cut.span, rows[-1:])
             begin = cut.begin
         part = "long" if cut.length == LONG_DROPOUT else "withheld"
         yield part, ScoredPart(drive.name, cut.span, score_part(drive, track, cut.span))
-    rows.extend(_predictions(method, drive.readings[first:]))
+    rows.extend(_predictions(method, readings[first:]))
     if drive.duration > WARM_UP:
         span = DrivePart(WARM_UP, drive.duration)
         yield "online", ScoredPart(drive.name, span, score_part(drive, Track(drive, rows), span))

@@ -46,6 +46,8 @@ DRIVES_WEIGHT, MOST = 4.0, 9.0  # drives that the start of the scale counts for;
 class WeakFormLeastSquares:
     """The filter of the module's text."""
 
+    pairs = True
+
     def __init__(self, vehicle: Vehicle) -> None:
         prior = identifiable(vehicle.initial, vehicle.frontal_area)
         mass, rolling = prior.mass_over_eta, prior.c_rr * prior.mass_over_eta

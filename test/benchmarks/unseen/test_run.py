@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.unseen import run
@@ -51,6 +52,27 @@ def test_a_method_of_a_users_file_is_scored(tmp_path):
     ).scores
     assert scores["carried"]["gross_mean_percent"] == pytest.approx(50.0, abs=0.1)
     assert scores["withheld"]["rmse_w"] == pytest.approx(1e4, rel=1e-6)
+
+
+@pytest.mark.parametrize("apart", [(0.0, 0.0), (0.3, 0.6), (0.6, 0.3)])
+def test_the_example_learns_also_where_voltage_and_current_are_polled_apart(tmp_path, apart):
+    """Each stands in rows of its own, some tenths of a second after the speed."""
+    for drive in range(2):
+        rows = []
+        for t in range(600):
+            speed = 8 - 8 * np.cos(t / 8) + drive
+            power = speed * (1000 + 1800 * np.sin(t / 8)) + 500
+            cells = (0.0, 0, speed), (apart[0], 1, 360.0 - power / 4e3), (apart[1], 2, power / 340)
+            for late, place, value in cells:
+                row = [f"{t + late:.1f}", "", "", ""]
+                row[1 + place] = f"{value:.3f}"
+                rows.append((t + late, ",".join(row)))
+        lines = [line for _, line in sorted(rows)]
+        text = "\n".join(["t_s,speed_mps,voltage_v,current_a", *lines])
+        (tmp_path / f"d{drive}.csv").write_text(text)
+    car = f"{tmp_path}=generic"
+    scores = run.run_task(run.Task(car, car, f"{EXAMPLE}:LeastSquares")).scores
+    assert scores["carried"]["net_mean_percent"] < 10.0
 
 
 def test_the_example_of_a_method_beats_the_prior():
