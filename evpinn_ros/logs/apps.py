@@ -28,6 +28,25 @@ APPS = (
         {"Ambient": "f", "Speed2": "0.01 km/h"},
         {"Ambient": ("c",)},
     ),
+    # The VESC Tool logs one controller, and beside it the sums of all (`_setup`).
+    App(
+        ("ms_today", "current_in_setup"),
+        {"time": "ms_today", "current": "current_in_setup"},
+        {"ms_today": "ms", "speed_meters_per_sec": "m/s"},
+    ),
+    # Trolley buses of Zurich (README of the ZTBus dataset, ETH Zurich): angles in rad.
+    App(
+        ("electric_powerDemand", "odometry_vehicleSpeed"),
+        {"power": "electric_powerDemand", "speed": "odometry_vehicleSpeed"},
+        {
+            "electric_powerDemand": "w",
+            "odometry_vehicleSpeed": "m/s",
+            "temperature_ambient": "k",
+            "gnss_altitude": "m",
+            "gnss_latitude": "rad",
+            "gnss_longitude": "rad",
+        },
+    ),
 )
 
 ANNOTATIONS = ("#group", "#datatype", "#default")  # of InfluxDB's columns, above their names

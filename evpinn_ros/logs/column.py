@@ -128,13 +128,13 @@ def columns_by_name(
     columns = [column for column in ours if column.quantity not in quantities] + given
     if len({column.quantity for column in ours}) < len(ours):
         raise InputError("a column is there twice")
-    if is_complete({column.quantity for column in columns}):
-        return columns
     quantities = {column.quantity for column in columns}
     taken = {column.place for column in columns}
     app = app_of(header)
+    # Beside our own names for what is needed, no other column is taken for that.
+    decided = quantities | (NEEDED if is_complete(quantities) else frozenset())
     for quantity in QUANTITIES:
-        if quantity in quantities:
+        if quantity in decided:
             continue
         best_name = app.columns.get(quantity) if app else None
         if quantity == "time":
@@ -172,7 +172,7 @@ def _foreign(quantity: str, name: str) -> str:
 
 
 def is_complete(quantities: set[str]) -> bool:
-    """True if all that is needed is there: other columns of such a file are not guessed at."""
+    """True if all that is needed is there."""
     battery = "power" in quantities or {"voltage", "current"} <= quantities
     return battery and {"time", "speed"} <= quantities
 

@@ -1,5 +1,7 @@
 """Objects of JSON as text, a row each: those of lines, or the longest list in a document.
 
+What stands in levels is named by its path: `telemetry.kmh`.
+
 polars cannot read a file with a `NaN` or a torn last line.
 """
 
@@ -18,6 +20,7 @@ from evpinn_ros.common.opener import MOST_COLUMNS, open_file
 from evpinn_ros.common.writer import new_table, plain_cell
 
 NESTED = dict, list
+DEEPEST = 8  # levels of objects in a row
 _decoded = json.JSONDecoder(parse_constant=lambda _: None).decode
 
 
@@ -25,7 +28,7 @@ def write_objects(path: Path, out: Path) -> None:
     """Write names and values; InputError at the end if some lines were no objects."""
     if path.suffix.lower() == ".json":
         with open_file(path) as file, suppress(ValueError, RecursionError):
-            rows = longest_list(_decoded(file.read().decode("utf-8-sig")))
+            rows = list(map(flat, longest_list(_decoded(file.read().decode("utf-8-sig")))))
             return _write(rows, rows, out)
     with open_file(path) as names, open_file(path) as values:
         _write(map(_object, names), map(_object, values), out)
@@ -77,12 +80,22 @@ def _object(line: bytes) -> dict[str, Any] | None:
     """The object of a line, none of a blank one; None where it is something else."""
     with suppress(ValueError, RecursionError):
         row = _decoded(line.decode("utf-8-sig")) if line.strip() else {}
-        return row if isinstance(row, dict) else None
+        return flat(row) if isinstance(row, dict) else None
     return None
 
 
+def flat(row: dict[str, Any], levels: int = DEEPEST) -> dict[str, Any]:
+    """The values of an object and of those in it, named by their paths; no list is a signal."""
+    values: dict[str, Any] = {}
+    for name, value in row.items():
+        if isinstance(value, dict) and levels:
+            inner = flat(value, levels - 1)
+            values |= {f"{name}.{path}": cell for path, cell in inner.items()}
+        elif not isinstance(value, NESTED):
+            values[name] = value
+    return values
+
+
 def _cell(value: object) -> object:
-    """A value on one line; none for a nested one, which is no signal."""
-    if isinstance(value, str):
-        return plain_cell(value)
-    return None if isinstance(value, NESTED) else value
+    """A value on one line."""
+    return plain_cell(value) if isinstance(value, str) else value

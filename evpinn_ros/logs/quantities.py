@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache, lru_cache
+from itertools import pairwise
 import math
 import re
 from typing import NamedTuple
@@ -44,8 +45,10 @@ def _units(**factors: float) -> dict[str, Unit]:
 
 
 _KMH, _MPH, _KNOT = Unit(1 / 3.6), Unit(0.44704), Unit(1852 / 3600)
-_SPEED = {"m/s": Unit(1.0), "mps": Unit(1.0), "ms": Unit(1.0), "meters/second": Unit(1.0)}
-_SPEED |= dict.fromkeys(("km/h", "kmh", "kph", "kmph", "km/hr", "km/t", "kilometers/hour"), _KMH)
+_SPEED = dict.fromkeys(("m/s", "mps", "ms", "m/sec", "meter/sec", "meters/sec"), Unit(1.0))
+_SPEED |= dict.fromkeys(("meter/second", "meters/second", "metres/second"), Unit(1.0))
+_SPEED |= dict.fromkeys(("km/h", "kmh", "kph", "kmph", "km/hr", "km/t", "km/hour"), _KMH)
+_SPEED |= dict.fromkeys(("kilometers/hour", "kilometres/hour"), _KMH)
 _SPEED |= dict.fromkeys(("mph", "mi/h", "mi/hr", "miles/hour"), _MPH)
 _SPEED |= dict.fromkeys(("kn", "kt", "kts", "knots"), _KNOT)
 _TIME = _units(s=1.0, sec=1.0, secs=1.0, second=1.0, seconds=1.0, ms=1e-3, msec=1e-3, us=1e-6)
@@ -56,10 +59,10 @@ _POWER = _units(w=1.0, kw=1e3, watts=1.0, kilowatts=1e3)
 _CELSIUS, _FAHRENHEIT = Unit(1.0), Unit(5 / 9, -160 / 9)
 _TEMPERATURE = dict.fromkeys(("c", "°c", "℃", "degc", "deg c", "celsius"), _CELSIUS)
 _TEMPERATURE |= dict.fromkeys(("f", "°f", "℉", "degf", "deg f", "fahrenheit"), _FAHRENHEIT)
-_TEMPERATURE |= {"k": Unit(1.0, -273.15)}
+_TEMPERATURE |= dict.fromkeys(("k", "kelvin", "degk"), Unit(1.0, -273.15))
 _LENGTH = _units(m=1.0, meters=1.0, ft=0.3048, feet=0.3048)
 _DISTANCE = _units(km=1e3, kilometers=1e3, mi=1609.344, miles=1609.344, m=1.0)
-_DEGREES = {"deg": Unit(1.0), "°": Unit(1.0), "degrees": Unit(1.0)}
+_DEGREES = {"deg": Unit(1.0), "°": Unit(1.0), "degrees": Unit(1.0), "rad": Unit(180.0 / math.pi)}
 _PERCENT = {
     "%": Unit(1.0),
     "per": Unit(1.0),
@@ -80,19 +83,22 @@ _OTHERS = (
     "adapter,avg,average,mean,moyenne,media,durchschnittlich,zelle,cella,celda,cellule,obc,dcdc,evse,steering,sensor,throttle"
 )
 _NO_PLACE = "accuracy,error,acceleration,accel,acc,g,force,rate,term,trim,fuel,speed,time"
+# Of a voltage that the app has computed from the measured one, or that the battery has at rest.
+_COMPUTED = "corrected,compensated,open circuit,ocv,estimated,filtered,smoothed,nominal,simulated"
 _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outlet,comp"
 
 QUANTITIES: Mapping[str, Quantity] = {
     "time": Quantity(
         "t_s",
         "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,secs,minutes,hours,elapsed,"
-        "milliseconds,millis,stamp,utc,epoch,"
+        "milliseconds,millis,stamp,utc,epoch,ms today,"
         "zeitstempel,temps,heure,horodatage,tiempo,fecha,hora,tempo,tijd,tid,czas,čas,время,"
         "时间,数据时间,采集时间,時刻,日時,시간",
         _TIME,
         better="time,timestamp,elapsed,epoch,phase",
         worse="since,trip",
-        never="charging,remaining,left,to full,charge,max,min,parking",
+        never="charging,remaining,left,to full,charge,max,min,parking,watt,watts,wh,kwh,amp,amps,"
+        "ampere,ah,energy",
     ),
     "speed": Quantity(
         "speed_mps",
@@ -111,6 +117,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         "u bat,u batt,ubat,ubatt,v bat,v batt,vbat,vbatt",
         _units(v=1.0, volts=1.0, mv=1e-3),
         better=_BATTERY,
+        worse=_COMPUTED,
         never=_OTHERS + ",12,control",
     ),
     "current": Quantity(
@@ -119,6 +126,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         "prąd,proud,ток,总电流,电流,電流,전류,i bat,i batt,ibat,ibatt",
         _units(a=1.0, amps=1.0, ma=1e-3),
         better=_BATTERY,
+        worse=_COMPUTED,
         never=_OTHERS,
     ),
     "power": Quantity(
@@ -127,6 +135,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         "effekt,moc,výkon,мощность,功率,電力,전력",
         _POWER,
         better=_BATTERY,
+        worse=_COMPUTED,
         never=_OTHERS + ",sw",
     ),
     "elevation": Quantity(
@@ -164,16 +173,10 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse="est",
         never="charger,motor,charge,heater,heating,htr," + _NO_POWER,
     ),
-    "auxiliary": Quantity(
-        "auxiliary_w",
-        "aux,auxiliary",
-        _POWER,
-        needs="power,pwr,w,kw",
-        never=_NO_POWER + ",battery,bat",
-    ),
     "charge": Quantity(
         "soc_pct",
-        "soc,stateofcharge,state of charge,battery level,ladezustand,état de charge,"
+        "soc,stateofcharge,state of charge,battery level,charge pct,charge percent,charge level,"
+        "battery pct,battery percent,battery percentage,ladezustand,état de charge,"
         "estado de carga,stato di carica,laadtoestand,stan naładowania,stav nabití,荷电状态",
         _PERCENT,
         better="battery,displayed,display,hv",
@@ -205,6 +208,8 @@ NEEDED = frozenset(("time", "speed", "voltage", "current", "power"))  # of these
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
 # In brackets behind a name, but no unit: where the number comes from.
 ONE_WORD = ("speed", "power")  # a name may be its unit alone
+WORSE = 100.0  # what a name that has a worse phrase is behind those without
+SHORTEST_SPELLED = 3  # letters of a unit that may stand anywhere in a name
 _SPELLED = ("seconds", "minutes", "hours", "milliseconds", "millis")
 QUALIFIERS = _phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start,real")
 
@@ -243,7 +248,8 @@ def score(quantity: str, name: str) -> float:
     )
     if not has(meanings.words) or has(meanings.never) or not needed:
         return 0.0
-    return 1.0 + has(meanings.better) - 0.5 * min(1, has(meanings.worse))
+    better = 1.0 + has(meanings.better)
+    return better if not has(meanings.worse) else better / WORSE
 
 
 def speaks_of(quantity: str, name: str) -> bool:
@@ -269,13 +275,18 @@ def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
     words, brackets = words_of(name)
     if brackets and (unit := known_unit(quantity, brackets[-1])):
         return brackets[-1], unit
-    parts = words.split()
+    parts = words.replace(" per ", "/").split()
     for text in ("/".join(parts[-2:]), parts[-1] if parts else ""):
         # A name of one word is the name: "t" is no ton, and "h" no hour.
         if len(parts) > 1 and text in units:
             return text, units[text]
         if len(parts) == 1 and text in units and (quantity in ONE_WORD or text in _SPELLED):
             return text, units[text]
+    if len(parts) > 1 and quantity in NEEDED - {"time"}:
+        anywhere = [*parts, *map("/".join, pairwise(parts))]
+        spelled = {text for text in anywhere if len(text) >= SHORTEST_SPELLED and text in units}
+        if len({units[text] for text in spelled}) == 1:
+            return (text := min(spelled)), units[text]
     unknown = brackets and brackets[-1] and brackets[-1] not in QUALIFIERS
     return (brackets[-1], None) if unknown else ("", None)
 

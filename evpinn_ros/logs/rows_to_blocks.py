@@ -26,7 +26,8 @@ AMBIENT_C = (-60.0, 70.0)  # what lies outside is no weather but a sensor that s
 # A value that repeats longer is taken again, as of a steady car.
 LONGEST_HELD_NS = 1_500_000_000
 BATTERY = ("voltage", "current", "power", "charge")
-LOADS = ("heating", "aircon", "auxiliary")
+# A column of the 12 V load is none of them: it stands all day, and is learned as such.
+LOADS = ("heating", "aircon")
 MOST = 1e12  # of anything in SI; beyond, products would be infinite
 
 Columns = dict[str, FloatArray]
@@ -166,8 +167,8 @@ class RowBlocks:
         if "ambient" in values:
             yield TemperatureReading, told("ambient", "ambient"), fields("ambient")
         if values.keys() & {*LOADS}:
-            heating, *others = (np.nan_to_num(column) for column in fields(*LOADS))
-            yield AuxiliaryReading, told("loads", *LOADS), (heating, others[0] + others[1])
+            loads = tuple(np.nan_to_num(column) for column in fields(*LOADS))
+            yield AuxiliaryReading, told("loads", *LOADS), loads
         if "motor_torque" in values:
             torque = fields("motor_torque", "motor_speed")
             yield MotorReading, told("motor", "motor_torque"), torque

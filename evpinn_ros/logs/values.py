@@ -40,6 +40,7 @@ STRONG = 150.0  # kW: more is seldom, and as many W move a light vehicle
 WEAKEST = 1000.0  # W: a car that takes no more than this in its whole drive does not drive
 HIGHEST, HEAVIEST = 2000.0, 5000.0  # V, A: of no battery of a vehicle
 HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
+KELVIN = 200.0  # from here on it is K
 ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
 RISES = 0.7  # correlation of power with braking from which on it is that of braking
 SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
@@ -72,8 +73,7 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
     decided = with_speed_unit(decided, cells)
     for name in SIGNED:
         if name in decided and decided[name].why != "as given" and not decided[name].is_ours:
-            positive, shows = _sign(cells[name], decided["speed"], cells)
-            decided[name] = _say_sign(decided[name], positive, shows)
+            decided[name] = _with_sign(decided[name], cells[name], decided["speed"], cells)
     for name, column in decided.items():
         if not column.has_unit:
             units = iter(QUANTITIES[name].units)
@@ -94,7 +94,8 @@ def of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> s
         return ""
     volts_of_all = cells["voltage"].known * columns["voltage"].factor
     middle = float(np.median(volts_of_all)) if volts_of_all.size >= LEAST_EVENTS else np.nan
-    if not 0 < middle < NOT_TRACTION or not np.ptp(cells["current"].known):
+    amperes = cells["current"].known
+    if not 0 < middle < NOT_TRACTION or not amperes.size or not np.ptp(amperes):
         return ""
     volts = at_times(cells["voltage"], cells["current"].time)
     both = np.isfinite(volts) & np.isfinite(cells["current"].value)
@@ -110,21 +111,38 @@ def of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> s
     return f"about {middle:.3g} V whatever the current, not that of the traction battery"
 
 
-def _sign(drawn: Signal, speed: Column, cells: Mapping[str, Signal]) -> tuple[bool, str]:
-    """Sign of a current or power while the battery discharges, and what shows it."""
-    if "voltage" in cells and (sag := _sag(drawn, cells["voltage"])) != 0.0:
-        return sag < 0, "as the voltage shows"
+def _with_sign(
+    column: Column, drawn: Signal, speed: Column, cells: Mapping[str, Signal]
+) -> Column:
+    """The column, positive while the battery discharges; assumed if nothing or two things tell."""
+    sag = _sag(drawn, cells["voltage"]) if "voltage" in cells else 0.0
+    mass = pull(speed.in_si(cells["speed"]), drawn)
+    if sag and mass * sag > 0.0:  # a voltage that the app has computed does not fall under load
+        positive, shows, certain = mass > 0.0, "as accelerating shows, not the voltage", False
+    elif sag:
+        positive, shows, certain = sag < 0.0, "as the voltage shows", True
+    else:
+        positive, shows, certain = _sign_of_driving(drawn, speed, cells)
+    why = f"{'positive' if positive else 'negative'} while it discharges, {shows}"
+    column = replace(column if positive else column.turned(), why=why)
+    return column if certain else column.guessed((f"-{column.unit.lstrip('-')}",))
+
+
+def _sign_of_driving(
+    drawn: Signal, speed: Column, cells: Mapping[str, Signal]
+) -> tuple[bool, str, bool]:
+    """Sign while the battery discharges, what shows it, and whether that is certain."""
     times, change = accelerations(cells["speed"])
     at, change = at_times(drawn, times), change * speed.factor
     taken = at[(change > EVENT) & np.isfinite(at)]
     given = at[(change < -EVENT) & np.isfinite(at)]
     if min(taken.size, given.size) >= LEAST_EVENTS:
-        return bool(taken.mean() > given.mean()), "as accelerating shows"
+        return bool(taken.mean() > given.mean()), "as accelerating shows", True
     fast = at_times(cells["speed"], drawn.time) * speed.factor > CRUISING
     cruise = drawn.value[fast & np.isfinite(drawn.value)]
     if cruise.size < LEAST_CRUISE or cruise.mean() == 0:
-        return True, "assumed"
-    return bool(cruise.mean() > 0), "as driving shows"
+        return True, "assumed", False
+    return bool(cruise.mean() > 0), "as driving shows", True
 
 
 def _sag(current: Signal, voltage: Signal) -> float:
@@ -135,12 +153,6 @@ def _sag(current: Signal, voltage: Signal) -> float:
     near = np.diff(current.time[both]) <= LONGEST_STEP
     alike = correlation(amps[near], volts[near], LEAST_SAGS)
     return alike if abs(alike) > SAG else 0.0
-
-
-def _say_sign(column: Column, positive: bool, shows: str) -> Column:
-    why = f"{'positive' if positive else 'negative'} while it discharges, {shows}"
-    column = replace(column if positive else column.turned(), why=why)
-    return column.guessed((f"-{column.unit.lstrip('-')}",)) if shows == "assumed" else column
 
 
 def wrapped_while_braking(drawn: Signal, speed: Signal) -> float:
@@ -202,6 +214,10 @@ def _charge_unit(column: Column, values: FloatArray) -> Column:
 
 def _temperature_unit(column: Column, values: FloatArray) -> Column:
     middle = float(np.median(values)) if values.size else 0.0
+    if middle > KELVIN:
+        return column.in_unit("k", f"its median of {middle:.3g} is too hot for °C and °F").guessed(
+            ()
+        )
     if middle > HOTTEST:
         return column.in_unit("f", f"its median of {middle:.3g} is too hot for °C").guessed(())
     if column.could_be:  # as its app's setting may be
