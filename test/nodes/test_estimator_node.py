@@ -6,6 +6,7 @@ import pytest
 from std_srvs.srv import SetBool
 
 from evpinn_ros import topics
+from evpinn_ros.core.estimation.trim import Trim
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.nodes.estimator import EstimatorNode
@@ -95,9 +96,10 @@ def test_nothing_that_is_not_finite_is_published(bench, monkeypatch):
     node = bench.start(EstimatorNode)
     bench.read(node, speed(0.0))
     published = node.published[topics.POWER_PREDICTED]
-    trim = node.estimator._learner._trim
-    outputs = trim.outputs
-    monkeypatch.setattr(trim, "outputs", lambda rows, ages: outputs(rows, ages * math.nan))
+    predict = Trim.predict
+    monkeypatch.setattr(
+        Trim, "predict", lambda trim, rows, ages: predict(trim, rows, ages * math.nan)
+    )
     bench.read(node, speed(0.1))
     assert node.published[topics.POWER_PREDICTED] == published
     assert said(bench, node)[2]["bad.output_not_finite"] == "1"

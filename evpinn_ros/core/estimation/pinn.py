@@ -16,11 +16,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated
 
 import numpy as np
 
-from evpinn_ros.common.saved_fields import Range, Saveable
+from evpinn_ros.common.saved_fields import Saveable
 from evpinn_ros.core.estimation.bands import Hills
 from evpinn_ros.core.estimation.breakdown import Breakdowns, EndedDrive
 from evpinn_ros.core.estimation.car import LearnedCar
@@ -56,7 +55,7 @@ from evpinn_ros.core.estimation.saved_car import (
 )
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import Warmth, equation_of
-from evpinn_ros.core.estimation.trim import MOST_TRIM_EVIDENCE, Outputs, Persistence, Trim
+from evpinn_ros.core.estimation.trim import Trim, trim_rows
 from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS
@@ -100,7 +99,7 @@ class _Ahead:
 
 @dataclass(frozen=True, slots=True)
 class SavedPinn:
-    """Everything learned of a car; `trim` is its evidence, `seen_ns` the newest stamp."""
+    """Everything learned of a car; `seen_ns` is the newest stamp."""
 
     car: CarState
     unevenness: Unevenness
@@ -108,9 +107,7 @@ class SavedPinn:
     payload: SavedPayload
     grade: GradeDetector
     current_suspicion: SignDetector
-    trim: Annotated[float, Range(-MOST_TRIM_EVIDENCE, MOST_TRIM_EVIDENCE)]
     seen_ns: Stamp | None
-    persistence: Persistence
     hills: Hills = field(default_factory=Hills)
 
 
@@ -123,7 +120,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """Start at the vehicle's priors, with a network whose output is zero."""
         self._keep_drives = keep_drives
         self._equation = equation_of(vehicle, seed)
-        self._trim = Trim(seed)
+        self._trim, self._trim_age = Trim(), 0.0  # s since it was last learned
         self._sign = SignDetector()
         self._trust = TrustHysteresis()
         self._waiting: list[Interval] = []
@@ -149,7 +146,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._moments, self._predictions = moments, Predictions.of(moments)
         kinds = moments.newest, moments.smoothed, moments.measured
         self._samples = joined_samples(kinds)
-        rows, first = self._trim.rows_of(self._samples), 0
+        rows, first = trim_rows(self._samples), 0
         self._ahead: list[_Ahead] = []
         for samples in kinds:
             self._ahead.append(_Ahead(samples.stamp_ns, first, rows))
@@ -169,10 +166,10 @@ class PinnLearner(Saveable[SavedPinn]):
         """Let the steps from one place to before another happen: predict, and learn."""
         for kind, index in self._moments.steps[first:last]:
             if kind is Step.NEWEST:
-                self._newest.let_pass(self._trim.age)
+                self._newest.let_pass(self._trim_age)
             elif kind is Step.SMOOTHED:
                 self._advance(index)
-                self._smoothed.let_pass(self._trim.age)
+                self._smoothed.let_pass(self._trim_age)
                 self._follow_dropout(index)
             elif kind is Step.MEASURED:
                 self._observe(index)
@@ -203,27 +200,26 @@ class PinnLearner(Saveable[SavedPinn]):
             self._begin_tail()
             self._use(self._car.forget_road())
         self._passed = min(max(passed, 0.0), PARKED)
-        self._trim.advance(self._passed)
+        self._trim_age += self._passed
 
-    def _predict(self, *learned: np.ndarray) -> Outputs:
-        """Predict the samples that wait; gives the trim's outputs, last at a row to learn from."""
+    def _predict(self) -> None:
+        """Predict the samples that wait."""
         kinds = self._newest, self._smoothed
         if any(ahead.passed > ahead.computed for ahead in kinds):
             self._compute()
         parts = [slice(ahead.predicted, ahead.passed) for ahead in kinds]
         rows = [ahead.rows[part] for ahead, part in zip(kinds, parts, strict=True)]
-        ages = [*self._newest.ages, *self._smoothed.ages, *(self._trim.age for _ in learned)]
-        outputs = self._trim.outputs(np.concatenate((*rows, *learned)), np.array(ages))
+        ages = np.array([*self._newest.ages, *self._smoothed.ages])
+        beside, sigma = self._trim.predict(np.concatenate(rows), ages)
         begin = 0
         predictions = self._predictions.newest, self._predictions.smoothed
         for ahead, part, of_kind in zip(kinds, parts, predictions, strict=True):
             end = begin + ahead.passed - ahead.predicted
-            of_kind[part, 0] = ahead.power[part] + outputs.power[begin:end]
-            of_kind[part, 1] = np.hypot(ahead.sigma[part], outputs.sigma[begin:end])
+            of_kind[part, 0] = ahead.power[part] + beside[begin:end]
+            of_kind[part, 1] = np.hypot(ahead.sigma[part], sigma[begin:end])
             ahead.predicted, begin = ahead.passed, end
             ahead.ages.clear()
-        self._follow_trim(outputs.power[end - (parts[1].stop - parts[1].start) : end])
-        return outputs
+        self._follow_trim(beside[end - (parts[1].stop - parts[1].start) : end])
 
     def _follow_dropout(self, index: int) -> None:
         """Note for how long a smoothed sample stands without the battery."""
@@ -260,10 +256,12 @@ class PinnLearner(Saveable[SavedPinn]):
         latest = self._smoothed.passed - 1
         if latest >= 0 and self._smoothed.stamps[latest] == ahead.stamps[index]:
             ahead, index = self._smoothed, latest  # whose power is computed anyway
-        outputs = self._predict(ahead.rows[index : index + 1])
+        self._predict()
         if index >= ahead.computed:
             self._compute()
-        self._trim.learn(ahead.rows[index], outputs, power - float(ahead.power[index]), step)
+        residuals = power - ahead.power[index : index + 1]
+        ages, self._trim_age = np.array([self._trim_age]), 0.0
+        self._trim = self._trim.learned(ahead.rows[index : index + 1], residuals, ages).last()
 
     def add_interval(self, interval: Interval) -> bool:
         """Keep an interval for the next update."""
@@ -337,7 +335,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """Drop recent samples after a jump of time; keep what was learned."""
         self._waiting.clear()
         self._last_ns = None
-        self._trim.advance(PARKED)
+        self._trim_age += PARKED
         self._begin_tail()
         self._use(self._car.forget_road())
 
@@ -360,9 +358,7 @@ class PinnLearner(Saveable[SavedPinn]):
             payload=self._car.payload.saved(),
             grade=self._car.grade,
             current_suspicion=self._sign,
-            trim=self._trim.evidence,
             seen_ns=self._seen_ns,
-            persistence=replace(self._trim.persistence),
         )
 
     def take(self, saved: SavedPinn) -> None:
@@ -379,8 +375,7 @@ class PinnLearner(Saveable[SavedPinn]):
             grade=saved.grade,
         )
         self._sign = saved.current_suspicion
-        self._trim.evidence, self._seen_ns = saved.trim, saved.seen_ns
-        self._trim.persistence = replace(saved.persistence)
+        self._seen_ns = saved.seen_ns
         self._use(car)
 
     def _use(self, car: LearnedCar) -> None:

@@ -187,7 +187,7 @@ def test_paused_it_predicts_and_does_not_learn(new_estimator, play, powers, driv
 
     def noted():  # changes with every sample learned from
         learner = estimator.export()["learner"]
-        return learner.get("variance") or learner["trim"]
+        return learner.get("variance") or learner["current_suspicion"]
 
     before, updates = noted(), estimator.status().updates
     assert powers(play(estimator, from_on(readings, 12.0)))

@@ -60,7 +60,7 @@ def test_a_refused_state_changes_nothing(learned, new_estimator, mode):
     good, estimator = learned(mode).export(), new_estimator(mode=mode)
     before = text_of(estimator)
     numbers = json.loads(json.dumps(good))
-    first = "trim" if mode is Mode.HYBRID else "network"
+    first = "car" if mode is Mode.HYBRID else "network"
     last = "car" if mode is Mode.HYBRID else "variance"
     wrongs = [
         {},
