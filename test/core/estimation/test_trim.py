@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.trim import FADING, Trim, trim_rows
+from evpinn_ros.core.estimation.journey import FORCE_NOISE, POWER_NOISE
+from evpinn_ros.core.estimation.trim import CORRELATED, FADING, PRIOR, Trim, trim_rows
 from evpinn_ros.core.signals.kinematics import PROFILE
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.signals.sample import Sample, Samples
@@ -106,3 +107,15 @@ def test_an_outlier_moves_it_little():
         return at(taught(np.array([residual]), moment), sample(0.0, 15.0, 1.0))[0]
 
     assert 0.0 < after(1e7) < after(3e4)
+
+
+def test_without_time_between_samples_it_is_least_squares():
+    rng, samples = np.random.default_rng(0), drive(20.0)
+    rows = trim_rows(samples)
+    left = rows @ [500.0, 100.0, 200.0, 0.0, 0.0, 0.0] + 200.0 * rng.standard_normal(len(rows))
+    trim = Trim().learned(rows, left, np.zeros(len(rows))).last()
+    noise = CORRELATED * (POWER_NOISE**2 + (FORCE_NOISE * samples.speed) ** 2)
+    information = np.diag(1.0 / PRIOR) + (rows.T / noise) @ rows
+    expected = np.linalg.solve(information, (rows.T / noise) @ left)
+    assert trim.weights[0] == pytest.approx(expected, rel=1e-6)
+    assert trim.covariance[0] == pytest.approx(np.linalg.inv(information), rel=1e-6, abs=1e-6)
