@@ -99,7 +99,11 @@ class TripCorrection(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SavedAccount:
-    """State that outlives a restart: this trip, and what was counted `before_reset`."""
+    """State that outlives a restart: this trip, and what was counted `before_reset`.
+
+    Attributes:
+        charge_before: the last state of charge received while the battery was measured.
+    """
 
     SAME = ("version", "vehicle")
 
@@ -113,6 +117,7 @@ class SavedAccount:
     battery: SavedBattery | None = None
     shown: EnergyTotals | None = None
     route: Route | None = None
+    charge_before: Annotated[float, Range(0.0, 1.0, unknown=True)] = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,7 +290,9 @@ class EnergyAccount(Saveable[SavedAccount]):
     def begin_after_jump(self) -> None:
         """Keep all that was counted, and join nothing to what comes: time jumped."""
         self.admission.begin_anew()
-        self.take(self.saved())
+        saved = self.saved()
+        meter = replace(saved.meter, until_ns=0)
+        self.take(replace(saved, meter=meter, charge_before=math.nan))
 
     def begin_readings_anew(self) -> None:
         """Join no speed and no battery reading to those before: their time jumped."""
@@ -632,6 +639,7 @@ class EnergyAccount(Saveable[SavedAccount]):
             before_reset=self._before_reset,
             shown=self._shown,
             route=self._route_ahead(),
+            charge_before=self._charge_before,
         )
 
     def take(self, saved: SavedAccount) -> None:
@@ -645,6 +653,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         else:
             self.battery.take(saved.battery)
         self._begin(saved.before_reset, saved.correction)
+        self._charge_before = saved.charge_before
 
 
 def _is_possible(power: Any, sigma: Any, most: float) -> Any:

@@ -4,7 +4,8 @@ The state of charge before and after says the energy of a dropout too, as sure a
 the capacity are: two statements of one quantity, joined by their variances. What cannot be: a
 state of charge that rose was charged in between, and two statements further apart than three
 sigma contradict each other; then the prediction stays, and the diagnostics say so. Where speed
-was silent as well the prediction lacks that time: the state of charge alone counts. Without a
+was silent as well the prediction lacks that time: the state of charge, if it is surer than what
+may have been taken in that time (`energy.hole`), counts alone. Without a
 state of charge nothing is known of how wrong the prediction was: the battery tells power, and the
 power of that time is gone.
 """
@@ -47,7 +48,7 @@ class Dropout(NamedTuple):
         duration: s.
         bridge: what the prediction says of it.
         short_sigma: 1-sigma of its energy by errors of power that pass, J.
-        sigma: 1-sigma of its energy with the error that lasts too, J.
+        sigma: 1-sigma of its energy with the error that lasts and what is unknown too, J.
     """
 
     end_ns: int
@@ -105,7 +106,7 @@ def reconcile(dropout: Dropout, by_charge: Uncertain) -> Reconciled:
     both = math.hypot(dropout.sigma, by_charge.sigma)
     if difference < -CONTRADICTION * both and by_charge.value < 0:
         return keep(Verdict.CHARGED)
-    if dropout.unknown_s > MOST_UNKNOWN:
+    if dropout.unknown_s > MOST_UNKNOWN and by_charge.sigma < dropout.sigma:
         taken = dropout.sigma**2 - by_charge.sigma**2
         return Reconciled(dropout, by_charge, difference, taken, Verdict.CHARGE_ALONE)
     if abs(difference) > CONTRADICTION * both:

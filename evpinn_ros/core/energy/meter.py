@@ -1,8 +1,9 @@
 """Energy consumed since reset: measured, predicted, integrated by the Runge-Kutta network.
 
 The measured integral stays where it is during a battery dropout; the predicted ones go on from
-speed alone, and bridge it. When speed drops out as well, nothing is known of what was taken: that
-time is counted, and no line is drawn across it.
+speed alone, and bridge it. When speed drops out as well, or the process was away for minutes,
+nothing is known of what was taken: no line is drawn across that time, but it is counted, and what
+may have been taken is in sigma (`energy.hole`).
 
 Power comes in blocks, of predictions and of measurements, each with its position in the order of
 arrival; how they are cut changes nothing.
@@ -15,13 +16,14 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import starmap
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.saved_fields import Saveable
+from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.energy.dropout import LEAST_DROPOUT, Bridge, Dropout
+from evpinn_ros.core.energy.hole import RecentPower, away_since, recent_powers, taken_variance
 from evpinn_ros.core.energy.plausible import ROUNDING, Joules, Seconds, Sigma
 from evpinn_ros.core.energy.quadrature import (
     MAX_GAP,
@@ -36,6 +38,7 @@ from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 BATCH = 4000  # steps that the network takes at once
+LAST_NS = np.iinfo(np.int64).max
 LATEST_NS = 15 * NANOSECONDS  # by which a word of the battery may be late, and still say when
 
 
@@ -75,7 +78,8 @@ class EnergyState:
         gaps: steps too long to integrate, of measured and predicted power together.
         dropped: samples dropped (out of order or not finite), of both together.
         unmeasured_s: time since reset without measured power, s.
-        unknown_s: the part of it without predicted power either, s: energy that was not counted.
+        unknown_s: the part of it without predicted power either, s: energy that was not counted,
+            but is in `consumed_sigma`.
         measuring: False while the state is `predicting`.
     """
 
@@ -117,7 +121,13 @@ class Counts(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SavedMeter:
-    """Integrals of a meter, their 1-sigma, J, and what `Dropouts` holds; see `EnergyState`."""
+    """Integrals of a meter, their 1-sigma, J, and what `Dropouts` holds; see `EnergyState`.
+
+    Attributes:
+        until_ns: the moment up to which all is counted, 0 if nothing is to be joined to it.
+        recent_predicted: power of the last minutes.
+        recent_measured: likewise.
+    """
 
     measured: SavedIntegral = field(default_factory=SavedIntegral)
     predicted: SavedIntegral = field(default_factory=SavedIntegral)
@@ -128,6 +138,9 @@ class SavedMeter:
     bridged_sigma: Sigma = 0.0
     lasting_sigma: Sigma = 0.0
     unmeasured_s: Seconds = 0.0
+    until_ns: Annotated[int, Range(0, LAST_NS)] = 0
+    recent_predicted: RecentPower = field(default_factory=RecentPower)
+    recent_measured: RecentPower = field(default_factory=RecentPower)
 
     def __post_init__(self) -> None:
         """Refuse what no car can have drawn in that time."""
@@ -179,7 +192,8 @@ class MeterCourse:
         rknn: by the network, J, and its power, W, shape (n + 1, 2).
         variances: of the energies predicted and measured, J^2, shapes (n + 1,) and (m + 1,).
         powers: the last ones used, W, likewise.
-        newest_ns: of the stamps, likewise.
+        recent: `RecentPower` of both, shapes (n + 1, 3) and (m + 1, 3).
+        newest_ns: of the stamps, shapes (n + 1,) and (m + 1,).
         told: what the estimator last told: energy of a dropout and its 1-sigma, shape (n + 1, 2).
         since_ns: the last word of the battery, 0 before any, shape (m + 1,).
         first_ns: stamp of the first prediction, which stands in for that, shape (n + 1,).
@@ -200,6 +214,7 @@ class MeterCourse:
     rknn: np.ndarray
     variances: tuple[np.ndarray, np.ndarray]
     powers: tuple[np.ndarray, np.ndarray]
+    recent: tuple[np.ndarray, np.ndarray]
     newest_ns: tuple[np.ndarray, np.ndarray]
     told: np.ndarray
     since_ns: np.ndarray
@@ -276,7 +291,17 @@ class MeterCourse:
         is_told = np.isfinite(told[:, 1])
         short = np.where(is_told, told[:, 1], guessed)
         lasting = np.hypot(guessed, LASTING_SHARE * bridge[:, 2])
-        return bridge, short, np.where(is_told, told[:, 1], lasting)
+        hole = self._hole(at, np.maximum(seconds - bridge[:, 3], 0.0))
+        return bridge, short, np.hypot(np.where(is_told, told[:, 1], lasting), np.sqrt(hole))
+
+    def _hole(self, at: Counts, seconds: np.ndarray) -> np.ndarray:
+        """Variance, J^2, of what was taken in time that is not predicted either, s."""
+        by_both = (
+            taken_variance(recent[counts], seconds)
+            for recent, counts in zip(self.recent, at, strict=True)
+        )
+        variance: np.ndarray = np.maximum(*by_both)
+        return variance
 
     def until_now(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
         """All dropouts, the present one among them, and where there is one; shape (k, 7), (k,)."""
@@ -290,6 +315,15 @@ class MeterCourse:
         unmeasured_s = np.where(silent, seconds, 0.0)  # a slow battery will tell of this time
         present = np.column_stack((bridge, variance, variance - short**2, unmeasured_s))
         return dropouts + np.where(open_step[:, None], present, 0.0), silent
+
+    def counted_until(self, at: Counts) -> np.ndarray:
+        """The moments up to which `consumed` counts, ns, shape (k,)."""
+        newest_ns = self.newest(at)
+        seconds = self.silent_s(at, newest_ns)
+        bridged = self.silent(at, seconds) | (seconds > MAX_GAP)
+        since_ns = self.since_ns[at.measured]
+        until_ns: np.ndarray = np.where(bridged, np.maximum(newest_ns, since_ns), since_ns)
+        return until_ns
 
     def consumed(self, at: Counts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Net energy, J, its variance, J^2, and time without the battery, s, shape (k,) each."""
@@ -398,9 +432,10 @@ class EnergyMeter(Saveable[SavedMeter]):
             rknn=np.array([[saved.rknn, math.nan]]),
             variances=(np.array([variance]), np.array([saved.measured_sigma**2])),
             powers=(np.array([math.nan]), np.array([math.nan])),
+            recent=(np.array([saved.recent_predicted]), np.array([saved.recent_measured])),
             newest_ns=(nothing, nothing),
             told=np.full((1, 2), math.nan),
-            since_ns=nothing,
+            since_ns=np.array([saved.until_ns], np.int64),
             first_ns=nothing,
             heard=np.zeros(1, dtype=bool),
             anchors=np.array([[*parts, variance]]),
@@ -413,7 +448,7 @@ class EnergyMeter(Saveable[SavedMeter]):
 
     def add(self, predicted: PowerBlock, measured: PowerBlock) -> MeterCourse:
         """Take what arrived since the last block."""
-        last = self.course
+        last = _joined_to_before(self.course, predicted, measured)
         dropped = self._predicted.dropped + self._measured.dropped
         ours = self._predicted.extend(predicted.stamp_ns, predicted.power)
         theirs = self._measured.extend(measured.stamp_ns, measured.power)
@@ -451,6 +486,7 @@ class EnergyMeter(Saveable[SavedMeter]):
                 np.concatenate((last.powers[0][-1:], ours.end))[ours.used],
                 np.concatenate((last.powers[1][-1:], theirs.end))[theirs.used],
             ),
+            recent=(_recent(last.recent[0], ours), _recent(last.recent[1], theirs)),
             newest_ns=(
                 _newest(last.newest_ns[0], predicted.stamp_ns),
                 _newest(last.newest_ns[1], measured.stamp_ns),
@@ -495,17 +531,22 @@ class EnergyMeter(Saveable[SavedMeter]):
 
     def saved(self) -> SavedMeter:
         """State to save, the present dropout counted in it."""
-        now = self.course.until_now(self.course.end)[0][0].tolist()
+        course, end = self.course, self.course.end
+        now = course.until_now(end)[0][0].tolist()
+        recent = (RecentPower(*rows[-1].tolist()) for rows in course.recent)
         return SavedMeter(
             measured=self._measured.total,
             predicted=self._predicted.total,
-            rknn=float(self.course.rknn[-1, 0]),
+            rknn=float(course.rknn[-1, 0]),
             measured_sigma=self._errors[1].sigma,
             predicted_sigma=self._errors[0].sigma,
             bridged=Bridge(*now[:4]),
             bridged_sigma=math.sqrt(now[4]),
             lasting_sigma=math.sqrt(now[5]),
             unmeasured_s=now[6],
+            until_ns=int(course.counted_until(end)[0]),
+            recent_predicted=next(recent),
+            recent_measured=next(recent),
         )
 
 
@@ -513,6 +554,25 @@ def _newest(last_ns: np.ndarray, stamps: np.ndarray) -> np.ndarray:
     """The newest stamp after none of some and after each, ns."""
     newest_ns: np.ndarray = np.maximum.accumulate(np.concatenate((last_ns[-1:], stamps)))
     return newest_ns
+
+
+def _joined_to_before(
+    course: MeterCourse, predicted: PowerBlock, measured: PowerBlock
+) -> MeterCourse:
+    """The course before a block, without what was saved too long before its first stamp."""
+    firsts = np.concatenate((predicted.stamp_ns[:1], measured.stamp_ns[:1]))
+    begun = course.heard[-1] or course.first_ns[-1] or not course.since_ns[-1]
+    if begun or not len(firsts):
+        return course
+    since_ns = away_since(int(course.since_ns[-1]), int(firsts.min()))
+    return replace(course, since_ns=np.array([since_ns], np.int64))
+
+
+def _recent(last: np.ndarray, course: Course) -> np.ndarray:
+    """`RecentPower` after each sample of a block, shape (n + 1, 3)."""
+    steps = course.steps, course.begin, course.end, course.joined
+    rows: np.ndarray = recent_powers(last[-1], *steps)[course.used]
+    return rows
 
 
 def _variances(

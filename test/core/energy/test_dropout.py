@@ -38,7 +38,9 @@ def test_two_statements_are_joined_by_their_variances():
 
 
 def test_where_speed_was_silent_too_the_state_of_charge_counts_alone():
-    joined = reconcile(silence(covered=300.0), Uncertain(2000 * WH, 80 * WH))
+    joined = reconcile(silence(covered=300.0), Uncertain(2000 * WH, 50 * WH))
     assert joined.verdict is Verdict.CHARGE_ALONE
     assert joined.correction == pytest.approx(1000 * WH)
-    assert joined.variance_taken == pytest.approx((60 * WH) ** 2 - (80 * WH) ** 2)
+    assert joined.variance_taken == pytest.approx((60 * WH) ** 2 - (50 * WH) ** 2)
+    rough = reconcile(silence(covered=300.0), Uncertain(1100 * WH, 80 * WH))
+    assert rough.verdict is Verdict.JOINED and rough.variance_taken > 0.0

@@ -1,0 +1,88 @@
+"""A hole: time of which neither the battery nor a prediction from speed says anything.
+
+What the car took in it is not counted, but it is in sigma, as what power of the last minutes lets
+expect: their mean power may have gone on all the time, and their spread about it was walked as an
+error of power that is forgotten after seconds. A car that stood before may have driven off, so
+some seconds of driving are added to those minutes.
+
+On 18 drives (12 of a BMW i3, 6 of the Changchun sedan) cut at random for 2 to 300 s, what was
+taken is 0.76 sigma as root mean square, 0.7 to 0.95 for each length, and 2 % are beyond 2 sigma.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple, TypeAlias
+
+import numpy as np
+
+from evpinn_ros.common.saved_fields import Range
+from evpinn_ros.core.energy.plausible import MOST_ENERGY, Joules
+from evpinn_ros.core.energy.uncertainty import walked
+from evpinn_ros.core.signals.admission import MAX_POWER
+from evpinn_ros.core.signals.readings import NANOSECONDS
+
+MEMORY = 180.0  # s of the power that counts
+FORGOTTEN = 5.0  # s after which power in a hole is another
+DRIVING_S, DRIVING_POWER = 30.0, 15e3  # s and W, as root mean square, added to what is known
+LONGEST = 600.0  # s; who was away longer may have been switched off, as the car
+
+Weight: TypeAlias = Annotated[float, Range(0.0, 2 * MEMORY)]
+Square: TypeAlias = Annotated[float, Range(0.0, MAX_POWER * MOST_ENERGY)]
+
+
+class RecentPower(NamedTuple):
+    """Power of the last minutes: integrals in which each moment fades with its age.
+
+    Attributes:
+        seconds: of time, s.
+        energy: of power, J.
+        square: of its square, W^2 s.
+    """
+
+    seconds: Weight = 0.0
+    energy: Joules = 0.0
+    square: Square = 0.0
+
+
+def recent_powers(
+    before: np.ndarray, steps: np.ndarray, begin: np.ndarray, end: np.ndarray, joined: np.ndarray
+) -> np.ndarray:
+    """Rows of `RecentPower` before and after each of n steps, shape (n + 1, 3).
+
+    Args:
+        before: the first row.
+        steps: s, shape (n,) as all.
+        begin: power there, W.
+        end: power there, W.
+        joined: whether power was known within the step.
+    """
+    known = steps * joined
+    parts = known, known * (begin + end) / 2, known * (begin**2 + begin * end + end**2) / 3
+    seconds, energy, square = before.tolist()
+    rows = [(seconds, energy, square)]
+    columns = (np.exp(-steps / MEMORY), *parts)
+    for share, time, joules, squared in zip(*(c.tolist() for c in columns), strict=True):
+        seconds = share * seconds + time
+        energy = share * energy + joules
+        square = share * square + squared
+        rows.append((seconds, energy, square))
+    return np.array(rows)
+
+
+def taken_variance(recent: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+    """Variance about zero, J^2, of the energy taken in holes, s, shape (k,).
+
+    `recent` has a row of `RecentPower` for each.
+    """
+    known, energy, square = recent.T
+    weight = known + DRIVING_S
+    mean = energy / weight
+    spread = np.maximum(square / weight - mean**2, 0.0)
+    lasting = mean**2 + DRIVING_S / weight * DRIVING_POWER**2
+    variance: np.ndarray = lasting * seconds**2 + spread * walked(seconds, FORGOTTEN)
+    return variance
+
+
+def away_since(since_ns: int, first_ns: int) -> int:
+    """The moment since which nothing was counted, ns; 0 if there is no hole up to the first."""
+    return since_ns if 0 < first_ns - since_ns <= LONGEST * NANOSECONDS else 0
