@@ -18,7 +18,7 @@ DEMO_EXTRAS := report,tables
 else
 DEMO_EXTRAS := ros,report,tables
 endif
-EXTRAS := $(DEMO_EXTRAS),dev,bench,foxglove,fleet,site
+EXTRAS := $(DEMO_EXTRAS),dev,bench,fleet,site
 
 # `make demo` runs with all of the environment where there is one, else with what a user installs.
 DEMO := $(or $(wildcard $(INSTALLED)),$(VENV)/demo)

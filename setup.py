@@ -112,8 +112,6 @@ setup(
         # `evpinn mqtt`, and the feeder of a KUKSA databroker.
         "mqtt": ["paho-mqtt>=2"],
         "vss": ['kuksa-client>=0.6; python_version >= "3.11"'],
-        # Serves `evpinn run --foxglove` and `evpinn view`.
-        "foxglove": ["foxglove-sdk"],
         # `make site`: the documents and every public docstring as a site.
         "site": ["mkdocs-material", "mkdocstrings-python"],
         # By this name `colcon test` knows that pytest is meant.
@@ -140,7 +138,6 @@ setup(
             "types-PyYAML",
             "uv",
             'vss-tools; python_version >= "3.11"',
-            "websockets",
             "zizmor",
         ],
     },

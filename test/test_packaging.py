@@ -36,7 +36,6 @@ NAMES = {
     "can": ("python-can", "python3-can"),
     "cantools": ("cantools", "python3-cantools-pip"),
     "distributed": ("dask", None),
-    "foxglove": ("foxglove-sdk", None),
     "isotp": ("can-isotp", None),
     "jinja2": ("jinja2", None),
     "libsumo": ("libsumo", None),

@@ -115,13 +115,6 @@ ElevationOption = Annotated[
         help="Heights for a log with positions: a folder of SRTM or GeoTIFF tiles.",
     ),
 ]
-OriginOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="ORIGIN",
-        help="Let a web page of this origin connect too, for example http://localhost:8080.",
-    ),
-]
 
 
 def _read_options(

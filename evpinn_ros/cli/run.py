@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import partial
 import math
 from pathlib import Path
 import shlex
@@ -24,7 +23,6 @@ from evpinn_ros.cli.options import (
     CanProfileOption,
     Elm327Option,
     KeptStateOption,
-    OriginOption,
     ParamsOption,
     ReportOption,
     TrustProfileOption,
@@ -39,7 +37,6 @@ from evpinn_ros.common.units import MEGABYTE, UnitSystem
 from evpinn_ros.common.writer import check_outputs, copy_file
 from evpinn_ros.core.estimation.estimator import Mode
 from evpinn_ros.core.estimation.state_file import account_path
-from evpinn_ros.nodes.live.foxglove import LOOPBACK, PORT
 from evpinn_ros.nodes.saved_state import state_path
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
@@ -182,15 +179,6 @@ def run(
     no_view: Annotated[
         bool, typer.Option("--no-view", help="Print logs in place of the view.")
     ] = False,
-    foxglove: Annotated[bool, typer.Option("--foxglove", help="Let Foxglove connect.")] = False,
-    foxglove_host: Annotated[
-        str, typer.Option(help="Address on which Foxglove can connect.")
-    ] = LOOPBACK,
-    foxglove_port: Annotated[
-        int,
-        typer.Option(min=0, max=65535, help="Port of the Foxglove server; 0 for any free one."),
-    ] = PORT,
-    foxglove_origin: OriginOption = None,
 ) -> None:
     """Run CAN bridge, estimator and energy live, until Ctrl-C.
 
@@ -202,7 +190,6 @@ def run(
     """
     # Imported here: all other commands work where no ROS is.
     from evpinn_ros.nodes.all_in_one import run as run_nodes
-    from evpinn_ros.nodes.live.foxglove_node import FoxgloveNode
     from evpinn_ros.nodes.live.view import live_view
 
     if elm327 is not None:
@@ -225,7 +212,6 @@ def run(
     check_outputs((record, report, state), (params, Path(vehicle)))
     split = Split((split_size or math.inf) * MEGABYTE, split_time or math.inf)
     parameters = {name: value for name, value in given.items() if value is not None}
-    served_at = foxglove_host, foxglove_port, foxglove_origin or ()
     ros_args = ["--params-file", str(params)] if params is not None else []
     with ExitStack() as beside:  # left when the nodes have ended, before this process is
         start = learned_before(state, params)
@@ -245,7 +231,6 @@ def run(
             parameters,
             record=record,
             split=split,
-            servers=[partial(FoxgloveNode, *served_at)] if foxglove else [],
             beside=beside,
             ros_args=ros_args,
         )

@@ -11,7 +11,6 @@ from evpinn_ros.common.errors import InputError
 EXTRA_OF = {
     "asammdf": "mf4",
     "distributed": "fleet",
-    "foxglove": "foxglove",
     "jinja2": "report",
     "kuksa_client": "vss",
     "matplotlib": "report",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,6 @@ from typing import Any
 from evpinn_ros.bags.writer import Split
 from evpinn_ros.can.frame import RawFrames
 from evpinn_ros.nodes import running
-from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.can_bridge import CanBridgeNode
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
@@ -30,22 +29,20 @@ def run(
     *,
     record: Path | None = None,
     split: Split | None = None,
-    servers: Sequence[Callable[..., GuardedNode]] = (),
     beside: AbstractContextManager[object] | None = None,
     ros_args: Sequence[str] = (),
 ) -> int:
     """Run everything until SIGINT or SIGTERM; returns 1, with a line on stderr, for wrong input.
 
-    `parameters` go over any file's; `record` is a folder for a bag with raw frames; `servers` make
-    more nodes; `beside` is entered before the nodes start; `ros_args` may follow `--ros-args`.
+    `parameters` go over any file's; `record` is a folder for a bag with raw frames; `beside` is
+    entered before the nodes start; `ros_args` may follow `--ros-args`.
     """
     args = ["--ros-args", *ros_args] if ros_args else []
     options: dict[str, dict[str, Any]] = {
         name: {"namespace": NAMESPACE, "parameter_overrides": overrides(of_node(name, parameters))}
         for name in NODES
     }
-    # What can fail for want of a port comes first, before a bus is opened.
-    makers: list[running.MakeNode] = [partial(make, namespace=NAMESPACE) for make in servers]
+    makers: list[running.MakeNode] = []
     if record is not None:
         frames: RawFrames = deque()
         options["can_bridge"]["record"] = frames

@@ -72,7 +72,6 @@ def test_a_command_whose_extra_is_missing_says_at_once_how_to_install_it(tmp_pat
         ("run", *OF_TESLA, "--report", "report.html"): "report",
         ("reproduce", BAG, *OF_TESLA, "--out", "out"): "report",
         ("fleet", BAG, "--out", "out"): "report",
-        ("view", BAG): "foxglove",
         ("mqtt", *OF_TESLA): "mqtt",
         ("vss", *OF_TESLA): "vss",
     }

@@ -31,7 +31,7 @@ VECTORS = (
 )
 WATCHED = (*topics.SPEEDS, topics.BATTERY, *VECTORS, topics.DIAGNOSTICS)
 POWERS = {topics.POWER_MEASURED: "measured", topics.POWER_PREDICTED: "predicted"}
-NODES = ("can_bridge", "estimator", "energy", "recorder", "foxglove")
+NODES = ("can_bridge", "estimator", "energy", "recorder")
 
 STALE_AFTER = 3.0  # s without a message
 RATE_WINDOW = 5.0  # s over which messages are counted
