@@ -1,16 +1,15 @@
 """CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, .csv of two kinds; also gzipped.
 
-Damaged .mf4 can crash asammdf, which runs apart (extra `mf4`). python-can trusts every length that
-a damaged .blf claims, so .blf has a reader of its own; so has SavvyCAN's and GVRET's .csv, a
-hexadecimal frame a row: `Time Stamp,ID,Extended,Dir,Bus,LEN,D1,...,D8`, in microseconds; version 1
-has no `Dir`.
+Damaged .mf4 can crash asammdf (extra `mf4`), and python-can trusts every length that a damaged
+.blf claims: both run apart. SavvyCAN's and GVRET's .csv has a reader of its own, a hexadecimal
+frame a row: `Time Stamp,ID,Extended,Dir,Bus,LEN,D1,...,D8`, in microseconds; version 1 has no
+`Dir`.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 import csv
 from datetime import datetime
 from functools import partial
@@ -19,21 +18,19 @@ from itertools import pairwise
 import logging
 from pathlib import Path
 import re
-import struct
 from tempfile import TemporaryDirectory
 from typing import IO, Any
-import zlib
 
 import can
 from can.io import mf4
 
 from evpinn_ros.can.frame import CanFrame, FirstBus, nanoseconds
 from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES, MF4
-from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.common.months import MONTHS
 from evpinn_ros.common.opener import LONGEST_LINE, open_file, open_unpacked
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.sandbox import run_apart
 from evpinn_ros.common.writer import replaced
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
@@ -85,16 +82,8 @@ LAST_ID, LAST_EXTENDED_ID, LONGEST_DATA = 0x7FF, 0x1FFFFFFF, 64
 LAST_TIME = 2.0**33  # s since 1970: the year 2242
 END = 64 << 10  # bytes at either end of a log that tell how long it is
 MICROSECOND = 1e-6
-
-# Bytes of a log that are read or kept at once. Vector's and python-can's containers hold 128 KB;
-# deflate makes a thousand times as much of zeros, and an object can claim to go on for ever.
-LARGEST_OBJECT = 512 << 10
-
-_MARK = b"LOBJ"
-_OBJECT = struct.Struct("<4sHHII")  # mark, size and version of the header, size, type
-_PADDING = 4
-_CONTAINER, _STORED, _DEFLATED = 10, 0, 2  # an object of objects, and how it is packed
-_METHOD = struct.Struct("<H14x")
+APART = {MF4: "convert_mf4", ".blf": "convert_blf"}  # functions that another process runs
+NO_FRAME = 1 << 30  # no id, so it is counted where the converted log is read
 
 # They would show lines of a damaged log on the terminal, unchanged and each of them.
 logging.getLogger("can.io").setLevel(logging.CRITICAL)
@@ -135,11 +124,11 @@ class LogFile:
         try:
             with open_file(self.path) as file:
                 if self._suffix == ".blf":
-                    reader = BlfReader(file)
+                    reader = can.BLFReader(file)
                     seconds = reader.stop_timestamp - reader.start_timestamp
                 else:
                     lines = _Lines(_ends(file), self._suffix)
-                    frames = list(ends._read(lines))
+                    frames = list(ends._read(lines, self._suffix))
                     if lines.summed:  # of lines that are not there
                         return None
                     seconds = (frames[-1].stamp_ns - frames[0].stamp_ns) / NANOSECONDS
@@ -149,50 +138,43 @@ class LogFile:
 
     def frames(self) -> Iterator[CanFrame]:
         """Every data frame up to the end or the first damage; InputError without any."""
-        for frame in self._converted() if self._suffix == MF4 else self._until_broken():
+        apart = self._suffix in APART
+        for frame in self._converted() if apart else self._until_broken(self.path, self._suffix):
             self.count += 1
             yield frame
         if self.count == 0:
             nothing = self._first_bus.missing or "no CAN frame in it"
             raise InputError(self.problem or f"{self.path}: {nothing}")
 
-    def _until_broken(self) -> Iterator[CanFrame]:
-        with self._open() as file:
-            lines = None if self._suffix == ".blf" else _Lines(file, self._suffix)
+    def _until_broken(self, path: Path, suffix: str) -> Iterator[CanFrame]:
+        with as_input_error(self.path):
+            packed = open_unpacked(path)
+        with io.TextIOWrapper(packed, encoding="utf-8", errors="replace") as file:
+            lines = _Lines(file, suffix)
             # The readers are foreign code over a damaged file: whatever they raise says the same
             # thing, that the log ends here. Whoever takes the frames is not inside the try.
             try:
-                yield from self._read(lines or file)
+                yield from self._read(lines, suffix)
             except InputError:  # two cars
                 raise
             except Exception as error:
-                place = f"{self.path}:{lines.number}" if lines else str(self.path)
+                place = f"{self.path}:{lines.number}"
                 self.problem = f"{place}: broken after {self.count} frames: {one_line(error)}"
-                if self.count == 0 and lines is not None and lines.line:
+                if self.count == 0 and lines.line:
                     self.problem = f"{place}: {lines.line[:40]!r} is of none of the {FORMATS}"
 
     def _converted(self) -> Iterator[CanFrame]:
-        """The frames of an .mf4, by way of a candump log that another process makes of it."""
+        """The frames by way of a candump log that another process makes."""
         with TemporaryDirectory() as folder:
             path = Path(folder) / "converted.log"
-            failed = run_apart(f"{__name__}:convert_mf4", self.path, path)
-            with suppress(InputError):  # no file, or no frame in it: refused below
-                log = LogFile(path)
-                self.skipped = log.skipped
-                yield from log.frames()
+            failed = run_apart(f"{__name__}:{APART[self._suffix]}", self.path, path)
+            if path.exists():
+                yield from self._until_broken(path, ".log")
         if failed:
             self.problem = f"{self.path}: broken after {self.count} frames: {failed}"
 
-    def _open(self) -> IO[Any]:
-        with as_input_error(self.path):
-            file = open_unpacked(self.path)
-        if self._suffix == ".blf":
-            return file
-        return io.TextIOWrapper(file, encoding="utf-8", errors="replace")
-
-    def _read(self, file: IO[Any] | _Lines) -> Iterator[CanFrame]:
-        reader = _READERS[self._suffix](file)
-        for message in reader:
+    def _read(self, lines: _Lines, suffix: str) -> Iterator[CanFrame]:
+        for message in _READERS[suffix](lines):
             if message.is_error_frame:
                 self.skipped["error_frame"] += 1
             elif message.is_remote_frame:
@@ -208,11 +190,7 @@ class LogFile:
             else:
                 yield CanFrame.of(message, nanoseconds(message.timestamp))
         # These readers stop where the file stops and are content; gzip notices by itself.
-        if isinstance(file, _Lines):
-            cut_off = file.cut_off
-        else:
-            cut_off = not self._gzipped and reader.file_size > self.path.stat().st_size
-        if cut_off:
+        if lines.cut_off:
             self.problem = f"{self.path}: cut off after {self.count} frames"
 
 
@@ -313,8 +291,28 @@ class _Lines:
 
 def convert_mf4(path: Path, out: Path) -> None:
     """Write the frames of an .mf4 as a candump log, up to where it is broken."""
-    with open_file(path) as file, can.CanutilsLogWriter(out) as log:
-        for message in mf4.MF4Reader(file):
+    with open_file(path) as file:
+        _convert(mf4.MF4Reader(file), out)
+
+
+def convert_blf(path: Path, out: Path) -> None:
+    """Write the frames of a .blf as a candump log, up to where it is broken."""
+    with open_unpacked(path) as file:
+        reader = can.BLFReader(file)
+        _convert(reader, out)
+        if path.suffix.lower() != ".gz" and reader.file_size > path.stat().st_size:
+            raise ValueError("cut off")  # which the reader does not notice, as gzip does
+
+
+def _convert(messages: Iterable[Any], out: Path) -> None:
+    # By lines: what came before the damage is there when this process is killed.
+    with (
+        out.open("w", encoding="ascii", buffering=1) as lines,
+        can.CanutilsLogWriter(lines) as log,
+    ):
+        for message in messages:
+            if not _is_possible(message):
+                message.arbitration_id, message.is_extended_id = NO_FRAME, True
             log.on_message_received(message)
 
 
@@ -334,67 +332,6 @@ def _candump_line(frame: CanFrame) -> str:
     # Two marks and a digit of flags tell a CAN FD frame, the only one longer than 8 bytes.
     mark = "##0" if len(frame.data) > 8 else "#"
     return f"({seconds}.{rest:06d}) can0 {can_id}{mark}{frame.data.hex().upper()}\n"
-
-
-class BlfReader(can.BLFReader):  # type: ignore[misc]  # python-can has types but no marker
-    """Reads a log and raises ValueError where an object is too large or has no size at all."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        super().__init__(_Bounded(file))
-
-    def __iter__(self) -> Iterator[Any]:
-        """The messages; a container that unpacks to more than an object may have is refused."""
-        while head := self.file.read(_OBJECT.size):
-            mark, _, _, size, kind = _OBJECT.unpack(head)
-            if mark != _MARK or size < _OBJECT.size:
-                raise ValueError("an object does not begin as one")
-            content = self.file.read(size - _OBJECT.size)
-            self.file.read(size % _PADDING)
-            if kind != _CONTAINER:
-                continue
-            (method,) = _METHOD.unpack_from(content)
-            data = content[_METHOD.size :]
-            if method == _DEFLATED:
-                data = zlib.decompressobj().decompress(data, LARGEST_OBJECT + 1)
-                if len(data) > LARGEST_OBJECT:
-                    raise ValueError(f"an object unpacks to more than {LARGEST_OBJECT} bytes")
-            if method in (_STORED, _DEFLATED):
-                yield from self._parse_container(data)
-
-    def _parse_container(self, data: bytes) -> Iterator[Any]:
-        if len(self._tail) > LARGEST_OBJECT:
-            raise ValueError(f"an object is larger than {LARGEST_OBJECT} bytes")
-        yield from super()._parse_container(data)
-
-    def _parse_data(self, data: bytes) -> Iterator[Any]:
-        """The messages; an object of no size would be read for ever."""
-        end = _sound_until(data)
-        yield from super()._parse_data(data[:end])
-        if end < len(data):
-            raise ValueError("an object has no size")
-
-
-class _Bounded:
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file, self.close = file, file.close
-
-    def read(self, size: int) -> bytes:
-        if not 0 <= size <= LARGEST_OBJECT:
-            raise ValueError(f"an object is larger than {LARGEST_OBJECT} bytes")
-        return self._file.read(size)
-
-
-def _sound_until(data: bytes) -> int:
-    """Position of the first object that is shorter than its own header; else the end."""
-    position = 0
-    while True:
-        position = data.find(_MARK, position, position + 2 * _PADDING)
-        if position < 0 or position + _OBJECT.size > len(data):
-            return len(data)
-        size = _OBJECT.unpack_from(data, position)[3]
-        if size < _OBJECT.size:
-            return position
-        position += size
 
 
 def gvret_messages(lines: Iterable[str]) -> Iterator[can.Message]:
@@ -423,7 +360,6 @@ def gvret_messages(lines: Iterable[str]) -> Iterator[can.Message]:
 _READERS: dict[str, Callable[..., Any]] = {
     ".log": can.CanutilsLogReader,
     ".asc": can.ASCReader,
-    ".blf": BlfReader,
     ".trc": can.TRCReader,
     ".csv": _csv_reader,
 }

@@ -2,7 +2,7 @@
 
 A named pipe would be waited for, a device read for ever. Parsers are bounded here: bytes of a
 file, its ratio, characters of a line. A foreign one whose format can lie runs apart
-(`common.apart`).
+(`common.sandbox`).
 """
 
 from __future__ import annotations

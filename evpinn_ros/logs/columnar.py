@@ -1,4 +1,4 @@
-"""Parquet and Feather as text, by polars, which runs apart (`common.apart`)."""
+"""Parquet and Feather as text, by polars, which runs apart (`common.sandbox`)."""
 
 from __future__ import annotations
 

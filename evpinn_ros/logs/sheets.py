@@ -1,4 +1,4 @@
-"""Workbooks of spreadsheets as text, by openpyxl, which runs apart (`common.apart`)."""
+"""Workbooks of spreadsheets as text, by openpyxl, which runs apart (`common.sandbox`)."""
 
 from __future__ import annotations
 

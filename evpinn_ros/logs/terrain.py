@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import open_file, open_unpacked
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.sandbox import run_apart
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import AltitudeReading
 from evpinn_ros.logs.signal import FloatArray

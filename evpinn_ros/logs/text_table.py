@@ -17,10 +17,10 @@ import zlib
 
 import numpy as np
 
-from evpinn_ros.common.apart import run_apart
 from evpinn_ros.common.errors import InputError, as_input_error, reason_of
 from evpinn_ros.common.opener import LONGEST_LINE, MOST_COLUMNS, open_unpacked
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.common.sandbox import run_apart
 from evpinn_ros.logs.batch import Batch, Row, batches_of
 
 with optional_imports():

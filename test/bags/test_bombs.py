@@ -24,7 +24,7 @@ from evpinn_ros.bags.mcap_records import HEAD, MAGIC
 from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
-from evpinn_ros.can.logs import LARGEST_OBJECT, LogFile
+from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
@@ -328,26 +328,14 @@ def blf(path, objects):
     path.write_bytes(path.read_bytes() + 3 * (container + bytes(size % 4)))
 
 
-NO_SIZE = struct.pack("<4sHHII", b"LOBJ", 32, 9, 0, 1) + bytes(32)
-ENDLESS = struct.pack("<4sHHII", b"LOBJ", 32, 1, 1 << 31, 1) + bytes(LARGEST_OBJECT // 2)
-LARGE = bytes(LARGEST_OBJECT + 1)
-
-
-@pytest.mark.parametrize(
-    ("objects", "reason"),
-    [
-        (NO_SIZE, "an object has no size"),
-        (ENDLESS, "an object is larger than"),
-        (LARGE, "an object unpacks to more than"),
-    ],
-)
-def test_a_blf_object_that_never_ends(tmp_path, objects, reason):
-    """python-can reads the first for ever and keeps all that follows the others."""
+@pytest.mark.slow
+def test_a_blf_object_that_never_ends(tmp_path):
+    """python-can reads it for ever."""
     path = tmp_path / "a.blf"
-    blf(path, objects)
+    blf(path, struct.pack("<4sHHII", b"LOBJ", 32, 9, 0, 1) + bytes(32))  # it has no size
     log = LogFile(path)
     assert len(list(log.frames())) == 1
-    assert reason in log.problem
+    assert log.problem == f"{path}: broken after 1 frames: takes more than 8 s to read"
 
 
 def test_a_training_that_unpacks_to_too_much(tmp_path, monkeypatch):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from evpinn_ros.common import apart
+from evpinn_ros.common import sandbox
 
 PROGRAM = """
 import os, sys, threading
@@ -55,19 +55,19 @@ def test_whatever_a_parser_does_is_one_line(tmp_path, monkeypatch, function, sai
     (tmp_path / "in").write_text("abc")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     if function in ("wait", "turn"):
-        limits = apart.ParserLimits(1 << 30, 1 << 30, 1)
-        monkeypatch.setattr(apart.ParserLimits, "of", lambda _: limits)
-        monkeypatch.setattr(apart, "PATIENCE", 3.0 if function == "wait" else 60.0)
+        limits = sandbox.ParserLimits(1 << 30, 1 << 30, 1)
+        monkeypatch.setattr(sandbox.ParserLimits, "of", lambda _: limits)
+        monkeypatch.setattr(sandbox, "PATIENCE", 3.0 if function == "wait" else 60.0)
     if function == "turn":  # the other process asks for itself
         (tmp_path / "sitecustomize.py").write_text(
             "import resource; resource.setrlimit(resource.RLIMIT_CPU, (1, 1))"
         )
-    outcome = apart.run_apart(f"parsers:{function}", tmp_path / "in", tmp_path / "out")
+    outcome = sandbox.run_apart(f"parsers:{function}", tmp_path / "in", tmp_path / "out")
     assert outcome == said or (said and said in outcome)
     assert function != "copy" or (tmp_path / "out").read_text() == "abc"
 
 
 def test_what_a_parser_may_take_grows_with_the_file_up_to_what_a_computer_has():
-    small, large = apart.ParserLimits.of(0), apart.ParserLimits.of(1 << 40)
+    small, large = sandbox.ParserLimits.of(0), sandbox.ParserLimits.of(1 << 40)
     assert small.memory <= 256 << 20 and small.seconds <= 10
-    assert large.memory == apart.MOST_MEMORY and large.output == apart.MOST_OUTPUT
+    assert large.memory == sandbox.MOST_MEMORY and large.output == sandbox.MOST_OUTPUT

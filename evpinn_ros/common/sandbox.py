@@ -1,7 +1,7 @@
 """Runs a foreign parser in a process of its own, which may crash, hang or fill up.
 
-The file's size bounds what it may take. `python -m evpinn_ros.common.apart MODULE:FUNCTION IN OUT`
-is the other process.
+The file's size bounds what it may take. `python -m evpinn_ros.common.sandbox MODULE:FUNCTION IN
+OUT` is the other process.
 """
 
 from __future__ import annotations
