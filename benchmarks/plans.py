@@ -131,7 +131,7 @@ def forecasts(
     if loaded.heating is not None:
         ways["loads given"] = model, loaded
     none = Unevenness.none()
-    even = replace(none, metres=none.metres + 1e15, squares=0.0)  # it always drove evenly
+    even = replace(none, expected=none.expected + 1e12, squares=0.0)  # it always drove evenly
     ways["even speed"] = replace(model, unevenness=even), weather
     for resolution in RESOLUTIONS:
         try:

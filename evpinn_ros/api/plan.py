@@ -93,9 +93,10 @@ def forecast(
             are as at the end of that drive; of a car that was read from a file they are cold.
         prewarmed: True if the cabin was heated or cooled before the start, while plugged in.
         steady: True: speed is a straight line between points, and legs are driven evenly. False:
-            between points that are some seconds apart or more, the energy of speeding up and
-            braking is added that is usual on such legs; so it is by default, but for paths and
-            trajectories that a controller follows.
+            for lines and legs of some seconds or more, the energy of speeding up and braking is
+            added that is usual there; so it is by default, but for recorded drives, and for paths
+            and trajectories that a controller follows. Points on a line between two others, and
+            borders between legs of one speed, change nothing.
         air_density: kg/m^3; if not given, that of the vehicle file, at `temperature_c` if given.
 
     Returns:
@@ -289,14 +290,15 @@ def edge_energies(
     heating_w: float | None = None,
     head_wind: float = 0.0,
     payload_kg: float | None = None,
+    steady: bool = False,
     air_density: float | None = None,
 ) -> EdgeEnergies:
     """Energies of all edges of a road network at once, for a router.
 
-    Each edge is driven at its mean speed; the energy for speeding up and braking that is usual on
-    such legs is added. In the table tyres and cabin are warm, and before and after an edge the car
-    goes on as on it. A downhill edge may return energy, so a router needs the Bellman-Ford
-    algorithm, or potentials.
+    Each edge is driven at its mean speed; the energy for speeding up and braking that is usual at
+    this speed is added for each metre, so edges add up: cutting one in two changes no sum. In the
+    table tyres and cabin are warm, and before and after an edge the car goes on as on it. A
+    downhill edge may return energy, so a router needs the Bellman-Ford algorithm, or potentials.
 
     Example:
         >>> import evpinn_ros as ev
@@ -317,6 +319,7 @@ def edge_energies(
             makes likely.
         head_wind: head wind on every edge, m/s over ground.
         payload_kg: people and luggage in addition to those when the car was learned, kg.
+        steady: True if edges and routes are driven evenly.
         air_density: kg/m^3; if not given, that of the vehicle file, at `temperature_c` if given.
 
     Raises:
@@ -330,7 +333,9 @@ def edge_energies(
     given = PlanConditions(temperature_c, heating_w, head_wind, payload_kg)
     legs = edges_of_columns(columns_of(edges))
     basis = basis_of(model, given, air_density)
-    of_edges = energy_edges.edge_energies(legs, basis.model, basis.weather, basis.head_wind)
+    of_edges = energy_edges.edge_energies(
+        legs, basis.model, basis.weather, basis.head_wind, steady=steady
+    )
     counted = pandas().RangeIndex(len(legs.length))
     index = counted if isinstance(edges, Mapping) else edges.index
     return EdgeEnergies(index, of_edges)

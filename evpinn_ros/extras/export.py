@@ -90,7 +90,7 @@ def _trip(cruise: float, speed: float) -> Plan:
 
 
 def _energy(plan: Plan, model: PowerModel, weather: Weather) -> Uncertain:
-    energies = forecast_plan(plan, model, weather)
+    energies = forecast_plan(plan, model, weather, steady=True)
     return Uncertain(float(energies.energy[-1]), float(energies.sigma[-1]))
 
 

@@ -119,7 +119,8 @@ def drive_unevenly(estimator):
     """Feed an estimator driving that speeds up and brakes all the time, and the next morning."""
     for second in (*range(300), *range(40_000, 40_005)):
         stamp, speed = NOW + second * NANOSECONDS, 14.0 + 8.0 * math.sin(second / 4)
-        watts = 8e3 + 2000.0 * speed * math.cos(second / 4)
+        force = 2000.0 * math.cos(second / 4)
+        watts = 8e3 + speed * (force if force > 0.0 else 0.4 * force)  # braking gives some back
         for reading in (BatteryReading(stamp, 350.0, -watts / 350.0), SpeedReading(stamp, speed)):
             estimator.add_readings([reading])
 

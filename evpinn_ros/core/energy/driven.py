@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from evpinn_ros.core.energy.plan import COARSE, Plan, plan_from_speed_profile, travelled
+from evpinn_ros.core.energy.plan import Plan, plan_from_speed_profile, travelled
 
 PLAN_STEP = 1.0  # s between points of a plan
+COARSE = 5.0  # s between speeds, from which on they vary in between
 ELEVATION_STEP = 5.0  # m
 ELEVATION_SMOOTHING = 50.0  # m, 1-sigma: a logged altitude comes in steps of a metre
 MOST_STEPS = 1_000_000  # of elevation; longer ways have longer ones
@@ -15,8 +18,8 @@ MOST_STEPS = 1_000_000  # of elevation; longer ways have longer ones
 def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
     """The plan that a drive would have been: speed once a second, and elevation.
 
-    Speeds that are so far apart that they vary in between (`COARSE`) are its points as they are,
-    so that what drivers do between them is expected.
+    It was driven so, but for speeds that are so far apart that they vary in between (`COARSE`):
+    these are its points, and what drivers do between them is expected.
 
     Args:
         speed: time, s, rising, and m/s, shape (n, 2), some seconds long.
@@ -28,11 +31,11 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
     steps = np.arange(0.0, time[-1] - PLAN_STEP / 2, PLAN_STEP)
     grid = time if rough else np.append(steps, time[-1])
     at = np.maximum(np.interp(grid, time, speeds), 0.0)
-    if not len(altitude):
-        return plan_from_speed_profile(grid, None, at)
-    seen = np.interp(altitude[:, 0] - speed[0, 0], time, travelled(time, speeds))
-    height = road_height(seen, altitude[:, 1], travelled(grid, at))
-    return plan_from_speed_profile(grid, None, at, height)
+    height = None
+    if len(altitude):
+        seen = np.interp(altitude[:, 0] - speed[0, 0], time, travelled(time, speeds))
+        height = road_height(seen, altitude[:, 1], travelled(grid, at))
+    return replace(plan_from_speed_profile(grid, None, at, height), commanded=not rough)
 
 
 def road_height(along: np.ndarray, height: np.ndarray, distance: np.ndarray) -> np.ndarray:

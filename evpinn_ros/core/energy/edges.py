@@ -1,10 +1,11 @@
 """Energy of the edges of a road network, for a router: many legs at once.
 
-An edge is a leg (`PowerModel.leg_rows`) that belongs to no trip: a warm car enters and leaves it
-as it drives on it. Downhill it may give energy back: a router needs potentials or Bellman-Ford's
-algorithm. A route is a trip: its energy is the forecast of its edges as legs, with its start, its
-end, and the changes of speed and slope in between. What is not known of the car is the same on
-every edge, so routes are compared by the sigma of their difference.
+An edge is a leg (`PowerModel.edge_rows`) that belongs to no trip: a warm car enters and leaves it
+as it drives on it, with the unevenness of its speed for each metre. So edges add up: cutting one
+in two changes no sum. Downhill one may give energy back: a router needs potentials or the
+algorithm of Bellman and Ford. A route is a trip: its energy is the forecast of its edges as legs,
+with its start, its end, and the changes of speed and slope in between. What is not known of the
+car is the same on every edge, so routes are compared by the sigma of their difference.
 """
 
 from __future__ import annotations
@@ -19,11 +20,10 @@ import numpy as np
 from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import Legs, legs_of_trip
-from evpinn_ros.core.energy.power_model import PowerModel, Weather
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.core.estimation.journey import standing
 from evpinn_ros.core.estimation.states import State
-from evpinn_ros.core.estimation.terms import WARM
-from evpinn_ros.core.estimation.unevenness import OF_LEGS, legs_of_speed
+from evpinn_ros.core.estimation.unevenness import OF_LEGS
 
 JUDGED = 2000  # edges by which directions are chosen
 LEAST_SHARE = 1e-4  # of the variance of these; a direction with less is left out
@@ -77,7 +77,12 @@ class Edges:
 
 
 def edge_energies(
-    legs: Legs, model: PowerModel, weather: Weather, head_wind: float = 0.0
+    legs: Legs,
+    model: PowerModel,
+    weather: Weather,
+    head_wind: float = 0.0,
+    *,
+    steady: bool = False,
 ) -> Edges:
     """Energies of legs that need not follow one another.
 
@@ -86,14 +91,17 @@ def edge_energies(
         model: of the car.
         weather: on the way; tyres and cabin count as warm, except in routes.
         head_wind: against the car on every edge, m/s.
+        steady: True if edges are driven evenly.
     """
     car, count = model.car, len(legs.length)
-    warm = weather._replace(start=WARM)
 
     def rows_of(part: Any) -> tuple[np.ndarray, np.ndarray]:
-        columns = (column[part] for column in (legs.duration, legs.length, legs.climb))
-        path = legs_of_speed(*columns, density=weather.air_density, wind=head_wind)
-        return model.leg_rows(path, warm, alone=True)
+        duration, length, climb = (
+            column[part] for column in (legs.duration, legs.length, legs.climb)
+        )
+        return model.edge_rows(
+            even_steps(duration, length, climb, head_wind), weather, steady=steady
+        )
 
     rows, _ = rows_of(np.arange(count)[:: max(1, count // JUDGED)])
     unknown = math.sqrt(car.trust) * _directions(rows, model.covariance)
@@ -114,7 +122,9 @@ def edge_energies(
     def trip(edges: np.ndarray) -> Uncertain:
         climb = np.where(legs.height_known, legs.climb, math.nan)
         columns = (column[edges] for column in (legs.length, legs.duration, climb))
-        driven = forecast_plan(legs_of_trip(*columns), model, weather, head_wind, along=False)
+        driven = forecast_plan(
+            legs_of_trip(*columns), model, weather, head_wind, steady=steady, along=False
+        )
         return Uncertain(float(driven.energy[-1]), float(driven.sigma[-1]))
 
     return Edges(

@@ -19,25 +19,18 @@ import numpy as np
 from evpinn_ros.common.arrays import namespace
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
 from evpinn_ros.core.energy.charge import ChargeGauge, Uncertain
-from evpinn_ros.core.energy.plan import COARSE, Legs, Plan, PlanConditions, PlanError, points_of
+from evpinn_ros.core.energy.course import Course, course_of
+from evpinn_ros.core.energy.plan import COLUMNS, Legs, Plan, PlanConditions, PlanError, points_of
 from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, Weather, vehicle_model
 from evpinn_ros.core.estimation.gaussian import Gaussian, at_least_zero, condition, innovate
 from evpinn_ros.core.estimation.journey import standing, wandered
 from evpinn_ros.core.estimation.states import SIZE, State
 from evpinn_ros.core.estimation.terms import COUNT, LOSSES, WHOLE, Part
-from evpinn_ros.core.estimation.unevenness import (
-    Path,
-    even_path,
-    legs_of_speed,
-    size_of,
-    stops_of,
-)
+from evpinn_ros.core.estimation.unevenness import UNEVEN_STATES, size_of, sizes_of
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import density_of_air
 from evpinn_ros.core.vehicle.files import Vehicle
 
-SMALL_CHANGE = 0.5  # m/s from point to point of a speed that is commanded
-MOST_STRAIGHT = 100_000  # points between those of a plan
 # m within which a trip turns away from where the car now points, and from the wind measured there
 DIRECTION_LENGTH = 5e3
 UNKNOWN_END = PlanEnd(np.full(SIZE, math.nan), *(math.nan,) * 5)
@@ -66,6 +59,20 @@ class Energies(NamedTuple):
     sigma: Any
 
 
+class Curve(NamedTuple):
+    """Energy along a course, whatever points the plan has: arrays of shape (n,).
+
+    Attributes:
+        time: s since the start.
+        distance: m since the start.
+        energy: J since the start.
+    """
+
+    time: np.ndarray
+    distance: np.ndarray
+    energy: np.ndarray
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Forecast:
     """Energy along a plan; all arrays have the plan's shape, (n,) or (batch, n).
@@ -77,6 +84,7 @@ class Forecast:
             last point: of the leg that ends there).
         sigma: 1-sigma of energy, J.
         end: of the whole plan, what a comparison with another needs.
+        curve: energy along one plan.
     """
 
     time: np.ndarray
@@ -84,6 +92,7 @@ class Forecast:
     power: np.ndarray
     sigma: np.ndarray
     end: PlanEnd = UNKNOWN_END
+    curve: Curve | None = None
 
 
 class Air(NamedTuple):
@@ -277,8 +286,9 @@ def forecast_plan(
 ) -> Forecast:
     """Energy, power and 1-sigma along a plan.
 
-    Where its points lie further apart than some seconds, what drivers do between them is expected,
-    as this car's drives had it (`estimation.unevenness`), unless its speeds are commanded.
+    It is that of the plan's course (`energy.course`): points and borders that say nothing new
+    change nothing. What drivers do on lines and on legs longer than some seconds is expected, as
+    this car's drives had it (`estimation.unevenness`), unless speeds are commanded.
 
     Args:
         plan: one trip, legs of one, or many trips.
@@ -296,55 +306,63 @@ def forecast_plan(
         PlanError: the model gives no finite energy.
     """
     points = points_of(plan)
-    steady, coarse = is_steady(plan, steady), _is_coarse(plan)
-    given_points: Any = slice(None)
-    if coarse and steady and isinstance(plan, Plan):
-        (plan, given_points), coarse = _straight(plan), False
-        points = plan
-    wind = _wind(points, head_wind, wind_length)
-    elapsed = points.time - points.time[..., :1]
-    duration, length = np.diff(points.time), np.diff(points.distance)
-    if isinstance(plan, Legs):
-        unknown = plan.length * ~plan.height_known
-    else:
-        unknown = length * (np.ptp(plan.elevation, axis=-1, keepdims=True) == 0.0)
-    uneven = np.zeros_like(length)
-    steps = standing(duration, length), length**2 / duration, unknown
-    stood, square, unseen = (np.cumsum(sums_of_step, axis=-1) for sums_of_step in steps)
-    noise = model.noise(elapsed[..., 1:], stood, square)
+    if points.time.ndim > 1:
+        asked = model, weather, head_wind, wind_length, is_steady(points, steady)
+        columns = zip(*(getattr(points, name) for name in COLUMNS), strict=True)
+        trips = [forecast_plan(Plan(*rows), *asked) for rows in columns]
+        time, energy, power, sigma = (
+            np.stack([getattr(trip, name) for trip in trips])
+            for name in ("time", "energy", "power", "sigma")
+        )
+        return Forecast(time, energy, power, sigma)
+    course = course_of(plan, weather.air_density, head_wind, wind_length)
+    steps, elapsed = course.steps, course.time[1:]
+    still = standing(steps.duration, steps.distance), steps.distance**2 / steps.duration
+    stood, square, unseen = (np.cumsum(column) for column in (*still, course.unknown))
+    noise = model.noise(elapsed, stood, square)
+    beyond, uneven = _beyond(course, model, steady=is_steady(plan, steady))
     energies = None
-    if coarse:
-        path = _path(points, weather.air_density, wind)
-        legs, beyond = model.leg_rows(path, weather, even=steady)
-        uneven = size_of(np.abs(beyond @ model.car.mean), stops_of(path, model.car.mean))
-        rows = np.cumsum(legs, axis=0)
-    elif along or duration.ndim > 1:
-        rows = model.rows_along(_steps(points, wind), weather)
+    if along:
+        rows = model.rows_along(steps, weather)
+        rows[:, UNEVEN_STATES] += np.cumsum(beyond, axis=0)
     else:
-        row, energies = model.whole_row(_steps(points, wind), weather)
+        row, energies = model.whole_row(steps, weather)
+        row[UNEVEN_STATES] += beyond.sum(0)
         rows = row[None]
-    sums = elapsed[..., 1:], noise, unseen, uneven
-    energy, sigma = model.predicted(
-        rows, *(sums_of_row[..., -rows.shape[-2] :] for sums_of_row in sums)
-    )
+    sums_of_row = (column[-len(rows) :] for column in (elapsed, noise, unseen, uneven))
+    energy, sigma = model.predicted(rows, *sums_of_row)
     possible = np.isfinite(sigma).all()
     if energies is not None:
-        energy = np.cumsum(energies) + model.car.mean[State.LOAD] * wandered(elapsed[1:])[1]
+        energy = np.cumsum(energies + beyond @ model.car.mean[UNEVEN_STATES])
+        energy += model.car.mean[State.LOAD] * wandered(elapsed)[1]
         sigma = np.concatenate((np.full(len(energy) - 1, math.nan), sigma))
-    zero = np.zeros_like(elapsed[..., :1])
-    energy, sigma = (
-        np.concatenate((zero, series), -1)[..., given_points] for series in (energy, sigma)
-    )
-    time = points.time[..., given_points]
+    curve = Curve(course.time, course.distance, np.concatenate(([0.0], energy)))
+    time = np.append((points.time - points.time[0])[:-1], curve.time[-1])  # equal but for rounding
+    energy = np.interp(time, curve.time, curve.energy)
+    sigma = np.interp(time, curve.time, np.concatenate(([0.0], sigma)))
     power = np.diff(energy) / np.diff(time)
-    power = np.concatenate((power, power[..., -1:]), axis=-1)
+    power = np.append(power, power[-1])
     if not (possible and np.isfinite(energy + power).all()):
         raise PlanError("by the model of the car its energy is not finite")
-    end = UNKNOWN_END
-    if energy.ndim == 1:
-        whole = elapsed, points.distance - points.distance[0], noise, unseen, uneven
-        end = PlanEnd(rows[-1], *(float(last[-1]) for last in whole))
-    return Forecast(time=time, energy=energy, power=power, sigma=sigma, end=end)
+    whole = elapsed, course.distance[1:], noise, unseen, uneven
+    end = PlanEnd(rows[-1], *(float(column[-1]) for column in whole))
+    return Forecast(points.time, energy, power, sigma, end, curve)
+
+
+def _beyond(course: Course, model: PowerModel, *, steady: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Energy of each step beyond even speed, J per unit, and the size of it so far, J.
+
+    Shapes (n, 3), by `UNEVEN_STATES`, and (n,), by `unevenness.size_of`.
+    """
+    car, runs = model.car, course.runs
+    if steady:
+        return np.zeros((len(course.run), len(UNEVEN_STATES))), np.zeros(len(course.run))
+    rows = car.unevenness.rows(car.equation, runs)
+    sizes = sizes_of(runs, rows @ car.mean[UNEVEN_STATES], car.mean)
+    length = runs.distance[course.run]
+    share = np.divide(course.steps.distance, length, out=np.zeros_like(length), where=length > 0)
+    so_far = (np.cumsum(share * size[course.run]) for size in sizes)
+    return rows[course.run] * share[:, None], size_of(*so_far)
 
 
 def plan_parts(
@@ -369,14 +387,8 @@ def plan_parts(
         wind_length: m within which it fades to a third.
         steady: True if its speeds are commanded.
     """
-    points = points_of(plan)
-    if _is_coarse(plan) and isinstance(plan, Plan):
-        points, _ = _straight(plan)
-    wind = _wind(points, head_wind, wind_length)
-    steps = _steps(points, wind)
-    if isinstance(plan, Legs):
-        steps = Steps(*even_path(_path(points, weather.air_density, wind))[:5])
-    rows = np.concatenate((model.parts(steps, weather), np.zeros((1, SIZE))))
+    course = course_of(plan, weather.air_density, head_wind, wind_length)
+    rows = np.concatenate((model.parts(course.steps, weather), np.zeros((1, SIZE))))
     rows[Part.STANDING, State.LOAD] = forecast.end.row[State.LOAD]
     rows[-1] = forecast.end.row - rows[WHOLE].sum(0)
     car = model.car
@@ -395,78 +407,6 @@ def plan_parts(
 def is_steady(plan: Plan | Legs, steady: bool | None) -> bool:
     """True if the speeds of a plan are commanded: as asked, else as it says."""
     return isinstance(plan, Plan) and plan.commanded if steady is None else steady
-
-
-def _is_coarse(plan: Plan | Legs) -> bool:
-    """True for one trip whose speed varies between its points: for legs know their means alone."""
-    if isinstance(plan, Legs):
-        return True
-    duration = np.diff(plan.time)
-    return duration.ndim == 1 and float(np.median(duration)) > COARSE
-
-
-def _straight(plan: Plan) -> tuple[Plan, np.ndarray]:
-    """One trip with points between its own, as `_steps` has speeds there, and which its own are.
-
-    So many that speed changes little from each to the next.
-    """
-    duration, length = np.diff(plan.time), np.diff(plan.distance)
-    start, end = plan.speed[:-1], plan.speed[1:]
-    middle = np.maximum(1.5 * length / duration - (start + end) / 4.0, 0.0)
-    change = np.abs(middle - start) + np.abs(end - middle)
-    most = max(MOST_STRAIGHT // len(length), 1)
-    pieces = np.clip(np.ceil(change / SMALL_CHANGE), 1, most).astype(int)
-    given_points = np.concatenate(([0], np.cumsum(pieces)))
-    leg = np.repeat(np.arange(len(length)), pieces)
-    share = (np.arange(given_points[-1]) - given_points[leg]) / pieces[leg]
-    first, last, top = start[leg], end[leg], middle[leg]
-    rise, bend = 4.0 * top - 3.0 * first - last, 2.0 * (first + last) - 4.0 * top
-    speed = np.maximum(first + share * (rise + share * bend), 0.0)
-    way = share * (first + share * (rise / 2.0 + share * bend / 3.0))
-    whole = (start + 4.0 * middle + end) / 6.0
-    way = np.divide(way, whole[leg], out=share.copy(), where=whole[leg] > 0.0)
-
-    def between(column: np.ndarray, along: np.ndarray) -> np.ndarray:
-        return np.append(column[leg] + along * np.diff(column)[leg], column[-1])
-
-    way = np.maximum.accumulate(np.clip(way, 0.0, 1.0) + leg) - leg
-    time, distance = between(plan.time, share), between(plan.distance, way)
-    fine = Plan(time, distance, np.append(speed, plan.speed[-1]), between(plan.elevation, way),
-                commanded=True)  # fmt: skip
-    return fine, given_points
-
-
-def _wind(points: Plan, head_wind: float, length: float) -> np.ndarray:
-    """Wind against the car at each point, m/s."""
-    along = points.distance - points.distance[..., :1]
-    return np.asarray(head_wind * np.exp(-along / length))
-
-
-def _path(points: Plan, density: float, wind: np.ndarray) -> Path:
-    """Legs between points of one trip, shape (n - 1,); wind: against the car at each, m/s."""
-    columns = (np.diff(column) for column in (points.time, points.distance, points.elevation))
-    return legs_of_speed(*columns, density=density, wind=(wind[1:] + wind[:-1]) / 2.0)
-
-
-def _steps(plan: Plan, wind: np.ndarray) -> Steps:
-    """Steps between the points of one trip, or many; wind: against the car at each, m/s.
-
-    Distance is cubic in time between two points, so speed is the parabola with the given ends and
-    the leg's length as its integral.
-    """
-    duration, length = np.diff(plan.time), np.diff(plan.distance)
-    start, end = plan.speed[..., :-1], plan.speed[..., 1:]
-    # A profile whose speeds contradict its distances could call for reversing in the middle.
-    middle = np.maximum(1.5 * length / duration - (start + end) / 4, 0.0)
-    first, last = wind[..., :-1], wind[..., 1:]
-
-    def drag(speed: np.ndarray, wind: np.ndarray) -> np.ndarray:
-        flow = speed + wind
-        return np.asarray(flow * np.abs(flow) * speed)
-
-    air = drag(start, first) + 4.0 * drag(middle, (first + last) / 2.0) + drag(end, last)
-    kinetic = (end**2 - start**2) / 2.0
-    return Steps(duration, length, air * duration / 6.0, kinetic, np.diff(plan.elevation))
 
 
 def _sums(profiles: Profiles, model: PowerModel, density: float) -> tuple[Any, ...]:

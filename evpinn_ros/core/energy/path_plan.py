@@ -30,6 +30,7 @@ BEND = 10.0  # m before and after a point, over which the bend of the path is ta
 # Most m, and s, between points of a nominal profile, where the path has fewer.
 NOMINAL_STEP, NOMINAL_SECONDS = 25.0, 2.0
 TINY = 1e-6  # m^2/s^2
+ON_A_LINE = 1e-6  # m that rounding takes a point from the line between its neighbours
 
 
 def plan_from_path(
@@ -59,12 +60,10 @@ def plan_from_path(
     """
     check_size(len(x))
     points = {"x": as_floats(x), "y": as_floats(y), "z": as_floats(z)}
-    if stamps is not None:
-        points["stamps"] = as_floats(stamps)
-    check_arrays(points)
+    time = None if stamps is None else as_floats(stamps)
+    check_arrays(points if time is None else points | {"stamps": time})
     with np.errstate(over="ignore"):  # an infinite leg is too long as well
         legs = np.sqrt(sum(np.diff(points[axis]) ** 2 for axis in "xyz"))
-    time = points.get("stamps")
     if time is not None and np.ptp(time) == 0:
         time = None
     farthest = MAX_LEG if time is None else MAX_SPEED * LONGEST
@@ -78,8 +77,43 @@ def plan_from_path(
     kept = np.concatenate(([True], (duration > 0) | (np.diff(distance) > 0)))
     time, distance, elevation = time[kept] - time[0], distance[kept], points["z"][kept]
     refuse(np.diff(distance) > MAX_SPEED * np.diff(time), f"faster than {MAX_SPEED:g} m/s")
-    speed = monotone_slopes(time, distance)
-    return Plan(time, distance, np.clip(speed, 0.0, MAX_SPEED), elevation)
+    return _stamped_plan(time, distance, elevation)
+
+
+def _stamped_plan(time: np.ndarray, distance: np.ndarray, elevation: np.ndarray) -> Plan:
+    """The plan of points with stamps, s, and distances, m, neither of which falls.
+
+    A point amid a stretch of one mean speed and slope changes nothing: it moves to where the car
+    is then.
+    """
+    told = ~_is_between(time, distance, elevation)
+    knots, along = time[told], distance[told]
+    slopes = np.clip(monotone_slopes(knots, along), 0.0, MAX_SPEED)
+    speed = np.interp(time, knots, slopes)
+    stretch = np.clip(np.searchsorted(knots, time, "right") - 1, 0, len(knots) - 2)
+    driven = (speed + slopes[stretch]) * (time - knots[stretch])
+    whole = (slopes[1:] + slopes[:-1]) * np.diff(knots)
+    even = (time - knots[stretch]) / np.diff(knots)[stretch]
+    share = np.divide(driven, whole[stretch], out=even, where=whole[stretch] > 0.0)
+    way = along[stretch] + share * np.diff(along)[stretch]
+    rise = elevation[told][stretch] + share * np.diff(elevation[told])[stretch]
+    distance, elevation = (
+        np.where(told, given, moved) for given, moved in ((distance, way), (elevation, rise))
+    )
+    return Plan(time, distance, speed, elevation)
+
+
+def _is_between(along: np.ndarray, *columns: np.ndarray) -> np.ndarray:
+    """True for points on the straight line, by `along`, between their neighbours, shape (n,)."""
+    share = np.divide(
+        along[1:-1] - along[:-2], along[2:] - along[:-2], out=np.zeros(max(len(along) - 2, 0)),
+        where=along[2:] > along[:-2],
+    )  # fmt: skip
+    on = np.ones(len(share), bool)
+    for column in columns:
+        line = column[:-2] + share * (column[2:] - column[:-2])
+        on &= np.abs(column[1:-1] - line) <= ON_A_LINE
+    return np.concatenate(([False], on, [False]))
 
 
 def monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -114,7 +148,8 @@ def _nominal_plan(
     # The ends of both ramps become points, so that every leg has one constant acceleration.
     step = min(NOMINAL_STEP, NOMINAL_SECONDS * nominal_speed)
     steps = np.linspace(0.0, length, 2 + min(int(length / step), MAX_POINTS))
-    s = np.concatenate((distance, steps, [ramp, length - ramp]))
+    bends = distance[~_is_between(distance, *points.values())]
+    s = np.concatenate((bends, steps, [ramp, length - ramp]))
     s = np.unique(s.round(6))  # no leg is as short as rounding
     squared = np.minimum(nominal_speed, _bend_speed(s, distance, points)) ** 2
     squared[[0, -1]] = 0.0
@@ -123,6 +158,8 @@ def _nominal_plan(
     squared = np.minimum.accumulate(squared - gained) + gained
     squared = np.minimum.accumulate((squared + gained)[::-1])[::-1] - gained
     squared[1:-1] = np.maximum(squared[1:-1], TINY)  # rounding of a long way
+    every = np.unique(np.concatenate((s, distance.round(6).clip(0.0, s[-1]))))
+    s, squared = every, np.interp(every, s, squared)
     speed = np.sqrt(np.maximum(squared, 0.0))
     time = sums(2 * np.diff(s) / (speed[1:] + speed[:-1]))
     return Plan(time, s, speed, np.interp(s, distance, points["z"]))

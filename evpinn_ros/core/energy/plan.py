@@ -24,7 +24,6 @@ LONGEST = 14 * 86_400.0  # s from the first point to the last: more is not one t
 UNITS_APART = 3.0  # speeds in km/h make 3.6 times the distance, one in km a thousandth of it
 LEAST_LENGTH = 50.0  # m of a profile from which that can be seen
 SLOWEST_TRIP = 0.1  # m/s while it moves: no jam is slower, but lengths in km are
-COARSE = 5.0  # s between points, in the middle of a plan, from which on legs are uneven
 CLIMB_TOLERANCE = 1e-6  # m: rounding of climb against length
 CONDITION_RANGES = {
     "temperature": (-60.0, 60.0),  # degrees Celsius

@@ -15,7 +15,14 @@ from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.journey import FORCE_NOISE
 from evpinn_ros.core.estimation.states import State
-from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES, MOST_SHARE, Unevenness
+from evpinn_ros.core.estimation.unevenness import (
+    DURATIONS,
+    MIDDLES,
+    MOST_SHARE,
+    UNEVEN_STATES,
+    Runs,
+    Unevenness,
+)
 from evpinn_ros.core.signals.admission import MAX_POWER
 
 # Lifetimes. The farthest-driven car known, a Volvo P1800, has 5.2e9 m; a lorry takes 7 kJ/m.
@@ -56,6 +63,6 @@ def car_is_possible(car: CarModel) -> bool:
 def _is_possible(uneven: Unevenness, car: CarModel) -> bool:
     """True if no leg's uneven speed takes more power than a car has."""
     speed, duration = map(np.ravel, np.meshgrid(MIDDLES, DURATIONS))
-    legs = even_steps(duration, speed * duration, 0.0 * speed)
-    power = uneven.of_legs(car.equation, car.mean, legs) @ car.mean / duration
+    legs = Runs(duration, speed * duration, np.full_like(speed, 1.2))
+    power = uneven.rows(car.equation, legs) @ car.mean[UNEVEN_STATES] / duration
     return bool((np.abs(power) <= MAX_POWER).all())

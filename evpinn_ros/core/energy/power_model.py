@@ -26,14 +26,16 @@ from evpinn_ros.core.estimation.journey import LOAD_TIME, unexplained, wandered
 from evpinn_ros.core.estimation.size import model_of_file
 from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import (
+    CREEPING,
     EXPLAINED,
+    WARM,
     Warmth,
     Wheels,
     coldness,
     equation_of,
     standing_powers,
 )
-from evpinn_ros.core.estimation.unevenness import Path, even_rows
+from evpinn_ros.core.estimation.unevenness import UNEVEN_STATES, USUAL_LEG, Runs
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import Conditions
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -128,31 +130,34 @@ class PowerModel:
         wheels, cold = equation.of_steps(steps, conditions), coldness(conditions.celsius)
         return equation.split(self.rows(steps, weather), wheels, cold, warmth.tyres)
 
-    def leg_rows(
-        self, legs: Path, weather: Weather, *, even: bool = False, alone: bool = False
+    def edge_rows(
+        self, edges: Steps, weather: Weather, *, steady: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Energy of legs whose mean speed alone is known, J per unit, shape (n, SIZE) each.
+        """Energy of edges at even speed, which are of no trip, J per unit, shape (n, SIZE) each.
+
+        It is proportional to their length. Edges of one speed and slope add up.
 
         Args:
-            legs: of one trip.
-            weather: on the way.
-            even: True for legs at even speed.
-            alone: True for legs of no trip, such as edges of a network.
+            edges: n of them, as `even_steps` has them.
+            weather: on the way; tyres and cabin count as warm.
+            steady: True if they are driven evenly.
 
         Returns:
-            The whole, and the part of it that is expected of uneven speed.
+            The whole, and the part of it that is expected of uneven speed, by their speeds.
         """
-        equation = self.car.equation
-        conditions, warmth = self._surroundings(legs, weather)
-        beyond = self.car.unevenness.of_legs(equation, self.car.mean, legs) * (not even)
-        rows = even_rows(equation, legs, alone=alone) + beyond
-        tyres = float(equation.mean[State.ROLLING]) * rows[:, State.ROLLING]
-        rows[:, State.ROLLING_DRIVE] = tyres
-        rows[:, State.ROLLING_COLD] = tyres * coldness(conditions.celsius)
-        rows[:, State.ROLLING_START] = tyres * warmth.tyres
-        for state, power in self._loads(weather, conditions, warmth).items():
-            rows[:, state] = power * legs.duration
-        return rows, beyond
+        duration, length = edges.duration, edges.distance
+        # As an edge of a metre, or of a second: what is shorter has no force of its own.
+        size = np.where(length > CREEPING * duration, length, duration)
+        metre = Steps._make((*(column / size for column in edges[:5]), *edges[5:]))
+        rows = self.rows(metre, weather._replace(start=WARM)) * size[:, None]
+        beyond = np.zeros_like(rows)
+        if not steady:
+            minutes = duration / USUAL_LEG
+            density = np.full_like(minutes, weather.air_density)
+            runs = Runs(duration / minutes, length / minutes, density)
+            uneven = self.car.unevenness.rows(self.car.equation, runs)
+            beyond[:, UNEVEN_STATES] = uneven * minutes[:, None]
+        return rows + beyond, beyond
 
     def rows_along(self, steps: Steps, weather: Weather) -> np.ndarray:
         """Rows summed up to the end of each step, shape (..., n, SIZE).
@@ -302,7 +307,7 @@ class PowerModel:
         given = weather.heating is not None
         return Conditions(weather.air_density, 0.0, celsius, weather.heating or 0.0, given)
 
-    def _surroundings(self, steps: Path | Steps, weather: Weather) -> tuple[Conditions, Warmth]:
+    def _surroundings(self, steps: Steps, weather: Weather) -> tuple[Conditions, Warmth]:
         """Conditions, and mean coldness of tyres and cabin in each step."""
         start = Warmth.after(self.car.seconds) if weather.start is None else weather.start
         return self._conditions(weather), start.during(steps.duration)
@@ -317,9 +322,9 @@ class PowerModel:
         return standing_powers(conditions, warmth) | drive
 
 
-def even_steps(duration: Any, distance: Any, climb: Any) -> Steps:
-    """Steps at even speed without wind: s, m, m; of one shape or numbers."""
-    flow = distance / duration
+def even_steps(duration: Any, distance: Any, climb: Any, wind: float = 0.0) -> Steps:
+    """Steps at even speed: s, m, m; of one shape or numbers; wind: against the car, m/s."""
+    flow = distance / duration + wind
     return Steps(duration, distance, flow * abs(flow) * distance, 0.0 * duration, climb)
 
 

@@ -34,18 +34,17 @@ from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import Forecast
 from evpinn_ros.core.energy.plan import Plan
 from evpinn_ros.core.energy.plausible import Joules, Metres
-from evpinn_ros.core.energy.power_model import PowerModel, Weather
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.core.energy.trip import Stretch
 from evpinn_ros.core.energy.uncertainty import relaxed, walked
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES, legs_of_speed
+from evpinn_ros.core.estimation.unevenness import MIDDLES, USUAL_LEG
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MEMORY = 10e3  # m
 # Share of the usual legs in the next metres, beside the long run, chosen on the e-208, the Leaf
 # and the Changchun sedan; where none are known, that of the last 10 km.
 USUAL, RECENT = 0.75, 0.5
-USUAL_LEG = 60.0  # s
 LEAST_METRES = 3000.0  # driven in legs of this, before anything is usual
 FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
 FARTHEST = 2.0**21  # m; what is beyond is no answer
@@ -104,13 +103,12 @@ class Cost(NamedTuple):
 @lru_cache(maxsize=4)  # asked with every prediction, and learned every ten seconds
 def usual_cost(car: CarModel) -> float:
     """Energy per distance of a car's usual mix of legs, J/m; NaN while no mix is known."""
-    metres = car.unevenness.metres[:, int(np.searchsorted(DURATIONS, USUAL_LEG))]
+    metres = car.unevenness.metres
     if metres.sum() < LEAST_METRES:
         return math.nan
-    density = car.equation.vehicle.air_density
-    legs = legs_of_speed(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, density=density)
+    legs = even_steps(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, 0.0 * MIDDLES)
     model = PowerModel.of(car)
-    rows, _ = model.leg_rows(legs, Weather(density), alone=True)
+    rows, _ = model.edge_rows(legs, Weather(car.equation.vehicle.air_density))
     cost = float(metres @ (rows @ model.car.mean / legs.distance) / metres.sum())
     return cost if math.isfinite(cost) and cost > 0.0 else math.nan
 

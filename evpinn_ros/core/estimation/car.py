@@ -16,6 +16,7 @@ import numpy as np
 from evpinn_ros.core.estimation.bands import Hills
 from evpinn_ros.core.estimation.breakdown import Breakdowns, DriveParts, EndedDrive, breakdowns
 from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.even import Path
 from evpinn_ros.core.estimation.journey import NOWHERE, Journey
 from evpinn_ros.core.estimation.learner import gate_interval
 from evpinn_ros.core.estimation.payload import PayloadDetector
@@ -34,7 +35,7 @@ from evpinn_ros.core.estimation.published import Driven
 from evpinn_ros.core.estimation.rehearsal import Rehearsal, Rehearsals
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import Equation, coldness
-from evpinn_ros.core.estimation.unevenness import Path, Unevenness
+from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.sign_detectors import GradeDetector
 from evpinn_ros.core.vehicle.physics import GRAVITY

@@ -51,7 +51,6 @@ from evpinn_ros.core.estimation.rehearsal import Rehearsal, Rehearsals
 from evpinn_ros.core.estimation.saved_car import (
     saved_state,
     state_of,
-    unevenness_of,
 )
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import Warmth, equation_of
@@ -102,13 +101,14 @@ class SavedPinn:
     """Everything learned of a car; `seen_ns` is the newest stamp."""
 
     car: CarState
-    unevenness: Unevenness
     driven: Driven
     payload: SavedPayload
     grade: GradeDetector
     current_suspicion: SignDetector
     seen_ns: Stamp | None
     hills: Hills = field(default_factory=Hills)
+    # Of another name than `unevenness`, a table by states that older files hold.
+    uneven: Unevenness = field(default_factory=Unevenness.none)
 
 
 class PinnLearner(Saveable[SavedPinn]):
@@ -352,7 +352,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """State to save."""
         return SavedPinn(
             car=saved_state(self._car.judged()),
-            unevenness=self._car.uneven(),
+            uneven=self._car.uneven(),
             hills=self._car.hills.next_drive(),
             driven=self._car.driven,
             payload=self._car.payload.saved(),
@@ -367,7 +367,7 @@ class PinnLearner(Saveable[SavedPinn]):
         car = replace(
             LearnedCar.new(self._equation),
             state=state,
-            unevenness=unevenness_of(saved.unevenness, self._equation),
+            unevenness=saved.uneven.possible(),
             hills=saved.hills,
             driven=saved.driven.of_this_version(),
             rehearsals=Rehearsals(Rehearsal(state)),

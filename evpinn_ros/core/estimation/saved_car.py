@@ -10,7 +10,6 @@ from evpinn_ros.core.estimation.gaussian import Gaussian, is_possible
 from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.states import LASTING, NAMES, OFFSETS, SIZE, known_names
 from evpinn_ros.core.estimation.terms import Equation
-from evpinn_ros.core.estimation.unevenness import MOST_SHARE, SHAPE, Unevenness, prior_rows
 
 MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
 
@@ -54,21 +53,3 @@ def state_of(saved: CarState, equation: Equation) -> CarState:
         raise ValueError("a variance of the state is negative")
     offsets = variance[OFFSETS]
     return replace(saved, mean=mean, covariance=covariance, offset_variance=offsets, names=NAMES)
-
-
-def unevenness_of(saved: Unevenness, equation: Equation) -> Unevenness:
-    """Unevenness that was saved; a state that the file lacks has that of simulated drives.
-
-    Raises:
-        ValueError: numbers are missing or no car drives so.
-    """
-    if saved.rows.size != SHAPE[0] * SHAPE[1] * len(saved.names):
-        raise ValueError("numbers of the unevenness are missing")
-    rows, (theirs, ours) = np.zeros((*SHAPE, SIZE)), known_names(saved.names)
-    if len(ours) < SIZE:
-        rows += saved.metres[..., None] * prior_rows(equation)
-    rows[..., ours] = np.reshape(saved.rows, (*SHAPE, len(saved.names)))[..., theirs]
-    unevenness = replace(saved, rows=rows, names=NAMES)
-    if unevenness.share > MOST_SHARE:
-        raise ValueError("the scatter of the unevenness is out of range")
-    return unevenness

@@ -96,14 +96,12 @@ class Similarity:
         """The car as forecasts take it, with the equation of the vehicle."""
         if self.size == 1.0:
             return model
-        uneven, experts = model.unevenness, model.experts
         return replace(
             _scaled(model, self.size**2, "noise", "load_variance"),
             equation=equation_of(self._vehicle, model.equation.seed),
             mean=self._states * model.mean,
             covariance=np.outer(self._states, self._states) * model.covariance,
-            unevenness=replace(uneven, rows=self.size / self._states * uneven.rows),
-            experts=_scaled(experts, self.size, *ENERGIES),
+            experts=_scaled(model.experts, self.size, *ENERGIES),
         )
 
     def breakdowns(self, breakdowns: Breakdowns) -> Breakdowns:

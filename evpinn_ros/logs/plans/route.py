@@ -3,7 +3,8 @@
 Formats by their documentation: Valhalla's `route` and `trace_attributes`
 (valhalla.github.io/valhalla/api), OSRM (project-osrm.org/docs), GraphHopper (docs.graphhopper.com)
 and openrouteservice (giscience.github.io/openrouteservice). The finest parts whose duration is
-known are read, then joined (`_lasting`): a service's time of an edge knows no stop.
+known are read, then joined (`_lasting`): a service's time of an edge knows no stop. A service
+cuts a road where it likes: parts of one speed are one before.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, sums
+from evpinn_ros.core.estimation.even import runs_of
 from evpinn_ros.logs.plans.way import Heights, legs_between, way_length
 
 Json: TypeAlias = Mapping[str, Any]
@@ -64,11 +66,19 @@ def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
     if not parts:
         raise PlanError("its route has no parts")
     length, duration = _lasting(np.array(parts, float)).T
+    if heights is not None and np.isfinite(heights.height).any():  # taken once in `SETTLED`
+        pieces = np.maximum(duration // SETTLED, 1).astype(int)
+        length, duration = (np.repeat(column / pieces, pieces) for column in (length, duration))
     return legs_between(sums(duration), sums(length), heights)
 
 
 def _lasting(parts: np.ndarray) -> np.ndarray:
-    """Parts in order, shape (n, 2), joined so that each lasts `SETTLED`."""
+    """Parts in order, (n, 2), joined where of one speed, and so that each lasts `SETTLED`."""
+    begins_one = np.concatenate(([True], parts[:-1, 1] > 0.0))  # what takes no time ends later
+    parts = np.add.reduceat(parts, np.flatnonzero(begins_one))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        run = runs_of(parts[:, 1], parts[:, 0])
+    parts = np.add.reduceat(parts, np.flatnonzero(np.diff(run, prepend=-1)))
     begins, lasted = [0], 0.0
     for index, seconds in enumerate(parts[:, 1].tolist()):
         if lasted >= SETTLED:

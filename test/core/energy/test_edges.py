@@ -11,10 +11,10 @@ from evpinn_ros.core.energy.edges import edge_energies
 from evpinn_ros.core.energy.forecast import PlanBasis, forecast_plan
 from evpinn_ros.core.energy.plan import PlanConditions, legs_of, legs_of_trip
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.core.energy.remaining import USUAL_LEG, usual_cost
+from evpinn_ros.core.energy.remaining import usual_cost
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import WARM
-from evpinn_ros.core.estimation.unevenness import DURATIONS, MIDDLES, Unevenness
+from evpinn_ros.core.estimation.unevenness import MIDDLES, USUAL_LEG, Unevenness
 from evpinn_ros.core.vehicle.files import load_vehicle
 from test.core.energy.cars import FEW, taught
 
@@ -56,8 +56,8 @@ def test_a_route_is_the_forecast_of_its_edges(name, rows, conditions):
 
 @FEW
 @given(CARS, LEGS, CONDITIONS)
-def test_an_edge_is_a_leg_of_a_forecast_whose_neighbours_are_alike(name, rows, conditions):
-    """The second of three edges, with tyres and cabin warm; but for the load that fades."""
+def test_an_edge_at_even_speed_is_a_leg_within_a_long_road_of_its_kind(name, rows, conditions):
+    """With tyres and cabin warm; but for the load that fades. Both ends are minutes away."""
     basis = PlanBasis.of(car(name), conditions)
     weather = basis.weather._replace(start=WARM)
     mean = basis.model.car.mean.copy()
@@ -65,23 +65,19 @@ def test_an_edge_is_a_leg_of_a_forecast_whose_neighbours_are_alike(name, rows, c
     model = PowerModel(replace(basis.model.car, mean=mean))
     duration, speed, slope = np.array(rows).T
     columns = duration * speed, duration, slope * duration * speed
-    edges = edge_energies(legs_of(*columns), model, weather, basis.head_wind)
+    edges = edge_energies(legs_of(*columns), model, weather, basis.head_wind, steady=True)
     for edge, leg in enumerate(zip(*columns, strict=True)):
-        legs = legs_of_trip(*(np.full(3, value) for value in leg))
-        energy = forecast_plan(legs, model, weather, basis.head_wind).energy
-        assert edges.energy[edge] == pytest.approx(energy[2] - energy[1], rel=1e-9, abs=1e-5)
+        legs = legs_of_trip(*(value * np.array([300.0, 1.0, 300.0]) for value in leg))
+        energy = forecast_plan(legs, model, weather, basis.head_wind, steady=True).energy
+        assert edges.energy[edge] == pytest.approx(energy[2] - energy[1], rel=1e-6, abs=1.0)
 
 
 @pytest.mark.parametrize("name", ["bmw_i3", "taught"])
 def test_the_usual_cost_of_range_is_that_of_edges(name):
     warm = replace(car(name).car, seconds=1e6)
-    metres = np.zeros((len(MIDDLES), len(DURATIONS)))
-    column = int(np.searchsorted(DURATIONS, USUAL_LEG))
-    metres[:, column] = 1000.0 * np.arange(1.0, len(MIDDLES) + 1.0)
-    driven = Unevenness(metres, np.zeros((*metres.shape, len(warm.mean))))
-    model = PowerModel(replace(warm, unevenness=driven))
+    metres = 1000.0 * np.arange(1.0, len(MIDDLES) + 1.0)
+    model = PowerModel(replace(warm, unevenness=replace(Unevenness.none(), metres=metres)))
     legs = legs_of(MIDDLES * USUAL_LEG, np.full_like(MIDDLES, USUAL_LEG), np.zeros_like(MIDDLES))
-    density = warm.equation.vehicle.air_density
-    edges = edge_energies(legs, model, Weather(density))
-    cost = np.average(edges.energy / legs.length, weights=metres[:, column])
+    edges = edge_energies(legs, model, Weather(warm.equation.vehicle.air_density))
+    cost = np.average(edges.energy / legs.length, weights=metres)
     assert usual_cost(model.car) == pytest.approx(cost, rel=1e-9)

@@ -9,6 +9,7 @@ import pytest
 
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
+from evpinn_ros.core.energy.course import WIND_STEPS
 from evpinn_ros.core.energy.forecast import DIRECTION_LENGTH, forecast_plan
 from evpinn_ros.core.energy.plan import COLUMNS, Plan, plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
@@ -29,7 +30,7 @@ AIR = Weather(CAR.air_density)
 
 
 def forecast(plan, combined=COMBINED, sigmas=EXACT, density=CAR.air_density):
-    return forecast_plan(plan, plain(combined, sigmas), Weather(density))
+    return forecast_plan(plan, plain(combined, sigmas), Weather(density), steady=True)
 
 
 def energy(plan, combined=COMBINED):
@@ -150,11 +151,12 @@ def test_wind_that_was_measured_counts_less_the_farther_the_car_goes():
     speed, wind = 20.0, 6.0
     model, plan = plain(), cruise(speed, 2000.0, points=2001)
     calm, windy, tail = (
-        forecast_plan(plan, model, AIR, against, DIRECTION_LENGTH)
+        forecast_plan(plan, model, AIR, against, DIRECTION_LENGTH, steady=True)
         for against in (0.0, wind, -wind)
     )
     drag = 0.5 * CAR.air_density * COMBINED.drag_area_over_eta * speed
-    first = drag * ((speed + wind) ** 2 - speed**2)  # of the first 20 m, 0.4 % of the way to calm
+    step = wind * math.exp(-0.5 / WIND_STEPS)  # in the middle of the first step
+    first = drag * ((speed + step) ** 2 - speed**2)
     assert windy.power[0] - calm.power[0] == pytest.approx(first, rel=3e-3)
     more = windy.energy[-1] - calm.energy[-1]
     along = np.exp(-plan.distance / DIRECTION_LENGTH)
@@ -162,7 +164,7 @@ def test_wind_that_was_measured_counts_less_the_farther_the_car_goes():
     assert more == pytest.approx(np.trapezoid(added, plan.distance), rel=0.01)
     assert -more < tail.energy[-1] - calm.energy[-1] < 0
     many = Plan(*(np.stack([getattr(plan, name)] * 2) for name in COLUMNS))
-    both = forecast_plan(many, model, AIR, wind, DIRECTION_LENGTH)
+    both = forecast_plan(many, model, AIR, wind, DIRECTION_LENGTH, steady=True)
     assert both.energy[:, -1] == pytest.approx(windy.energy[-1])
 
 
@@ -179,7 +181,7 @@ def test_speeds_that_are_commanded_take_as_much_however_few_points_have_them(nam
         return plan_from_speed_profile(time, None, speed, 50.0 * length / length[-1])
 
     few, some = plan(knots), plan(np.unique(np.append(knots, np.arange(0.0, 421.0, 10.0))))
-    dense = forecast_plan(plan(np.arange(421.0)), model, AIR)
+    dense = forecast_plan(plan(np.arange(421.0)), model, AIR, steady=True)
     for cut in (few, some):
         commanded = forecast_plan(cut, model, AIR, steady=True)
         same = forecast_plan(dataclasses.replace(cut, commanded=True), model, AIR, along=False)
@@ -228,7 +230,7 @@ def test_the_sigma_of_a_difference_is_what_drawing_cars_gives():
         plan_from_speed_profile(time, speed * time, np.full(time.size, speed))
         for speed in (15.0, 17.0)
     ]
-    slow, fast = (forecast_plan(plan, model, AIR) for plan in plans)
+    slow, fast = (forecast_plan(plan, model, AIR, steady=True) for plan in plans)
     rng = np.random.default_rng(1)
     drawn = rng.multivariate_normal(car.mean, car.covariance, 20_000, method="eigh")
     energies = [drawn @ trip.end.row for trip in (slow, fast)]

@@ -252,13 +252,13 @@ def test_a_state_is_kept_and_what_does_not_fit_is_refused(learner, vehicle):
     assert other.parameters().identifiable == learner.parameters().identifiable
     fresh = PinnLearner(vehicle)
     before = saved_car(fresh)
-    car, uneven = saved["car"], saved["unevenness"]
+    car, uneven = saved["car"], saved["uneven"]
     for wrong in (
         {"car": {}},
         {"car": {**car, "names": car["names"][1:]}},
         {"car": {**car, "mean": [[math.nan] * len(NAMES)] * len(car["mean"])}},
-        {"unevenness": {**uneven, "rows": uneven["rows"][:-1]}},
-        {"unevenness": {**uneven, "squares": 1e30}},
+        {"uneven": {**uneven, "driven": uneven["driven"][:-1]}},
+        {"uneven": {**uneven, "squares": 1e30}},
     ):
         with pytest.raises((KeyError, TypeError, ValueError)):
             fresh.restore({**saved, **wrong})

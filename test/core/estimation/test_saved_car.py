@@ -18,7 +18,7 @@ from evpinn_ros.core.estimation.published import UNNAMED
 from evpinn_ros.core.estimation.saved_car import saved_state, state_of
 from evpinn_ros.core.estimation.states import NAMES, OFFSETS, SIZE, State
 from evpinn_ros.core.estimation.terms import BESIDE, equation_of
-from evpinn_ros.core.estimation.unevenness import prior_rows
+from evpinn_ros.core.estimation.unevenness import DURATIONS
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
 from test.core.estimation.conftest import measured
@@ -164,15 +164,13 @@ def saved(town) -> dict:
 def without(saved: dict, state: State) -> dict:
     """The file as it was before a state was added."""
     older, count = deepcopy(saved), len(FRESH.mean)
-    car, uneven = older["car"], older["unevenness"]
+    car = older["car"]
     at = car["names"].index(NAMES[state])
     covariance = np.reshape(car["covariance"], (count, SIZE, SIZE))
     shorter = np.delete(np.delete(covariance, at, 1), at, 2)
     car["covariance"] = shorter.ravel().tolist()
     car["mean"] = np.delete(np.reshape(car["mean"], (count, SIZE)), at, 1).ravel().tolist()
-    rows = np.reshape(uneven["rows"], (-1, SIZE))
-    uneven["rows"] = np.delete(rows, at, 1).ravel().tolist()
-    for names in (car["names"], uneven["names"], car["offset_variance"]):
+    for names in (car["names"], car["offset_variance"]):
         del names[at]
     if state in BESIDE:
         for row in (older["driven"]["names"], *older["driven"]["cross"]):
@@ -213,16 +211,11 @@ def test_driving_of_a_file_without_names_has_those_of_that_version(saved):
         learner.restore(older)
 
 
-def test_uneven_speed_costs_a_new_state_what_simulated_drives_say(saved):
-    """Until the car has driven with it, and not nothing on roads that it knows well."""
+def test_a_car_whose_unevenness_was_a_table_of_states_goes_on_without(saved):
     older = PinnLearner(CAR)
-    older.restore(without(saved, State.TURNING))
-    unevenness, before = older.model().unevenness, prior_rows(EQUATION)
-    expected = unevenness.metres[..., None] * before
-    turning = expected[..., State.TURNING]
-    assert turning.any() and unevenness.rows[..., State.TURNING] == pytest.approx(turning)
-    driven = unevenness.rows[..., State.MASS]
-    assert driven != pytest.approx(expected[..., State.MASS], rel=1e-3)  # as it was driven
+    table = {key: value for key, value in saved.items() if key != "uneven"}
+    older.restore({**table, "unevenness": {"metres": [[1.0]], "rows": [2.0], "squares": 1e11}})
+    assert older.model().unevenness.factors(EQUATION).tolist() == [1.0] * len(DURATIONS)
 
 
 def shorter(car: dict, name: str, _: float) -> None:
