@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from evpinn_ros import topics
-from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.reader import BagReader, Record
 from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import SAY_CAR, InputError, near_names
@@ -15,8 +15,10 @@ from evpinn_ros.topics import NAMESPACE, Topic, topic_of
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.readings import (
     READING_TOPICS,
+    Batteries,
     ChargeScale,
     Rotation,
+    in_frame_of_map,
     reading_messages,
     to_reading,
 )
@@ -56,6 +58,7 @@ class BagReadings:
         InputError: several cars.
         """
         self.dropped: Counter[str] = Counter()  # unusable messages, by reason
+        self.doubts: tuple[str, ...] = ()  # why totals are not certain; complete once read
         self._reader, self._mounting = reader, mounting
         speeds = (_named(reader, topic, car) for topic in topics.SPEEDS)
         wanted_topics = [topic for topic in READING_TOPICS.values() if topic is not topics.SPEED]
@@ -73,14 +76,34 @@ class BagReadings:
 
     def __iter__(self) -> Iterator[Reading]:
         self.dropped.clear()
-        charge = ChargeScale()
+        charge, batteries = ChargeScale(), Batteries()
+        self.doubts = ()
         for record in self._reader.records(self.topics):
+            self._look_at(record, batteries)
             try:
                 reading = to_reading(record.type_name, record.message, self._mounting)
                 yield charge.reading(reading)
             except BadMessage as error:
                 self.dropped[error.reason] += 1
         self.dropped.update(self._reader.dropped)
+        if batteries.take_turns:
+            names = " and ".join(batteries.names)
+            self.doubts = (
+                f"the batteries {names} take turns on {topics.BATTERY.name}, so every energy is "
+                "wrong: record each under a topic of its own",
+            )
+
+    def _look_at(self, record: Record, batteries: Batteries) -> None:
+        """Note a speed in the frame of a map, and which battery a message is of."""
+        if record.type_name == topics.BATTERY_TYPE:
+            batteries.add(record.message)
+        elif record.type_name == topics.ODOMETRY_TYPE and in_frame_of_map(record.message):
+            frame = record.message.header.frame_id
+            note = (
+                f"{record.topic}: the speed is in the frame of its pose, {frame!r}, so its size "
+                "counts, in reverse too"
+            )
+            self.notes = tuple(dict.fromkeys((*self.notes, note)))
 
 
 def _near_topics(reader: BagReader, missing: Iterable[Topic]) -> Iterator[str]:

@@ -45,7 +45,12 @@ class BagSource(Source):
     @property
     def notes(self) -> tuple[str, ...]:
         """Topics that are nearly those that are missing, and what the battery cannot be."""
-        return *self._readings.notes, *self._watch.notes
+        return *self._readings.notes, *self._readings.doubts, *self._watch.notes
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What the battery cannot be, of what changes its totals."""
+        return *self._readings.doubts, *self._watch.doubts
 
     def read(self) -> Iterator[Block]:
         """The readings in order of log time."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
@@ -14,13 +14,12 @@ from evpinn_ros.core.signals.readings import (
     BatteryReading,
     Reading,
     SpeedReading,
-    drawn_power,
 )
+from evpinn_ros.logs.contradictions import energy_doubts, never_back, wrong_sign
 from evpinn_ros.logs.quantities import PLACES
-from evpinn_ros.logs.signal import Signal, at_times, pull, speeds_up_and_down
+from evpinn_ros.logs.signal import Signal, battery_power, pull, speeds_up_and_down
 from evpinn_ros.logs.source import STRAGGLING_NS
 from evpinn_ros.logs.standing import Standing
-from evpinn_ros.logs.values import drawn_at_rest, never_back, wrong_sign
 
 STATED = "it is negative while the battery discharges, and every energy has the other sign"
 BLOCK = 20_000  # readings that are judged together
@@ -32,7 +31,9 @@ class BatteryWatch:
     """Passes on the measured readings of a drive, and notes what its battery cannot be."""
 
     def __init__(self, dropped: Counter[str]) -> None:
-        self.notes: tuple[str, ...] = ()  # sentences, complete once all is read
+        # sentences, complete once all is read: all, and those on totals to be doubted
+        self.notes: tuple[str, ...] = ()
+        self.doubts: tuple[str, ...] = ()
         self._standing = Standing(dropped)
         self._kept: list[Block] = []
         self._flows_back = False
@@ -53,7 +54,9 @@ class BatteryWatch:
             error = broken
         if block:
             yield self._measured(Block.of(block))
-        self.notes = (*self._standing.notes, *self._doubts())
+        signals = self._signals()
+        self.doubts = tuple(_doubts(signals))
+        self.notes = (*self._standing.notes, *self.doubts, *self._never_back(signals))
         if error is not None:
             raise error
 
@@ -78,19 +81,29 @@ class BatteryWatch:
         self._flows_back |= bool((_possible(block, BatteryReading).values[1] > 0.0).any())
         return block
 
-    def _doubts(self) -> Iterator[str]:
+    def _signals(self) -> dict[str, Signal]:
+        """Speed, m/s, voltage, V, and drawn current, A, of the readings that were kept."""
         kept = joined(self._kept)
         speeds, battery = (_possible(kept, kind) for kind in (SpeedReading, BatteryReading))
         zero_ns = kept.stamps()[:1]
-        speed = Signal((speeds.stamps - zero_ns) / NANOSECONDS, speeds.values[0])
         time = (battery.stamps - zero_ns) / NANOSECONDS
-        voltage = at_times(Signal(time, battery.values[0]), time)
-        drawn = Signal(time, drawn_power(voltage, battery.values[1]))
-        yield from drawn_at_rest(drawn, speed)
-        if pull(speed, drawn) < 0.0:
-            yield wrong_sign("the current", STATED)
-        elif speeds_up_and_down(speed) and not self._flows_back:
+        return {
+            "speed": Signal((speeds.stamps - zero_ns) / NANOSECONDS, speeds.values[0]),
+            "voltage": Signal(time, battery.values[0]),
+            "current": Signal(time, -battery.values[1]),
+        }
+
+    def _never_back(self, signals: Mapping[str, Signal]) -> Iterator[str]:
+        drawn, speed = battery_power(signals), signals["speed"]
+        if drawn is not None and speeds_up_and_down(speed) and not self._flows_back:
             yield from never_back(drawn, speed)
+
+
+def _doubts(signals: Mapping[str, Signal]) -> Iterator[str]:
+    drawn = battery_power(signals)
+    if drawn is not None and pull(signals["speed"], drawn) < 0.0:
+        yield wrong_sign("the current", STATED)
+    yield from energy_doubts(signals, "the current")
 
 
 def _possible(block: Block, kind: type[Reading]) -> Rows:

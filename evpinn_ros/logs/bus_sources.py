@@ -130,6 +130,11 @@ class CanLogSource(Source):
         """What the battery cannot be."""
         return self._watch.notes
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What the battery cannot be, of what changes its totals."""
+        return self._watch.doubts
+
     def read(self) -> Iterator[Block]:
         """Readings up to where the log contradicts the profile; InputError if it gave none."""
         self._log, self._bridge = self._open_log(), self._make_bridge()

@@ -24,6 +24,16 @@ from evpinn_ros.logs.quantities import (
 from evpinn_ros.logs.signal import FloatArray, Signal
 
 SIGNED = ("current", "power")
+# How names of what is drawn differ from those of what flows back.
+FLOWS = (
+    ("discharge", "charge"),
+    ("discharging", "charging"),
+    ("discharged", "charged"),
+    ("drive", "regen"),
+    ("drawn", "returned"),
+    ("consumed", "regenerated"),
+    ("out", "in"),
+)
 LONGEST_LIST = 200  # characters of column names in a message
 EMPTY = "empty"
 NO_USE = "not needed"
@@ -49,6 +59,8 @@ class Column:
     place: int = 0  # of the column in the file, from 0
     wraps: float = 0.0  # in the file's unit: what is above half of it is a negative number
     could_be: tuple[str, ...] = ()  # other units that explain it as well: its own is assumed
+    # of a current or power that is drawn alone: the place of what flows back, in the same unit
+    back: int | None = None
 
     @property
     def has_unit(self) -> bool:
@@ -159,10 +171,24 @@ def columns_by_name(
             }
         best = max(scores, key=lambda i: scores[i], default=None)
         if best is not None and scores[best] > 0:
-            columns.append(column_of(quantity, header, best))
+            column = column_of(quantity, header, best)
+            columns.append(replace(column, back=_flows_back(quantity, header, best)))
             quantities.add(quantity)
             taken.add(best)
     return columns
+
+
+def _flows_back(quantity: str, header: Sequence[str], place: int) -> int | None:
+    """Place of a column whose name is the same but for what flows back; None without one."""
+    if quantity not in SIGNED:
+        return None
+    names = [words_of(name) for name in header]
+    words, brackets = names[place]
+    for drawn, back in FLOWS:
+        other = words.replace(f" {drawn} ", f" {back} "), brackets
+        if other[0] != words and other in names:
+            return names.index(other)
+    return None
 
 
 def _foreign(quantity: str, name: str) -> str:
@@ -256,7 +282,7 @@ def unused_columns(
 ) -> dict[str, str]:
     """Why each other column is not used; `clock` and `empty` are places of time and empty ones."""
     taken = {column.quantity: column for column in used}
-    places = {*(column.place for column in used), *clock}
+    places = {*(column.place for column in used), *(column.back for column in used), *clock}
     return {
         name: EMPTY if place in empty else _reason(name, taken)
         for place, name in enumerate(header)

@@ -85,6 +85,7 @@ _OTHERS = (
 _NO_PLACE = "accuracy,error,acceleration,accel,acc,g,force,rate,term,trim,fuel,speed,time"
 # Of a voltage that the app has computed from the measured one, or that the battery has at rest.
 _COMPUTED = "corrected,compensated,open circuit,ocv,estimated,filtered,smoothed,nominal,simulated"
+_CHARGED = ",charge,charging,charged,returned,regenerated,in"
 _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outlet,comp"
 
 QUANTITIES: Mapping[str, Quantity] = {
@@ -126,7 +127,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         "prąd,proud,ток,总电流,电流,電流,전류,i bat,i batt,ibat,ibatt",
         _units(a=1.0, amps=1.0, ma=1e-3),
         better=_BATTERY,
-        worse=_COMPUTED,
+        worse=_COMPUTED + _CHARGED,
         never=_OTHERS,
     ),
     "power": Quantity(
@@ -135,7 +136,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         "effekt,moc,výkon,мощность,功率,電力,전력",
         _POWER,
         better=_BATTERY,
-        worse=_COMPUTED,
+        worse=_COMPUTED + _CHARGED,
         never=_OTHERS + ",sw",
     ),
     "elevation": Quantity(

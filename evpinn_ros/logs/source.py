@@ -53,6 +53,11 @@ class Source(ABC):
         """Notes for a person on how it was read; complete once exhausted."""
         return ()
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences on why its totals are not certain; complete once exhausted."""
+        return ()
+
     @abstractmethod
     def read(self) -> Iterator[Block]:
         """Read the drive: `blocks`, some of which may be without a reading."""

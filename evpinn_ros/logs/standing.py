@@ -39,6 +39,8 @@ WINDOW = 15.0  # s; over more, a hill looks like speeding up
 UNSEEN = 1.0  # m/s^2: by so much power swings in most windows while the speed repeats
 LONG, UNSEEN_LONG = 60.0, 0.4  # s, m/s^2: no driver and no control keeps a speed so well
 DRIVING, STANDING = 8.0, 5.0  # m/s at which it swings so: what stands gives and takes less
+LEAST_CYCLES = 6  # changes between giving and taking
+LEAST_WORK, NO_STANDING_LOAD = 50.0, 20_000.0  # W: an offset is less, and no heater takes more
 LEAST_TURNS = 2  # from giving to taking or back
 LEAST_RISE = 10.0  # m/s, or the highest speed if lower: a car rises by it only with power
 FINER = 5.0  # resolutions of a current by which it has to change
@@ -236,7 +238,7 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
     for stand in stands:
         if why := _other_way(stand, seen, signals):
             yield "speed", stand, why
-        elif drawn is not None and mass > 0.0 and _is_driven(stand, drawn, mass):
+        elif drawn is not None and _shows_driving(drawn, stand, seen, mass):
             yield "speed", stand, "the battery shows that the car drives"
     volts = signals["voltage"].known if "voltage" in signals else np.empty(0)
     units = {"current": np.median(volts) if volts.size else np.nan, "power": 1.0}
@@ -288,6 +290,31 @@ def _other_way(stand: Stand, seen: Signal, signals: Signals) -> str:
     agree = abs(road_of_odometer({**signals, "speed": seen}) - 1.0) < WRONG_WAY
     is_other = abs(way - expected) > WRONG_WAY * expected + least
     return "the odometer counts another way" if agree and is_other else ""
+
+
+def _shows_driving(drawn: Signal, stand: Stand, speed: Signal, mass: float) -> bool:
+    """True if the battery works as that of a car that drives, while its speed stands still."""
+    if mass > 0.0:
+        return _is_driven(stand, drawn, mass)
+    return not stand.value and not speed.known.any() and _gives_and_takes(stand.holds(drawn))
+
+
+def _gives_and_takes(drawn: Signal) -> bool:
+    """True if power, W, goes up and down as no charger, heater or standing load does."""
+    power = drawn.known
+    most = float(np.quantile(np.abs(power), 0.95)) if power.size else 0.0
+    # States of hysteresis: each large power is one, and stays until the next that is another.
+    high, low, back = (power > 0.7 * most), (np.abs(power) < 0.3 * most), (power < -0.1 * most)
+    rises, turns = _changes(high, low), _changes(high, back)
+    return (turns >= LEAST_CYCLES and most > LEAST_WORK) or (
+        rises >= 2 * LEAST_CYCLES and most > NO_STANDING_LOAD
+    )
+
+
+def _changes(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> int:
+    """How often one of two states follows the other."""
+    states = first[first | second]
+    return int(np.count_nonzero(states[1:] != states[:-1]))
 
 
 def _is_driven(stand: Stand, drawn: Signal, mass: float) -> bool:

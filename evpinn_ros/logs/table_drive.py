@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 import math
 from pathlib import Path
@@ -36,6 +37,7 @@ from evpinn_ros.logs.column import (
     is_complete,
     unused_columns,
 )
+from evpinn_ros.logs.contradictions import contradictions, doubts
 from evpinn_ros.logs.numbers import filled, is_missing, to_floats
 from evpinn_ros.logs.quantities import NEEDED, PLACES, QUANTITIES, Unit, is_engine_speed
 from evpinn_ros.logs.read_options import ReadOptions
@@ -56,9 +58,11 @@ from evpinn_ros.logs.survey import (
     look_through,
 )
 from evpinn_ros.logs.values import (
-    contradictions,
+    flows_one_way,
     held_columns,
+    is_backwards,
     is_engine,
+    net,
     of_12_volts,
     power_beside,
     with_units,
@@ -72,7 +76,7 @@ if TYPE_CHECKING:
 
 AT_ONCE = 16_384  # rows of a table that is not in order of time
 DIGITS = re.compile(r"\d+")
-FEW_ROWS = 2000  # looked at where all names are ours and nothing is guessed
+FEW_ROWS = 20_000  # looked at where all names are ours and nothing is guessed
 
 Stamps = NDArray[np.int64]
 Numbers = dict[str, NDArray[np.float64]]
@@ -150,6 +154,7 @@ class TableDrive(Source):
             stamps = stamps[rows]
             survey.put_in_order(rows)
         self._contradictions: tuple[str, ...] = ()
+        self._doubts: tuple[str, ...] = ()
         self.rules = self._ruled(columns, all_ours, stamps)
         self.ignored = unused_columns(header, self.rules, self.clock.columns, survey.empty)
         if self._long is not None:
@@ -179,7 +184,7 @@ class TableDrive(Source):
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for a person on how it was read; complete once exhausted."""
-        notes = [*self.assumptions, *self._contradictions]
+        notes = [*self.assumptions, *self._doubts, *self._contradictions]
         comments = self._head.comments
         notes += [text.lstrip("# ") for text in comments if text.startswith(OTHER_SHEETS)]
         if not self.in_order:
@@ -190,12 +195,17 @@ class TableDrive(Source):
             if rule.wraps
         ]
         for rule in self.rules:
+            if rule.back is not None:
+                back = self._head.names[rule.back]
+                notes.append(f"{rule.quantity}: {back!r} flows back, and counts against it")
             alike = [name for name in self.ignored if _is_numbered_like(name, rule.name)]
             if rule.quantity in SIGNED and alike:
                 notes.append(
                     f"{rule.quantity}: {rule.name!r} is assumed to be that of the whole battery; "
                     f"not counted: {', '.join(alike)}"
                 )
+        if self._backwards:
+            notes.append("speed: all numbers are negative; their size counts")
         if self._engine is not None:
             notes.append("rows in which the engine turns are not used")
         if self._held:
@@ -221,6 +231,11 @@ class TableDrive(Source):
             )
         return (*notes, self.first_bad) if self.first_bad else tuple(notes)
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences on why its totals are not certain."""
+        return self._doubts
+
     def read(self) -> Iterator[Block]:
         """Readings in order of time, as far as readable; InputError if there is none."""
         begun, self.problem = False, None
@@ -243,6 +258,7 @@ class TableDrive(Source):
             self._head,
             sorted(
                 {column.place for column in (*columns, *filter(None, [self._beside]))}
+                | {column.back for column in columns if column.back is not None}
                 | ({self._engine} if self._engine is not None else set())
             ),
             early=partial(self._clocks, columns),
@@ -362,6 +378,8 @@ class TableDrive(Source):
     def _numbers(self, batch: Batch, rule: Column) -> NDArray[np.float64]:
         values = to_floats(batch.cells(rule.place), self._survey.styles[rule.place])
         self._count_bad(batch, rule, ~np.isfinite(values), "is no number")
+        if rule.back is not None:
+            values = net(values, to_floats(batch.cells(rule.back), self._survey.styles[rule.back]))
         values = np.where(np.abs(values) < MOST, values, math.nan)  # no factor makes it infinite
         values = rule.si(values)
         values[~(np.abs(values) < MOST)] = math.nan
@@ -405,9 +423,14 @@ class TableDrive(Source):
         used = {column.quantity: column for column in columns if column.quantity != "time"}
         times = _seconds(clock.running().add(stamps))
         beside = {"power": self._beside} if self._beside else {}
+        used = {name: self._with_what_flows_back(column) for name, column in used.items()}
         signals = measured_alone(
             {name: self._signal(column, times) for name, column in {**used, **beside}.items()}
         )
+        speed = used["speed"]
+        self._backwards = speed.why != "as given" and is_backwards(signals["speed"])
+        if self._backwards:
+            signals["speed"] = Signal(times, -signals["speed"].value)
         if not all_ours:
             used = with_units(used, signals)
         self._not_traction = of_12_volts(used, signals)
@@ -421,12 +444,27 @@ class TableDrive(Source):
         if {"voltage", "current"} <= measured.keys():
             measured |= beside
         self._contradictions = tuple(contradictions(measured, signals))
+        self._doubts = tuple(doubts(measured, signals))
+        if self._backwards:
+            used["speed"] = used["speed"].turned()
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))
 
     def _signal(self, column: Column, times: NDArray[np.float64]) -> Signal:
-        survey, place = self._survey, column.place
-        values = to_floats(survey.cells[place], survey.styles[place])
+        values = self._surveyed(column.place)
+        if column.back is not None:
+            values = net(values, self._surveyed(column.back))
         return Signal(times, np.where(np.abs(values) < MOST, values, math.nan))
+
+    def _surveyed(self, place: int) -> NDArray[np.float64]:
+        """Numbers of a column in the rows that were looked at."""
+        return to_floats(self._survey.cells[place], self._survey.styles[place])
+
+    def _with_what_flows_back(self, column: Column) -> Column:
+        """The column; without what flows back where either has both signs."""
+        if column.back is None:
+            return column
+        is_pair = flows_one_way(self._surveyed(column.place), self._surveyed(column.back))
+        return column if is_pair else replace(column, back=None)
 
     def _start(self, others: Sequence[Clock], stamps: Stamps) -> tuple[int, str]:
         """Offset to add to the times of the clock, ns, and the source of the date."""

@@ -75,6 +75,11 @@ class JoinedLog(Source):
         """Notes of all files, each once."""
         return tuple(dict.fromkeys(note for file in self._files for note in file.notes))
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Doubts of all files, each once."""
+        return tuple(dict.fromkeys(doubt for file in self._files for doubt in file.doubts))
+
     def read(self) -> Iterator[Block]:
         """The readings of all files in order."""
         for file in self._files:
@@ -135,6 +140,11 @@ class TripSource(Source):
     def notes(self) -> tuple[str, ...]:
         """Notes on how the log was read; the last trip has them, for then it was read whole."""
         return self._log.notes if self._last else ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Doubts of the log, which hold for each of its trips."""
+        return self._log.doubts
 
     def read(self) -> Iterator[Block]:
         """Readings of the trip in recorded order; what the log lost counts with its last trip."""

@@ -1,4 +1,4 @@
-"""Units, signs, repeated cells and contradictions, as the values of columns tell them.
+"""Units, signs and repeated cells, as the values of columns tell them.
 
 A logger that fills cells with the last known value (the Vehicle Energy Dataset) makes steps of a
 speed; where rows come unevenly, a fine signal that repeats to the last digit was not measured
@@ -7,14 +7,13 @@ again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.signals.detector import DRAWN_AT_REST
 from evpinn_ros.logs.column import SIGNED, Column, column_of
 from evpinn_ros.logs.quantities import QUANTITIES, Unit, score
 from evpinn_ros.logs.rows_to_blocks import LOADS
@@ -26,7 +25,6 @@ from evpinn_ros.logs.signal import (
     Signal,
     accelerations,
     at_times,
-    battery_power,
     correlation,
     pull,
 )
@@ -40,10 +38,10 @@ STRONG = 150.0  # kW: more is seldom, and as many W move a light vehicle
 WEAKEST = 1000.0  # W: a car that takes no more than this in its whole drive does not drive
 HIGHEST, HEAVIEST = 2000.0, 5000.0  # V, A: of no battery of a vehicle
 HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
+BACKWARDS = 0.99  # of the speeds that are not zero
+AT_ONCE, SELDOM = 0.5, 0.02  # shares of the rows
 KELVIN = 200.0  # from here on it is K
 ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
-RISES = 0.7  # correlation of power with braking from which on it is that of braking
-SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
 RESOLUTIONS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.02, 0.01, 0.001)  # of a bus
 SPANS = sorted(step * 2.0**bits for step in RESOLUTIONS for bits in (16, 32))
 FEW_BITS = sorted(step * 2.0**bits for step in RESOLUTIONS for bits in range(8, 16))
@@ -80,6 +78,33 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
             column = column.in_unit(next(units), "")
             decided[name] = column.guessed(("ft",)) if name == "elevation" else column
     return decided
+
+
+def is_backwards(speed: Signal) -> bool:
+    """True if a car seems to drive backwards all the time: its sensor counts that way."""
+    moving = speed.known[speed.known != 0.0]
+    return moving.size >= LEAST_EVENTS and bool(np.mean(moving < 0.0) > BACKWARDS)
+
+
+def flows_one_way(drawn: FloatArray, back: FloatArray) -> bool:
+    """True if two columns hold what is drawn and what flows back, hardly ever at once."""
+    if np.isfinite(drawn).sum() < LEAST_EVENTS or not np.isfinite(drawn + back).any():
+        return False
+    both = np.isfinite(drawn) & np.isfinite(back)
+    if both.sum() < AT_ONCE * (np.isfinite(drawn) | np.isfinite(back)).sum():
+        return False
+    for values in (drawn[both], back[both]):
+        if min(np.sum(values < 0.0), np.sum(values > 0.0)) > SELDOM * values.size:
+            return False
+    sizes = np.abs([drawn[both], back[both]])
+    return bool(sizes.min(axis=0).sum() <= SELDOM * sizes.max(axis=0).sum())
+
+
+def net(drawn: FloatArray, back: FloatArray) -> FloatArray:
+    """What is drawn less what flows back; NaN where neither is known."""
+    known = np.isfinite(drawn) | np.isfinite(back)
+    flow = np.abs(np.nan_to_num(drawn)) - np.abs(np.nan_to_num(back))
+    return np.where(known, flow, np.nan)
 
 
 def is_engine(turning: Signal, speed: Signal) -> bool:
@@ -268,81 +293,3 @@ def power_beside(header: Sequence[str], used: Sequence[Column]) -> Column | None
     with suppress(InputError):  # of a unit that is not known it tells nothing
         return column_of("power", header, place) if scores.get(place, 0.0) > 0.0 else None
     return None
-
-
-def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> Iterator[str]:
-    """Sentences on columns that contradict each other, or the car; cells in file units."""
-    signals = {name: column.in_si(cells[name]) for name, column in used.items()}
-    drawn = battery_power(signals)
-    if drawn is None:
-        return
-    if {"power", "voltage", "current"} <= signals.keys():
-        yield from _compared(used["power"], signals["power"], drawn)
-    yield from drawn_at_rest(drawn, signals["speed"])
-    yield from never_back(drawn, signals["speed"])
-    if pull(signals["speed"], drawn) < 0.0:
-        column = used["current" if "current" in used else "power"]
-        unit = column.unit.lstrip("-") or next(iter(QUANTITIES[column.quantity].units))
-        turned = unit if column.unit.startswith("-") else f"-{unit}"
-        remedy = f"--column '{column.quantity}={column.name}:{turned}' turns it"
-        yield wrong_sign(repr(column.name), remedy)
-
-
-def wrong_sign(of: str, remedy: str) -> str:
-    """Sentence on a current or power that contradicts the car's acceleration."""
-    return (
-        f"the car speeds up while its battery is charged: the sign of {of} is probably wrong; "
-        f"{remedy}"
-    )
-
-
-def never_back(drawn: Signal, speed: Signal) -> Iterator[str]:
-    """Sentence on a battery that is never charged, SI: it does not show braking, or no sign."""
-    if drawn.known.size < LEAST_EVENTS or drawn.known.min() < 0.0 or not np.ptp(drawn.known):
-        return
-    if _rises_while_braking(drawn, speed):
-        yield (
-            "the harder the car brakes, the more the battery seems to give: the current has lost "
-            "its sign, so every energy is too large"
-        )
-    else:
-        yield (
-            "no current ever flows back into the battery, so nothing is known of its "
-            "regeneration (mu); if the car regenerates, every energy is too large"
-        )
-
-
-def drawn_at_rest(drawn: Signal, speed: Signal) -> Iterator[str]:
-    """Sentence on a battery that gives more at rest than heating takes, SI: it has an offset."""
-    at_rest = drawn.value[(at_times(speed, drawn.time) == 0.0) & np.isfinite(drawn.value)]
-    if at_rest.size >= LEAST_EVENTS and (power := float(np.median(at_rest))) > DRAWN_AT_REST.on:
-        yield (
-            f"the battery gives {power / 1e3:.0f} kW while the car stands: the current has an "
-            "offset or a wrong unit or sign, so every energy is wrong"
-        )
-
-
-def _rises_while_braking(drawn: Signal, speed: Signal) -> bool:
-    times, change = accelerations(speed)
-    power, kinetic = at_times(drawn, times), change * at_times(speed, times)
-    braking = change < -EVENT
-    return correlation(kinetic[braking], power[braking]) < -RISES
-
-
-def _compared(column: Column, power: Signal, drawn: Signal) -> Iterator[str]:
-    name = column.name
-    at = at_times(power, drawn.time)
-    alike = correlation(at, drawn.value)
-    if np.isnan(alike):
-        return
-    if abs(alike) < ALIKE:
-        yield f"{name!r} has little in common with voltage times current, which are used"
-        return
-    both = np.isfinite(at) & np.isfinite(drawn.value)
-    ratio = float(np.std(at[both]) / np.std(drawn.value[both]))
-    if not column.has_unit:  # W, kW or mW
-        ratio /= 1e3 ** round(np.log10(ratio) / 3.0)
-    if alike < 0.0:
-        yield f"{name!r} has the other sign than voltage times current, which are used"
-    if not SAME_SIZE[0] < ratio < SAME_SIZE[1]:
-        yield f"{name!r} is {ratio:.2g} times voltage times current, which are used"

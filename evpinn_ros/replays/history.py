@@ -147,6 +147,7 @@ class Drive:
     start_ns: int = 0  # stamp of the first reading
     zoned: bool = True  # whether its times are UTC; else they are local ones
     reading_notes: tuple[str, ...] = ()  # assumptions on reading the log
+    doubts: tuple[str, ...] = ()  # why the totals that the log gives are not certain
     altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))  # time and m
     # time, latitude and longitude, degrees, shape (n, 3)
     position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))

@@ -130,6 +130,7 @@ def replay(
         history.drive(chain.estimator.model()),
         zoned=source.zoned,
         reading_notes=tuple(dict.fromkeys((*source.assumptions, *source.notes))),
+        doubts=source.doubts,
     )
     where = "" if options.start == 0 and options.duration is None else " in that span"
     if len(drive.speed) == 0:

@@ -60,6 +60,7 @@ def owner_line(drive: Drive, metrics: Mapping[str, Any], units: Units = METRIC) 
     time, charged = duration_text(drive.duration), total.charged / JOULES_PER_KWH
     line = f"{far} {units.distance} in {time}: {kwh} kWh {how}{per_distance}."
     line += f" {lone}" if (lone := lone_note(drive, units)) else ""
+    line += f" Doubtful: {drive.doubts[0]}." if drive.doubts else ""
     plugged = f" Charged while it stood: {charged:.2f} kWh, not included above."
     return line + (plugged if total.charged >= LEAST_CHARGED else "")
 

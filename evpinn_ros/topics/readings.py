@@ -43,6 +43,7 @@ UNIT_TOLERANCE = 0.02  # of |q|^2: float32 drivers and rounded logs pass, an uns
 STATUS_FIX, COVARIANCE_UNKNOWN = 0, 0
 SUPPLY_UNKNOWN, SUPPLY_DISCHARGING = 0, 2
 FLOAT32_MAX = 3.4028234663852886e38
+MOST_BATTERIES, LEAST_CHANGES = 8, 10  # that are named; from one to the other
 OVERFULL = 1.5  # a charge up to which a scale of 0..1 may go
 NOT_PROVIDED = -1.0  # first element of a covariance: the quantity was not measured
 
@@ -241,6 +242,22 @@ def speed_reading(message: Any) -> SpeedReading:
     return SpeedReading(stamp_ns(message), speed, variance if has_variance else math.nan)
 
 
+def odometry_reading(message: Any) -> SpeedReading:
+    """Speed of an Odometry over ground, with the sign of its forward part.
+
+    In the frame of a map there is no forward part: the size counts.
+    """
+    forward, sideways = (usable(getattr(message.twist.twist.linear, axis)) for axis in "xy")
+    size = math.hypot(forward, sideways)
+    speed = size if in_frame_of_map(message) else math.copysign(size, forward)
+    return replace(speed_reading(message), speed=speed)
+
+
+def in_frame_of_map(message: Any) -> bool:
+    """True if the twist of an Odometry is in the frame of its pose, which is not the car's."""
+    return bool(message.child_frame_id) and message.child_frame_id == message.header.frame_id
+
+
 def velocity_report_reading(message: Any) -> SpeedReading:
     """Speed of a VelocityReport, which has no variance."""
     return SpeedReading(stamp_ns(message), usable(message.longitudinal_velocity))
@@ -255,6 +272,28 @@ def battery_reading(message: Any) -> BatteryReading:
     if math.isnan(voltage) and math.isnan(current) and math.isnan(charge):
         raise BadMessage("nothing_measured")
     return BatteryReading(stamp_ns(message), voltage, current, charge)
+
+
+class Batteries:
+    """Batteries that the messages of one topic are of, by serial number, location and frame."""
+
+    def __init__(self) -> None:
+        self.names: dict[str, None] = {}
+        self._last, self._changes = "", 0
+
+    def add(self, message: Any) -> None:
+        """Take a BatteryState."""
+        parts = message.serial_number, message.location, message.header.frame_id
+        name = "/".join(filter(None, parts))
+        self._changes += bool(self._last) and name != self._last
+        self._last = name
+        if len(self.names) < MOST_BATTERIES:
+            self.names[name] = None
+
+    @property
+    def take_turns(self) -> bool:
+        """True if they came in turns; one that took the place of another did so once."""
+        return self._changes >= LEAST_CHANGES
 
 
 class ChargeScale:
@@ -330,7 +369,7 @@ def _named_vector_reading(message: Any) -> AuxiliaryReading | MotorReading:
 
 _READERS: Mapping[str, Callable[[Any], Reading]] = {
     topics.SPEED_TYPE: speed_reading,
-    topics.ODOMETRY_TYPE: speed_reading,  # its twist is in the frame of the car by definition
+    topics.ODOMETRY_TYPE: odometry_reading,
     topics.VELOCITY_REPORT_TYPE: velocity_report_reading,
     topics.BATTERY_TYPE: battery_reading,
     topics.FIX_TYPE: altitude_reading,

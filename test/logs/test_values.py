@@ -14,7 +14,8 @@ OURS = "t_s,speed_mps,voltage_v,current_a"
 
 def lines(*, current: float = 1.0, power: float | None = None):
     """Rows of `OURS`, current and a fifth column of power times a factor each."""
-    for t, v, u, i in rows():
+    for t, v, volts, i in rows():
+        u = round(volts - 0.05 * i, 3)  # a battery falls under its load
         more = "" if power is None else f",{power * u * i:.1f}"
         yield f"{t:.1f},{v:.4f},{u},{current * i:.4f}{more}"
 

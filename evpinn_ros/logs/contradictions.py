@@ -1,0 +1,238 @@
+"""Sentences on columns that contradict each other or the car, and on totals to be doubted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from evpinn_ros.core.signals.detector import DRAWN_AT_REST
+from evpinn_ros.logs.column import Column
+from evpinn_ros.logs.quantities import QUANTITIES
+from evpinn_ros.logs.signal import (
+    EVENT,
+    LEAST_EVENTS,
+    Signal,
+    accelerations,
+    at_times,
+    battery_power,
+    correlation,
+    pull,
+)
+
+ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
+RISES = 0.7  # correlation of power with braking from which on it is that of braking
+SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
+LONGEST_PAIR = 2.5  # s between a power and those beside it that tell its sign
+STRONG = 0.2  # of the largest power: what flows back is more than noise
+MIRRORED = 0.4  # share by which a power without its sign differs from those beside it
+LEAST_LOST, LOST = 5, 0.06  # lone powers without their sign, and their share
+LEAST_BRAKED, BRAKED = 10, 0.12  # s of hard braking, and their share
+LEAST_CLIPPED, CLIPPED = 10, 0.01  # values at the largest one, and their share
+BEYOND = 1.1  # of the largest power: what accelerating takes in the mean where it is clipped
+# A from which on the voltage of a battery of so many V falls by some V, whatever it is made of.
+HARD_ON = ((60.0, 40.0), (np.inf, 100.0))
+# Readings, and how much farther the last is than the one before: in the median, and of all.
+LEAST_TURNS, TURNS, TURN_OF_SPAN, TURN = 50, 5.0, 0.25, 0.01
+CONSTANT = 1e-3  # of the voltage
+
+
+def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> Iterator[str]:
+    """Sentences on columns that contradict each other, or the car; cells in file units."""
+    signals = {name: column.in_si(cells[name]) for name, column in used.items()}
+    drawn = battery_power(signals)
+    if drawn is None:
+        return
+    if {"power", "voltage", "current"} <= signals.keys():
+        yield from _compared(used["power"], signals["power"], drawn)
+    yield from never_back(drawn, signals["speed"])
+
+
+def doubts(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> Iterator[str]:
+    """Sentences on why the totals of energy are not certain; cells in file units."""
+    signals = {name: column.in_si(cells[name]) for name, column in used.items()}
+    drawn = battery_power(signals)
+    if drawn is None:
+        return
+    column = used["current" if {"voltage", "current"} <= used.keys() else "power"]
+    if pull(signals["speed"], drawn) < 0.0:
+        unit = column.unit.lstrip("-") or next(iter(QUANTITIES[column.quantity].units))
+        turned = unit if column.unit.startswith("-") else f"-{unit}"
+        remedy = f"--column '{column.quantity}={column.name}:{turned}' turns it"
+        yield wrong_sign(repr(column.name), remedy)
+    elif column.could_be and column.why:
+        yield f"the sign of {column.name!r} is assumed, {column.assumption.partition('; ')[2]}"
+    yield from energy_doubts(signals, repr(column.name))
+
+
+def energy_doubts(signals: Mapping[str, Signal], of: str) -> Iterator[str]:
+    """Sentences on signs that are lost, offsets, limits and a voltage that stands; SI."""
+    drawn, speed = battery_power(signals), signals["speed"]
+    if drawn is None:
+        return
+    yield from unsigned(drawn, speed)
+    yield from drawn_at_rest(drawn, speed)
+    yield from lost_signs(drawn, speed, of)
+    for name in ("voltage", "current"):
+        if name in signals and takes_turns(signals[name]):
+            yield (
+                f"the {name} changes between two values with every reading: two batteries seem to "
+                "take turns, so every energy is wrong"
+            )
+    if {"voltage", "current"} <= signals.keys():
+        yield from clipped(signals["current"], speed, of, (1.0, "A"))
+        yield from constant_voltage(signals["voltage"], signals["current"])
+    else:
+        yield from clipped(drawn, speed, of, (1e-3, "kW"))
+
+
+def wrong_sign(of: str, remedy: str) -> str:
+    """Sentence on a current or power that contradicts the car's acceleration."""
+    return (
+        f"the car speeds up while its battery is charged: the sign of {of} is probably wrong; "
+        f"{remedy}"
+    )
+
+
+def never_back(drawn: Signal, speed: Signal) -> Iterator[str]:
+    """Sentence on a battery that is never charged, SI: it does not show braking."""
+    if _is_one_way(drawn) and not _rises_while_braking(drawn, speed):
+        yield (
+            "no current ever flows back into the battery, so nothing is known of its "
+            "regeneration (mu); if the car regenerates, every energy is too large"
+        )
+
+
+def unsigned(drawn: Signal, speed: Signal) -> Iterator[str]:
+    """Sentence on a power without its sign, SI."""
+    if _is_one_way(drawn) and _rises_while_braking(drawn, speed):
+        yield (
+            "the harder the car brakes, the more the battery seems to give: the current has lost "
+            "its sign, so every energy is too large"
+        )
+
+
+def _is_one_way(drawn: Signal) -> bool:
+    power = drawn.known
+    return bool(power.size >= LEAST_EVENTS and power.min() >= 0.0 and np.ptp(power))
+
+
+def drawn_at_rest(drawn: Signal, speed: Signal) -> Iterator[str]:
+    """Sentence on a battery that gives more at rest than heating takes, SI: it has an offset."""
+    at_rest = drawn.value[(at_times(speed, drawn.time) == 0.0) & np.isfinite(drawn.value)]
+    if at_rest.size >= LEAST_EVENTS and (power := float(np.median(at_rest))) > DRAWN_AT_REST.on:
+        yield (
+            f"the battery gives {power / 1e3:.0f} kW while the car stands: the current has an "
+            "offset or a wrong unit or sign, so every energy is wrong"
+        )
+
+
+def takes_turns(signal: Signal) -> bool:
+    """True if readings are nearer to the one before the last than to the last, by far."""
+    value = signal.known
+    if value.size < LEAST_TURNS:
+        return False
+    last, before = (float(np.median(np.abs(value[by:] - value[:-by]))) for by in (1, 2))
+    span = float(np.ptp(np.quantile(value, (0.05, 0.95))))
+    is_swing = last > max(TURN_OF_SPAN * span, TURN * float(np.median(np.abs(value))))
+    return is_swing and last > TURNS * before
+
+
+def lost_signs(drawn: Signal, speed: Signal, of: str) -> Iterator[str]:
+    """Sentence on a power, SI, of which a part of what flows back has lost its sign."""
+    time, power = drawn.points()
+    beside = (power[:-2] + power[2:]) / 2.0
+    near = time[2:] - time[:-2] <= 2.0 * LONGEST_PAIR
+    size = np.quantile(np.abs(power), 0.95) if power.size else 0.0
+    flows_back = near & (power[:-2] < 0.0) & (power[2:] < 0.0) & (beside < -STRONG * size)
+    lone = flows_back & (np.abs(power[1:-1] + beside) < -MIRRORED * beside)
+    if lone.sum() >= max(LEAST_LOST, LOST * flows_back.sum()) or _mirrored(drawn, speed):
+        yield (
+            f"while the car brakes, some numbers of {of} are of the size that flows back, but "
+            "positive: they have lost their sign, so every energy is too large"
+        )
+
+
+def _mirrored(drawn: Signal, speed: Signal) -> bool:
+    """True if many powers of hard braking are positive and of the size of the negative ones."""
+    times, change = accelerations(speed)
+    power, kinetic = at_times(drawn, times), -change * at_times(speed, times)
+    steps = np.diff(drawn.points()[0])
+    braking = (change < -EVENT) & np.isfinite(power + kinetic)
+    if braking.sum() < LEAST_EVENTS or np.median(steps) > LONGEST_PAIR:
+        return False
+    hard = braking & (kinetic > np.median(kinetic[braking]))
+    ratio = power[hard] / kinetic[hard]
+    if (ratio < 0.0).sum() < LEAST_BRAKED:
+        return False
+    back = float(np.median(ratio[ratio < 0.0]))
+    lost = (ratio > 0.0) & (np.abs(ratio + back) < -MIRRORED * back)
+    seconds = np.unique(times[hard][lost].round()).size  # of which a fast log has many readings
+    return seconds >= LEAST_BRAKED and bool(lost.mean() >= BRAKED)
+
+
+def clipped(drawn: Signal, speed: Signal, of: str, unit: tuple[float, str]) -> Iterator[str]:
+    """Sentence on a current or power, SI, that stays at its largest while the car needs more.
+
+    The unit has its factor and its name.
+    """
+    largest = float(drawn.known.max(initial=0.0))
+    at_largest = drawn.value == largest
+    count = int(at_largest.sum())
+    if largest <= 0.0 or count < max(LEAST_CLIPPED, CLIPPED * drawn.known.size):
+        return
+    times, change = accelerations(speed)
+    power, fast = at_times(drawn, times), np.abs(at_times(speed, times))
+    road = np.column_stack((change * fast, fast, fast**3, np.ones(fast.size)))
+    known = np.isfinite(power) & np.isfinite(fast) & (power > 0.0)
+    below, above = known & (power < 0.95 * largest), known & (power >= largest)
+    if min(below.sum(), above.sum()) < LEAST_LOST or below.sum() < LEAST_EVENTS:
+        return
+    coefficients = np.linalg.lstsq(road[below], power[below], rcond=None)[0]
+    if float(np.mean(road[above] @ coefficients)) > BEYOND * largest:
+        yield (
+            f"{of} is never above {largest * unit[0]:.4g} {unit[1]}, and {count} times just that, "
+            "also while the car speeds up harder: it seems to be clipped, so every energy is too "
+            "small"
+        )
+
+
+def constant_voltage(voltage: Signal, current: Signal) -> Iterator[str]:
+    """Sentence on a voltage, V, that does not fall under a large current, A."""
+    volts, amperes = voltage.known, current.known
+    if min(volts.size, amperes.size) < LEAST_EVENTS:
+        return
+    low, middle, high = np.quantile(volts, (0.01, 0.5, 0.99))
+    least = next(limit for below, limit in HARD_ON if middle < below)
+    swing = float(np.ptp(np.quantile(amperes, (0.01, 0.99))))
+    if high - low <= CONSTANT * middle and swing > least:
+        yield (
+            f"the voltage is always {middle:.4g} V while the current changes by {swing:.0f} A, so "
+            "it is not measured but assumed to be a nominal one: energies are as far off as it is"
+        )
+
+
+def _rises_while_braking(drawn: Signal, speed: Signal) -> bool:
+    times, change = accelerations(speed)
+    power, kinetic = at_times(drawn, times), change * at_times(speed, times)
+    braking = change < -EVENT
+    return correlation(kinetic[braking], power[braking]) < -RISES
+
+
+def _compared(column: Column, power: Signal, drawn: Signal) -> Iterator[str]:
+    name = column.name
+    at = at_times(power, drawn.time)
+    alike = correlation(at, drawn.value)
+    if np.isnan(alike):
+        return
+    if abs(alike) < ALIKE:
+        yield f"{name!r} has little in common with voltage times current, which are used"
+        return
+    both = np.isfinite(at) & np.isfinite(drawn.value)
+    ratio = float(np.std(at[both]) / np.std(drawn.value[both]))
+    if not column.has_unit:  # W, kW or mW
+        ratio /= 1e3 ** round(np.log10(ratio) / 3.0)
+    if alike < 0.0:
+        yield f"{name!r} has the other sign than voltage times current, which are used"
+    if not SAME_SIZE[0] < ratio < SAME_SIZE[1]:
+        yield f"{name!r} is {ratio:.2g} times voltage times current, which are used"
