@@ -154,11 +154,11 @@ class EnergyNode(GuardedNode):
         self._publish_account()
 
     def _publish_account(self) -> None:
-        self.publish(output_messages(new_message, self.account.state))
-        summary = self.account.tick()
-        if summary is not None:
-            self.kept.file.append()  # before it is shown: after a kill no total is less
-            self.publish(output_messages(new_message, summary))
+        state, summary = self.account.state, self.account.tick()
+        self.kept.file.append()  # before it is shown: after a kill nothing is less, or surer
+        for shown in (state, summary):
+            if shown is not None:
+                self.publish(output_messages(new_message, shown))
 
     def _on_identifiable(self, message: Any) -> None:
         values, sigmas = read_identifiable(message)

@@ -19,7 +19,7 @@ from evpinn_ros.core.estimation.state_file import (
     write_halves,
 )
 
-MOST_APPENDED = 120  # states behind one that was written whole; 3 kB each
+MOST_APPENDED = 600  # states behind one that was written whole; 1.5 kB each
 
 
 class Stateful(Protocol):
@@ -43,7 +43,7 @@ class StateFile:
         self._path, self._owner, self._half = path, owner, half
         self._loaded: Mapping[str, Any] | None = None
         self._refused: tuple[int, int] | None = None  # which file that was
-        self._readable = True
+        self._readable, self._unwritable = True, False
         self._claim: StateClaim | None = None
         self._appendable = 0  # states that may follow the last that was written whole
         self.busy: str | None = None  # another process has the half: nothing is written
@@ -66,7 +66,7 @@ class StateFile:
         try:
             self._claim = StateClaim(self._path, [self._half])
         except InputError as error:
-            self.busy = str(error)
+            self.busy, self._unwritable = str(error), True
         try:
             if self._path is not None:
                 self._loaded, self.problem = read_half(self._path, self._half)
@@ -115,14 +115,14 @@ class StateFile:
             self._set_refused_aside(self._path)
             write_halves(self._path, {self._half: self._owner.export()})
         except (OSError, ValueError) as error:
-            self.problem = f"{self._path}: not written: {error}"
+            self.problem, self._unwritable = f"{self._path}: not written: {error}", True
             return self.problem
-        self._appendable, self.problem = MOST_APPENDED, None
+        self._appendable, self.problem, self._unwritable = MOST_APPENDED, None, False
         return None
 
     def append(self) -> None:
         """Append the state to the file, or now and then write it whole: a kill spares it."""
-        if self._path is None or self.problem is not None:
+        if self._path is None or self._unwritable:
             return  # `save` tries again, in its own time
         if not self._appendable:
             self.save()

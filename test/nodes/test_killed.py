@@ -15,23 +15,31 @@ from test.nodes.processes import await_line, node, started
 
 START = 1_700_000_000
 RATE = 10  # readings a second
+ROUNDING = 1e-9  # of sums
 NEVER_FALL = ("lifetime_drawn", "lifetime_regenerated")
 
 
 @pytest.mark.timeout(3600)
+@pytest.mark.parametrize("least", [-2e4, 0.0])
 @pytest.mark.parametrize(
-    "kills", [pytest.param(3, marks=pytest.mark.slow), pytest.param(50, marks=pytest.mark.nightly)]
+    "kills", [pytest.param(3, marks=pytest.mark.slow), pytest.param(20, marks=pytest.mark.nightly)]
 )
-def test_totals_never_fall_however_often_the_node_is_killed(bench, tmp_path, kills):
+def test_nothing_shown_is_taken_back_however_often_the_node_is_killed(
+    bench, tmp_path, kills, least
+):
+    """Where no power is negative, `consumed` never falls either; its sigma never does."""
     moments = random.Random(kills)
     inputs = (topics.SPEED, topics.POWER_MEASURED, topics.POWER_SMOOTHED)
     command = node("energy", *inputs, energy_file=str(tmp_path / "energy.json"))
-    totals = bench.hear(topics.ENERGY_TOTALS)
+    totals, states = bench.hear(topics.ENERGY_TOTALS), bench.hear(topics.ENERGY_STATE)
     step = 0
 
     def send():
         nonlocal step
-        stamp, watts = START * NANOSECONDS + step * NANOSECONDS // RATE, moments.uniform(-2e4, 4e4)
+        stamp, watts = (
+            START * NANOSECONDS + step * NANOSECONDS // RATE,
+            moments.uniform(least, 4e4),
+        )
         bench.send(topics.SPEED, reading_message(new_message, SpeedReading(stamp, 20.0)))
         bench.send(topics.POWER_MEASURED, power(stamp, watts))
         bench.send(topics.POWER_SMOOTHED, power(stamp, watts))
@@ -48,3 +56,7 @@ def test_totals_never_fall_however_often_the_node_is_killed(bench, tmp_path, kil
     assert len(shown) > 2 * kills and shown[-1]["lifetime_drawn"] > 2e4 * kills
     for name in NEVER_FALL:
         assert all(a[name] <= b[name] for a, b in pairwise(shown)), name
+    vectors = [read_named_vector(message) for message in states]
+    for old, new in pairwise(vectors):
+        assert new.sigmas["consumed"] >= old.sigmas["consumed"] * (1 - ROUNDING)
+        assert least < 0.0 or new.values["consumed"] >= old.values["consumed"] * (1 - ROUNDING)

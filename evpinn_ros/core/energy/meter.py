@@ -125,8 +125,7 @@ class SavedMeter:
 
     Attributes:
         until_ns: the moment up to which all is counted, 0 if nothing is to be joined to it.
-        recent_predicted: power of the last minutes.
-        recent_measured: likewise.
+        recent: power measured in the last minutes.
     """
 
     measured: SavedIntegral = field(default_factory=SavedIntegral)
@@ -139,8 +138,7 @@ class SavedMeter:
     lasting_sigma: Sigma = 0.0
     unmeasured_s: Seconds = 0.0
     until_ns: Annotated[int, Range(0, LAST_NS)] = 0
-    recent_predicted: RecentPower = field(default_factory=RecentPower)
-    recent_measured: RecentPower = field(default_factory=RecentPower)
+    recent: RecentPower = field(default_factory=RecentPower)
 
     def __post_init__(self) -> None:
         """Refuse what no car can have drawn in that time."""
@@ -192,7 +190,7 @@ class MeterCourse:
         rknn: by the network, J, and its power, W, shape (n + 1, 2).
         variances: of the energies predicted and measured, J^2, shapes (n + 1,) and (m + 1,).
         powers: the last ones used, W, likewise.
-        recent: `RecentPower` of both, shapes (n + 1, 3) and (m + 1, 3).
+        recent: columns of `RecentPower`, as measured, shape (m + 1, 3).
         newest_ns: of the stamps, shapes (n + 1,) and (m + 1,).
         told: what the estimator last told: energy of a dropout and its 1-sigma, shape (n + 1, 2).
         since_ns: the last word of the battery, 0 before any, shape (m + 1,).
@@ -214,7 +212,7 @@ class MeterCourse:
     rknn: np.ndarray
     variances: tuple[np.ndarray, np.ndarray]
     powers: tuple[np.ndarray, np.ndarray]
-    recent: tuple[np.ndarray, np.ndarray]
+    recent: np.ndarray
     newest_ns: tuple[np.ndarray, np.ndarray]
     told: np.ndarray
     since_ns: np.ndarray
@@ -281,27 +279,21 @@ class MeterCourse:
         Until a moment with these parts and variance, shape (k, 5).
 
         In so many seconds as `LEAST_DROPOUT` the energy that the estimator tells counts, before
-        that the integral of its powers.
+        that the integral of its powers. So it does after a restart, up to the battery's next
+        word: the estimator may tell of a dropout that was counted in part before.
         """
         anchors, told = self.anchors[at.measured], self.told[at.predicted]
         bridge = until[:, :4] - anchors[:, :4]
-        by_estimator = np.isfinite(told[:, 0]) & (seconds >= LEAST_DROPOUT)
+        whole = self.heard[at.measured] | (self.since_ns[at.measured] == 0)
+        by_estimator = whole & np.isfinite(told[:, 0]) & (seconds >= LEAST_DROPOUT)
         bridge[:, 0] = np.where(by_estimator, told[:, 0], bridge[:, 0])
         guessed = np.sqrt(np.maximum(until[:, 4] - anchors[:, 4], 0.0))
         is_told = np.isfinite(told[:, 1])
         short = np.where(is_told, told[:, 1], guessed)
         lasting = np.hypot(guessed, LASTING_SHARE * bridge[:, 2])
-        hole = self._hole(at, np.maximum(seconds - bridge[:, 3], 0.0))
+        unknown_s = np.maximum(seconds - bridge[:, 3], 0.0)
+        hole = taken_variance(self.recent[at.measured], unknown_s)
         return bridge, short, np.hypot(np.where(is_told, told[:, 1], lasting), np.sqrt(hole))
-
-    def _hole(self, at: Counts, seconds: np.ndarray) -> np.ndarray:
-        """Variance, J^2, of what was taken in time that is not predicted either, s."""
-        by_both = (
-            taken_variance(recent[counts], seconds)
-            for recent, counts in zip(self.recent, at, strict=True)
-        )
-        variance: np.ndarray = np.maximum(*by_both)
-        return variance
 
     def until_now(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
         """All dropouts, the present one among them, and where there is one; shape (k, 7), (k,)."""
@@ -432,7 +424,7 @@ class EnergyMeter(Saveable[SavedMeter]):
             rknn=np.array([[saved.rknn, math.nan]]),
             variances=(np.array([variance]), np.array([saved.measured_sigma**2])),
             powers=(np.array([math.nan]), np.array([math.nan])),
-            recent=(np.array([saved.recent_predicted]), np.array([saved.recent_measured])),
+            recent=np.array([saved.recent]),
             newest_ns=(nothing, nothing),
             told=np.full((1, 2), math.nan),
             since_ns=np.array([saved.until_ns], np.int64),
@@ -486,7 +478,7 @@ class EnergyMeter(Saveable[SavedMeter]):
                 np.concatenate((last.powers[0][-1:], ours.end))[ours.used],
                 np.concatenate((last.powers[1][-1:], theirs.end))[theirs.used],
             ),
-            recent=(_recent(last.recent[0], ours), _recent(last.recent[1], theirs)),
+            recent=recent_powers(last.recent[-1], theirs)[theirs.used],
             newest_ns=(
                 _newest(last.newest_ns[0], predicted.stamp_ns),
                 _newest(last.newest_ns[1], measured.stamp_ns),
@@ -533,7 +525,6 @@ class EnergyMeter(Saveable[SavedMeter]):
         """State to save, the present dropout counted in it."""
         course, end = self.course, self.course.end
         now = course.until_now(end)[0][0].tolist()
-        recent = (RecentPower(*rows[-1].tolist()) for rows in course.recent)
         return SavedMeter(
             measured=self._measured.total,
             predicted=self._predicted.total,
@@ -545,8 +536,7 @@ class EnergyMeter(Saveable[SavedMeter]):
             lasting_sigma=math.sqrt(now[5]),
             unmeasured_s=now[6],
             until_ns=int(course.counted_until(end)[0]),
-            recent_predicted=next(recent),
-            recent_measured=next(recent),
+            recent=RecentPower(*course.recent[-1].tolist()),
         )
 
 
@@ -566,13 +556,6 @@ def _joined_to_before(
         return course
     since_ns = away_since(int(course.since_ns[-1]), int(firsts.min()))
     return replace(course, since_ns=np.array([since_ns], np.int64))
-
-
-def _recent(last: np.ndarray, course: Course) -> np.ndarray:
-    """`RecentPower` after each sample of a block, shape (n + 1, 3)."""
-    steps = course.steps, course.begin, course.end, course.joined
-    rows: np.ndarray = recent_powers(last[-1], *steps)[course.used]
-    return rows
 
 
 def _variances(

@@ -1,6 +1,5 @@
 """Time of which nothing is known is in sigma from its first second, whoever was away."""
 
-from functools import partial
 import math
 
 from hypothesis import given
@@ -11,6 +10,7 @@ import pytest
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.hole import LONGEST, RecentPower, recent_powers, taken_variance
 from evpinn_ros.core.energy.meter import EnergyMeter
+from evpinn_ros.core.energy.quadrature import EnergyIntegral
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading
 
@@ -116,12 +116,13 @@ def test_the_state_of_charge_closes_a_hole(away):
 @given(st.integers(0, 2**32), st.integers(1, 40))
 def test_recent_power_is_the_same_however_it_is_cut(seed, cut):
     rng = np.random.default_rng(seed)
-    steps, begin, end = rng.uniform(0.1, 3.0, 40), *rng.uniform(-3e4, 8e4, (2, 40))
-    joined = rng.random(40) < 0.9
-    whole = recent_powers(np.array(RecentPower()), steps, begin, end, joined)
-    part = partial(recent_powers, np.array(RecentPower()))
-    first = part(steps[:cut], begin[:cut], end[:cut], joined[:cut])
-    second = recent_powers(first[-1], steps[cut:], begin[cut:], end[cut:], joined[cut:])
-    assert np.array_equal(whole, np.concatenate((first, second[1:])))
+    stamps = START + (rng.uniform(0.1, 3.0, 40).cumsum() * NANOSECONDS).astype(np.int64)
+    powers = rng.uniform(-3e4, 8e4, 40)
+    whole = recent_powers(np.array(RecentPower()), EnergyIntegral().extend(stamps, powers))
+    integral, rows = EnergyIntegral(), np.array([RecentPower()])
+    for part in (slice(cut), slice(cut, None)):
+        course = integral.extend(stamps[part], powers[part])
+        rows = np.concatenate((rows, recent_powers(rows[-1], course)[1:]))
+    assert np.array_equal(whole, rows)
     sigmas = [math.sqrt(taken_variance(whole[-1:], np.array([s]))[0]) for s in (0.0, 1.0, 9.0)]
     assert sigmas[0] == 0.0 < sigmas[1] < sigmas[2]
