@@ -9,7 +9,6 @@ import os
 from pathlib import Path
 import subprocess
 import sys
-import sysconfig
 import tempfile
 import time
 from typing import Any
@@ -42,6 +41,7 @@ from evpinn_ros.topics import (
 )
 from evpinn_ros.topics.messages import Level
 from evpinn_ros.topics.readings import READING_TOPICS, reading_message, to_reading
+from test.nodes.processes import add_messages
 from test.waiting import HANG_S, wait_until
 
 pytestmark = pytest.mark.ros
@@ -186,6 +186,23 @@ class Bench:
         self.pump(future.done)
         return future.result()
 
+    def ask(self, kind: Any, name: str, **request: Any) -> Any:
+        """Call a service of another process, again after 2 s without an answer.
+
+        An answer that is sent before DDS has matched both sides is lost, and for seconds a
+        server that was killed seems alive.
+        """
+        client, answers = self.node.create_client(kind, name), []
+
+        def call() -> None:
+            asked, soon = client.call_async(kind.Request(**request)), time.monotonic() + 2.0
+            asked.add_done_callback(lambda answered: answers.append(answered.result()))
+            self.pump(lambda: answers or time.monotonic() > soon)
+
+        wait_until(lambda: answers, meanwhile=call)
+        self.node.destroy_client(client)
+        return answers[0]
+
     def diagnosis(self, node: GuardedNode) -> dict[str, Any]:
         """Diagnostics of a node now: (level, text, values) by the name of the part."""
         reported: list[tuple[Topic, Any]] = []
@@ -269,17 +286,10 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 
 @pytest.fixture
 def run_with_messages() -> Callable[[str], None]:
-    """Runs the tests of a file beside this where messages that are no wheels are installed.
-
-    `make test` builds them where a compiler is; EVPINN_MSGS names another folder they are in.
-    """
-    prefix = Path(os.environ.get("EVPINN_MSGS", Path(sys.prefix, "msgs")))
-    package = Path(sysconfig.get_path("purelib", vars={"base": str(prefix)}))
-    if not (package / "can_msgs").is_dir():
-        pytest.skip("the messages are not built: `make test` does it where a compiler is")
+    """Runs the tests of a file beside this where messages that are no wheels are installed."""
     environment = dict(os.environ)
-    for name, folder in (("PYTHONPATH", package), ("LD_LIBRARY_PATH", prefix / "lib")):
-        environment[name] = os.pathsep.join((str(folder), os.environ.get(name, "")))
+    if not add_messages(environment):
+        pytest.skip("the messages are not built: `make test` does it where a compiler is")
 
     def run(file: str) -> None:
         command = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider")

@@ -3,11 +3,13 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 import json
+import os
 from pathlib import Path
 import re
 import signal
 import subprocess
 import sys
+import sysconfig
 from typing import Any
 
 from evpinn_ros.topics import Topic
@@ -28,6 +30,22 @@ HELD = re.compile(
     r"Timeout \(0:00:08\)!\n(?:\[[\w-]+\] )?Thread [^\n]*\n"
     r"(?:\[[\w-]+\] )?  File \"[^\"\n]*/rclpy/publisher\.py\", line \d+ in destroy"
 )
+
+
+def add_messages(environment: dict[str, str]) -> bool:
+    """Let processes find the messages that are no wheels; False where they are not built.
+
+    `make test` builds them where a compiler is; EVPINN_MSGS names another folder they are in.
+    """
+    prefix = Path(environment.get("EVPINN_MSGS", Path(sys.prefix, "msgs")))
+    package = Path(sysconfig.get_path("purelib", vars={"base": str(prefix)}))
+    folders = {"PYTHONPATH": package, "LD_LIBRARY_PATH": prefix / "lib"}
+    folders["AMENT_PREFIX_PATH"] = prefix
+    if not (package / "can_msgs").is_dir():
+        return False
+    for name, folder in folders.items():
+        environment[name] = os.pathsep.join((str(folder), environment.get(name, sys.prefix)))
+    return True
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """The nodes as processes of their own: DDS in between, real signals, exit codes."""
 
-from itertools import product
+from itertools import count, product
 import json
 from operator import sub
 import signal
@@ -10,21 +10,25 @@ import time
 
 import can
 import pytest
+from std_srvs.srv import Trigger
 
 from evpinn_ros import topics
 from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
 from evpinn_ros.core.estimation.worker import InlineWorker
-from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.processes import node_process
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.topics.messages import Level, stamp_ns
-from evpinn_ros.topics.readings import to_reading
+from evpinn_ros.topics.readings import READING_TOPICS, reading_message, to_reading
 from test.nodes.plans import profile
 from test.nodes.processes import node, started, stopped
 from test.waiting import HANG_S
+
+HOUR, TENTH = 3600 * NANOSECONDS, NANOSECONDS // 10
 
 
 def await_report(bench):
@@ -231,38 +235,41 @@ def energies(state):
 
 
 def play(bench, messages):
-    """Send each message once the one before is answered by the estimator, and counted."""
-    answers = {topics.SPEED: topics.POWER_PREDICTED, topics.BATTERY: topics.POWER_MEASURED}
+    """Send each message once the one before is answered by the estimator, and counted.
 
-    def answered(topic, message):
-        heard = bench.heard[answers[topic]]
-        return heard and stamp_ns(heard[-1]) >= stamp_ns(message) and counted()
+    We know of the listener before it knows of us, and best effort is not sent again: the nodes
+    first hear a standing car, each reading newer than the last, until all topics have come
+    through; then they forget it.
+    """
+    answers = {topics.SPEED: topics.POWER_PREDICTED, topics.BATTERY: topics.POWER_MEASURED}
+    heard = bench.heard
+
+    def answered(topic, at_ns):
+        answer = heard[answers[topic]]
+        return answer and stamp_ns(answer[-1]) >= at_ns and counted()
 
     def counted():
         """True if the meter, once it is there, has counted the newest power: queues end."""
-        states, powers = bench.heard[topics.ENERGY_STATE], bench.heard[topics.POWER_SMOOTHED]
+        states, powers = heard[topics.ENERGY_STATE], heard[topics.POWER_SMOOTHED]
         # A meter that heard the first speed has a state before any power is smoothed.
         return not states or not powers or stamp_ns(states[-1]) >= stamp_ns(powers[-1])
 
-    def has_speed():
-        return "waiting" not in said(bench, "estimator").get("estimate", ("", "waiting"))[1]
+    def stand(at_ns):
+        for reading in (SpeedReading(at_ns, 0.0), BatteryReading(at_ns, 350.0, -1.0)):
+            topic = READING_TOPICS[type(reading)]
+            bench.send(topic, reading_message(new_message, reading))
 
-    # We know of the listener before it knows of us, and best effort is not sent again.
-    speed, battery = (
-        next(pair for pair in messages if pair[0] == topic)
-        for topic in (topics.SPEED, topics.BATTERY)
-    )
-    asked: set[int] = set()
-
-    def ask(topic, message):
-        """Send it once with each report: sent at each turn it would flood the nodes."""
-        if (reports := len(bench.heard[topics.DIAGNOSTICS])) not in asked:
-            asked.add(reports)
-            bench.send(topic, message)
-
-    bench.pump(lambda: has_speed() or ask(*speed))
-    asked.clear()
-    bench.pump(lambda: answered(*battery) or ask(*battery))
+    begin_ns = stamp_ns(messages[0][1])
+    stamps = count(begin_ns - HOUR, TENTH)
+    needed = (*answers.values(), topics.POWER_SMOOTHED, topics.ENERGY_STATE)
+    bench.pump(lambda: all(heard[topic] for topic in needed) or stand(next(stamps)))
+    for before in (2, 1):  # the second stamp after the leap confirms it
+        stand(begin_ns - before * TENTH)
+    bench.pump(lambda: all(answered(topic, begin_ns - TENTH) for topic in answers))
+    for name in ("estimator", "energy"):
+        assert bench.ask(Trigger, f"/ev/{name}/reset").success
+    for topic in needed:
+        heard[topic].clear()
     for topic, message in messages:
         bench.send(topic, message)
-        bench.pump(lambda t=topic, m=message: answered(t, m))
+        bench.pump(lambda t=topic, m=message: answered(t, stamp_ns(m)))

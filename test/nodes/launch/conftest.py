@@ -19,7 +19,7 @@ import sysconfig
 
 import pytest
 
-from test.nodes.processes import HELD, started
+from test.nodes.processes import HELD, add_messages, started
 from test.waiting import HANG_S, wait_until
 
 STAND_IN = Path(__file__).with_name("ros2_bag.py")
@@ -167,6 +167,7 @@ def ros2(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     joined = {name: os.pathsep.join(map(str, parts)) for name, parts in paths.items()}
     joined["PYTHONUNBUFFERED"] = "1"  # what is printed into a file can be read at once
     environment = {**os.environ, **joined, "ROS_LOG_DIR": str(folder / "log")}
+    add_messages(environment)
     with _daemon(environment, folder / "daemon.log"):
         yield Ros2(environment, folder)
 

@@ -6,20 +6,25 @@ delay it waits until both nodes listen; a file that STAND_IN_END names ends the 
 """
 
 import argparse
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import signal
 
+from ament_index_python import get_package_share_directory
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rosbags.typesys import get_types_from_msg
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import typestore
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.nodes import factory
+from evpinn_ros.nodes.typed import PACKAGE as TYPED_PACKAGE
 from evpinn_ros.topics import BATTERY, SPEED, topic_of
 
 SECOND = 10**9
@@ -73,8 +78,16 @@ def play(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
                 outlets[record.topic].publish(record.message)
 
 
+def learn_types(package: str) -> None:
+    """Let the writer define messages that are no wheels, from the files that were installed."""
+    for path in Path(get_package_share_directory(package), "msg").glob("*.msg"):
+        typestore().register(get_types_from_msg(path.read_text(), f"{package}/msg/{path.stem}"))
+
+
 def record(node: rclpy.node.Node, asked: argparse.Namespace) -> None:
     print("recording", *asked.topics)
+    if find_spec(TYPED_PACKAGE):
+        learn_types(TYPED_PACKAGE)
     writer = BagWriter(asked.output, live=True, split=None)
 
     def listen(name: str, kind: str, qos: QoSProfile) -> None:

@@ -8,7 +8,6 @@ import os
 from pathlib import Path
 import re
 import signal
-import time
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -20,8 +19,9 @@ from evpinn_ros import topics
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.core.estimation.state_file import read_state
 from evpinn_ros.nodes.factory import message_class
+from evpinn_ros.nodes.typed import TYPED
 from test.conftest import ROOT
-from test.waiting import wait_until
+from test.nodes.processes import add_messages
 
 LAUNCH = ("launch", "evpinn_ros")
 GUIDE = ROOT / "docs" / "guides" / "two_cars.md"
@@ -33,25 +33,12 @@ def statuses(said, node):
     return [s for m in said for s in m.status if s.name.startswith(f"/ev/{node}:")]
 
 
-def ask(bench, service, kind=Trigger, **request):
-    """Call a service, again where a server that was killed seemed alive: for seconds it does."""
-    client, answers = bench.node.create_client(kind, service), []
-
-    def call():
-        asked, soon = client.call_async(kind.Request(**request)), time.monotonic() + 2.0
-        asked.add_done_callback(lambda answered: answers.append(answered.result()))
-        bench.pump(lambda: answers or time.monotonic() > soon)
-
-    wait_until(lambda: answers, meanwhile=call)
-    return answers[0]
-
-
 def play(bench, namespace=topics.NAMESPACE, listeners=2):
     """Let the bridge of a car play its log, once all who shall hear the speed do."""
     speed, service = topics.SPEED.under(namespace), f"{namespace}/can_bridge/change_state"
     bench.pump(lambda: bench.node.count_subscribers(speed) >= listeners)
     for number in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-        ask(bench, service, ChangeState, transition=Transition(id=number))
+        bench.ask(ChangeState, service, transition=Transition(id=number))
         bench.pump(lambda: bench.node.count_publishers(speed))
 
 
@@ -86,7 +73,7 @@ def test_nodes_are_kept_after_the_bag_and_a_mistyped_argument_is_reported(
     given = (f"bag:={ROOT / 'bags/urban'}", "vehcle:=bmw_i3", "rate:=4", "keep:=true")
     with ros2.running(*LAUNCH, "replay.launch.py", *given) as launch:
         bench.pump(lambda: "process has finished cleanly" in launch.output)
-        assert ask(bench, "/ev/energy/reset").success and launch.process.poll() is None
+        assert bench.ask(Trigger, "/ev/energy/reset").success and launch.process.poll() is None
     assert "unknown argument 'vehcle'; did you mean vehicle" in launch.output
 
 
@@ -273,7 +260,7 @@ def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
 
     def saved():
         for node in ("estimator", "energy"):
-            assert ask(bench, f"/ev/{node}/save").success
+            assert bench.ask(Trigger, f"/ev/{node}/save").success
         return on_disk()
 
     def counted():
@@ -307,4 +294,8 @@ def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
         assert bag.problem is None and "/diagnostics" in bag.topics
         assert bag.topics["/ev/power/smoothed"].count > 0
         speeds = [record.message for record in bag.records(["/ev/vehicle/speed"])]
+        typed = {t.under() for standard, t in TYPED.items() if standard.under() in bag.topics}
+        if add_messages({}):  # then nodes publish them
+            assert len(typed) > 5 and typed <= bag.topics.keys()
+            assert all(bag.topics[name].count > 0 for name in typed)
     assert max(speed.twist.twist.linear.x for speed in speeds) > 5.0

@@ -3,6 +3,7 @@
 from collections import deque
 import json
 
+from lifecycle_msgs.srv import GetState
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 
@@ -14,6 +15,10 @@ from evpinn_ros.topics.messages import stamp_ns
 from test.waiting import wait_until
 
 RUN, UNDER_EV = ("run", "evpinn_ros"), ("--ros-args", "-r", "__ns:=/ev", "-p", "managed:=true")
+
+
+def state_of(bench, name):
+    return bench.ask(GetState, f"/ev/{name}/get_state").current_state.label
 
 
 @pytest.mark.nightly
@@ -34,7 +39,7 @@ def test_a_managed_estimator_works_while_it_is_active(ros2, bench, urban, tmp_pa
     with ros2.running(*RUN, "estimator", *UNDER_EV, *options):
         bench.pump(lambda: said)
         assert "managed node that is not active" in said[-1].status[0].message
-        assert "unconfigured" in ros2.ask("lifecycle", "get", "/ev/estimator")
+        assert state_of(bench, "estimator") == "unconfigured"
         to("configure")
         send(40)
         assert not powers
@@ -56,14 +61,11 @@ def test_a_wrong_parameter_fails_the_transition_and_a_right_one_mends_it(ros2, b
     def to(transition):
         return ros2.ask("lifecycle", "set", name, transition)
 
-    def state_is():
-        return ros2.ask("lifecycle", "get", name).split()[0]
-
     with ros2.running(*RUN, "energy", *UNDER_EV, "-p", "vehicle:=no_such_car") as process:
         assert "Transitioning successful" not in to("configure")
-        assert state_is() == "unconfigured" and "no_such_car" in process.output
+        assert state_of(bench, "energy") == "unconfigured" and "no_such_car" in process.output
         ros2.ask("param", "set", name, "vehicle", "bmw_i3")
-        assert "successful" in to("configure") and state_is() == "inactive"
+        assert "successful" in to("configure") and state_of(bench, "energy") == "inactive"
         refused = ros2.run("param", "set", name, "energy_file", str(state))
         assert "fixed until the node is cleaned up" in refused
         to("cleanup")
@@ -128,10 +130,10 @@ def test_a_fault_of_ours_leads_to_where_the_node_can_be_configured_anew(bench, m
     bench.faulty.add(node)
 
 
-def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2):
+def test_a_launch_of_managed_nodes_ends_with_all_of_them_active(ros2, bench):
     given = ("vehicle:=tesla_model_3_lr", "can_interface:=virtual", "can_channel:=none")
     with ros2.running("launch", "evpinn_ros", "managed.launch.py", *given) as launch:
         for name in ("estimator", "energy", "can_bridge"):
             began = f"[ev.{name}]: "  # the line that each logs once it works
             wait_until(lambda began=began: began in launch.output, report=lambda: launch.output)
-            assert ros2.ask("lifecycle", "get", f"/ev/{name}").startswith("active")
+            assert state_of(bench, name) == "active"
