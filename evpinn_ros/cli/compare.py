@@ -68,6 +68,7 @@ def compare(
     options = ReplayOptions(start=start, duration=duration)
     car = CarReplay(vehicle, options, params=params, state=state, keep_drives=True)
     sources = [car.open(path, read_options) for path in drives]
+    check_outputs((report, json_file))  # now that every file of the inputs was opened
     explain_columns(sources)
     comparison = compare_drives(
         car,

@@ -125,6 +125,7 @@ def forecast(
             if warning.category is UserWarning:
                 note(f"evpinn: {path}: {warning.message}")
         forecasts.append(planned_energy(plan, car, given))
+    check_outputs((json_file, report))  # now that every file of the inputs was opened
     rows = [
         _figures(path, planned, forecasts[0])
         for path, planned in zip(plans, forecasts, strict=True)

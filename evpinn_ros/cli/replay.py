@@ -144,6 +144,7 @@ def replay(
             for _ in range(loop - 1)
             for opened_source in _opened(open_input, inputs, whole)[0]
         )
+        check_outputs((metrics, report))  # now that every file of the inputs was opened
         with Interruption() as interruption:
             try:
                 paths = [source.path for source in first] * loop

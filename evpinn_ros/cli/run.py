@@ -18,6 +18,7 @@ import typer
 
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.writer import Split
+from evpinn_ros.can.profile import load_profile
 from evpinn_ros.cli.console import note
 from evpinn_ros.cli.options import (
     CanProfileOption,
@@ -37,6 +38,7 @@ from evpinn_ros.common.units import MEGABYTE, UnitSystem
 from evpinn_ros.common.writer import check_outputs, copy_file
 from evpinn_ros.core.estimation.estimator import Mode
 from evpinn_ros.core.estimation.state_file import account_path
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.saved_state import state_path
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
@@ -209,6 +211,8 @@ def run(
     }
     if record is None and (split_size or split_time):
         raise typer.BadParameter("--split-size and --split-time need --record")
+    if profile := can_profile or load_vehicle(vehicle).can_profile:
+        load_profile(profile)  # opened here too, for no output may be written over it
     check_outputs((record, report, state), (params, Path(vehicle)))
     split = Split((split_size or math.inf) * MEGABYTE, split_time or math.inf)
     parameters = {name: value for name, value in given.items() if value is not None}

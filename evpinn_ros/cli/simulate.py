@@ -12,6 +12,7 @@ from evpinn_ros.cli.console import progress_bar, say, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import CanProfileOption, VehicleOption
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
@@ -86,6 +87,7 @@ def simulate(
         start_ns=round(start.replace(tzinfo=timezone.utc).timestamp()) * NANOSECONDS,
         equation=equation,
     )
+    check_outputs((out, can_log))
     with Interruption():  # half a drive would not have the truth that is written beside it
         with writing(out), progress_bar(out.name, total=duration) as progress:
             write(drive, out, can_log, progress)

@@ -2,11 +2,13 @@
 
 A named pipe would be waited for, a device read for ever. Parsers are bounded here: bytes of a
 file, its ratio, characters of a line. A foreign one whose format can lie runs apart
-(`common.sandbox`).
+(`common.sandbox`). What was opened is remembered, so that no output is written over it
+(`common.writer`).
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 import errno
 import gzip
 import io
@@ -22,6 +24,8 @@ LONGEST_LINE = 1_000_000
 200, a row of a wide table 10 000."""
 MOST_COLUMNS = 10_000  # of a table
 RATIO, FREE_BYTES = 200, 1 << 20
+_inputs: dict[tuple[int, int], Path | None] = {}
+"""Every file opened in this process by device and number, under its name; None: written here."""
 
 
 def most_unpacked(size: int) -> int:
@@ -61,10 +65,30 @@ def check_file(path: Path) -> int:
         return os.fstat(file.fileno()).st_size
 
 
+def input_at(path: Path) -> Path | None:
+    """The name of the input that a path leads to, if this process has opened it, or None."""
+    with suppress(OSError, ValueError):
+        status = path.stat()
+        name = _inputs.get((status.st_dev, status.st_ino))
+        # The number of a file that is gone is given to another one.
+        if name is not None and name.samefile(path):
+            return name
+    return None
+
+
+def note_own(path: Path) -> None:
+    """Remember that this process wrote a file, which is no input then."""
+    status = path.stat()
+    _inputs[status.st_dev, status.st_ino] = None
+
+
 def _open(path: str, flags: int) -> int:
     descriptor = os.open(path, flags | os.O_NONBLOCK)  # a pipe without a writer opens at once
-    mode = os.fstat(descriptor).st_mode
-    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):  # of a folder Python says it better
+    status = os.fstat(descriptor)
+    if stat.S_ISREG(status.st_mode):
+        _inputs.setdefault((status.st_dev, status.st_ino), Path(path).absolute())
+        return descriptor
+    if stat.S_ISDIR(status.st_mode):  # of which Python says it better
         return descriptor
     os.close(descriptor)
     raise OSError(errno.EINVAL, "a pipe or a device, no file", path)

@@ -22,7 +22,7 @@ from weakref import finalize
 import zlib
 
 from evpinn_ros.common.errors import InputError, as_input_error
-from evpinn_ros.common.opener import open_file
+from evpinn_ros.common.opener import input_at, note_own, open_file
 from evpinn_ros.common.units import MEBIBYTE
 
 DRAFT = ".evpinn-draft-"
@@ -51,14 +51,16 @@ def plain_cell(text: str) -> str:
 
 
 @contextmanager
-def replaced(path: Path, *, private: bool = False) -> Iterator[BinaryIO]:
+def replaced(path: Path, *, private: bool = False, update: bool = False) -> Iterator[BinaryIO]:
     """A draft that takes the place of a file when it is whole, else nothing stays; or OSError.
 
     The draft is new and this process's own (`mkstemp`), on the disk before it takes the place.
     What is no file, such as a pipe, is written to as it is. A new `private` file is for its owner
-    alone.
+    alone. InputError for a file that this process has read, unless it is an `update` of that.
     """
     target = resolved(path)
+    if not update:
+        _refuse_input(path, target)
     if target.exists() and not target.is_file():
         with target.open("wb") as other:
             yield other
@@ -74,16 +76,19 @@ def replaced(path: Path, *, private: bool = False) -> Iterator[BinaryIO]:
             os.fchmod(handle, _mode(target, private))
             os.fsync(handle)
         draft.replace(target)
+        note_own(target)
     except BaseException:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
         raise
 
 
-def write_file(path: Path, content: str | bytes, *, private: bool = False) -> None:
+def write_file(
+    path: Path, content: str | bytes, *, private: bool = False, update: bool = False
+) -> None:
     """Write a whole file as `replaced` does, in UTF-8, and its folder if need be."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced(path, private=private) as draft:
+    with replaced(path, private=private, update=update) as draft:
         draft.write(content.encode() if isinstance(content, str) else content)
 
 
@@ -174,7 +179,10 @@ def resolved(path: Path) -> Path:
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
-    """InputError for outputs (not None or `-`) that would write over inputs or each other."""
+    """InputError for outputs (not None or `-`) that would write over inputs or each other.
+
+    Inputs are those given, which need not be open yet, and every file that this process has read.
+    """
     read = [(path, _target(path)) for path in inputs if path is not None and _is_there(path)]
     written: set[Path] = set()
     for path in outputs:
@@ -186,10 +194,20 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] 
         for given, source in read:
             of_a_bag = source in target.parents and target.suffix in BAG_FILES
             if of_a_bag or _is_same(source, target):
-                raise InputError(f"{path}: would be written over the input {given}")
+                raise _over(path, given)
+        _refuse_input(path, target)
         if target in written:
             raise InputError(f"{path}: two results would be written there")
         written.add(target)
+
+
+def _refuse_input(path: Path, target: Path) -> None:
+    if (given := input_at(target)) is not None:
+        raise _over(path, given)
+
+
+def _over(path: Path, given: Path) -> InputError:
+    return InputError(f"{path}: would be written over the input {given}")
 
 
 def _is_there(path: Path) -> bool:

@@ -107,7 +107,7 @@ def write_state(path: Path, state: State) -> None:
         OSError: the file cannot be written.
         ValueError: the state holds a number that is not finite.
     """
-    write_file(path, json.dumps(state, allow_nan=False), private=True)
+    write_file(path, json.dumps(state, allow_nan=False), private=True, update=True)
     sync(path.resolve().parent)
 
 
@@ -204,7 +204,7 @@ def set_aside(path: Path, *, copied: bool = False) -> None:
     if not copied:
         path.replace(first)
         return
-    with open_file(path) as file, replaced(first, private=True) as draft:
+    with open_file(path) as file, replaced(first, private=True, update=True) as draft:
         shutil.copyfileobj(file, draft)
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from evpinn_ros.can.profile import load_profile
 from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import JsonOption, VehicleOption
 from evpinn_ros.common.errors import InputError, as_input_error
@@ -33,6 +34,9 @@ from evpinn_ros.extras.fleet.page import (
     write_fleet_page,
 )
 from evpinn_ros.extras.fleet.tables import (
+    CARS,
+    DRIVES,
+    POPULATION,
     FleetSummary,
     population_rows,
     require_extra,
@@ -89,14 +93,20 @@ def fleet(
     if len(models) > 1 and write_vehicle_to and write_vehicle_to.suffix in YAML:
         names = ", ".join(models)
         raise InputError(f"{write_vehicle_to}: one file for {names}; give the name of a folder")
+    for profile in {car.vehicle.can_profile for car in cars} - {None}:
+        load_profile(profile)  # opened here too, for no output may be written over it
     drives = (drive for car in cars for drive in car.drives)
-    check_outputs((report, write_vehicle_to, json_file), (manifest, Path(vehicle), *drives))
+    report = report or out / REPORT
+    tables = (out / name for name in (DRIVES, CARS, POPULATION))
+    check_outputs(
+        (report, write_vehicle_to, json_file, *tables), (manifest, Path(vehicle), *drives)
+    )
     executor: Executor = DaskExecutor(scheduler) if scheduler else LocalExecutor(workers)
     with claimed(out):
         failed: dict[str, str] = {}
         stopped = not _learn(cars, out, executor, failed)
         summary = write_tables(out, cars, failed)
-        _write(summary, report or out / REPORT, write_vehicle_to)
+        _write(summary, report, write_vehicle_to)
     _show(summary, out)
     if json_file is not None:
         write_json(json_file, {"out": str(out), "stopped": stopped, **_found(summary)})

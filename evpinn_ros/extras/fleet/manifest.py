@@ -130,10 +130,10 @@ def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:
     if not path.exists():
         if pattern.count("**") > 1:  # each more is a walk of all folders below each folder
             raise InputError(f"{where or pattern}: more than one ** in a pattern")
-        # A folder in which the manifest lies is none, whatever it is named.
-        base = Path(path.anchor) if Path(pattern).is_absolute() else base
         with as_input_error(where or pattern, ValueError):
-            paths = list(base.glob(pattern.removeprefix(path.anchor)))
+            # What is there under this very name is no pattern, whatever it is named.
+            folder = next(parent for parent in path.parents if parent.exists())
+            paths = list(folder.glob(str(path.relative_to(folder))))
     if not paths:
         raise InputError(f"{where or path}: {pattern}: nothing there")
     return [path.resolve() for path in paths]

@@ -22,7 +22,7 @@ def save_checkpoint(path: Path, settings: str, state: Mapping[str, torch.Tensor]
     arrays = {name: tensor.detach().cpu().numpy() for name, tensor in state.items()}
     with as_input_error(f"{path}: cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replaced(path) as draft:
+        with replaced(path, update=True) as draft:
             np.savez(draft, settings=np.array(settings), **arrays)  # type: ignore[arg-type]
 
 

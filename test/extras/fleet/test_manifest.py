@@ -164,6 +164,18 @@ def test_a_pattern_walks_the_folders_once(data):
         cars_by_manifest(path)
 
 
+def test_a_folder_before_a_pattern_is_none(data):
+    folder = data / "old [1]"
+    folder.mkdir()
+    (folder / "a.csv").write_text("t_s,speed_mps,power_w\n")
+    for given in (f"{folder}/*.csv", f"{folder}/a?csv"):
+        assert cars_by_folder([given], LEAF)[0].drives == (folder / "a.csv",)
+    (data / "a*[b]?.csv").write_text("t_s,speed_mps,power_w\n")
+    (data / "axb1.csv").write_text("t_s,speed_mps,power_w\n")
+    (car,) = cars_by_folder([f"{data}/a*[b]?.csv"], LEAF)
+    assert car.drives == (data / "a*[b]?.csv",), "what is there by its very name"
+
+
 def test_the_folder_of_a_manifest_is_no_pattern(data):
     folder = data / "old [1]"
     folder.mkdir()
