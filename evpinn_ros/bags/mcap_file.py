@@ -11,13 +11,15 @@ from pathlib import Path
 
 from mcap.records import Message
 
+from evpinn_ros.bags.channel import Channel, RawMessage, parsed_qos, plain_qos
 from evpinn_ros.bags.limits import MOST_HELD
 from evpinn_ros.bags.mcap_records import MAGIC, Loss, McapRecords
-from evpinn_ros.bags.rosbags_file import Channel, RawMessage, RosbagsFile
+from evpinn_ros.bags.rosbags_file import RosbagsFile
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import open_file
 
 OVERLAP = "chunks overlap too far: not all is in order of time"
+QOS, TYPE_HASH = "offered_qos_profiles", "topic_type_hash"  # in the metadata of a channel
 OVERHEAD = 250  # bytes of a message in Python beside its data
 
 
@@ -72,7 +74,10 @@ class McapFile:
             what = "not an MCAP file" if begin else "the file is empty"
             raise InputError(f"{self.path}: {what}")
         records = McapRecords(self._file, self.path)
-        if records.summary.indexes_all and records.summary.within_limits(records.size):
+        summary = records.summary
+        channels = summary.content.channels.values()
+        plain = all(plain_qos(channel.metadata.get(QOS, "")) for channel in channels)
+        if plain and summary.indexes_all and summary.within_limits(records.size):
             with suppress(InputError):  # of another profile than ROS 2, for example
                 self._indexed = RosbagsFile(self.path)
         if self._indexed is not None:
@@ -136,9 +141,19 @@ class McapFile:
 
 def _channels(records: McapRecords) -> dict[int, Channel]:
     """Channels by id; one whose schema is lost is lost too."""
-    types = {0: ""} | {id_: schema.name for id_, schema in records.schemas.items()}
+    schemas = {0: ("", "")} | {
+        id_: (schema.name, schema.data.decode(errors="replace"))
+        for id_, schema in records.schemas.items()
+    }
     return {
-        id_: Channel(channel.topic, types[channel.schema_id], channel.message_encoding)
+        id_: Channel(
+            channel.topic,
+            schemas[channel.schema_id][0],
+            channel.message_encoding,
+            schemas[channel.schema_id][1],
+            channel.metadata.get(TYPE_HASH, ""),
+            parsed_qos(channel.metadata.get(QOS, "")),
+        )
         for id_, channel in records.channels.items()
-        if channel.schema_id in types
+        if channel.schema_id in schemas
     }

@@ -13,11 +13,12 @@ from typing import Any, NamedTuple, TypeAlias
 
 import zstandard
 
+from evpinn_ros.bags.channel import Channel, RawMessage
 from evpinn_ros.bags.limits import LONGEST_CHUNK, LONGEST_MESSAGE, unpacked
 from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
 from evpinn_ros.bags.names import PACKED
-from evpinn_ros.bags.rosbags_file import Channel, RawMessage, RosbagsFile
+from evpinn_ros.bags.sqlite_file import SqliteFile
 from evpinn_ros.bags.types import decode, typestore
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import RATIO, check_file, most_unpacked, open_file
@@ -26,7 +27,7 @@ from evpinn_ros.common.yaml_section import load_plain
 
 _PIECE = 1 << 20
 
-PlainFile: TypeAlias = McapFile | RosbagsFile
+PlainFile: TypeAlias = McapFile | SqliteFile
 BagFile: TypeAlias = "PlainFile | CompressedMessages"
 
 
@@ -101,14 +102,22 @@ class BagReader:
                 continue
             yield Record(channel.topic, channel.type_name, log_time_ns, data)
 
+    def stored(self) -> Iterator[tuple[int, Channel, bytes]]:
+        """Log time, ns, channel and bytes of every message in that order, as they are."""
+
+        def messages(file: BagFile) -> Iterator[tuple[int, Channel, bytes]]:
+            for log_time_ns, id_, data in file.messages(file.channels):
+                yield log_time_ns, file.channels[id_], data
+
+        yield from heapq.merge(*map(messages, self._files), key=itemgetter(0))
+
+    def channels(self) -> set[Channel]:
+        """What the files say of the topics; of one topic they may say several things."""
+        return {channel for file in self._files for channel in file.channels.values()}
+
     def log_times(self) -> Iterator[tuple[str, int]]:
         """Topic and log time, ns, of every message in that order, also of types not known."""
-
-        def times(file: BagFile) -> Iterator[tuple[str, int]]:
-            for log_time_ns, id_, _ in file.messages(file.channels):
-                yield file.channels[id_].topic, log_time_ns
-
-        yield from heapq.merge(*map(times, self._files), key=itemgetter(1))
+        return ((channel.topic, log_time_ns) for log_time_ns, channel, _ in self.stored())
 
     def _raw(
         self, file: BagFile, topics: Collection[str] | None
@@ -203,7 +212,7 @@ def _open_file(path: Path) -> PlainFile:
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty")
     if path.suffix == ".db3":
-        return RosbagsFile(path)
+        return SqliteFile(path)
     return McapFile(path)
 
 

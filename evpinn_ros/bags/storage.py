@@ -7,15 +7,19 @@ from enum import Enum
 from itertools import takewhile
 from operator import itemgetter
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+import sqlite3
 from typing import Any
 
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.errors import WriterError
+from rosbags.typesys import TypesysError
 
+from evpinn_ros.bags.channel import Channel
 from evpinn_ros.bags.metadata import VERSION
-from evpinn_ros.bags.rosbags_file import READ_ERRORS, journals, merged
+from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import typestore
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, one_line
 from evpinn_ros.core.signals.progress import reported
 
 
@@ -40,35 +44,25 @@ def change_storage(
     """
     if out.exists():
         raise InputError(f"{out}: there already; give the name of a new folder")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with (
-            TemporaryDirectory(prefix="evpinn-") as folder,
-            Reader(_with_journals(source, Path(folder))) as reader,
-        ):
-            return _copy(reader, out, storage, progress, stopped)
-    except InputError:
-        raise
-    except READ_ERRORS as error:
-        reason = " ".join(str(error).replace(str(source), "").split())
-        raise InputError(
-            f"{source} to {out}: {reason}; evpinn recover saves a broken MCAP"
-        ) from error
-
-
-def _with_journals(source: Path, folder: Path) -> Path:
-    if source.is_dir():
-        for database in source.glob("*.db3"):
-            if beside := journals(database.resolve()):
-                names = ", ".join(journal.name for journal in beside)
-                raise InputError(f"{source}: {names} holds messages too; give {database}")
-        return source
-    is_open = source.suffix == ".db3" and source.is_file() and journals(source.resolve())
-    return merged(source.resolve(), folder) if is_open else source
+    with BagReader(source) as reader:
+        if reader.problem is not None:
+            raise InputError(f"{reader.problem}; evpinn recover saves a broken MCAP")
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            count = _copy(reader, out, storage, progress, stopped)
+        except InputError:
+            rmtree(out, ignore_errors=True)
+            raise
+        except (WriterError, TypesysError, sqlite3.Error, OSError) as error:
+            rmtree(out, ignore_errors=True)
+            raise InputError(f"{source} to {out}: {one_line(error)}") from error
+        if reader.problem is not None:
+            raise InputError(f"{reader.problem}; what could be read is in {out}")
+        return count
 
 
 def _copy(
-    reader: Reader,
+    reader: BagReader,
     out: Path,
     storage: Storage,
     progress: Callable[[float], None] | None,
@@ -76,23 +70,25 @@ def _copy(
 ) -> int:
     count = 0
     with Writer(out, version=VERSION, storage_plugin=StoragePlugin[storage.name]) as writer:
-        new = {connection.id: _connect(writer, connection) for connection in reader.connections}
-        messages = takewhile(lambda _: not stopped(), reader.messages())
-        for connection, log_time_ns, data in reported(messages, progress, itemgetter(1)):
-            writer.write(new[connection.id], log_time_ns, data)
+        channels = sorted(reader.channels(), key=lambda channel: channel.topic)
+        new = {channel: _connect(writer, channel) for channel in channels}
+        messages = takewhile(lambda _: not stopped(), reader.stored())
+        for log_time_ns, channel, data in reported(messages, progress, itemgetter(0)):
+            writer.write(new[channel], log_time_ns, data)
             count += 1
     return count
 
 
-def _connect(writer: Writer, connection: Any) -> Any:
-    definition = connection.msgdef.data
+def _connect(writer: Writer, channel: Channel) -> Any:
+    if channel.qos is None:
+        raise InputError(f"{channel.topic}: its offered_qos_profiles cannot be read")
     described: dict[str, Any] = {"typestore": typestore()}
-    if definition and connection.digest:
-        described = {"msgdef": definition, "rihs01": connection.digest}
+    if channel.definition and channel.type_hash:
+        described = {"msgdef": channel.definition, "rihs01": channel.type_hash}
     return writer.add_connection(
-        connection.topic,
-        connection.msgtype,
-        serialization_format=connection.ext.serialization_format,
-        offered_qos_profiles=connection.ext.offered_qos_profiles,
+        channel.topic,
+        channel.type_name,
+        serialization_format=channel.encoding,
+        offered_qos_profiles=channel.qos,
         **described,
     )

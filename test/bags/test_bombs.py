@@ -24,6 +24,7 @@ from evpinn_ros.bags.mcap_records import HEAD, MAGIC
 from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
+from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
@@ -217,6 +218,64 @@ def test_a_database_that_computes_for_ever_is_refused(tmp_path):
         )
     with pytest.raises(InputError, match=r"a\.db3: no bag: its database has a view"):
         BagReader(path)
+
+
+ENDLESS = (
+    "CREATE VIEW endless AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
+    "SELECT i FROM n"
+)
+COMPUTED = "CREATE TABLE computed(a INTEGER, b BLOB GENERATED ALWAYS AS (zeroblob(a)))"
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (ENDLESS, "has a view that computes"),
+        (COMPUTED, "has a table that computes"),
+        ("ALTER TABLE messages ADD x GENERATED ALWAYS AS (zeroblob(1e9))", "table that computes"),
+        ("CREATE TRIGGER t AFTER INSERT ON topics BEGIN SELECT 1; END", "a trigger that computes"),
+        (
+            "".join(f"CREATE TABLE t{number}(a);" for number in range(100)) + COMPUTED,
+            "more than 100 tables",
+        ),
+        (
+            "CREATE TABLE t AS SELECT t.* FROM topics AS t, topics; DROP TABLE topics;"
+            "ALTER TABLE t RENAME TO topics",
+            "two topics of one id",
+        ),
+        (
+            "WITH RECURSIVE n(i) AS (SELECT 3 UNION ALL SELECT i + 1 FROM n LIMIT 300000)"
+            "INSERT INTO topics(id, name, type, serialization_format, offered_qos_profiles, "
+            "type_description_hash) SELECT i, i, '', '', '', '' FROM n",
+            "over 10000 topics",
+        ),
+        ("DROP TABLE messages", "has no table 'messages'"),
+        ("ALTER TABLE messages RENAME TO m; CREATE VIEW messages AS SELECT * FROM m", "a view"),
+    ],
+)
+def test_a_database_of_any_structure_is_refused_by_reading_and_converting(
+    tmp_path, change, reason
+):
+    path = tmp_path / "a.db3"
+    path.write_bytes(database()[0])
+    with closing(sqlite3.connect(path)) as bag, bag:
+        bag.executescript(change)
+    for read in (BagReader, lambda path: change_storage(path, tmp_path / "new", Storage.MCAP)):
+        with pytest.raises(InputError, match=reason):
+            read(path)
+    assert not (tmp_path / "new").exists()
+
+
+def test_rows_that_are_no_messages_are_counted(tmp_path):
+    path = tmp_path / "a.db3"
+    path.write_bytes(database()[0])
+    with closing(sqlite3.connect(path)) as bag, bag:
+        bag.execute("UPDATE messages SET data = 1000000000 WHERE id = 3")
+        bag.execute("UPDATE messages SET timestamp = 'noon' WHERE id = 5")
+    with BagReader(path) as reader:
+        assert sum(1 for _ in reader.records()) == 38
+        assert "2 messages without a time or data are not read" in reader.problem
 
 
 def test_a_database_whose_pages_lead_to_one_another_is_refused(tmp_path):

@@ -9,14 +9,13 @@ import sys
 import pytest
 import yaml
 
-from evpinn_ros.bags import rosbags_file
+from evpinn_ros.bags import sqlite_file
 from evpinn_ros.bags.metadata import INFORMATION, METADATA
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.bags.rosbags_file import SUPER_JOURNAL
+from evpinn_ros.bags.sqlite_file import ROLLBACK
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.types import encode, new_message
 from evpinn_ros.bags.writer import BagWriter, Split
-from evpinn_ros.common.errors import InputError
 from evpinn_ros.topics.messages import scalar
 
 START, STEP, COUNT = 1_700_000_000_000_000_000, 100_000_000, 600
@@ -96,16 +95,26 @@ def test_another_storage_has_all_messages(tmp_path, mode):
     count = change_storage(path, tmp_path / "new", Storage.MCAP)
     assert numbers(tmp_path / "new") == (list(range(count)), None)
     assert count == {"WAL": COUNT, "DELETE": 300}[mode]
-    with pytest.raises(InputError, match=r"bag_0\.db3-\w+ holds messages too; give .*bag_0\.db3"):
-        change_storage(folder, tmp_path / "other", Storage.MCAP)
+    assert change_storage(folder, tmp_path / "other", Storage.MCAP) == count
     assert contents(folder) == before
+
+
+@pytest.mark.parametrize("begin", [b"W", b"W" * 5000, b"\0" * 5000])
+def test_a_journal_without_a_header_copies_nothing(tmp_path, monkeypatch, begin):
+    path = killed_recording(tmp_path / "a.db3", "WAL")
+    whole = numbers(path)[0]
+    (tmp_path / "a.db3-wal").write_bytes(begin)
+    monkeypatch.setattr(sqlite_file, "copy_file", None)  # what would copy
+    values, problem = numbers(path)
+    assert values == whole[: len(values)] and len(values) == 300
+    assert problem is None if not begin[0] else "a.db3-wal beside it has no header" in problem
 
 
 def test_a_journal_that_cannot_be_read_is_named(tmp_path):
     """One that names another file: SQLite may delete that."""
     path = killed_recording(tmp_path / "a.db3", "WAL")
     log = tmp_path / "a.db3-wal"
-    log.write_bytes(log.read_bytes() + SUPER_JOURNAL)
+    log.write_bytes(log.read_bytes() + ROLLBACK)
     values, problem = numbers(path)
     assert values == list(range(300))
     assert "a.db3-wal beside it could not be read (its journal names other files)" in problem
@@ -114,7 +123,7 @@ def test_a_journal_that_cannot_be_read_is_named(tmp_path):
 
 def test_a_recording_that_goes_on_while_it_is_copied_is_not_mixed(tmp_path, monkeypatch):
     path = killed_recording(tmp_path / "a.db3", "WAL")
-    copied = rosbags_file.copy_file
+    copied = sqlite_file.copy_file
     row = (START + COUNT * STEP, encode(scalar(new_message, 0.0)))
 
     def and_written(source, target):
@@ -128,7 +137,7 @@ def test_a_recording_that_goes_on_while_it_is_copied_is_not_mixed(tmp_path, monk
 
     open_bags: list[sqlite3.Connection] = []
     limit = 2
-    monkeypatch.setattr(rosbags_file, "copy_file", and_written)
+    monkeypatch.setattr(sqlite_file, "copy_file", and_written)
     values, problem = numbers(path)
     assert problem is None and len(values) == COUNT + 4
     limit = 100

@@ -1,8 +1,13 @@
+import os
 from pathlib import Path
+import shutil
+import sqlite3
 
+from mcap.writer import Writer as McapWriter
 import pytest
 from rosbags.rosbag2 import Reader
 
+from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
@@ -40,7 +45,7 @@ def test_what_cannot_be_done_is_one_line(tmp_path):
     with pytest.raises(InputError, match="evpinn recover saves") as caught:
         change_storage(tmp_path / "cut.mcap", tmp_path / "new", Storage.SQLITE3)
     assert "\n" not in str(caught.value)
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="no such file or folder"):
         change_storage(tmp_path / "nowhere", tmp_path / "new", Storage.MCAP)
 
 
@@ -52,3 +57,52 @@ def test_stopped_it_leaves_a_whole_bag_up_to_there(tmp_path):
     with Reader(tmp_path / "new") as reader:
         assert sum(1 for _ in reader.messages()) == reader.message_count == count > 10
         assert reader.duration < 5e9
+
+
+@pytest.mark.parametrize("name", ["a#1.mcap", "a?mode=rw.mcap", "a%20b.mcap", "50% [1].mcap"])
+def test_a_file_of_any_name_changes_its_storage(tmp_path, name):
+    (file,) = URBAN.glob("*.mcap")
+    shutil.copy(file, tmp_path / name)
+    change_storage(tmp_path / name, tmp_path / "new", Storage.SQLITE3)
+    assert raw(tmp_path / "new") == raw(URBAN)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("name", ["metadata.yaml", "a.mcap", "a.db3"])
+def test_the_storage_of_a_pipe_or_a_device_is_not_changed(tmp_path, name):
+    for kind in ("pipe", "device"):
+        folder = tmp_path / kind
+        folder.mkdir()
+        if name == "metadata.yaml":
+            shutil.copy(next(URBAN.glob("*.mcap")), folder)
+        if kind == "pipe":
+            os.mkfifo(folder / name)
+        else:
+            (folder / name).symlink_to("/dev/zero")
+        with pytest.raises(InputError, match=r"a pipe or a device|the file is empty"):
+            change_storage(folder, tmp_path / "new", Storage.SQLITE3)
+        assert not (tmp_path / "new").exists()
+
+
+BOMB = "a: &a {x: 1}\nb: &b {<<: [*a, *a]}\n"
+
+
+def test_qos_of_aliases_is_not_read(tmp_path):
+    """Each line that merges the one before takes as much memory again as all before it."""
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/Empty", "ros2msg", b"")
+        channel = writer.register_channel("/a", "cdr", schema, {"offered_qos_profiles": BOMB})
+        writer.add_message(channel, 1, b"\0\1\0\0\0", 1)
+        writer.finish()
+    change_storage(URBAN, tmp_path / "sql", Storage.SQLITE3)
+    (database,) = (tmp_path / "sql").glob("*.db3")
+    with sqlite3.connect(database) as bag:
+        bag.execute("UPDATE topics SET offered_qos_profiles = ?", (BOMB,))
+    for path in (tmp_path / "a.mcap", database):
+        with BagReader(path) as reader:
+            assert {channel.qos for channel in reader.channels()} == {None}
+            assert sum(1 for _ in reader.log_times()) in (1, len(raw(URBAN)))
+        with pytest.raises(InputError, match="offered_qos_profiles cannot be read"):
+            change_storage(path, tmp_path / "new", Storage.SQLITE3)

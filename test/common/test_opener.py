@@ -83,6 +83,7 @@ OPENS = {"open", "fdopen", "read_text", "read_bytes", "ZipFile", "GzipFile", "lo
 OPENS |= {"read_csv", "read_parquet", "read_excel", "read_json", "read_table", "load_workbook"}
 OPENS |= {"scan_parquet", "scan_ipc", "scan_csv", "MDF", "MF4Reader"}
 OPENS |= {"load", "safe_load", "fromfile", "genfromtxt"}
+OPENS |= {"Reader", "AnyReader", "BLFReader", "LogReader", "connect"}  # `Reader` of rosbags
 # Whose `open` and `load` are not of files.
 OURS = ("reader", "state_file", "self", "car", "car_replay", "json")
 

@@ -93,7 +93,7 @@ def fleet(
     if len(models) > 1 and write_vehicle_to and write_vehicle_to.suffix in YAML:
         names = ", ".join(models)
         raise InputError(f"{write_vehicle_to}: one file for {names}; give the name of a folder")
-    for profile in {car.vehicle.can_profile for car in cars} - {None}:
+    for profile in filter(None, {car.vehicle.can_profile for car in cars}):
         load_profile(profile)  # opened here too, for no output may be written over it
     drives = (drive for car in cars for drive in car.drives)
     report = report or out / REPORT

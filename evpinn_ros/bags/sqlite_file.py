@@ -1,0 +1,259 @@
+"""One `.db3` file of rosbag2: two tables, read by plain queries that end.
+
+What computes is refused: SQLite follows views and generated columns, also without an end. It
+applies a killed recording's journal when it opens a private copy of both to write.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator
+from contextlib import closing
+from itertools import accumulate
+from pathlib import Path
+import re
+import sqlite3
+from tempfile import TemporaryDirectory
+from urllib.parse import quote
+
+from evpinn_ros.bags.channel import Channel, RawMessage, parsed_qos
+from evpinn_ros.common.errors import InputError, as_input_error, one_line
+from evpinn_ros.common.opener import check_file, open_file
+from evpinn_ros.common.writer import copy_file
+
+ROLLBACK = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
+"""Begin of a journal; at its end it names another file, which SQLite would look at, and perhaps
+delete."""
+BEGINS = {"-wal": (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83"), "-journal": (ROLLBACK,)}
+"""Endings of the files beside a database, and how they begin; SQLite ignores others."""
+SHORTEST = 32  # bytes of such a file: its header, behind which frames or pages come
+ATTEMPTS = 5  # to copy files that a recorder is writing
+
+FREE_STEPS, STEPS_A_BYTE = 1_000_000, 4
+"""Steps of SQLite's machine; to look through a bag of small messages takes half a step a byte."""
+PERIOD = 1000  # steps
+DAMAGE = (sqlite3.Error, UnicodeError)  # the latter where SQLite's own message quotes the file
+MOST_ENTRIES = 100  # tables and indices; rosbag2 makes six
+MOST_TOPICS = 10_000
+# Text, of which no message is, would be read to know its length; of what was cut nothing is left.
+MESSAGE_BYTES = """SELECT total(
+    CASE typeof(data) WHEN 'blob' THEN length(data) WHEN 'text' THEN 1e18 ELSE 0 END
+) FROM messages NOT INDEXED"""
+COMPUTING = re.compile(r"\b(VIRTUAL|GENERATED|AS)\b", re.I)  # in the definition of a table
+TOPIC_COLUMNS = ("id", "name", "type", "serialization_format")
+LATER_COLUMNS = ("offered_qos_profiles", "type_description_hash")  # not in bags of old
+
+
+def journals(path: Path) -> list[Path]:
+    """The files beside a database that hold a part of it, by their headers."""
+    return [journal for journal, begins in _beside(path) if begins]
+
+
+def _beside(path: Path) -> Iterator[tuple[Path, bool]]:
+    """Files beside a database that hold anything, and whether SQLite would apply them."""
+    for ending, begins in BEGINS.items():
+        journal = path.with_name(path.name + ending)
+        if journal.is_file():
+            with as_input_error(journal), open_file(journal) as file:
+                header = file.read(SHORTEST)
+            if header.strip(b"\0"):  # SQLite makes a header zero when it has done with it
+                yield journal, len(header) == SHORTEST and header.startswith(begins)
+
+
+def merged(path: Path, folder: Path) -> Path:
+    """A copy of a database in an empty folder, its journals applied; or InputError."""
+    copy = folder / "merged.db3"
+    with as_input_error(path):
+        _copy_all(path, copy)
+    for journal in journals(copy):
+        with open_file(journal) as file:
+            file.seek(max(journal.stat().st_size - len(ROLLBACK), 0))
+            if file.read() == ROLLBACK:
+                raise InputError(f"{path}: its journal names other files")
+    with (
+        as_input_error(path, *DAMAGE),
+        closing(sqlite3.connect(copy, isolation_level=None)) as database,
+    ):
+        # Reads the schema, which makes SQLite look at the journals; no view or trigger runs.
+        database.execute("PRAGMA journal_mode = DELETE").fetchall()
+        database.execute("PRAGMA schema_version").fetchall()
+    return copy
+
+
+def _copy_all(path: Path, copy: Path) -> None:
+    """Copy a database and its journals as they were at one moment."""
+    for _ in range(ATTEMPTS):
+        before = _states(path)
+        for source in (path, *journals(path)):
+            copy_file(source, copy.with_name(copy.name + source.name[len(path.name) :]))
+        if _states(path) == before:
+            return
+        for stale in copy.parent.iterdir():
+            stale.unlink()
+    raise InputError(f"{path}: a recorder is writing it; try again when it has ended")
+
+
+def _states(path: Path) -> list[tuple[str, int, int]]:
+    sources = [(source, source.stat()) for source in (path, *journals(path))]
+    return [(source.name, stat.st_size, stat.st_mtime_ns) for source, stat in sources]
+
+
+class SqliteFile:
+    """An open `.db3` file."""
+
+    def __init__(self, path: Path) -> None:
+        """Open it; InputError if it is no bag, or more than tables."""
+        self.path = path
+        self.problem: str | None = None  # what was lost, complete once all was read
+        self._folder = TemporaryDirectory(prefix="evpinn-")
+        self._database: sqlite3.Connection | None = None
+        try:
+            self._open()
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> None:
+        source, self._size = self._with_journals(check_file(self.path))
+        address = f"file:{quote(str(source.resolve()))}?immutable=1"
+        with as_input_error(f"{self.path}: Cannot open database", *DAMAGE):
+            self._database = sqlite3.connect(address, uri=True, check_same_thread=False)
+            self._database.text_factory = lambda text: text.decode(errors="replace")
+            self._begin_steps()
+            fault = _fault(self._database, self._size)
+            if fault is not None:
+                raise InputError(f"{self.path}: no bag: its database {fault}")
+            self.channels = self._channels(self._database)  # by channel id
+            self._begin_steps()
+            self.counts = {
+                id_: count
+                for id_, count in self._database.execute(
+                    "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
+                )
+                if id_ in self.channels
+            }
+
+    def _begin_steps(self) -> None:
+        """Let the queries from here on take as many steps as a sound file of this size."""
+        assert self._database is not None
+        periods = iter(range((FREE_STEPS + STEPS_A_BYTE * self._size) // PERIOD))
+        self._database.set_progress_handler(lambda: next(periods, None) is None, PERIOD)
+
+    def _channels(self, database: sqlite3.Connection) -> dict[int, Channel]:
+        definitions: dict[object, str] = {}
+        if "encoded_message_definition" in _columns(database, "message_definitions"):
+            rows = database.execute(
+                "SELECT topic_type, encoded_message_definition FROM message_definitions"
+            )
+            definitions = {name: text for name, text in rows if isinstance(text, str)}
+        there = _columns(database, "topics")
+        texts = [name if name in there else "''" for name in LATER_COLUMNS]
+        columns = ", ".join((*TOPIC_COLUMNS, *texts))
+        rows = database.execute(f"SELECT {columns} FROM topics LIMIT {MOST_TOPICS + 1}")
+        channels: dict[int, Channel] = {}
+        for number, (id_, *names, qos, type_hash) in enumerate(rows):
+            if id_ in channels or number == MOST_TOPICS:
+                fault = "two topics of one id" if id_ in channels else f"over {MOST_TOPICS} topics"
+                raise InputError(f"{self.path}: no bag: its database has {fault}")
+            # A damaged row has nothing or a number where a name stands.
+            if isinstance(id_, int) and all(isinstance(name, str) for name in names):
+                name, kind, encoding = names
+                definition, profiles = definitions.get(kind, ""), parsed_qos(qos)
+                channels[id_] = Channel(name, kind, encoding, definition, str(type_hash), profiles)
+            else:
+                self._note("a topic without a name is not read")
+        return channels
+
+    def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
+        """The messages of the wanted channel ids in log time order."""
+        assert self._database is not None
+        ids = [id_ for id_ in self.channels if id_ in wanted]
+        if not ids:
+            return
+        query = (
+            "SELECT timestamp, topic_id, data FROM messages "
+            f"WHERE topic_id IN ({', '.join(map(str, ids))}) ORDER BY timestamp"
+        )
+        read = damaged = 0
+        self._begin_steps()
+        try:
+            for log_time_ns, id_, data in self._database.execute(query):
+                if isinstance(log_time_ns, int) and isinstance(data, bytes):
+                    yield log_time_ns, id_, data
+                    read += 1
+                else:
+                    damaged += 1
+        except DAMAGE as error:
+            self._note(f"{one_line(error)}; {read} messages were read")
+        if damaged:
+            self._note(f"{damaged} messages without a time or data are not read")
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        if self._database is not None:
+            self._database.close()
+        self._folder.cleanup()
+
+    def _with_journals(self, size: int) -> tuple[Path, int]:
+        database = self.path.resolve()  # beside which SQLite writes its journals
+        for journal, begins in _beside(database):
+            if not begins:
+                self._note(f"{journal.name} beside it has no header, and is not read")
+        beside = journals(database)
+        if not beside:
+            return self.path, size
+        folder = Path(self._folder.name, "merged")
+        folder.mkdir()
+        try:
+            copy = merged(database, folder)
+        except InputError as error:
+            names = ", ".join(journal.name for journal in beside)
+            reason = str(error).removeprefix(f"{database}: ")
+            self._note(f"{names} beside it could not be read ({reason}): messages are missing")
+            return self.path, size
+        return copy, copy.stat().st_size
+
+    def _note(self, text: str) -> None:
+        note = f"{self.path}: {text}"
+        self.problem = note if self.problem is None else f"{self.problem} | {note}"
+
+
+def _columns(database: sqlite3.Connection, table: str) -> set[str]:
+    return {row[1] for row in database.execute(f"PRAGMA table_info({table})")}
+
+
+def _fault(database: sqlite3.Connection, size: int) -> str | None:
+    """Why a database is no bag that can be read within the size of its file, or None.
+
+    A view in place of a table, or pages that lead to one another, could run for ever: SQLite
+    follows both.
+    """
+    query = f"SELECT type, name, sql FROM sqlite_master LIMIT {MOST_ENTRIES + 1}"
+    entries = database.execute(query).fetchall()
+    if len(entries) > MOST_ENTRIES:
+        return f"has more than {MOST_ENTRIES} tables and indices"
+    for kind, _, sql in entries:  # all of them before anything is read
+        if kind not in ("table", "index") or COMPUTING.search(str(sql)):
+            return f"has a {kind} that computes"
+    for table in ("topics", "messages"):
+        if ("table", table) not in {(kind, name) for kind, name, _ in entries}:
+            return f"has no table '{table}'"
+    if any(_holds_more(database, kind, str(name), size) for kind, name, _ in entries):
+        return "holds more than its file"
+    return None
+
+
+def _holds_more(database: sqlite3.Connection, kind: str, name: str, size: int) -> bool:
+    """True if a table holds more than so many bytes, or an index or a table does not end."""
+    quoted = '"' + name.replace('"', '""') + '"'
+    try:
+        if kind == "index":
+            database.execute(f"SELECT count(*) FROM messages INDEXED BY {quoted}").fetchone()
+            return False
+        if name == "messages":  # of a blob its length is known without reading it
+            (held,) = database.execute(MESSAGE_BYTES).fetchone()
+            return bool(held > size)
+        rows = database.execute(f"SELECT * FROM {quoted} NOT INDEXED")
+        sizes = (sum(len(cell) for cell in row if isinstance(cell, str | bytes)) for row in rows)
+        return any(held > size for held in accumulate(sizes))
+    except DAMAGE as error:
+        return str(error) == "interrupted"
