@@ -31,7 +31,7 @@ from evpinn_ros.common.months import MONTHS
 from evpinn_ros.common.opener import LONGEST_LINE, open_file, open_unpacked
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.sandbox import run_apart
-from evpinn_ros.common.writer import replaced
+from evpinn_ros.common.writer import new_table, replaced
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 SAME_MOMENT = 60.0  # s between the date of a log and its first time of day
@@ -307,7 +307,7 @@ def convert_blf(path: Path, out: Path) -> None:
 def _convert(messages: Iterable[Any], out: Path) -> None:
     # By lines: what came before the damage is there when this process is killed.
     with (
-        out.open("w", encoding="ascii", buffering=1) as lines,
+        new_table(out, by_line=True) as lines,
         can.CanutilsLogWriter(lines) as log,
     ):
         for message in messages:

@@ -108,9 +108,9 @@ def new_file(path: Path) -> BinaryIO:
     return path.open("xb")
 
 
-def new_table(path: Path) -> TextIO:
-    """A file of text to write that is not there yet, for the csv module."""
-    return path.open("x", newline="", encoding="utf-8")
+def new_table(path: Path, *, by_line: bool = False) -> TextIO:
+    """A file of text to write that is not there yet, for the csv module; or handed on by lines."""
+    return path.open("x", 1 if by_line else -1, newline="", encoding="utf-8")
 
 
 def mark(path: Path) -> None:
