@@ -34,7 +34,7 @@ def write_sheet(path: Path, out: Path) -> None:
         sheets = sheets or book.worksheets
         heads = {sheet.title: list(islice(_rows(sheet), 2)) for sheet in sheets}
         tables = [sheet for sheet in sheets if len(heads[sheet.title]) == 2] or sheets[-1:]
-        drives = [sheet for sheet in tables if names_some(heads[sheet.title][0] or [""])]
+        drives = [sheet for sheet in tables if names_some(heads[sheet.title][0])]
         first = next(iter(drives), tables[0])  # a line alone is a note
         same = [sheet for sheet in tables if heads[sheet.title][:1] == heads[first.title][:1]]
         if others := [sheet.title for sheet in tables if sheet not in same]:

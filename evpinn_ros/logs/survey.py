@@ -131,7 +131,7 @@ def long_form(head: Head) -> tuple[int, int, int | None] | None:
 
 def names_some(row: Sequence[str]) -> bool:
     """True if two cells of a row or more are names of quantities."""
-    if row[0] in ANNOTATIONS:
+    if not row or row[0] in ANNOTATIONS:
         return False
     names = [cell.strip() for cell in row if 0 < len(cell) < 100]
     names = [name for name in names if not name[:1].isdigit()][:1000]

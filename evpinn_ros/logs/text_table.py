@@ -215,15 +215,18 @@ class TextTable:
             except READ_ERRORS as broken:
                 error = broken
             is_last = error is not None or not data
-            text = left + decoder.decode(bytes(data), final=is_last).replace("\0", "")
+            text = left + decoder.decode(bytes(data), final=is_last)
             whole, newline, left = ("", "", "") if is_last else text.rpartition("\n")
-            if text := text if is_last else whole + newline:
+            # Zeros, which a loss of power leaves, count in the length of a line that is left.
+            if text := (text if is_last else whole + newline).replace("\0", ""):
                 yield text
             if error is not None:
                 raise error
             if is_last:
                 return
             if len(left) > LONGEST_LINE:
+                if not left.strip("\0"):
+                    raise OSError("zeros without an end")  # what comes before them is read
                 raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
             size = CHUNK
 

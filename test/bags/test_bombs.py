@@ -30,6 +30,7 @@ from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
 from evpinn_ros.common.yaml_section import load_plain
+from evpinn_ros.core.signals.readings import SpeedReading
 from evpinn_ros.extras.paper import checkpoint
 from evpinn_ros.logs.sources import open_drive
 from test.damage.seeds import database
@@ -356,6 +357,19 @@ def test_a_line_without_an_end_is_not_read(tmp_path, name):
     path.write_bytes(gzip.compress(head + b"1" * (LONGEST_LINE + 1)))
     with pytest.raises(InputError, match="a line is longer than 1000000 characters"):
         list(open_drive(path, 350.0).readings() if head else LogFile(path).frames())
+
+
+def test_zeros_behind_a_drive_are_not_read_to_their_end(tmp_path):
+    """A loss of power leaves some; a sparse file of 8 GB was read for 90 s."""
+    path = tmp_path / "drive.csv"
+    rows = [f"{second},{10 + second % 7},380,{20 + second % 5}\n" for second in range(5000)]
+    for zeros, problem in ((5000, None), (8 << 30, "zeros without an end")):
+        with path.open("w") as file:
+            file.write("time,speed [m/s],voltage [V],current [A]\n" + "".join(rows))
+            file.truncate(file.tell() + zeros)
+        drive = open_drive(path, 350.0)
+        assert sum(1 for reading in drive.readings() if isinstance(reading, SpeedReading)) == 5000
+        assert problem is None or problem in drive.problem
 
 
 def test_gzipped_text_that_unpacks_to_too_much_is_cut_there(tmp_path, monkeypatch):
