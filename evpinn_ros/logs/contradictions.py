@@ -24,14 +24,18 @@ ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign 
 RISES = 0.7  # correlation of power with braking from which on it is that of braking
 SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
 LONGEST_PAIR = 2.5  # s between a power and those beside it that tell its sign
-STRONG = 0.2  # of the largest power: what flows back is more than noise
+STRONG = 0.3  # of most of what flows back: more than noise
 MIRRORED = 0.4  # share by which a power without its sign differs from those beside it
-LEAST_LOST, LOST = 5, 0.06  # lone powers without their sign, and their share
+LEAST_LONE, LEAST_LOST, LOST = (
+    3,
+    5,
+    0.08,
+)  # powers without their sign beside those with it, and their share
 LEAST_BRAKED, BRAKED = 10, 0.12  # s of hard braking, and their share
 LEAST_CLIPPED, CLIPPED = 10, 0.01  # values at the largest one, and their share
 BEYOND = 1.1  # of the largest power: what accelerating takes in the mean where it is clipped
-# A from which on the voltage of a battery of so many V falls by some V, whatever it is made of.
-HARD_ON = ((60.0, 40.0), (np.inf, 100.0))
+HARD_ON = 15_000.0  # W from which on the voltage of a battery falls by some V
+LIGHT_BELOW, HARD_ON_LIGHT = 60.0, 25.0  # V, and A of such a battery
 # Readings, and how much farther the last is than the one before: in the median, and of all.
 LEAST_TURNS, TURNS, TURN_OF_SPAN, TURN = 50, 5.0, 0.25, 0.01
 CONSTANT = 1e-3  # of the voltage
@@ -141,12 +145,25 @@ def takes_turns(signal: Signal) -> bool:
 def lost_signs(drawn: Signal, speed: Signal, of: str) -> Iterator[str]:
     """Sentence on a power, SI, of which a part of what flows back has lost its sign."""
     time, power = drawn.points()
-    beside = (power[:-2] + power[2:]) / 2.0
+    taken = -power[power < 0.0]
+    if taken.size < LEAST_LOST or power.size < LEAST_EVENTS:
+        return
+    size = np.abs(power)
+    large = size > STRONG * np.quantile(taken, 0.9)
+    beside = (size[:-2] + size[2:]) / 2.0
+    # Three in a row of about one size, of which the middle one has another sign than both beside.
     near = time[2:] - time[:-2] <= 2.0 * LONGEST_PAIR
-    size = np.quantile(np.abs(power), 0.95) if power.size else 0.0
-    flows_back = near & (power[:-2] < 0.0) & (power[2:] < 0.0) & (beside < -STRONG * size)
-    lone = flows_back & (np.abs(power[1:-1] + beside) < -MIRRORED * beside)
-    if lone.sum() >= max(LEAST_LOST, LOST * flows_back.sum()) or _mirrored(drawn, speed):
+    smooth = large[:-2] & large[1:-1] & large[2:] & near
+    smooth &= np.abs(size[1:-1] - beside) < MIRRORED * beside
+    smooth &= np.abs(size[2:] - size[:-2]) < beside
+    smooth &= at_times(Signal(*accelerations(speed)), time[1:-1]) < -EVENT
+    back = power < 0.0
+    lone = smooth & (back[:-2] == back[2:]) & (back[1:-1] != back[2:])
+    smooth &= back[:-2] | back[1:-1] | back[2:]
+    # A rider may brake for a moment alone: some have to be positive between negative ones.
+    is_lost = (lone & back[2:]).sum() >= LEAST_LONE
+    is_lost &= lone.sum() >= max(LEAST_LOST, LOST * smooth.sum())
+    if is_lost or _mirrored(drawn, speed):
         yield (
             f"while the car brakes, some numbers of {of} are of the size that flows back, but "
             "positive: they have lost their sign, so every energy is too large"
@@ -203,7 +220,7 @@ def constant_voltage(voltage: Signal, current: Signal) -> Iterator[str]:
     if min(volts.size, amperes.size) < LEAST_EVENTS:
         return
     low, middle, high = np.quantile(volts, (0.01, 0.5, 0.99))
-    least = next(limit for below, limit in HARD_ON if middle < below)
+    least = HARD_ON_LIGHT if middle < LIGHT_BELOW else HARD_ON / middle
     swing = float(np.ptp(np.quantile(amperes, (0.01, 0.99))))
     if high - low <= CONSTANT * middle and swing > least:
         yield (

@@ -39,8 +39,8 @@ WINDOW = 15.0  # s; over more, a hill looks like speeding up
 UNSEEN = 1.0  # m/s^2: by so much power swings in most windows while the speed repeats
 LONG, UNSEEN_LONG = 60.0, 0.4  # s, m/s^2: no driver and no control keeps a speed so well
 DRIVING, STANDING = 8.0, 5.0  # m/s at which it swings so: what stands gives and takes less
-LEAST_CYCLES = 6  # changes between giving and taking
-LEAST_WORK, NO_STANDING_LOAD = 50.0, 20_000.0  # W: an offset is less, and no heater takes more
+LEAST_CYCLES, LEAST_RISES = 4, 2  # changes between giving and taking, and to a large power
+LEAST_WORK, NO_STANDING_LOAD = 50.0, 15_000.0  # W: an offset is less, and no heater takes more
 LEAST_TURNS = 2  # from giving to taking or back
 LEAST_RISE = 10.0  # m/s, or the highest speed if lower: a car rises by it only with power
 FINER = 5.0  # resolutions of a current by which it has to change
@@ -307,7 +307,7 @@ def _gives_and_takes(drawn: Signal) -> bool:
     high, low, back = (power > 0.7 * most), (np.abs(power) < 0.3 * most), (power < -0.1 * most)
     rises, turns = _changes(high, low), _changes(high, back)
     return (turns >= LEAST_CYCLES and most > LEAST_WORK) or (
-        rises >= 2 * LEAST_CYCLES and most > NO_STANDING_LOAD
+        rises >= LEAST_RISES and most > NO_STANDING_LOAD
     )
 
 

@@ -26,6 +26,7 @@ from evpinn_ros.logs.signal import (
     accelerations,
     at_times,
     correlation,
+    last_known,
     pull,
 )
 from evpinn_ros.logs.speed_unit import with_speed_unit
@@ -39,7 +40,7 @@ WEAKEST = 1000.0  # W: a car that takes no more than this in its whole drive doe
 HIGHEST, HEAVIEST = 2000.0, 5000.0  # V, A: of no battery of a vehicle
 HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
 BACKWARDS = 0.99  # of the speeds that are not zero
-AT_ONCE, SELDOM = 0.5, 0.02  # shares of the rows
+SELDOM, OVERLAP = 0.02, 0.1  # share of the values, and of the larger of two
 KELVIN = 200.0  # from here on it is K
 ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
 RESOLUTIONS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.02, 0.01, 0.001)  # of a bus
@@ -88,23 +89,18 @@ def is_backwards(speed: Signal) -> bool:
 
 def flows_one_way(drawn: FloatArray, back: FloatArray) -> bool:
     """True if two columns hold what is drawn and what flows back, hardly ever at once."""
-    if np.isfinite(drawn).sum() < LEAST_EVENTS or not np.isfinite(drawn + back).any():
-        return False
-    both = np.isfinite(drawn) & np.isfinite(back)
-    if both.sum() < AT_ONCE * (np.isfinite(drawn) | np.isfinite(back)).sum():
-        return False
-    for values in (drawn[both], back[both]):
-        if min(np.sum(values < 0.0), np.sum(values > 0.0)) > SELDOM * values.size:
+    for values in (drawn, back):
+        if min(np.sum(values < 0.0), np.sum(values > 0.0)) > SELDOM * np.isfinite(values).sum():
             return False
-    sizes = np.abs([drawn[both], back[both]])
-    return bool(sizes.min(axis=0).sum() <= SELDOM * sizes.max(axis=0).sum())
+    sizes = np.abs(np.nan_to_num([last_known(drawn), last_known(back)]))
+    is_told = min(np.isfinite(drawn).sum(), np.isfinite(back).sum()) >= LEAST_EVENTS
+    return bool(is_told and sizes.min(axis=0).sum() <= OVERLAP * sizes.max(axis=0).sum())
 
 
 def net(drawn: FloatArray, back: FloatArray) -> FloatArray:
-    """What is drawn less what flows back; NaN where neither is known."""
-    known = np.isfinite(drawn) | np.isfinite(back)
-    flow = np.abs(np.nan_to_num(drawn)) - np.abs(np.nan_to_num(back))
-    return np.where(known, flow, np.nan)
+    """What is drawn less what flows back, where either is told; the other is as last told."""
+    flow = np.abs(np.nan_to_num(last_known(drawn))) - np.abs(np.nan_to_num(last_known(back)))
+    return np.where(np.isfinite(drawn) | np.isfinite(back), flow, np.nan)
 
 
 def is_engine(turning: Signal, speed: Signal) -> bool:

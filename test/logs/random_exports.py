@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 import math
 import random
 
 from exports import Drive, simulated
+import numpy as np
 
 # Names of time, speed, voltage, current, power and state of charge.
 LANGUAGES = {
@@ -39,7 +40,17 @@ DECOYS = {
     "Coolant temperature (°C)": 31.5,
     "Charger current (A)": 0.0,
     "Motor rpm": 5210.0,
+    "Battery corrected voltage (V)": 402.0,
+    "Open circuit voltage (V)": 398.0,
+    "Watt hours used": 55.0,
+    "Ah since start": 7.0,
 }
+# Names of what is drawn and of what flows back, in columns of their own.
+ONE_WAY = "Battery discharge current", "Battery charge current"
+FAULTS = ("lost signs", "clipped", "speed 0", "constant voltage", "backwards", "one way", "whole")
+DOUBTED = FAULTS[:4]  # by which the log alone does not tell what is right
+SHORTEST_TOLD = 240.0  # s of a car's battery that tell driving from standing
+SLOWEST_TOLD = 2.0  # s between rows, up to which lone signs are told from hills
 START = datetime(2024, 3, 5, 9, 8, 9)
 Clock = Callable[[float], str]
 Rows = list[list[str]]
@@ -78,6 +89,7 @@ class Export:
     drive: Drive
     drive_columns: tuple[str, ...] = ()
     refused: bool = False  # a person could not read it either, or would have to choose
+    doubtful: bool = False  # a person would doubt it
     kind: dict[str, object] = field(default_factory=dict)  # choices, for messages
 
 
@@ -103,10 +115,17 @@ def random_export(seed: int) -> Export:
     if clock == "minutes only" and drive.time[-1] < 240.0:
         clock = "iso"
     language = chance.choice(sorted(LANGUAGES))
-    columns = _columns(chance, drive, LANGUAGES[language].split(","), CLOCKS[clock], clock)
+    fault = chance.choice(["", "", *FAULTS])
+    is_short = light or drive.time[-1] < SHORTEST_TOLD
+    if (fault == "lost signs" and step > SLOWEST_TOLD) or (fault == "speed 0" and is_short):
+        fault = ""
+    export.doubtful = fault in DOUBTED
+    logged = _logged(drive, fault, seed)
+    columns = _columns(chance, logged, fault, LANGUAGES[language].split(","), CLOCKS[clock], clock)
     export.kind = {
         "seed": seed, "step": step, "light": light, "separator": separator, "comma": comma,
         "quoted": quoted, "clock": clock, "language": language, "columns": list(columns),
+        "fault": fault,
     }  # fmt: skip
     names = list(columns)
     export.drive_columns = tuple(names[:3])
@@ -126,6 +145,29 @@ def random_export(seed: int) -> Export:
     encoding = chance.choice(["utf-8", "utf-8", "utf-8-sig", "utf-16"])
     export.data = (end.join(lines) + end).encode(encoding)
     return export
+
+
+def _logged(drive: Drive, fault: str, seed: int) -> Drive:
+    """The drive as a log with a fault has it."""
+    noise, current = np.random.default_rng(seed), drive.current
+    power = drive.voltage * current
+    if fault == "lost signs":
+        lost = (current < 0.0) & (noise.random(current.size) < noise.choice([0.2, 0.33, 0.5]))
+        return replace(drive, current=np.where(lost, -current, current))
+    if fault == "clipped":  # the voltage with it, so that the power has one largest value too
+        most = noise.choice([0.4, 0.6]) * float(power.max())
+        volts = np.full(power.size, drive.voltage.mean())
+        return replace(drive, current=np.minimum(power, most) / volts, voltage=volts)
+    if fault == "speed 0":
+        return replace(drive, speed=np.zeros(current.size))
+    if fault == "constant voltage":
+        volts = noise.choice([0.85, 1.15]) * float(drive.voltage.mean())
+        return replace(drive, voltage=np.full(current.size, volts))
+    if fault == "backwards":
+        return replace(drive, speed=-drive.speed)
+    if fault == "whole":
+        return replace(drive, speed=np.rint(3.6 * drive.speed) / 3.6)
+    return drive
 
 
 def _polled(
@@ -158,7 +200,12 @@ Column = Callable[[int], str | float]
 
 
 def _columns(
-    chance: random.Random, drive: Drive, words: list[str], clock: tuple[str, Clock], kind: str
+    chance: random.Random,
+    drive: Drive,
+    fault: str,
+    words: list[str],
+    clock: tuple[str, Clock],
+    kind: str,
 ) -> dict[str, Column]:
     """What to write for a moment, by the name of the column."""
     time, speed, voltage, current, power, charge = words
@@ -177,7 +224,14 @@ def _columns(
     factor = SPEEDS[unit]
     columns[named(speed, unit, always=unit == "kn")] = lambda i: factor * drive.speed[i]
     sign = chance.choice([1.0, 1.0, -1.0])
-    if chance.random() < 0.2:
+    if fault == "one way":
+        volt, amp = chance.choice(sorted(VOLTAGES)), chance.choice(["A", "mA"])
+        columns[named(voltage, volt)] = lambda i: VOLTAGES[volt] * drive.voltage[i]
+        for name, way in zip(ONE_WAY, (1.0, -1.0), strict=True):
+            columns[named(name, amp)] = lambda i, way=way: (
+                CURRENTS[amp] * max(way * drive.current[i], 0.0)
+            )
+    elif chance.random() < 0.2 and fault != "constant voltage":
         unit = chance.choice(sorted(POWERS))
         by = sign * POWERS[unit]
         columns[named(power, unit)] = lambda i: by * drive.voltage[i] * drive.current[i]

@@ -18,11 +18,15 @@ BLOCK = 50
 MOST_WRONG = 0.02  # of way and energy
 MOST_REFUSED = 0.03  # of those that a person could read
 MOST_ASSUMED_WRONGLY = 0.1
+MOST_DOUBTED_WRONGLY = 0.1
 NIGHT = [pytest.param(block, marks=pytest.mark.nightly) for block in range(4, 100)]
 
 
 def verdict(folder: Path, export: Export) -> str:
-    """`right`, `assumed` wrongly, `silent` or `refused`, of an export that a person could read."""
+    """Verdict on an export: `right`, `assumed` wrongly, `silent`, `refused`, or `doubted`.
+
+    What a person would not read or would doubt counts neither as refused nor as assumed.
+    """
     try:
         source = opened(folder, export.data)
         distance, energy = measured(source)
@@ -30,8 +34,10 @@ def verdict(folder: Path, export: Export) -> str:
         return "refused, as by a person" if export.refused else "refused"
     ratios = distance / export.drive.distance, energy / export.drive.energy
     if all(abs(ratio - 1.0) < MOST_WRONG for ratio in ratios):
-        return "right"
+        return "doubted wrongly" if source.doubts and not export.doubtful else "right"
     said = ("is assumed", "so it is not used")
+    if export.doubtful and (source.doubts or any(said[1] in note for note in source.notes)):
+        return "doubted, as by a person"
     return "assumed" if any(word in note for note in source.notes for word in said) else "silent"
 
 
@@ -47,4 +53,5 @@ def test_no_export_is_read_wrong_in_silence(tmp_path, block):
     assert not verdicts["silent"], examples["silent"]
     assert verdicts["refused"] <= MOST_REFUSED * BLOCK, examples["refused"]
     assert verdicts["assumed"] <= MOST_ASSUMED_WRONGLY * BLOCK, examples["assumed"]
-    assert verdicts["right"] > 0.6 * BLOCK, verdicts
+    assert verdicts["doubted wrongly"] <= MOST_DOUBTED_WRONGLY * BLOCK, examples["doubted wrongly"]
+    assert verdicts["right"] > 0.4 * BLOCK, verdicts
