@@ -26,15 +26,11 @@ SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
 LONGEST_PAIR = 2.5  # s between a power and those beside it that tell its sign
 STRONG = 0.3  # of most of what flows back: more than noise
 MIRRORED = 0.4  # share by which a power without its sign differs from those beside it
-LEAST_LONE, LEAST_LOST, LOST = (
-    3,
-    5,
-    0.08,
-)  # powers without their sign beside those with it, and their share
+LEAST_LOST, LOST = 3, 0.05  # powers without their sign between those with it, and their share
 LEAST_BRAKED, BRAKED = 10, 0.12  # s of hard braking, and their share
 LEAST_CLIPPED, CLIPPED = 10, 0.01  # values at the largest one, and their share
 BEYOND = 1.1  # of the largest power: what accelerating takes in the mean where it is clipped
-HARD_ON = 15_000.0  # W from which on the voltage of a battery falls by some V
+HARD_ON = 10_000.0  # W from which on the voltage of a battery falls by some V
 LIGHT_BELOW, HARD_ON_LIGHT = 60.0, 25.0  # V, and A of such a battery
 # Readings, and how much farther the last is than the one before: in the median, and of all.
 LEAST_TURNS, TURNS, TURN_OF_SPAN, TURN = 50, 5.0, 0.25, 0.01
@@ -161,8 +157,7 @@ def lost_signs(drawn: Signal, speed: Signal, of: str) -> Iterator[str]:
     lone = smooth & (back[:-2] == back[2:]) & (back[1:-1] != back[2:])
     smooth &= back[:-2] | back[1:-1] | back[2:]
     # A rider may brake for a moment alone: some have to be positive between negative ones.
-    is_lost = (lone & back[2:]).sum() >= LEAST_LONE
-    is_lost &= lone.sum() >= max(LEAST_LOST, LOST * smooth.sum())
+    is_lost = (lone & back[2:]).sum() >= LEAST_LOST and lone.sum() >= LOST * smooth.sum()
     if is_lost or _mirrored(drawn, speed):
         yield (
             f"while the car brakes, some numbers of {of} are of the size that flows back, but "

@@ -197,7 +197,9 @@ class TableDrive(Source):
         for rule in self.rules:
             if rule.back is not None:
                 back = self._head.names[rule.back]
-                notes.append(f"{rule.quantity}: {back!r} flows back, and counts against it")
+                notes.append(
+                    f"{rule.quantity}: {back!r} is assumed to flow back, and counts against it"
+                )
             alike = [name for name in self.ignored if _is_numbered_like(name, rule.name)]
             if rule.quantity in SIGNED and alike:
                 notes.append(

@@ -128,7 +128,7 @@ def test_a_charging_current_of_its_own_counts_against_the_other(tmp_path, names,
     header = f"time,Speed (km/h),HV Battery Voltage (V),{pair[first]},{pair[1 - first]}"
     source = opened(tmp_path, table(header, DRIVE, line))
     assert measured(source) == pytest.approx((DRIVE.distance, DRIVE.energy), rel=0.01)
-    assert f"{pair[1]!r} flows back, and counts against it" in " ".join(source.notes)
+    assert f"{pair[1]!r} is assumed to flow back, and counts against it" in " ".join(source.notes)
 
 
 def test_a_charging_power_of_its_own_counts_too(tmp_path):
