@@ -152,7 +152,12 @@ FORMS = {
     "breakdown, message": (BREAKDOWN, breakdown_bytes, {"distance", "seconds", "unseen"}),
     "breakdown, metrics": (BREAKDOWN, lambda value: breakdown_metrics(value, "hybrid"), set()),
     # `end` is what `energy/forecast/status` compares plans by.
-    "forecast": (FORECAST, forecast_bytes, {f"end.{name}" for name in UNKNOWN_END._fields}),
+    # `curve` is read at the plan's own points, which the message holds.
+    "forecast": (
+        FORECAST,
+        forecast_bytes,
+        {"curve", *(f"end.{name}" for name in UNKNOWN_END._fields)},
+    ),
 }
 
 
