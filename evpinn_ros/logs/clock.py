@@ -34,7 +34,7 @@ DAY_OF_FORMAT = re.compile("%[-_0]?[cDdeFjvs]")  # what of a format tells the da
 CLOCK_OF_FORMAT = re.compile("%[-_0]?[cHIkMRrSsTX]")  # and the time of day
 
 
-class Spread(NamedTuple):
+class RowSpread(NamedTuple):
     """Spread of rows that share a stamp, because it is coarser than they are apart."""
 
     resolution_ns: int  # of the stamps
@@ -71,7 +71,7 @@ class Clock:
     as_written: bool = False  # the format is a person's, for cells as they stand
     drives_from_ns: int | None = None  # time that each drive begins at; None if there is one
     order: Order = Order.OLDEST_FIRST  # of the rows
-    spread: Spread | None = None  # None where each row has a stamp of its own
+    spread: RowSpread | None = None  # None where each row has a stamp of its own
 
     @property
     def period_ns(self) -> int:
@@ -118,7 +118,7 @@ class RunningClock:
         self,
         period_ns: int,
         drives_from_ns: int | None = None,
-        spread: Spread | None = None,
+        spread: RowSpread | None = None,
         *,
         is_local: bool = False,
     ) -> None:
@@ -161,7 +161,7 @@ class RunningClock:
         straggles = (steps > self._period // 2) & (np.cumsum(turns) + self._added > 0)
         return turns - np.where(straggles, self._period, 0)
 
-    def _spread_out(self, times: NDArray[np.int64], spread: Spread) -> NDArray[np.int64]:
+    def _spread_out(self, times: NDArray[np.int64], spread: RowSpread) -> NDArray[np.int64]:
         begins = np.flatnonzero(np.diff(times, prepend=self._shared[0]) != 0)
         counts = np.arange(times.size)
         before = np.full(times.size, self._shared[1])  # rows of the stamp in the last batch

@@ -21,7 +21,7 @@ from evpinn_ros.logs.clock import (
     UNITS_NS,
     Clock,
     Order,
-    Spread,
+    RowSpread,
     begin_drives,
     joined_cells,
     parsed_times,
@@ -261,7 +261,7 @@ def _in_its_order(
 
 def _spread_of(
     clock: Clock, stamps: NDArray[np.int64], survey: Survey, times: Collection[int]
-) -> Spread | None:
+) -> RowSpread | None:
     """How rows share coarser stamps; those with other cells each, or the same, are one moment."""
     if clock.order is Order.SHUFFLED:
         return None
@@ -283,10 +283,10 @@ def _spread_of(
         if np.isfinite(change).mean() > 0.5 and (change > 0).mean() > CHANGED:
             begins = np.flatnonzero(steps) + 1
             if begins.size < LEAST_SHARED:
-                return Spread(resolution, 0, 0)
+                return RowSpread(resolution, 0, 0)
             count = float(np.median(np.diff(begins)))
             share = survey.stride * np.array([count, begins[0]])
-            return Spread(resolution, max(1, int(share[0])), int(share[1]))
+            return RowSpread(resolution, max(1, int(share[0])), int(share[1]))
     return None
 
 

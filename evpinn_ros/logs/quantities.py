@@ -22,7 +22,7 @@ class Unit(NamedTuple):
     offset: float = 0.0
 
 
-class Quantity(NamedTuple):
+class ColumnQuantity(NamedTuple):
     """Quantity that a column may hold; its phrases stand in one text each, with commas."""
 
     column: str  # the name that needs no guessing, with the unit in it
@@ -88,8 +88,8 @@ _COMPUTED = "corrected,compensated,open circuit,ocv,estimated,filtered,smoothed,
 _CHARGED = ",charge,charging,charged,returned,regenerated,in"
 _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outlet,comp"
 
-QUANTITIES: Mapping[str, Quantity] = {
-    "time": Quantity(
+QUANTITIES: Mapping[str, ColumnQuantity] = {
+    "time": ColumnQuantity(
         "t_s",
         "t,time,timestamp,datetime,date,zeit,datum,uhrzeit,seconds,secs,minutes,hours,elapsed,"
         "milliseconds,millis,stamp,utc,epoch,ms today,"
@@ -101,7 +101,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         never="charging,remaining,left,to full,charge,max,min,parking,watt,watts,wh,kwh,amp,amps,"
         "ampere,ah,energy",
     ),
-    "speed": Quantity(
+    "speed": ColumnQuantity(
         "speed_mps",
         "speed,velocity,spd,geschwindigkeit,fahrzeuggeschwindigkeit,vehiclespeed,kmh,kph,mph,mps,"
         "vitesse,velocidad,velocità,velocidade,snelheid,hastighet,hastighed,prędkość,rychlost,"
@@ -111,7 +111,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse="gps,gnss,ground",
         never=_OTHERS + ",wheel,shaft,rpm,angular,air,schedule",
     ),
-    "voltage": Quantity(
+    "voltage": ColumnQuantity(
         "voltage_v",
         "voltage,volt,volts,spannung,tension,tensión,tensione,tensão,spanning,spænding,spänning,"
         "spenning,napięcie,napětí,напряжение,总电压,电压,電圧,전압,"
@@ -121,7 +121,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse=_COMPUTED,
         never=_OTHERS + ",12,control",
     ),
-    "current": Quantity(
+    "current": ColumnQuantity(
         "current_a",
         "current,curr,amps,ampere,amperage,strom,courant,corriente,corrente,stroom,ström,strøm,"
         "prąd,proud,ток,总电流,电流,電流,전류,i bat,i batt,ibat,ibatt",
@@ -130,7 +130,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse=_COMPUTED + _CHARGED,
         never=_OTHERS,
     ),
-    "power": Quantity(
+    "power": ColumnQuantity(
         "power_w",
         "power,pwr,kw,leistung,puissance,potencia,potenza,potência,vermogen,"
         "effekt,moc,výkon,мощность,功率,電力,전력",
@@ -139,7 +139,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse=_COMPUTED + _CHARGED,
         never=_OTHERS + ",sw",
     ),
-    "elevation": Quantity(
+    "elevation": ColumnQuantity(
         "elevation_m",
         "elevation,altitude,alt,elv,height,höhe,altitud,altitudine,quota,hoogte,höjd,høyde,"
         "wysokość,výška,высота,海拔,高度,標高,고도",
@@ -147,9 +147,9 @@ QUANTITIES: Mapping[str, Quantity] = {
         better="v p",
         never="accuracy,error",
     ),
-    "latitude": Quantity("latitude", "latitude,lat", _DEGREES, never=_NO_PLACE),
-    "longitude": Quantity("longitude", "longitude,long,lon,lng", _DEGREES, never=_NO_PLACE),
-    "ambient": Quantity(
+    "latitude": ColumnQuantity("latitude", "latitude,lat", _DEGREES, never=_NO_PLACE),
+    "longitude": ColumnQuantity("longitude", "longitude,long,lon,lng", _DEGREES, never=_NO_PLACE),
+    "ambient": ColumnQuantity(
         "ambient_c",
         "ambient,outside,outdoor,ext temp,außentemperatur,aussentemperatur,v e temp,temp amb,oat,"
         "extérieure,exterieure,exterior,ambiente,esterna,buiten,buitentemperatuur,utetemperatur,udetemperatur,"
@@ -158,7 +158,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         better="temperature,temp,air",
         never="pressure,humidity,light",
     ),
-    "heating": Quantity(
+    "heating": ColumnQuantity(
         "heating_w",
         "heating,heater,htr,heizung",
         _POWER,
@@ -166,7 +166,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse="est",
         never="can,no,on," + _NO_POWER,
     ),
-    "aircon": Quantity(
+    "aircon": ColumnQuantity(
         "aircon_w",
         "aircon,airconditioning,air conditioning,a c,ac,climate",
         _POWER,
@@ -174,7 +174,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse="est",
         never="charger,motor,charge,heater,heating,htr," + _NO_POWER,
     ),
-    "charge": Quantity(
+    "charge": ColumnQuantity(
         "soc_pct",
         "soc,stateofcharge,state of charge,battery level,charge pct,charge percent,charge level,"
         "battery pct,battery percent,battery percentage,ladezustand,état de charge,"
@@ -184,19 +184,19 @@ QUANTITIES: Mapping[str, Quantity] = {
         worse="usable",
         never="min,max,target,limit,health,cell,12v,12 v,24v,24 v,lv,aux,auxiliary,starter,error",
     ),
-    "motor_torque": Quantity(
+    "motor_torque": ColumnQuantity(
         "motor_torque_nm",
         "motor torque,motortorque,inverter torque",
         _units(nm=1.0),
         never="request,requested,target,limit,max,min",
     ),
-    "motor_speed": Quantity(
+    "motor_speed": ColumnQuantity(
         "motor_speed_rad_s",
         "motor speed,motorspeed,motor rpm",
         {"rad/s": Unit(1.0), "rpm": Unit(math.pi / 30), "1/min": Unit(math.pi / 30)},
         never="request,requested,target,limit,max,min,vehicle",
     ),
-    "odometer": Quantity(
+    "odometer": ColumnQuantity(
         "odometer_km",
         "odo,odometer,kilometerstand,v p odometer,累计里程",
         _DISTANCE,

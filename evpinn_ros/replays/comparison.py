@@ -25,7 +25,7 @@ from evpinn_ros.replays.run import Progress
 from evpinn_ros.replays.scoring import running_total
 
 
-class Course(NamedTuple):
+class DriveCurves(NamedTuple):
     """Values at even distances; shape (n,) each, NaN where unknown."""
 
     distance: np.ndarray  # km or miles
@@ -42,7 +42,7 @@ def distance_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
     return time, running_total(time, np.abs(speed))
 
 
-def over_distance(drive: Drive, points: int, units: Units = METRIC) -> Course:
+def over_distance(drive: Drive, points: int, units: Units = METRIC) -> DriveCurves:
     """The course of a drive at `points` even distances."""
     time, metres = distance_until(drive)
     at = np.linspace(0.0, metres[-1], points)
@@ -52,7 +52,7 @@ def over_distance(drive: Drive, points: int, units: Units = METRIC) -> Course:
     steps = measured_steps(drive)
     energy = _at(moments, steps.end, np.cumsum(steps.energy), left=0.0) / JOULES_PER_KWH
     height = _at(moments, *drive.altitude.T, left=np.nan, right=np.nan) / units.height_metres
-    return Course(at / units.metres, energy, speed, height)
+    return DriveCurves(at / units.metres, energy, speed, height)
 
 
 def _at(moments: np.ndarray, time: np.ndarray, values: np.ndarray, **ends: float) -> np.ndarray:

@@ -25,7 +25,7 @@ HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
 FAST_SPEED, SLOW_SPEED = 80.0 / 3.6, 5.0 / 3.6  # m/s: drag tells above, auxiliary power below
 
 
-class Moments(NamedTuple):
+class MeasuredMoments(NamedTuple):
     """Moments whose power was measured; shape (n,) each."""
 
     time: np.ndarray  # s
@@ -35,16 +35,16 @@ class Moments(NamedTuple):
     error: np.ndarray  # predicted less measured power, kW
 
 
-def moments(drive: Drive) -> Moments:
+def moments(drive: Drive) -> MeasuredMoments:
     """The moments of `power/smoothed` at which the battery was measured."""
     series = drive.smoothed
     measured, is_measured = known_at(drive.measured, series.time)
     time, speed = rising(drive.speed).T
     if not len(time):
-        return Moments(*(np.empty(0) for _ in Moments._fields))
+        return MeasuredMoments(*(np.empty(0) for _ in MeasuredMoments._fields))
     before, after = (np.interp(series.time + s, time, speed) for s in (-HALF_SPAN, HALF_SPAN))
     steps = np.clip(np.diff(series.time, append=np.nan), 0.0, longest_step(series.time))
-    all_moments = Moments(
+    all_moments = MeasuredMoments(
         series.time,
         np.clip(np.interp(series.time, time, speed), -LARGEST_SPEED, LARGEST_SPEED),
         np.clip((after - before) / (2 * HALF_SPAN), -LARGEST_ACCELERATION, LARGEST_ACCELERATION),
@@ -54,13 +54,13 @@ def moments(drive: Drive) -> Moments:
     return chosen_rows(all_moments, is_measured & np.isfinite(all_moments.error))
 
 
-def scored_moments(drive: Drive, driven: Moments, warm_up: float) -> Moments:
+def scored_moments(drive: Drive, driven: MeasuredMoments, warm_up: float) -> MeasuredMoments:
     """The moments that count for scores."""
     counted = drive.smoothed.time[scored(drive, drive.smoothed, Span(warm_up, drive.duration))]
     return chosen_rows(driven, np.isin(driven.time, counted))
 
 
-def driven_minutes(driven: Moments) -> dict[str, float]:
+def driven_minutes(driven: MeasuredMoments) -> dict[str, float]:
     """Minutes of the kind of driving that tells each identifiable combination."""
     hard = np.abs(driven.acceleration) > HARD
     kinds = {
@@ -99,14 +99,14 @@ def route_map(drive: Drive, steps: DrivenSteps, units: Units) -> Chart:
     }
 
 
-def coverage_map(driven: Moments, units: Units) -> Chart:
+def coverage_map(driven: MeasuredMoments, units: Units) -> Chart:
     """Seconds in each cell of speed and acceleration."""
     cells, shape = _cells(driven, units)
     seconds = np.bincount(cells, driven.seconds, minlength=shape[0] * shape[1])
     return _map_chart("seconds", np.where(seconds > 0, seconds, np.nan), shape, 1.0, units)
 
 
-def error_map(driven: Moments, units: Units) -> Chart:
+def error_map(driven: MeasuredMoments, units: Units) -> Chart:
     """Mean error of predicted power in each cell, kW."""
     cells, shape = _cells(driven, units)
     count = shape[0] * shape[1]
@@ -117,7 +117,7 @@ def error_map(driven: Moments, units: Units) -> Chart:
     return _map_chart("error", mean, shape, 0.95, units)
 
 
-def spread_chart(driven: Moments, against: str, units: Units) -> Chart:
+def spread_chart(driven: MeasuredMoments, against: str, units: Units) -> Chart:
     """Errors over `speed` or `acceleration`: median and 90 % of each bin, and single moments."""
     if against == "speed":
         at, cell, axis = driven.speed * units.speeds, units.speed_step / 2, f"speed, {units.speed}"
@@ -139,7 +139,7 @@ def spread_chart(driven: Moments, against: str, units: Units) -> Chart:
     }
 
 
-def _cells(driven: Moments, units: Units) -> tuple[np.ndarray, tuple[int, int]]:
+def _cells(driven: MeasuredMoments, units: Units) -> tuple[np.ndarray, tuple[int, int]]:
     half = round(LARGEST_ACCELERATION / ACCELERATION_CELL)
     speed = driven.speed * units.speeds / (units.speed_step / 2)
     i = np.maximum(np.floor(speed), 0).astype(np.int64)

@@ -239,7 +239,7 @@ def _curves(reported: ReportedDrive, measured: DrivenSteps, points: int, units: 
     yield "shares", drive_charts.share_chart(drive, few)
 
 
-def _maps(reported: ReportedDrive, moments: drive_maps.Moments, units: Units) -> Charts:
+def _maps(reported: ReportedDrive, moments: drive_maps.MeasuredMoments, units: Units) -> Charts:
     if not len(moments.time):
         return
     yield "coverage", drive_maps.coverage_map(moments, units)

@@ -89,7 +89,7 @@ class Scale(NamedTuple):
 RAW = Scale(0.0, 1.0)  # as it is
 
 
-class Samples(NamedTuple):
+class SampleTensors(NamedTuple):
     """Samples of a drive as tensors: what eq. 21 and the network take, and shall give."""
 
     speed: torch.Tensor  # m/s, shape (n,)
@@ -128,14 +128,14 @@ class Problem:
         """The parameters at z, shape (5,); at z = 0 the initial values of eq. 24 and 25."""
         return self._parameters.values(log_scale, self.p_aux)
 
-    def physics(self, samples: Samples, log_scale: torch.Tensor) -> torch.Tensor:
+    def physics(self, samples: SampleTensors, log_scale: torch.Tensor) -> torch.Tensor:
         """Normalised P_physics of eq. 21 and 23, shape (n,)."""
         parameters = self._parameters.tensors(log_scale, self.p_aux)
         power = self.vehicle.power(samples.speed, samples.acceleration, parameters, self.form)
         return self.scale.normalised(power)
 
     def fit(
-        self, samples: Samples, power: torch.Tensor, start: torch.Tensor | None = None
+        self, samples: SampleTensors, power: torch.Tensor, start: torch.Tensor | None = None
     ) -> ParameterFit:
         """The z, from `start`, at which the physics fits a normalised power, shape (n,), best."""
         if start is None:
@@ -152,7 +152,7 @@ class Problem:
         )
 
     def terms(
-        self, samples: Samples, network: Network, log_scale: torch.Tensor
+        self, samples: SampleTensors, network: Network, log_scale: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Data and physics term of eq. 22; their sum is the loss."""
         predicted = network(samples.inputs)
@@ -161,7 +161,7 @@ class Problem:
         return data, PHYSICS_LOSS * physics
 
     @torch.no_grad()
-    def losses(self, samples: Samples, network: Network, log_scale: torch.Tensor) -> Losses:
+    def losses(self, samples: SampleTensors, network: Network, log_scale: torch.Tensor) -> Losses:
         """Data and physics term of eq. 22 as numbers."""
         data, physics = (float(term) for term in self.terms(samples, network, log_scale))
         return Losses(data + physics, data, physics)
@@ -171,11 +171,11 @@ class Problem:
         """Power the network predicts, W, shape (n,)."""
         return self.scale.restored(network(self._samples(log).inputs))
 
-    def _samples(self, log: DriveLog) -> Samples:
+    def _samples(self, log: DriveLog) -> SampleTensors:
         columns = (torch.as_tensor(column, dtype=self.dtype, device=self.device) for column in log)
         time, speed, acceleration, power = columns
         scaled = [
             scale.normalised(raw) for scale, raw in zip(self.inputs, (speed, time), strict=True)
         ]
         inputs = torch.stack(scaled, dim=1)
-        return Samples(speed, acceleration, inputs, self.scale.normalised(power))
+        return SampleTensors(speed, acceleration, inputs, self.scale.normalised(power))
