@@ -37,7 +37,7 @@ class KnownCar(Protocol):
 
     @property
     def vehicle(self) -> Vehicle:
-        """The car."""
+        """The vehicle file of the car."""
 
     @property
     def model(self) -> PowerModel:

@@ -44,7 +44,7 @@ class WrittenFile:
     end_ns: int = 0
 
     def add(self, log_time_ns: int) -> None:
-        """Count a message."""
+        """Count a message, and widen the span of log times to it."""
         self.start_ns = min(self.start_ns, log_time_ns) if self.count else log_time_ns
         self.end_ns = max(self.end_ns, log_time_ns) if self.count else log_time_ns
         self.count += 1
@@ -125,7 +125,7 @@ class _Dumper(yaml.SafeDumper):
     """Writes what occurs twice twice: readers of rosbag2 expect no YAML references."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Always."""
+        """True of whatever is written: no part becomes a reference."""
         return True
 
 

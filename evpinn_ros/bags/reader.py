@@ -49,7 +49,7 @@ class Record(NamedTuple):
 
 
 class BagReader:
-    """An open bag."""
+    """Reads an open bag in the order of log times."""
 
     def __init__(self, path: Path | str) -> None:
         """Open a folder, `.mcap` or `.db3`; InputError with the file and the reason."""

@@ -24,7 +24,7 @@ EPOCH_S = 1e9
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """A data frame."""
+    """A data frame of classical CAN or CAN FD, and the moment it was seen."""
 
     stamp_ns: int  # when it was received, ns
     can_id: int  # identifier, 11 bits, or 29 when `extended`

@@ -101,7 +101,7 @@ class Poller:
             self._observe(readings, now_s)
 
     def run(self) -> None:
-        """Ask until `stop`."""
+        """Ask for each value in its turn, in this thread, until `stop` is called."""
         with self._changed:
             while not self._stopped.is_set():
                 self._changed.wait(min(max(self.step(), 0.0), LONGEST_SLEEP_S))

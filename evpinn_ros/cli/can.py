@@ -163,7 +163,7 @@ PEOPLE: dict[str, tuple[str, float, int]] = {
 
 
 def show_report(name: str, report: BusReport, bitrate: int) -> None:
-    """Print the tables."""
+    """Print ids with rates, the profiles that fit, and what the best one decodes."""
     best = report.best
     show(_id_table(report.ids, best))
     show(_profile_table(report.profiles))

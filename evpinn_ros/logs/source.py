@@ -16,7 +16,7 @@ STRAGGLING_NS = 10 * NANOSECONDS  # by which readings may be late; further back 
 
 
 class Source(ABC):
-    """A recorded drive."""
+    """A recorded drive, opened: its readings and what of it was not used."""
 
     rules: tuple[Column, ...] = ()  # columns of a table that are used, in the order of the file
     ignored: Mapping[str, str] = MappingProxyType({})  # other columns, each with the reason

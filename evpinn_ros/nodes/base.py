@@ -402,7 +402,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return self._transit(self._configure, super().on_configure, state)
 
     def on_activate(self, state: Any) -> Any:
-        """Work."""
+        """Begin to use messages and to publish."""
         return self._transit(self._activate, super().on_activate, state)
 
     def on_deactivate(self, state: Any) -> Any:

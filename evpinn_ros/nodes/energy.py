@@ -124,7 +124,7 @@ class EnergyNode(GuardedNode):
         return energy_phases(self.account, self.forecaster.basis, condition)
 
     def end(self) -> str | None:
-        """Save."""
+        """Write totals and account; returns why they could not be written."""
         return self.kept.save()
 
     def _reset(self) -> str:

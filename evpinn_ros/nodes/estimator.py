@@ -102,7 +102,7 @@ class EstimatorNode(GuardedNode):
         self.kept.release()
 
     def end(self) -> str | None:
-        """Save."""
+        """Write what was learned; returns why it could not be written."""
         return self.kept.save()
 
     def _reset(self) -> str:

@@ -105,7 +105,7 @@ class FrameTopic:
         self._stop.wait()
 
     def stop(self) -> None:
-        """Make `run` return."""
+        """End the wait of `run`."""
         self._stop.set()
 
     def status(self, steady_s: float) -> BusStatus:

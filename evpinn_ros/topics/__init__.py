@@ -40,7 +40,7 @@ class Qos:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic."""
+    """A topic of the contract: its name, type, content and quality of service."""
 
     name: str  # relative to the namespace, or absolute
     source: str  # who publishes it

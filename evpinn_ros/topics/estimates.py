@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from evpinn_ros import topics
 from evpinn_ros.common.units import JOULES_PER_KWH
@@ -19,6 +19,7 @@ from evpinn_ros.core.estimation.estimate import (
     PowerKind,
     Trust,
 )
+from evpinn_ros.core.estimation.outputs import Output
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.topics import Topic
@@ -29,9 +30,6 @@ from evpinn_ros.topics.messages import (
     read_named_vector,
     scalar,
 )
-
-if TYPE_CHECKING:  # for its type alone: the energy node would load torch with it
-    from evpinn_ros.core.estimation.outputs import Output
 
 POWER_TOPICS = {
     PowerKind.MEASURED: topics.POWER_MEASURED,

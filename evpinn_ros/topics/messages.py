@@ -69,7 +69,7 @@ def header(new: NewMessage, stamp_ns: int, frame_id: str = "") -> Any:
 
 
 def scalar(new: NewMessage, value: float) -> Any:
-    """std_msgs/Float64."""
+    """A std_msgs/Float64; ValueError if it is not finite."""
     return new(topics.SCALAR_TYPE, data=finite(value))
 
 

@@ -180,7 +180,7 @@ def reading_messages(new: NewMessage, reading: Reading) -> Iterator[tuple[Topic,
 
 
 class Rotation(NamedTuple):
-    """A unit quaternion."""
+    """An attitude as a unit quaternion."""
 
     x: float
     y: float

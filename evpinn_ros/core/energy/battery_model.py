@@ -91,7 +91,7 @@ class BatteryModel(Saveable[SavedBattery]):
         self.reset()
 
     def reset(self) -> None:
-        """Forget all."""
+        """Forget what was learned of the cells, and the capacity."""
         self.samples = 0
         self._state = np.zeros(3)  # U at half charge, dU/dq, V; R, Ohm
         self._covariance = np.zeros((3, 3))
@@ -111,7 +111,7 @@ class BatteryModel(Saveable[SavedBattery]):
         return self.samples >= LEAST_SAMPLES and self._gauge.capacity.known
 
     def add_reading(self, reading: BatteryReading) -> None:
-        """Take one reading."""
+        """Learn from one reading, as `extend` does from arrays."""
         values = reading.voltage, reading.current, reading.state_of_charge
         self.extend(np.array([reading.stamp_ns]), *(np.array([value]) for value in values))
 

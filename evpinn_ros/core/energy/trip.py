@@ -146,7 +146,7 @@ class TripLog(Saveable[SavedTrip]):
         self._go_on(self._speed.total)
 
     def saved(self) -> SavedTrip:
-        """Trip and windows."""
+        """Distance, energy and windows of consumption, to be saved."""
         windows = tuple(window.buckets for window in self.windows)
         return SavedTrip(self._speed.total, self._energy, windows)
 

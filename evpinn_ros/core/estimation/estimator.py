@@ -243,7 +243,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Forget all that was learned; counters are kept."""
         sizes = self._file.key == GENERIC and self._settings.mode is Mode.HYBRID
         self._sizing = Sizing() if sizes else None
-        self._be(self._file)
+        self._restart_as(self._file)
 
     @property
     def newest_ns(self) -> int | None:
@@ -255,7 +255,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """What it is learned as: the vehicle file, or a vehicle of another size."""
         return self._vehicle
 
-    def _be(self, vehicle: Vehicle) -> None:
+    def _restart_as(self, vehicle: Vehicle) -> None:
         """Know this vehicle alone."""
         self._worker.cancel()
         self._vehicle, self._similarity = vehicle, Similarity(vehicle)
@@ -344,7 +344,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         if self._sizing.over:
             self._sizing = None
         if size is not None:
-            self._be(self._file.of_size(size.value))
+            self._restart_as(self._file.of_size(size.value))
             self._updates = self._accepted = 0
             self._rejected.clear()
             with self._updates_at_once():

@@ -143,12 +143,12 @@ class Adam(Optimizer):
         return total
 
     def step(self) -> None:
-        """One full-batch step."""
+        """Move the weights once, by the loss of the whole drive."""
         self.loss()
         self._adam.step()
 
     def trained(self) -> list[torch.Tensor]:
-        """Trained state."""
+        """What is trained: the weights and the log of the scale."""
         return [*self.network.parameters(), self.log_scale]
 
     def state(self) -> dict[str, torch.Tensor]:

@@ -89,7 +89,7 @@ def power_loss_table(outcome: Outcome) -> ResultTable:
 
 
 def energy_loss_table(outcome: Outcome) -> ResultTable:
-    """Table IV."""
+    """Losses of the energy network beside those of Table IV."""
     published = {row.epoch: row for row in ENERGY_LOSSES}
     measured = {row.epoch: row for row in outcome.energy_rows}
     rows = []

@@ -45,7 +45,7 @@ RMS_GRADE = 0.005
 
 @dataclass(frozen=True, slots=True)
 class SimulatedDrive:
-    """One drive."""
+    """A simulated drive: what its sensors said, and the truth behind it."""
 
     vehicle: Vehicle  # the vehicle file's model, which is all an estimator may know
     kind: DriveKind  # where it was driven
