@@ -12,7 +12,8 @@ from evpinn_ros.core.energy.plan import plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.core.estimation.states import TABLE, WEIGHTS, State
 from evpinn_ros.core.signals.interval import Steps
-from test.core.energy.cars import CAR, taught
+from evpinn_ros.core.vehicle.physics import GRAVITY
+from test.core.energy.cars import CAR, plain, taught
 
 MILD = Weather(1.2, 20.0)
 
@@ -80,3 +81,17 @@ def test_heating_goes_on_as_in_this_drive_unless_the_planner_gives_it(along):
     ):
         more = energy(weather, mean, reports) - energy(weather, car.mean, reports)
         assert more == pytest.approx(extra, abs=1e-3)
+
+
+def test_a_payload_is_lifted_through_the_losses_of_the_drivetrain():
+    """500 kg up 100 m: m g h is 490 kJ, and the battery gives that over eta."""
+    time, model = np.arange(0.0, 401.0), plain()
+
+    def lifted(climb: float) -> float:
+        plan = plan_from_speed_profile(time, None, 15.0 + 0.0 * time, climb * time / 400.0)
+        cars = model.with_payload(500.0), model
+        loaded, empty = (forecast_plan(plan, car, MILD).energy[-1] for car in cars)
+        return float(loaded - empty)
+
+    gained = 500.0 * GRAVITY * 100.0
+    assert lifted(100.0) - lifted(0.0) == pytest.approx(gained / CAR.priors["eta"].value, rel=1e-3)

@@ -38,6 +38,12 @@ def between(tail: Tail, start_ns: int, end_ns: int) -> Journey:
     return Journey(*(column[0] for column in tail.between(start_ns, np.array([end_ns]), WARM)))
 
 
+def test_air_comes_from_ahead_in_a_head_wind():
+    moments = [Sample(0, 20.0, 0.0, 0.0, 1.2, 0.0, head_wind=wind) for wind in (0.0, 5.0, -5.0)]
+    calm, ahead, behind = EQUATION.rows_of(Samples.of(moments), WARM)[:, State.DRAG]
+    assert (ahead / calm, behind / calm) == pytest.approx((25**2 / 20**2, 15**2 / 20**2))
+
+
 def test_its_energy_is_the_integral_of_power():
     samples = town(600)
     whole = between(tail_of(samples), 0, samples[-1].stamp_ns)

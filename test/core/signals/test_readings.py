@@ -17,6 +17,7 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
     TemperatureReading,
     WindReading,
+    sensor_sigma,
     why_impossible,
 )
 
@@ -69,3 +70,10 @@ def test_what_consists_of_two_is_possible_where_both_are():
     assert why_impossible(AuxiliaryReading(0, 30e3, 20e3)) is None
     assert why_impossible(AuxiliaryReading(0, 30e3, 21e3)) == "auxiliary_out_of_range"
     assert why_impossible(AuxiliaryReading(0, -1.0, 2.0)) == "auxiliary_out_of_range"
+
+
+def test_measured_power_is_unsure_by_its_sensor_and_its_resolution():
+    """30 W and one part in a hundred, in whichever direction it flows."""
+    assert sensor_sigma(0.0, NAN) == pytest.approx(30.0)
+    assert sensor_sigma(-4000.0, NAN) == sensor_sigma(4000.0, NAN) == pytest.approx(50.0)
+    assert sensor_sigma(4000.0, 120.0) == pytest.approx(130.0)
