@@ -23,6 +23,7 @@ from evpinn_ros.core.estimation.terms import Equation
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.core.signals.reorder import ReorderBuffer
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
@@ -47,14 +48,14 @@ class CarChain:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.car = LearnedCar.new(Equation(vehicle))
-        self._stream = SampleStream(
-            StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
-        )
+        self._stream = SampleStream(StreamSettings(), vehicle.air_density, vehicle.motor_ratio)
+        self._buffer = ReorderBuffer(StreamSettings().allowed_lateness)
         self._newest_ns = 0
 
     def add_readings(self, readings: Iterable[Reading]) -> None:
         """Take readings."""
-        for _, interval in self._stream.add_block(Block.of(readings)).intervals:
+        block, _ = self._buffer.add(Block.of(readings))
+        for _, interval in self._stream.add(block).intervals:
             self.take(interval)
 
     def take(self, interval: Interval) -> None:

@@ -20,6 +20,7 @@ from evpinn_ros.core.signals.readings import (
     Reading,
     SpeedReading,
 )
+from evpinn_ros.core.signals.reorder import in_order
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.core.vehicle.physics import RegenForm
@@ -154,7 +155,7 @@ def readings(vehicle: Vehicle) -> Iterator[Reading]:
 def intervals(given: Iterable[Reading], vehicle: Vehicle) -> list[Interval]:
     """The intervals of a drive, as the estimator gets them."""
     stream = SampleStream(StreamSettings(), vehicle.air_density)
-    return [interval for _, interval in stream.add_block(Block.of(given)).intervals]
+    return [interval for _, interval in stream.add(in_order(Block.of(given))).intervals]
 
 
 def _reading_rows(given: Iterable[Reading], interval: Interval) -> Iterator[str]:

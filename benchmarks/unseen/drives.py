@@ -33,6 +33,7 @@ from evpinn_ros.core.signals.readings import (
     Reading,
     TemperatureReading,
 )
+from evpinn_ros.core.signals.reorder import in_order
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.logs.formats import recordings
@@ -54,10 +55,8 @@ class UnseenDrive:
 
     def intervals(self, vehicle: Vehicle) -> Iterator[Interval]:
         """Intervals that a car may learn from, and those that nothing is learned from."""
-        stream = SampleStream(
-            StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
-        )
-        events = stream.add_block(Block.of(self.readings))
+        stream = SampleStream(StreamSettings(), vehicle.air_density, vehicle.motor_ratio)
+        events = stream.add(in_order(Block.of(self.readings)))
         return (interval for _, interval in events.intervals)
 
     def seconds(self, stamp_ns: int) -> float:

@@ -22,6 +22,7 @@ from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.chain import Chain
 
 Estimate: TypeAlias = tuple[float, float]  # value and 1-sigma
+KEPT = 100  # stamps of the battery
 AT_ONCE = 20_000  # readings
 NAMES = ("mass_over_eta", "regeneration", "rolling_over_eta", "drag_area_over_eta", "p_aux")
 
@@ -67,7 +68,7 @@ class OnlineChain:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._chain = Chain(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
-        self._told_ns = [0, 0]  # voltage, current
+        self._told_ns = [np.zeros(1, np.int64)] * 2  # voltage, current
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction]:
         """The `power/smoothed` that the reading completes, with the energy since the battery."""
@@ -80,9 +81,10 @@ class OnlineChain:
             if isinstance(block, Jump):
                 self._chain.jump()
                 continue
-            order, stamps, power, sigma, energy, energy_sigma = self._chain.read(block).smoothed
+            self._hear(block)
+            by_ns, stamps, power, sigma, energy, energy_sigma = self._chain.read(block).smoothed
             self._chain.account.count()
-            known_ns = self._known(block, order)
+            known_ns = self._known(by_ns)
             age = (stamps - known_ns) / NANOSECONDS
             no_dropout = (known_ns > 0) & ((age <= 0.0) | np.isnan(energy))
             energy = np.where(no_dropout, power * age, energy)
@@ -90,20 +92,25 @@ class OnlineChain:
             columns = stamps, power, sigma, energy, energy_sigma
             yield from map(Prediction, *(column.tolist() for column in columns))
 
-    def _known(self, block: Block, places: np.ndarray) -> np.ndarray:
-        """Stamps up to which voltage and current were told by places of a block, ns."""
-        rows, known = block.of_kind(BatteryReading), []
+    def _hear(self, block: Block) -> None:
+        """Note when voltage and current are told."""
+        rows = block.of_kind(BatteryReading)
         for index, values in enumerate(rows.values[:2]):
-            there = ~np.isnan(values)
-            stamps = np.append(self._told_ns[index], rows.stamps[there])
-            known.append(stamps[np.searchsorted(rows.order[there], places, side="right")])
-            self._told_ns[index] = int(stamps[-1])
-        return np.asarray(np.minimum(known[0], known[1]))
+            stamps = np.append(self._told_ns[index][-KEPT:], rows.stamps[~np.isnan(values)])
+            self._told_ns[index] = np.sort(stamps)
+
+    def _known(self, by_ns: np.ndarray) -> np.ndarray:
+        """Stamps up to which voltage and current are told by others, ns, shape (n,)."""
+        known = (
+            stamps[np.maximum(stamps.searchsorted(by_ns, side="right") - 1, 0)]
+            for stamps in self._told_ns
+        )
+        return np.asarray(np.minimum(*known))
 
     def begin_next_drive(self) -> None:
         """Keep what was learned of the car."""
         self._chain.begin_next_drive()
-        self._told_ns = [0, 0]  # voltage, current
+        self._told_ns = [np.zeros(1, np.int64)] * 2
 
     def combinations(self) -> Mapping[str, Estimate]:
         """The published combinations.

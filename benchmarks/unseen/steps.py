@@ -26,7 +26,6 @@ from evpinn_ros.core.signals.readings import (
     why_impossible,
 )
 from evpinn_ros.core.signals.road import GradeSource, Road
-from evpinn_ros.core.signals.track import LATER
 from evpinn_ros.core.vehicle.files import Vehicle
 
 SMOOTHED = 7  # speeds whose mean is taken: 0.3 s to either side at 10 Hz; best of 3 to 15
@@ -90,7 +89,7 @@ class StepStream:
             yield from self._measured()
         elif why_impossible(reading) is None:
             self._road.extend(Block.of([reading]), NO_PLACES, NO_PLACES)
-            self._road.settle(reading.stamp_ns)
+            self._road.forget_before(reading.stamp_ns)
 
     def _add_speed(self, reading: SpeedReading) -> Iterator[DrivingStep]:
         newest = self._speeds[-1][0] if self._speeds else -math.inf
@@ -101,7 +100,8 @@ class StepStream:
             self._speeds.clear()
             self._last = None
         else:
-            self._road.extend(Block.of([]), np.zeros(1), np.array([abs(reading.speed) * since]))
+            moved = np.array([reading.stamp_ns]), np.array([abs(reading.speed) * since])
+            self._road.extend(Block.of([]), *moved)
         self._speeds.append((reading.stamp_ns, reading.speed))
         if (now := self._smoothed()) is None:
             return
@@ -127,8 +127,8 @@ class StepStream:
 
     def _step(self, before: tuple[int, float], now: tuple[int, float]) -> DrivingStep:
         (begin, u), (end, v) = before, now
-        at = np.array([end]), np.array([LATER])
-        (grade,), around = self._road.grades(*at).tolist(), self._road.conditions(*at)
+        at = np.array([end])
+        (grade,), around = self._road.grades(at).tolist(), self._road.conditions(at)
         mean = (u + v) / 2
         return DrivingStep(
             begin,

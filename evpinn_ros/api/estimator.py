@@ -181,7 +181,6 @@ class Estimator:
     @property
     def account(self) -> EnergyAccount:
         """Energy counted so far, with what is known of the battery."""
-        self._chain.account.count()
         return self._chain.account
 
     def save(self, path: str | os.PathLike[str]) -> None:

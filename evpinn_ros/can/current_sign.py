@@ -6,6 +6,7 @@ import math
 
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.reorder import ReorderBuffer
 from evpinn_ros.core.signals.road import GradeSource
 from evpinn_ros.core.signals.sign_detectors import ChargeDetector, SignDetector
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
@@ -24,6 +25,7 @@ class CurrentSign:
     def __init__(self) -> None:
         settings = StreamSettings(grade_source=GradeSource.NONE)
         self._stream, self._time = SampleStream(settings, AIR_DENSITY), StampGuard(SpeedReading)
+        self._buffer = ReorderBuffer(settings.allowed_lateness)
         self._driving, self._charging = SignDetector(), ChargeDetector()
         self._newest: dict[type[Reading], int] = {}
         self._waiting: list[Reading] = []
@@ -53,6 +55,7 @@ class CurrentSign:
         for item in self._time.admit(type(reading), reading.stamp_ns, reading):
             if isinstance(item, Jump):
                 self._follow()
+                self._buffer.reset()
                 self._stream.reset()
                 self._newest.clear()
             else:
@@ -73,7 +76,8 @@ class CurrentSign:
 
     def _follow(self) -> None:
         waiting, self._waiting = self._waiting, []
-        measured = self._stream.add_block(Block.of(waiting)).measured
+        in_order, _ = self._buffer.add(Block.of(waiting))
+        measured = self._stream.add(in_order).measured
         for sample, power in zip(measured.samples.rows(), measured.power.tolist(), strict=True):
             step = _step(sample.stamp_ns, self._sampled_ns)
             self._sampled_ns = sample.stamp_ns

@@ -8,13 +8,14 @@ from functools import partial
 import math
 from typing import Any
 
+import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
 from evpinn_ros import topics
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.forecaster import Basis, Forecaster, PlanAnswer, PlanLog
-from evpinn_ros.core.energy.meter import EnergyMeter, Integrator
+from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState, Integrator
 from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
 from evpinn_ros.core.energy.plan import PlanError
 from evpinn_ros.core.energy.remaining import usual_cost
@@ -23,6 +24,7 @@ from evpinn_ros.core.energy.standby import MeasuredPower, Standby
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.state_file import Half
 from evpinn_ros.core.signals.admission import CarLimits
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import BatteryReading, why_impossible
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
 from evpinn_ros.core.vehicle.files import load_vehicle
@@ -125,6 +127,7 @@ class EnergyNode(GuardedNode):
 
     def end(self) -> str | None:
         """Write totals and account; returns why they could not be written."""
+        self.account.flush()
         return self.kept.save()
 
     def _reset(self) -> str:
@@ -139,26 +142,27 @@ class EnergyNode(GuardedNode):
 
     def _count_missed(self, powers: list[MeasuredPower]) -> None:
         """Count what the battery told while the estimator was away."""
-        for measured in powers:
-            self.account.add_measured(*measured)
-        if powers:
-            self._publish_account()
+        if not powers:
+            return
+        self.account.add_measured(*map(np.array, zip(*powers, strict=True)))
+        self.account.flush()
+        self._publish_account(self.account.state)
 
     def _count(self, estimate: PowerEstimate) -> None:
-        power = estimate.stamp_ns, estimate.power, estimate.sigma
+        rest = estimate.energy_sigma, estimate.energy
+        row = estimate.stamp_ns, estimate.power, estimate.sigma
         if estimate.kind is PowerKind.MEASURED:
-            self.account.add_measured(*power)
+            self.account.add_measured(*map(np.atleast_1d, row))
             return
-        if not self.account.add_predicted(*power, estimate.energy_sigma, estimate.energy):
-            return
-        self._publish_account()
+        self.account.add_predicted(*map(np.atleast_1d, (*row, *rest)))
+        self._publish_account(*self.account.count().rows())
 
-    def _publish_account(self) -> None:
-        state, summary = self.account.state, self.account.tick()
-        self.kept.file.append()  # before it is shown: after a kill nothing is less, or surer
-        for shown in (state, summary):
-            if shown is not None:
-                self.publish(output_messages(new_message, shown))
+    def _publish_account(self, *states: EnergyState) -> None:
+        """Publish states, and the summary once a second."""
+        shown = (*states, *filter(None, [self.account.tick()]))
+        self.kept.file.append()  # before they are shown: after a kill nothing is less, or surer
+        for output in shown:
+            self.publish(output_messages(new_message, output))
 
     def _on_identifiable(self, message: Any) -> None:
         values, sigmas = read_identifiable(message)
@@ -175,7 +179,7 @@ class EnergyNode(GuardedNode):
             if isinstance(passed, Jump):  # what the policy says is done when power jumps
                 self.account.begin_readings_anew()
             elif self.account.admission.admits(passed):
-                self.account.add_reading(passed)
+                self.account.add_block(Block.of([passed]))
                 if isinstance(passed, BatteryReading) and why_impossible(passed) is None:
                     self._count_missed(self._standby.take(passed, self.steady_s()))
 

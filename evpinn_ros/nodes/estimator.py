@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from functools import partial
-import math
 import time
 from typing import Any
 
@@ -14,11 +13,11 @@ from std_srvs.srv import SetBool
 from evpinn_ros import topics
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.core.estimation.estimator import Activity, EstimatorStatus, OnlineEstimator
+from evpinn_ros.core.estimation.outputs import Outputs
 from evpinn_ros.core.estimation.state_file import Half
 from evpinn_ros.core.estimation.worker import ThreadWorker
 from evpinn_ros.core.signals.admission import Admission, CarLimits
-from evpinn_ros.core.signals.block import Block
-from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.core.signals.readings import Reading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.arrivals import StampWatch
 from evpinn_ros.nodes.base import GuardedNode
@@ -34,9 +33,6 @@ from evpinn_ros.topics.settings import estimator_settings, imu_mounting
 
 MODEL_PERIOD = 10.0  # s
 FOR_PLOTS = (topics.BATTERY_VOLTAGE, topics.BATTERY_CURRENT)
-LONGEST_WAIT = 0.2  # s that a reading waits for the next speed
-REST = 1.0  # s of rest for each second of work; `LONGEST_WAIT` ends it
-SPEED_COMES_NS = NANOSECONDS // 2  # within it the next speed is waited for
 LISTENS_TO = tuple(topic for topic in topics.INPUTS if topic not in FOR_PLOTS)
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator")
 
@@ -64,8 +60,6 @@ class EstimatorNode(GuardedNode):
         self._admission = Admission(CarLimits.of(self._vehicle))
         self._mounting = imu_mounting(self.values)
         self._stamps = StampWatch()
-        self._waiting: list[Reading] = []
-        self._rested_s = -math.inf  # when the rest after the last block ends
         actions = Actions(self._reset, self._begin_anew, self._after_jump)
         self.kept = Keeper(self, self.estimator, Half.LEARNED, topics.SPEEDS, actions)
         self.advertise(*PUBLISHES)
@@ -73,14 +67,12 @@ class EstimatorNode(GuardedNode):
             self.listen(topic, partial(self._take, topic))
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.every(MODEL_PERIOD, self.publish_model)
-        self.every(LONGEST_WAIT, self._learn)
         self.publish_model()
         car = f"{self._vehicle.key} ({self.values['mode']})"
         self.begun(f"{car} {self.kept.start}; waiting for vehicle/speed", self.phases())
 
     def statuses(self) -> list[Status]:
         """The health of the estimate."""
-        self._learn()
         status = self.estimator.status()
         status = replace(status, dropped=Counter(status.dropped) + self._admission.refused)
         health = self.health(self.kept.guard.dropped, status.dropped, _usual(status))
@@ -107,20 +99,17 @@ class EstimatorNode(GuardedNode):
 
     def _reset(self) -> str:
         """Forget all that was learned, also what the file held at the start."""
-        self._waiting.clear()
         self.kept.file.forget()
         self.publish_model()
         return f"started again from the vehicle file {self._vehicle.key}"
 
     def _begin_anew(self) -> None:
         """Be as at the start."""
-        self._waiting.clear()
         self._admission.begin_anew()
         self.kept.file.start_over()
 
     def _after_jump(self) -> None:
         """Join nothing to what came before a jump of time."""
-        self._learn()
         self._admission.begin_anew()
         self.estimator.handle_time_jump()
 
@@ -133,31 +122,24 @@ class EstimatorNode(GuardedNode):
                 self.notice("stamps", f"{topic.name}: {wrong}")
         for item in self.kept.in_order(topic, reading.stamp_ns, reading):
             if self._admission.admits(item):
-                self._waiting.append(item)
-        # What comes beside speed is looked at with the next speed; a battery, if none comes soon.
-        speed_ns = self.estimator.newest_ns
-        silent = speed_ns is None or abs(reading.stamp_ns - speed_ns) > SPEED_COMES_NS
-        due = topic is topics.SPEED or (topic is topics.BATTERY and silent)
-        if due and self.steady_s() >= self._rested_s:
-            self._learn()
+                self._add(item)
 
-    def _learn(self) -> None:
-        """Let the estimator have what came since it last had anything."""
-        waiting, self._waiting, begun_s = self._waiting, [], self.steady_s()
-        if not waiting:
-            return
-        outputs = self.estimator.add_block(Block.of(waiting), breakdowns=True)
-        for _, output in outputs.by_place():
+    def _add(self, reading: Reading) -> None:
+        """Let the estimator have a reading, and publish what it says."""
+        now, completed = self.estimator.add_reading(reading, breakdowns=True)
+        if now is not None:
+            self.publish(output_messages(new_message, now))
+        if completed is not None:
+            self._publish_completed(completed)
+
+    def _publish_completed(self, outputs: Outputs) -> None:
+        for _, output in outputs.in_order():
             self.publish(output_messages(new_message, output))
         for learned in outputs.learned:  # once a second
             stamp_ns = learned.parameters.stamp_ns
             self.publish(breakdown_messages(new_message, stamp_ns, learned.breakdown))
-        # On a slow or busy computer more comes meanwhile, and one block of it costs less.
-        ended_s = self.steady_s()
-        self._rested_s = ended_s + REST * (ended_s - begun_s)
 
     def _on_enable(self, request: Any, response: Any) -> Any:
-        self._learn()
         self.estimator.enabled = request.data
         return self.done(response, "learning" if request.data else "paused: predicting only")
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain, groupby
+from collections.abc import Iterable, Iterator, Mapping
 import math
+from operator import itemgetter
 from typing import Any, TypeAlias
-
-import numpy as np
 
 from evpinn_ros.core.energy.account import AccountSummary, EnergyAccount
 from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState
@@ -20,7 +18,7 @@ from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstima
 from evpinn_ros.core.estimation.outputs import Output, Outputs
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.admission import CarLimits
-from evpinn_ros.core.signals.block import Block, joined
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import Reading, SpeedReading
 from evpinn_ros.core.signals.time_jump import (
     DEFAULT_RULE,
@@ -29,6 +27,7 @@ from evpinn_ros.core.signals.time_jump import (
     JumpRule,
     StampGuard,
 )
+from evpinn_ros.core.signals.track import LATER
 from evpinn_ros.core.vehicle.files import Vehicle
 
 ChainOutput: TypeAlias = Output | Breakdown | EnergyState | AccountSummary
@@ -67,64 +66,81 @@ class Chain:
 
     def add_readings(self, readings: Iterable[Reading]) -> Iterator[ChainOutput]:
         """Take readings in the order they came; give all that is said of them, in order."""
-        return chain.from_iterable(self.take(self.follow(Block.of(readings))))
+        return self.take(self.follow(Block.of(readings)))
 
     def follow(self, block: Block) -> Iterator[Block | Jump]:
-        """Take readings; give what `take` shall have now: none that is refused or in doubt."""
+        """Take readings; give what `take_block` shall have now: none that is refused or in doubt."""
         for passed in self._guard.follow(block, self._rule):
             if isinstance(passed, Jump):
                 yield passed
             elif len(admitted := self.account.admission.admit(passed)):
                 yield admitted
 
-    def take(self, items: Iterable[Block | Jump]) -> Iterator[list[ChainOutput]]:
-        """Outputs of each block of readings or jump, with accounts."""
-        for _, alike in groupby(items, type):
-            blocks = []
-            for item in alike:
-                if isinstance(item, Block):
-                    blocks.append(item)
-                else:
-                    self.jump()
-                    yield []
-            yield from self.take_block(joined(blocks))
+    def take(self, items: Iterable[Block | Jump]) -> Iterator[ChainOutput]:
+        """Take blocks of readings and jumps; yields all that is said of them, in order."""
+        for item in items:
+            if isinstance(item, Jump):
+                self.jump()
+            else:
+                yield from (output for _, output in self.take_block(item))
 
     def read(self, block: Block) -> Outputs:
         """Take readings that may be used; `account.count` then gives the states of the account."""
         outputs = self.estimator.add_block(block)
-        self.account.add_block(block, *_powers(outputs))
+        self._give(block, outputs)
         self._know_usual(self.estimator.model())
         return outputs
 
-    def take_block(self, block: Block, *, breakdowns: bool = False) -> Iterator[list[ChainOutput]]:
-        """`take` for readings alone, with breakdowns if asked."""
-        if not block.length:
-            return
+    def read_rest(self) -> Outputs:
+        """Take what waits for more of a drive that is over; `account.flush` counts it."""
+        outputs = self.estimator.flush()
+        self._give(Block(0, {}), outputs)
+        return outputs
+
+    def _give(self, block: Block, outputs: Outputs) -> None:
+        """Let the account have readings, and the powers that the estimator has of them."""
+        self.account.add_block(block)
+        _, *measured = outputs.measured
+        self.account.add_measured(*measured[:3])
+        _, stamps, power, sigma, energy, energy_sigma = outputs.smoothed
+        self.account.add_predicted(stamps, power, sigma, energy_sigma, energy)
+
+    def take_block(
+        self, block: Block, *, breakdowns: bool = False
+    ) -> Iterator[tuple[int, ChainOutput]]:
+        """Take readings; yields what is said of them, each with the stamp that completed it.
+
+        The outputs of the estimator, those of the account beside them, breakdowns if asked.
+        """
         usual = self.estimator.model()
         outputs = self.estimator.add_block(block, breakdowns=breakdowns)
-        given: list[list[ChainOutput]] = [[] for _ in range(block.length)]
-        for place, output in outputs.by_place():
-            given[place].append(output)
-        for learned in outputs.learned:
-            if learned.breakdown is not None:
-                given[learned.place].append(learned.breakdown)
-        changes, first = iter((*outputs.learned, None)), 0
-        after = next(changes)
-        due = self.account.summaries(*_powers(outputs))
-        for last in sorted({*due, block.length - 1}):
-            while after is not None and after.place < last:
-                usual, after = after.model, next(changes)
+        self._give(block, outputs)
+        yield from self._told(outputs, usual)
+
+    def take_rest(self) -> Iterator[tuple[int, ChainOutput]]:
+        """`take_block` of what waits for more of a drive that is over."""
+        usual = self.estimator.model()
+        yield from self._told(self.read_rest(), usual)
+
+    def _told(self, outputs: Outputs, usual: CarModel | None) -> Iterator[tuple[int, ChainOutput]]:
+        """Outputs of the estimator, and those of the account after them, in order of stamps."""
+        rows: list[tuple[int, ChainOutput]] = [*outputs.in_order()]
+        rows += (
+            (learned.known_ns, learned.breakdown)
+            for learned in outputs.learned
+            if learned.breakdown is not None
+        )
+        models = [(learned.known_ns, learned.model) for learned in outputs.learned]
+        known = dict(zip(*(column.tolist() for column in outputs.smoothed[1::-1]), strict=True))
+        while (due_ns := self.account.summary_due_ns()) != LATER:
+            rows += ((known[state.stamp_ns], state) for state in self.account.count(due_ns).rows())
+            while models and models[0][0] < known[due_ns]:
+                _, usual = models.pop(0)
             self._know_usual(usual)
-            part = slice(first, last + 1)
-            powers = [_part(columns, part) for columns in _powers(outputs)]
-            counted = self.account.add_block(block.part(first, last + 1), *powers)
-            for place, state in zip(counted.tolist(), self.account.count().rows(), strict=True):
-                given[first + place].append(state)
-            if last in due and (summary := self.account.tick()) is not None:
-                given[last].append(summary)
-            first = last + 1
+            rows.append((known[due_ns], self.account.show()))
+        rows += ((known[state.stamp_ns], state) for state in self.account.count().rows())
         self._know_usual(self.estimator.model())
-        yield from given
+        yield from sorted(rows, key=itemgetter(0))
 
     def _know_usual(self, car: CarModel | None) -> None:
         self.account.usual = math.nan if car is None else usual_cost(car)
@@ -148,15 +164,3 @@ class Chain:
         self.account.begin_after_jump()
         self.account.reset_trip()
         self.account.refused.clear()
-
-
-def _powers(outputs: Outputs) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """Measured and smoothed powers as `EnergyAccount.add_block` takes them."""
-    smoothed = outputs.smoothed
-    return outputs.measured[:4], (*smoothed[:4], smoothed.energy_sigma, smoothed.energy)
-
-
-def _part(columns: Sequence[np.ndarray], places: slice) -> tuple[np.ndarray, ...]:
-    chosen = slice(*np.searchsorted(columns[0], (places.start, places.stop)))
-    orders, *others = (column[chosen] for column in columns)
-    return orders - places.start, *others

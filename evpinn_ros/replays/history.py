@@ -181,7 +181,7 @@ class History:
 
     def __init__(self) -> None:
         self._start_ns: int | None = None
-        self._newest_ns = self._last_ns = self._offset_ns = 0
+        self._newest_ns = self._offset_ns = 0
         self._jumped: Jump | None = None
         self._series = {name: Columns(width) for name, width in SERIES.items()}
         self._voltage, self._current = Columns(2), Columns(2)
@@ -206,16 +206,12 @@ class History:
         """Time went back before the next reading."""
         self._jumped = jump
 
-    def move_to(self, moment_ns: int) -> None:
-        """Take outputs as those of this moment, which a reading reached."""
-        self._last_ns = moment_ns
-
     def add_reading(self, reading: Reading) -> None:
         """Take one admitted reading."""
         self.add_block(Block.of([reading]))
 
-    def add_block(self, block: Block) -> np.ndarray:
-        """Take admitted readings; give the newest moment known before each, shape (length,)."""
+    def add_block(self, block: Block) -> None:
+        """Take admitted readings."""
         stamps = block.stamps()
         if self._start_ns is None:
             self._start_ns = self._newest_ns = int(stamps[0])
@@ -223,10 +219,8 @@ class History:
             self._offset_ns = self._newest_ns + JUMP_GAP - int(stamps[0])
             self._series["jumps"].add(self.seconds(int(stamps[0])), self._jumped.seconds)
             self._jumped = None
-        moments = np.maximum(np.maximum.accumulate(self.moment(stamps)), self._newest_ns)
-        self._newest_ns, self._last_ns = int(moments[-1]), int(moments[0])
+        self._newest_ns = max(self._newest_ns, int(self.moment(stamps).max()))
         self._add_columns(block)
-        return moments
 
     def _add_columns(self, block: Block) -> None:
         series = self._series
@@ -250,23 +244,20 @@ class History:
             elif kind is AuxiliaryReading:
                 series["heating"].extend(time, first)
 
-    def add_outputs(self, outputs: Outputs, moments: np.ndarray) -> None:
-        """Take what the estimator says of a block whose newest moments are these."""
-        for kind, (order, stamps, power, sigma, *_) in outputs.powers():
+    def add_outputs(self, outputs: Outputs) -> None:
+        """Take what the estimator says of a block."""
+        for kind, (known_ns, stamps, power, sigma, *_) in outputs.powers():
             if kind in self._power:
-                lag = (moments[order] - self.moment(stamps)) / NANOSECONDS
+                lag = (known_ns - stamps) / NANOSECONDS
                 self._power[kind].extend(self.seconds(stamps), power, sigma, lag)
         for learned in outputs.learned:
-            self.move_to(int(moments[learned.place]))
-            self.add_output(learned.parameters)
-            self.add_detections(learned.report)
-            if self.wants_model:
-                self.add_model(learned.model)
-        if len(moments):
-            self.move_to(int(moments[-1]))
+            self.add_output(learned.known_ns, learned.parameters)
+            self.add_detections(learned.known_ns, learned.report)
+            if self.wants_model(learned.known_ns):
+                self.add_model(learned.known_ns, learned.model)
 
-    def add_output(self, output: ChainOutput) -> None:
-        """Take the outputs of the chain for the last reading."""
+    def add_output(self, known_ns: int, output: ChainOutput) -> None:
+        """Take an output of the chain that the reading of a stamp completed."""
         if isinstance(output, (AccountSummary, Breakdown)):
             return
         time = self.seconds(output.stamp_ns)
@@ -276,7 +267,7 @@ class History:
                 self._series["energy"].add(time, predicted, rknn, output.predicted.sigma)
         elif isinstance(output, PowerEstimate):
             if output.kind in self._power:
-                lag = (self._last_ns - self.moment(output.stamp_ns)) / NANOSECONDS
+                lag = (known_ns - output.stamp_ns) / NANOSECONDS
                 self._power[output.kind].add(time, output.power, output.sigma, lag)
         else:
             self._final = output
@@ -299,29 +290,29 @@ class History:
             states.predicted.sigma,
         )
 
-    def add_detections(self, report: LearnerReport) -> None:
-        """Take what the learner says of the car by now, if it says something new."""
+    def add_detections(self, known_ns: int, report: LearnerReport) -> None:
+        """Take what the learner says of the car at a stamp, if it says something new."""
         if not self._detections or self._detections[-1].report[:4] != report[:4]:
-            self._detections.append(Detection(self.now, report))
+            self._detections.append(Detection(self.seconds(known_ns), report))
 
     def add_breakdown(self, breakdown: Mapping[str, tuple[float, float]]) -> None:
         """Take the breakdown as it is now, kWh and 1-sigma by part."""
         self._breakdown = breakdown
 
-    @property
-    def wants_model(self) -> bool:
+    def wants_model(self, known_ns: int) -> bool:
         """True if `MODEL_STEP` has passed since the last model."""
-        return not self._models or self.now - self._models[-1].time >= MODEL_STEP
+        seconds = self.seconds(known_ns)
+        return not self._models or seconds - self._models[-1].time >= MODEL_STEP
 
-    def add_model(self, model: CarModel | None) -> None:
-        """Take the car as it is known now; a learner without such a model gives None."""
+    def add_model(self, known_ns: int, model: CarModel | None) -> None:
+        """Take the car as it is known at a stamp; a learner without such a model gives None."""
         if model is not None:
-            self._models.append(KnownModel(self.now, model))
+            self._models.append(KnownModel(self.seconds(known_ns), model))
 
     @property
     def now(self) -> float:
         """Time of the newest reading that was taken, s since the first one."""
-        return 0.0 if self._start_ns is None else (self._last_ns - self._start_ns) / NANOSECONDS
+        return 0.0 if self._start_ns is None else (self._newest_ns - self._start_ns) / NANOSECONDS
 
     def _measured(self) -> tuple[np.ndarray, np.ndarray]:
         """Power at each reading of the current, the voltage interpolated; and which are lone."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 import math
+from operator import attrgetter
 from pathlib import Path
 import time
 from typing import Any
@@ -95,7 +96,7 @@ def replay(
     """
     history = History()
     # What earlier drives left is no event of this one.
-    history.add_detections(chain.estimator.detections())
+    history.add_detections(0, chain.estimator.detections())
     not_recorded: Counter[str] = Counter()
     started = time.perf_counter()
     size = BLOCK if options.rate is None else 1
@@ -107,24 +108,27 @@ def replay(
             chain.jump()
             history.add_jump(block)
             continue
-        moments = history.add_block(block)
+        history.add_block(block)
         pace.keep(history.now)
         given = _without_withheld(block, history, options.withhold_battery_after)
-        if history.wants_model:
-            history.add_model(chain.estimator.model())
         if writer is None:
-            history.add_outputs(chain.read(given), moments)
+            history.add_outputs(chain.read(given))
             history.add_states(chain.account.count())
         else:
-            not_recorded.update(_recorded(writer, block, given, moments, chain, history))
+            not_recorded.update(_recorded(writer, block, given, chain, history))
+    if writer is None:
+        history.add_outputs(chain.read_rest())
+        history.add_states(chain.account.flush())
+    else:
+        _record(writer, chain.take_rest(), history)
     last = chain.estimator.finish()
-    history.add_output(last)
-    history.add_detections(chain.estimator.detections())
+    history.add_output(last.stamp_ns, last)
+    history.add_detections(last.stamp_ns, chain.estimator.detections())
+    history.add_model(last.stamp_ns, chain.estimator.model())
     if writer is not None:
-        outputs: list[ChainOutput] = [last]
+        _write(writer, last, history.moment(last.stamp_ns))
         if (breakdown := chain.estimator.breakdown()) is not None:
-            outputs.append(breakdown)
-        _write(writer, outputs, history.moment(last.stamp_ns))
+            _write(writer, breakdown, history.moment(last.stamp_ns), last.stamp_ns)
     wall = time.perf_counter() - started
     drive = replace(
         history.drive(chain.estimator.model()),
@@ -211,42 +215,46 @@ def _without_withheld(block: Block, history: History, withhold_after: float | No
 
 
 def _recorded(
-    writer: BagWriter,
-    block: Block,
-    given: Block,
-    moments: np.ndarray,
-    chain: Chain,
-    history: History,
+    writer: BagWriter, block: Block, given: Block, chain: Chain, history: History
 ) -> Iterator[str]:
-    """Write readings and their outputs; gives a reason for each that no message holds."""
-    outputs = chain.take_block(given, breakdowns=True)
-    rows = zip(block.readings(), moments.tolist(), outputs, strict=True)
-    for reading, moment_ns, outputs_of_reading in rows:
-        log_time_ns = history.moment(reading.stamp_ns)
+    """Write readings and their outputs; gives a reason for each reading that no message holds."""
+    outputs = [*chain.take_block(given, breakdowns=True)]
+    place = 0
+    for reading in sorted(block.readings(), key=attrgetter("stamp_ns")):
+        first = place
+        while place < len(outputs) and outputs[place][0] < reading.stamp_ns:
+            place += 1
+        _record(writer, outputs[first:place], history)
         try:
             messages = list(reading_messages(new_message, reading))
         except ValueError:
             yield "not_recordable"
-            messages = []
+            continue
         for topic, message in messages:
+            log_time_ns = history.moment(reading.stamp_ns)
             writer.write(topic.under(NAMESPACE), message, log_time_ns)
-        _write(writer, outputs_of_reading, log_time_ns)
-        history.move_to(moment_ns)
-        for output in outputs_of_reading:
-            history.add_output(output)
+    _record(writer, outputs[place:], history)
 
 
-def _write(writer: BagWriter, outputs: Iterable[ChainOutput], log_time_ns: int) -> None:
-    """Write the messages of outputs; those of parameters have the breakdown beside them."""
-    stamp_ns = 0
-    for output in outputs:
-        if isinstance(output, Breakdown):
-            messages = breakdown_messages(new_message, stamp_ns, output)
-        else:
-            messages = output_messages(new_message, output)
-            stamp_ns = output.stamp_ns
-        for topic, message in messages:
-            writer.write(topic.under(NAMESPACE), message, log_time_ns)
+def _record(
+    writer: BagWriter, outputs: Iterable[tuple[int, ChainOutput]], history: History
+) -> None:
+    """Write outputs at the stamps of the readings that completed them."""
+    for known_ns, output in outputs:
+        _write(writer, output, history.moment(known_ns), known_ns)
+        history.add_output(known_ns, output)
+
+
+def _write(
+    writer: BagWriter, output: ChainOutput, log_time_ns: int, stamp_ns: int = 0
+) -> None:
+    """Write the messages of an output; a breakdown has no stamp of its own."""
+    if isinstance(output, Breakdown):
+        messages = breakdown_messages(new_message, stamp_ns, output)
+    else:
+        messages = output_messages(new_message, output)
+    for topic, message in messages:
+        writer.write(topic.under(NAMESPACE), message, log_time_ns)
 
 
 def has_battery(drive: Drive) -> bool:

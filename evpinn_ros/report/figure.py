@@ -39,6 +39,7 @@ def recorded_drive(bag: Path) -> Drive:
     history, charge = History(), ChargeScale()
     parameters: Any = None
     combined: Any = None
+    newest_ns = 0
     with BagReader(bag) as reader:
         names = {topic_of(name) for name in reader.topics}
         speed = next((topic for topic in topics.SPEEDS if topic in names), topics.SPEED)
@@ -47,19 +48,20 @@ def recorded_drive(bag: Path) -> Drive:
             try:
                 if topic in (speed, topics.BATTERY):
                     reading = to_reading(record.type_name, record.message)
+                    newest_ns = max(newest_ns, reading.stamp_ns)
                     history.add_reading(charge.reading(reading))
                 elif topic is topics.PARAMETERS:
                     parameters = record.message
                 elif topic is topics.IDENTIFIABLE:
                     combined = record.message
                 elif topic is topics.BOUNDS and parameters is not None and combined is not None:
-                    history.add_output(read_parameters(parameters, combined, record.message))
+                    history.add_output(0, read_parameters(parameters, combined, record.message))
                 elif topic is topics.ENERGY_BREAKDOWN:
                     history.add_breakdown(read_breakdown(record.message))
                 elif topic is topics.ENERGY_STATE:
-                    history.add_output(read_energy(record.message))
+                    history.add_output(0, read_energy(record.message))
                 elif topic is not None and topic in POWER_KINDS:
-                    history.add_output(read_power(topic, record.message))
+                    history.add_output(newest_ns, read_power(topic, record.message))
             except BadMessage:
                 continue  # a message of somebody else's: there is nothing of ours to draw
     return history.drive()

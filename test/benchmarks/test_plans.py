@@ -54,7 +54,6 @@ def as_planned(done: list[Interval]) -> list[Interval]:
         "celsius": weather.celsius,
         "load": weather.heating or 0.0,
         "load_known": weather.heating is not None,
-        "doubted_load": 0.0,
     }
     hilly = any(interval.steps.climb.any() for interval in done)
     return [

@@ -272,9 +272,8 @@ def can_bus() -> Iterator[tuple[Any, dict[str, Any]]]:
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    """Nodes in this process, of which no estimator rests, however long it took to learn."""
-    monkeypatch.setattr("evpinn_ros.nodes.estimator.REST", 0.0)
+def bench() -> Iterator[Bench]:
+    """Nodes in this process."""
     rclpy.init()
     bench = Bench()
     try:

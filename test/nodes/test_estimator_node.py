@@ -6,7 +6,6 @@ import pytest
 from std_srvs.srv import SetBool
 
 from evpinn_ros import topics
-from evpinn_ros.core.estimation.trim import Trim
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.nodes.estimator import EstimatorNode
@@ -26,13 +25,13 @@ def drive(bench, node, begin, end, with_battery=True, rate=10):
         bench.read(node, now)
 
 
-def test_what_comes_while_a_busy_node_rests_is_one_block(bench, monkeypatch):
-    """And it is learned by the timer, or before anybody is told how the node is."""
-    monkeypatch.setattr("evpinn_ros.nodes.estimator.REST", 1e9)
+def test_measured_and_predicted_power_come_with_their_readings(bench):
     node = bench.start(EstimatorNode)
-    drive(bench, node, 0, 2)
-    assert node.published[topics.POWER_PREDICTED] == 0  # the first battery was learned alone
-    bench.pump(lambda: node.published[topics.POWER_PREDICTED] == 20)
+    for step in range(20):
+        bench.read(node, BatteryReading(speed(step / 10).stamp_ns, 350.0, -30.0))
+        assert node.published[topics.POWER_MEASURED] == step + 1
+        bench.read(node, speed(step / 10))
+        assert node.published[topics.POWER_PREDICTED] == step + 1
     assert node.estimator.status().dropped == {}
 
 
@@ -96,10 +95,9 @@ def test_nothing_that_is_not_finite_is_published(bench, monkeypatch):
     node = bench.start(EstimatorNode)
     bench.read(node, speed(0.0))
     published = node.published[topics.POWER_PREDICTED]
-    predict = Trim.predict
-    monkeypatch.setattr(
-        Trim, "predict", lambda trim, rows, ages: predict(trim, rows, ages * math.nan)
-    )
+    predict = node.estimator._learner.predict
+    not_finite = lambda samples: tuple(math.nan * column for column in predict(samples))
+    monkeypatch.setattr(node.estimator._learner, "predict", not_finite)
     bench.read(node, speed(0.1))
     assert node.published[topics.POWER_PREDICTED] == published
     assert said(bench, node)[2]["bad.output_not_finite"] == "1"
@@ -107,7 +105,7 @@ def test_nothing_that_is_not_finite_is_published(bench, monkeypatch):
 
 def test_a_fault_of_ours_is_told_and_the_node_lives(bench, monkeypatch):
     node = bench.start(EstimatorNode)
-    monkeypatch.setattr(node.estimator, "add_block", lambda block, breakdowns: 1 / 0)
+    monkeypatch.setattr(node.estimator, "add_reading", lambda reading, breakdowns: 1 / 0)
     bench.read(node, speed(0.0), speed(0.1))
     level, text, values = said(bench, node)
     assert level is Level.ERROR and "ZeroDivisionError" in text

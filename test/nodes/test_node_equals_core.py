@@ -95,7 +95,6 @@ def equal(bench, drive, policy):
         ):
             expected[name] += messages
         bench.drive([(topic, ros_message)])
-    estimator.statuses()  # what waits for the next speed is looked at
     bench.settle()
     assert core.estimator.status().accepted > 1
     assert estimator.estimator.status().accepted == core.estimator.status().accepted

@@ -1,18 +1,18 @@
 """One car's account of energy: since reset and since ever, per kilometre, and what is left.
 
 It joins the meter to distance and to the state of charge, and is what outlives a restart. What
-arrives is kept until somebody asks, and then counted at once, as a block; how it is cut into
-blocks changes nothing.
+comes waits until predictions of its time have come, and is then counted in order of stamps; how it
+is cut into blocks changes nothing.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 import math
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from evpinn_ros.core.energy.dropout import Dropout, Reconciled, Verdict, reconci
 from evpinn_ros.core.energy.forecast import Forecast
 from evpinn_ros.core.energy.meter import (
     NO_STATES,
-    NOTHING,
     EnergyMeter,
     EnergyState,
     MeterCourse,
@@ -43,9 +42,11 @@ from evpinn_ros.core.energy.remaining import (
 from evpinn_ros.core.energy.trip import WINDOWS, SavedTrip, Stretch, TripLog
 from evpinn_ros.core.signals.admission import ANY_CAR, MAX_POWER, Admission, CarLimits
 from evpinn_ros.core.signals.block import Block
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
+from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.signals.track import LATER, NEVER
 
 STATE_VERSION = 1
+NO_STAMPS = np.empty(0, np.int64)
 LEAST_DISTANCE = 1e3  # m; what a kilometre costs is not known before one
 SUMMARY_NS = NANOSECONDS  # between two summaries
 
@@ -148,11 +149,8 @@ class AccountSummary:
     remaining: Remaining | None
 
 
-PowerColumns: TypeAlias = Sequence[np.ndarray]
-
-
 class _Kind(IntEnum):
-    """Kind of what arrives."""
+    """Kind of what is counted."""
 
     PREDICTED = 0
     MEASURED = 1
@@ -160,62 +158,60 @@ class _Kind(IntEnum):
     BATTERY = 3
 
 
-_POWERS = _Kind.PREDICTED, _Kind.MEASURED
+WIDTHS = {_Kind.PREDICTED: 4, _Kind.MEASURED: 4, _Kind.SPEED: 1, _Kind.BATTERY: 3}
+AHEAD_NS = 3 * NANOSECONDS  # by which others may be ahead of predictions, and wait for them
+EXTENDED_AT = 1000  # speeds and battery readings from which on trip and battery model take them
 
 
 class _Correction(NamedTuple):
-    """A correction, and the place in the order of arrival from which it counts."""
+    """A correction, and the stamp from which on it counts."""
 
-    order: int
-    found: TripCorrection
+    stamp_ns: int
+    added: TripCorrection
 
 
-class _Arrived:
-    """What has arrived and is not counted yet, by kind, in one order."""
+class _Columns(NamedTuple):
+    """Stamps, ns, shape (n,), and values, shape (width, n)."""
+
+    stamps: np.ndarray
+    values: np.ndarray
+
+
+class _Waiting:
+    """What is not counted yet, by kind."""
 
     def __init__(self) -> None:
-        self._columns: list[list[tuple[np.ndarray, ...]]] = [[] for _ in _Kind]
-        self._next = 0
+        self._new: dict[_Kind, list[_Columns]] = {kind: [] for kind in _Kind}
+        self.newest_ns = dict.fromkeys(_Kind, NEVER)
 
-    def __len__(self) -> int:
-        return self._next
+    def add(self, kind: _Kind, stamps: np.ndarray, values: np.ndarray) -> None:
+        """Take n of a kind; values: shape (width, n)."""
+        if len(stamps):
+            self._new[kind].append(_Columns(stamps, values))
+            self.newest_ns[kind] = max(self.newest_ns[kind], int(stamps.max()))
 
-    def extend(
-        self, kind: _Kind, orders: np.ndarray, stamps: np.ndarray, rows: np.ndarray
-    ) -> None:
-        """Take n of a kind at their places behind what came before; rows: shape (width, n)."""
-        if len(orders):
-            self._columns[kind].append((orders + self._next, stamps, rows))
+    def sorted(self, kind: _Kind) -> _Columns:
+        """All of a kind, in order of stamps."""
+        new = self._new[kind]
+        if not new:
+            return _Columns(np.empty(0, np.int64), np.empty((WIDTHS[kind], 0)))
+        if len(new) > 1:
+            stamps, values = zip(*new, strict=True)
+            new[:] = [_Columns(np.concatenate(stamps), np.concatenate(values, axis=1))]
+        stamps, values = new[0]
+        if not (stamps[1:] > stamps[:-1]).all():
+            order = stamps.argsort(kind="stable")
+            new[0] = _Columns(stamps[order], values[:, order])
+        return new[0]
 
-    def move_on(self, count: int) -> None:
-        """Let what comes stand behind so many places more."""
-        self._next += count
-
-    def add(self, kind: _Kind, stamp_ns: int, row: tuple[float, ...]) -> None:
-        """Take one."""
-        stamps = np.array([stamp_ns], np.int64)
-        self.extend(kind, np.zeros(1, np.int64), stamps, np.array(row)[:, None])
-        self.move_on(1)
-
-    @property
-    def first_ns(self) -> int:
-        """The first stamp of a power that came."""
-        firsts = [self._columns[kind][0] for kind in _POWERS if self._columns[kind]]
-        return int(min(firsts, key=lambda column: column[0][0])[1][0])
-
-    def columns(self, kind: _Kind, width: int) -> Iterator[np.ndarray]:
-        """Order, stamps and the columns of rows of a kind, shape (n,) each."""
-        if not self._columns[kind]:
-            yield from (np.empty(0, np.int64), np.empty(0, np.int64), *np.empty((width, 0)))
-            return
-        orders, stamps, rows = zip(*self._columns[kind], strict=True)
-        yield np.concatenate(orders)
-        yield np.concatenate(stamps)
-        yield from np.concatenate(rows, axis=1)
-
-
-AT_ONCE = 1000  # places of a block from which on its readings do not wait
-PLACES = 4  # for each reading: itself, what it measures, and what is predicted with it
+    def taken(self, kind: _Kind, until_ns: int) -> _Columns:
+        """Those of a kind up to a stamp, which wait no longer."""
+        stamps, values = self.sorted(kind)
+        count = int(stamps.searchsorted(until_ns, side="right"))
+        if count:
+            rest = _Columns(stamps[count:], values[:, count:])
+            self._new[kind] = [rest] if len(rest.stamps) else []
+        return _Columns(stamps[:count], values[:, :count])
 
 
 class EnergyAccount(Saveable[SavedAccount]):
@@ -275,12 +271,13 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._before_reset, self._correction = before, correction
         self._newest_ns = self._summary_ns = 0
         self.reconciled: Reconciled | None = None
-        self._arrived = _Arrived()
+        self._waiting = _Waiting()
         self._awaits_charge: tuple[Dropout, float] | None = None
         self._charge_before = math.nan  # the last one received while the battery was measured
 
     def reset_trip(self) -> None:
         """Count from zero; the lifetime, what was learned and the last kilometres stay."""
+        self.flush()
         lifetime, newest_ns = self.lifetime(), self._newest_ns
         self.meter.reset()
         self.trip.reset_trip()
@@ -289,6 +286,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def begin_after_jump(self) -> None:
         """Keep all that was counted, and join nothing to what comes: time jumped."""
+        self.flush()
         self.admission.begin_anew()
         saved = self.saved()
         meter = replace(saved.meter, until_ns=0)
@@ -296,7 +294,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def begin_readings_anew(self) -> None:
         """Join no speed and no battery reading to those before: their time jumped."""
-        self._count()
+        self.flush()
         self.admission.begin_anew()
         self.trip.begin_anew()
         self.battery.begin_anew()
@@ -308,93 +306,89 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.route = None
         self.reset_trip()
 
-    def add_measured(self, stamp_ns: int, power: float, sigma: float) -> None:
-        """Take one measurement of power and its 1-sigma, W, NaN if unknown."""
-        if not _is_possible(power, sigma, self.admission.limits.power):
-            self.refused["power_out_of_range"] += 1
-            return
-        self._arrived.add(_Kind.MEASURED, stamp_ns, (power, sigma, math.nan, math.nan))
+    def add_measured(
+        self, stamps: np.ndarray, power: np.ndarray, sigma: np.ndarray
+    ) -> None:
+        """Take n measurements: stamps, ns, power and its 1-sigma, W, NaN if unknown."""
+        self._add_powers(_Kind.MEASURED, self.admission.limits.power, stamps, power, sigma)
 
     def add_predicted(
         self,
-        stamp_ns: int,
-        power: float,
-        sigma: float,
-        energy_sigma: float = math.nan,
-        energy: float = math.nan,
-    ) -> bool:
-        """Take one prediction of power (see `PowerBlock`); gives whether it can be one."""
-        if not _is_possible(power, sigma, MAX_POWER):
-            self.refused["power_out_of_range"] += 1
-            return False
-        self._arrived.add(_Kind.PREDICTED, stamp_ns, (power, sigma, energy_sigma, energy))
-        return True
+        stamps: np.ndarray,
+        power: np.ndarray,
+        sigma: np.ndarray,
+        energy_sigma: np.ndarray,
+        energy: np.ndarray,
+    ) -> None:
+        """Take n predictions (see `PowerBlock`)."""
+        rest = energy_sigma, energy
+        self._add_powers(_Kind.PREDICTED, MAX_POWER, stamps, power, sigma, *rest)
 
-    def add_block(
-        self, block: Block, measured: PowerColumns, predicted: PowerColumns
-    ) -> np.ndarray:
-        """Take admitted readings, and the powers that the estimator has of them.
+    def _add_powers(
+        self, kind: _Kind, most: float, stamps: np.ndarray, *columns: np.ndarray
+    ) -> None:
+        """Take powers, W, but those that cannot be."""
+        values = np.full((WIDTHS[kind], len(stamps)), np.nan)
+        values[: len(columns)] = columns
+        possible = _is_possible(values[0], values[1], most)
+        if not possible.all():
+            self.refused["power_out_of_range"] += int(np.count_nonzero(~possible))
+            stamps, values = stamps[possible], values[:, possible]
+        self._waiting.add(kind, stamps, values)
 
-        Gives the places of the predictions that count.
-
-        Args:
-            block: of the readings.
-            measured: places, stamps, power and 1-sigma, W.
-            predicted: the same, and 1-sigma and energy of a dropout (see `PowerBlock`), J.
-        """
+    def add_block(self, block: Block) -> None:
+        """Take admitted readings: speed, and what the battery tells of itself, count."""
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
-        arrived, limit = self._arrived, self.admission.limits.power
-        arrived.extend(_Kind.SPEED, PLACES * speeds.order, speeds.stamps, speeds.values[:1])
-        arrived.extend(_Kind.BATTERY, PLACES * battery.order, battery.stamps, battery.values[:3])
-        given = ((_Kind.MEASURED, 1, measured, limit), (_Kind.PREDICTED, 2, predicted, MAX_POWER))
-        for kind, turn, (orders, stamps, *columns), most in given:
-            rows = np.full((4, len(orders)), np.nan)
-            rows[: len(columns)] = columns
-            possible = _is_possible(rows[0], rows[1], most)
-            if refused := len(orders) - int(np.count_nonzero(possible)):
-                self.refused["power_out_of_range"] += refused
-            orders = PLACES * orders[possible] + turn
-            arrived.extend(kind, orders, stamps[possible], rows[:, possible])
-        arrived.move_on(PLACES * block.length)
-        return np.asarray(predicted[0][possible])
+        self._waiting.add(_Kind.SPEED, speeds.stamps, speeds.values[:1])
+        self._waiting.add(_Kind.BATTERY, battery.stamps, battery.values[:3])
 
-    def add_speed(self, stamp_ns: int, speed: float) -> None:
-        """Take a speed, m/s, of an admitted reading."""
-        self._arrived.add(_Kind.SPEED, stamp_ns, (speed,))
+    @property
+    def _until_ns(self) -> int:
+        """Up to here all has come: predictions, or what is some seconds ahead of them."""
+        newest_ns = self._waiting.newest_ns
+        return max(newest_ns[_Kind.PREDICTED], max(newest_ns.values()) - AHEAD_NS)
 
-    def add_reading(self, reading: Reading) -> None:
-        """Take an admitted speed, or what the battery tells of itself; others count nothing."""
-        if isinstance(reading, SpeedReading):
-            self.add_speed(reading.stamp_ns, reading.speed)
-        elif isinstance(reading, BatteryReading):
-            values = reading.voltage, reading.current, reading.state_of_charge
-            self._arrived.add(_Kind.BATTERY, reading.stamp_ns, values)
+    def summary_due_ns(self) -> int:
+        """Stamp of the first prediction that waits and at which a summary is due, or `LATER`."""
+        stamps = self._waiting.sorted(_Kind.PREDICTED).stamps
+        place = int(stamps.searchsorted(self._summary_ns + SUMMARY_NS))
+        return int(stamps[place]) if place < len(stamps) else LATER
 
-    def count(self) -> EnergyState:
-        """Count what has arrived; gives the states at each prediction of it."""
-        if not self._arrived:
+    def count(self, until_ns: int = LATER) -> EnergyState:
+        """Count what waits, up to a stamp; returns the states at each prediction of it."""
+        corrections, course = self._count(min(until_ns, self._until_ns)), self.meter.course
+        if not len(course.predicted.stamp_ns):
             return NO_STATES
-        corrections, course = self._count(), self.meter.course
         states = course.states(course.at_predictions())
-        return self._corrected(states, course.predicted, corrections)
+        return self._corrected(states, course.predicted.stamp_ns, corrections)
 
-    def _count(self) -> list[_Correction]:
-        """Count what has arrived; gives what was corrected."""
-        if not self._arrived:
-            return []
-        arrived, self._arrived = self._arrived, _Arrived()
-        predicted, measured = (PowerBlock(*arrived.columns(kind, 4)) for kind in _POWERS)
+    def flush(self) -> EnergyState:
+        """Count all that waits, whatever may come: the drive is over, or is saved."""
+        self._waiting.newest_ns[_Kind.PREDICTED] = max(self._waiting.newest_ns.values())
+        return self.count()
+
+    def _count(self, until_ns: int) -> list[_Correction]:
+        """Count what waits up to a stamp; returns what was corrected."""
+        waiting = self._waiting
+        predicted, measured = (
+            PowerBlock(stamps, *values)
+            for stamps, values in (
+                waiting.taken(kind, until_ns) for kind in (_Kind.PREDICTED, _Kind.MEASURED)
+            )
+        )
         course = self.meter.add(predicted, measured)
-        if len(predicted.order) or len(measured.order):
-            self._newest_ns = max(self._newest_ns, int(course.newest(course.end)[0]))
+        newest = [block.stamp_ns[-1] for block in (predicted, measured) if len(block.stamp_ns)]
+        if newest:
+            self._newest_ns = max(self._newest_ns, *map(int, newest))
             if self.route is not None:
-                self.route.see(arrived.first_ns)
-        order, stamps, speeds = arrived.columns(_Kind.SPEED, 1)
-        if len(order):
-            energies, _, _ = course.consumed(course.before(order))
+                self.route.see(min(int(b.stamp_ns[0]) for b in (predicted, measured) if len(b[0])))
+        stamps, (speeds,) = waiting.taken(_Kind.SPEED, until_ns)
+        if len(stamps):
+            energies, _, _ = course.consumed(course.before(stamps))
             self._driven.append((stamps, speeds, energies))
-        corrections = self._charged(course, *arrived.columns(_Kind.BATTERY, 3))
-        if len(arrived) >= AT_ONCE:
+        battery = waiting.taken(_Kind.BATTERY, until_ns)
+        corrections = self._charged(course, battery.stamps, *battery.values)
+        if len(stamps) + len(battery.stamps) >= EXTENDED_AT:
             self._extend()
         return corrections
 
@@ -418,13 +412,13 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self._battery
 
     def _corrected(
-        self, states: EnergyState, predicted: PowerBlock, later: Sequence[_Correction]
+        self, states: EnergyState, stamps: np.ndarray, later: Sequence[_Correction]
     ) -> EnergyState:
         """States with what reconciling had added by then."""
         energy = np.full(len(states.stamp_ns), self._correction.energy)
         variance = np.full(len(states.stamp_ns), self._correction.variance)
-        for order, correction in later:
-            before = predicted.order < order
+        for stamp_ns, correction in later:
+            before = stamps < stamp_ns
             energy[before] -= correction.energy
             variance[before] -= correction.variance
         sigma = np.sqrt(np.maximum(states.consumed_sigma**2 - variance, 0.0))
@@ -438,46 +432,44 @@ class EnergyAccount(Saveable[SavedAccount]):
     def _charged(
         self,
         course: MeterCourse,
-        order: np.ndarray,
         stamps: np.ndarray,
         voltage: np.ndarray,
         current: np.ndarray,
         charge: np.ndarray,
     ) -> list[_Correction]:
         """Take battery readings; gives what dropouts were corrected by, and when."""
-        if not (len(order) or course.ended):
+        if not (len(stamps) or course.ended):
             return []
         self._told.append((stamps, voltage, current, charge))
         told = np.flatnonzero((charge >= 0.0) & (charge <= 1.0))
         if not (len(told) or course.ended):
             return []
-        order, stamps, charge = order[told], stamps[told], charge[told]
-        at = course.before(order)
+        stamps, charge = stamps[told], charge[told]
+        at = course.before(stamps)
         consumed, variances, unmeasured_s = course.consumed(at)
         silent = course.silent(at, course.silent_s(at, stamps))
         heard = np.append(self._charge_before, charge[~silent])
-        told = np.searchsorted(order[~silent], [place for place, _ in course.ended])
+        told = stamps[~silent].searchsorted([dropout.end_ns for dropout in course.ended])
         ends = list(zip(course.ended, heard[told].tolist(), strict=True))
         corrections: list[_Correction] = []
         before = self._before_reset
-        for row, place in enumerate(order.tolist()):
-            while ends and ends[0][0][0] < place:
-                (_, ended), before_it = ends.pop(0)
-                self._end(ended, before_it)
-            level, stamp_ns = float(charge[row]), int(stamps[row])
+        for row, stamp_ns in enumerate(stamps.tolist()):
+            while ends and ends[0][0].end_ns < stamp_ns:
+                self._end(*ends.pop(0))
+            level = float(charge[row])
             if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:
                 added = self._reconcile(*self._awaits_charge, level)
-                corrections.append(_Correction(place, added))
+                corrections.append(_Correction(stamp_ns, added))
                 self._awaits_charge = None
             seconds = None if silent[row] else before.unmeasured_s + float(unmeasured_s[row])
-            if row + 1 < len(order) and not self.gauge.is_new(level, seconds):
+            if row + 1 < len(stamps) and not self.gauge.is_new(level, seconds):
                 continue
             net = before.net.value + float(consumed[row]) + self._correction.energy
             variance = max(float(variances[row]) - self._correction.variance, 0.0)
             sigma = math.sqrt(before.variance + variance)
             self.gauge.update(stamp_ns, level, Uncertain(net, sigma), seconds)
-        for (_, ended), before_it in ends:
-            self._end(ended, before_it)
+        for ended, charge_before in ends:
+            self._end(ended, charge_before)
         self._charge_before = float(heard[-1])
         return corrections
 
@@ -501,15 +493,13 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     @property
     def state(self) -> EnergyState:
-        """The meter's, with what reconciling added."""
-        self._count()
+        """The meter's, with what reconciling added, of all that is counted."""
         course = self.meter.course
-        return next(self._corrected(course.states(course.end), NOTHING, ()).rows())
+        return next(self._corrected(course.states(course.end), NO_STAMPS, ()).rows())
 
     @property
     def measuring(self) -> bool:
         """True if the battery was measured within its timeout."""
-        self._count()
         return self.meter.measuring
 
     def since_reset(self) -> EnergyTotals:
@@ -528,7 +518,6 @@ class EnergyAccount(Saveable[SavedAccount]):
     @property
     def odometer(self) -> float:
         """Distance since the first start, m."""
-        self._count()
         return self._before_reset.distance + self.trip.total.distance
 
     def follow(self, plan: Plan, forecast: Forecast) -> None:
@@ -536,7 +525,6 @@ class EnergyAccount(Saveable[SavedAccount]):
 
         A plan shorter than `SHORTEST` is the horizon of a controller and changes nothing.
         """
-        self._count()
         if plan.distance[-1] - plan.distance[0] >= SHORTEST:
             self.route = Route.from_here(plan, forecast, self.odometer, self._newest_ns)
 
@@ -546,33 +534,19 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def charge(self) -> Uncertain:
         """State of charge now, 0..1, its value NaN while unknown."""
-        self._count()
+        charge = self._waiting.sorted(_Kind.BATTERY).values[2]
+        told = charge[(charge >= 0.0) & (charge <= 1.0)]
+        if len(told):
+            return Uncertain(float(told[-1]), self.gauge.rounding)
         return self.gauge.charge(self._newest_ns, self.lifetime().net)
 
     def tick(self) -> AccountSummary | None:
         """The summary, when the last is a second of stamps old."""
-        self._count()
-        if self._newest_ns - self._summary_ns < SUMMARY_NS:
-            return None
-        self._summary_ns = self._newest_ns
-        return self.show()
-
-    def summaries(self, measured: PowerColumns, predicted: PowerColumns) -> list[int]:
-        """Places of a block at whose predictions a summary is due; the columns of `add_block`."""
-        orders = np.concatenate((measured[0], predicted[0]))
-        sequence = np.argsort(orders, kind="stable")
-        stamps = np.concatenate((measured[1], predicted[1]))[sequence]
-        newest = np.maximum.accumulate(np.append(self._newest_ns, stamps))[1:]
-        shows = (sequence >= len(measured[0])) & np.append(np.diff(orders[sequence]) > 0, True)
-        newest, places = newest[shows], orders[sequence][shows]
-        due, last_ns, index = [], self._summary_ns, 0
-        while (index := int(np.searchsorted(newest, last_ns + SUMMARY_NS))) < len(newest):
-            due.append(int(places[index]))
-            last_ns = int(newest[index])
-        return due
+        return self.show() if self._newest_ns - self._summary_ns >= SUMMARY_NS else None
 
     def show(self) -> AccountSummary:
         """The account now, to be published: no later lifetime draws or regenerates less."""
+        self._summary_ns = self._newest_ns
         summary = self.summary()
         self._shown = summary.lifetime
         return summary
@@ -580,7 +554,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def summary(self) -> AccountSummary:
         """The account now, for a look at it."""
         since_reset, lifetime = self.since_reset(), self.lifetime().not_below(self._shown)
-        charge = self.gauge.charge(self._newest_ns, lifetime.net)
+        charge = self.charge()
         usable = self.gauge.usable(charge)
         consumption = self._consumption(since_reset, lifetime)
         return AccountSummary(
@@ -626,8 +600,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return None if over else route
 
     def saved(self) -> SavedAccount:
-        """State to save."""
-        self._count()
+        """State to save: of what is counted."""
         return SavedAccount(
             version=STATE_VERSION,
             vehicle=self._vehicle,

@@ -5,8 +5,8 @@ speed alone, and bridge it. When speed drops out as well, or the process was awa
 nothing is known of what was taken: no line is drawn across that time, but it is counted, and what
 may have been taken is in sigma (`energy.hole`).
 
-Power comes in blocks, of predictions and of measurements, each with its position in the order of
-arrival; how they are cut changes nothing.
+Power comes in blocks, of predictions and of measurements, in order of stamps; how they are cut
+changes nothing.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 
 BATCH = 4000  # steps that the network takes at once
 LAST_NS = np.iinfo(np.int64).max
-LATEST_NS = 15 * NANOSECONDS  # by which a word of the battery may be late, and still say when
 
 
 class Integrator(str, Enum):
@@ -113,7 +112,7 @@ NO_STATES = EnergyState(NO_ROWS, *(Flow(NO_ROWS, NO_ROWS, NO_ROWS),) * 4, *(NO_R
 
 
 class Counts(NamedTuple):
-    """How many predictions and measurements of a block had arrived, shape (k,) each."""
+    """How many predictions and measurements of a block are counted, shape (k,) each."""
 
     predicted: np.ndarray
     measured: np.ndarray
@@ -148,14 +147,13 @@ class SavedMeter:
             raise ValueError(f"rknn is more than {MAX_POWER:g} W all the time")
 
 
-NO_POWERS = np.empty(0, np.int64), np.empty(0, np.int64), *np.empty((4, 0))
+NO_POWERS = np.empty(0, np.int64), *np.empty((4, 0))
 
 
 class PowerBlock(NamedTuple):
-    """Powers in order of arrival, shape (n,) each.
+    """Powers in order of stamps, shape (n,) each.
 
     Attributes:
-        order: position among all that arrives, not falling.
         stamp_ns: their moments.
         power: W.
         sigma: its 1-sigma, W.
@@ -164,7 +162,6 @@ class PowerBlock(NamedTuple):
         energy: that energy, J; NaN where it is the integral of `power`.
     """
 
-    order: np.ndarray
     stamp_ns: np.ndarray
     power: np.ndarray
     sigma: np.ndarray
@@ -177,7 +174,7 @@ NOTHING = PowerBlock(*NO_POWERS)
 
 @dataclass(frozen=True, slots=True)
 class MeterCourse:
-    """What a meter had counted along a block, by how much of it had arrived.
+    """What a meter had counted along a block.
 
     Rows of predictions are after 0 to n of them, rows of measurements after 0 to m.
 
@@ -196,11 +193,12 @@ class MeterCourse:
         since_ns: the last word of the battery, 0 before any, shape (m + 1,).
         first_ns: stamp of the first prediction, which stands in for that, shape (n + 1,).
         heard: whether the battery has spoken, shape (m + 1,).
-        anchors: `parts` and variance at that stamp, as known then, shape (m + 1, 5).
-        late_ns: stamps of the latest predictions, for a battery whose word comes late.
-        late: `parts` and variance at them, shape (k, 5).
-        dropouts: all that ended (columns of `Dropouts`), shape (m + 1, 7).
-        ended: the dropouts that ended in this block, with their places in the order of arrival.
+        anchors: `parts` and variance at that stamp, shape (m + 1, 5).
+        predicted_ns: stamp of the last prediction that is used, shape (1,).
+        anchor_rows: `parts` and variance at it, shape (1, 5).
+        dropouts: all that ended (`Bridge`, variances of energy and of what lasts, and their
+            seconds), shape (m + 1, 7).
+        ended: the dropouts that ended in this block.
         dropped: samples dropped before the block.
     """
 
@@ -219,29 +217,28 @@ class MeterCourse:
     first_ns: np.ndarray
     heard: np.ndarray
     anchors: np.ndarray
-    late_ns: np.ndarray
-    late: np.ndarray
+    predicted_ns: np.ndarray
+    anchor_rows: np.ndarray
     dropouts: np.ndarray
-    ended: tuple[tuple[int, Dropout], ...]
+    ended: tuple[Dropout, ...]
     dropped: int
 
     @property
     def end(self) -> Counts:
         """All of the block."""
-        return Counts(
-            *(np.array([len(arrived.order)]) for arrived in (self.predicted, self.measured))
-        )
+        powers = self.predicted, self.measured
+        return Counts(*(np.array([len(block.stamp_ns)]) for block in powers))
 
-    def before(self, order: np.ndarray) -> Counts:
-        """How much had arrived before others in the order of arrival, shape (k,)."""
-        blocks = self.predicted, self.measured
-        return Counts(*(arrived.order.searchsorted(order, side="left") for arrived in blocks))
+    def before(self, stamps: np.ndarray) -> Counts:
+        """What is counted before stamps, ns, shape (k,)."""
+        powers = self.predicted, self.measured
+        return Counts(*(block.stamp_ns.searchsorted(stamps) for block in powers))
 
     def at_predictions(self) -> Counts:
-        """How much had arrived with each prediction."""
-        order = self.predicted.order
-        heard = self.measured.order.searchsorted(order, side="right")
-        return Counts(np.arange(1, len(order) + 1), heard)
+        """What is counted up to each prediction."""
+        stamps = self.predicted.stamp_ns
+        heard = self.measured.stamp_ns.searchsorted(stamps, side="right")
+        return Counts(np.arange(1, len(stamps) + 1), heard)
 
     def newest(self, at: Counts) -> np.ndarray:
         """The newest stamp, ns, shape (k,)."""
@@ -331,7 +328,7 @@ class MeterCourse:
         return integral.drawn[used] - regenerated, regenerated
 
     def states(self, at: Counts) -> EnergyState:
-        """States at places of the block."""
+        """States once so much is counted."""
         now, silent = self.until_now(at)
         measured, regenerated = self._measured(at)
         predicted_power, measured_power = (
@@ -418,7 +415,7 @@ class EnergyMeter(Saveable[SavedMeter]):
         self.course = MeterCourse(
             NOTHING,
             NOTHING,
-            (self._predicted.extend(*NO_POWERS[1:3]), self._measured.extend(*NO_POWERS[1:3])),
+            (self._predicted.extend(*NO_POWERS[:2]), self._measured.extend(*NO_POWERS[:2])),
             parts=np.array([parts]),
             plain=np.array([plain]),
             rknn=np.array([[saved.rknn, math.nan]]),
@@ -431,15 +428,15 @@ class EnergyMeter(Saveable[SavedMeter]):
             first_ns=nothing,
             heard=np.zeros(1, dtype=bool),
             anchors=np.array([[*parts, variance]]),
-            late_ns=nothing,
-            late=np.array([[*parts, variance]]),
+            predicted_ns=nothing,
+            anchor_rows=np.array([[*parts, variance]]),
             dropouts=np.array([[*dropouts, saved.unmeasured_s]]),
             ended=(),
             dropped=self._predicted.dropped + self._measured.dropped,
         )
 
     def add(self, predicted: PowerBlock, measured: PowerBlock) -> MeterCourse:
-        """Take what arrived since the last block."""
+        """Take the powers that follow."""
         last = _joined_to_before(self.course, predicted, measured)
         dropped = self._predicted.dropped + self._measured.dropped
         ours = self._predicted.extend(predicted.stamp_ns, predicted.power)
@@ -453,16 +450,13 @@ class EnergyMeter(Saveable[SavedMeter]):
             _variances(self._errors[0], ours, predicted.sigma),
             _variances(self._errors[1], theirs, measured.sigma, sampled),
         )
-        # Places of the measurements that are used, and how many predictions came before each.
+        # Places of the measurements that are used, and how many predictions come before each.
         places = theirs.places
-        passed = predicted.order.searchsorted(measured.order[places], side="left")
+        passed = predicted.stamp_ns.searchsorted(measured.stamp_ns[places])
         rows = np.concatenate((parts, variances[0][:, None]), axis=1)
-        late_ns = np.concatenate((last.late_ns, ours.stamps))
-        late = np.concatenate((last.late, rows[ours.places + 1]))
-        arrived = len(last.late_ns) + ours.used[passed]
-        anchors = _at(theirs.stamps, late_ns, late, arrived)
-        anchors = np.concatenate((last.anchors[-1:], anchors))
-        kept = late_ns.searchsorted(late_ns[-1] - LATEST_NS)
+        predicted_ns = np.append(last.predicted_ns, ours.stamps)
+        series = np.concatenate((last.anchor_rows, rows[ours.places + 1]))
+        anchors = np.concatenate((last.anchors[-1:], _at(theirs.stamps, predicted_ns, series)))
         since_ns = np.concatenate((last.since_ns[-1:], theirs.stamps))
         told = np.stack((predicted.energy, predicted.energy_sigma), axis=-1)
         first_ns = last.first_ns[-1] or int(predicted.stamp_ns[:1].sum())
@@ -485,12 +479,12 @@ class EnergyMeter(Saveable[SavedMeter]):
             ),
             told=np.concatenate((last.told[-1:], told)),
             since_ns=since_ns[theirs.used],
-            first_ns=np.repeat((last.first_ns[-1], first_ns), (1, len(predicted.order))),
+            first_ns=np.repeat((last.first_ns[-1], first_ns), (1, len(predicted.stamp_ns))),
             heard=last.heard[-1] | (theirs.used > 0),
             anchors=anchors[theirs.used],
-            late_ns=late_ns[kept:],
-            late=late[kept:],
-            dropouts=np.repeat(last.dropouts[-1:], len(measured.order) + 1, axis=0),
+            predicted_ns=predicted_ns[-1:],
+            anchor_rows=series[-1:],
+            dropouts=np.repeat(last.dropouts[-1:], len(measured.stamp_ns) + 1, axis=0),
             ended=(),
             dropped=dropped,
         )
@@ -575,17 +569,14 @@ def _variances(
     return after
 
 
-def _at(
-    stamps: np.ndarray, series_ns: np.ndarray, series: np.ndarray, arrived: np.ndarray
-) -> np.ndarray:
-    """A series at stamps, each known as far as it had arrived then; its ends hold beyond them."""
-    after = np.minimum(np.searchsorted(series_ns, stamps, side="right"), arrived)
+def _at(stamps: np.ndarray, series_ns: np.ndarray, series: np.ndarray) -> np.ndarray:
+    """A series at stamps, linear between its rows; its ends hold beyond them."""
+    after = series_ns.searchsorted(stamps, side="right")
     rows: np.ndarray = series[np.maximum(after - 1, 0)]
-    late = np.flatnonzero((after > 0) & (after < arrived))
-    if len(late):
-        begin_ns = series_ns[after[late] - 1]
-        share = (stamps[late] - begin_ns) / (series_ns[after[late]] - begin_ns)
-        rows[late] += share[:, None] * (series[after[late]] - rows[late])
+    inside = np.flatnonzero((after > 0) & (after < len(series_ns)))
+    begin_ns = series_ns[after[inside] - 1]
+    share = (stamps[inside] - begin_ns) / (series_ns[after[inside]] - begin_ns)
+    rows[inside] += share[:, None] * (series[after[inside]] - rows[inside])
     return rows
 
 
@@ -602,15 +593,12 @@ def _with_ended(course: MeterCourse, at: Counts, stamps: np.ndarray) -> MeterCou
     limits = [measured.longest(count) for count in measured.used[at.measured + 1].tolist()]
     long = seconds > np.maximum(MAX_GAP, limits)
     ended = tuple(
-        (
-            int(course.measured.order[at.measured[index]]),
-            Dropout(
-                int(stamps[index]),
-                float(seconds[index]),
-                Bridge(*bridges[index].tolist()),
-                float(short[index]),
-                float(sigma[index]),
-            ),
+        Dropout(
+            int(stamps[index]),
+            float(seconds[index]),
+            Bridge(*bridges[index].tolist()),
+            float(short[index]),
+            float(sigma[index]),
         )
         for index in np.flatnonzero(long).tolist()
     )

@@ -32,7 +32,7 @@ from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.vehicle.physics import GRAVITY
 
 UNEXPLAINED, REGAINED = "unexplained", "regained"
-OWN = [State.ROLLING_DRIVE, State.LOAD_DRIVE, State.DOUBTED, State.WANDERED, State.LOAD_ENERGY]
+OWN = [State.ROLLING_DRIVE, State.LOAD_DRIVE, State.WANDERED, State.LOAD_ENERGY]
 OWN += [State.CLIMBED, State.CLIMB]  # states that are of a drive alone
 # A measured height strays: wind and doors move a barometer by half a metre, for a minute. Of a
 # whole drive it counts at both ends.

@@ -90,6 +90,10 @@ class BandCalibration(Saveable[SavedBand]):
         """Share of the recent samples inside the 90 % band, NaN before the first."""
         return sum(self._inside) / len(self._inside) if self._inside else math.nan
 
+    def scale(self, *, moving: bool) -> float:
+        """Calibrated 1-sigma over that of the model, now."""
+        return self._ratio[moving] / GAUSSIAN_QUANTILE
+
     def calibrated(
         self, moving: np.ndarray, sigma: np.ndarray, learned: Sequence[Checked]
     ) -> np.ndarray:

@@ -12,12 +12,11 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
 import math
-from operator import itemgetter
+from operator import itemgetter, mul
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -32,16 +31,17 @@ from evpinn_ros.core.estimation.calibration import (
     Waiting,
 )
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.estimate import ParameterSet, PowerKind, Trust
+from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate, PowerKind, Trust
 from evpinn_ros.core.estimation.evidence import Evidence
-from evpinn_ros.core.estimation.lag import Aligned, AlignedBy, Alignment, Lag
+from evpinn_ros.core.estimation.lag import Aligner, Alignment, Lag
 from evpinn_ros.core.estimation.learner import (
     STATE_VERSION,
     Learner,
     LearnerReport,
-    Moments,
-    Step,
+    Predictions,
+    Span,
     admitted,
+    joined_predictions,
 )
 from evpinn_ros.core.estimation.operating_range import OperatingRange
 from evpinn_ros.core.estimation.outputs import (
@@ -58,24 +58,29 @@ from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.block import Block, joined
 from evpinn_ros.core.signals.detector import BATTERY_STUCK
 from evpinn_ros.core.signals.interval import Interval
+from evpinn_ros.core.signals.kinematics import MAX_ACCELERATION
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
+    MotorReading,
     Reading,
     SpeedReading,
+    drawn_power,
     sensor_sigma,
 )
+from evpinn_ros.core.signals.reorder import Arrived, ReorderBuffer
 from evpinn_ros.core.signals.sample import Events, Measured, Samples
+from evpinn_ros.core.signals.newest import NO_SPEEDS, NewestSpeeds, NewestTrack
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.stuck import StuckCourse, StuckDetector
-from evpinn_ros.core.signals.track import NEVER
+from evpinn_ros.core.signals.track import LATER, NEVER
 from evpinn_ros.core.vehicle.files import CONSTANTS, GENERIC, Vehicle
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED, RegenForm
 
+EMPTY = Block(0, {})
 UPDATE_PERIOD_NS = NANOSECONDS  # one windowed update per second
 BATTERY_TIMEOUT_NS = 3 * NANOSECONDS  # dropout after which power is only predicted
 STALE_AFTER_NS = 300 * NANOSECONDS  # dropout after which parameters count as stale
-READINGS_KEPT = 40_000  # at most, of a drive whose lag is not known yet
 
 
 class Mode(str, Enum):
@@ -193,36 +198,23 @@ class SavedEstimator:
 
 
 class _Clock(NamedTuple):
-    """Stamps of the newest speed and battery reading, and the gap that is a dropout, ns.
+    """A moment of stamps.
 
-    The battery is by the clock of speed, which `by` aligned it to.
+    Attributes:
+        newest_ns: of the newest speed, None before the first.
+        battery_ns: of the newest battery reading by the clock of speed, `NEVER` before the first.
+        battery_gap_ns: without the battery, that is a dropout.
+        alignment: what is known of the lag.
     """
 
     newest_ns: int | None
-    aligned_battery_ns: int | None
+    battery_ns: int
     battery_gap_ns: int
-    by: AlignedBy
+    alignment: Alignment
 
     def silent_for(self, duration_ns: int) -> bool:
-        """True if the battery has dropped out for this long, by its own stamps."""
-        if self.newest_ns is None or self.aligned_battery_ns is None:
-            return True
-        return self.newest_ns - (self.aligned_battery_ns - self.by.shift_ns) > duration_ns
-
-
-class _Tick(NamedTuple):
-    """A second of stamps that is over: the place of the speed that ended it, and the clock."""
-
-    place: int
-    clock: _Clock
-
-
-class _Learned(NamedTuple):
-    """What is learned of a drive's readings."""
-
-    learner: Learner
-    bands: dict[PowerKind, BandCalibration]
-    seen: OperatingRange
+        """True if the battery has dropped out for this long."""
+        return self.newest_ns is None or self.newest_ns - self.battery_ns > duration_ns
 
 
 class OnlineEstimator(Saveable[SavedEstimator]):
@@ -243,12 +235,10 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Forget all that was learned; counters are kept."""
         sizes = self._file.key == GENERIC and self._settings.mode is Mode.HYBRID
         self._sizing = Sizing() if sizes else None
+        self._buffer = ReorderBuffer(self._settings.stream.allowed_lateness)
+        self._newest = NewestTrack(self._settings.stream.max_gap, self._file.motor_ratio)
+        self._tells_breakdown = False
         self._restart_as(self._file)
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Stamp of the newest speed, None before the first."""
-        return self._stream.newest_ns
 
     @property
     def vehicle(self) -> Vehicle:
@@ -260,25 +250,46 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._worker.cancel()
         self._vehicle, self._similarity = vehicle, Similarity(vehicle)
         self._learner = self._settings.new_learner(self._similarity.car)
-        self._stream = SampleStream(
-            self._settings.stream, self._vehicle.air_density, self._vehicle.motor_ratio
-        )
+        settings, motor_ratio = self._settings.stream, vehicle.motor_ratio
+        self._stream = SampleStream(settings, vehicle.air_density, motor_ratio)
         self._bands = {k: BandCalibration() for k in (PowerKind.PREDICTED, PowerKind.SMOOTHED)}
         self._seen = OperatingRange()
-        self._alignment = Alignment()
+        self._aligner = Aligner()
         self._begin_time()
+
+    def _begin_time(self) -> None:
+        """Join nothing to the readings before."""
+        self._stuck = StuckDetector()
+        self._tick_ns: int | None = None  # of the last second of stamps
+        self._first_ns: int | None = None  # of the first speed
+        self._voltage, self._voltage_ns = math.nan, NEVER  # the last told
+        # Stamps at which the battery measured power, from the last before the smoothed samples.
+        self._told_ns = np.array([NEVER])
+        self._waiting = False
+        self._news = False  # whether there is anything that no update has seen
+        self._predictions = dict.fromkeys(self._bands, NO_PREDICTIONS)
+        self._predicted: list[tuple[int, float, float, bool]] = []  # at once, and not held yet
+        self._surroundings: tuple[list[float], Samples] | None = None  # as known now
 
     def handle_time_jump(self) -> None:
         """Forget what may not be joined across a jump of time; keep what was learned."""
+        self.flush()
         self._worker.cancel()
+        self._buffer.reset()
+        self._newest = NewestTrack(self._settings.stream.max_gap, self._vehicle.motor_ratio)
         self._stream.reset()
         self._learner.forget_window()
-        self._alignment.begin_stretch()
+        self._aligner.begin_stretch()
         self._sizing = None  # the rest of the drive was learned as the vehicle that it is now
         self._begin_time()
 
+    def flush(self) -> Outputs:
+        """Take the readings that wait for others: no more will come, or only after a pause."""
+        return self._advance(self._buffer.flush(), NO_SPEEDS)
+
     def finish(self) -> ParameterSet:
         """Learn what waits for more of a drive that is over; gives the parameters then."""
+        self.flush()
         self._find_size()
         for interval in self._stream.finish():
             self._add_interval(interval, self._stuck)
@@ -289,31 +300,20 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Begin another drive of this car; the same holds for the stamps."""
         self.finish()
         self.handle_time_jump()
-        self._alignment = self._alignment.next_drive()
+        self._aligner = Aligner(self._aligner.saved)
         self._learner.end_drive()
 
     def clear_counters(self) -> None:
         """Count anew, for the next drive."""
         self._updates = self._accepted = 0
-        self._rejected.clear()
-        self._stream.dropped.clear()
+        for counter in (self._rejected, self._stream.dropped, self._buffer.dropped):
+            counter.clear()
         self._learner.gated.clear()
         self._worker.durations.clear()
 
-    def _begin_time(self) -> None:
-        self._stuck = StuckDetector()
-        self._tick_ns: int | None = None
-        self._waiting = False
-        self._news = False  # whether there is anything that no update has seen
-        self._predictions = dict.fromkeys(self._bands, NO_PREDICTIONS)
-        # Readings of a drive whose lag is not known yet, and what was known before them.
-        self._recent: list[Block] | None = []
-        self._remembered = 0
-        self._before: _Learned | None = None
-
     def add_readings(self, readings: Iterable[Reading]) -> list[Output]:
         """Take readings in the order they came; give what they lead to, in order."""
-        return [output for _, output in self.add_block(Block.of(readings)).by_place()]
+        return [output for _, output in self.add_block(Block.of(readings)).in_order()]
 
     def add_block(self, block: Block, *, breakdowns: bool = False) -> Outputs:
         """Take readings in the order they came; how they are cut into blocks changes no output.
@@ -323,18 +323,98 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             breakdowns: whether the breakdown is asked for once a second.
         """
         self._tells_breakdown = breakdowns
-        parts: list[tuple[int, Outputs]] = []
-        first = 0
-        while first < block.length:
-            rest = block.part(first, block.length)
-            count = rest.length if self._sizing is None else self._sizing.until_due(rest)
-            parts += (
-                (first + begin, outputs) for begin, outputs in self._add(rest.part(0, count))
-            )
-            if count < rest.length:
-                self._find_size()
-            first += count
-        return joined_outputs(parts)
+        released, arrived = self._buffer.add(self._aligner.shifted(block))
+        outputs = self._advance(released, self._newest.add(arrived))
+        told = arrived.get(BatteryReading)
+        return outputs if told is None else outputs._replace(measured=self._told(told))
+
+    def add_reading(
+        self, reading: Reading, *, breakdowns: bool = False
+    ) -> tuple[PowerEstimate | None, Outputs | None]:
+        """Take one reading as it comes; the outputs are those of `add_block`, but for the order.
+
+        Returns:
+            Power that is measured or predicted at once, and what the reading completes, once
+            some tenths of a second.
+        """
+        self._tells_breakdown = breakdowns
+        if isinstance(reading, BatteryReading):
+            reading = replace(reading, stamp_ns=reading.stamp_ns + self._aligner.shift_ns)
+        known_ns = self._buffer.watermark_ns  # before it
+        used, released = self._buffer.add_reading(reading)
+        now: PowerEstimate | None = None
+        if used and isinstance(reading, SpeedReading):
+            now = self._predicted_at_once(reading, known_ns)
+        elif used and isinstance(reading, BatteryReading):
+            now = self._measured_at_once(reading)
+        elif used and isinstance(reading, MotorReading):
+            self._newest.add_motor(reading)
+        if released is None:
+            return now, None
+        return now, self._advance(released, NO_SPEEDS)
+
+    def _predicted_at_once(self, reading: SpeedReading, known_ns: int) -> PowerEstimate | None:
+        """Power at a speed, by scalars and one row of the equation."""
+        stamp_ns, speed = reading.stamp_ns, reading.speed
+        moved = self._newest.add_speed(stamp_ns, speed)
+        if moved is None:
+            row = np.array([0]), np.array([stamp_ns]), np.array([[speed]]), np.array([known_ns])
+            rows = self._advance(EMPTY, self._newest.add({SpeedReading: Arrived(*row)})).predicted
+            columns = [column.tolist() for column in rows[1:]]
+            powers = [PowerEstimate(PowerKind.PREDICTED, *row) for row in zip(*columns)]
+            return powers[0] if powers else None
+        if self._surroundings is None:
+            weights, around = self._stream.around(known_ns)
+            self._surroundings = weights.tolist(), around
+        weights, around = self._surroundings
+        acceleration = sum(map(mul, moved.differences, weights))
+        if abs(acceleration) > MAX_ACCELERATION:
+            return None
+        beyond = [slope - acceleration if slope == slope else 0.0 for slope in moved.slopes]
+        sample = around._replace(
+            stamp_ns=np.array([stamp_ns]),
+            speed=np.array([speed]),
+            acceleration=np.array([acceleration]),
+            profile=np.array([beyond]),
+            motor_power=np.array([moved.motor_power]),
+        )
+        (power,), (sigma,) = (column.tolist() for column in self._learner.predict(sample))
+        moving, size = abs(speed) > STANDSTILL_SPEED, self._similarity.size
+        self._predicted.append((stamp_ns, power, sigma, moving))
+        sigma *= self._bands[PowerKind.PREDICTED].scale(moving=moving)
+        return PowerEstimate(PowerKind.PREDICTED, stamp_ns, size * power, size * sigma)
+
+    def _measured_at_once(self, reading: BatteryReading) -> PowerEstimate | None:
+        """Power that a battery reading measures; of a current alone, with the last voltage."""
+        if reading.voltage == reading.voltage:
+            self._voltage, self._voltage_ns = reading.voltage, reading.stamp_ns
+        power = drawn_power(self._voltage, reading.current)
+        old = reading.stamp_ns - self._voltage_ns > self._stream.battery.voltage.gap_ns()
+        if old or power != power or self._stuck.detected == BATTERY_STUCK:
+            return None
+        stamp_ns = reading.stamp_ns - self._aligner.shift_ns
+        sigma = float(sensor_sigma(power, reading.power_std))
+        return PowerEstimate(PowerKind.MEASURED, stamp_ns, power, sigma)
+
+    def _advance(self, block: Block, newest: NewestSpeeds) -> Outputs:
+        """Take readings in order of stamps, and speeds to be predicted at once."""
+        self._courses: list[StuckCourse] = []
+        self._surroundings = None
+        if self._predicted:
+            columns = (np.array(column) for column in zip(*self._predicted, strict=True))
+            kind = PowerKind.PREDICTED
+            self._predictions[kind] = self._predictions[kind].and_then(Waiting(*columns))
+            self._predicted.clear()
+        parts = []
+        while True:
+            due_ns = LATER if self._sizing is None else self._sizing.due_ns(block)
+            part, block = block.until(due_ns)
+            known, newest = newest.until(due_ns)
+            if part.length or len(known.stamps):
+                parts.append(self._add(part, known))
+            if due_ns == LATER:
+                return joined_outputs(parts)
+            self._find_size()
 
     def _find_size(self) -> None:
         """Learn this drive anew once its vehicle is seen to be of another size than the file's."""
@@ -348,57 +428,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             self._updates = self._accepted = 0
             self._rejected.clear()
             with self._updates_at_once():
-                self._add(readings)
-
-    def _add(self, block: Block) -> list[tuple[int, Outputs]]:
-        """Take readings of a vehicle whose size is not looked for among them.
-
-        Gives the outputs of its parts with their first places.
-        """
-        if self._sizing is not None and self.enabled:
-            self._sizing.blocks.append(block)
-        block = self._similarity.block(block)
-        parts, first = [], 0
-        while first < block.length:
-            rest = block.part(first, block.length)
-            if self._settings.mode is Mode.PAPER:
-                aligned = self._alignment.aligned(rest)
-            else:
-                aligned = self._alignment.add_part(rest)
-                self._remember(rest.part(0, aligned.block.length), again=aligned.jumps)
-            parts.append((first, self._add_aligned(aligned)))
-            first += aligned.block.length
-            if aligned.jumps:
-                self._learn_anew()
-        return parts
-
-    def _remember(self, block: Block, *, again: bool) -> None:
-        """Keep readings of a drive whose lag is not known yet; it will be learned `again`."""
-        if self._recent is None:
-            return
-        settled = self._alignment.settled and not again
-        self._remembered += block.length
-        if settled or self._remembered > READINGS_KEPT:
-            self._recent = self._before = None
-            return
-        if not self._recent:
-            self._before = deepcopy(_Learned(self._learner, self._bands, self._seen))
-        self._recent.append(block)
-
-    def _learn_anew(self) -> None:
-        """Learn the drive so far by the lag that is known now; its outputs were given before."""
-        recent, before = self._recent or [], self._before
-        if before is None:
-            return
-        self._worker.cancel()
-        dropped, self._stream.dropped = self._stream.dropped, Counter()
-        self._stream.reset()
-        self._learner, self._bands, self._seen = before
-        self._begin_time()
-        self._recent = None
-        with self._updates_at_once():
-            self._add_aligned(self._alignment.aligned(joined(recent)))
-        self._stream.dropped = dropped
+                self._add(readings, NO_SPEEDS)
 
     @contextmanager
     def _updates_at_once(self) -> Iterator[None]:
@@ -411,101 +441,124 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         finally:
             self._worker = worker
 
-    def _add_aligned(self, aligned: Aligned) -> Outputs:
-        """Take readings of the similar car by one clock."""
-        before = self._clock
-        events = self._stream.add_block(aligned.block)
-        if not (len(events.moments[0]) or len(events.battery[0])):
-            return Outputs()  # nothing moved, and nothing was measured
-        stuck = self._followed_stuck(aligned.block, events.taken)
-        told = self._told(events, stuck)
-        measured = self._admitted(events.measured, stuck)
-        checkable = admitted(measured)
-        learned_from = measured if self.enabled else measured.where(slice(0))
-        if len(learned_from.order):
-            self._seen.add(learned_from.samples.where(checkable))
-        moments = Moments.of(events, learned_from, told[:2])
-        predictions = self._learner.begin(moments)
-        learned = self._learned(moments, events, stuck, self._ticks(events, aligned, before))
-        newest = self._calibrated(
-            PowerKind.PREDICTED, events.newest, events.newest_order, predictions.newest, measured,
-            checkable,
-        )  # fmt: skip
-        smoothed = self._calibrated(
-            PowerKind.SMOOTHED, events.smoothed, events.smoothed_order, predictions.smoothed,
-            measured, checkable,
-        )  # fmt: skip
-        if smoothed is not NO_POWERS:
-            energies = predictions.energies.T
-            smoothed = smoothed._replace(energy=energies[0], energy_sigma=energies[1])
-        if aligned.shifts.any():
-            told = told._replace(stamp_ns=told.stamp_ns - aligned.shift_ns(told.order))
-        size = self._similarity.size
-        return Outputs(told.times(size), newest.times(size), smoothed.times(size), learned)
-
-    def _followed_stuck(self, block: Block, taken: np.ndarray) -> StuckCourse:
-        """The detectors of stuck sensors along the readings that are used."""
-        speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
-        told = np.isfinite(battery.values[0] * battery.values[1])
-        course = self._stuck.course(
-            speeds.where(taken[speeds.order]), battery.where(told & taken[battery.order])
-        )
+    def _add(self, block: Block, newest: NewestSpeeds) -> Outputs:
+        """Take readings of a vehicle whose size is not looked for among them."""
+        if self._sizing is not None and self.enabled:
+            self._sizing.blocks.append(block)
+        block = self._similarity.block(block)
+        course = self._stuck.course(block)
         self._stuck = course.last
-        return course
+        self._courses.append(course)
+        alignments = [(NEVER, self._aligner.now)]
+        if self._settings.mode is not Mode.PAPER:
+            alignments += self._aligner.learn(block)
+        events = self._stream.add(block, newest)
+        told_ns = np.append(self._told_ns, self._stamps_told(block, course))
+        passed = told_ns.searchsorted(events.smoothed.stamp_ns[-1:], side="right")
+        self._told_ns = told_ns[max(0, *(passed - 1)) :] if len(passed) else told_ns
+        measured = self._admitted(events.measured, course)
+        learned_from = measured if self.enabled else measured.where(slice(0))
+        checkable = admitted(measured)
+        self._seen.add(measured.samples.where(checkable & self.enabled))
+        span = _span(events, learned_from, told_ns)
+        ticks = self._ticks(block.of_kind(SpeedReading).stamps, alignments)
+        predictions, learned = self._learn(span, events, learned_from, course, ticks)
+        newest_rows = self._calibrated(
+            PowerKind.PREDICTED, events.newest.samples, events.newest.samples.stamp_ns,
+            predictions.newest, measured, checkable,
+            events.newest.known_ns.searchsorted(measured.known_ns),
+        )  # fmt: skip
+        smoothed_rows = self._calibrated(
+            PowerKind.SMOOTHED, events.smoothed, events.smoothed_ns, predictions.smoothed,
+            measured, checkable, measured.place,
+        )  # fmt: skip
+        energies, sigmas = predictions.energies.T
+        smoothed_rows = smoothed_rows._replace(energy=energies, energy_sigma=sigmas)
+        size = self._similarity.size
+        return Outputs(NO_POWERS, newest_rows.times(size), smoothed_rows.times(size), learned)
 
-    def _told(self, events: Events, stuck: StuckCourse) -> PowerRows:
-        """Power that the battery readings measure, by the clock of speed."""
-        order, stamps, power, coarse = events.told
-        if not len(order):
-            return NO_POWERS
-        used = ~np.isnan(power)
-        if not stuck.is_quiet:
-            detected = [stuck.at(place).detected for place in order.tolist()]
-            used &= np.array([fault != BATTERY_STUCK for fault in detected], dtype=bool)
-        order, stamps, power, coarse = (c[used] for c in (order, stamps, power, coarse))
-        unknown = np.full(len(order), np.nan)
-        return PowerRows(order, stamps, power, sensor_sigma(power, coarse), unknown, unknown)
+    def _stamps_told(self, block: Block, course: StuckCourse) -> np.ndarray:
+        """Stamps of a block at which the battery measured power, ns."""
+        rows = block.of_kind(BatteryReading)
+        voltage, current = rows.values[:2]
+        told = ~np.isnan(current)
+        alone = told & np.isnan(voltage)
+        if alone.any():
+            told[alone] = ~np.isnan(self._stream.battery.voltage.last(rows.stamps[alone]))
+        if not course.is_quiet:
+            told &= [course.at(ns).detected != BATTERY_STUCK for ns in rows.stamps.tolist()]
+        return rows.stamps[told]
 
-    def _admitted(self, measured: Measured, stuck: StuckCourse) -> Measured:
+    def _told(self, battery: Arrived) -> PowerRows:
+        """Power that battery readings measure, at their own stamps, when they come.
+
+        Of a current alone, with the last voltage.
+        """
+        voltage, current, _, coarse = battery.values
+        stamps = battery.stamps
+        volts, volts_ns = np.append(self._voltage, voltage), np.append(self._voltage_ns, stamps)
+        last = np.maximum.accumulate(np.where(np.isnan(volts), 0, np.arange(len(volts))))
+        self._voltage, self._voltage_ns = float(volts[last[-1]]), int(volts_ns[last[-1]])
+        volts, age_ns = volts[last[1:]], stamps - volts_ns[last[1:]]
+        power = drawn_power(volts, current)
+        used = ~np.isnan(power) & (age_ns <= self._stream.battery.voltage.gap_ns())
+        if not all(course.is_quiet for course in self._courses):
+            used &= [self._is_sound(ns) for ns in battery.watermark_ns.tolist()]
+        stamps, power = stamps[used] - self._aligner.shift_ns, power[used]
+        return PowerRows.of(stamps, stamps, power, sensor_sigma(power, coarse[used]))
+
+    def _is_sound(self, watermark_ns: int) -> bool:
+        """Whether the battery was not known to be stuck once all up to a stamp was known."""
+        course = next((c for c in reversed(self._courses) if c.begins_before(watermark_ns)), None)
+        return course is None or course.at(watermark_ns).detected != BATTERY_STUCK
+
+    def _admitted(self, measured: Measured, course: StuckCourse) -> Measured:
         """The measured samples at which no sensor is stuck."""
-        if stuck.is_quiet:
+        if course.is_quiet:
             return measured
-        rows = zip(measured.order.tolist(), measured.samples.stamp_ns.tolist(), strict=True)
-        reasons = [stuck.at(place).why_not(stamp_ns, stamp_ns) for place, stamp_ns in rows]
+        rows = zip(measured.known_ns.tolist(), measured.samples.stamp_ns.tolist(), strict=True)
+        reasons = [course.at(known_ns).why_not(stamp_ns, stamp_ns) for known_ns, stamp_ns in rows]
         self._learner.gated.update(reason for reason in reasons if reason is not None)
         return measured.where(np.array([reason is None for reason in reasons], dtype=bool))
 
-    def _learned(
-        self, moments: Moments, events: Events, stuck: StuckCourse, ticks: Sequence[_Tick]
-    ) -> list[Learned]:
-        """Let all happen that a block brings, in order; gives what is known once a second."""
+    def _learn(
+        self,
+        span: Span,
+        events: Events,
+        measured: Measured,
+        course: StuckCourse,
+        ticks: Sequence[_Clock],
+    ) -> tuple[Predictions, list[Learned]]:
+        """Process the block's samples, intervals and ticks in order of stamps."""
         learned: list[Learned] = []
-        breaks: list[tuple[int, Interval | _Tick]] = [*events.intervals]
-        breaks = sorted([*breaks, *((tick.place, tick) for tick in ticks)], key=itemgetter(0))
-        followed = 0
-        for place, what in breaks:
-            until = bisect_right(moments.orders, place)
-            self._follow(moments, followed, until)
-            followed = until
+        predictions: list[Predictions] = []
+        breaks: list[tuple[int, Interval | _Clock]] = [*events.intervals]
+        breaks += ((clock.newest_ns or 0, clock) for clock in ticks)
+        begins = 0, 0, 0
+        for known_ns, what in sorted(breaks, key=itemgetter(0)):
+            ends = (
+                int(events.newest.known_ns.searchsorted(known_ns)),
+                int(events.smoothed_ns.searchsorted(known_ns, side="right")),
+                int(measured.known_ns.searchsorted(known_ns, side="right")),
+            )
+            predictions.append(self._follow(span.part(begins, ends)))
+            begins = ends
             if isinstance(what, Interval):
-                self._add_interval(what, stuck.at(place))
+                self._add_interval(what, course.at(known_ns))
             else:
-                learned.append(self._told_learned(place, self._tick(what.clock)))
-        self._follow(moments, followed, len(moments.orders))
-        return learned
+                learned.append(self._told_learned(known_ns, self._tick(what)))
+        predictions.append(self._follow(span.part(begins, span.sizes)))
+        return joined_predictions(predictions), learned
 
-    def _told_learned(self, place: int, parameters: ParameterSet) -> Learned:
+    def _told_learned(self, known_ns: int, parameters: ParameterSet) -> Learned:
         """What is known with parameters of the similar car."""
         breakdown = self._breakdown_beside(parameters) if self._tells_breakdown else None
         estimate = self._similarity.estimate(parameters)
-        return Learned(place, estimate, self.detections(), self.model(), breakdown)
+        return Learned(known_ns, estimate, self.detections(), self.model(), breakdown)
 
-    def _follow(self, moments: Moments, first: int, last: int) -> None:
-        if first == last:
-            return
-        self._learner.follow(first, last)
-        if self._learner.learns_samples:
-            self._news |= any(kind is Step.MEASURED for kind, _ in moments.steps[first:last])
+    def _follow(self, span: Span) -> Predictions:
+        self._news |= self._learner.learns_samples and span.measured.size > 0
+        return self._learner.follow(span)
 
     def _add_interval(self, interval: Interval, stuck: StuckDetector) -> None:
         """Let the learner have an interval, unless a sensor was stuck in it.
@@ -520,22 +573,24 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self,
         kind: PowerKind,
         samples: Samples,
-        order: np.ndarray,
+        known_ns: np.ndarray,
         predicted: np.ndarray,
         measured: Measured,
         checkable: np.ndarray,
+        place: np.ndarray,
     ) -> PowerRows:
         """Predictions with 1-sigma by how errors really spread, each by what was known before.
 
         Args:
             kind: of the predictions.
             samples: that are predicted.
-            order: places at which they are.
+            known_ns: stamps of the speeds that complete them, shape (n,).
             predicted: power, W, and the model's 1-sigma, W, shape (n, 2).
             measured: samples that are known meanwhile.
             checkable: which of them may be learned from, shape (k,).
+            place: how many predictions come before each of them is known, shape (k,).
         """
-        if not (len(predicted) or len(measured.order)):
+        if not (len(predicted) or len(measured.power)):
             return NO_POWERS
         power, sigma = predicted.T
         new = Waiting(samples.stamp_ns, power, sigma, np.abs(samples.speed) > STANDSTILL_SPEED)
@@ -543,18 +598,13 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         stamps = measured.samples.stamp_ns
         index = waiting.stamp_ns.searchsorted(stamps)
         checkable = checkable & (np.append(waiting.stamp_ns, NEVER)[index] == stamps)
-        if kind is PowerKind.PREDICTED:
-            place = order.searchsorted(measured.order, side="right")
-        else:
-            place = measured.place
         index, place = index[checkable], place[checkable]
         error = np.abs(measured.power[checkable] - waiting.power[index])
         columns = place, waiting.moving[index], error, waiting.sigma[index]
         checked = map(Checked, *(column.tolist() for column in columns))
         self._predictions[kind] = waiting.after(index)
         calibrated = self._bands[kind].calibrated(new.moving, sigma, list(checked))
-        unknown = np.full(len(power), np.nan)
-        return PowerRows(order, samples.stamp_ns, power, calibrated, unknown, unknown)
+        return PowerRows.of(known_ns, samples.stamp_ns, power, calibrated)
 
     def parameters(self) -> ParameterSet:
         """Present estimate of the parameters."""
@@ -562,8 +612,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def _parameters(self, clock: _Clock) -> ParameterSet:
         """Parameters of the similar car."""
-        parameters = replace(self._learner.parameters(), lag=clock.by.lag)
-        if clock.by.doubtful:
+        parameters = replace(self._learner.parameters(), lag=clock.alignment.lag)
+        if clock.alignment.doubtful:
             parameters = parameters.doubted()
         return parameters.stale() if clock.silent_for(STALE_AFTER_NS) else parameters
 
@@ -611,13 +661,13 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         parameters = self.parameters().parameters
         return EstimatorStatus(
             activity=self._activity(self._clock),
-            dropped=dict(self._stream.dropped),
+            dropped=dict(self._buffer.dropped + self._stream.dropped),
             gated=dict(self._learner.gated),
             updates=self._updates,
             accepted=self._accepted,
             rejected=dict(self._rejected),
             durations=tuple(self._worker.durations),
-            newest_ns=self._stream.newest_ns,
+            newest_ns=self._newest.newest_ns,
             unknown=self._stream.unknown,
             report=self.detections(),
             progress={name: p.progress for name, p in parameters.items()},
@@ -625,15 +675,15 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             seen=self._seen.counts(),
             band_coverage={kind.value: band.coverage for kind, band in self._bands.items()},
             stuck=self._stuck.detected,
-            lag=self._alignment.lag,
-            shift=self._alignment.shift_ns / NANOSECONDS,
+            lag=self._aligner.now.lag,
+            shift=self._aligner.shift_ns / NANOSECONDS,
         )
 
     def saved(self) -> SavedEstimator:
         """State to save."""
         bands = SavedBands(*(band.saved() for band in self._bands.values()))
         key, mode = self._vehicle.key, self._settings.mode.value
-        lag = self._alignment.saved
+        lag = self._aligner.saved
         size = None if self._vehicle is self._file else self._vehicle.relative_size
         return SavedEstimator(STATE_VERSION, key, mode, self._learner.saved(), bands, lag, size)
 
@@ -644,31 +694,35 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         learner.gated = self._learner.gated
         learner.restore(saved.learner)
         self.handle_time_jump()
-        self._learner, self._alignment = learner, Alignment(saved.lag)
+        self._learner, self._aligner = learner, Aligner(saved.lag)
         self._vehicle, self._similarity = vehicle, Similarity(vehicle)
         self._bands[PowerKind.PREDICTED].take(saved.bands.predicted)
         self._bands[PowerKind.SMOOTHED].take(saved.bands.smoothed)
 
-    def _ticks(self, events: Events, aligned: Aligned, before: _Clock) -> list[_Tick]:
-        """The seconds of stamps that end in a block, whose battery was that of a clock before."""
-        places, newest = events.moments
-        if not len(newest):
+    def _ticks(
+        self, stamps: np.ndarray, alignments: Sequence[tuple[int, Alignment]]
+    ) -> list[_Clock]:
+        """The first speed in each second of stamps, as a clock.
+
+        Args:
+            stamps: of the block's speeds, ns.
+            alignments: stamps from which on they hold.
+        """
+        if not len(stamps):
             return []
-        if self._tick_ns is None:
-            self._tick_ns = int(newest[0])
-        ticks = []
-        while newest[-1] - self._tick_ns >= UPDATE_PERIOD_NS:
-            index = int(np.searchsorted(newest, self._tick_ns + UPDATE_PERIOD_NS))
-            passed_ns = int(newest[index]) - self._tick_ns
-            self._tick_ns += passed_ns // UPDATE_PERIOD_NS * UPDATE_PERIOD_NS
-            place = int(places[index])
-            by = aligned.by(place)
-            battery_ns, gap_ns = before.aligned_battery_ns, before.battery_gap_ns
-            told = int(np.searchsorted(events.battery[0], place, side="right")) - 1
-            if told >= 0:
-                battery_ns, gap_ns = (int(column[told]) for column in events.battery[1:])
-            ticks.append(_Tick(place, _Clock(int(newest[index]), battery_ns, gap_ns, by)))
-        return ticks
+        if self._first_ns is None:
+            self._first_ns = self._tick_ns = int(stamps[0])
+        seconds = (stamps - self._first_ns) // UPDATE_PERIOD_NS
+        last = ((self._tick_ns or 0) - self._first_ns) // UPDATE_PERIOD_NS
+        firsts = stamps[np.flatnonzero(np.diff(seconds, prepend=last) > 0)]
+        self._tick_ns = int(stamps[-1])
+        since = [stamp_ns for stamp_ns, _ in alignments]
+        battery = self._stream.battery
+        columns = firsts, battery.newest_at(firsts), battery.gap_ns(firsts)
+        return [
+            _Clock(*row, alignments[bisect_right(since, row[0]) - 1][1])
+            for row in zip(*(column.tolist() for column in columns), strict=True)
+        ]
 
     def _tick(self, clock: _Clock) -> ParameterSet:
         """Accept the last update, begin the next, give the parameters."""
@@ -702,9 +756,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     @property
     def _clock(self) -> _Clock:
-        stream = self._stream
-        battery_ns, gap_ns = stream.battery_ns, stream.battery_gap_ns
-        return _Clock(stream.newest_ns, battery_ns, gap_ns, self._alignment.now)
+        battery, newest_ns = self._stream.battery, self._tick_ns
+        return _Clock(newest_ns, battery.newest_ns, int(battery.gap_ns()), self._aligner.now)
 
     def _activity(self, clock: _Clock) -> Activity:
         if clock.newest_ns is None:
@@ -712,6 +765,28 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         if clock.silent_for(max(BATTERY_TIMEOUT_NS, clock.battery_gap_ns)):
             return Activity.PREDICTING
         return Activity.LEARNING if self.enabled else Activity.PAUSED
+
+
+def _span(events: Events, measured: Measured, told_ns: np.ndarray) -> Span:
+    """Events as what a learner follows.
+
+    Args:
+        events: of a block.
+        measured: those of its measured samples that are learned from.
+        told_ns: stamps at which the battery measured power, from the last before the block on.
+    """
+    newest = events.newest
+    stamps = events.smoothed.stamp_ns
+    return Span(
+        newest=newest.samples,
+        newest_place=events.smoothed_ns.searchsorted(newest.known_ns, side="right"),
+        newest_learned=measured.known_ns.searchsorted(newest.known_ns, side="right"),
+        smoothed=events.smoothed,
+        measured=measured.samples,
+        power=measured.power,
+        place=measured.place,
+        battery_ns=told_ns[np.maximum(told_ns.searchsorted(stamps, side="right") - 1, 0)],
+    )
 
 
 def evidence_of_state(vehicle: Vehicle, state: Mapping[str, Any]) -> Evidence:

@@ -9,7 +9,7 @@ parameter of the car is needed, and their scatter, by a jackknife, gives the 1-s
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import Annotated, NamedTuple
@@ -49,7 +49,6 @@ SIGMAS = 3.0  # that a lag is away from zero where it is applied
 LEAST_SHARE = 0.4
 LARGE = 0.5  # s, beyond which the lag is a fault to be mended, and parameters wait for it
 FURTHEST = -2.0, 5.0  # s: a battery that comes later than that is taken for a dropout
-SLEW = 0.005  # s of shift in a second of stamps: energies stay right to half a percent
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,40 +157,37 @@ class _Signal:
     """The latest readings of a signal: s since a moment, and values."""
 
     def __init__(self) -> None:
-        self.time: list[float] = []
-        self.values: list[float] = []
+        self.time, self.values = np.empty(0), np.empty(0)
 
     def extend(self, seconds: np.ndarray, values: np.ndarray) -> None:
         """Take readings but those that are NaN."""
         there = ~np.isnan(values)
-        self.time += seconds[there].tolist()
-        self.values += values[there].tolist()
+        self.time = np.concatenate((self.time, seconds[there]))
+        self.values = np.concatenate((self.values, values[there]))
 
-    def forget(self, before: float) -> None:
+    def forget_before(self, moment: float) -> None:
         """Forget all readings before a moment but the last."""
-        last = max(0, int(np.searchsorted(self.time, before)) - 1)
-        del self.time[:last], self.values[:last]
+        first = max(0, int(self.time.searchsorted(moment)) - 1)
+        self.time, self.values = self.time[first:], self.values[first:]
 
-    @property
-    def period(self) -> float:
-        """Usual step, s; NaN of few readings."""
-        few = len(self.time) < LEAST_READINGS
-        return math.nan if few else float(np.median(np.diff(np.unique(self.time))))
+    def period(self, end: float) -> float:
+        """Usual step of the readings up to a moment, s; NaN of few."""
+        time = self.time[: self.time.searchsorted(end, side="right")]
+        return math.nan if len(time) < LEAST_READINGS else float(np.median(np.diff(time)))
 
     def rows(self, begin: float, end: float) -> np.ndarray | None:
         """Rows of time and value around a span; None where there is a gap."""
-        time, order = np.unique(self.time, return_index=True)
-        first = np.searchsorted(time, begin, side="right") - 1
-        last = np.searchsorted(time, end) + 1
-        if first < 0 or last > len(time):
+        first = int(self.time.searchsorted(begin, side="right")) - 1
+        last = int(self.time.searchsorted(end)) + 1
+        if first < 0 or last > len(self.time):
             return None
-        if np.diff(time[first:last]).max() > max(GAP, GAP_STEPS * self.period):
+        if np.diff(self.time[first:last]).max() > max(GAP, GAP_STEPS * self.period(end)):
             return None
-        return np.column_stack((time, np.array(self.values)[order]))[first:last]
+        return np.column_stack((self.time, self.values))[first:last]
 
 
 class LagLearner:
-    """Lag of speed to battery, from readings of a drive in the order they come.
+    """Lag of speed to battery, from readings of a drive in order of stamps.
 
     Attributes:
         lag: as it is now, None before the first.
@@ -209,12 +205,6 @@ class LagLearner:
         self._speed, self._voltage, self._current = _Signal(), _Signal(), _Signal()
         self._zero_ns: int | None = None
         self._start = 0.0  # s, from which the next block needs speed
-        self._due = 0.0  # s, when it is complete
-
-    @property
-    def gap(self) -> float:
-        """Seconds without the battery that are a dropout."""
-        return max(GAP, GAP_STEPS * self._smooth)
 
     @property
     def known(self) -> bool:
@@ -223,55 +213,43 @@ class LagLearner:
             return False
         return self.lag.sigma <= max(KNOWN, KNOWN_SHARE * self._smooth)
 
-    def is_due(self, stamps: np.ndarray) -> np.ndarray:
-        """Whether speeds complete a block, or begin the first, by their stamps, ns."""
-        return np.asarray((self._zero_ns is None) | (self._seconds(stamps) >= self._due))
-
-    def extend(self, speeds: Rows, battery: Rows) -> None:
-        """Take readings of which no speed is due."""
+    def extend(self, speeds: Rows, battery: Rows) -> Iterator[int]:
+        """Take readings; yields the stamp of each speed that completes a block, once it is used."""
         if self._zero_ns is None:
-            return
-        seconds = self._seconds(battery.stamps)
-        driven = seconds < self._due + LONGEST  # else the car is parked
-        self._voltage.extend(seconds[driven], battery.values[0][driven])
-        self._current.extend(seconds[driven], battery.values[1][driven])
-        self._speed.extend(self._seconds(speeds.stamps), speeds.values[0])
+            if not len(speeds.stamps):
+                return
+            self._zero_ns = int(speeds.stamps[0])
+        for signals, rows in (((self._speed,), speeds), ((self._voltage, self._current), battery)):
+            seconds = (rows.stamps - self._zero_ns) / NANOSECONDS
+            for signal, values in zip(signals, rows.values, strict=False):
+                signal.extend(seconds, values)
+        while len(self._speed.time) and self._speed.time[-1] >= self._due:
+            due = float(self._speed.time[self._speed.time.searchsorted(self._due)])
+            if due > self._due + LONGEST:  # the car was parked
+                self._start = due
+            else:
+                self._end_block()
+                yield self._zero_ns + round(due * NANOSECONDS)
+            for signal in (self._speed, self._voltage, self._current):
+                signal.forget_before(self._start)
 
-    def add_due(self, stamp_ns: int, speed: float) -> None:
-        """Take a speed that is due."""
-        stamps, speeds = np.array([stamp_ns]), np.array([speed])
-        if self._zero_ns is not None and self._seconds(stamps)[0] > self._due + LONGEST:
-            self.begin_stretch()
-        if self._zero_ns is None:
-            self._zero_ns = stamp_ns
-            self._begin_block(0.0)
-        seconds = self._seconds(stamps)
-        self._speed.extend(seconds, speeds)
-        if seconds[0] >= self._due:
-            self._end_block()
-
-    def _seconds(self, stamps: np.ndarray) -> np.ndarray:
-        return np.asarray((stamps - (self._zero_ns or 0)) / NANOSECONDS)
-
-    def _begin_block(self, start: float) -> None:
-        self._start = start
+    @property
+    def _due(self) -> float:
+        """Moment from which on the next block is complete, s."""
         reach = MOST * self._step + self._smooth
-        self._due = start + BLOCK * self._step + 2.0 * reach + GAP
-        for signal in (self._speed, self._voltage, self._current):
-            signal.forget(start)
+        return self._start + BLOCK * self._step + 2.0 * reach + GAP
 
     def _end_block(self) -> None:
-        period = max(self._speed.period, self._current.period)
+        period = max(self._speed.period(self._due), self._current.period(self._due))
         smooth = max(SMOOTH, period)
         if math.isfinite(period) and not 0.5 < smooth / self._smooth < 2.0:
             # Signals of another rate, as those of a polled log are known to be now.
             self._smooth, self._step = smooth, max(STEP, round(period / STEPS_A_READING, 2))
             self.lag = None
             self._blocks.clear()
-            self._begin_block(self._start)
             return
         block = self._block() if math.isfinite(period) else None
-        self._begin_block(self._start + BLOCK * self._step)
+        self._start += BLOCK * self._step
         if block is not None:
             self._blocks.append(block)
             lag = lag_of(self._blocks, self._step)
@@ -293,55 +271,22 @@ class LagLearner:
         return lag_block(speed, power, start, self._step, smooth)
 
 
-class AlignedBy(NamedTuple):
-    """An alignment at one moment: its lag and shift, and whether a large lag is left."""
-
-    lag: Lag | None
-    shift_ns: int
-    doubtful: bool
-
-    @classmethod
-    def of(cls, lag: Lag | None, of_drive: Lag | None, shift_ns: int) -> AlignedBy:
-        """By the lag that is known, and the one that this drive shows or began with."""
-        left = None if of_drive is None else of_drive.less(shift_ns / NANOSECONDS)
-        return cls(lag, shift_ns, left is not None and left.large)
-
-
-class Aligned(NamedTuple):
-    """Readings by the clock of speed.
+class Alignment(NamedTuple):
+    """What is known of the lag.
 
     Attributes:
-        block: of them.
-        lag: as far as it is known.
-        of_drive: that this drive shows, or began with.
-        before_ns: shift before the first battery reading, ns.
-        shifts: of each battery reading, ns, shape (n,).
-        jumps: whether the shift jumps behind them.
+        lag: of this drive or of one before, None while unknown.
+        doubtful: whether it surely is large, and not taken out.
     """
 
-    block: Block
     lag: Lag | None
-    of_drive: Lag | None
-    before_ns: int
-    shifts: np.ndarray
-    jumps: bool
-
-    def shift_ns(self, places: np.ndarray) -> np.ndarray:
-        """Shift at places of the block, ns."""
-        orders = self.block.of_kind(BatteryReading).order
-        index = np.searchsorted(orders, places, side="right")
-        return np.concatenate(([self.before_ns], self.shifts))[index]
-
-    def by(self, place: int) -> AlignedBy:
-        """The alignment at a place."""
-        return AlignedBy.of(self.lag, self.of_drive, int(self.shift_ns(np.array(place))))
+    doubtful: bool
 
 
-class Alignment:
-    """Shift of the battery's stamps to the clock of speed, by the lag that is learned.
+class Aligner:
+    """Shifts the battery's stamps to the clock of speed, by the lag that earlier drives showed.
 
-    It moves slowly, and never within a dropout. It jumps once at most, when the lag of a drive
-    becomes known and the shift is far from it; the drive so far must then be learned anew.
+    The lag of a drive counts from the next drive on: so a drive has one clock.
 
     Attributes:
         shift_ns: added to the stamps of the battery.
@@ -349,117 +294,36 @@ class Alignment:
 
     def __init__(self, saved: Lag | None = None) -> None:
         """Start with the lag that earlier drives showed."""
-        self._learner, self._saved = LagLearner(), saved
-        self._battery_ns: int | None = None
-        self._jumped = False  # at the battery reading that comes next, which is taken already
-        self._settled = False
-        self.shift_ns = int(self._target * NANOSECONDS)
+        self._learner, self._before = LagLearner(), saved
+        seconds = 0.0 if saved is None or not saved.matters else saved.seconds
+        self.shift_ns = round(min(max(seconds, FURTHEST[0]), FURTHEST[1]) * NANOSECONDS)
 
     def begin_stretch(self) -> None:
         """Join nothing to the readings before; what was learned is kept."""
         self._learner.begin_stretch()
-        self._battery_ns, self._jumped = None, False
-
-    def next_drive(self) -> Alignment:
-        """The alignment of another drive, perhaps recorded by another logger."""
-        return Alignment(self.saved)
 
     @property
     def saved(self) -> Lag | None:
         """The lag that is known, of this drive or of one before."""
-        return self._learner.lag if self._learner.known else self._saved
+        return self._learner.lag if self._learner.known else self._before
 
     @property
-    def lag(self) -> Lag | None:
-        """The lag as far as it is known."""
-        return self.saved or self._learner.lag
+    def now(self) -> Alignment:
+        """What is known of the lag now."""
+        of_drive = self._learner.lag or self._before
+        left = None if of_drive is None else of_drive.less(self.shift_ns / NANOSECONDS)
+        return Alignment(self.saved or self._learner.lag, left is not None and left.large)
 
-    @property
-    def now(self) -> AlignedBy:
-        """The lag, the shift, and whether the lag is surely large and not taken out."""
-        return AlignedBy.of(self.lag, self._learner.lag or self._saved, self.shift_ns)
+    def shifted(self, block: Block) -> Block:
+        """Readings by the clock of speed."""
+        rows = block.of_kind(BatteryReading)
+        if not (self.shift_ns and len(rows.stamps)):
+            return block
+        return block.with_rows(BatteryReading, rows._replace(stamps=rows.stamps + self.shift_ns))
 
-    @property
-    def _target(self) -> float:
-        """Shift that is right by what is known, s."""
-        lag = self.saved
-        if lag is None or not lag.matters:
-            return 0.0
-        return min(max(lag.seconds, FURTHEST[0]), FURTHEST[1])
-
-    def add_part(self, block: Block) -> Aligned:
-        """Take the first readings of a block: until a block of the lag is complete, or it jumps.
-
-        Where the shift jumps, what was before shall be learned anew.
-        """
-        speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
-        if not (len(speeds.order) or len(battery.order)):
-            return self.aligned(block)
-        if len(speeds.order) and speeds.order[0] == 0 and self._learner.is_due(speeds.stamps[0]):
-            self._learner.add_due(int(speeds.stamps[0]), float(speeds.values[0, 0]))
-            speeds = speeds.where(slice(1, None))
-        due = self._learner.is_due(speeds.stamps)
-        end = int(speeds.order[due.argmax()]) if due.any() else block.length
-        before_ns, known = self.shift_ns, self._jumped
-        battery = battery.where(battery.order < end)
-        shifts, self._jumped = self._moved(battery.stamps)
-        taken = battery.where(slice(int(known), len(shifts)))
-        if self._jumped:
-            end = int(taken.order[-1])
-        self._learner.extend(speeds.where(speeds.order < end), taken)
-        part = block.part(0, end)
-        shifts = shifts[: len(part.of_kind(BatteryReading).order)]
-        lags = self.lag, self._learner.lag or self._saved
-        return Aligned(_shifted(part, shifts), *lags, before_ns, shifts, self._jumped)
-
-    def _moved(self, stamps: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Shifts after battery readings, ns, up to the one at which it jumps; if it does."""
-        shifts = np.full(len(stamps), self.shift_ns)
-        if not len(stamps):
-            return shifts, False
-        before_ns, self._battery_ns = self._battery_ns, int(stamps[-1])
-        away = self._target - self.shift_ns / NANOSECONDS
-        is_right = not round(away * NANOSECONDS)
-        if is_right and (self._settled or not self._learner.known):
-            return shifts, False
-        passed = np.diff(stamps, prepend=stamps[0] if before_ns is None else before_ns)
-        passed = passed / NANOSECONDS
-        joined = np.flatnonzero((passed > 0.0) & (passed <= self._learner.gap))
-        if is_right:
-            self._settled |= self._learner.known and len(joined) > 0
-            return shifts, False
-        for index in joined.tolist():
-            jumped = self._move(float(passed[index]))
-            shifts[index:] = self.shift_ns
-            if jumped:
-                self._battery_ns = int(stamps[index])
-                return shifts[: index + 1], True
-        return shifts, False
-
-    def _move(self, passed: float) -> bool:
-        """Let the shift follow the lag for some seconds; True if it jumped."""
-        away = self._target - self.shift_ns / NANOSECONDS
-        first, self._settled = not self._settled, self._settled or self._learner.known
-        jumps = first and self._settled and abs(away) > LEAST_SHARE * SMOOTH
-        step = away if jumps else min(max(away, -SLEW * passed), SLEW * passed)
-        self.shift_ns += round(step * NANOSECONDS)
-        return jumps
-
-    @property
-    def settled(self) -> bool:
-        """True once the lag of this drive is known: nothing will be learned anew."""
-        return self._settled
-
-    def aligned(self, block: Block) -> Aligned:
-        """Readings by the clock of speed, with the shift that is right now."""
-        shifts = np.full(len(block.of_kind(BatteryReading).order), self.shift_ns)
-        lags = self.lag, self._learner.lag or self._saved
-        return Aligned(_shifted(block, shifts), *lags, self.shift_ns, shifts, jumps=False)
-
-
-def _shifted(block: Block, shifts: np.ndarray) -> Block:
-    """Readings with the battery's stamps later by shifts, ns."""
-    if not shifts.any():
-        return block
-    rows = block.of_kind(BatteryReading)
-    return block.with_rows(BatteryReading, rows._replace(stamps=rows.stamps + shifts))
+    def learn(self, block: Block) -> Iterator[tuple[int, Alignment]]:
+        """Learn from shifted readings; yields stamps from which on something else is known."""
+        battery = block.of_kind(BatteryReading)
+        battery = battery._replace(stamps=battery.stamps - self.shift_ns)
+        for stamp_ns in self._learner.extend(block.of_kind(SpeedReading), battery):
+            yield stamp_ns, self.now

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -16,7 +15,7 @@ from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.core.estimation.payload import PayloadChange
 from evpinn_ros.core.signals.interval import Interval
-from evpinn_ros.core.signals.sample import NO_SAMPLES, Events, Measured, Samples
+from evpinn_ros.core.signals.sample import Measured, Samples
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
@@ -25,77 +24,69 @@ CHARGING_POWER = -500.0  # W at standstill: below this the battery is being char
 STATE_VERSION = 10
 
 
-class Step(IntEnum):
-    """Kind of what happens to a learner."""
-
-    BATTERY = 0  # the battery was measured, whether or not that is learned from
-    NEWEST = 1  # the newest moment is to be predicted
-    SMOOTHED = 2  # time passes up to a smoothed sample, which is to be predicted
-    MEASURED = 3  # a smoothed sample whose power is known is to be learned from
-
-
 @dataclass(frozen=True, slots=True)
-class Moments:
-    """What happens along a block, in order.
+class Span:
+    """What happens in a part of a drive, in order of stamps.
 
     Attributes:
-        newest: n newest moments.
-        smoothed: m smoothed samples.
-        measured: k of them, to learn from.
+        newest: n newest moments, to be predicted.
+        newest_place: how many smoothed samples pass before each, shape (n,).
+        newest_learned: how many measured samples are learned from before each, shape (n,).
+        smoothed: m smoothed samples, to be predicted.
+        measured: k of these or of earlier ones, to learn from.
         power: their battery power, W, shape (k,).
-        battery_ns: stamps at which the battery was measured.
-        steps: kind of each step and its place in the column of its kind.
-        orders: place of each step in the block.
+        place: how many smoothed samples pass before each is learned from, shape (k,).
+        battery_ns: stamp of the last battery reading up to each smoothed sample, `NEVER` before
+            the first, shape (m,).
     """
 
     newest: Samples
+    newest_place: np.ndarray
+    newest_learned: np.ndarray
     smoothed: Samples
     measured: Samples
     power: np.ndarray
-    battery_ns: Sequence[int]
-    steps: Sequence[tuple[Step, int]]
-    orders: Sequence[int]
+    place: np.ndarray
+    battery_ns: np.ndarray
 
-    @classmethod
-    def of(cls, events: Events, measured: Measured, told: tuple[np.ndarray, ...]) -> Moments:
-        """What readings complete.
-
-        Args:
-            events: of the block.
-            measured: of them, those to be learned from.
-            told: places and stamps of the battery readings that measure power.
-        """
-        orders = told[0], events.newest_order, events.smoothed_order, measured.order
-        # Of one place first the battery, then the newest moment; a measured sample comes after as
-        # many smoothed ones as its battery waited for.
-        turns = (
-            np.full(len(told[0]), -2),
-            np.full(len(events.newest_order), -1),
-            2 * np.arange(len(events.smoothed_order)) + 1,
-            2 * measured.place,
+    def cut(self, count: int) -> tuple[Span, Span]:
+        """The span up to so many smoothed samples, and what follows them."""
+        ends = (
+            int(self.newest_place.searchsorted(count, side="right")),
+            count,
+            int(self.place.searchsorted(count, side="right")),
         )
-        kinds = np.repeat(range(len(Step)), [len(column) for column in orders])
-        places = np.concatenate([np.arange(len(column)) for column in orders])
-        order = np.concatenate(orders)
-        sequence = np.lexsort((np.concatenate(turns), order))
-        of_kind = tuple(Step)
-        steps = [
-            (of_kind[kind], place)
-            for kind, place in zip(
-                kinds[sequence].tolist(), places[sequence].tolist(), strict=True
-            )
-        ]
-        return cls(
-            events.newest, events.smoothed, measured.samples, measured.power,
-            told[1].tolist(), steps, order[sequence].tolist(),
-        )  # fmt: skip
+        return self.part((0, 0, 0), ends), self.part(ends, self.sizes)
 
+    @property
+    def smoothed_learned(self) -> np.ndarray:
+        """How many measured samples are learned from before each smoothed one, shape (m,)."""
+        return self.place.searchsorted(np.arange(self.smoothed.size), side="right")
 
-NO_MOMENTS = Moments(NO_SAMPLES, NO_SAMPLES, NO_SAMPLES, np.empty(0), (), (), ())
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """n, m and k."""
+        return self.newest.size, self.smoothed.size, self.measured.size
+
+    def part(self, begins: tuple[int, int, int], ends: tuple[int, int, int]) -> Span:
+        """From so many newest, smoothed and measured samples to before others."""
+        if begins == (0, 0, 0) and ends == self.sizes:
+            return self
+        newest, smoothed, measured = (slice(a, b) for a, b in zip(begins, ends, strict=True))
+        return Span(
+            self.newest.where(newest),
+            self.newest_place[newest] - begins[1],
+            self.newest_learned[newest] - begins[2],
+            self.smoothed.where(smoothed),
+            self.measured.where(measured),
+            self.power[measured],
+            self.place[measured] - begins[1],
+            self.battery_ns[smoothed],
+        )
 
 
 class Predictions(NamedTuple):
-    """Predicted power and the model's own 1-sigma, W; NaN until they are followed.
+    """Predicted power and the model's own 1-sigma, W.
 
     Attributes:
         newest: at the newest moments, shape (n, 2).
@@ -108,11 +99,10 @@ class Predictions(NamedTuple):
     smoothed: np.ndarray
     energies: np.ndarray
 
-    @classmethod
-    def of(cls, moments: Moments) -> Predictions:
-        """None of a block yet."""
-        sizes = moments.newest.size, moments.smoothed.size, moments.smoothed.size
-        return cls(*(np.full((size, 2), np.nan) for size in sizes))
+
+def joined_predictions(parts: Sequence[Predictions]) -> Predictions:
+    """Predictions of spans, one after another."""
+    return parts[0] if len(parts) == 1 else Predictions(*map(np.concatenate, zip(*parts)))
 
 
 class LearnerReport(NamedTuple):
@@ -141,11 +131,11 @@ class Learner(Protocol):
     learns_samples: bool
     """Whether its updates learn from measured samples; else from intervals."""
 
-    def begin(self, moments: Moments) -> Predictions:
-        """Begin to follow a block; gives the predictions, which `follow` fills."""
+    def follow(self, span: Span) -> Predictions:
+        """Predict the samples of a span, each by what was learned before it, and learn."""
 
-    def follow(self, first: int, last: int) -> None:
-        """Let the steps from one place to before another happen: predict, and learn."""
+    def predict(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+        """Power and its 1-sigma, W, at n samples by what is learned now, shape (n,) each."""
 
     def add_interval(self, interval: Interval) -> bool:
         """Take an interval, its battery measured or not; gives whether an update is due."""

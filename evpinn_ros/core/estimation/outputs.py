@@ -17,14 +17,25 @@ Output: TypeAlias = PowerEstimate | ParameterSet
 
 
 class PowerRows(NamedTuple):
-    """`PowerEstimate` of n moments as columns of shape (n,), with their places in the block."""
+    """`PowerEstimate` of n moments as columns of shape (n,).
 
-    order: np.ndarray
+    `known_ns` is the stamp of the reading that completed each.
+    """
+
+    known_ns: np.ndarray
     stamp_ns: np.ndarray
     power: np.ndarray
     sigma: np.ndarray
     energy: np.ndarray
     energy_sigma: np.ndarray
+
+    @classmethod
+    def of(
+        cls, known_ns: np.ndarray, stamp_ns: np.ndarray, power: np.ndarray, sigma: np.ndarray
+    ) -> PowerRows:
+        """Powers without energies of a dropout."""
+        unknown = np.full(len(power), np.nan)
+        return cls(known_ns, stamp_ns, power, sigma, unknown, unknown)
 
     def times(self, size: float) -> PowerRows:
         """Those of a car of another size (`estimation.size`)."""
@@ -40,14 +51,14 @@ class Learned(NamedTuple):
     """The parameters after a second of stamps, and what else is known of the car then.
 
     Attributes:
-        place: in the block of the reading that ended the second.
+        known_ns: stamp of the speed that ended the second.
         parameters: of the car.
         report: changes of payload and suspicions.
         model: the car as forecasts take it; None in the paper's mode.
         breakdown: energy of this drive, None where it was not asked for.
     """
 
-    place: int
+    known_ns: int
     parameters: ParameterSet
     report: LearnerReport
     model: CarModel | None
@@ -58,7 +69,7 @@ class Outputs(NamedTuple):
     """What an estimator says of a block.
 
     Attributes:
-        measured: power that the battery readings measure.
+        measured: power that the battery readings measure, when they come.
         predicted: at the newest moments, by causal acceleration.
         smoothed: at the moments `smoothing_lag` back.
         learned: once a second.
@@ -70,36 +81,26 @@ class Outputs(NamedTuple):
     learned: Sequence[Learned] = ()
 
     def powers(self) -> Iterator[tuple[PowerKind, PowerRows]]:
-        """The powers by their kind, in the order in which those of one reading come."""
+        """The powers by their kind."""
         for kind in PowerKind:
             yield kind, getattr(self, kind.value)
 
-    def by_place(self) -> list[tuple[int, Output]]:
-        """Each output with the place in the block of the reading that completed it, in order."""
+    def in_order(self) -> list[tuple[int, Output]]:
+        """Each output with the stamp of the reading that completed it, in order of these."""
         rows: list[tuple[int, Output]] = []
         for kind, columns in self.powers():
             lists = [column.tolist() for column in columns]
             rows += [(row[0], PowerEstimate(kind, *row[1:])) for row in zip(*lists, strict=True)]
-        rows += [(learned.place, learned.parameters) for learned in self.learned]
+        rows += [(learned.known_ns, learned.parameters) for learned in self.learned]
         return sorted(rows, key=itemgetter(0))
 
 
-def joined_outputs(parts: Sequence[tuple[int, Outputs]]) -> Outputs:
-    """Outputs of parts of a block, with the places at which these begin."""
-    if not parts:
-        return Outputs()
-    if len(parts) == 1 and parts[0][0] == 0:
-        return parts[0][1]
-    kinds = []
-    for kind in PowerKind:
-        moved = []
-        for begin, part in parts:
-            rows: PowerRows = getattr(part, kind.value)
-            moved.append(rows._replace(order=rows.order + begin))
-        kinds.append(PowerRows._make(map(np.concatenate, zip(*moved, strict=True))))
-    learned = [
-        after._replace(place=after.place + begin)
-        for begin, part in parts
-        for after in part.learned
+def joined_outputs(parts: Sequence[Outputs]) -> Outputs:
+    """Outputs of parts of a block, one after another."""
+    if len(parts) < 2:
+        return parts[0] if parts else Outputs()
+    columns = [
+        PowerRows._make(map(np.concatenate, zip(*rows, strict=True)))
+        for rows in zip(*(part[:3] for part in parts), strict=True)
     ]
-    return Outputs(kinds[0], kinds[1], kinds[2], learned)
+    return Outputs(*columns, [learned for part in parts for learned in part.learned])

@@ -9,6 +9,8 @@ same estimate as a solve over the window of all intervals with the prior as its 
 Published power has a trim beside it (`estimation.trim`): what the last seconds had beyond the
 car. During a battery dropout the trim fades, and the energy since the battery was last measured is
 that of the posterior, with its exact variance, and what the trim gave until it had faded.
+
+A span of samples is predicted and learned from in arrays; only the trim goes sample by sample.
 """
 
 from __future__ import annotations
@@ -31,17 +33,15 @@ from evpinn_ros.core.estimation.journey import (
     FORCE_NOISE,
     MAX_STEP,
     POWER_NOISE,
-    Journey,
     Tail,
     wandered,
 )
 from evpinn_ros.core.estimation.learner import (
-    NO_MOMENTS,
     LearnerReport,
-    Moments,
     Predictions,
-    Step,
+    Span,
     gates,
+    joined_predictions,
 )
 from evpinn_ros.core.estimation.parameter_set import TrustHysteresis, deviations, parameter_set
 from evpinn_ros.core.estimation.payload import PayloadDetector, SavedPayload, Stamp
@@ -58,42 +58,15 @@ from evpinn_ros.core.estimation.trim import Trim, trim_rows
 from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import NO_SAMPLES, joined_samples
+from evpinn_ros.core.signals.sample import Samples, joined_samples
 from evpinn_ros.core.signals.sign_detectors import GradeDetector, SignDetector
+from evpinn_ros.core.signals.track import NEVER
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 SAMPLE_STEP = 0.1  # s that the first sample stands for
-AT_ONCE = 256  # samples whose power is computed together
-PARKED = 600.0  # s without speed, then it is another drive
-SILENT_NS = NANOSECONDS  # without a measured sample, then energy is predicted
-
-
-class _Ahead:
-    """Samples of a block of one kind, with power of the car without the trim and its 1-sigma, W.
-
-    Power is computed some samples ahead, by one product, and anew once the car is another.
-
-    Attributes:
-        first: place of their first among the samples of all kinds.
-        rows: what the trim takes of them.
-        computed: how many powers are those of the present car.
-        passed: how many moments are over.
-        predicted: how many are predicted; those between wait for the trim.
-        ages: s since the trim last learned, of those that wait.
-    """
-
-    def __init__(self, stamps: np.ndarray, first: int, rows: np.ndarray) -> None:
-        self.stamps, self.first = stamps.tolist(), first
-        self.rows = rows[first : first + len(stamps)]
-        self.power, self.sigma = np.zeros(len(stamps)), np.zeros(len(stamps))
-        self.computed = self.passed = self.predicted = 0
-        self.ages: list[float] = []
-
-    def let_pass(self, age: float) -> None:
-        """Let the next moment be over, at an age of the trim, s."""
-        self.passed += 1
-        self.ages.append(age)
+PARKED_NS = 600 * NANOSECONDS  # without speed, then it is another drive
+SILENT_NS = NANOSECONDS  # without the battery, then energy is predicted
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,148 +93,151 @@ class PinnLearner(Saveable[SavedPinn]):
         """Start at the vehicle's priors, with a network whose output is zero."""
         self._keep_drives = keep_drives
         self._equation = equation_of(vehicle, seed)
-        self._trim, self._trim_age = Trim(), 0.0  # s since it was last learned
         self._sign = SignDetector()
         self._trust = TrustHysteresis()
         self._waiting: list[Interval] = []
         self._last_ns: int | None = None  # of what was learned from
         self._seen_ns: int | None = None  # of what was predicted
-        self._passed = 0.0  # s that the newest predicted sample stands for
         self.gated: Counter[str] = Counter()
-        self._tail, self._moments, self._in_tail = Tail(self._equation), NO_MOMENTS, 0
-        self._smoothed = _Ahead(NO_SAMPLES.stamp_ns, 0, np.empty((0, 0)))
-        self.begin(NO_MOMENTS)
-        self._measured_ns: int | None = None  # newest measured sample
-        self._trimmed = 0.0  # J that the trim gave since `_trimmed_from`
-        self._trimmed_from: int | None = None
-        self._before: Journey | None = None  # from the last interval measured to that sample
         # What the present car publishes, suspected or not, and its drive, once asked for.
         self._judged: tuple[bool, ParameterSet] | None
         self._together: Breakdowns | None
+        self._forget_seconds()
         self._use(LearnedCar.new(self._equation))
 
-    def begin(self, moments: Moments) -> Predictions:
-        """Begin to follow a block; gives the predictions, which `follow` fills."""
-        self._extend_tail()
-        self._moments, self._predictions = moments, Predictions.of(moments)
-        kinds = moments.newest, moments.smoothed, moments.measured
-        self._samples = joined_samples(kinds)
-        rows, first = trim_rows(self._samples), 0
-        self._ahead: list[_Ahead] = []
-        for samples in kinds:
-            self._ahead.append(_Ahead(samples.stamp_ns, first, rows))
-            first += samples.size
-        self._newest, self._smoothed, self._measured = self._ahead
-        self._gates = gates(moments.measured, moments.power)
-        self._powers, measured = moments.power.tolist(), moments.measured
-        self._speeds, self._accelerations = measured.speed.tolist(), measured.acceleration.tolist()
-        self._in_tail = 0  # smoothed samples of the block that are in the tail
-        # Of smoothed samples: since when the battery is not measured, and s of that.
-        self._dropout: list[tuple[int | None, float]] = []
-        self._trims: list[float] = []  # `_trimmed` at each
-        self._silent: list[int] = []
-        return self._predictions
+    def _forget_seconds(self) -> None:
+        """Join nothing to the samples before."""
+        self._trim, self._trim_ns = Trim(), 0  # the stamp at which it last learned
+        self._tail = Tail(self._equation)
+        self._trimmed, self._trimmed_from_ns = 0.0, NEVER  # J that the trim gave since a stamp
 
-    def follow(self, first: int, last: int) -> None:
-        """Let the steps from one place to before another happen: predict, and learn."""
-        for kind, index in self._moments.steps[first:last]:
-            if kind is Step.NEWEST:
-                self._newest.let_pass(self._trim_age)
-            elif kind is Step.SMOOTHED:
-                self._advance(index)
-                self._smoothed.let_pass(self._trim_age)
-                self._follow_dropout(index)
-            elif kind is Step.MEASURED:
-                self._observe(index)
-            else:
-                if self._silent:
-                    self._add_energies()
-                self._measured_ns, self._before = self._moments.battery_ns[index], None
-            if AT_ONCE in (len(self._newest.ages), len(self._smoothed.ages)):
-                self._predict()
-        if last == len(self._moments.steps):
-            self._add_energies()
+    def follow(self, span: Span) -> Predictions:
+        """Predict the samples of a span, each by what was learned before it, and learn.
 
-    def _advance(self, index: int) -> None:
-        """Let time pass up to a smoothed sample.
-
-        After a pause of `PARKED`, or before what was last seen, the road is another. It is
+        After a pause of `PARKED_NS`, or before what was last seen, the road is another. It is
         another drive when the two are that far apart: a clock that is set right by some seconds
         ends none.
         """
-        stamp_ns = self._smoothed.stamps[index]
-        seen_ns, self._seen_ns = self._seen_ns, stamp_ns
-        passed = 0.0 if seen_ns is None else (stamp_ns - seen_ns) / NANOSECONDS
-        if abs(passed) > PARKED:
-            self._add_energies()
-            self._begin_drive(goes_on=True)
-        elif passed < 0.0:
-            self._add_energies()
-            self._begin_tail()
-            self._use(self._car.forget_road())
-        self._passed = min(max(passed, 0.0), PARKED)
-        self._trim_age += self._passed
+        parts = []
+        while True:
+            stamps = span.smoothed.stamp_ns
+            seen_ns = stamps[:1] if self._seen_ns is None else self._seen_ns
+            passed_ns = np.diff(stamps, prepend=seen_ns)
+            pauses = np.flatnonzero((passed_ns > PARKED_NS) | (passed_ns < 0))
+            if not len(pauses):
+                return joined_predictions([*parts, self._follow(span, passed_ns)])
+            first, span = span.cut(int(pauses[0]))
+            parts.append(self._follow(first, passed_ns[: pauses[0]]))
+            self._seen_ns = int(span.smoothed.stamp_ns[0])
+            if abs(passed_ns[pauses[0]]) > PARKED_NS:
+                self._begin_drive(goes_on=True)
+            else:
+                self._forget_seconds()
+                self._use(self._car.forget_road())
 
-    def _predict(self) -> None:
-        """Predict the samples that wait."""
-        kinds = self._newest, self._smoothed
-        if any(ahead.passed > ahead.computed for ahead in kinds):
-            self._compute()
-        parts = [slice(ahead.predicted, ahead.passed) for ahead in kinds]
-        rows = [ahead.rows[part] for ahead, part in zip(kinds, parts, strict=True)]
-        ages = np.array([*self._newest.ages, *self._smoothed.ages])
-        beside, sigma = self._trim.predict(np.concatenate(rows), ages)
-        begin = 0
-        predictions = self._predictions.newest, self._predictions.smoothed
-        for ahead, part, of_kind in zip(kinds, parts, predictions, strict=True):
-            end = begin + ahead.passed - ahead.predicted
-            of_kind[part, 0] = ahead.power[part] + beside[begin:end]
-            of_kind[part, 1] = np.hypot(ahead.sigma[part], sigma[begin:end])
-            ahead.predicted, begin = ahead.passed, end
-            ahead.ages.clear()
-        self._follow_trim(beside[end - (parts[1].stop - parts[1].start) : end])
+    def _follow(self, span: Span, passed_ns: np.ndarray) -> Predictions:
+        """Follow a span without a pause, whose smoothed samples come so many ns after another."""
+        count, passed, _ = span.sizes
+        samples = joined_samples((span.newest, span.smoothed, span.measured))
+        power, sigma = self._car_power(samples)
+        rows = trim_rows(samples)
+        kinds = slice(count), slice(count, count + passed), slice(count + passed, None)
+        newest, smoothed, measured = kinds
+        learned = self._learnable(span.measured, span.power)
+        learned_ns = np.append(self._trim_ns, span.measured.stamp_ns[learned])
+        residuals = (span.power - power[measured])[learned]
+        trim = self._trim.learned(rows[measured][learned], residuals, _seconds(learned_ns))
+        self._trim, self._trim_ns = trim.last(), int(learned_ns[-1])
+        learned_of = np.append(0, np.cumsum(learned))  # of the first so many measured samples
+        index = np.concatenate((
+            learned_of[span.newest_learned],
+            learned_of[span.smoothed_learned],
+        ))  # fmt: skip
+        predicted = slice(count + passed)
+        ages = np.maximum(samples.stamp_ns[predicted] - learned_ns[index], 0) / NANOSECONDS
+        given, unsure = trim.predict(rows[predicted], ages, index)
+        powers = power[predicted] + given
+        both = np.stack((powers, np.hypot(sigma[predicted], unsure)), axis=1)
+        energies = self._energies(span, given[smoothed], passed_ns / NANOSECONDS)
+        if passed:
+            self._seen_ns = int(span.smoothed.stamp_ns[-1])
+        return Predictions(both[newest], both[smoothed], energies)
 
-    def _follow_dropout(self, index: int) -> None:
-        """Note for how long a smoothed sample stands without the battery."""
-        stamp_ns, begin_ns = self._smoothed.stamps[index], self._measured_ns
-        since_ns = stamp_ns if begin_ns is None else begin_ns
-        if begin_ns is None or stamp_ns - begin_ns >= SILENT_NS:
-            self._silent.append(index)
-        seconds = min(self._passed, (stamp_ns - since_ns) / NANOSECONDS, MAX_STEP)
-        self._dropout.append((begin_ns, max(0.0, seconds)))
+    def predict(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+        """Power and its 1-sigma, W, at n samples by what is learned now, shape (n,) each."""
+        power, sigma = self._car_power(samples)
+        ages = np.maximum(samples.stamp_ns - self._trim_ns, 0) / NANOSECONDS
+        given, unsure = self._trim.predict(trim_rows(samples), ages)
+        return power + given, np.hypot(sigma, unsure)
 
-    def _follow_trim(self, power: np.ndarray) -> None:
-        """Add up what the trim gives since the battery was last measured, by power, W."""
-        first = len(self._trims)
-        for (begin_ns, seconds), given in zip(self._dropout[first:], power.tolist(), strict=True):
-            if begin_ns != self._trimmed_from:
-                self._trimmed, self._trimmed_from = 0.0, begin_ns
-            self._trimmed += given * seconds
-            self._trims.append(self._trimmed)
+    def _car_power(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+        """Power of the car without the trim, and its 1-sigma, W, shape (n,) each."""
+        model = self._model
+        rows = self._equation.rows_of(samples, self._warmth)
+        left, _, _ = wandered(self._car.dropout.seconds)
+        rows[:, State.LOAD] = left
+        variance = ((rows @ model.covariance) * rows).sum(axis=1)
+        variance += (1.0 - left**2) * model.load_variance
+        noise = POWER_NOISE**2 + FORCE_NOISE**2 * model.noise[1] * samples.speed**2
+        return rows @ model.mean, np.sqrt(np.maximum(variance, 0.0) + noise)
 
-    def _observe(self, index: int) -> None:
-        """Let the trim learn from a measured sample."""
-        ahead, power, speed = self._measured, self._powers[index], self._speeds[index]
-        ahead.predicted = index
-        step = self._step(ahead.stamps[index])
-        if (reason := self._gates[index]) is not None:
-            self.gated[reason] += 1
-            return
-        self._sign = self._sign.after(speed, self._accelerations[index], power, step)
-        if (fault := self._sign.detected) is not None:
-            self.gated[fault] += 1
-            return
-        if abs(speed) < STANDSTILL_SPEED:
-            return
-        latest = self._smoothed.passed - 1
-        if latest >= 0 and self._smoothed.stamps[latest] == ahead.stamps[index]:
-            ahead, index = self._smoothed, latest  # whose power is computed anyway
-        self._predict()
-        if index >= ahead.computed:
-            self._compute()
-        residuals = power - ahead.power[index : index + 1]
-        ages, self._trim_age = np.array([self._trim_age]), 0.0
-        self._trim = self._trim.learned(ahead.rows[index : index + 1], residuals, ages).last()
+    def _learnable(self, samples: Samples, power: np.ndarray) -> np.ndarray:
+        """Mask of the measured samples that the trim learns from; the others are counted."""
+        reasons = gates(samples, power)
+        moving = np.abs(samples.speed) >= STANDSTILL_SPEED
+        columns = samples.stamp_ns, samples.speed, samples.acceleration, power
+        for index, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
+            step, reason = self._step(row[0]), reasons[index]
+            if reason is None:
+                self._sign = self._sign.after(*row[1:], step)
+                reason = self._sign.detected
+            if reason is not None:
+                self.gated[reason] += 1
+                moving[index] = False
+        return moving
+
+    def _energies(self, span: Span, given: np.ndarray, passed: np.ndarray) -> np.ndarray:
+        """Energies since the battery was last measured, or a drive began, J, and 1-sigma.
+
+        Args:
+            span: of the smoothed samples.
+            given: power of the trim at them, W, shape (m,).
+            passed: s from the one before to each, shape (m,).
+
+        Returns:
+            Shape (m, 2), NaN where the battery is measured.
+        """
+        stamps, begins_ns = span.smoothed.stamp_ns, span.battery_ns
+        energies = np.full((len(stamps), 2), np.nan)
+        if not len(stamps):
+            return energies
+        self._tail.extend(span.smoothed)
+        since = np.where(begins_ns == NEVER, 0, stamps - begins_ns) / NANOSECONDS
+        steps = given * np.clip(np.minimum(passed, since), 0.0, MAX_STEP)
+        silent = (begins_ns == NEVER) | (since >= SILENT_NS / NANOSECONDS)
+        for begin_ns in np.unique(begins_ns).tolist():
+            of_begin = begins_ns == begin_ns
+            if begin_ns != self._trimmed_from_ns:
+                self._trimmed, self._trimmed_from_ns = 0.0, begin_ns
+            trimmed = self._trimmed + steps[of_begin].cumsum()
+            self._trimmed = float(trimmed[-1])
+            if silent[of_begin].any():
+                energy, sigma = self._dropout(begin_ns, stamps[of_begin])
+                energies[of_begin] = np.column_stack((energy + trimmed, sigma))
+        energies[~silent] = np.nan
+        return energies
+
+    def _dropout(self, begin_ns: int, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Energy of the car, J, and its 1-sigma, from a begin to stamps, ns, shape (n,)."""
+        car, begin_ns = self._car, max(begin_ns, 0)
+        if car.measured:
+            driven = self._tail.between(begin_ns, stamps, self._warmth)
+        else:
+            # Intervals begin where the battery was last known, a little before its last sample.
+            before = self._tail.between(car.known_ns, np.array([begin_ns]), self._warmth)
+            driven = self._tail.between(car.end_ns, stamps, self._warmth)
+            driven = driven.plus(car.dropout).less(before)
+        return self._model.predicted(driven)
 
     def add_interval(self, interval: Interval) -> bool:
         """Keep an interval for the next update."""
@@ -335,8 +311,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """Drop recent samples after a jump of time; keep what was learned."""
         self._waiting.clear()
         self._last_ns = None
-        self._trim_age += PARKED
-        self._begin_tail()
+        self._forget_seconds()
         self._use(self._car.forget_road())
 
     def end_drive(self) -> None:
@@ -379,70 +354,10 @@ class PinnLearner(Saveable[SavedPinn]):
         self._use(car)
 
     def _use(self, car: LearnedCar) -> None:
-        """Use this car from now on, and the one before for all that is over."""
-        self._add_energies()
+        """Use this car from now on."""
         self._car, self._model = car, car.model()
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
-        for ahead in self._ahead:
-            ahead.computed = 0
         self._judged = self._together = None
-
-    def _compute(self) -> None:
-        """Power of the car alone at the next samples of each kind, by one product for all."""
-        places, model = [], self._model
-        for ahead in self._ahead:
-            # The last smoothed sample may be measured yet, and is learned from by the present car.
-            begin = max(0, ahead.predicted - 1)
-            ahead.computed = min(ahead.predicted + AT_ONCE, len(ahead.stamps))
-            places.append(np.arange(ahead.first + begin, ahead.first + ahead.computed))
-        samples = self._samples.where(np.concatenate(places))
-        rows = self._equation.rows_of(samples, self._warmth)
-        left, _, _ = wandered(self._car.dropout.seconds)
-        rows[:, State.LOAD] = left
-        variance = ((rows @ model.covariance) * rows).sum(axis=1)
-        variance += (1.0 - left**2) * model.load_variance
-        noise = POWER_NOISE**2 + FORCE_NOISE**2 * model.noise[1] * samples.speed**2
-        power, sigma = rows @ model.mean, np.sqrt(np.maximum(variance, 0.0) + noise)
-        begin = 0
-        for ahead, of_kind in zip(self._ahead, places, strict=True):
-            part = slice(ahead.computed - len(of_kind), ahead.computed)
-            end = begin + len(of_kind)
-            ahead.power[part], ahead.sigma[part] = power[begin:end], sigma[begin:end]
-            begin = end
-
-    def _begin_tail(self) -> None:
-        """Join nothing to the samples before."""
-        self._tail, self._measured_ns, self._before = Tail(self._equation), None, None
-        self._in_tail = self._smoothed.passed
-
-    def _extend_tail(self) -> None:
-        """Join the smoothed samples that are over to those before."""
-        end = self._smoothed.passed
-        self._tail.extend(self._moments.smoothed.where(slice(self._in_tail, end)))
-        self._in_tail = end
-
-    def _add_energies(self) -> None:
-        """Energies since the battery was last measured or a drive began, J, of silent samples."""
-        if self._newest.ages or self._smoothed.ages:
-            self._predict()
-        self._extend_tail()
-        silent, self._silent = self._silent, []
-        if not silent:
-            return
-        trimmed = np.array([self._trims[index] for index in silent])
-        stamps = self._moments.smoothed.stamp_ns[silent]
-        car, begin_ns = self._car, self._dropout[silent[0]][0]
-        if car.measured:
-            driven = self._tail.between(begin_ns or 0, stamps, self._warmth)
-        else:
-            # Intervals begin where the battery was last known, a little before its last sample.
-            if self._before is None:
-                end_ns = np.array([begin_ns or 0])
-                self._before = self._tail.between(car.known_ns, end_ns, self._warmth)
-            driven = self._tail.between(car.end_ns, stamps, self._warmth)
-            driven = driven.plus(car.dropout).less(self._before)
-        energies, sigmas = self._model.predicted(driven)
-        self._predictions.energies[silent] = np.column_stack((energies + trimmed, sigmas))
 
     def _step(self, stamp_ns: int) -> float:
         """Seconds a measured sample stands for."""
@@ -450,6 +365,11 @@ class PinnLearner(Saveable[SavedPinn]):
         if last is None:
             return SAMPLE_STEP
         return min(MAX_STEP, max(1e-3, (stamp_ns - last) / NANOSECONDS))
+
+
+def _seconds(stamps: np.ndarray) -> np.ndarray:
+    """Steps between n stamps, ns, not below zero, s, shape (n - 1,)."""
+    return np.maximum(np.diff(stamps), 0) / NANOSECONDS
 
 
 def new_learner(vehicle: Vehicle, settings: EstimatorSettings) -> PinnLearner:

@@ -22,6 +22,7 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
     drawn_power,
 )
+from evpinn_ros.core.signals.track import LATER
 from evpinn_ros.core.vehicle.files import AREA_POWER
 from evpinn_ros.core.vehicle.physics import GRAVITY, STANDSTILL_SPEED
 
@@ -99,20 +100,18 @@ class Sizing:
         self._begin_ns: int | None = None
         self._look_ns = 0
 
-    def until_due(self, block: Block) -> int:
-        """How many readings of a block come before the time to `look`; all if it does not come."""
-        stamps = np.empty(block.length, np.int64)
-        for rows in block.rows.values():
-            stamps[rows.order] = rows.stamps
+    def due_ns(self, block: Block) -> int:
+        """First stamp in a block, in order of stamps, from which to `look`; `LATER` if none is."""
+        stamps = block.stamps()
         if self._begin_ns is None and len(stamps):
             self._begin_ns = int(stamps[0])
             self._look_ns = self._begin_ns + FIRST_LOOK_NS
-        due = np.flatnonzero(stamps >= self._look_ns)
-        if not len(due):
-            return block.length
-        passed_ns = int(stamps[due[0]]) - (self._begin_ns or 0)
+        place = int(stamps.searchsorted(self._look_ns))
+        if place == len(stamps):
+            return LATER
+        passed_ns = int(stamps[place]) - (self._begin_ns or 0)
         self._look_ns = (self._begin_ns or 0) + int(LATER_LOOK * passed_ns)
-        return int(due[0])
+        return int(stamps[place])
 
     def look(self) -> Size | None:
         """A size that is no passenger car's; None while none is known."""

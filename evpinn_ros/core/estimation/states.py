@@ -73,7 +73,6 @@ class State(IntEnum):
     COLD_START = "W/K", CAR, 60.0, 50.0, "twice as much until the cabin is warm"
     HOT_START = "W/K", CAR, 30.0, 40.0, "the same for cooling"
     REPORTED = "1", CAR, 1.0, 0.15, "share of a reported load that the battery gives"
-    DOUBTED = "1", DRIVE, 0.0, 0.2, "the same of heating reported on a warm day: often none"
     ROLLING_DRIVE = "1", DRIVE, 0.0, 0.08, "wind, rain and tyres of one drive"
     LOAD_DRIVE = "W", DRIVE, 0.0, 250.0, "what is switched on in one drive"
     CLIMATE_DRIVE = "W", DRIVE, 0.0, 700.0, "reported heating beside what temperature explains"
@@ -88,7 +87,7 @@ TABLE = len(State)
 SIZE = TABLE + NETWORK
 WEIGHTS = slice(TABLE, SIZE)
 LASTING = [*(s for s in State if s.level is CAR), *range(TABLE, SIZE)]  # states of the car
-OFFSETS = [State.DOUBTED, State.ROLLING_DRIVE, State.LOAD_DRIVE, State.CLIMATE_DRIVE]
+OFFSETS = [State.ROLLING_DRIVE, State.LOAD_DRIVE, State.CLIMATE_DRIVE]
 PHYSICS = [State.DRAG, State.ROLLING, State.MASS, State.BACK]  # the terms of eq. 21
 NAMES = (*(state.name.lower() for state in State), *(f"network_{i}" for i in range(NETWORK)))
 GEARS = 0.97, 0.03  # share of the motor's energy that reaches the wheels, with its 1-sigma

@@ -55,7 +55,7 @@ TYRES_WARM, CABIN_WARM = 1200.0, 600.0  # s in which tyres and cabin get their t
 COOLED = 3600.0
 CLIMATE = [
     State.COLD, State.HOT, State.COLD_START, State.HOT_START,
-    State.REPORTED, State.DOUBTED, State.CLIMATE_DRIVE,
+    State.REPORTED, State.CLIMATE_DRIVE,
 ]  # fmt: skip
 NETWORK_WEIGHTS = range(WEIGHTS.start, WEIGHTS.stop)
 EXPLAINED = [State.FORCE_SQUARED, *NETWORK_WEIGHTS]  # beside eq. 21
@@ -405,7 +405,7 @@ def standing_powers(conditions: Conditions, warmth: Warmth) -> dict[State, Any]:
     climate = climate_powers(conditions.celsius, warmth)
     if known is False:
         return powers | climate
-    powers |= {State.REPORTED: conditions.load, State.DOUBTED: conditions.doubted_load}
+    powers |= {State.REPORTED: conditions.load}
     if known is True:
         return powers
     return powers | {state: power * ~known for state, power in climate.items()}
@@ -457,6 +457,5 @@ def coldness(celsius: Any) -> Any:
 def conditions_of(samples: Samples) -> Conditions:
     """Surroundings of samples; a temperature that is not known is that of a mild day."""
     celsius = np.where(np.isnan(samples.celsius), MILD_CELSIUS, samples.celsius)
-    load, doubted = samples.known_auxiliary, samples.doubted_load
-    known = (load > 0.0) | (doubted > 0.0)
-    return Conditions(samples.air_density, samples.head_wind, celsius, load, known, doubted)
+    load = samples.known_auxiliary
+    return Conditions(samples.air_density, samples.head_wind, celsius, load, load > 0.0)

@@ -13,9 +13,8 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 
-from evpinn_ros.core.signals.readings import RANGES, Reading
+from evpinn_ros.core.signals.readings import MOST_STAMP, RANGES, Reading
 
-MOST_STAMP = 2**61  # ns either way: ROS has seconds of 32 bits, and differences must not overflow
 KINDS: tuple[type[Reading], ...] = get_args(Reading)
 FIELDS: Mapping[type[Reading], tuple[str, ...]] = {
     kind: tuple(field.name for field in fields(kind))[1:] for kind in KINDS
@@ -79,6 +78,16 @@ class Block:
         }
         return cls(length, rows)
 
+    @classmethod
+    def sorted(cls, rows: Mapping[type[Reading], Rows]) -> Block:
+        """A block of rows in order of stamps, at places in that order."""
+        stamps = np.concatenate([np.empty(0, np.int64), *(some.stamps for some in rows.values())])
+        places = np.empty(len(stamps), np.int64)
+        places[stamps.argsort(kind="stable")] = np.arange(len(stamps))
+        parts = np.split(places, np.cumsum([len(some.stamps) for some in rows.values()], dtype=int))[:-1]
+        placed = zip(rows.items(), parts, strict=True)
+        return cls(len(stamps), {kind: some._replace(order=part) for (kind, some), part in placed})
+
     def __len__(self) -> int:
         return self.length
 
@@ -97,6 +106,11 @@ class Block:
                 some = all_rows.where(slice(begin, end))
                 rows[kind] = some._replace(order=some.order - first)
         return Block(last - first, rows)
+
+    def until(self, stamp_ns: int) -> tuple[Block, Block]:
+        """A block in order of stamps, cut before a stamp."""
+        before = sum(int(rows.stamps.searchsorted(stamp_ns)) for rows in self.rows.values())
+        return self.part(0, before), self.part(before, self.length)
 
     def with_rows(self, kind: type[Reading], rows: Rows) -> Block:
         """The block with other rows of a kind, at places that were theirs."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 import math
 from typing import NamedTuple
@@ -89,15 +89,16 @@ class HeightProfile:
                 del column[:surplus]
 
     @property
-    def known(self) -> tuple[int, float]:
-        """How many heights are known, and up to where, m by the odometer."""
-        return len(self._odometer), self._odometer[-1] if self._odometer else -math.inf
+    def seen(self) -> float:
+        """Up to where heights are known, m by the odometer; -inf before the first."""
+        return self._odometer[-1] if self._odometer else -math.inf
 
-    def means_around(self, odometers: np.ndarray, count: int) -> np.ndarray | None:
+    def means_around(self, odometers: np.ndarray, seen: float) -> np.ndarray | None:
         """Heights averaged `REACH` to either side of places, m, as far as known, shape (n,).
 
-        By the first `count` of them; None where one of the places is not among these.
+        By those up to `seen`, m; None where one of the places is not among these.
         """
+        count = bisect_right(self._odometer, seen)
         if not count:
             return None
         begin, end = self._odometer[0], self._odometer[count - 1]

@@ -14,10 +14,10 @@ Within an interval, steps of at least `STEP` keep driving and braking apart.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from evpinn_ros.core.signals.kinematics import LAG_TOLERANCE_NS, SpeedTrack
 from evpinn_ros.core.signals.power import BatteryTrack, MotorTrack
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.signals.road import Conditions, Road
-from evpinn_ros.core.signals.track import BEFORE, LATER
+from evpinn_ros.core.signals.track import LATER, NEVER
 
 STEP = 0.5  # s, shortest step within an interval
 DURATION = 10.0  # s, shortest interval, but for one that a dropout or a gap ends
@@ -34,7 +34,8 @@ READINGS = 6  # usual steps of the slower signal that an interval spans at least
 # Speed after an edge that its own is smoothed with, ns. By a local quadratic: a mean flattens the
 # ups and downs of speed, which made m/eta 0.7 % too large.
 EDGE_AHEAD_NS = 250_000_000
-PASSED = 20  # edges among which late altitudes find their place
+LEAST_STEP_NS = int(STEP * NANOSECONDS) - LAG_TOLERANCE_NS
+LOAD = Conditions._fields.index("load")
 WAIT_NS = 60 * NANOSECONDS  # longest wait for the height or battery around an interval
 
 
@@ -104,51 +105,42 @@ class Interval:
         return float(self.steps.distance.sum())
 
 
-@dataclass(slots=True)
-class _Edge:
-    """The border between two steps.
+class _Edges(NamedTuple):
+    """Borders between steps, in order of stamps, shape (n, ...) each.
 
     Attributes:
-        stamp_ns: the moment.
-        order: place in the order of arrival at which it was added.
+        stamps: ns.
         odometer: m.
         air: integral of the air's flow since the start, m^3/s^2.
-        motor: energy of driving and of braking since the edge before, J.
-        conditions: around it.
+        motor: energy of driving and of braking since the edge before, J, shape (n, 2).
+        around: `Conditions`, shape (n, 5).
         leapt: whether speed did since the edge before, by more than tyres can.
-        heights: how many heights were known once it was added.
-        seen: how far heights were known then, m by the odometer.
-        speed: m/s, once an interval ends.
+        speed: m/s, smoothed.
+        seen: how far heights were known once it was added, m by the odometer.
     """
 
-    stamp_ns: int
-    order: int
-    odometer: float
-    air: float
-    motor: tuple[float, float]
-    conditions: Conditions
-    leapt: bool
-    heights: int
-    seen: float
-    speed: float = math.nan
+    stamps: np.ndarray
+    odometer: np.ndarray
+    air: np.ndarray
+    motor: np.ndarray
+    around: np.ndarray
+    leapt: np.ndarray
+    speed: np.ndarray
+    seen: np.ndarray
+
+    def where(self, chosen: slice) -> _Edges:
+        """Those of a slice."""
+        return _Edges._make(column[chosen] for column in self)
 
 
-def _each(conditions: Conditions) -> Iterator[Conditions]:
-    """The conditions at each moment; a temperature that is not known is None."""
-    for row in zip(*(column.tolist() for column in conditions), strict=True):
-        around = Conditions(*row)
-        yield around._replace(celsius=None) if math.isnan(around.celsius) else around
-
-
-class _Complete(NamedTuple):
-    """Edges of an interval that waits for what lies around it."""
-
-    edges: Sequence[_Edge]
-    order: int
+NO_EDGES = _Edges(
+    np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty((0, 2)), np.empty((0, 5)),
+    np.empty(0, bool), np.empty(0), np.empty(0),
+)  # fmt: skip
 
 
 class IntervalBuilder:
-    """Cuts a drive into intervals from tracks that others fill.
+    """Cuts a drive into intervals from tracks that others fill, up to the newest speed.
 
     An interval is given once the battery is known on both sides of it and the car has gone
     `height.REACH` beyond it, so that heights are averages around a place; not later than
@@ -156,214 +148,177 @@ class IntervalBuilder:
     """
 
     def __init__(
-        self,
-        speed: SpeedTrack,
-        battery: BatteryTrack,
-        motor: MotorTrack,
-        road: Road,
-        late_ns: int,
+        self, speed: SpeedTrack, battery: BatteryTrack, motor: MotorTrack, road: Road
     ) -> None:
-        """Start empty; nothing younger than late_ns is looked at, for more may come."""
+        """Start empty."""
         self._speed, self._battery, self._motor, self._road = speed, battery, motor, road
         self._height = HeightProfile()
-        self._settled_ns = max(late_ns, EDGE_AHEAD_NS)
-        self._edges: list[_Edge] = []
-        self._complete: deque[_Complete] = deque()
-        # Stamps and odometers of the last edges.
-        self._passed = np.empty(0, np.int64), np.empty(0)
-        self._last: _Edge | None = None
+        self._edges = NO_EDGES  # from the first that an interval to come begins with
+        self._begin = 0  # place in these of the first edge of the interval that is not complete
+        self._complete: deque[tuple[int, int]] = deque()  # places of first and last edges
+        self._looked_ns = NEVER  # up to here no complete interval was ready
 
     @property
     def needed_ns(self) -> int:
         """Earliest moment that intervals yet to come look at, ns."""
-        first = self._complete[0].edges if self._complete else self._edges
-        return first[0].stamp_ns if first else LATER
+        return int(self._edges.stamps[0]) if len(self._edges.stamps) else LATER
 
-    def intervals(self, orders: np.ndarray, stamps: np.ndarray) -> Iterator[tuple[int, Interval]]:
-        """Take what the tracks hold since the last call; give the intervals that are ready.
-
-        Each with the place in the order of arrival at which it is.
-
-        Args:
-            orders: places of the new speeds.
-            stamps: of them, ns.
-        """
-        added = self._add_edges(orders, stamps)
-        ready = 0
+    def intervals(self) -> Iterator[tuple[int, Interval]]:
+        """Yields the intervals that are ready, each with the stamp of the speed that made it so."""
+        self._add_edges()
         while self._complete:
-            ready = self._ready(self._complete[0], added, orders, stamps, ready)
-            if ready == len(orders):
-                return
-            order = int(orders[ready])
-            heights = next(edge.heights for edge in reversed(added) if edge.order <= order)
-            for interval in self._split(self._complete.popleft().edges, order, heights):
-                yield order, interval
+            ready_ns = self._ready_ns(self._complete[0][1])
+            if ready_ns == LATER:
+                break
+            first, last = self._complete.popleft()
+            seen = float(self._edges.seen[self._last_edge(ready_ns)])
+            for interval in self._split(self._edges.where(slice(first, last + 1)), seen):
+                yield ready_ns, interval
+        self._forget()
 
     def finish(self) -> Iterator[Interval]:
-        """The intervals that are waiting, with what is known now: the drive ends, or a gap."""
-        if len(self._edges) > 1:
-            self._end()
-        self._edges = []
+        """Yields the intervals that are waiting, with what is known: the drive ends, or a gap."""
+        if len(self._edges.stamps) > self._begin + 1:
+            self._complete.append((self._begin, len(self._edges.stamps) - 1))
         while self._complete:
-            yield from self._split(self._complete.popleft().edges, LATER, self._height.known[0])
+            first, last = self._complete.popleft()
+            edges = self._edges.where(slice(first, last + 1))
+            yield from self._split(edges, self._height.seen)
+        self._edges, self._begin = NO_EDGES, 0
 
-    def settle(self) -> None:
-        """Take all as come before."""
-        self._complete = deque(part._replace(order=BEFORE) for part in self._complete)
-        pending = self._complete[0].edges if self._complete else self._edges
-        if pending:
-            self._height.forget_before(pending[0].odometer)
-        if self._last is not None:
-            self._last.order, self._last.heights = BEFORE, self._height.known[0]
+    def _forget(self) -> None:
+        """Drop the edges before the first interval to come."""
+        first = self._complete[0][0] if self._complete else self._begin
+        if first:
+            self._edges = self._edges.where(slice(first, None))
+            self._begin -= first
+            self._complete = deque((a - first, b - first) for a, b in self._complete)
+            self._height.forget_before(float(self._edges.odometer[0]))
 
-    def _add_edges(self, orders: np.ndarray, stamps: np.ndarray) -> list[_Edge]:
-        """Take the edges up to the moments from which more may come; give the last and them."""
-        edge_ns = self._next_edges(int(stamps[-1]) - self._settled_ns)
-        last = self._last
-        added = [] if last is None else [last]
-        if not len(edge_ns):
-            return added
-        by = orders[np.searchsorted(stamps, edge_ns + self._settled_ns)]
-        conditions = self._road.conditions(edge_ns, by)
-        # The first edge of all ends no step.
-        ends = edge_ns if last is None else np.append(last.stamp_ns, edge_ns)
-        distance, air, leaps = self._speed.driven(ends, conditions.head_wind[last is None :])
-        motor = self._motor.energies(ends, by[last is None :])
-        begin = (0.0, 0.0) if last is None else (last.odometer, last.air)
-        first = 0 if last is None else 1
-        odometers, flows = (
-            np.cumsum(np.append(start, steps))[first:]
+    def _add_edges(self) -> None:
+        """Take the edges up to the moment from which more speeds are needed."""
+        edges, new_ns = self._edges, self._next_edges()
+        if not len(new_ns):
+            return
+        is_first = not len(edges.stamps)  # it ends no step
+        ends = new_ns if is_first else np.append(edges.stamps[-1], new_ns)
+        around = self._road.conditions(new_ns)
+        distance, air, leaps = self._speed.driven(ends, around.head_wind[is_first:])
+        motor = self._motor.energies(ends).T
+        if is_first:
+            distance, air, leaps = (np.append(0, column) for column in (distance, air, leaps))
+            motor = np.concatenate((np.full((1, 2), np.nan), motor))
+        begin = (0.0, 0.0) if is_first else (edges.odometer[-1], edges.air[-1])
+        odometer, flow = (
+            np.cumsum(np.append(start, steps))[1:]
             for start, steps in zip(begin, (distance, air), strict=True)
         )
-        if last is None:
-            leaps, motor = np.append(False, leaps), np.column_stack(([math.nan] * 2, motor))
-        periods = np.maximum(self._speed.period(by), self._battery.period(by))
-        rows = zip(
-            *(column.tolist() for column in (edge_ns, by, odometers, flows)),
-            map(tuple, motor.T.tolist()), _each(conditions), leaps.tolist(),
-            self._heights(edge_ns, odometers, by), periods.tolist(), strict=True,
-        )  # fmt: skip
-        for *row, heights, period in rows:
-            self._last = _Edge(*row, *heights)
-            added.append(self._last)
-            self._edges.append(self._last)
-            whole_ns = int(max(DURATION, READINGS * period) * NANOSECONDS) - LAG_TOLERANCE_NS
-            if self._last.stamp_ns - self._edges[0].stamp_ns >= whole_ns:
-                self._end()
-                self._edges = [self._last]
-        return added
+        seen = self._add_heights(new_ns, odometer)
+        columns = np.stack(np.broadcast_arrays(*around), axis=1).astype(float)
+        speed = self._speed.smoothed(new_ns, EDGE_AHEAD_NS)
+        new = _Edges(new_ns, odometer, flow, motor, columns, leaps.astype(bool), speed, seen)
+        self._edges = _Edges._make(map(np.concatenate, zip(edges, new, strict=True)))
+        self._end_intervals(len(edges.stamps))
 
-    def _heights(
-        self, edge_ns: np.ndarray, odometers: np.ndarray, by: np.ndarray
-    ) -> list[tuple[int, float]]:
-        """How many heights are known once each edge is added, and up to where, m."""
-        passed = len(self._passed[0])
-        stamps, ways = (
-            np.append(before, new)
-            for before, new in zip(self._passed, (edge_ns, odometers), strict=True)
-        )
-        self._passed = stamps[1 - PASSED :], ways[1 - PASSED :]
-        if not self._road.shows_heights:
-            return [self._height.known] * len(edge_ns)
-        counts = []
-        for heights in self._road.heights(stamps, ways, by, passed, PASSED):
-            for place, height in heights:
-                self._height.add(place, height)
-            counts.append(self._height.known)
-        return counts
-
-    def _next_edges(self, settled_ns: int) -> np.ndarray:
-        """Stamps of speed at least `STEP` apart, up to the moment from which more may come."""
+    def _next_edges(self) -> np.ndarray:
+        """Stamps of speed at least `STEP` apart, up to the moment from which more are needed."""
         stamps = self._speed.stamps
-        stamps = stamps[: np.searchsorted(stamps, settled_ns, side="right")]
-        least_ns = int(STEP * NANOSECONDS) - LAG_TOLERANCE_NS
-        if self._last is None:
-            place = 0
-        else:
-            place = int(np.searchsorted(stamps, self._last.stamp_ns + least_ns))
+        stamps = stamps[: stamps.searchsorted(stamps[-1] - EDGE_AHEAD_NS, side="right")]
+        last_ns = self._edges.stamps[-1:]
+        place = int(stamps.searchsorted(last_ns[0] + LEAST_STEP_NS)) if len(last_ns) else 0
         places = []
+        nexts = stamps.searchsorted(stamps + LEAST_STEP_NS).tolist()
         while place < len(stamps):
             places.append(place)
-            place = int(np.searchsorted(stamps, stamps[place] + least_ns))
+            place = nexts[place]
         return np.asarray(stamps[places])
 
-    def _end(self) -> None:
-        """Let the edges so far be an interval; smooth speed at those where it is not known."""
-        new = [edge for edge in self._edges if math.isnan(edge.speed)]
-        speeds = self._speed.smoothed(np.array([edge.stamp_ns for edge in new]), EDGE_AHEAD_NS)
-        for edge, speed in zip(new, speeds.tolist(), strict=True):
-            edge.speed = speed
-        self._complete.append(_Complete(self._edges, self._edges[-1].order))
+    def _add_heights(self, stamps: np.ndarray, odometer: np.ndarray) -> np.ndarray:
+        """Take the heights up to each new edge; returns up to where they are known then, m."""
+        if not self._road.shows_heights:
+            return np.full(len(stamps), self._height.seen)
+        before = (self._edges.stamps, stamps), (self._edges.odometer, odometer)
+        if not len(self._edges.stamps):
+            before = (stamps[:1], stamps), (odometer[:1], odometer)
+        seen = []
+        for heights in self._road.heights(*(np.append(a[-1:], b) for a, b in before)):
+            for place, height in heights:
+                self._height.add(place, height)
+            seen.append(self._height.seen)
+        return np.array(seen)
 
-    def _ready(
-        self,
-        part: _Complete,
-        added: Sequence[_Edge],
-        orders: np.ndarray,
-        stamps: np.ndarray,
-        first: int,
-    ) -> int:
-        """Which of the new speeds, from `first` on, makes a part ready; their number if none.
+    def _end_intervals(self, first: int) -> None:
+        """Let intervals end at edges from a place on."""
+        stamps = self._edges.stamps
+        new = stamps[first:]
+        periods = np.maximum(self._speed.period(new), self._battery.period(new))
+        whole = np.maximum(DURATION, READINGS * periods) * NANOSECONDS - LAG_TOLERANCE_NS
+        rows = zip(stamps[first:].tolist(), whole.tolist(), strict=True)
+        begin_ns = int(stamps[self._begin])
+        for place, (stamp_ns, whole_ns) in enumerate(rows, start=first):
+            if stamp_ns - begin_ns >= whole_ns:
+                self._complete.append((self._begin, place))
+                self._begin, begin_ns = place, stamp_ns
 
-        All is known then, by what may come no more, whatever the order of arrival.
-        """
-        end = part.edges[-1]
-        first = max(first, int(np.searchsorted(orders, part.order)))
-        settled_ns = stamps[first:] - self._settled_ns - end.stamp_ns
-        waited = int(np.searchsorted(settled_ns, WAIT_NS, side="right"))
-        settled_ns, by = settled_ns[:waited], orders[first : first + waited]
-        (after_ns,), (came,) = self._battery.first_after(np.array([end.stamp_ns]))
-        battery = (came <= by) & (after_ns - end.stamp_ns <= settled_ns)
-        dropout = settled_ns > self._battery.gap_ns(by)
-        edge = np.searchsorted([edge.order for edge in added], by, side="right") - 1
-        way = np.array([edge.odometer for edge in added])[edge]
-        seen = np.array([edge.seen for edge in added])[edge]
-        height = (way - seen >= KNOWN_WITHIN) | (seen >= end.odometer + REACH)
-        ready = np.flatnonzero((battery | dropout) & height)
-        return first + (int(ready[0]) if len(ready) else waited)
+    def _last_edge(self, stamps: Any) -> Any:
+        """Places of the last edges that were added by speeds at stamps, ns."""
+        return self._edges.stamps.searchsorted(stamps - EDGE_AHEAD_NS, side="right") - 1
 
-    def _split(self, edges: Sequence[_Edge], by: int, heights: int) -> Iterator[Interval]:
-        """The interval between edges, or two of it where the battery drops out or comes back.
+    def _ready_ns(self, last: int) -> int:
+        """Stamp of the speed that makes an interval ready, by its last edge; `LATER` if none."""
+        end_ns, speeds = int(self._edges.stamps[last]), self._speed.stamps
+        begin_ns = max(self._looked_ns, end_ns + EDGE_AHEAD_NS)
+        speeds = speeds[speeds.searchsorted(begin_ns) :]
+        after = speeds - end_ns
+        battery = speeds >= self._battery.first_after(np.array([end_ns]))
+        dropout = after > self._battery.gap_ns(speeds)
+        added = self._last_edge(speeds)
+        seen = self._edges.seen[added]
+        height = self._edges.odometer[added] - seen >= KNOWN_WITHIN
+        height |= seen >= self._edges.odometer[last] + REACH
+        ready = np.flatnonzero(((battery | dropout) & height) | (after > WAIT_NS))
+        if len(ready):
+            self._looked_ns = int(speeds[ready[0]])
+            return self._looked_ns
+        self._looked_ns = int(self._speed.stamps[-1]) + 1
+        return LATER
 
-        By a place in the order of arrival, when so many heights are known.
-        """
-        stamps = np.array([edge.stamp_ns for edge in edges])
-        measured = self._battery.covered(stamps, by).tolist()
+    def _split(self, edges: _Edges, seen: float) -> Iterator[Interval]:
+        """The interval between edges, or two of it where the battery drops out or comes back."""
+        measured = self._battery.covered(edges.stamps)
+        ends = [*(np.flatnonzero(measured[1:] != measured[:-1]) + 1).tolist(), len(measured)]
         first = 0
-        for last in range(1, len(edges)):
-            if last == len(edges) - 1 or measured[last] != measured[last - 1]:
-                yield self._interval(edges[first : last + 1], by, heights)
-                first = last
+        for last in ends:
+            yield self._interval(edges.where(slice(first, last + 1)), seen)
+            first = last
 
-    def _interval(self, edges: Sequence[_Edge], by: int, count: int) -> Interval:
-        start, end = edges[0], edges[-1]
-        measured = self._battery.energy(start.stamp_ns, end.stamp_ns, by)
-        odometers = np.array([edge.odometer for edge in edges])
-        heights = self._height.means_around(odometers, count)
-        climb = np.zeros(len(edges) - 1) if heights is None else np.diff(heights)
-        drive, brake = np.array([edge.motor for edge in edges[1:]]).T
-        speed = np.array([edge.speed for edge in edges])
+    def _interval(self, edges: _Edges, seen: float) -> Interval:
+        start_ns, end_ns = edges.stamps[[0, -1]].tolist()
+        measured = self._battery.energy(start_ns, end_ns)
+        heights = self._height.means_around(edges.odometer, seen)
         steps = Steps(
-            duration=np.diff([edge.stamp_ns for edge in edges]) / NANOSECONDS,
-            distance=np.diff(odometers),
-            air=np.diff([edge.air for edge in edges]),
-            kinetic=np.diff(speed**2) / 2,
-            climb=climb,
-            motor_drive=drive,
-            motor_brake=brake,
-            motor_scaled=bool(self._motor.scaled(by)),
+            duration=np.diff(edges.stamps) / NANOSECONDS,
+            distance=np.diff(edges.odometer),
+            air=np.diff(edges.air),
+            kinetic=np.diff(edges.speed**2) / 2,
+            climb=np.zeros(len(edges.stamps) - 1) if heights is None else np.diff(heights),
+            motor_drive=edges.motor[1:, 0],
+            motor_brake=edges.motor[1:, 1],
+            motor_scaled=bool(self._motor.scaled(end_ns)),
         )
+        around = Conditions(*edges.around[-1].tolist())
         return Interval(
-            start_ns=start.stamp_ns,
-            end_ns=end.stamp_ns,
+            start_ns=start_ns,
+            end_ns=end_ns,
             steps=steps,
-            conditions=end.conditions._replace(
-                load=float(np.mean([edge.conditions.load for edge in edges])),
-                doubted_load=float(np.mean([edge.conditions.doubted_load for edge in edges])),
+            conditions=around._replace(
+                celsius=None if math.isnan(around.celsius) else around.celsius,
+                load=float(edges.around[:, LOAD].mean()),
+                load_known=bool(around.load_known),
             ),
             height_known=heights is not None,
             energy=measured.energy,
             sampling_variance=measured.variance,
-            leaps=any(edge.leapt for edge in edges[1:]),
+            leaps=bool(edges.leapt[1:].any()),
             returned=measured.returned,
         )

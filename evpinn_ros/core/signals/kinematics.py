@@ -31,12 +31,10 @@ PROFILE = len(PROFILE_EDGES)
 
 TAPS = 10  # speed differences in the causal differentiator
 TAP_PERIOD = 0.1  # s between them
-FIRST = np.ones(1, dtype=bool)
 UNKNOWN_FIT = np.eye(3)
 INITIAL_TAPS = 4  # the first guess is the mean slope over this many
 TAP_STD = 0.2  # 1-sigma of a weight before learning
 LOOK_BACK_NS = int((TAPS + 2) * TAP_PERIOD * NANOSECONDS)  # of speed that a moment rests on
-LEARNED_AT_ONCE = 2000  # accelerations
 TARGET_STD = 0.2  # m/s^2, how far smoothed and causal acceleration lie apart
 
 
@@ -57,11 +55,6 @@ class Driven(NamedTuple):
 
 class SpeedTrack(SignalTrack):
     """The latest speeds, m/s, in order of stamps."""
-
-    @property
-    def newest_ns(self) -> int:
-        """Stamp of the newest speed; the track must not be empty."""
-        return int(self.stamps[-1])
 
     def driven(self, stamps: np.ndarray, head_wind: np.ndarray) -> Driven:
         """What was driven between the stamps of n speeds.
@@ -197,6 +190,24 @@ def _ones(*arrays: np.ndarray) -> Iterator[list[np.ndarray]]:
     return (np.split(array, len(array)) for array in arrays)
 
 
+class Taps(NamedTuple):
+    """Weights of the causal differentiator before m accelerations and after each of them.
+
+    Attributes:
+        information: shape (m + 1, TAPS, TAPS).
+        products: of it and the weights, shape (m + 1, TAPS).
+    """
+
+    information: np.ndarray
+    products: np.ndarray
+
+    def weights(self, counts: np.ndarray) -> np.ndarray:
+        """Weights after so many accelerations, which rise, shape (n, TAPS)."""
+        used, which = np.unique(counts, return_inverse=True)
+        solved = np.linalg.solve(self.information[used], self.products[used][..., None])[..., 0]
+        return np.asarray(solved[which])
+
+
 class CausalDifferentiator:
     """Acceleration of the newest moment from the speeds up to it, learned while driving.
 
@@ -204,64 +215,23 @@ class CausalDifferentiator:
     smoothed acceleration on the last speed differences, in its information form, whose sums of a
     block are cumulative. No battery signal is used, so it works and goes on learning during a
     dropout.
+
+    Attributes:
+        information: shape (TAPS, TAPS).
+        products: of it and the weights, shape (TAPS,).
     """
 
     def __init__(self) -> None:
         weights = np.zeros(TAPS)
         weights[:INITIAL_TAPS] = 1.0 / INITIAL_TAPS
-        self._information = np.eye(TAPS) / TAP_STD**2
-        self._products = weights / TAP_STD**2
-        self.forget_pending()
+        self.information = np.eye(TAPS) / TAP_STD**2
+        self.products = weights / TAP_STD**2
 
-    def forget_pending(self) -> None:
-        """Drop what waits for the smoother, after a gap or a jump of time."""
-        self._stamps, self._differences = np.empty(0, np.int64), np.empty((0, TAPS))
-
-    def accelerations(
-        self,
-        stamps: np.ndarray,
-        differences: np.ndarray,
-        smoothed: tuple[np.ndarray, np.ndarray],
-        learned: np.ndarray,
-    ) -> np.ndarray:
-        """Accelerations at n moments, m/s^2, each by what was learned before it.
-
-        Args:
-            stamps: of the moments, ns, shape (n,).
-            differences: of speed before them, shape (n, TAPS).
-            smoothed: stamps and accelerations, m/s^2, that the smoother has meanwhile, (m,) each.
-            learned: how many of these each moment comes after, shape (n,).
-        """
-        self._stamps = np.concatenate((self._stamps, stamps))
-        self._differences = np.concatenate((self._differences, differences))
-        accelerations = np.empty(len(stamps))
-        rises = learned[1:] != learned[:-1]
-        begin, taken = np.concatenate((FIRST, rises)).nonzero()[0], 0
-        counts, ends = learned[begin], np.concatenate((begin[1:], (len(stamps),)))
-        for first in range(0, len(counts), LEARNED_AT_ONCE):  # so that memory stays bounded
-            chosen = slice(first, first + LEARNED_AT_ONCE)
-            until = int(counts[chosen][-1])
-            informations, products = self._learn(*(part[taken:until] for part in smoothed))
-            at = counts[chosen] - taken
-            weights = np.linalg.solve(informations[at], products[at][..., None])[..., 0]
-            taken, rows = until, slice(begin[chosen][0], ends[chosen][-1])
-            of_each = np.repeat(weights, (ends - begin)[chosen], axis=0)
-            accelerations[rows] = (differences[rows] * of_each).sum(axis=1)
-        if taken < len(smoothed[0]):
-            self._learn(*(part[taken:] for part in smoothed))
-        if len(smoothed[0]):
-            kept = int(self._stamps.searchsorted(smoothed[0][-1], side="right"))
-            self._stamps, self._differences = self._stamps[kept:], self._differences[kept:]
-        return accelerations
-
-    def _learn(
-        self, stamps: np.ndarray, accelerations: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Information and its products before these and after each of them."""
-        x = self._differences[self._stamps.searchsorted(stamps)]
-        squares = x[:, :, None] * x[:, None, :] / TARGET_STD**2
-        informations = np.concatenate((self._information[None], squares)).cumsum(axis=0)
-        along = x * accelerations[:, None] / TARGET_STD**2
-        products = np.concatenate((self._products[None], along)).cumsum(axis=0)
-        self._information, self._products = informations[-1], products[-1]
-        return informations, products
+    def learn(self, differences: np.ndarray, accelerations: np.ndarray) -> Taps:
+        """Learn smoothed accelerations, m/s^2, shape (m,), from differences, shape (m, TAPS)."""
+        squares = differences[:, :, None] * differences[:, None, :] / TARGET_STD**2
+        information = np.concatenate((self.information[None], squares)).cumsum(axis=0)
+        along = differences * accelerations[:, None] / TARGET_STD**2
+        products = np.concatenate((self.products[None], along)).cumsum(axis=0)
+        self.information, self.products = information[-1], products[-1]
+        return Taps(information, products)

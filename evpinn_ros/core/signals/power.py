@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.core.signals.block import FIELDS, Rows
+from evpinn_ros.core.signals.kinematics import SpeedTrack
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, drawn_power
-from evpinn_ros.core.signals.track import BEFORE, LATER, NEVER, SignalTrack
+from evpinn_ros.core.signals.track import LATER, NEVER, SignalTrack
 
 BRIDGE_SHARE = 1.0 / 12.0  # variance of the integral of a Brownian bridge, per step^2 and rise^2
 TIMING = 0.2  # of a signal's usual step, 1-sigma by which its stamps are off
@@ -44,89 +45,62 @@ class BatteryTrack:
     def __init__(self, max_gap: float) -> None:
         """Never interpolate across gaps (see `SignalTrack`)."""
         self.voltage, self.current = self.tracks = SignalTrack(max_gap), SignalTrack(max_gap)
-        # W, of a coarse reading, and the place of each
-        self._orders, self._power_std = np.array([BEFORE]), np.zeros(1)
+        # W, 1-sigma of coarse readings from each stamp on; 0 where it is the sensor's own.
+        self._coarse_ns, self._coarse = np.array([NEVER]), np.zeros(1)
 
-    def newest_ns(self, by: Any = LATER) -> Any:
-        """Latest stamp up to which both were known, by places; `NEVER` before."""
+    @property
+    def newest_ns(self) -> int:
+        """Latest stamp up to which both are known; `NEVER` before."""
+        return min(track.newest_ns for track in self.tracks)
+
+    def newest_at(self, moments: np.ndarray) -> np.ndarray:
+        """Latest stamps up to which both are known at moments, ns; `NEVER` before."""
         newest = []
         for track in self.tracks:
-            stamps = np.concatenate(([NEVER], track.stamps))
-            newest.append(stamps[track.count(by)])
-        return np.minimum(*newest)
+            stamps = np.append(NEVER, track.stamps)
+            newest.append(stamps[stamps.searchsorted(moments, side="right") - 1])
+        return np.asarray(np.minimum(*newest))
 
-    def period(self, by: Any = LATER) -> Any:
+    def period(self, moments: Any = LATER) -> Any:
         """Usual step between readings of the slower of the two, s."""
-        return np.maximum(*(track.period(by) for track in self.tracks))
+        return np.maximum(*(track.period(moments) for track in self.tracks))
 
-    def gap_ns(self, by: Any = LATER) -> Any:
-        """Nanoseconds beyond which nothing is joined, by places."""
-        return np.maximum(*(track.gap_ns(by) for track in self.tracks))
-
-    def in_order(self, rows: Rows) -> int:
-        """How many readings, from the first on, come after those before them."""
-        count = len(rows.order)
-        if not count:
-            return 0
-        for track, values in zip(self.tracks, rows.values[:2], strict=True):
-            there = np.flatnonzero(~np.isnan(values))
-            in_order = track.in_order(rows.stamps[there])
-            if in_order < len(there):
-                count = min(count, int(there[in_order]))
-        return count
+    def gap_ns(self, moments: Any = LATER) -> Any:
+        """Nanoseconds beyond which nothing is joined, by the readings up to moments."""
+        return np.maximum(*(track.gap_ns(moments) for track in self.tracks))
 
     def extend(self, rows: Rows) -> None:
-        """Take V and A of readings in order, either NaN where not measured."""
-        if not len(rows.order):
+        """Take V and A of the readings that follow, either NaN where not measured."""
+        if not len(rows.stamps):
             return
         for track, values in zip(self.tracks, rows.values[:2], strict=True):
             there = ~np.isnan(values)
-            track.extend(rows.order[there], rows.stamps[there], values[there])
-        coarse = rows.values[FIELDS[BatteryReading].index("power_std")]
-        self._orders = np.concatenate((self._orders, rows.order))
-        self._power_std = np.concatenate((self._power_std, np.where(coarse > 0.0, coarse, 0.0)))
+            track.extend(rows.stamps[there], values[there])
+        coarse = np.nan_to_num(rows.values[FIELDS[BatteryReading].index("power_std")])
+        changes = coarse != np.append(self._coarse[-1], coarse[:-1])
+        self._coarse_ns = np.concatenate((self._coarse_ns, rows.stamps[changes]))
+        self._coarse = np.concatenate((self._coarse, coarse[changes]))
 
-    def insert(self, reading: BatteryReading) -> bool:
-        """Take a reading of any stamp between blocks; False when nothing was new."""
-        new = False
-        self._power_std[-1] = reading.power_std if reading.power_std > 0.0 else 0.0
-        for track, value in zip(self.tracks, (reading.voltage, reading.current), strict=True):
-            new |= not math.isnan(value) and track.insert(reading.stamp_ns, value)
-        return new
-
-    def settle(self, needed_ns: int) -> None:
-        """See `SignalTrack.settle`."""
+    def forget_before(self, needed_ns: int) -> None:
+        """See `SignalTrack.forget_before`."""
         for track in self.tracks:
-            track.settle(needed_ns)
-        if len(self._orders) > 1:
-            self._orders, self._power_std = np.array([BEFORE]), self._power_std[-1:]
+            track.forget_before(needed_ns)
+        first = max(0, int(self._coarse_ns.searchsorted(needed_ns)) - 1)
+        self._coarse_ns, self._coarse = self._coarse_ns[first:], self._coarse[first:]
 
-    def first_after(self, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First moments from which on both are known at others, and the places then.
+    def first_after(self, moments: np.ndarray) -> np.ndarray:
+        """First moments from which on both are known at others, `LATER` while one is not."""
+        return np.asarray(np.maximum(*(track.first_after(moments) for track in self.tracks)))
 
-        `LATER` while one of them is not.
-        """
-        stamps, orders = zip(*(track.first_after(moments) for track in self.tracks), strict=True)
-        return np.maximum(*stamps), np.maximum(*orders)
-
-    def at(self, moments: np.ndarray, by: np.ndarray) -> np.ndarray:
+    def at(self, moments: np.ndarray) -> np.ndarray:
         """Power drawn, W, at moments; NaN where it was not measured. Shape (n,)."""
-        return drawn_power(self.voltage.at(moments, by), self.current.at(moments, by))
+        return drawn_power(self.voltage.at(moments), self.current.at(moments))
 
-    def told(self, rows: Rows) -> np.ndarray:
-        """Power that readings tell, W, or NaN; of a current alone, with the last voltage."""
-        voltage, current = rows.values[:2]
-        alone = np.isnan(voltage)
-        last = self.voltage.last(rows.stamps[alone], rows.order[alone])
-        voltage = voltage.copy()
-        voltage[alone] = last
-        return drawn_power(voltage, current)
-
-    def covered(self, moments: np.ndarray, by: int = LATER) -> np.ndarray:
+    def covered(self, moments: np.ndarray) -> np.ndarray:
         """`SignalTrack.covered` of both, shape (n - 1,)."""
-        return np.asarray(self.voltage.covered(moments, by) & self.current.covered(moments, by))
+        return np.asarray(self.voltage.covered(moments) & self.current.covered(moments))
 
-    def energy(self, start_ns: int, end_ns: int, by: int = LATER) -> Energy:
+    def energy(self, start_ns: int, end_ns: int) -> Energy:
         """Energy drawn between two moments.
 
         The trapezoid between readings of the current. Power moves between them as it moves from
@@ -134,15 +108,15 @@ class BatteryTrack:
         slow signal shows was so some part of its step ago, which moves the ends of the interval.
         Coarse readings that repeat have one error, the others each its own.
         """
-        if not self.covered(np.array([start_ns, end_ns]), by)[0]:
+        if not self.covered(np.array([start_ns, end_ns]))[0]:
             return UNMEASURED
-        stamps = np.concatenate(([start_ns], self.current.within(start_ns, end_ns, by), [end_ns]))
-        power = drawn_power(*(track.between(stamps, by) for track in self.tracks))
+        stamps = np.concatenate(([start_ns], self.current.within(start_ns, end_ns), [end_ns]))
+        power = drawn_power(*(track.between(stamps) for track in self.tracks))
         step = np.diff(stamps) / NANOSECONDS
         bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ step**2)
-        period = max(track.step_around(end_ns, by) for track in self.tracks)
+        period = max(track.step_around(end_ns) for track in self.tracks)
         ends = (TIMING * period) ** 2 * float(power[0] ** 2 + power[-1] ** 2)
-        std = float(self._power_std[self._orders.searchsorted(by, side="right") - 1])
+        std = float(self._coarse[self._coarse_ns.searchsorted(end_ns, side="right") - 1])
         coarse = std**2 * _square_of_runs(power, step) if std else 0.0
         returned = _trapezoid(np.maximum(-power, 0.0), step)
         return Energy(_trapezoid(power, step), bridge + ends + coarse, returned)
@@ -159,54 +133,43 @@ class MotorTrack:
             ratio: rad that the motor turns per m of road; `NOMINAL_RATIO` where it is NaN.
         """
         self.power = SignalTrack(max_gap)
-        self._scaled_from = LATER if math.isnan(ratio) else BEFORE
+        self._scaled_from = LATER if math.isnan(ratio) else NEVER
         self._ratio = NOMINAL_RATIO if math.isnan(ratio) else ratio
 
-    def scaled(self, by: Any = LATER) -> Any:
+    def scaled(self, moments: Any) -> Any:
         """Whether it is in W; else up to a factor, for neither gear nor speed is known."""
-        return np.less_equal(self._scaled_from, by) & (self._scaled_from < LATER)
+        return np.less_equal(self._scaled_from, moments)
+
+    def extend(self, rows: Rows, speed: SpeedTrack) -> None:
+        """Take the readings that follow; before the first speed they tell nothing."""
+        index = speed.stamps.searchsorted(rows.stamps, side="right") - 1
+        rows, index = rows.where(index >= 0), index[index >= 0]
+        self.power.extend(rows.stamps, self.powers(rows, speed.values[index]))
 
     def powers(self, rows: Rows, car_speed: np.ndarray) -> np.ndarray:
         """Power of readings at speeds of the car, m/s, W; of any order."""
         torque, turning = rows.values
         known = ~np.isnan(turning)
         if known.any():
-            self._scaled_from = min(self._scaled_from, int(rows.order[known][0]))
+            self._scaled_from = min(self._scaled_from, int(rows.stamps[known][0]))
         return np.asarray(torque * np.where(known, turning, self._ratio * car_speed))
 
-    def settle(self, needed_ns: int) -> None:
-        """See `SignalTrack.settle`."""
-        self.power.settle(needed_ns)
-        self._scaled_from = BEFORE if self._scaled_from < LATER else LATER
-
-    def at(self, moments: np.ndarray, by: np.ndarray) -> np.ndarray:
-        """Power at moments, W, that of the last reading where it is the newest; NaN unknown."""
+    def at(self, moments: np.ndarray, until: np.ndarray) -> np.ndarray:
+        """Power at moments, W, by readings up to others, ns; the last one where none is later."""
         if not len(self.power):
             return np.full(len(moments), np.nan)
-        come = self.power.count(by)
-        newest = (come > 0) & (moments > self.power.stamps[np.maximum(come - 1, 0)])
-        return np.where(newest, self.power.last(moments, by), self.power.at(moments, by))
+        between = self.power.first_after(moments) <= until
+        return np.where(between, self.power.at(moments), self.power.last(moments))
 
-    def energies(self, ends: np.ndarray, by: np.ndarray) -> np.ndarray:
-        """Energy of driving and of braking in steps, positive J; NaN where unknown.
+    def energies(self, ends: np.ndarray) -> np.ndarray:
+        """Energy of driving and of braking in steps between n + 1 moments, J, shape (2, n).
 
-        Args:
-            ends: n + 1 moments, rising, ns.
-            by: places in the order of arrival, shape (n,).
-
-        Returns:
-            Shape (2, n).
+        Both are positive; NaN where unknown. The moments, ns, rise.
         """
-        track = self.power
-        if len(ends) < 2 or len(track) < 2:
-            return np.full((2, len(by)), np.nan)
-        first = track.stamps.searchsorted(ends[:-1], side="right") - 1
-        last = track.stamps.searchsorted(ends[1:])
-        covered = (first >= 0) & (last < track.count(by))
-        first = np.clip(first, 0, len(track) - 2)
-        around = np.column_stack((first, np.clip(last, first + 1, len(track) - 1)))
-        widest = np.maximum.reduceat(np.append(np.diff(track.stamps), 0), around.ravel())[::2]
-        covered &= widest <= track.gap_ns(by)
+        track, count = self.power, max(len(ends) - 1, 0)
+        if not count or len(track) < 2:
+            return np.full((2, count), np.nan)
+        covered = track.covered(ends)
         within = slice(*track.stamps.searchsorted(ends[[0, -1]]))
         knots = np.union1d(ends, track.stamps[within])
         power = np.interp(knots - ends[0], track.stamps - ends[0], track.values)

@@ -20,6 +20,8 @@ DAY_NS = 86_400 * NANOSECONDS
 # same file must give the same bag.
 DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
 
+MOST_STAMP = 2**61  # ns either way: ROS has seconds of 32 bits, and differences must not overflow
+
 # Ranges of what can be: a reading beyond is a fault of its sensor, and dropped.
 MAX_SPEED = 100.0  # m/s, no production car
 MIN_VOLTAGE = 10.0  # V, below it no traction battery is connected, and there is no power
@@ -212,6 +214,8 @@ RANGES: Mapping[type[Reading], tuple[Bounds, ...]] = {
 
 def why_impossible(reading: Reading) -> str | None:
     """Reason why a reading is impossible, or None."""
+    if abs(reading.stamp_ns) > MOST_STAMP:
+        return "stamp_out_of_range"
     for what, field, least, most, unknown in RANGES[type(reading)]:
         value = getattr(reading, field)
         if not (least <= value <= most or (unknown and math.isnan(value))):

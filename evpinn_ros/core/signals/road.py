@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
 import math
@@ -23,7 +22,7 @@ from evpinn_ros.core.signals.readings import (
     TemperatureReading,
     WindReading,
 )
-from evpinn_ros.core.signals.track import BEFORE, NEVER, SignalTrack
+from evpinn_ros.core.signals.track import NEVER, SignalTrack
 
 SLOPE_STD = 0.015  # 1-sigma of the slope of roads, between a plain and hills
 SLOPE_LENGTH = 300.0  # m of road over which slopes are alike
@@ -70,7 +69,6 @@ class Conditions(NamedTuple):
         celsius: temperature outside, None while unknown.
         load: auxiliary power the car reports, W; 0 while unknown.
         load_known: whether it reports any.
-        doubted_load: heating that it reports on a warm day, W, which is often not drawn.
     """
 
     air_density: Any
@@ -78,31 +76,29 @@ class Conditions(NamedTuple):
     celsius: Any
     load: Any
     load_known: Any
-    doubted_load: Any = 0.0
 
 
 class _Told:
-    """What readings of one kind told last, by places in the order of arrival."""
+    """Latest values of some quantities that readings of one kind tell, in order of stamps."""
 
     def __init__(self, width: int) -> None:
-        self.orders, self.stamps = np.array([BEFORE]), np.array([NEVER])
+        self.stamps = np.array([NEVER])
         self._values = np.full((width, 1), np.nan)
 
-    def extend(self, rows: Rows) -> None:
-        """Take what came."""
-        self.orders = np.concatenate((self.orders, rows.order))
-        self.stamps = np.concatenate((self.stamps, rows.stamps))
-        self._values = np.concatenate((self._values, rows.values[: len(self._values)]), axis=1)
+    def extend(self, stamps: np.ndarray, values: np.ndarray) -> None:
+        """Take the readings that follow: ns, shape (n,), and values, shape (fields, n)."""
+        self.stamps = np.concatenate((self.stamps, stamps))
+        self._values = np.concatenate((self._values, values[: len(self._values)]), axis=1)
 
-    def settle(self) -> None:
-        """Take all as come before."""
-        if len(self.orders) > 1:
-            self.orders, self.stamps = np.array([BEFORE]), self.stamps[-1:]
-            self._values = self._values[:, -1:]
+    def forget_before(self, needed_ns: int) -> None:
+        """Drop what was told before the last reading up to a moment."""
+        first = int(self.stamps.searchsorted(needed_ns, side="right")) - 1
+        if first > len(self.stamps) // 2:
+            self.stamps, self._values = self.stamps[first:], self._values[:, first:]
 
-    def at(self, by: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Stamps, `NEVER` before the first, and values told last by places, (n,) each."""
-        index = self.orders.searchsorted(by, side="right") - 1
+    def at(self, moments: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Stamps, `NEVER` before the first, and values told last up to moments, (n,) each."""
+        index = np.maximum(self.stamps.searchsorted(moments, side="right") - 1, 0)
         return self.stamps[index], *self._values[:, index]
 
     @property
@@ -112,10 +108,7 @@ class _Told:
 
 
 class Road:
-    """Grade, air density and known loads at moments, from optional readings.
-
-    What is asked is asked by a place in the order of arrival (`signals.track`).
-    """
+    """Grade, air density and known loads at moments, from optional readings."""
 
     def __init__(self, grade_source: GradeSource, reference_density: float) -> None:
         """Take the air density, kg/m^3, of the vehicle file as that at `REFERENCE_CELSIUS`."""
@@ -127,8 +120,7 @@ class Road:
     def forget(self) -> None:
         """Drop what may not be joined across a gap or a jump of time."""
         self._auxiliary = _Told(2)
-        self._window: deque[tuple[int, float]] = deque()  # of pitch
-        self._sum = 0.0  # over it
+        self._pitch_ns, self._pitches = np.empty(0, np.int64), np.empty(0)  # of the last window
         self._pitch, self._slope = _Told(1), _Told(1)
         self._hill = _Hill()
         self.altitudes = SignalTrack(STALE_AFTER)
@@ -136,10 +128,13 @@ class Road:
         self._altitude = AltitudeDetector()
         self._placed_ns = NEVER  # up to here heights were given
 
-    def extend(self, block: Block, orders: np.ndarray, distances: np.ndarray) -> None:
-        """Take readings of a block, and distances, m, that were driven by places in it.
+    def extend(self, block: Block, stamps: np.ndarray, distances: np.ndarray) -> None:
+        """Take the readings of a block, in order of stamps.
 
-        Altitudes come in the order of their stamps.
+        Args:
+            block: of readings.
+            stamps: of its speeds, ns, shape (n,).
+            distances: driven up to each, m, shape (n,).
         """
         kinds: Mapping[type[Reading], _Told] = {
             TemperatureReading: self._celsius,
@@ -149,47 +144,35 @@ class Road:
         }
         for kind, told in kinds.items():
             if kind in block.rows:
-                told.extend(block.rows[kind])
+                told.extend(block.rows[kind].stamps, block.rows[kind].values)
         if GradeReading in block.rows:
-            self._pitch.extend(self._mean_pitch(block.rows[GradeReading]))
+            self._add_pitch(block.rows[GradeReading])
         altitudes = block.of_kind(AltitudeReading)
-        if not (len(altitudes.order) or len(orders)):
-            return
-        self._slope.extend(self._slopes(altitudes, orders, distances))
-        self.altitudes.extend(altitudes.order, altitudes.stamps, altitudes.values[0])
+        if len(altitudes.stamps) or len(stamps):
+            self._add_slopes(altitudes, stamps, distances)
+            self.altitudes.extend(altitudes.stamps, altitudes.values[0])
 
-    def insert(self, reading: AltitudeReading) -> None:
-        """Take an altitude of any stamp between blocks."""
-        rows = Block.of([reading]).rows[AltitudeReading]
-        self._slope.extend(self._slopes(rows, np.empty(0), np.empty(0)))
-        self._slope.settle()
-        self.altitudes.insert(reading.stamp_ns, reading.altitude)
-
-    def settle(self, needed_ns: int) -> None:
-        """Take all as come before; see `SignalTrack.settle`."""
+    def forget_before(self, needed_ns: int) -> None:
+        """See `SignalTrack.forget_before`."""
         for told in (self._celsius, self._pascal, self._wind, self._auxiliary, self._pitch,
                      self._slope):  # fmt: skip
-            told.settle()
-        self.altitudes.settle(needed_ns)
+            told.forget_before(needed_ns)
+        self.altitudes.forget_before(needed_ns)
 
-    def _mean_pitch(self, rows: Rows) -> Rows:
-        """Readings of pitch as the mean of the last `GRADE_WINDOW`."""
-        window, means = self._window, []
-        for stamp_ns, grade in zip(rows.stamps.tolist(), rows.values[0].tolist(), strict=True):
-            window.append((stamp_ns, grade))
-            self._sum += grade
-            oldest = stamp_ns - int(GRADE_WINDOW * NANOSECONDS)
-            while not oldest <= window[0][0] <= stamp_ns:
-                self._sum -= window.popleft()[1]
-            if len(window) == 1:
-                self._sum = grade  # nothing is left of rounding
-            means.append(self._sum / len(window))
-        return rows._replace(values=np.array([means]))
+    def _add_pitch(self, rows: Rows) -> None:
+        """Take readings of pitch as the mean of the last `GRADE_WINDOW` at each."""
+        stamps = np.concatenate((self._pitch_ns, rows.stamps))
+        pitches = np.concatenate((self._pitches, rows.values[0]))
+        begins = stamps.searchsorted(rows.stamps - int(GRADE_WINDOW * NANOSECONDS))
+        sums, ends = np.append(0.0, pitches.cumsum()), np.arange(len(stamps))[-len(rows.stamps) :]
+        means = (sums[ends + 1] - sums[begins]) / (ends + 1 - begins)
+        self._pitch.extend(rows.stamps, means[None])
+        self._pitch_ns, self._pitches = stamps[begins[-1] :], pitches[begins[-1] :]
 
-    def _slopes(self, altitudes: Rows, orders: np.ndarray, distances: np.ndarray) -> Rows:
-        """Altitudes as the slope of the road once each is seen, with the distances between."""
+    def _add_slopes(self, altitudes: Rows, stamps: np.ndarray, distances: np.ndarray) -> None:
+        """Take altitudes as the slope of the road at each, with the distances between."""
         slopes, driven = [], distances.tolist()
-        passed = np.searchsorted(orders, altitudes.order).tolist()
+        passed = stamps.searchsorted(altitudes.stamps, side="right").tolist()
         begin = 0
         for end, altitude in zip(passed, altitudes.values[0].tolist(), strict=True):
             self._hill.travel(driven[begin:end])
@@ -197,41 +180,34 @@ class Road:
             slopes.append(self._hill.slope)
             begin = end
         self._hill.travel(driven[begin:])
-        return altitudes._replace(values=np.array([slopes]))
+        self._slope.extend(altitudes.stamps, np.array([slopes]))
 
-    def grades(self, moments: np.ndarray, by: np.ndarray) -> np.ndarray:
+    def grades(self, moments: np.ndarray) -> np.ndarray:
         """Road incline angles, rad, 0 while unknown, shape (n,)."""
         grades = np.zeros(len(moments))
         if self._source in (GradeSource.AUTO, GradeSource.FIX) and self._slope.is_told:
-            stamps, slopes = self._slope.at(by)
+            stamps, slopes = self._slope.at(moments)
             slope = np.arctan(slopes)
             known = (_age(moments, stamps) <= STALE_AFTER) & (np.abs(slope) < GRADE_LIMIT)
             grades = np.where(known, slope, 0.0)
         if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._pitch.is_told:
-            stamps, pitches = self._pitch.at(by)
+            stamps, pitches = self._pitch.at(moments)
             grades = np.where(_age(moments, stamps) < STALE_AFTER, pitches, grades)
         return grades
 
-    def conditions(self, moments: np.ndarray, by: np.ndarray) -> Conditions:
-        """The surroundings at moments, shape (n,) each; a temperature that is unknown is NaN.
-
-        A heater that reports kilowatts on a warm day is not plausible: on five of six real drives
-        above 20 degrees none of it was drawn, below all of it. So it is `doubted_load` there.
-        """
-        told_ns, winds = self._wind.at(by)
+    def conditions(self, moments: np.ndarray) -> Conditions:
+        """The surroundings at moments, shape (n,) each; a temperature that is unknown is NaN."""
+        told_ns, winds = self._wind.at(moments)
         blows = _age(moments, told_ns) <= WIND_STALE_AFTER
-        told_ns, heating, others = self._auxiliary.at(by)
+        told_ns, heating, others = self._auxiliary.at(moments)
         fresh = _age(moments, told_ns) <= STALE_AFTER
-        heating, others = np.where(fresh, heating, 0.0), np.where(fresh, others, 0.0)
-        celsius, pascal = self._celsius.at(by)[1], self._pascal.at(by)[1]
-        warm = celsius >= HEATED_BELOW
+        celsius, pascal = self._celsius.at(moments)[1], self._pascal.at(moments)[1]
         return Conditions(
             density_of_air(self._reference_density, celsius, pascal),
             np.where(blows, winds, 0.0),
             celsius,
-            load=others + np.where(warm, 0.0, heating),
+            load=np.where(fresh, heating + others, 0.0),
             load_known=told_ns != NEVER,
-            doubted_load=np.where(warm, heating, 0.0),
         )
 
     @property
@@ -240,37 +216,31 @@ class Road:
         return self._pitch.is_told or len(self.altitudes) > 0
 
     def heights(
-        self, stamps: np.ndarray, odometers: np.ndarray, by: np.ndarray, passed: int, kept: int
+        self, stamps: np.ndarray, odometers: np.ndarray
     ) -> Iterator[list[tuple[float, float]]]:
         """Places, m by the odometer, and heights of the road there, m, that are new at moments.
 
-        Altitudes stand at their own stamps, whenever they come; the integral of pitch stands in
-        for them where the IMU gives them, and goes on from the last of them.
+        The integral of pitch stands in for altitudes where the IMU gives it, and they go on from
+        the last of it.
 
         Args:
-            stamps: ns, increasing; of moments that passed before, and n new ones.
+            stamps: of the moment before and n new ones, ns, increasing, shape (n + 1,).
             odometers: m, at these.
-            by: places in the order of arrival of the new ones, shape (n,).
-            passed: how many passed before.
-            kept: moments, the last included, among which altitudes find their place.
         """
-        told_ns, pitches = self._pitch.at(by)
-        fresh = _age(stamps[passed:], told_ns) < STALE_AFTER
+        told_ns, pitches = self._pitch.at(stamps[1:])
+        fresh = _age(stamps[1:], told_ns) < STALE_AFTER
         fresh &= self._source in (GradeSource.AUTO, GradeSource.IMU)
         seen_ns, altitudes = self.altitudes.stamps, self.altitudes.values.tolist()
-        upto = seen_ns.searchsorted(stamps[passed:], side="right")
-        upto = np.minimum(upto, self.altitudes.count(by))
-        begins = stamps[np.maximum(np.arange(passed, len(stamps)) - (kept - 1), 0)]
-        oldest = seen_ns.searchsorted(begins).tolist()
+        upto = seen_ns.searchsorted(stamps[1:], side="right")
         places = np.interp(seen_ns - stamps[0], stamps - stamps[0], odometers).tolist()
         if self._source not in (GradeSource.AUTO, GradeSource.FIX):
             upto = np.zeros_like(upto)
         rows = zip(
-            fresh.tolist(), pitches.tolist(), stamps[passed:].tolist(),
-            odometers[passed:].tolist(), oldest, upto.tolist(), strict=True,
+            fresh.tolist(), pitches.tolist(), stamps[1:].tolist(), odometers[1:].tolist(),
+            upto.tolist(), strict=True,
         )  # fmt: skip
         placed = int(seen_ns.searchsorted(self._placed_ns, side="right"))
-        for is_fresh, pitch, now_ns, odometer, first, last in rows:
+        for is_fresh, pitch, now_ns, odometer, last in rows:
             way, self._odometer = odometer - self._odometer, odometer
             if is_fresh:
                 self._height += way * math.sin(pitch)
@@ -278,7 +248,7 @@ class Road:
                 placed = int(seen_ns.searchsorted(now_ns, side="right"))
                 yield [(odometer, self._height)]
                 continue
-            first, placed = max(first, placed), max(last, placed)
+            first, placed = placed, max(last, placed)
             if first < last:
                 self._placed_ns = int(seen_ns[last - 1])
             yield list(self._risen(places[first:last], altitudes[first:last]))
@@ -357,5 +327,5 @@ class _Hill:
 
 
 def _age(now_ns: Any, stamp_ns: Any) -> Any:
-    """Seconds between stamps; a stamp from the future is as far from now as an old one."""
-    return abs(now_ns - stamp_ns) / NANOSECONDS
+    """Seconds between stamps, inf since `NEVER`; the future is as far from now as the past."""
+    return np.where(stamp_ns == NEVER, np.inf, abs(now_ns - stamp_ns) / NANOSECONDS)

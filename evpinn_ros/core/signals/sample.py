@@ -26,7 +26,6 @@ class Sample(NamedTuple):
             m/s^2; 0 where it is not.
         head_wind: wind against the car, m/s over ground; 0 while unknown.
         celsius: temperature of the air outside, NaN while unknown.
-        doubted_load: heating that the car reports on a warm day, W, which is often not drawn.
         motor_power: mechanical power of the motor, W, NaN where no bus reports it.
         motor_scaled: whether that is in W; else up to a factor, for the gear is not known.
     """
@@ -40,7 +39,6 @@ class Sample(NamedTuple):
     profile: tuple[float, ...] = (0.0,) * PROFILE
     head_wind: float = 0.0
     celsius: float = math.nan
-    doubted_load: float = 0.0
     motor_power: float = math.nan
     motor_scaled: bool = True
 
@@ -57,7 +55,6 @@ class Samples(NamedTuple):
     profile: np.ndarray
     head_wind: np.ndarray
     celsius: np.ndarray
-    doubted_load: np.ndarray
     motor_power: np.ndarray
     motor_scaled: np.ndarray
 
@@ -91,7 +88,7 @@ class Samples(NamedTuple):
 
 NO_SAMPLES = Samples._make((
     np.empty(0, np.int64), *(np.empty(0) for _ in range(5)), np.empty((0, PROFILE)),
-    *(np.empty(0) for _ in range(4)), np.empty(0, dtype=bool),
+    *(np.empty(0) for _ in range(3)), np.empty(0, dtype=bool),
 ))  # fmt: skip
 
 
@@ -107,47 +104,83 @@ class Measured(NamedTuple):
     """Smoothed samples whose battery power was measured, in order: to learn from.
 
     Attributes:
-        order: places in the block at which both were known, shape (n,).
-        place: how many smoothed samples of the block come before each, shape (n,).
         samples: n of them.
         power: W, shape (n,).
+        known_ns: stamp of the speed by which each is known, shape (n,).
+        place: how many smoothed samples of the block come before each is learned, shape (n,).
     """
 
-    order: np.ndarray
-    place: np.ndarray
     samples: Samples
     power: np.ndarray
+    known_ns: np.ndarray
+    place: np.ndarray
 
     def where(self, chosen: np.ndarray | slice) -> Measured:
         """The chosen ones."""
-        samples = self.samples.where(chosen)
-        return Measured(self.order[chosen], self.place[chosen], samples, self.power[chosen])
+        return Measured(self.samples.where(chosen), *(column[chosen] for column in self[1:]))
+
+
+class Newest(NamedTuple):
+    """Moments of the newest speed, which are predicted at once.
+
+    Attributes:
+        samples: n of them, whose acceleration is causal.
+        known_ns: up to here all was learned before each, shape (n,).
+    """
+
+    samples: Samples
+    known_ns: np.ndarray
+
+    def where(self, chosen: np.ndarray | slice) -> Newest:
+        """The chosen ones."""
+        return Newest(self.samples.where(chosen), self.known_ns[chosen])
 
 
 class Events(NamedTuple):
-    """What the readings of a block complete, with places in its order.
+    """What a block completes: all of it up to the stamp of its newest speed.
 
     Attributes:
         newest: the newest moments, whose acceleration is causal (`power/predicted`).
-        newest_order: their places, shape (n,).
         smoothed: the moments `smoothing_lag` back (`power/smoothed`).
-        smoothed_order: their places, shape (m,).
+        smoothed_ns: stamp of the speed that completes each, shape (m,).
         measured: those of them whose battery power is known.
-        intervals: to learn the car from, each with its place.
-        told: places, stamps and power, W, NaN where unknown, of the battery readings used, and
-            the 1-sigma, W, of coarse ones.
-        moments: places of all speeds, and the stamp of the newest used by then.
-        battery: places of the battery readings, the newest stamp of both, and the gap, ns.
-        taken: whether each reading was used, and all that it completed, shape (length,).
+        intervals: to learn the car from, each with the stamp of the speed that completes it.
     """
 
-    newest: Samples
-    newest_order: np.ndarray
+    newest: Newest
     smoothed: Samples
-    smoothed_order: np.ndarray
+    smoothed_ns: np.ndarray
     measured: Measured
     intervals: Sequence[tuple[int, Interval]]
-    told: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-    moments: tuple[np.ndarray, np.ndarray]
-    battery: tuple[np.ndarray, np.ndarray, np.ndarray]
-    taken: np.ndarray
+
+
+NO_NS = np.empty(0, np.int64)
+NO_NEWEST = Newest(NO_SAMPLES, NO_NS)
+NO_MEASURED = Measured(NO_SAMPLES, np.empty(0), NO_NS, NO_NS)
+NO_EVENTS = Events(NO_NEWEST, NO_SAMPLES, NO_NS, NO_MEASURED, ())
+
+
+def joined_events(parts: Sequence[Events]) -> Events:
+    """Events of parts of a block, one after another."""
+    if len(parts) == 1:
+        return parts[0]
+    places, count = [], 0
+    for part in parts:
+        places.append(part.measured.place + count)
+        count += part.smoothed.size
+    newest, measured = zip(*((part.newest, part.measured) for part in parts), strict=True)
+    return Events(
+        Newest(
+            joined_samples([some.samples for some in newest]),
+            np.concatenate([some.known_ns for some in newest]),
+        ),
+        joined_samples([part.smoothed for part in parts]),
+        np.concatenate([part.smoothed_ns for part in parts]),
+        Measured(
+            joined_samples([some.samples for some in measured]),
+            np.concatenate([some.power for some in measured]),
+            np.concatenate([some.known_ns for some in measured]),
+            np.concatenate(places),
+        ),
+        [interval for part in parts for interval in part.intervals],
+    )

@@ -147,12 +147,14 @@ class StuckDetector:
                 return reason
         return None
 
-    def course(self, speeds: Rows, battery: Rows) -> StuckCourse:
-        """The detectors along the readings of a block, whose power is finite.
+    def course(self, block: Block) -> StuckCourse:
+        """The detectors along the readings of a block, in order of stamps.
 
         They are followed one by one where a value repeats so long, while the other signal moves
         so far, that it may be suspected; else only how the block ends matters.
         """
+        speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
+        battery = battery.where(np.isfinite(battery.values[0] * battery.values[1]))
         if len(speeds.order) + len(battery.order) <= FEW:
             return self._followed(speeds, battery)
         power = drawn_power(*battery.values[:2])
@@ -194,9 +196,9 @@ class StuckDetector:
             return StuckCourse((), (self,))
         length = 1 + max(ends)
         block = Block(length, {SpeedReading: speeds, BatteryReading: battery})
-        places = np.sort(np.concatenate((speeds.order, battery.order)))
+        stamps = np.sort(np.concatenate((speeds.stamps, battery.stamps)))
         detectors = accumulate(block.readings(), StuckDetector.after, initial=self)
-        return StuckCourse(tuple(places.tolist()), tuple(detectors))
+        return StuckCourse(tuple(stamps.tolist()), tuple(detectors))
 
     def _moved(self, reading: SpeedReading) -> StuckDetector:
         """The detector after the step to another speed; a leap shows that the speed did hang."""
@@ -245,12 +247,12 @@ class StuckDetector:
 
 
 class StuckCourse(NamedTuple):
-    """Detectors along a block: the first from its begin, each further one from a place on.
+    """Detectors along a block: the first from its begin, each further one from a stamp on.
 
     Where nothing was suspected there is one, of the end.
     """
 
-    places: tuple[int, ...]
+    stamps: tuple[int, ...]
     detectors: tuple[StuckDetector, ...]
 
     @property
@@ -258,9 +260,13 @@ class StuckCourse(NamedTuple):
         """The detector after the block."""
         return self.detectors[-1]
 
-    def at(self, place: int) -> StuckDetector:
-        """The detector after the reading at a place."""
-        return self.detectors[bisect_right(self.places, place)]
+    def at(self, stamp_ns: int) -> StuckDetector:
+        """The detector after the readings up to a stamp."""
+        return self.detectors[bisect_right(self.stamps, stamp_ns)]
+
+    def begins_before(self, stamp_ns: int) -> bool:
+        """Whether a stamp is not before its readings."""
+        return not self.stamps or self.stamps[0] <= stamp_ns
 
     @property
     def is_quiet(self) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 import time
 from typing import Any
@@ -83,7 +82,7 @@ class BridgedCar:
         return began
 
     def _take(self, items: Sequence[Block | Jump]) -> None:
-        for output in chain.from_iterable(self.chain.take(items)):
+        for output in self.chain.take(items):
             if isinstance(output, PowerEstimate):
                 self._power[output.kind] = output
 

@@ -14,6 +14,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, SpeedReading
 from evpinn_ros.core.signals.road import GradeSource
+from evpinn_ros.core.signals.reorder import in_order
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -104,7 +105,7 @@ def _read(
             if isinstance(reading, SpeedReading):  # as if it had not been delayed
                 reading = replace(reading, stamp_ns=reading.stamp_ns - earlier_ns)
             readings.append(reading)
-    _, _, samples, power = stream.add_block(Block.of(readings)).measured
+    samples, power, *_ = stream.add(in_order(Block.of(readings))).measured
     dropped = {**source.dropped, **guard.dropped, **stream.dropped}
     if samples.size < MIN_SAMPLES:
         why = ", ".join(f"{count} {reason}" for reason, count in dropped.items())

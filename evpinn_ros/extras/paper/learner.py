@@ -31,10 +31,10 @@ import torch
 from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.estimation.estimate import ParameterEstimate, ParameterSet, Trust
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, PaperOptimizer
-from evpinn_ros.core.estimation.learner import Learner, Moments, Predictions, Step, gates
+from evpinn_ros.core.estimation.learner import Learner, Predictions, Span, gates
 from evpinn_ros.core.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Sample
+from evpinn_ros.core.signals.sample import Sample, Samples
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable, identifiable
 from evpinn_ros.core.vehicle.parameters import LIMITS, Parameters
@@ -147,25 +147,27 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         self._last_ns: int | None = None
         self.gated: Counter[str] = Counter()
 
-    def begin(self, moments: Moments) -> Predictions:
-        """Begin to follow a block; gives the predictions, which `follow` fills."""
-        self._moments, self._predictions = moments, Predictions.of(moments)
-        columns = moments.newest, moments.smoothed, moments.measured
-        self._samples = [list(samples.rows()) for samples in columns]
-        self._gates = gates(moments.measured, moments.power)
-        return self._predictions
+    def follow(self, span: Span) -> Predictions:
+        """Predict the samples of a span, each by what was learned before it, and learn."""
+        count, passed, _ = span.sizes
+        newest, smoothed = np.empty((count, 2)), np.empty((passed, 2))
+        kinds = (
+            (newest, [*span.newest.rows()], span.newest_learned),
+            (smoothed, [*span.smoothed.rows()], span.smoothed_learned),
+        )
+        reasons = gates(span.measured, span.power)
+        for learned, sample in enumerate((*span.measured.rows(), None)):
+            for predictions, samples, learned_before in kinds:
+                for index in np.flatnonzero(learned_before == learned).tolist():
+                    predictions[index] = self._predict(samples[index])
+            if sample is not None:
+                self._observe(sample, float(span.power[learned]), reasons[learned])
+        return Predictions(newest, smoothed, np.full((passed, 2), np.nan))
 
-    def follow(self, first: int, last: int) -> None:
-        """Let the steps from one place to before another happen: predict, and learn."""
-        newest, smoothed, measured = self._samples
-        for kind, index in self._moments.steps[first:last]:
-            if kind is Step.NEWEST:
-                self._predictions.newest[index] = self._predict(newest[index])
-            elif kind is Step.SMOOTHED:
-                self._predictions.smoothed[index] = self._predict(smoothed[index])
-            elif kind is Step.MEASURED:
-                power, reason = float(self._moments.power[index]), self._gates[index]
-                self._observe(measured[index], power, reason)
+    def predict(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+        """Power and its 1-sigma, W, at n samples by what is learned now, shape (n,) each."""
+        power, sigma = np.reshape([self._predict(sample) for sample in samples.rows()], (-1, 2)).T
+        return power, sigma
 
     def _predict(self, sample: Sample) -> tuple[float, float]:
         """Power of the network, W (the prior's physics until the first update), and 1-sigma."""

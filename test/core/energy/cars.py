@@ -2,17 +2,41 @@
 
 from dataclasses import replace
 from functools import cache
+import math
 
 from hypothesis import settings
 import numpy as np
 
 from benchmarks.truth import CarChain
+from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.power_model import PowerModel, combined_model
 from evpinn_ros.core.estimation.states import PHYSICS, SIZE, State
+from evpinn_ros.core.signals.block import Block
+from evpinn_ros.core.signals.readings import Reading, SpeedReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
+
+class LiveAccount(EnergyAccount):
+    """An account that is given one value after the other, and counts each at once."""
+
+    def add_measured(self, *row: float) -> None:
+        super().add_measured(*map(np.atleast_1d, row))
+        self.flush()
+
+    def add_predicted(self, *row: float) -> None:
+        rest = (math.nan,) * (5 - len(row))
+        super().add_predicted(*map(np.atleast_1d, (*row, *rest)))
+        self.flush()
+
+    def add_speed(self, stamp_ns: int, speed: float) -> None:
+        self.add_reading(SpeedReading(stamp_ns, speed))
+
+    def add_reading(self, reading: Reading) -> None:
+        self.add_block(Block.of([reading]))
+        self.flush()
+
 
 FEW = settings(max_examples=25, deadline=None)  # one more finds nothing
 CAR = load_vehicle("tesla_model_3_lr")

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.dropout import Verdict
 from evpinn_ros.core.energy.forecast import Forecast
@@ -14,6 +13,7 @@ from evpinn_ros.core.energy.plan import Plan
 from evpinn_ros.core.energy.rknn import Rknn
 from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import MAX_SPEED, BatteryReading, SpeedReading
+from test.core.energy.cars import LiveAccount
 
 START = 1_700_000_000_000_000_000
 CAPACITY = 70e6  # J
@@ -29,7 +29,7 @@ CLASSICAL = Rknn((itself, itself, itself, itself))  # the network is tested else
 
 
 def account(capacity=CAPACITY, vehicle="bmw_i3"):
-    return EnergyAccount(EnergyMeter(CLASSICAL), vehicle, capacity)
+    return LiveAccount(EnergyMeter(CLASSICAL), vehicle, capacity)
 
 
 def drive(
@@ -49,7 +49,6 @@ def drive(
         if not blind.start < t < blind.stop:
             to.add_speed(stamp, SPEED)
             to.add_predicted(stamp, predicted, 1e3)
-    to.count()
     return to
 
 

@@ -9,7 +9,8 @@ import pytest
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState
 from evpinn_ros.core.energy.rknn import load_rknn
-from evpinn_ros.core.signals.readings import BatteryReading
+from evpinn_ros.core.signals.block import Block
+from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 
 START = 1_700_000_000_000_000_000
 RKNN = load_rknn()
@@ -17,7 +18,7 @@ SECONDS = 400
 
 
 def arrivals(seed, period, told):
-    """Calls of an account, in order of arrival: a drive with late, lost and repeated readings.
+    """Calls of an account in order: a drive with lost and repeated readings.
 
     Its battery is silent twice, once together with the speed, and its clock leaps ahead.
 
@@ -31,21 +32,20 @@ def arrivals(seed, period, told):
     for tick in range(SECONDS * 2):
         t = tick / 2
         ns = START + tick * 500_000_000 + (5_000_000_000 if t > 300.0 else 0)
-        late = 400_000_000 if rng.random() < 0.03 else 0
         power = 12e3 + 25e3 * math.sin(t / 7.0) + 2e3 * rng.normal()
         heard = not any(begin < t < end for begin, end in silences)
         if heard and tick % round(2 * period) == 0 and rng.random() > 0.02:
-            calls.append(("add_measured", ns - late, power, 50.0))
+            calls.append(("add_measured", ns, power, 50.0))
             charge = round((0.8 - t / 4e3) * 200) / 200
             battery = BatteryReading(ns, 380.0 - power / 2e4, -power / 380, charge)
-            calls.append(("add_reading", battery))
+            calls.append(("add_block", battery))
         if not 120.0 < t < 130.0 and rng.random() > 0.02:
-            calls.append(("add_speed", ns - late, 32.0 + 8.0 * math.sin(t / 11.0)))
+            calls.append(("add_block", SpeedReading(ns, 32.0 + 8.0 * math.sin(t / 11.0))))
             energy = (300.0, 11e3) if told and not heard else (math.nan, math.nan)
-            lagging = ns - 300_000_000 - late
+            lagging = ns - 300_000_000
             calls.append(("add_predicted", lagging, 1.05 * power, 900.0, *energy))
         if rng.random() < 0.01:
-            calls.append(("add_predicted", ns, math.nan, 900.0))
+            calls.append(("add_predicted", ns, math.nan, 900.0, math.nan, math.nan))
     return calls
 
 
@@ -55,12 +55,13 @@ def counted(calls, cut):
     account.usual = 550.0
     blocks, left = [], next(cut)
     for name, *row in calls:
-        getattr(account, name)(*row)
+        rows = [Block.of(row)] if name == "add_block" else map(np.atleast_1d, row)
+        getattr(account, name)(*rows)
         left -= 1
         if left == 0:
             blocks.append(account.count())
             left = next(cut)
-    blocks.append(account.count())
+    blocks.append(account.flush())
     columns = {
         field.name: np.concatenate([getattr(block, field.name) for block in blocks], axis=-1)
         for field in fields(EnergyState)

@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.learner import NO_MOMENTS, Predictions, Step
-from evpinn_ros.core.estimation.pinn import PARKED, PinnLearner
+from evpinn_ros.core.estimation.learner import Span, joined_predictions
+from evpinn_ros.core.estimation.pinn import PARKED_NS, PinnLearner
 from evpinn_ros.core.estimation.states import NAMES, State
 from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.signals.kinematics import PROFILE
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import NO_SAMPLES, Sample, Samples
+from evpinn_ros.core.signals.sample import NO_NS, NO_SAMPLES, Sample, Samples
+from evpinn_ros.core.signals.track import NEVER
 from evpinn_ros.replays.simulation.drive import DriveKind
 
 STEP = NANOSECONDS // 10
@@ -33,28 +34,26 @@ class Predicted(NamedTuple):
     energy_sigma: float
 
 
-def followed(learner: PinnLearner, kind: Step, count: int = 1, **moments) -> Predictions:
-    """The predictions after so many steps of a kind."""
-    steps = [(kind, place) for place in range(count)]
-    predictions = learner.begin(replace(NO_MOMENTS, steps=steps, **moments))
-    learner.follow(0, count)
-    return predictions
+def span(**columns) -> Span:
+    """A span of these columns alone."""
+    return replace(Span(NO_SAMPLES, NO_NS, NO_NS, NO_SAMPLES, NO_SAMPLES, np.empty(0), NO_NS, NO_NS), **columns)
 
 
 def predicted(learner: PinnLearner, tick: int) -> Predicted:
     """The prediction of a smoothed sample, up to which time passes."""
-    outputs = followed(learner, Step.SMOOTHED, smoothed=Samples.of([sample(tick)]))
+    told_ns = np.array([getattr(learner, "told_ns", NEVER)])
+    outputs = learner.follow(span(smoothed=Samples.of([sample(tick)]), battery_ns=told_ns))
     return Predicted(*outputs.smoothed[0], *outputs.energies[0])
 
 
 def battery_measured(learner: PinnLearner, tick: int) -> None:
-    followed(learner, Step.BATTERY, battery_ns=[sample(tick).stamp_ns])
+    learner.told_ns = sample(tick).stamp_ns  # of the last reading, which goes with each span
 
 
 def observe(learner: PinnLearner, moment: Sample, power: float) -> None:
     """Let it learn from a measured sample."""
     measured = Samples.of([moment])
-    followed(learner, Step.MEASURED, measured=measured, power=np.array([power]))
+    learner.follow(span(measured=measured, power=np.array([power]), place=np.zeros(1, np.int64)))
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +107,7 @@ def test_what_is_not_finite_or_of_a_drive_that_ended_is_not_taken(learner, town)
     assert json.dumps(learner.export()) == before
     # The car parks while the update is under way: it may not bring the last drive back.
     predicted(learner, 0)
-    predicted(learner, 10 * round(PARKED) + 10)
+    predicted(learner, PARKED_NS // STEP + 10)
     assert learner._car.state.intervals == 0
     assert learner.consider(candidate) == "outdated"
     assert learner._car.state.intervals == 0
@@ -135,7 +134,7 @@ def test_the_breakdown_goes_on_over_a_long_stop_and_begins_with_another_drive(le
     """A log of some trips, with hours between them: its breakdown is of all of them."""
     predicted(learner, 0)
     before = learner.breakdowns().of(-1)
-    predicted(learner, 10 * round(PARKED) + 10)
+    predicted(learner, PARKED_NS // STEP + 10)
     assert learner._car.state.intervals == 0
     after = learner.breakdowns().of(-1).energy
     # What is of the first part alone is as the states of the car say of it.
@@ -215,10 +214,18 @@ def test_of_a_step_that_the_battery_saw_in_part_the_rest_counts(drew_more):
     assert second.energy == pytest.approx(0.1 * first.power + second.power, rel=0.03)
 
 
+def newest(learner: PinnLearner, *moments: Sample) -> np.ndarray:
+    """Predictions of newest moments, shape (n, 2)."""
+    places = np.zeros(len(moments), np.int64)
+    columns = {"newest_place": places, "newest_learned": places}
+    return learner.follow(span(newest=Samples.of(moments), **columns)).newest
+
+
 def test_the_newest_sample_is_predicted_and_nothing_follows_it(learner):
-    newest = Samples.of([sample(5), sample(5)])
-    first, again = followed(learner, Step.NEWEST, 2, newest=newest).newest
+    first, again = newest(learner, sample(5), sample(5))
     assert first.tolist() == again.tolist()
+    power, sigma = learner.predict(Samples.of([sample(5)]))
+    assert first.tolist() == pytest.approx([power[0], sigma[0]], rel=1e-12)
 
 
 def test_samples_before_a_jump_of_time_are_in_no_energy(learner):
@@ -227,6 +234,7 @@ def test_samples_before_a_jump_of_time_are_in_no_energy(learner):
         battery_measured(learner, tick)
         predicted(learner, tick)
     learner.forget_window()
+    learner.told_ns = NEVER
     without.forget_window()
     for tick in (100, 101, 102):
         expected = predicted(without, tick).energy
@@ -234,10 +242,9 @@ def test_samples_before_a_jump_of_time_are_in_no_energy(learner):
 
 
 def test_a_standing_car_teaches_the_trim_nothing(learner):
-    newest = Samples.of([sample(0)])
-    before = followed(learner, Step.NEWEST, newest=newest).newest.tolist()
+    before = newest(learner, sample(2)).tolist()
     observe(learner, sample(1, speed=0.05), 9000.0)
-    assert followed(learner, Step.NEWEST, newest=newest).newest.tolist() == before
+    assert newest(learner, sample(2)).tolist() == before
 
 
 def saved_car(learner) -> dict:
@@ -285,13 +292,13 @@ def test_a_car_that_forecasts_is_the_car_that_was_learned(learner):
 def test_each_kind_of_samples_is_predicted_from_its_own(vehicle):
     """They are computed together: at 10 and 20 m/s as each alone, in either order."""
     slow, fast = (Samples.of([sample(0, speed)]) for speed in (10.0, 20.0))
+    one = np.zeros(1, np.int64)
 
     def powers(newest, smoothed):
-        learner = PinnLearner(vehicle)
-        steps = [(Step.NEWEST, 0)] * newest.size + [(Step.SMOOTHED, 0)] * smoothed.size
-        moments = replace(NO_MOMENTS, newest=newest, smoothed=smoothed, steps=steps)
-        predictions = learner.begin(moments)
-        learner.follow(0, len(steps))
+        columns = {"newest_place": one[: newest.size], "newest_learned": one[: newest.size]}
+        battery_ns = one[: smoothed.size]
+        both = span(newest=newest, smoothed=smoothed, battery_ns=battery_ns, **columns)
+        predictions = PinnLearner(vehicle).follow(both)
         return np.concatenate((predictions.newest, predictions.smoothed))
 
     alone = np.concatenate((powers(slow, NO_SAMPLES), powers(fast, NO_SAMPLES)))
@@ -300,27 +307,25 @@ def test_each_kind_of_samples_is_predicted_from_its_own(vehicle):
     np.testing.assert_allclose(powers(fast, slow), alone[::-1], rtol=1e-12)
 
 
-def test_what_is_over_before_an_update_is_predicted_by_the_car_before_it(vehicle, town):
-    """Predictions wait for the end of their block, or for this."""
-    samples = Samples.of([sample(20), sample(40)])
-    kinds = Step.NEWEST, Step.SMOOTHED
-    steps = [(kind, place) for place in range(2) for kind in kinds]
-    moments = replace(NO_MOMENTS, newest=samples, smoothed=samples, steps=steps)
-
-    def predictions(between):
-        learner = PinnLearner(vehicle)
-        battery_measured(learner, 0)
-        outputs = learner.begin(moments)
-        learner.follow(0, 2)
-        between(learner)
-        learner.follow(2, 4)
-        return np.column_stack((outputs.newest, outputs.smoothed, outputs.energies))
-
-    def update(learner):
-        for interval in town:
-            learner.add_interval(interval)
-        assert learner.consider(learner.prepare_update()()) is None
-
-    without, updated = predictions(lambda learner: None), predictions(update)
-    np.testing.assert_allclose(updated[0], without[0], rtol=1e-12)
-    assert (abs(updated[1] / without[1] - 1.0) > 1e-3).all()
+def test_a_span_that_is_cut_is_followed_as_the_whole(drew_more):
+    """Also where a pause within it begins another drive."""
+    rng = np.random.default_rng(0)
+    ticks = np.append(600 + np.arange(40), 600 + PARKED_NS // STEP + np.arange(20))
+    smoothed = Samples.of([sample(tick) for tick in ticks.tolist()])
+    place = np.arange(3, 60)
+    whole = span(
+        newest=smoothed,
+        newest_place=np.arange(60),
+        newest_learned=np.maximum(np.arange(60) - 3, 0),
+        smoothed=smoothed,
+        measured=smoothed.where(slice(0, 57)),
+        power=10e3 + 500.0 * rng.normal(size=57),
+        place=place,
+        battery_ns=np.full(60, sample(600).stamp_ns),
+    )
+    together = deepcopy(drew_more).follow(whole)
+    for cut in (1, 20, 41, 59):
+        learner = deepcopy(drew_more)
+        parts = joined_predictions([learner.follow(part) for part in whole.cut(cut)])
+        for column, same in zip(parts, together, strict=True):
+            np.testing.assert_allclose(column, same, rtol=1e-9)

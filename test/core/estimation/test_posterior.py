@@ -131,23 +131,6 @@ def test_reported_heating_teaches_how_it_goes_with_temperature():
     assert 25.0 * mean[State.COLD] + mean[State.CLIMATE_DRIVE] == pytest.approx(4000.0, rel=0.05)
 
 
-def test_heating_that_the_battery_does_not_give_loses_its_share(intervals):
-    """On a warm day a car reports 3 kW, and the battery gives none of it."""
-    state = initial_state(EQUATION)
-    conditions = {"celsius": 28.0, "load": 0.0, "load_known": True, "doubted_load": 3000.0}
-    for interval in intervals((DriveKind.URBAN, 600.0, 1), begin_ns=0, **conditions):
-        done = passed(EQUATION, interval, state.seconds)
-        truth = EQUATION.mean.copy()
-        truth[State.DOUBTED] = 0.0
-        seen = replace(interval, energy=float(done.journey.row @ truth), sampling_variance=0.0)
-        state, _ = learn(state, EQUATION, passed(EQUATION, seen, state.seconds))
-    whole = state.mixture()
-    assert abs(whole.mean[State.DOUBTED]) < 0.1
-    assert state.celsius == 28.0
-    prior = EQUATION.covariance[State.DOUBTED, State.DOUBTED]
-    assert whole.covariance[State.DOUBTED, State.DOUBTED] < 0.5 * prior
-
-
 def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town, known):
     model, sigmas = known.model(EQUATION), []
     first, second = (passed(EQUATION, interval, 300.0).journey for interval in town[:2])

@@ -178,7 +178,7 @@ def without(saved: dict, state: State) -> dict:
     return older
 
 
-@pytest.mark.parametrize("state", [State.TURNING, State.DOUBTED])
+@pytest.mark.parametrize("state", [State.TURNING, State.LOAD_DRIVE])
 def test_a_car_of_an_older_version_goes_on_learning(saved, town, state):
     older, same = PinnLearner(CAR), PinnLearner(CAR)
     older.restore(without(saved, state))

@@ -20,7 +20,7 @@ CAR = load_vehicle("bmw_i3")
 EQUATION = equation_of(CAR)
 MILD = Conditions(1.2, 0.0, None, 0.0, False)
 COLD = Conditions(1.3, 0.0, -5.0, 0.0, False)
-REPORTED = Conditions(1.2, 0.0, 15.0, 800.0, True, 200.0)
+REPORTED = Conditions(1.2, 0.0, 15.0, 800.0, True)
 START = Warmth(1.0, 1.0)
 
 
@@ -135,7 +135,7 @@ def test_loads_are_those_of_the_temperature_or_of_the_report():
     )
     assert mild[State.COLD] == mild[State.HOT] == 0.0 and cold[State.COLD] == 25.0
     assert 0.0 < cold[State.COLD_START] <= 25.0 and cold[State.HOT_START] == 0.0
-    assert (reported[State.REPORTED], reported[State.DOUBTED]) == (800.0, 200.0)
+    assert reported[State.REPORTED] == 800.0
     assert reported[State.COLD] == 0.0 and cold[State.REPORTED] == 0.0
     assert coldness(-5.0) == 2.5 and coldness(None) == coldness(30.0) == 0.0
 

@@ -7,7 +7,7 @@ from evpinn_ros.core.signals.height import LEAP, REACH, AltitudeDetector, Height
 
 def means(profile: HeightProfile, *places: float):
     """Means around places by all heights that are known."""
-    return profile.means_around(np.array(places), profile.known[0])
+    return profile.means_around(np.array(places), profile.seen)
 
 
 def driven(height, places) -> HeightProfile:
@@ -33,7 +33,7 @@ def test_near_the_ends_it_is_of_what_is_known_and_beyond_unknown():
     assert ends == pytest.approx([REACH / 2, 500.0 - REACH / 2])
     for beyond in (500.0 + REACH + 1, -REACH - 1):
         assert means(slope, 250.0, beyond) is None
-    assert slope.known == (101, 500.0)
+    assert slope.seen == 500.0
 
 
 def test_a_standing_car_tells_nothing_new():
@@ -47,7 +47,7 @@ def test_the_road_behind_is_forgotten_and_no_average_changes():
     slope = driven(lambda x: 0.1 * x, np.arange(0.0, 20_000.0, 5.0))
     slope.forget_before(18_000.0)
     assert means(slope, 18_000.0, 19_000.0) == pytest.approx([1800.0, 1900.0])
-    assert means(slope, 10_000.0) is None and slope.known[0] < 500
+    assert means(slope, 10_000.0) is None
 
 
 def rises(*altitudes) -> list:

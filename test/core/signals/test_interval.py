@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.height import REACH
 from evpinn_ros.core.signals.interval import DURATION, WAIT_NS, Interval
 from evpinn_ros.core.signals.readings import (
@@ -19,7 +18,6 @@ from evpinn_ros.core.signals.readings import (
     MotorReading,
     SpeedReading,
 )
-from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import SAMPLE_RATE, DriveKind
 from evpinn_ros.replays.simulation.simulate import EPOCH_NS, simulate
@@ -51,9 +49,9 @@ def journey(at):
 
 
 @pytest.fixture
-def new_stream():
-    """A stream that gives intervals alone, which takes half of the time."""
-    return lambda: SampleStream(StreamSettings(), 1.2, intervals_alone=True)
+def play():
+    """The intervals that a drive gives while it goes on."""
+    return lambda stream, readings: [interval for _, interval in stream.add(readings).intervals]
 
 
 def settled(events) -> list[Interval]:
@@ -163,9 +161,9 @@ def test_a_silent_battery_is_not_waited_for(new_stream, journey, at):
     """An interval without energy is given within seconds of its end, not after `WAIT_NS`."""
     stream, waits = new_stream(), []
     for reading in journey(100.0, silent_from=30.0, altitude_step=None):
-        for _, interval in stream.add_block(Block.of([reading])).intervals:
+        for known_ns, interval in stream.add([reading]).intervals:
             if math.isnan(interval.energy):
-                waits.append((stream.newest_ns - interval.end_ns) / NANOSECONDS)
+                waits.append((known_ns - interval.end_ns) / NANOSECONDS)
     assert len(waits) >= 8 and sorted(waits)[-2] < 5.0 < WAIT_NS / NANOSECONDS
 
 
@@ -173,8 +171,8 @@ def test_a_standing_car_waits_for_no_road(new_stream, journey):
     """Heights around it never come: after a minute it is given as it is."""
     stream, waits = new_stream(), []
     for reading in journey(150.0, speed=lambda t: 10.0 if t < 20.0 else 0.0):
-        for _, interval in stream.add_block(Block.of([reading])).intervals:
-            waits.append((stream.newest_ns - interval.end_ns) / NANOSECONDS)
+        for known_ns, interval in stream.add([reading]).intervals:
+            waits.append((known_ns - interval.end_ns) / NANOSECONDS)
     assert len(waits) >= 9 and max(waits) <= WAIT_NS / NANOSECONDS + 1.0
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.signals.block import Block
+from evpinn_ros.core.signals.kinematics import SpeedTrack
 from evpinn_ros.core.signals.power import NOMINAL_RATIO, UNMEASURED, BatteryTrack, MotorTrack
 from evpinn_ros.core.signals.readings import BatteryReading, MotorReading
 from evpinn_ros.core.signals.track import LATER, NEVER
@@ -26,11 +27,16 @@ def track(step=0.1, shift=0.0, paired=True, seconds=40.0) -> BatteryTrack:
     battery = BatteryTrack(2.5)
     for t in np.arange(0.0, seconds, step).tolist():
         if paired:
-            battery.insert(BatteryReading(at(t), voltage(t), float(current(t))))
+            add(battery, BatteryReading(at(t), voltage(t), float(current(t))))
         else:
-            battery.insert(BatteryReading(at(t), voltage(t), math.nan))
-            battery.insert(BatteryReading(at(t + shift), math.nan, float(current(t + shift))))
+            add(battery, BatteryReading(at(t), voltage(t), math.nan))
+            add(battery, BatteryReading(at(t + shift), math.nan, float(current(t + shift))))
     return battery
+
+
+def add(battery: BatteryTrack, *readings: BatteryReading) -> None:
+    """Take readings in order of stamps."""
+    battery.extend(Block.of(readings).rows[BatteryReading])
 
 
 def drawn(start: float, end: float) -> float:
@@ -43,8 +49,8 @@ def test_power_is_positive_when_drawn_from_the_battery():
     assert BatteryReading(0, 350.0, -20.0).power == 7000.0
     assert BatteryReading(0, 350.0, 20.0).power == -7000.0
     battery = BatteryTrack(2.5)
-    battery.insert(BatteryReading(at(0.0), 350.0, 20.0))
-    assert battery.at(*now(at(0.0))) == [-7000.0]
+    add(battery, BatteryReading(at(0.0), 350.0, 20.0))
+    assert battery.at(now(at(0.0))) == [-7000.0]
 
 
 def test_energy_of_separate_rows_is_that_of_pairs():
@@ -53,8 +59,8 @@ def test_energy_of_separate_rows_is_that_of_pairs():
     for battery in (paired, apart):
         assert battery.energy(at(5.0), at(11.0)).energy == pytest.approx(expected, rel=1e-4)
     expected = -voltage(5.02) * current(5.02)
-    assert apart.at(*now(at(5.02))) == pytest.approx([expected], rel=1e-3)
-    assert apart.newest_ns() == at(39.9)
+    assert apart.at(now(at(5.02))) == pytest.approx([expected], rel=1e-3)
+    assert apart.newest_ns == at(39.9)
 
 
 def test_the_slower_the_less_certain_and_the_error_is_within():
@@ -76,23 +82,12 @@ def test_the_slower_the_less_certain_and_the_error_is_within():
 def test_what_was_not_measured_has_no_energy():
     battery = track(seconds=20.0)
     assert battery.energy(at(-1.0), at(5.0)) is UNMEASURED is battery.energy(at(18.0), at(24.0))
-    battery.insert(BatteryReading(at(30.0), 380.0, -1.0))
+    add(battery, BatteryReading(at(30.0), 380.0, -1.0))
     assert battery.energy(at(18.0), at(24.0)) is UNMEASURED, "across a gap nothing is joined"
     only_voltage = BatteryTrack(2.5)
-    only_voltage.insert(BatteryReading(at(0.0), 380.0, math.nan))
-    after, _ = only_voltage.first_after(np.array([at(0.0)]))
-    assert only_voltage.newest_ns() == NEVER and after == [LATER]
-
-
-def test_the_latest_voltage_serves_a_current_alone():
-    battery = track(step=1.2, shift=0.6, paired=False, seconds=6.0)
-    alone = [BatteryReading(at(t), math.nan, -10.0) for t in (5.5, -0.1, 60.0)]
-    rows = Block.of(alone).rows[BatteryReading]
-    told = battery.told(rows._replace(order=np.full(3, LATER)))
-    assert told[0] == pytest.approx(10.0 * voltage(4.8)) and np.isnan(told[1:]).all()
-    after, _ = battery.first_after(np.array([at(1.0), at(5.5)]))
-    assert after.tolist() == [at(1.8), LATER]
-    assert not battery.insert(BatteryReading(at(4.8), 99.0, math.nan)), "doubled"
+    add(only_voltage, BatteryReading(at(0.0), 380.0, math.nan))
+    after = only_voltage.first_after(np.array([at(0.0)]))
+    assert only_voltage.newest_ns == NEVER and after == [LATER]
 
 
 def test_whole_kilowatts_are_as_unsure_as_their_energies_are_off():
@@ -107,10 +102,10 @@ def test_whole_kilowatts_are_as_unsure_as_their_energies_are_off():
         )
         exact, coarse, plain = BatteryTrack(2.5), BatteryTrack(2.5), BatteryTrack(2.5)
         for second, watts in enumerate(power.tolist()):
-            exact.insert(BatteryReading(at(second), 400.0, -watts / 400.0))
+            add(exact, BatteryReading(at(second), 400.0, -watts / 400.0))
             whole = -1000.0 * round(watts / 1000.0) / 400.0
-            coarse.insert(BatteryReading(at(second), 400.0, whole, power_std=std))
-            plain.insert(BatteryReading(at(second), 400.0, whole))
+            add(coarse, BatteryReading(at(second), 400.0, whole, power_std=std))
+            add(plain, BatteryReading(at(second), 400.0, whole))
         rounded, without_std = coarse.energy(at(0), at(10)), plain.energy(at(0), at(10))
         own = rounded.variance - without_std.variance
         deviates.append((rounded.energy - exact.energy(at(0), at(10)).energy) / math.sqrt(own))
@@ -121,10 +116,9 @@ def test_whole_kilowatts_are_as_unsure_as_their_energies_are_off():
 
 def insert(motor: MotorTrack, reading: MotorReading, car_speed: float) -> None:
     """Take a reading at a speed of the car."""
-    rows = Block.of([reading]).rows[MotorReading]
-    (power,) = motor.powers(rows, np.array([car_speed]))
-    motor.power.insert(reading.stamp_ns, float(power))
-    motor.settle(LATER)
+    speed = SpeedTrack(2.5)
+    speed.extend(np.array([reading.stamp_ns]), np.array([car_speed]))
+    motor.extend(Block.of([reading]).rows[MotorReading], speed)
 
 
 def torque(t):
@@ -134,7 +128,7 @@ def torque(t):
 def energies(motor: MotorTrack, *seconds: float) -> np.ndarray:
     """Energy of driving and braking, J, between moments, once all readings have come."""
     ends = np.array([at(float(t)) for t in seconds])
-    return motor.energies(ends, np.full(len(ends) - 1, LATER))
+    return motor.energies(ends)
 
 
 def test_energy_of_driving_and_braking_stand_apart():
@@ -165,13 +159,13 @@ def test_turning_comes_from_the_car_where_the_motor_is_silent(ratio, taken):
     motor = MotorTrack(2.5, ratio)
     for t in (0.0, 0.5, 1.0):
         insert(motor, MotorReading(at(t), 100.0), 15.0)
-    assert motor.scaled() != math.isnan(ratio)
-    assert motor.at(*now(at(0.7))) == pytest.approx([100.0 * taken * 15.0])
+    assert bool(motor.scaled(at(0.7))) != math.isnan(ratio)
+    assert motor.at(now(at(0.7)), now(at(1.0))) == pytest.approx([100.0 * taken * 15.0])
 
 
 def test_the_last_reading_holds_for_a_while_and_no_longer():
     motor = MotorTrack(2.5, math.nan)
     insert(motor, MotorReading(at(0.0), 50.0, 100.0), math.nan)
-    held, late, early = motor.at(*now(at(2.0), at(3.0), at(-1.0)))
+    held, late, early = motor.at(now(at(2.0), at(3.0), at(-1.0)), now(at(4.0)))
     assert held == 5000.0 and math.isnan(late) and math.isnan(early)
     assert np.isnan(energies(motor, 0.0, 1.0)).all()

@@ -16,33 +16,31 @@ from evpinn_ros.core.signals.readings import (
     WindReading,
 )
 from evpinn_ros.core.signals.road import GradeSource, Road
-from evpinn_ros.core.signals.track import LATER
 from test.core.signals.conftest import now
 from test.core.signals.conftest import stamp_at as at
 
 
 def add(road: Road, reading: Reading) -> None:
     """Take one reading."""
-    road.extend(Block.of([reading]), np.empty(0), np.empty(0))
-    road.settle(LATER)
+    road.extend(Block.of([reading]), np.empty(0, np.int64), np.empty(0))
 
 
 def travel(road: Road, distance: float) -> None:
     """Move on by a distance, m."""
-    road.extend(Block.of([]), np.zeros(1), np.array([distance]))
+    road.extend(Block.of([]), np.zeros(1, np.int64), np.array([distance]))
 
 
 def grade(road: Road, moment: int) -> float:
     """Grade at a moment, rad, by all that came."""
-    return float(road.grades(*now(moment))[0])
+    return float(road.grades(now(moment))[0])
 
 
-def climb(road: Road, slope: float, seconds: int = 20, speed: float = 10.0) -> int:
-    """Drive with one altitude a second on a road that rises `slope` m each m of road."""
+def climb(road: Road, slope: float, seconds: int = 20, begin: int = 0) -> int:
+    """Drive at 10 m/s with one altitude a second on a road that rises `slope` m each m."""
     for second in range(seconds):
-        add(road, AltitudeReading(at(second), 100.0 + slope * speed * second))
-        travel(road, speed)
-    return at(seconds - 1)
+        add(road, AltitudeReading(at(begin + second), 100.0 + slope * 10.0 * second))
+        travel(road, 10.0)
+    return at(begin + seconds - 1)
 
 
 @pytest.mark.parametrize("slope", [0.05, -0.05, 0.0])
@@ -84,11 +82,10 @@ def test_a_parked_car_piles_up_no_altitudes():
     """An hour at 10 Hz on one spot, then off: still quick, and the grade of the new road."""
     road = Road(GradeSource.FIX, 1.2)
     parked = Block.of(AltitudeReading(at(tick / 10), 100.0) for tick in range(36_000))
-    road.extend(parked, np.empty(0), np.empty(0))
-    road.settle(LATER)
+    road.extend(parked, np.empty(0, np.int64), np.empty(0))
     assert grade(road, at(3600)) == 0.0
     travel(road, 1.0)
-    now = climb(road, 0.05, seconds=200)
+    now = climb(road, 0.05, seconds=200, begin=3600)
     assert grade(road, now) == pytest.approx(math.atan(0.05), abs=1e-3)
 
 
@@ -99,15 +96,6 @@ def test_grade_from_the_imu_is_a_mean_over_a_second():
     # 0.02 to 1.2 s: the readings of the last second, 0.2 to 1.2 s, five pairs and 0.03
     assert grade(road, at(1.2)) == pytest.approx((5 * 0.06 + 0.03) / 11)
     assert grade(road, at(12.0)) == 0.0
-
-
-def test_a_stray_stamp_does_not_keep_an_old_grade():
-    road = Road(GradeSource.IMU, 1.2)
-    add(road, GradeReading(2**61, 0.2))
-    assert grade(road, at(0)) == 0.0
-    for tick in range(11):
-        add(road, GradeReading(at(tick / 10), 0.01))
-    assert grade(road, at(1.0)) == pytest.approx(0.01)
 
 
 def test_sources():
@@ -122,7 +110,7 @@ def test_sources():
 
 
 def density(road: Road) -> float:
-    return float(road.conditions(*now(at(0))).air_density[0])
+    return float(road.conditions(now(at(2))).air_density[0])
 
 
 def test_air_density_follows_temperature():
@@ -144,25 +132,13 @@ def test_known_loads_and_wind_count_while_they_are_fresh(kind, value, name, seco
     road = Road(GradeSource.NONE, 1.2)
 
     def ask(second):
-        return getattr(road.conditions(*now(at(second))), name)[0]
+        return getattr(road.conditions(now(at(second))), name)[0]
 
     assert ask(0) == 0.0
     add(road, kind(at(0), value))
     assert ask(seconds) == value
     assert ask(seconds + 0.1) == 0.0
-    add(road, kind(2**61, value / 2))
-    assert ask(0) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("celsius", "known"), [(None, 1750.0), (-5.0, 1750.0), (19.5, 1750.0), (25.0, 250.0)]
-)
-def test_a_heater_is_not_believed_on_a_warm_day(celsius, known):
-    road = Road(GradeSource.NONE, 1.2)
-    if celsius is not None:
-        add(road, TemperatureReading(at(0), celsius))
-    add(road, AuxiliaryReading(at(0), 1500.0, 250.0))
-    assert road.conditions(*now(at(1))).load == [known]
+    assert ask(-1) == 0.0, "not yet told"
 
 
 def test_density_from_pressure_and_temperature():
@@ -186,21 +162,18 @@ def test_what_no_input_tells_is_named():
     assert road.unknown(at(1)) == ("temperature", "wind")
 
 
-def test_no_height_is_known_before_its_altitude_came():
-    """Of altitudes 3 s late, on a road that rises by 5 %: one a second, of 3 s before."""
-    late, step = 3, 20.0  # s, m
+def test_a_height_is_known_at_the_first_moment_after_its_altitude():
+    """One altitude a second, on a road that rises by 5 %; the first shows no rise."""
+    step = 20.0  # m
     readings: list[Reading] = []
     for second in range(12):
         readings.append(SpeedReading(at(second), step))
-        if second >= late:
-            readings.append(AltitudeReading(at(second - late), 100.0 + second - late))
+        readings.append(AltitudeReading(at(second + 0.5), 100.0 + second))
     block = Block.of(readings)
-    speeds = block.of_kind(SpeedReading)
+    stamps = block.of_kind(SpeedReading).stamps
     road = Road(GradeSource.AUTO, 1.2)
-    road.extend(block, speeds.order[1:], np.full(len(speeds.order) - 1, step))
-    ways = step * np.arange(len(speeds.order))
-    heights = list(road.heights(speeds.stamps, ways, speeds.order, 0, len(ways)))
-    # The altitude that comes with a speed has the place behind it, and the first shows no rise.
-    assert [len(known) for known in heights[: late + 2]] == [0] * (late + 2)
-    newest = [known[-1] for known in heights[late + 2 :]]
-    assert newest == [(step * (k + 1), pytest.approx(k + 1.0)) for k in range(len(newest))]
+    road.extend(block, stamps[1:], np.full(len(stamps) - 1, step))
+    heights = list(road.heights(stamps, step * np.arange(len(stamps))))
+    assert not heights[0]
+    newest = [known[-1] for known in heights[1:]]
+    assert newest == [(step * (k + 1.5), pytest.approx(k + 1.0)) for k in range(len(newest))]

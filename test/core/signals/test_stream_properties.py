@@ -19,9 +19,8 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
 )
 from evpinn_ros.core.signals.sample import Sample
-from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
-from test.core.signals.conftest import MeasuredSample, Newest, Smoothed, completed
+from test.core.signals.conftest import MeasuredSample, Newest, Smoothed, Stream, completed, in_order
 
 START = 1_700_000_000 * NANOSECONDS
 COUNT = 150  # readings, 15 s
@@ -48,18 +47,19 @@ def test_batteries_that_come_up_to_the_allowed_lateness_late_change_nothing(
     def measured(held_up) -> list:
         arrivals = [(speed.stamp_ns, 0, speed) for speed in speeds]
         arrivals += [(b.stamp_ns + d, 1, b) for b, d in zip(batteries, held_up, strict=True)]
-        stream = SampleStream(StreamSettings(), 1.2)
+        stream = Stream()
         events = completed(stream, [r for *_, r in sorted(arrivals, key=lambda a: a[:2])])
+        events += in_order(stream.flush())
         assert not stream.dropped
         kept = [event for event in events if isinstance(event, (MeasuredSample, Interval))]
         kept.sort(key=lambda event: (type(event).__name__, stamp_of(event)))
         return kept
 
-    in_order = measured([0] * COUNT)
-    assert len(in_order) > 50 and any(isinstance(event, Interval) for event in in_order)
+    on_time = measured([0] * COUNT)
+    assert len(on_time) > 50 and any(isinstance(event, Interval) for event in on_time)
     late = measured(delays)
-    assert [*map(stamp_of, late)] == [*map(stamp_of, in_order)]
-    for event, other in zip(late, in_order, strict=True):
+    assert [*map(stamp_of, late)] == [*map(stamp_of, on_time)]
+    for event, other in zip(late, on_time, strict=True):
         if isinstance(event, Interval):
             assert event.energy == pytest.approx(other.energy, rel=1e-9, nan_ok=True)
             assert event.returned == pytest.approx(other.returned, rel=1e-9, nan_ok=True)
@@ -110,7 +110,7 @@ def nonsense(draw):
 @settings(max_examples=80, deadline=None)
 @pytest.mark.slow
 def test_nonsense_gives_finite_samples_in_order_and_no_exception(readings, lag):
-    stream = SampleStream(StreamSettings(smoothing_lag=0.1 * lag), 1.2)
+    stream = Stream(smoothing_lag=0.1 * lag)
     last: dict[object, int] = {}
     for reading in readings:
         for event in completed(stream, [reading]):
@@ -126,7 +126,7 @@ def test_nonsense_gives_finite_samples_in_order_and_no_exception(readings, lag):
 @pytest.mark.slow
 def test_after_any_nonsense_a_good_drive_is_taken(readings):
     """Four seconds of good speed and battery after anything, and samples of each kind come."""
-    stream, guard = SampleStream(StreamSettings(), 1.2), StampGuard(SpeedReading)
+    stream, guard = Stream(), StampGuard(SpeedReading)
     begin, kinds_seen = START + 500 * NANOSECONDS, set()
     good = [
         reading

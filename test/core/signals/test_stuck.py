@@ -148,15 +148,17 @@ def test_a_block_is_judged_as_its_readings_one_by_one(seed, size, coarse):
             speed = 9.0
         if hung[1] < tick < hung[1] + 60:
             current = -30.0 if seed % 2 else 0.0
-        readings += [BatteryReading(stamp_ns, 350.0, current), SpeedReading(stamp_ns, speed)]
+        readings.append(BatteryReading(stamp_ns, 350.0, current))
+        readings.append(SpeedReading(stamp_ns + 1, speed))
     alone = [*accumulate(readings, StuckDetector.after, initial=StuckDetector())]
     detector, first = StuckDetector(), 0
     while first < len(readings):
         block = Block.of(readings[first : first + size])
-        course = detector.course(block.of_kind(SpeedReading), block.of_kind(BatteryReading))
+        course = detector.course(block)
         for place in range(len(block)):
-            expected, judged = alone[first + place + 1], course.at(place)
-            if course.places:
+            expected = alone[first + place + 1]
+            judged = course.at(readings[first + place].stamp_ns)
+            if course.stamps:
                 assert (judged.detected, judged.spoilt) == (expected.detected, expected.spoilt)
             else:  # nothing is suspected in it
                 assert expected.detected is None and expected.spoilt == detector.spoilt

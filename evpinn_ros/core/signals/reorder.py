@@ -1,0 +1,215 @@
+"""The reorder buffer: readings in any order in, columns in order of stamps out.
+
+Only this module knows arrival, lateness and doubles. Readings wait until the watermark has passed
+their stamps: the newest speed less the allowed lateness, or the newest battery reading where speed
+is silent. The watermark moves in steps of `CELL_NS`, so a live node hands on a few blocks a second
+whatever the load, and a file of minutes comes as one block. What lies behind works in event time:
+order of arrival within the allowed lateness changes nothing there.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.core.signals.block import NO_ROWS, Block, Rows, impossible
+from evpinn_ros.core.signals.kinematics import LAG_TOLERANCE_NS
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    BatteryReading,
+    MotorReading,
+    Reading,
+    SpeedReading,
+    why_impossible,
+)
+from evpinn_ros.core.signals.track import NEVER
+
+CELL_NS = NANOSECONDS // 5  # step of the watermark
+SILENT_NS = NANOSECONDS  # by which the battery may be ahead of speed
+ALTITUDE_LATE_NS = 2 * NANOSECONDS  # by which GNSS may be late, and still counts
+MOST_WAITING = 20_000  # readings of a kind, while neither speed nor battery moves the watermark
+WHOLE_RECORDING = 1e9  # s
+SERIES = {SpeedReading: "speed", BatteryReading: "battery", MotorReading: "motor_torque"}
+"""Names of the kinds whose readings are joined, so that a late one cannot be moved."""
+LATE: Mapping[type[Reading], str] = {**SERIES, AltitudeReading: "altitude"}
+
+
+class Arrived(NamedTuple):
+    """Readings of one kind that are not refused, as they came.
+
+    Attributes:
+        order: their places among all readings of the block, shape (n,).
+        stamps: ns, shape (n,).
+        values: a row for each of `block.FIELDS`, shape (fields, n).
+        watermark_ns: the watermark before each came, shape (n,).
+    """
+
+    order: np.ndarray
+    stamps: np.ndarray
+    values: np.ndarray
+    watermark_ns: np.ndarray
+
+
+class ReorderBuffer:
+    """Sorts the readings of one car by stamps.
+
+    Attributes:
+        dropped: readings that are not handed on, by reason.
+        watermark_ns: up to here all was handed on.
+    """
+
+    def __init__(self, allowed_lateness: float, most_waiting: int = MOST_WAITING) -> None:
+        """Wait `allowed_lateness`, s, for a reading that is late."""
+        self._most_waiting = most_waiting
+        self._late_ns = max(0, int(allowed_lateness * NANOSECONDS) - LAG_TOLERANCE_NS)
+        self.dropped: Counter[str] = Counter()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what waits, after a jump of time."""
+        self.watermark_ns = self._moved_ns = NEVER
+        self._waiting: dict[type[Reading], Rows] = {}
+        self._new: list[Reading] = []  # that came one by one, and wait too
+
+    def add_reading(self, reading: Reading) -> tuple[bool, Block | None]:
+        """Take one reading as it comes.
+
+        Returns:
+            Whether it is used, and as soon as the watermark moves the readings that it passed.
+        """
+        kind, stamp_ns = type(reading), reading.stamp_ns
+        if (reason := self._why_not(reading)) is not None:
+            self.dropped[reason] += 1
+            return False, None
+        if kind not in SERIES and stamp_ns <= self.watermark_ns:
+            reading = replace(reading, stamp_ns=self.watermark_ns + 1)
+        self._new.append(reading)
+        moved_ns = NEVER
+        if kind is SpeedReading:
+            moved_ns = stamp_ns - self._late_ns
+        elif kind is BatteryReading:
+            moved_ns = stamp_ns - self._late_ns - SILENT_NS
+        self._moved_ns = max(self._moved_ns, moved_ns)
+        watermark_ns = self._moved_ns // CELL_NS * CELL_NS
+        if watermark_ns <= self.watermark_ns and len(self._new) < MOST_WAITING:
+            return True, None
+        self.watermark_ns = watermark_ns
+        self._merge()
+        return True, self._passed(watermark_ns)
+
+    def _why_not(self, reading: Reading) -> str | None:
+        """Reason not to use a reading, or None."""
+        kind = type(reading)
+        if (reason := why_impossible(reading)) is not None:
+            return reason
+        if kind is BatteryReading and math.isnan(reading.voltage) and math.isnan(reading.current):
+            return "battery_unmeasured"
+        late_ns = self.watermark_ns - (ALTITUDE_LATE_NS if kind is AltitudeReading else 0)
+        return f"{LATE[kind]}_late" if kind in LATE and reading.stamp_ns <= late_ns else None
+
+    def _merge(self) -> None:
+        """Let the readings that came one by one wait in order of stamps."""
+        new, self._new = Block.of(self._new), []
+        for kind, rows in new.rows.items():
+            self._wait(kind, rows)
+
+    def add(self, block: Block) -> tuple[Block, dict[type[Reading], Arrived]]:
+        """Take readings as they come.
+
+        Returns:
+            The readings that the watermark passed, in order of stamps, and those that came.
+        """
+        self._merge()
+        possible = {kind: self._possible(kind, rows) for kind, rows in block.rows.items()}
+        places, marks = self._watermarks(possible)
+        arrived = {}
+        for kind, rows in possible.items():
+            before = marks[places.searchsorted(rows.order)]
+            late_ns = before - (ALTITUDE_LATE_NS if kind is AltitudeReading else 0)
+            late = rows.stamps <= late_ns
+            if kind in LATE and late.any():
+                self.dropped[f"{LATE[kind]}_late"] += int(np.count_nonzero(late))
+                rows, before = rows.where(~late), before[~late]
+            arrived[kind] = Arrived(*rows, before)
+            if kind not in SERIES:  # what is late of the surroundings counts from now on
+                rows = rows._replace(stamps=np.maximum(rows.stamps, before + 1))
+            self._wait(kind, rows)
+        self.watermark_ns = int(marks[-1])
+        return self._passed(self.watermark_ns), arrived
+
+    def flush(self) -> Block:
+        """The readings that wait, in order of stamps: no more will come."""
+        self._merge()
+        ends = [int(rows.stamps[-1]) for rows in self._waiting.values() if len(rows.stamps)]
+        self.watermark_ns = max([self.watermark_ns, *ends])
+        return self._passed(self.watermark_ns)
+
+    def _watermarks(self, rows: Mapping[type[Reading], Rows]) -> tuple[np.ndarray, np.ndarray]:
+        """Places of readings that may move the watermark, and it before each and after all."""
+        speeds, battery = (rows.get(kind, NO_ROWS[kind]) for kind in (SpeedReading, BatteryReading))
+        order = np.concatenate((speeds.order, battery.order))
+        moves = np.concatenate((speeds.stamps, battery.stamps - SILENT_NS)) - self._late_ns
+        sequence = order.argsort()
+        moved = np.maximum.accumulate(np.append(self._moved_ns, moves[sequence]))
+        self._moved_ns = int(moved[-1])
+        return order[sequence], moved // CELL_NS * CELL_NS
+
+    def _possible(self, kind: type[Reading], rows: Rows) -> Rows:
+        """The readings that are possible and hold something."""
+        for reason, wrong in impossible(kind, rows):
+            self.dropped[reason] += int(np.count_nonzero(wrong))
+            rows = rows.where(~wrong)
+        if kind is BatteryReading:
+            unmeasured = np.isnan(rows.values[:2]).all(axis=0)
+            if unmeasured.any():
+                self.dropped["battery_unmeasured"] += int(np.count_nonzero(unmeasured))
+                rows = rows.where(~unmeasured)
+        return rows
+
+    def _wait(self, kind: type[Reading], rows: Rows) -> None:
+        """Let readings wait in order of stamps, of one stamp the first that came."""
+        if not len(rows.stamps):
+            return
+        waiting = self._waiting.get(kind)
+        if waiting is not None and len(waiting.stamps):
+            rows = Rows(*(np.concatenate(pair, axis=-1) for pair in zip(waiting, rows)))
+        if not (rows.stamps[1:] > rows.stamps[:-1]).all():
+            rows = rows.where(rows.stamps.argsort(kind="stable"))
+            rows = self._without_doubles(kind, rows)
+        moves = kind in (SpeedReading, BatteryReading)
+        self._waiting[kind] = rows if moves else rows.where(slice(-self._most_waiting, None))
+
+    def _without_doubles(self, kind: type[Reading], rows: Rows) -> Rows:
+        """Rows with one reading of each stamp; voltage and current may come apart."""
+        doubled = np.append(False, rows.stamps[1:] == rows.stamps[:-1])
+        first, values = np.flatnonzero(~doubled), rows.values.copy()
+        of_first = np.cumsum(~doubled) - 1
+        for place in np.flatnonzero(doubled).tolist():
+            column = values[:, first[of_first[place]]]
+            new = np.isnan(column) & ~np.isnan(rows.values[:, place])
+            column[new] = rows.values[new, place]
+            if kind in SERIES and not new[:2].any():
+                self.dropped[f"{SERIES[kind]}_doubled"] += 1
+        return Rows(rows.order, rows.stamps, values).where(first)
+
+    def _passed(self, watermark_ns: int) -> Block:
+        passed = {}
+        for kind, rows in self._waiting.items():
+            count = int(rows.stamps.searchsorted(watermark_ns, side="right"))
+            if count:
+                passed[kind] = rows.where(slice(count))
+                self._waiting[kind] = rows.where(slice(count, None))
+        return Block.sorted(passed)
+
+
+def in_order(block: Block) -> Block:
+    """All readings of a recording that are possible, in order of stamps, however late they came."""
+    buffer = ReorderBuffer(WHOLE_RECORDING, block.length)
+    buffer.add(block)
+    return buffer.flush()
