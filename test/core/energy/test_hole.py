@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.hole import LONGEST, RecentPower, recent_powers, taken_variance
 from evpinn_ros.core.energy.meter import EnergyMeter
 from evpinn_ros.core.energy.quadrature import EnergyIntegral
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading
+from test.core.energy.cars import LiveAccount
 
 START, VEHICLE = 1_700_000_000 * NANOSECONDS, "bmw_i3"
 RKNN = load_rknn()
@@ -20,7 +20,7 @@ RATE, BEGIN = 5, 150.0  # samples a second; s, before which all is heard
 
 
 def account():
-    return EnergyAccount(EnergyMeter(RKNN), VEHICLE, 7e7)
+    return LiveAccount(EnergyMeter(RKNN), VEHICLE, 7e7)
 
 
 def power(at):

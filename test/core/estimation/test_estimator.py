@@ -184,7 +184,7 @@ def test_paused_it_predicts_and_does_not_learn(new_estimator, play, powers, driv
 
     def noted():  # changes with every sample learned from
         learner = estimator.export()["learner"]
-        return learner.get("variance") or estimator._learner._trim.mean.tolist()
+        return learner.get("variance") or estimator._learner._trim.weights.tolist()
 
     before, updates = noted(), estimator.status().updates
     assert powers(play(estimator, from_on(readings, 12.0)))
