@@ -14,8 +14,9 @@ import numpy as np
 from evpinn_ros.bags.names import is_bag
 from evpinn_ros.can.log_names import LOG_SUFFIXES
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.signals.block import MOST_STAMP, Block
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.progress import reported
+from evpinn_ros.core.signals.readings import MOST_STAMP
 from evpinn_ros.core.vehicle.files import GENERIC, load_vehicle, vehicle_names
 from evpinn_ros.logs.column import Column
 from evpinn_ros.logs.data_coverage import DataCoverage, ReadingFlow, data_coverage

@@ -69,7 +69,7 @@ class Chain:
         return self.take(self.follow(Block.of(readings)))
 
     def follow(self, block: Block) -> Iterator[Block | Jump]:
-        """Take readings; give what `take_block` shall have now: none that is refused or in doubt."""
+        """Take readings; give those for `take_block`: none that is refused or in doubt."""
         for passed in self._guard.follow(block, self._rule):
             if isinstance(passed, Jump):
                 yield passed

@@ -245,9 +245,7 @@ def _record(
         history.add_output(known_ns, output)
 
 
-def _write(
-    writer: BagWriter, output: ChainOutput, log_time_ns: int, stamp_ns: int = 0
-) -> None:
+def _write(writer: BagWriter, output: ChainOutput, log_time_ns: int, stamp_ns: int = 0) -> None:
     """Write the messages of an output; a breakdown has no stamp of its own."""
     if isinstance(output, Breakdown):
         messages = breakdown_messages(new_message, stamp_ns, output)

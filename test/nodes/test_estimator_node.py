@@ -96,7 +96,10 @@ def test_nothing_that_is_not_finite_is_published(bench, monkeypatch):
     bench.read(node, speed(0.0))
     published = node.published[topics.POWER_PREDICTED]
     predict = node.estimator._learner.predict
-    not_finite = lambda samples: tuple(math.nan * column for column in predict(samples))
+
+    def not_finite(samples):
+        return tuple(math.nan * column for column in predict(samples))
+
     monkeypatch.setattr(node.estimator._learner, "predict", not_finite)
     bench.read(node, speed(0.1))
     assert node.published[topics.POWER_PREDICTED] == published

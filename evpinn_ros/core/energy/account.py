@@ -306,9 +306,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.route = None
         self.reset_trip()
 
-    def add_measured(
-        self, stamps: np.ndarray, power: np.ndarray, sigma: np.ndarray
-    ) -> None:
+    def add_measured(self, stamps: np.ndarray, power: np.ndarray, sigma: np.ndarray) -> None:
         """Take n measurements: stamps, ns, power and its 1-sigma, W, NaN if unknown."""
         self._add_powers(_Kind.MEASURED, self.admission.limits.power, stamps, power, sigma)
 

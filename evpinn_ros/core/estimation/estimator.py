@@ -59,6 +59,7 @@ from evpinn_ros.core.signals.block import Block, joined
 from evpinn_ros.core.signals.detector import BATTERY_STUCK
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.kinematics import MAX_ACCELERATION
+from evpinn_ros.core.signals.newest import NO_SPEEDS, NewestSpeeds, NewestTrack
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     BatteryReading,
@@ -70,7 +71,6 @@ from evpinn_ros.core.signals.readings import (
 )
 from evpinn_ros.core.signals.reorder import Arrived, ReorderBuffer
 from evpinn_ros.core.signals.sample import Events, Measured, Samples
-from evpinn_ros.core.signals.newest import NO_SPEEDS, NewestSpeeds, NewestTrack
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.stuck import StuckCourse, StuckDetector
 from evpinn_ros.core.signals.track import LATER, NEVER
@@ -361,11 +361,12 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             row = np.array([0]), np.array([stamp_ns]), np.array([[speed]]), np.array([known_ns])
             rows = self._advance(EMPTY, self._newest.add({SpeedReading: Arrived(*row)})).predicted
             columns = [column.tolist() for column in rows[1:]]
-            powers = [PowerEstimate(PowerKind.PREDICTED, *row) for row in zip(*columns)]
-            return powers[0] if powers else None
+            powers = (
+                PowerEstimate(PowerKind.PREDICTED, *row) for row in zip(*columns, strict=True)
+            )
+            return next(powers, None)
         if self._surroundings is None:
-            weights, around = self._stream.around(known_ns)
-            self._surroundings = weights.tolist(), around
+            self._surroundings = self._stream.around(known_ns)
         weights, around = self._surroundings
         acceleration = sum(map(mul, moved.differences, weights))
         if abs(acceleration) > MAX_ACCELERATION:
@@ -487,7 +488,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             told[alone] = ~np.isnan(self._stream.battery.voltage.last(rows.stamps[alone]))
         if not course.is_quiet:
             told &= [course.at(ns).detected != BATTERY_STUCK for ns in rows.stamps.tolist()]
-        return rows.stamps[told]
+        stamps: np.ndarray = rows.stamps[told]
+        return stamps
 
     def _told(self, battery: Arrived) -> PowerRows:
         """Power that battery readings measure, at their own stamps, when they come.
@@ -719,9 +721,10 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         since = [stamp_ns for stamp_ns, _ in alignments]
         battery = self._stream.battery
         columns = firsts, battery.newest_at(firsts), battery.gap_ns(firsts)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
         return [
-            _Clock(*row, alignments[bisect_right(since, row[0]) - 1][1])
-            for row in zip(*(column.tolist() for column in columns), strict=True)
+            _Clock(now_ns, told_ns, gap_ns, alignments[bisect_right(since, now_ns) - 1][1])
+            for now_ns, told_ns, gap_ns in rows
         ]
 
     def _tick(self, clock: _Clock) -> ParameterSet:

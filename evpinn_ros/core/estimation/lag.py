@@ -214,7 +214,7 @@ class LagLearner:
         return self.lag.sigma <= max(KNOWN, KNOWN_SHARE * self._smooth)
 
     def extend(self, speeds: Rows, battery: Rows) -> Iterator[int]:
-        """Take readings; yields the stamp of each speed that completes a block, once it is used."""
+        """Take readings; yields the stamp of each speed that completes a block."""
         if self._zero_ns is None:
             if not len(speeds.stamps):
                 return

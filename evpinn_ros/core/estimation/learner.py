@@ -61,7 +61,8 @@ class Span:
     @property
     def smoothed_learned(self) -> np.ndarray:
         """How many measured samples are learned from before each smoothed one, shape (m,)."""
-        return self.place.searchsorted(np.arange(self.smoothed.size), side="right")
+        counts: np.ndarray = self.place.searchsorted(np.arange(self.smoothed.size), side="right")
+        return counts
 
     @property
     def sizes(self) -> tuple[int, int, int]:
@@ -102,7 +103,9 @@ class Predictions(NamedTuple):
 
 def joined_predictions(parts: Sequence[Predictions]) -> Predictions:
     """Predictions of spans, one after another."""
-    return parts[0] if len(parts) == 1 else Predictions(*map(np.concatenate, zip(*parts)))
+    if len(parts) == 1:
+        return parts[0]
+    return Predictions._make(map(np.concatenate, zip(*parts, strict=True)))
 
 
 class LearnerReport(NamedTuple):

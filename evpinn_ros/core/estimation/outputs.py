@@ -99,8 +99,9 @@ def joined_outputs(parts: Sequence[Outputs]) -> Outputs:
     """Outputs of parts of a block, one after another."""
     if len(parts) < 2:
         return parts[0] if parts else Outputs()
-    columns = [
+    measured, predicted, smoothed = (
         PowerRows._make(map(np.concatenate, zip(*rows, strict=True)))
         for rows in zip(*(part[:3] for part in parts), strict=True)
-    ]
-    return Outputs(*columns, [learned for part in parts for learned in part.learned])
+    )
+    learned = [after for part in parts for after in part.learned]
+    return Outputs(measured, predicted, smoothed, learned)

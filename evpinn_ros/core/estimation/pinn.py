@@ -118,7 +118,7 @@ class PinnLearner(Saveable[SavedPinn]):
         another drive when the two are that far apart: a clock that is set right by some seconds
         ends none.
         """
-        parts = []
+        parts: list[Predictions] = []
         while True:
             stamps = span.smoothed.stamp_ns
             seen_ns = stamps[:1] if self._seen_ns is None else self._seen_ns
@@ -189,12 +189,14 @@ class PinnLearner(Saveable[SavedPinn]):
         for index, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
             step, reason = self._step(row[0]), reasons[index]
             if reason is None:
-                self._sign = self._sign.after(*row[1:], step)
+                _, speed, acceleration, watts = row
+                self._sign = self._sign.after(speed, acceleration, watts, step)
                 reason = self._sign.detected
             if reason is not None:
                 self.gated[reason] += 1
                 moving[index] = False
-        return moving
+        learnable: np.ndarray = moving
+        return learnable
 
     def _energies(self, span: Span, given: np.ndarray, passed: np.ndarray) -> np.ndarray:
         """Energies since the battery was last measured, or a drive began, J, and 1-sigma.

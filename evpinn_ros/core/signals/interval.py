@@ -164,7 +164,7 @@ class IntervalBuilder:
         return int(self._edges.stamps[0]) if len(self._edges.stamps) else LATER
 
     def intervals(self) -> Iterator[tuple[int, Interval]]:
-        """Yields the intervals that are ready, each with the stamp of the speed that made it so."""
+        """Yields the intervals that are ready, with the stamps of the speeds that made them so."""
         self._add_edges()
         while self._complete:
             ready_ns = self._ready_ns(self._complete[0][1])

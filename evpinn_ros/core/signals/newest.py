@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 import math
 from typing import NamedTuple
 
@@ -113,7 +114,7 @@ class NewestTrack:
             self._extend()
             latest = self._latest = latest[-MOST_LATEST // 2 :]
         grid = _interpolated(latest, GRID_NS)
-        differences = [(after - before) / TAP_PERIOD for after, before in zip(grid, grid[1:])]
+        differences = [(after - before) / TAP_PERIOD for after, before in pairwise(grid)]
         first_ns, slopes = latest[0][0], []
         for begin_ns, end_ns in PROFILE_NS.tolist():
             if end_ns > 0 or stamp_ns + begin_ns < first_ns:
@@ -121,7 +122,9 @@ class NewestTrack:
                 continue
             after, before = _interpolated(latest, (end_ns, begin_ns))
             slopes.append((after - before) * NANOSECONDS / (end_ns - begin_ns))
-        power = self._torque * (self._ratio * speed if self._turning != self._turning else self._turning)
+        power = self._torque * (
+            self._ratio * speed if self._turning != self._turning else self._turning
+        )
         fresh = stamp_ns - self._motor_ns <= self._max_gap * NANOSECONDS
         return Moved(differences, slopes, power if fresh else math.nan)
 
@@ -152,7 +155,7 @@ class NewestTrack:
         return NewestSpeeds(stamps, known_ns, speed, differences, slopes, power)
 
     def _moved(self, stamps: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Differences and slopes of speed at moments, which are joined to no speed across a gap."""
+        """Differences and slopes of speed at moments; nothing is joined across a gap."""
         parts = [(NO_SPEEDS.differences, NO_SPEEDS.slopes)]
         while len(stamps):
             count = self._speed.until_gap(stamps)
@@ -177,15 +180,15 @@ class NewestTrack:
         """Power by the last torque that came before speeds, W; NaN where it is too long ago."""
         if motor is None and math.isnan(self._torque):
             return np.full(len(stamps), np.nan)
-        columns = [[self._motor_ns], [self._torque], [self._turning]]
+        told_ns, values = np.array([self._motor_ns]), np.array([[self._torque], [self._turning]])
+        places = np.empty(0)
         if motor is not None:
-            new = motor.stamps, *motor.values
-            columns = [np.append(before, after) for before, after in zip(columns, new)]
-            self._motor_ns, self._torque, self._turning = (column[-1] for column in columns)
-        places = np.empty(0) if motor is None else motor.order
-        told_ns, torque, turning = (
-            np.asarray(column)[places.searchsorted(order)] for column in columns
-        )
+            told_ns = np.append(told_ns, motor.stamps)
+            values = np.concatenate((values, motor.values), axis=1)
+            self._motor_ns, places = int(told_ns[-1]), motor.order
+            self._torque, self._turning = values[:, -1].tolist()
+        which = places.searchsorted(order)
+        told_ns, (torque, turning) = told_ns[which], values[:, which]
         power = torque * np.where(np.isnan(turning), self._ratio * speed, turning)
         return np.where(stamps - told_ns <= self._max_gap * NANOSECONDS, power, np.nan)
 

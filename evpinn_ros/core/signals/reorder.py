@@ -108,7 +108,7 @@ class ReorderBuffer:
         kind = type(reading)
         if (reason := why_impossible(reading)) is not None:
             return reason
-        if kind is BatteryReading and math.isnan(reading.voltage) and math.isnan(reading.current):
+        if isinstance(reading, BatteryReading) and all(map(math.isnan, _told(reading))):
             return "battery_unmeasured"
         late_ns = self.watermark_ns - (ALTITUDE_LATE_NS if kind is AltitudeReading else 0)
         return f"{LATE[kind]}_late" if kind in LATE and reading.stamp_ns <= late_ns else None
@@ -152,7 +152,9 @@ class ReorderBuffer:
 
     def _watermarks(self, rows: Mapping[type[Reading], Rows]) -> tuple[np.ndarray, np.ndarray]:
         """Places of readings that may move the watermark, and it before each and after all."""
-        speeds, battery = (rows.get(kind, NO_ROWS[kind]) for kind in (SpeedReading, BatteryReading))
+        speeds, battery = (
+            rows.get(kind, NO_ROWS[kind]) for kind in (SpeedReading, BatteryReading)
+        )
         order = np.concatenate((speeds.order, battery.order))
         moves = np.concatenate((speeds.stamps, battery.stamps - SILENT_NS)) - self._late_ns
         sequence = order.argsort()
@@ -178,7 +180,9 @@ class ReorderBuffer:
             return
         waiting = self._waiting.get(kind)
         if waiting is not None and len(waiting.stamps):
-            rows = Rows(*(np.concatenate(pair, axis=-1) for pair in zip(waiting, rows)))
+            rows = Rows(
+                *(np.concatenate(pair, axis=-1) for pair in zip(waiting, rows, strict=True))
+            )
         if not (rows.stamps[1:] > rows.stamps[:-1]).all():
             rows = rows.where(rows.stamps.argsort(kind="stable"))
             rows = self._without_doubles(kind, rows)
@@ -208,8 +212,12 @@ class ReorderBuffer:
         return Block.sorted(passed)
 
 
+def _told(reading: BatteryReading) -> tuple[float, float]:
+    return reading.voltage, reading.current
+
+
 def in_order(block: Block) -> Block:
-    """All readings of a recording that are possible, in order of stamps, however late they came."""
+    """All possible readings of a recording in order of stamps, however late they came."""
     buffer = ReorderBuffer(WHOLE_RECORDING, block.length)
     buffer.add(block)
     return buffer.flush()

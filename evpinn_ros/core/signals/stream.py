@@ -1,8 +1,8 @@
 """Readings in order of stamps to samples and intervals.
 
-Speed sets the pace. Each moment that lies `smoothing_lag` back gives a smoothed sample (at most one
-each `SAMPLE_PERIOD`), and it is measured once battery readings on both sides of it are known. It is
-learned from after the smoothed moments up to the later of these are predicted, so that no
+Speed sets the pace. Each moment that lies `smoothing_lag` back gives a smoothed sample (at most
+one each `SAMPLE_PERIOD`), and it is measured once battery readings on both sides of it are known.
+It is learned from after the smoothed moments up to the later of these are predicted, so that no
 prediction rests on a battery reading of its own moment or after. Voltage and current may come
 apart. Beside the samples, which predict and follow power, stand the intervals that the car is
 learned from (`signals.interval`).
@@ -131,13 +131,13 @@ class SampleStream:
         """Optional inputs without data (see `Road.unknown`)."""
         return self._road.unknown(max(self.speed.newest_ns, 0))
 
-    def around(self, known_ns: int) -> tuple[np.ndarray, Samples]:
-        """Weights of the differentiator, shape (TAPS,), and a standing sample at a stamp."""
+    def around(self, known_ns: int) -> tuple[list[float], Samples]:
+        """Weights of the differentiator, `TAPS` of them, and a standing sample at a stamp."""
         information, products = self._differentiator.information, self._differentiator.products
         stamps, nothing = np.array([known_ns]), np.zeros(1)
         slopes, motor = np.full((1, PROFILE), np.nan), np.full(1, np.nan)
         samples = self._samples(stamps, stamps, nothing, nothing, slopes, motor)
-        return np.linalg.solve(information, products), samples
+        return np.linalg.solve(information, products).tolist(), samples
 
     def finish(self) -> Iterator[Interval]:
         """Yields the intervals that wait for more of a drive that is over."""
@@ -217,9 +217,7 @@ class SampleStream:
         samples = self._samples(moments, moments, speed, acceleration, slopes, motor)
         return samples, completed_ns, taps
 
-    def _due(
-        self, moments: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
-    ) -> list[int]:
+    def _due(self, moments: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> list[int]:
         """Places of the moments that are possible and far enough from the last one."""
         possible = (np.abs(acceleration) <= MAX_ACCELERATION) & (np.abs(speed) <= MAX_SPEED)
         chosen: list[int] = []

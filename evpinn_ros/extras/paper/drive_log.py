@@ -13,8 +13,8 @@ from evpinn_ros.common.arrays import chosen_rows
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, SpeedReading
-from evpinn_ros.core.signals.road import GradeSource
 from evpinn_ros.core.signals.reorder import in_order
+from evpinn_ros.core.signals.road import GradeSource
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
 from evpinn_ros.core.vehicle.files import Vehicle

@@ -18,6 +18,7 @@ from evpinn_ros.core.vehicle.identifiable import Identifiable
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 
+
 class LiveAccount(EnergyAccount):
     """An account that is given one value after the other, and counts each at once."""
 

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.core.estimation.estimate import PowerKind
+from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.core.estimation.outputs import Outputs, PowerRows, joined_outputs
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.block import Block

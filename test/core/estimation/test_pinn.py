@@ -36,7 +36,10 @@ class Predicted(NamedTuple):
 
 def span(**columns) -> Span:
     """A span of these columns alone."""
-    return replace(Span(NO_SAMPLES, NO_NS, NO_NS, NO_SAMPLES, NO_SAMPLES, np.empty(0), NO_NS, NO_NS), **columns)
+    return replace(
+        Span(NO_SAMPLES, NO_NS, NO_NS, NO_SAMPLES, NO_SAMPLES, np.empty(0), NO_NS, NO_NS),
+        **columns,
+    )
 
 
 def predicted(learner: PinnLearner, tick: int) -> Predicted:

@@ -34,7 +34,10 @@ class Stream:
     def __init__(self, **settings) -> None:
         """With an air density of 1.2 kg/m^3."""
         chosen = StreamSettings(**settings)
-        self.stream, self.buffer = SampleStream(chosen, 1.2), ReorderBuffer(chosen.allowed_lateness)
+        self.stream, self.buffer = (
+            SampleStream(chosen, 1.2),
+            ReorderBuffer(chosen.allowed_lateness),
+        )
         self.newest = NewestTrack(chosen.max_gap, math.nan)
 
     @property

@@ -20,7 +20,14 @@ from evpinn_ros.core.signals.readings import (
 )
 from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
-from test.core.signals.conftest import MeasuredSample, Newest, Smoothed, Stream, completed, in_order
+from test.core.signals.conftest import (
+    MeasuredSample,
+    Newest,
+    Smoothed,
+    Stream,
+    completed,
+    in_order,
+)
 
 START = 1_700_000_000 * NANOSECONDS
 COUNT = 150  # readings, 15 s
