@@ -80,6 +80,7 @@ class Chain:
         """Take blocks of readings and jumps; yields all that is said of them, in order."""
         for item in items:
             if isinstance(item, Jump):
+                yield from (output for _, output in self.take_rest())
                 self.jump()
             else:
                 yield from (output for _, output in self.take_block(item))

@@ -105,6 +105,7 @@ def replay(
     pace = _Pace(options.rate, progress)
     for block in (item for some in blocks for item in chain.follow(some)):
         if isinstance(block, Jump):
+            _take_rest(chain, history, writer)
             chain.jump()
             history.add_jump(block)
             continue
@@ -116,11 +117,7 @@ def replay(
             history.add_states(chain.account.count())
         else:
             not_recorded.update(_recorded(writer, block, given, chain, history))
-    if writer is None:
-        history.add_outputs(chain.read_rest())
-        history.add_states(chain.account.flush())
-    else:
-        _record(writer, chain.take_rest(), history)
+    _take_rest(chain, history, writer)
     last = chain.estimator.finish()
     history.add_output(last.stamp_ns, last)
     history.add_detections(last.stamp_ns, chain.estimator.detections())
@@ -234,6 +231,15 @@ def _recorded(
             log_time_ns = history.moment(reading.stamp_ns)
             writer.write(topic.under(NAMESPACE), message, log_time_ns)
     _record(writer, outputs[place:], history)
+
+
+def _take_rest(chain: Chain, history: History, writer: BagWriter | None) -> None:
+    """Take what waits for more: the drive is over, or its time jumps."""
+    if writer is None:
+        history.add_outputs(chain.read_rest())
+        history.add_states(chain.account.flush())
+    else:
+        _record(writer, chain.take_rest(), history)
 
 
 def _record(

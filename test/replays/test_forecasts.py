@@ -19,7 +19,7 @@ def drive(readings, vehicle):
     """Two minutes of which nothing was learned: its model is that of the vehicle file."""
     chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
     history = History()
-    history.add_model(chain.estimator.model())
+    history.add_model(0, chain.estimator.model())
     for reading in readings:
         history.add_reading(reading)
     return history.drive()
@@ -76,10 +76,11 @@ def test_models_are_kept_every_few_minutes(readings, vehicle):
     history, kept = History(), []
     first = readings[0]
     for second in range(0, 1000):
-        history.add_reading(replace(first, stamp_ns=first.stamp_ns + second * 10**9))
-        if history.wants_model:
-            history.add_model(chain.estimator.model())
+        now_ns = first.stamp_ns + second * 10**9
+        history.add_reading(replace(first, stamp_ns=now_ns))
+        if history.wants_model(now_ns):
+            history.add_model(now_ns, chain.estimator.model())
             kept.append(second)
     assert np.diff(kept).tolist() == [MODEL_STEP] * 3
-    history.add_model(None)
+    history.add_model(now_ns, None)
     assert len(history.drive().models) == 4

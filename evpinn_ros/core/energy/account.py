@@ -552,7 +552,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def summary(self) -> AccountSummary:
         """The account now, for a look at it."""
         since_reset, lifetime = self.since_reset(), self.lifetime().not_below(self._shown)
-        charge = self.charge()
+        charge = self.gauge.charge(self._newest_ns, lifetime.net)
         usable = self.gauge.usable(charge)
         consumption = self._consumption(since_reset, lifetime)
         return AccountSummary(

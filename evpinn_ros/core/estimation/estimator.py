@@ -394,12 +394,13 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         if old or power != power or self._stuck.detected == BATTERY_STUCK:
             return None
         stamp_ns = reading.stamp_ns - self._aligner.shift_ns
-        sigma = float(sensor_sigma(power, reading.power_std))
+        size = self._similarity.size
+        sigma = size * float(sensor_sigma(power / size, reading.power_std / size))
         return PowerEstimate(PowerKind.MEASURED, stamp_ns, power, sigma)
 
     def _advance(self, block: Block, newest: NewestSpeeds) -> Outputs:
         """Take readings in order of stamps, and speeds to be predicted at once."""
-        self._courses: list[StuckCourse] = []
+        self._courses = [StuckCourse((), (self._stuck,))]
         self._surroundings = None
         if self._predicted:
             columns = (np.array(column) for column in zip(*self._predicted, strict=True))
@@ -487,7 +488,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         if alone.any():
             told[alone] = ~np.isnan(self._stream.battery.voltage.last(rows.stamps[alone]))
         if not course.is_quiet:
-            told &= [course.at(ns).detected != BATTERY_STUCK for ns in rows.stamps.tolist()]
+            sound = [course.at(ns).detected != BATTERY_STUCK for ns in rows.stamps.tolist()]
+            told &= np.array(sound, dtype=bool)
         stamps: np.ndarray = rows.stamps[told]
         return stamps
 
@@ -505,9 +507,12 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         power = drawn_power(volts, current)
         used = ~np.isnan(power) & (age_ns <= self._stream.battery.voltage.gap_ns())
         if not all(course.is_quiet for course in self._courses):
-            used &= [self._is_sound(ns) for ns in battery.watermark_ns.tolist()]
+            sound = [self._is_sound(ns) for ns in battery.watermark_ns.tolist()]
+            used &= np.array(sound, dtype=bool)
         stamps, power = stamps[used] - self._aligner.shift_ns, power[used]
-        return PowerRows.of(stamps, stamps, power, sensor_sigma(power, coarse[used]))
+        size = self._similarity.size
+        sigma = size * sensor_sigma(power / size, coarse[used] / size)
+        return PowerRows.of(stamps, stamps, power, sigma)
 
     def _is_sound(self, watermark_ns: int) -> bool:
         """Whether the battery was not known to be stuck once all up to a stamp was known."""

@@ -19,6 +19,7 @@ from evpinn_ros.core.signals.readings import (
     Reading,
     SpeedReading,
 )
+from evpinn_ros.core.signals.track import LATER
 from evpinn_ros.core.vehicle.files import load_vehicle
 
 STEP = 0.5  # s
@@ -66,7 +67,9 @@ def learned(drive: list[Reading], block: int = 1000) -> tuple[OnlineEstimator, l
     blocks = (drive[begin : begin + block] for begin in range(0, len(drive), block))
     outputs = [output for part in blocks for output in estimator.add_readings(part)]
     estimator.finish()
-    return estimator, [output.power for output in outputs if isinstance(output, PowerEstimate)]
+    powers = [output for output in outputs if isinstance(output, PowerEstimate)]
+    powers.sort(key=lambda power: (power.kind, power.stamp_ns))
+    return estimator, [power.power for power in powers]
 
 
 @pytest.mark.parametrize("name", ["eco", "quad", "bus"])
@@ -93,7 +96,8 @@ def test_nothing_is_known_of_too_little_or_of_stamps_that_leap():
     leapt = [*drive, later, BatteryReading(later_ns, 600.0, -1.0)]
     assert size_of(intervals(leapt)) is None
     sizing = Sizing()
-    assert sizing.until_due(Block.of([drive[0]])) == 1 and not sizing.until_due(Block.of([later]))
+    assert sizing.due_ns(Block.of([drive[0]])) == LATER
+    assert sizing.due_ns(Block.of([later])) != LATER
 
 
 @pytest.mark.slow

@@ -93,6 +93,7 @@ def test_a_speed_that_hangs_for_seconds_moves_next_to_nothing(
                 reading = replace(reading, speed=held)
             given.append(reading)
         estimator.add_readings(given)
+        estimator.flush()
         estimators.append(estimator)
     silent, hung = map(mass_over_eta, estimators)
     assert abs(hung / silent - 1.0) < most

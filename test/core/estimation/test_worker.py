@@ -1,3 +1,4 @@
+from dataclasses import replace
 import threading
 
 import pytest
@@ -115,7 +116,8 @@ def test_updates_that_take_too_long_are_counted(new_estimator, play, thread_work
     go.set()
     worker._executor.submit(int).result(HANG_S)  # the update is done before this
     last = readings[-1].stamp_ns
-    later = [type(r)(last + NANOSECONDS, r.speed) for r in readings if hasattr(r, "speed")][:1]
+    speed = next(r for r in readings if hasattr(r, "speed"))
+    later = [replace(speed, stamp_ns=last + k * NANOSECONDS // 2) for k in range(1, 4)]
     play(estimator, later)
     # It is taken at last, and the next begins.
     assert (estimator.status().updates, estimator.status().accepted) == (2, 1)
