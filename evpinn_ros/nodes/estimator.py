@@ -105,13 +105,11 @@ class EstimatorNode(GuardedNode):
 
     def _begin_anew(self) -> None:
         """Be as at the start."""
-        self._publish_completed(self.estimator.flush())
         self._admission.begin_anew()
         self.kept.file.start_over()
 
     def _after_jump(self) -> None:
         """Join nothing to what came before a jump of time."""
-        self._publish_completed(self.estimator.flush())
         self._admission.begin_anew()
         self.estimator.handle_time_jump()
 

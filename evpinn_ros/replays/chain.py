@@ -77,10 +77,12 @@ class Chain:
                 yield admitted
 
     def take(self, items: Iterable[Block | Jump]) -> Iterator[ChainOutput]:
-        """Take blocks of readings and jumps; yields all that is said of them, in order."""
+        """Take blocks of readings and jumps; yields all that is said of them, in order.
+
+        As in nodes, whose topics have no common order, what waits at a jump is counted, not told.
+        """
         for item in items:
             if isinstance(item, Jump):
-                yield from (output for _, output in self.take_rest())
                 self.jump()
             else:
                 yield from (output for _, output in self.take_block(item))
@@ -134,14 +136,22 @@ class Chain:
         models = [(learned.known_ns, learned.model) for learned in outputs.learned]
         known = dict(zip(*(column.tolist() for column in outputs.smoothed[1::-1]), strict=True))
         while (due_ns := self.account.summary_due_ns()) != LATER:
-            rows += ((known[state.stamp_ns], state) for state in self.account.count(due_ns).rows())
-            while models and models[0][0] < known[due_ns]:
+            rows += self._states(due_ns, known)
+            at_ns = known.get(due_ns, due_ns)
+            while models and models[0][0] < at_ns:
                 _, usual = models.pop(0)
             self._know_usual(usual)
-            rows.append((known[due_ns], self.account.show()))
-        rows += ((known[state.stamp_ns], state) for state in self.account.count().rows())
+            rows.append((at_ns, self.account.show()))
+        rows += self._states(LATER, known)
         self._know_usual(self.estimator.model())
         yield from sorted(rows, key=itemgetter(0))
+
+    def _states(
+        self, until_ns: int, known: Mapping[int, int]
+    ) -> Iterator[tuple[int, EnergyState]]:
+        """States of the account up to a stamp, by the stamps that are known."""
+        for state in self.account.count(until_ns).rows():
+            yield known.get(state.stamp_ns, state.stamp_ns), state
 
     def _know_usual(self, car: CarModel | None) -> None:
         self.account.usual = math.nan if car is None else usual_cost(car)

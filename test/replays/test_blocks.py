@@ -113,7 +113,10 @@ def kind(output: ChainOutput) -> str:
 
 def assert_equal(outputs_now: list[ChainOutput], expected: list[ChainOutput], what: str) -> None:
     """Of each kind; a block gives what it completes after what it tells at once."""
-    outputs_now, expected = (sorted(some, key=kind) for some in (outputs_now, expected))
+    outputs_now, expected = (
+        sorted(some, key=lambda output: (kind(output), getattr(output, "stamp_ns", 0)))
+        for some in (outputs_now, expected)
+    )
     assert list(map(kind, outputs_now)) == list(map(kind, expected))
     for now, before in zip(outputs_now, expected, strict=True):
         np.testing.assert_allclose(

@@ -294,7 +294,8 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def begin_readings_anew(self) -> None:
         """Join no speed and no battery reading to those before: their time jumped."""
-        self.flush()
+        self._count_readings(replace(self.meter.course, ended=()), LATER)
+        self._waiting.newest_ns |= {_Kind.SPEED: NEVER, _Kind.BATTERY: NEVER}
         self.admission.begin_anew()
         self.trip.begin_anew()
         self.battery.begin_anew()
@@ -367,11 +368,10 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def _count(self, until_ns: int) -> list[_Correction]:
         """Count what waits up to a stamp; returns what was corrected."""
-        waiting = self._waiting
         predicted, measured = (
             PowerBlock(stamps, *values)
             for stamps, values in (
-                waiting.taken(kind, until_ns) for kind in (_Kind.PREDICTED, _Kind.MEASURED)
+                self._waiting.taken(kind, until_ns) for kind in (_Kind.PREDICTED, _Kind.MEASURED)
             )
         )
         course = self.meter.add(predicted, measured)
@@ -380,11 +380,15 @@ class EnergyAccount(Saveable[SavedAccount]):
             self._newest_ns = max(self._newest_ns, *map(int, newest))
             if self.route is not None:
                 self.route.see(min(int(b.stamp_ns[0]) for b in (predicted, measured) if len(b[0])))
-        stamps, (speeds,) = waiting.taken(_Kind.SPEED, until_ns)
+        return self._count_readings(course, until_ns)
+
+    def _count_readings(self, course: MeterCourse, until_ns: int) -> list[_Correction]:
+        """Count the readings up to a stamp, by what a meter had counted then."""
+        stamps, (speeds,) = self._waiting.taken(_Kind.SPEED, until_ns)
         if len(stamps):
             energies, _, _ = course.consumed(course.before(stamps))
             self._driven.append((stamps, speeds, energies))
-        battery = waiting.taken(_Kind.BATTERY, until_ns)
+        battery = self._waiting.taken(_Kind.BATTERY, until_ns)
         corrections = self._charged(course, battery.stamps, *battery.values)
         if len(stamps) + len(battery.stamps) >= EXTENDED_AT:
             self._extend()

@@ -117,6 +117,7 @@ class BridgedCar:
 
     def documents(self) -> Mapping[str, Document]:
         """All other documents, by the last part of their topic."""
+        self.chain.account.flush()  # what was measured is told at once
         estimator, account = self.chain.estimator, account_metrics(self.chain.account.show())
         parameters = estimator.parameters()
         combinations = {"combinations": combination_metrics(parameters)}
