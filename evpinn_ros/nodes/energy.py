@@ -13,7 +13,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
 from evpinn_ros import topics
-from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.account import AccountSummary, EnergyAccount
 from evpinn_ros.core.energy.forecaster import Basis, Forecaster, PlanAnswer, PlanLog
 from evpinn_ros.core.energy.meter import EnergyMeter, EnergyState, Integrator
 from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
@@ -159,7 +159,12 @@ class EnergyNode(GuardedNode):
 
     def _publish_account(self, *states: EnergyState) -> None:
         """Publish states, and the summary once a second."""
-        shown = (*states, *filter(None, [self.account.tick()]))
+        summary = self.account.tick()
+        shown: tuple[EnergyState | AccountSummary, ...] = states
+        if summary is not None:
+            shown = (*states, summary)
+        if not shown:
+            return
         self.kept.file.append()  # before they are shown: after a kill nothing is less, or surer
         for output in shown:
             self.publish(output_messages(new_message, output))

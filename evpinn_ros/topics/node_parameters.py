@@ -145,7 +145,7 @@ ESTIMATOR = (
     Parameter(
         "allowed_lateness",
         0.3,
-        "Largest age of a reading that comes after a newer one of the same signal.",
+        "Time that readings are waited for, until they are put in order of stamps.",
         "s",
         0.0,
         10.0,

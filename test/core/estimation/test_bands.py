@@ -18,6 +18,7 @@ from evpinn_ros.core.estimation.terms import Equation, equation_of
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.signals.reorder import in_order
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
@@ -76,10 +77,8 @@ def test_dropouts_say_nothing_of_drives_nor_these_of_dropouts():
 
 
 def intervals_of(readings, vehicle: Vehicle) -> list[Interval]:
-    stream = SampleStream(
-        StreamSettings(), vehicle.air_density, vehicle.motor_ratio, intervals_alone=True
-    )
-    intervals = (interval for _, interval in stream.add_block(Block.of(readings)).intervals)
+    stream = SampleStream(StreamSettings(), vehicle.air_density, vehicle.motor_ratio)
+    intervals = (interval for _, interval in stream.add(in_order(Block.of(readings))).intervals)
     return [interval for interval in intervals if not math.isnan(interval.energy)]
 
 

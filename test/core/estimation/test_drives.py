@@ -14,7 +14,6 @@ import pytest
 from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.core.estimation.worker import InlineWorker
-from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.sources import open_drive
@@ -32,7 +31,7 @@ class Replayed:
     def __init__(self, readings) -> None:
         vehicle = load_vehicle("tesla_model_3_lr")
         estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
-        outputs = [output for _, output in estimator.add_block(Block.of(readings)).by_place()]
+        outputs = estimator.add_readings(readings)
         self.powers = [o for o in outputs if isinstance(o, PowerEstimate)]
         self.parameters = [o for o in outputs if isinstance(o, ParameterSet)]
         measured = self._columns(PowerKind.MEASURED)

@@ -103,10 +103,10 @@ def test_without_a_battery_predictions_go_on(new_estimator, taught, play, powers
     assert estimator.status().activity is Activity.LEARNING
     updates = estimator.status().updates
     silent = [r for r in from_on(readings, seconds) if not isinstance(r, BatteryReading)]
-    # The last battery readings are learned when the speed a lag after them has come.
-    predictions = powers(play(estimator, silent[:5]))
+    # The last battery readings are learned once the watermark has passed them by a lag.
+    predictions = powers(play(estimator, silent[:12]))
     probe = probe_sigma(estimator)
-    predictions += powers(play(estimator, silent[5:]))
+    predictions += powers(play(estimator, silent[12:]))
     assert len(predictions) > 18 * seconds
     assert all(math.isfinite(p.power) and 0 < p.sigma < math.inf for p in predictions)
     assert probe_sigma(estimator) >= probe
