@@ -68,6 +68,7 @@ def velocity(bench):
             longitudinal_velocity=10.0,
         )
         bench.drive([(topics.BATTERY, battery), (topics.VELOCITY_REPORT, report)])
+    energy.account.flush()
     assert 5.5 < energy.account.summary().since_reset.distance / 10.0 < 6.0
     bench.pump(lambda: len(bench.heard[topics.POWER_PREDICTED]) > 50)
     message = speed_message(new_message, SpeedReading(stamp(61), 10.0))

@@ -23,6 +23,7 @@ def test_other_policies_keep_what_was_learned(bench, urban, policy):
     drive = [(topic, message) for topic, _, message in urban(8.0)]
     bench.drive(drive)
     bench.settle()
+    energy.account.flush()
     learned, consumed = efficiency(estimator), energy.account.state.consumed
     smoothed = len(bench.heard[topics.POWER_SMOOTHED])
     bench.drive(drive[:20])

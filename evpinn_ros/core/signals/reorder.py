@@ -164,15 +164,15 @@ class ReorderBuffer:
 
     def _possible(self, kind: type[Reading], rows: Rows) -> Rows:
         """The readings that are possible and hold something."""
-        for reason, wrong in impossible(kind, rows):
-            self.dropped[reason] += int(np.count_nonzero(wrong))
-            rows = rows.where(~wrong)
+        reasons = impossible(kind, rows)
         if kind is BatteryReading:
-            unmeasured = np.isnan(rows.values[:2]).all(axis=0)
-            if unmeasured.any():
-                self.dropped["battery_unmeasured"] += int(np.count_nonzero(unmeasured))
-                rows = rows.where(~unmeasured)
-        return rows
+            reasons.append(("battery_unmeasured", np.isnan(rows.values[:2]).all(axis=0)))
+        used = np.ones(len(rows.stamps), dtype=bool)
+        for reason, wrong in reasons:
+            if count := int(np.count_nonzero(wrong & used)):
+                self.dropped[reason] += count
+                used &= ~wrong
+        return rows if used.all() else rows.where(used)
 
     def _wait(self, kind: type[Reading], rows: Rows) -> None:
         """Let readings wait in order of stamps, of one stamp the first that came."""

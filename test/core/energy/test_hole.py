@@ -7,12 +7,13 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.hole import LONGEST, RecentPower, recent_powers, taken_variance
 from evpinn_ros.core.energy.meter import EnergyMeter
 from evpinn_ros.core.energy.quadrature import EnergyIntegral
 from evpinn_ros.core.energy.rknn import load_rknn
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading
-from test.core.energy.cars import LiveAccount
 
 START, VEHICLE = 1_700_000_000 * NANOSECONDS, "bmw_i3"
 RKNN = load_rknn()
@@ -20,7 +21,7 @@ RATE, BEGIN = 5, 150.0  # samples a second; s, before which all is heard
 
 
 def account():
-    return LiveAccount(EnergyMeter(RKNN), VEHICLE, 7e7)
+    return EnergyAccount(EnergyMeter(RKNN), VEHICLE, 7e7)
 
 
 def power(at):
@@ -29,13 +30,16 @@ def power(at):
 
 
 def drive(counted, begin, end, *, predicted=True, charge=None):
-    for at in np.arange(begin, end, 1 / RATE).tolist():
-        stamp_ns = START + round(at * NANOSECONDS)
-        if predicted:
-            counted.add_predicted(stamp_ns, float(power(at)), 300.0)
-        counted.add_measured(stamp_ns, float(power(at)), 100.0)
-        if charge is not None:
-            counted.add_reading(BatteryReading(stamp_ns, 380.0, -power(at) / 380, charge(at)))
+    at = np.arange(begin, end, 1 / RATE)
+    stamps, drawn = START + np.rint(at * NANOSECONDS).astype(np.int64), power(at)
+    if predicted:
+        unknown = np.full(len(at), math.nan)
+        counted.add_predicted(stamps, drawn, np.full(len(at), 300.0), unknown, unknown)
+    counted.add_measured(stamps, drawn, np.full(len(at), 100.0))
+    if charge is not None:
+        rows = zip(stamps.tolist(), (-drawn / 380).tolist(), map(charge, at), strict=True)
+        counted.add_block(Block.of(BatteryReading(ns, 380.0, *row) for ns, *row in rows))
+    counted.flush()
 
 
 def restarted(counted):

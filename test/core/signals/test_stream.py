@@ -265,3 +265,16 @@ def test_a_reset_forgets_readings_and_keeps_what_was_learned(new_stream, play, r
     taught, first = (sorted(newest(events), key=stamp_of) for events in (again, fresh))
     assert [e.stamp_ns for e in taught] == [e.stamp_ns for e in first]
     assert taught[2].acceleration != first[2].acceleration
+
+
+def test_readings_that_are_refused_are_counted_once_by_their_first_reason(new_stream, at):
+    stream = new_stream()
+    stream.add([
+        BatteryReading(at(0.0), 350.0, 9e3), BatteryReading(at(0.1), 0.0, 0.0),
+        BatteryReading(at(0.2), math.nan, math.nan), BatteryReading(2**62, 9e3, 9e3),
+        SpeedReading(at(0.3), 400.0), BatteryReading(at(0.4), 350.0, -10.0),
+    ])  # fmt: skip
+    assert stream.dropped == {
+        "battery_out_of_range": 2, "battery_unmeasured": 1, "stamp_out_of_range": 1,
+        "speed_out_of_range": 1,
+    }  # fmt: skip

@@ -1,4 +1,3 @@
-from dataclasses import replace
 import math
 
 import numpy as np
@@ -6,9 +5,9 @@ import pytest
 
 from evpinn_ros.core.estimation.estimate import Trust
 from evpinn_ros.core.estimation.estimator import PaperOptimizer
-from evpinn_ros.core.estimation.learner import NO_MOMENTS, Step
+from evpinn_ros.core.estimation.learner import Span
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Sample, Samples
+from evpinn_ros.core.signals.sample import NO_NS, NO_SAMPLES, Sample, Samples
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.parameters import LIMITS, PARAMETER_NAMES, Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
@@ -21,19 +20,15 @@ TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux
 
 def predict(learner: PaperLearner, sample: Sample) -> float:
     """Power at a smoothed sample, W."""
-    moments = replace(
-        NO_MOMENTS, smoothed=Samples.of([sample]), steps=[(Step.SMOOTHED, 0)], orders=[0]
-    )
-    predictions = learner.begin(moments)
-    learner.follow(0, 1)
-    return predictions.smoothed[0][0]
+    power, _ = learner.predict(Samples.of([sample]))
+    return float(power[0])
 
 
 def observe(learner: PaperLearner, sample: Sample, power: float) -> None:
     """Let it learn from a measured sample."""
-    measured, steps = Samples.of([sample]), [(Step.MEASURED, 0)]
-    learner.begin(replace(NO_MOMENTS, measured=measured, power=np.array([power]), steps=steps))
-    learner.follow(0, 1)
+    measured, nothing, place = Samples.of([sample]), NO_NS, np.zeros(1, np.int64)
+    columns = NO_SAMPLES, nothing, nothing, NO_SAMPLES, measured, np.array([power]), place
+    learner.follow(Span(*columns, nothing))
 
 
 def teach(learner, drive, first=0, last=None):
