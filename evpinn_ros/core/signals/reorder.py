@@ -73,7 +73,7 @@ class ReorderBuffer:
 
     def reset(self) -> None:
         """Forget what waits, after a jump of time."""
-        self.watermark_ns = self._moved_ns = NEVER
+        self.watermark_ns = self._moved_ns = NEVER // CELL_NS * CELL_NS
         self._waiting: dict[type[Reading], Rows] = {}
         self._new: list[Reading] = []  # that came one by one, and wait too
 
@@ -97,7 +97,9 @@ class ReorderBuffer:
             moved_ns = stamp_ns - self._late_ns - SILENT_NS
         self._moved_ns = max(self._moved_ns, moved_ns)
         watermark_ns = self._moved_ns // CELL_NS * CELL_NS
-        if watermark_ns <= self.watermark_ns and len(self._new) < MOST_WAITING:
+        if watermark_ns <= self.watermark_ns:
+            if len(self._new) >= self._most_waiting:
+                self._merge()
             return True, None
         self.watermark_ns = watermark_ns
         self._merge()
@@ -147,7 +149,9 @@ class ReorderBuffer:
         """The readings that wait, in order of stamps: no more will come."""
         self._merge()
         ends = [int(rows.stamps[-1]) for rows in self._waiting.values() if len(rows.stamps)]
-        self.watermark_ns = max([self.watermark_ns, *ends])
+        # A whole cell, so that what comes all the same is late, and the watermark never falls.
+        newest_ns = -(-max([self.watermark_ns, *ends]) // CELL_NS) * CELL_NS
+        self.watermark_ns, self._moved_ns = newest_ns, max(self._moved_ns, newest_ns)
         return self._passed(self.watermark_ns)
 
     def _watermarks(self, rows: Mapping[type[Reading], Rows]) -> tuple[np.ndarray, np.ndarray]:
@@ -175,7 +179,11 @@ class ReorderBuffer:
         return rows if used.all() else rows.where(used)
 
     def _wait(self, kind: type[Reading], rows: Rows) -> None:
-        """Let readings wait in order of stamps, of one stamp the first that came."""
+        """Let readings wait in order of stamps.
+
+        Of one stamp the first that came counts; of the surroundings the last, for late ones share
+        the stamp from which they count.
+        """
         if not len(rows.stamps):
             return
         waiting = self._waiting.get(kind)
@@ -185,7 +193,10 @@ class ReorderBuffer:
             )
         if not (rows.stamps[1:] > rows.stamps[:-1]).all():
             rows = rows.where(rows.stamps.argsort(kind="stable"))
-            rows = self._without_doubles(kind, rows)
+            if kind in SERIES:
+                rows = self._without_doubles(kind, rows)
+            else:
+                rows = rows.where(np.append(rows.stamps[1:] != rows.stamps[:-1], True))
         moves = kind in (SpeedReading, BatteryReading)
         self._waiting[kind] = rows if moves else rows.where(slice(-self._most_waiting, None))
 
@@ -198,7 +209,7 @@ class ReorderBuffer:
             column = values[:, first[of_first[place]]]
             new = np.isnan(column) & ~np.isnan(rows.values[:, place])
             column[new] = rows.values[new, place]
-            if kind in SERIES and not new[:2].any():
+            if not new[:2].any():
                 self.dropped[f"{SERIES[kind]}_doubled"] += 1
         return Rows(rows.order, rows.stamps, values).where(first)
 

@@ -103,3 +103,15 @@ def test_cuts_change_nothing(seed, period, told):
         state, same = other.battery.saved(), account.battery.saved()
         assert state.samples == same.samples
         assert state.state == pytest.approx(same.state, rel=1e-9)
+
+
+def test_the_order_of_what_waits_changes_nothing():
+    """Powers and readings of a drive in any order, before they are counted."""
+    calls = [call for call in arrivals(0, 0.5, told=True) if call[0] != "add_predicted" or
+             not math.isnan(call[2])]  # fmt: skip
+    in_order, account = counted(calls, every(len(calls) + 1))
+    shuffled = [calls[place] for place in np.random.default_rng(0).permutation(len(calls))]
+    columns, other = counted(shuffled, every(len(calls) + 1))
+    for name, column in in_order.items():
+        np.testing.assert_allclose(columns[name], column, rtol=1e-9, atol=1e-6, err_msg=name)
+    assert other.summary().lifetime == pytest.approx(account.summary().lifetime, rel=1e-9)
