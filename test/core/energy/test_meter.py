@@ -115,6 +115,24 @@ def test_a_battery_that_is_slow_is_counted_as_one_that_is_not(slow, cuts):
         assert (abs(states.consumed - truth) < held + 3 * states.consumed_sigma).all()
 
 
+@pytest.mark.parametrize("cut", [3, 6, 20])
+def test_a_dropout_begins_at_the_last_reading_between_two_predictions(cut):
+    """Predictions each second, of which the battery falls silent in the middle of a step."""
+    metered = meter()
+    predicted_ns = START + np.arange(21) * 1_000_000_000
+    measured_ns = START + np.arange(12) * 500_000_000  # up to 5.5 s
+    for first, last in ((0, cut), (cut, 21)):
+        ours = slice(first, last)
+        begin_ns, end_ns = predicted_ns[[max(first - 1, 0), last - 1]]
+        told = measured_ns[(measured_ns > begin_ns - (first == 0)) & (measured_ns <= end_ns)]
+        blocks = (
+            PowerBlock(at, np.full(len(at), 10e3), *np.full((3, len(at)), math.nan))
+            for at in (predicted_ns[ours], told)
+        )
+        metered.add(*blocks)
+    assert metered.state.consumed == pytest.approx(200e3, rel=1e-4)
+
+
 def test_a_battery_that_returns_is_bridged_by_the_prediction():
     state = drive(meter(), range(60), silent=range(20, 40)).state
     assert state.measuring
