@@ -134,24 +134,26 @@ class Chain:
             if learned.breakdown is not None
         )
         models = [(learned.known_ns, learned.model) for learned in outputs.learned]
-        known = dict(zip(*(column.tolist() for column in outputs.smoothed[1::-1]), strict=True))
+        completed_ns = dict(
+            zip(*(column.tolist() for column in outputs.smoothed[1::-1]), strict=True)
+        )
         while (due_ns := self.account.summary_due_ns()) != LATER:
-            rows += self._states(due_ns, known)
-            at_ns = known.get(due_ns, due_ns)
+            rows += self._states(due_ns, completed_ns)
+            at_ns = completed_ns.get(due_ns, due_ns)
             while models and models[0][0] < at_ns:
                 _, usual = models.pop(0)
             self._know_usual(usual)
             rows.append((at_ns, self.account.show()))
-        rows += self._states(LATER, known)
+        rows += self._states(LATER, completed_ns)
         self._know_usual(self.estimator.model())
         yield from sorted(rows, key=itemgetter(0))
 
     def _states(
-        self, until_ns: int, known: Mapping[int, int]
+        self, until_ns: int, completed_ns: Mapping[int, int]
     ) -> Iterator[tuple[int, EnergyState]]:
-        """States of the account up to a stamp, by the stamps that are known."""
+        """States of the account up to a stamp, each with the stamp that completed it."""
         for state in self.account.count(until_ns).rows():
-            yield known.get(state.stamp_ns, state.stamp_ns), state
+            yield completed_ns.get(state.stamp_ns, state.stamp_ns), state
 
     def _know_usual(self, car: CarModel | None) -> None:
         self.account.usual = math.nan if car is None else usual_cost(car)

@@ -411,9 +411,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         while True:
             due_ns = LATER if self._sizing is None else self._sizing.due_ns(block)
             part, block = block.until(due_ns)
-            known, newest = newest.until(due_ns)
-            if part.length or len(known.stamps):
-                parts.append(self._add(part, known))
+            predicted, newest = newest.until(due_ns)
+            if part.length or len(predicted.stamps):
+                parts.append(self._add(part, predicted))
             if due_ns == LATER:
                 return joined_outputs(parts)
             self._find_size()

@@ -156,8 +156,8 @@ class SampleStream:
             stamps = block.of_kind(SpeedReading).stamps
             gap_ns = int(np.append(stamps, LATER)[self.speed.until_gap(stamps)])
             part, block = block.until(gap_ns)
-            known, newest = newest.until(gap_ns)
-            parts.append(self._add(part, known))
+            predicted, newest = newest.until(gap_ns)
+            parts.append(self._add(part, predicted))
             if gap_ns == LATER:
                 return joined_events(parts)
             ended = [(gap_ns, interval) for interval in self._intervals.finish()]
@@ -290,5 +290,5 @@ class SampleStream:
         power = self.battery.at(samples.stamp_ns)
         place_after = place + (stamps[place] == after)
         measured = Measured(samples, power, smoothed_ns[place], place_after)
-        known = ~np.isnan(power)
-        return measured if known.all() else measured.where(known)
+        is_known = ~np.isnan(power)
+        return measured if is_known.all() else measured.where(is_known)

@@ -84,15 +84,15 @@ def outputs_at_once(readings: Sequence[Reading]) -> Outputs:
     return whole._replace(measured=measured, predicted=predicted)
 
 
-def assert_equal(one: Outputs, other: Outputs, kinds: Sequence[str]) -> None:
+def assert_equal(whole: Outputs, other: Outputs, kinds: Sequence[str]) -> None:
     for kind in kinds:
         for name, a, b in zip(
-            getattr(one, kind)._fields, getattr(one, kind), getattr(other, kind), strict=True
+            getattr(whole, kind)._fields, getattr(whole, kind), getattr(other, kind), strict=True
         ):
             assert len(a) == len(b), (kind, name)
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-6, err_msg=f"{kind}.{name}")
-    assert [x.known_ns for x in one.learned] == [x.known_ns for x in other.learned]
-    for a, b in zip(one.learned, other.learned, strict=True):
+    assert [x.known_ns for x in whole.learned] == [x.known_ns for x in other.learned]
+    for a, b in zip(whole.learned, other.learned, strict=True):
         values = [[p.value, p.std] for p in a.parameters.parameters.values()]
         assert values == pytest.approx(
             np.array([[p.value, p.std] for p in b.parameters.parameters.values()]), rel=1e-9
