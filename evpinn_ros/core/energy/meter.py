@@ -436,11 +436,15 @@ class EnergyMeter(Saveable[SavedMeter]):
         )
 
     def add(self, predicted: PowerBlock, measured: PowerBlock) -> MeterCourse:
-        """Take the powers that follow."""
+        """Take the powers that follow.
+
+        A measurement of time that predictions have bridged is dropped, or it would count twice.
+        """
         last = _joined_to_before(self.course, predicted, measured)
+        late = measured.stamp_ns <= last.counted_until(last.end)
         dropped = self._predicted.dropped + self._measured.dropped
         ours = self._predicted.extend(predicted.stamp_ns, predicted.power)
-        theirs = self._measured.extend(measured.stamp_ns, measured.power)
+        theirs = self._measured.extend(measured.stamp_ns, np.where(late, math.nan, measured.power))
         rknn = self._by_network(ours, last.rknn[-1])
         plain = ours.drawn - ours.regenerated
         energy = rknn[:, 0] if self._integrator is Integrator.RKNN else plain
