@@ -103,6 +103,23 @@ def test_to_hold_keeps_what_was_learned_and_counted(once, vehicle, tmp_path):
     assert stds[0] != stds[1]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_speed_that_is_late_at_random_changes_no_measured_energy(once, vehicle, seed):
+    """By up to 3 s; what comes behind the battery's newest reading used to begin time anew."""
+    drive, _, alone = once
+    rng = np.random.default_rng(seed)
+    late_ns = [rng.uniform(0, 3) * NANOSECONDS * isinstance(r, SpeedReading) for r in drive]
+    used = chain(vehicle)
+    order = np.argsort([r.stamp_ns + late for r, late in zip(drive, late_ns, strict=True)])
+    assert [*used.add_readings([drive[i] for i in order])]
+    used.account.flush()
+    states = used.account.state, alone.account.state
+    assert states[0].measured.energy == pytest.approx(states[1].measured.energy, rel=1e-3)
+    assert states[0].unknown_s == 0.0
+    error = states[0].consumed - states[1].consumed
+    assert abs(error) < 2.0 * states[0].consumed_sigma
+
+
 def test_a_stray_stamp_stops_nothing(readings, vehicle):
     """One speed and one battery from the far future, and one impossible speed from there too."""
     future, used = 2**62, chain(vehicle)

@@ -5,7 +5,8 @@ it and do at a `Jump` what their `JumpPolicy` states; behind it time does not go
 
 Stamps decide, because only they show where in the stream the jump is. One stamp that leaps proves
 nothing: it is held back until a second one confirms it, so that a single wrong stamp cannot make
-the estimator forget a car. When the node's own clock went back as well, one is enough.
+the estimator forget a car; a little behind, some in a row have to, for messages that are late at
+random come like that too. When the node's own clock went back as well, one is enough.
 
 Each source is judged by its own stamps. Sources whose stamps are up to `SKEW_NS` apart are of one
 time: the one behind is late, as on a busy machine or a slow link, and what it says is passed on to
@@ -23,6 +24,7 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,6 +36,7 @@ AGREE_NS = 600 * NANOSECONDS  # two stamps of the leader this close confirm each
 SKEW_NS = 15 * NANOSECONDS  # a source this far behind the others is late, and its clock right
 LEFT_NS = 60 * NANOSECONDS  # a timeline that was left resumes within this
 SILENT_NS = 15 * NANOSECONDS  # a publisher that says nothing for so long is none
+LATE_IN_A_ROW = 8  # rising stamps a little behind that are no late ones, but a clock set back
 USUAL_STEPS = 3  # of the leader, which a stamp may be ahead: phones log at 5 s and slower
 MOST_HELD = 1000
 LOOKED_AT = 500  # readings whose stamps are judged at once where others of their block leap
@@ -275,10 +278,13 @@ class StampGuard:
         if leap_ns < 0 and self._clock_went_back:
             return True
         before = [held.stamp_ns for held in self._held if held.source == source]
+        if source == self._leader:
+            needed = LATE_IN_A_ROW if -SKEW_NS <= leap_ns < 0 else 2
+            newest = [*before, stamp_ns][-needed:]
+            rising = all(0 <= later - earlier <= AGREE_NS for earlier, later in pairwise(newest))
+            return len(newest) == needed and rising
         if not before:
             return False
-        if source == self._leader:
-            return 0 <= stamp_ns - before[-1] <= AGREE_NS
         # A reading of the leader clears what is kept, so this one has gone on without it for long.
         return leap_ns > 0 and stamp_ns - before[0] >= threshold_ns
 

@@ -1,6 +1,7 @@
 """Time that jumps back, told from wrong stamps: the one rule, without nodes."""
 
 from itertools import accumulate, pairwise
+import random
 
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -74,6 +75,16 @@ def test_a_late_source_loses_nothing(late, lag, since):
     lost = set(items) - set(admitted)
     assert len(lost) <= (1 if since == 0.0 else 0)
     assert sorted(admitted, key=items.index) == admitted
+
+
+@given(st.integers(0, 2**32))
+def test_messages_that_are_late_at_random_are_no_jump(seed):
+    """By up to 3 s, beyond the threshold of 2 s; those that are lost are counted."""
+    late = random.Random(seed).uniform
+    items = sorted(speeds(*(s / 10 for s in range(300))), key=lambda item: item[1] + late(0, 3))
+    admitted = passed(guard := StampGuard("speed"), items)
+    assert guard.jumps == 0
+    assert len(admitted) + guard.dropped["stamp_leaps"] + guard.held == len(items)
 
 
 @pytest.mark.parametrize("offset", [-50.0, 50.0, 3600.0])
