@@ -71,8 +71,7 @@ class CanBridge:
         """Begin; `send` allows to ask, a `guard` holds readings back, a `sign` is watched."""
         self._key, self._guard, self._sign = profile.key, guard, sign
         self._decoder = Decoder(profile, guard.fit if guard is not None else None)
-        quantities = {*profile.messages, *profile.asked}
-        self._arrivals = {name: _Arrivals() for name in _KINDS if name in quantities}
+        self._arrivals = {name: _Arrivals() for name in _KINDS if name in profile.quantities}
         self.poller = Poller(profile, send, clock) if profile.requests else None
         self._answers = 0
 

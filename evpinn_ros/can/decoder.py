@@ -36,15 +36,14 @@ second; logs of slow adapters hold one of each about every 0.1 s."""
 ALONE_AFTER_NS = 2 * NANOSECONDS
 """A car whose second motor sent nothing for so long since the first has none."""
 
-READ_ORDER = ("state_of_charge", "second_motor", "motor", "speed", "battery")
+PARTS = ("voltage", "current")
+READ_ORDER = ("state_of_charge", "second_motor", "motor", "speed", "battery", *PARTS)
 """Quantities of one message in the order of their readings: what completes others comes first."""
 
-PARTS = ("voltage", "current")
 JOIN_NS = NANOSECONDS // 5
-"""Voltage and current of two answers at most this far apart are of one moment. A pack's current
-can change by 100 A in it, its voltage by 2 %; profiles ask for the voltage first, so that the
-stamp, of the later answer, is the current's. What is farther apart, behind a slow adapter, are two
-readings with stamps of their own."""
+"""Voltage and current of two answers or messages at most this far apart are of one moment, that of
+the current: it can change by 100 A in this time, a pack's voltage by 2 %. What is farther apart,
+behind a slow adapter, are two readings with stamps of their own."""
 
 Unpack = Callable[[bytes], dict[str, int]]
 """From a payload to the raw bits by name, of those signals that lie in it whole."""
@@ -63,6 +62,7 @@ class Decoder:
         self.dropped: Counter[str] = Counter()
         self._readers: dict[BusId, list[_Reader]] = {}
         self._charge, self._second_torque = _HeldValue(CHARGE_HOLD_NS), _HeldValue(TORQUE_HOLD_NS)
+        self._pairs = _Pairs(self._charge)
         self._has_second_motor = "second_motor" in profile.messages
         self._first_torque_ns: int | None = None
         fits = {message.quantity: message for message in fit.messages} if fit is not None else {}
@@ -95,8 +95,9 @@ class Decoder:
                 continue
             if reader.fit is not None:
                 reader.fit.add_good(frame, values[0])
-            reading = self._reading(reader, frame.stamp_ns, values)
-            if reading is not None:
+            if reader.quantity in PARTS:
+                readings += self._pairs.add(frame.stamp_ns, reader.quantity, values[0])
+            elif (reading := self._reading(reader, frame.stamp_ns, values)) is not None:
                 readings.append(reading)
         return tuple(readings)
 
@@ -147,6 +148,35 @@ class _HeldValue:
     def at(self, stamp_ns: int) -> float:
         fresh = self.stamp_ns is not None and abs(stamp_ns - self.stamp_ns) <= self._hold_ns
         return self._value if fresh else math.nan
+
+
+class _Pairs:
+    """Joins voltages and currents that come apart (`JOIN_NS`)."""
+
+    def __init__(self, charge: _HeldValue) -> None:
+        self._waiting: dict[str, tuple[int, float]] = {}
+        self._charge = charge
+
+    def add(self, stamp_ns: int, part: str, value: float) -> list[BatteryReading]:
+        """Take one of `PARTS`, V or A; give what it completes, and what is alone."""
+        alone = {
+            name: waiting
+            for name, waiting in self._waiting.items()
+            if name == part or abs(stamp_ns - waiting[0]) > JOIN_NS
+        }
+        for name in alone:
+            del self._waiting[name]
+        readings = [self._reading({name: waiting}) for name, waiting in alone.items()]
+        self._waiting[part] = stamp_ns, value
+        if len(self._waiting) == len(PARTS):
+            pair, self._waiting = self._waiting, {}
+            readings.append(self._reading(pair))
+        return readings
+
+    def _reading(self, parts: Mapping[str, tuple[int, float]]) -> BatteryReading:
+        stamp_ns, _ = parts.get("current") or parts["voltage"]
+        voltage, current = (parts.get(name, (0, math.nan))[1] for name in PARTS)
+        return BatteryReading(stamp_ns, voltage, current, self._charge.at(stamp_ns))
 
 
 class _Reader:
@@ -268,8 +298,8 @@ class AnswerDecoder:
         for fields in profile.asked.values():
             for field in fields:
                 self._fields.setdefault(field.request.name, []).append(field)
-        self._waiting: dict[str, tuple[int, float]] = {}
         self._charge = _HeldValue(CHARGE_HOLD_NS)
+        self._pairs = _Pairs(self._charge)
 
     def decode(self, answer: Answer) -> tuple[Reading, ...]:
         """The readings that this answer makes or completes."""
@@ -287,11 +317,7 @@ class AnswerDecoder:
             return tuple(readings)
         for part in PARTS:
             if part in values:
-                readings += self._late(stamp_ns, part)
-                self._waiting[part] = stamp_ns, values[part][0]
-        if len(self._waiting) == len(PARTS):
-            waited, self._waiting = self._waiting, {}
-            readings.append(self._reading(waited))
+                readings += self._pairs.add(stamp_ns, part, values[part][0])
         return tuple(readings)
 
     def _values(self, answer: Answer) -> dict[str, tuple[float, float]]:
@@ -305,18 +331,3 @@ class AnswerDecoder:
             else:
                 values[field.signal.name] = value, field.signal.resolution
         return values
-
-    def _late(self, stamp_ns: int, part: str) -> list[BatteryReading]:
-        late = {
-            name: at
-            for name, at in self._waiting.items()
-            if name == part or abs(stamp_ns - at[0]) > JOIN_NS
-        }
-        for name in late:
-            del self._waiting[name]
-        return [self._reading({name: at}) for name, at in late.items()]
-
-    def _reading(self, parts: Mapping[str, tuple[int, float]]) -> BatteryReading:
-        stamp_ns = max(at for at, _ in parts.values())
-        voltage, current = (parts.get(name, (0, math.nan))[1] for name in PARTS)
-        return BatteryReading(stamp_ns, voltage, current, self._charge.at(stamp_ns))

@@ -25,6 +25,8 @@ class Encoder:
 
     def battery(self, reading: BatteryReading) -> CanFrame:
         """The frame with voltage and current."""
+        if "voltage" in self._profile.messages:
+            raise ValueError("voltage and current of two messages can be read only")
         return self._frame("battery", reading.stamp_ns, [reading.voltage, reading.current])
 
     def state_of_charge(self, reading: BatteryReading) -> CanFrame:

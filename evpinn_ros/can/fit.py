@@ -20,7 +20,10 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 
 SILENT_ON_FIT = "not_available"
 JUMPED = "jumped"
-JUMPS: Mapping[str, tuple[float, float]] = {"speed": (1.0, 15.0), "battery": (40.0, 100.0)}
+JUMPS: Mapping[str, tuple[float, float]] = {
+    "speed": (1.0, 15.0),
+    **dict.fromkeys(("battery", "voltage"), (40.0, 100.0)),
+}
 """Largest plausible change of a quantity's first signal: at once, and in a second more. No tyre
 holds 15 m/s^2; 500 A through 0.1 ohm move 50 V."""
 SHORTEST_NS = NANOSECONDS // 10  # stamps of frames that came in one burst are not to be trusted
@@ -37,7 +40,7 @@ HOLDS = 0.5  # mean share of the received messages from which on a profile is wo
 class MessageFit:
     """Fit of the frames of one message, counted as they come."""
 
-    quantity: str  # of the profile: `speed`, `battery`, `state_of_charge`
+    quantity: str  # of the profile, a key of its `messages`
     can_id: int  # of the message
     has_checksum: bool = False  # whether the profile knows the rule of the message's checksum
     frames: int = 0  # all that came

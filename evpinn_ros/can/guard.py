@@ -25,7 +25,8 @@ DECIDE_PATIENTLY_NS = 10 * NANOSECONDS
 REVIEW_NS = NANOSECONDS
 RESUME_NS = 10 * NANOSECONDS
 REVIEW_FRAMES = 10  # of the profile; with fewer a review waits
-LEADING = ("speed", "battery")  # without them a profile has nothing to let out
+# Without them a profile has nothing to let out:
+LEADING = ("speed", "battery", "voltage", "current")
 MOST_HELD = 10_000  # readings, should all frames bear one stamp
 
 

@@ -42,6 +42,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "second_motor": {"torque": "torque"},
 }
 """Sections of a quantity that has several signals, and what `UNITS` calls each."""
+BATTERY_PARTS = frozenset(PARTS["battery"])
 OPTIONAL_PARTS = (("motor", "speed"), ("second_motor", "torque"))
 ChecksumRule = Callable[[int, bytes], int]
 """From the frame's id and its bytes without the checksum byte to that byte."""
@@ -80,12 +81,19 @@ class CanProfile:
     name: str  # name for people
     source: str  # where the layout was learned
     verified_by: str  # which recording confirms it
-    # the message of each quantity that the car broadcasts, a subset of `QUANTITIES`
+    # the message of each quantity that the car broadcasts, a subset of `QUANTITIES`; `voltage` and
+    # `current` instead of `battery` where each has a message of its own
     messages: Mapping[str, MessageRule]
     # where each other quantity lies in the answers to requests, in the order of the quantity
     # (battery: voltage, current). There is a speed or a battery in one of both
     asked: Mapping[str, tuple[AnswerField, ...]]
     experimental: bool  # the sources disagree; never to be chosen for a user who did not name it
+
+    @property
+    def quantities(self) -> set[str]:
+        """Those of `QUANTITIES` that the car broadcasts or answers."""
+        names = {*self.messages, *self.asked}
+        return names - BATTERY_PARTS | {"battery"} if names & BATTERY_PARTS else names
 
     @property
     def requests(self) -> tuple[RequestRule, ...]:
@@ -135,8 +143,13 @@ def _parse(path: Path) -> CanProfile:
     messages = {}
     if broadcast or root.has("dbc"):
         database = DbcFile(root, root.path_beside("dbc"))
-        messages = {name: _message_rule(root.section(name), name, database) for name in broadcast}
-    if not {"speed", "battery"} & {*messages, *asked}:
+        sections = {name: root.section(name) for name in broadcast}
+        if "battery" in broadcast and not sections["battery"].has("message"):
+            battery = sections.pop("battery")
+            battery.refuse_unknown(PARTS["battery"])
+            sections |= {part: battery.section(part) for part in PARTS["battery"]}
+        messages = {name: _message_rule(part, name, database) for name, part in sections.items()}
+    if not {"speed", "battery"} & {*broadcast, *asked}:
         raise root.error("'speed' or 'battery' is missing: the profile would say nothing")
     if "state_of_charge" in messages and "battery" in asked:
         raise root.error_at("state_of_charge", "must be asked for, as the battery is")
@@ -161,19 +174,20 @@ def _asked(root: Section) -> dict[str, tuple[AnswerField, ...]]:
     requests = request_rules(root.section("requests"))
     asked = {}
     for quantity in filter(root.has, (*QUANTITIES, ONLY_ASKED)):
-        is_message = quantity != ONLY_ASKED and root.section(quantity).has("message")
-        if quantity in MOTORS or is_message:
-            continue
         section = root.section(quantity)
+        parts = [section.section(part) for part in PARTS["battery"] if section.has(part)]
+        is_message = any(part.has("message") for part in (section, *parts))
+        if quantity in MOTORS or (is_message and quantity != ONLY_ASKED):
+            continue
         if quantity == "battery":
             section.refuse_unknown(("voltage", "current"))
-            parts = {part: section.section(part) for part in ("voltage", "current")}
+            fields = {part: section.section(part) for part in PARTS["battery"]}
         else:
-            parts = {quantity: section}
-        asked[quantity] = tuple(answer_field(part, requests, name) for name, part in parts.items())
-    fields = [field for fields in asked.values() for field in fields]
-    refuse_overlaps(root, fields)
-    for name in requests.keys() - {field.request.name for field in fields}:
+            fields = {quantity: section}
+        asked[quantity] = tuple(answer_field(of, requests, name) for name, of in fields.items())
+    answers = [answer for of_quantity in asked.values() for answer in of_quantity]
+    refuse_overlaps(root, answers)
+    for name in requests.keys() - {answer.request.name for answer in answers}:
         raise root.section("requests").error_at(name, f"no quantity needs request '{name}'")
     return asked
 
@@ -225,20 +239,15 @@ def _message_rule(section: Section, quantity: str, database: DbcFile) -> Message
             if section.has(part) or (quantity, part) not in OPTIONAL_PARTS
         )
     else:
-        section.refuse_unknown(("message", *SIGNAL_KEYS, *PROTECTION_KEYS))
-        signals = (_signal_rule(section, message, quantity),)
+        signals = (_part(section, message, quantity, "message", *PROTECTION_KEYS),)
     checksum, checksum_byte = _checksum(section, message)
     counter = find_signal(section, "counter", message).name if section.has("counter") else None
     return MessageRule(message, signals, checksum, checksum_byte, counter)
 
 
-def _part(section: Section, message: Any, quantity: str) -> SignalRule:
+def _part(section: Section, message: Any, quantity: str, *besides: str) -> SignalRule:
     signed = ("positive_means",) if quantity in POSITIVE_MEANS else ()
-    section.refuse_unknown((*SIGNAL_KEYS, *signed))
-    return _signal_rule(section, message, quantity)
-
-
-def _signal_rule(section: Section, message: Any, quantity: str) -> SignalRule:
+    section.refuse_unknown((*SIGNAL_KEYS, *signed, *besides))
     signal = find_signal(section, "signal", message)
     refuse_other_unit(section, signal)
     scale, offset = float(signal.scale), float(signal.offset)

@@ -8,9 +8,11 @@ from hypothesis import strategies as st
 import pytest
 import yaml
 
+from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.dbc import place_of
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.frame import CanFrame
+from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
@@ -43,6 +45,13 @@ BO_ 514 Overhang: 3 Car
  SG_ Volts m1 : 8|16@1+ (0.1,0) [0|0] "V" Car
  SG_ Amps m1 : 24|16@1- (0.1,0) [0|0] "A" Car
 
+BO_ 516 Volts: 8 Car
+ SG_ Count : 0|8@1+ (1,0) [0|255] "" Car
+ SG_ Voltage : 8|16@1+ (0.1,0) [0|0] "V" Car
+
+BO_ 517 Amps: 8 Car
+ SG_ Current : 8|16@1- (0.1,0) [0|0] "A" Car
+
 BO_ 515 Double: 8 Car
  SG_ Which M : 0|8@1+ (1,0) [0|255] "" Car
  SG_ Volts m1 : 8|16@1+ (0.1,0) [0|0] "V" Car
@@ -50,6 +59,8 @@ BO_ 515 Double: 8 Car
 
 SIG_VALTYPE_ 256 SpeedFloat : 1;
 VAL_ 256 VehicleSpeed 65535 "SNA" ;
+VAL_ 256 SignalThatIsGone 0 "off" 1 "on" ;
+VAL_ 1999 OfAnotherFile 0 "off" ;
 BA_DEF_ BO_ "GenMsgCycleTime" INT 0 10000;
 BA_DEF_DEF_ "GenMsgCycleTime" 0;
 BA_ "GenMsgCycleTime" BO_ 256 10;
@@ -59,6 +70,10 @@ BATTERY = """battery:
   message: Pack
   voltage: {signal: Voltage, unit: V, valid: [200, 500]}
   current: {signal: Current, unit: A, positive_means: discharge, valid: [-500, 500]}
+"""
+APART = """battery:
+  voltage: {message: Volts, signal: Voltage, unit: V, valid: [200, 500], counter: Count}
+  current: {message: Amps, signal: Current, unit: A, positive_means: discharge, valid: [-500, 500]}
 """
 HEAD = "name: My car\nsource: measured\nverified_by: a drive\ndbc: my.dbc\n"
 
@@ -209,3 +224,50 @@ def _layout(message):
     names = ("name", "is_signed", "is_float", "scale", "offset", "unit", "is_multiplexer")
     signals = [(place_of(s), *(getattr(s, name) for name in names)) for s in message.signals]
     return message.name, message.frame_id, message.is_extended_frame, message.length, signals
+
+
+def frames_apart(moments):
+    """Frames of an inverter: 350 V and 20 A drawn at moments in ms, by the message."""
+    of_voltage, of_current = (
+        [CanFrame(ms * 10**6, number, bytes([ms % 256, *raw.to_bytes(2, "little"), 0, 0, 0, 0, 0]))
+         for ms in moments[name]]
+        for name, number, raw in (("voltage", 516, 3500), ("current", 517, 200))
+    )  # fmt: skip
+    return sorted(of_voltage + of_current, key=lambda frame: frame.stamp_ns)
+
+
+@pytest.mark.parametrize(
+    ("voltages", "currents", "pairs"),
+    [
+        (range(0, 1000, 100), range(20, 1000, 100), 10),  # the voltage a little before
+        (range(20, 1000, 100), range(0, 1000, 100), 10),  # or after
+        (range(0, 1000, 100), range(5, 1000, 10), 10),  # a voltage with some of the currents
+        (range(0, 5000, 1000), range(500, 5000, 1000), 0),  # too far apart to be of one moment
+    ],
+)
+def test_voltage_and_current_may_come_in_two_messages(write, voltages, currents, pairs):
+    decoder = Decoder(load_profile(write(HEAD + APART)))
+    frames = frames_apart({"voltage": voltages, "current": currents})
+    readings = [reading for frame in frames for reading in decoder.decode(frame)]
+    assert not decoder.dropped
+    whole = [reading for reading in readings if reading.power == reading.power]
+    assert [r.power for r in whole] == pytest.approx([7000.0] * pairs)
+    told = {
+        name: {r.stamp_ns // 10**6 for r in readings if getattr(r, name) == getattr(r, name)}
+        for name in ("voltage", "current")
+    }
+    assert told["current"] >= {*currents[:-1]}
+    assert len(told["voltage"]) >= len(voltages) - 1
+
+
+def test_messages_of_voltage_and_current_are_judged_each_by_its_own(write):
+    profile = load_profile(write(HEAD + SPEED + APART))
+    assert profile.quantities == {"speed", "battery"}
+    guard = FitGuard(profile, [])
+    assert {message.quantity for message in guard.fit.messages} == {"speed", "voltage", "current"}
+    bridge = CanBridge(profile)
+    moments = {"voltage": range(0, 3000, 100), "current": range(20, 3000, 100)}
+    for frame in frames_apart(moments):
+        bridge.decode(frame)
+    arrivals = bridge.status(3000 * 10**6).signals["battery"]
+    assert arrivals.count == 30 and not arrivals.stale
