@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
-"""Writes the energy of each edge into the GeoJSON graph of Nav2's route server, as its cost.
+"""Writes the energy of each edge into the GeoJSON graph of Nav2's route server, as its penalty.
 
     python examples/routes/nav2_energy_costs.py graph.geojson energy.geojson --car bmw_i3
 
-Nav2 then takes the route of least energy without a plugin: the costs cannot be overridden by its
-edge scorers. A node is a point x, y, z in m, z upwards; an edge is driven at the `abs_speed_limit`
-of its `metadata`, m/s, else at `--speed`. Nav2 refuses costs that are not above 0, and downhill
-energy comes back, so an edge costs its energy plus the potential of its begin less that
-of its end (Johnson 1977): between two nodes that adds the same to every route.
+Nav2's `PenaltyScorer` adds it, so `edge_cost_functions: [DynamicEdgesScorer, PenaltyScorer]` takes
+the route of least energy of those that are not closed. A node is a point x, y, z in m, z upwards;
+an edge is driven at the `abs_speed_limit` of its `metadata`, m/s, else at `--speed`. Nav2's search
+takes no negative costs, and downhill energy comes back, so an edge costs its energy plus the
+potential of its begin less that of its end (Johnson 1977): between two nodes that adds the same to
+every route.
 """
 
 import argparse
@@ -20,7 +21,6 @@ from typing import Any
 import evpinn_ros as ev
 
 KWH = 3.6e6  # J
-LEAST = 1e-6  # kWh
 
 
 def potentials(pairs: Sequence[tuple[int, int]], energies: Sequence[float]) -> dict[int, float]:
@@ -35,8 +35,8 @@ def potentials(pairs: Sequence[tuple[int, int]], energies: Sequence[float]) -> d
     raise SystemExit("a round trip of the graph gains energy: are its heights right?")
 
 
-def with_costs(graph: Mapping[str, Any], car: str, speed: float) -> dict[str, Any]:
-    """The graph, whose edges cost kWh at the speed, m/s, where they have none of their own."""
+def with_penalties(graph: Mapping[str, Any], car: str, speed: float) -> dict[str, Any]:
+    """The graph, with kWh as penalties; `speed`, m/s, is of edges that have none of their own."""
     points, edges = {}, []
     for feature in graph["features"]:
         if feature["geometry"]["type"] == "Point":
@@ -54,20 +54,21 @@ def with_costs(graph: Mapping[str, Any], car: str, speed: float) -> dict[str, An
     energies = ev.edge_energies(table, car).table.energy_j.tolist()
     potential = potentials(pairs, energies)
     for edge, (begin, end), energy in zip(edges, pairs, energies, strict=True):
-        cost = max(LEAST, (energy + potential[begin] - potential[end]) / KWH)
-        edge.update(cost=cost, overridable=False)
+        penalty = max(0.0, (energy + potential[begin] - potential[end]) / KWH)
+        edge["metadata"] = edge.get("metadata", {}) | {"penalty": penalty}
+        edge.pop("overridable", None)  # where it is false, scorers are not asked
     return dict(graph)
 
 
 def main() -> None:
-    """Read a graph and write it with costs."""
+    """Read a graph and write it with penalties."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("graph", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--car", default="generic", help="a vehicle, or the file of one")
     parser.add_argument("--speed", type=float, default=8.0, help="m/s, where an edge has none")
     given = parser.parse_args()
-    graph = with_costs(json.loads(given.graph.read_text()), given.car, given.speed)
+    graph = with_penalties(json.loads(given.graph.read_text()), given.car, given.speed)
     given.out.write_text(json.dumps(graph))
 
 
