@@ -29,7 +29,7 @@ from evpinn_ros.nodes.arrivals import MessageNumbers
 from evpinn_ros.nodes.diagnosis import LATELY, Health, Lately, Status, unused_notice
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.parameters import declare, unknown_parameters
-from evpinn_ros.nodes.typed import PACKAGE, TYPED, typed_message
+from evpinn_ros.nodes.typed import ALWAYS, PACKAGE, TYPED, typed_message
 from evpinn_ros.topics import Topic
 from evpinn_ros.topics.messages import BadMessage, Level, diagnostics
 from evpinn_ros.topics.node_parameters import TABLES, refuse_wrong
@@ -38,6 +38,7 @@ REPORT_PERIOD = 1.0  # s, REP-107
 NOT_ACTIVE = "a managed node that is not active"
 UNCONFIGURED = "it waits to be configured"
 NO_CLOCK = "use_sim_time is set, but no /clock comes"
+VECTORS = "named_vectors"
 NOT_FINITE = "output_not_finite"
 
 
@@ -135,10 +136,13 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return response
 
     def advertise(self, *outputs: Topic) -> None:
-        """Make publishers for `publish`."""
-        has_typed = factory.is_installed(PACKAGE)
+        """Make publishers for `publish`; InputError where all would be typed, but cannot be."""
+        has_typed, all_typed = factory.is_installed(PACKAGE), not self.values.get(VECTORS, True)
+        if all_typed and not has_typed:
+            raise InputError(f"{VECTORS}: false, but {PACKAGE} is not installed")
         beside = [TYPED[topic] for topic in outputs if has_typed and topic in TYPED]
-        for topic in (*outputs, *beside):
+        left_out = TYPED.keys() - ALWAYS if all_typed else ()
+        for topic in (*(topic for topic in outputs if topic not in left_out), *beside):
             outlet = factory.advertise(self, topic, partial(self._refused_by, topic))
             self._outlets[topic] = outlet
             self._made.append(partial(self.destroy_publisher, outlet))
@@ -228,11 +232,13 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self.bad[NOT_FINITE] += 1
             return
         for topic, message in ready:
-            self._outlets[topic].publish(message)
-            self.published[topic] += 1
             if (beside := TYPED.get(topic)) in self._outlets:
                 self._outlets[beside].publish(typed_message(topic, message))
                 self.published[beside] += 1
+                if topic not in self._outlets:
+                    continue
+            self._outlets[topic].publish(message)
+            self.published[topic] += 1
 
     def forget_endpoints(self) -> None:
         """Destroy what was made since the list of it was cleared."""

@@ -46,6 +46,8 @@ TYPED = {
         (topics.ENERGY_RANGE, "RemainingRange"),
     )
 }
+ALWAYS = (topics.IDENTIFIABLE, topics.POWER_MEASURED, topics.POWER_SMOOTHED)
+"""Named vectors that the node `energy` reads."""
 TYPED_FORECAST = typed(topics.FORECAST, "PlanForecast")
 
 

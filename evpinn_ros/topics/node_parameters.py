@@ -110,11 +110,18 @@ MANAGED = Parameter(
 AUTOSTART = Parameter(
     "autostart", False, "Let a managed node configure and activate itself at its start."
 )
+NAMED_VECTORS = Parameter(
+    "named_vectors",
+    True,
+    "Publish estimates as named vectors too. False, where evpinn_msgs is installed: only typed, "
+    "but for the three that the node energy reads.",
+)
 
 ESTIMATOR = (
     VEHICLE,
     MANAGED,
     AUTOSTART,
+    NAMED_VECTORS,
     Parameter(
         "mode",
         "hybrid",
@@ -184,6 +191,7 @@ ENERGY = (
     VEHICLE,
     MANAGED,
     AUTOSTART,
+    NAMED_VECTORS,
     Parameter(
         "integrator",
         "rknn",
@@ -206,7 +214,8 @@ ENERGY = (
         "energy_file",
         "",
         "File that keeps totals, consumption and learned capacity between drives: read at the "
-        "start, written once a minute, at ~/save and at the end. Empty: none.",
+        "start, appended to before they are published, written anew once a minute, at ~/save and "
+        "at the end. Empty: none.",
     ),
     TIME_JUMP_POLICY,
     TIME_JUMP_THRESHOLD,

@@ -10,10 +10,12 @@ from xml.etree import ElementTree
 import pytest
 
 import evpinn_ros
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.plan import CONDITION_RANGES
 from evpinn_ros.core.estimation.breakdown import REGAINED, UNEXPLAINED, WHOLE, Part
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
+from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED
 from evpinn_ros.topics.estimates import FLOWS, POWER, UNMEASURED_ENERGY
 
@@ -61,6 +63,11 @@ def test_every_file_is_built_and_the_version_is_one():
     assert built == {f"{f.parent.name}/{f.name}" for f in FILES}
     manifest = ElementTree.parse(PACKAGE / "package.xml").getroot()
     assert manifest.findtext("version") == evpinn_ros.__version__
+
+
+def test_nothing_but_typed_topics_needs_their_package(bench):
+    with pytest.raises(InputError, match="evpinn_msgs is not installed"):
+        bench.start(EnergyNode, named_vectors=False)
 
 
 def test_typed_and_standard_topics_are_equal_and_plans_are_compared(run_with_messages):

@@ -24,7 +24,7 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.plan_answers import SERVICE, PlanCall
-from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED, TYPED_FORECAST, quantities
+from evpinn_ros.nodes.typed import ALWAYS, RATE, SIGMA, TYPED, TYPED_FORECAST, quantities
 from evpinn_ros.topics.messages import named_vector
 from test.nodes import processes
 from test.waiting import HANG_S
@@ -276,6 +276,15 @@ def test_typed_and_standard_topics_are_equal_and_plans_are_compared(bench, urban
     bench.stop(estimator)  # else it may tell a new model between two calls that are compared
     for check in (service, conditions, batches, energy_goes_on_beside_plans, refusals):
         check(bench, node)
+
+
+def test_named_vectors_may_be_left_out_but_for_those_between_the_nodes(bench, urban):
+    nodes = [bench.start(kind, named_vectors=False) for kind in (EstimatorNode, EnergyNode)]
+    bench.drive((topic, message) for topic, _, message in urban(15.0))
+    published = {topic for node in nodes for topic, count in node.published.items() if count}
+    assert published & TYPED.keys() == {*ALWAYS}
+    assert {*TYPED.values()} - {TYPED[topic] for topic in NOT_YET} <= published
+    assert {topics.ENERGY_CONSUMED, topics.ENERGY_TOTALS} <= published  # they have no typed form
 
 
 def test_calls_are_answered_though_nothing_else_wakes_the_node(bench):
