@@ -269,11 +269,12 @@ class MeterCourse:
         return np.column_stack((self.parts[at], self.variances[0][at]))
 
     def bridges(
-        self, at: Counts, seconds: np.ndarray, until: np.ndarray
+        self, at: Counts, seconds: np.ndarray, until: np.ndarray, *, in_turn: bool = False
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bridge since the battery last spoke, its short 1-sigma and its 1-sigma, J.
 
-        Until a moment with these parts and variance, shape (k, 5).
+        Until a moment with these parts and variance, shape (k, 5). `in_turn`: the k are dropouts
+        that followed each other.
 
         In so many seconds as `LEAST_DROPOUT` the energy that the estimator tells counts, before
         that the integral of its powers. So it does after a restart, up to the battery's next
@@ -288,8 +289,12 @@ class MeterCourse:
         is_told = np.isfinite(told[:, 1])
         short = np.where(is_told, told[:, 1], guessed)
         lasting = np.hypot(guessed, LASTING_SHARE * bridge[:, 2])
-        unknown_s = np.maximum(seconds - bridge[:, 3], 0.0)
-        hole = taken_variance(self.recent[at.measured], unknown_s)
+        unknown_s, ended = seconds - bridge[:, 3], self.dropouts[at.measured]
+        before = ended[:, 6] - ended[:, 3]
+        if in_turn:
+            before = before + np.cumsum(unknown_s) - unknown_s
+        recent, holes = self.recent[at.measured], (unknown_s, before)
+        hole = taken_variance(recent, *(np.maximum(length, 0.0) for length in holes))
         return bridge, short, np.hypot(np.where(is_told, told[:, 1], lasting), np.sqrt(hole))
 
     def until_now(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
@@ -589,7 +594,9 @@ def _with_ended(course: MeterCourse, at: Counts, stamps: np.ndarray) -> MeterCou
     if not len(stamps):
         return course
     seconds = course.silent_s(at, stamps)
-    bridges, short, sigma = course.bridges(at, seconds, course.anchors[at.measured + 1])
+    bridges, short, sigma = course.bridges(
+        at, seconds, course.anchors[at.measured + 1], in_turn=True
+    )
     columns = np.column_stack((bridges, sigma**2, sigma**2 - short**2, seconds))
     added = np.zeros_like(course.dropouts)
     added[at.measured + 1] = columns

@@ -82,6 +82,24 @@ def test_a_restart_costs_as_much_sigma_as_a_silence_of_the_same_time(seconds):
     assert away.consumed_sigma > 0.5 * seconds * math.sqrt(truth(0.0, BEGIN) / BEGIN)
 
 
+@pytest.mark.parametrize("away", [False, True])
+@pytest.mark.parametrize("cut", [7.0, 1e4])
+def test_what_many_holes_lack_adds_up(away, cut):
+    """However the drive is cut into blocks, for dropouts may end in one."""
+    counted, whole, end = account(), account(), 0.0
+    for _ in range(20):
+        begin, end = end + 4.0, end + 34.0
+        drive(whole, begin, end)
+        while begin < end:
+            drive(counted, begin, min(begin + cut, end))
+            begin += cut
+        counted = restarted(counted) if away else counted
+    state = counted.state
+    assert abs(state.consumed - truth(0.0, end)) < 2.0 * state.consumed_sigma
+    if not away:
+        assert state.consumed_sigma == pytest.approx(whole.state.consumed_sigma, rel=1e-9)
+
+
 def test_a_night_and_a_jump_of_time_are_no_holes():
     counted = account()
     drive(counted, 0.0, BEGIN)
@@ -128,5 +146,6 @@ def test_recent_power_is_the_same_however_it_is_cut(seed, cut):
         course = integral.extend(stamps[part], powers[part])
         rows = np.concatenate((rows, recent_powers(rows[-1], course)[1:]))
     assert np.array_equal(whole, rows)
-    sigmas = [math.sqrt(taken_variance(whole[-1:], np.array([s]))[0]) for s in (0.0, 1.0, 9.0)]
-    assert sigmas[0] == 0.0 < sigmas[1] < sigmas[2]
+    seconds, before = np.array([0.0, 1.0, 9.0]), np.zeros(3)
+    variances = taken_variance(whole[[-1, -1, -1]], seconds, before)
+    assert variances[0] == 0.0 < variances[1] < variances[2]
