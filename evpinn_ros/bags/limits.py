@@ -9,9 +9,9 @@ import zstandard
 
 from evpinn_ros.common.units import MEBIBYTE
 
-LONGEST_CHUNK = 128 * MEBIBYTE
-"""Bytes of a chunk, packed and unpacked, of a message in it and of an attachment. Recorders write
-chunks of 1 MB, and a longer message has one of its own."""
+LONGEST_CHUNK = 40 * MEBIBYTE
+"""Bytes of a chunk, packed and unpacked, of a message and of an attachment. Recorders write chunks
+of 1 MB, and a longer message has one of its own; `evpinn recover` holds three of them."""
 
 LONGEST_MESSAGE = 16 * MEBIBYTE
 """Bytes of a message that is decoded: ours have at most 8 MB, a plan of 50 000 points."""
@@ -20,7 +20,7 @@ LARGEST_SUMMARY = 64 * MEBIBYTE
 """Bytes of the end of an MCAP file, that of 500 000 chunks; with a larger one its index is not
 used."""
 
-MOST_DEFINITIONS = 64 * MEBIBYTE
+MOST_DEFINITIONS = 8 * MEBIBYTE
 """Bytes of all schemas and channels of a file together."""
 
 MOST_HELD = 64 * MEBIBYTE

@@ -19,10 +19,10 @@ from typing import Any
 from urllib.parse import quote
 
 from evpinn_ros.bags.channel import Channel, RawMessage, parsed_qos
+from evpinn_ros.bags.limits import LONGEST_CHUNK, MOST_DEFINITIONS
 from evpinn_ros.bags.sqlite_pages import SCHEMA, SqlitePages
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.common.opener import check_file, open_file
-from evpinn_ros.common.units import MEBIBYTE
 from evpinn_ros.common.writer import copy_file
 
 ROLLBACK = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
@@ -38,8 +38,7 @@ FREE_STEPS, STEPS_A_BYTE = 1_000_000, 4
 PERIOD = 1000  # steps
 DAMAGE = (sqlite3.Error, UnicodeError)  # the latter where SQLite's own message quotes the file
 MOST_ENTRIES, MOST_SCHEMA = 100, 100_000  # tables and indices, bytes; rosbag2 makes six in 1 kB
-MOST_TOPICS, MOST_TEXT = 10_000, 16 * MEBIBYTE  # of topics, and of definitions
-LONGEST_BLOB = 64 * MEBIBYTE  # SQLite and Python hold a message at once
+MOST_TOPICS = 10_000
 # Text, of which no message is, would be read to know its length; of what was cut nothing is left.
 MESSAGE_BYTES = """SELECT total(
     CASE typeof(data) WHEN 'blob' THEN length(data) WHEN 'text' THEN 1e18 ELSE 0 END
@@ -192,7 +191,7 @@ class SqliteFile:
             return
         query = (
             "SELECT timestamp, topic_id, CASE WHEN typeof(data) = 'blob' AND length(data) <= "
-            f"{LONGEST_BLOB} THEN data END FROM messages "
+            f"{LONGEST_CHUNK} THEN data END FROM messages "
             f"WHERE topic_id IN ({', '.join(map(str, ids))}) ORDER BY timestamp"
         )
         read = damaged = held = 0
@@ -274,8 +273,8 @@ def _fault(database: sqlite3.Connection, pages: SqlitePages, size: int) -> str |
             return f"has no table '{table}'"
     for table in ("topics", "message_definitions"):
         rows = pages.row_bytes(roots.get(table, 0))
-        if any(held > MOST_TEXT for held in accumulate(rows)):
-            return f"has more than {MOST_TEXT} bytes of {table}"
+        if any(held > MOST_DEFINITIONS for held in accumulate(rows)):
+            return f"has more than {MOST_DEFINITIONS} bytes of {table}"
     indices = [str(name) for kind, name, _, _ in entries if kind == "index"]
     return "holds more than its file" if _holds_more(database, indices, size) else None
 

@@ -6,6 +6,8 @@ import gzip
 import heapq
 import sqlite3
 import struct
+import subprocess
+import sys
 from types import SimpleNamespace
 import zlib
 
@@ -20,7 +22,7 @@ import zstandard
 
 from evpinn_ros.bags import limits, mcap_file, mcap_records
 from evpinn_ros.bags.limits import LONGEST_CHUNK
-from evpinn_ros.bags.mcap_records import HEAD, MAGIC
+from evpinn_ros.bags.mcap_records import HEAD, MAGIC, PRIVATE
 from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
@@ -199,6 +201,71 @@ def test_a_packed_file_that_fills_the_disk_is_refused(tmp_path):
         BagReader(tmp_path)
 
 
+MEASURED = """
+import re, sys
+from evpinn_ros.cli.main import main
+try:
+    main()
+finally:
+    print(int(re.search("VmHWM:\\s*(\\d+)", open("/proc/self/status").read())[1]) / 1024)
+"""
+
+
+def one_message(path):
+    """A chunk that one message fills."""
+    body = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(LONGEST_CHUNK - 100))
+    few_types(path, record(PRIVATE, NOISE) + chunk(zstd(body), len(body), "zstd"))
+
+
+def many_messages(path):
+    body = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(500)) * (LONGEST_CHUNK // 540)
+    few_types(path, record(PRIVATE, NOISE) + chunk(zstd(body), len(body), "zstd"))
+
+
+def definitions(path, size=LONGEST_CHUNK // 5 - 100, total=LONGEST_CHUNK):
+    """Types that a chunk defines; one letter makes four bytes of each."""
+    text = ("\N{GRINNING FACE}" + "x" * size).encode()
+    schemas = [
+        record(
+            Opcode.SCHEMA,
+            struct.pack("<HI", 2 + number, 1) + b"a" + struct.pack("<II", 0, len(text)) + text,
+        )
+        for number in range(total // (size + 100))
+    ]
+    channels = [
+        struct.pack("<HHI", 2 + number, 2 + number, 2) + b"/%d" % number + struct.pack("<I", 0)
+        for number in range(len(schemas))
+    ]
+    body = b"".join(
+        [*schemas, *(record(Opcode.CHANNEL, channel + bytes(4)) for channel in channels)]
+    )
+    few_types(path, record(PRIVATE, NOISE) + chunk(zstd(body), len(body), "zstd"))
+
+
+def whole_definitions(path):
+    definitions(path, limits.MOST_DEFINITIONS // 8 - 100, limits.MOST_DEFINITIONS - 1000)
+
+
+NOISE = np.random.default_rng(1).bytes(400_000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["info {}", "recover {} new", "convert {} new --storage mcap"])
+@pytest.mark.parametrize("write", [one_message, many_messages, definitions, whole_definitions])
+def test_a_bag_costs_no_command_200_mb(tmp_path, write, command):
+    """Files of 0.4 MB, by each limit of what a chunk holds; they took up to 570 MB."""
+    write(tmp_path / "a.mcap")
+    assert (tmp_path / "a.mcap").stat().st_size < 700_000
+    ended = subprocess.run(
+        [sys.executable, "-c", MEASURED, *command.format("a.mcap").split()],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert "Traceback" not in ended.stderr
+    assert float(ended.stdout.splitlines()[-1]) < 200.0, ended
+
+
 def test_metadata_of_aliases_is_not_read(tmp_path):
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]" for i in range(12)]
@@ -253,7 +320,7 @@ COMPUTED = "CREATE TABLE computed(a INTEGER, b BLOB GENERATED ALWAYS AS (zeroblo
         ),
         ("CREATE TABLE t(a PRIMARY KEY) WITHOUT ROWID", "has a table that computes, or no row"),
         (f"CREATE TABLE t(a /*{'x' * 100_000}*/)", "describes its tables in more than 100000"),
-        ("UPDATE topics SET name = printf('%.*c', 17000000, 'x')", "16777216 bytes of topics"),
+        ("UPDATE topics SET name = printf('%.*c', 17000000, 'x')", "8388608 bytes of topics"),
         ("DROP TABLE messages", "has no table 'messages'"),
         ("ALTER TABLE messages RENAME TO m; CREATE VIEW messages AS SELECT * FROM m", "a view"),
     ],
