@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import cast
+from typing import BinaryIO, cast
 
 from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 import zstandard
@@ -23,8 +23,17 @@ used."""
 MOST_DEFINITIONS = 8 * MEBIBYTE
 """Bytes of all schemas and channels of a file together."""
 
+LARGEST_WINDOW = 64 * MEBIBYTE
+"""Bytes that zstd may hold of what it has unpacked: a chunk, or what most levels look back at."""
+
 MOST_HELD = 64 * MEBIBYTE
 """Bytes of messages held back to put them in order. Chunks of a recorder overlap by seconds."""
+
+
+def zstd_reader(source: bytes | BinaryIO) -> zstandard.ZstdDecompressionReader:
+    """Reads what was packed; ZstdError if that is damaged or of a larger window."""
+    decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_WINDOW)
+    return decompressor.stream_reader(source, read_across_frames=True)
 
 
 def unpacked(compression: str, data: bytes, size: int) -> bytes:
@@ -33,8 +42,7 @@ def unpacked(compression: str, data: bytes, size: int) -> bytes:
         raise ValueError(f"above the limit of {LONGEST_CHUNK // MEBIBYTE} MiB")
     try:
         if compression == "zstd":
-            reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
-            data = reader.read(size + 1)
+            data = zstd_reader(data).read(size + 1)
         elif compression == "lz4":
             data = cast(bytes, LZ4FrameDecompressor().decompress(data, max_length=size + 1))
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:

@@ -266,6 +266,25 @@ def test_a_bag_costs_no_command_200_mb(tmp_path, write, command):
     assert float(ended.stdout.splitlines()[-1]) < 200.0, ended
 
 
+def test_what_zstd_may_hold_is_bounded(tmp_path):
+    """A window of 128 MiB is held whole; one of 64 MiB is read, by chunk and by file."""
+    for log, refused in ((26, False), (27, True)):
+        window = zstandard.ZstdCompressionParameters(window_log=log, write_content_size=False)
+        pack = zstandard.ZstdCompressor(compression_params=window).compressobj()
+        packed = pack.compress(bytes(1000)) + pack.flush()
+        path = tmp_path / f"{log}.zstd"
+        path.write_bytes(packed)
+        if refused:
+            with pytest.raises(ValueError, match="damaged"):
+                limits.unpacked("zstd", packed, 1000)
+            with pytest.raises(InputError, match=r"27\.zstd: cannot be unpacked"):
+                BagReader(path)
+        else:
+            assert limits.unpacked("zstd", packed, 1000) == bytes(1000)
+            with pytest.raises(InputError, match="not an MCAP"):
+                BagReader(path)
+
+
 def test_metadata_of_aliases_is_not_read(tmp_path):
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]" for i in range(12)]
