@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from importlib import import_module
 from io import FileIO, TextIOWrapper
 import os
@@ -9,7 +10,7 @@ import resource
 import signal
 import sys
 
-from evpinn_ros.common.stopping import STOPS, at_stop
+from evpinn_ros.common.stopping import STOPS, at_stop, interruptible
 
 ADDRESS_SPACE = 1_500_000_000  # bytes that libraries reserve; they use a tenth
 OPENSSL = ("_hashlib", "_ssl")
@@ -34,17 +35,14 @@ def estimator() -> int:
 
 def evpinn() -> None:
     """Run the command `evpinn`."""
-    _open_streams()
-    _check_address_space()
     is_run = sys.argv[1:2] == ["run"]
     before = {number: signal.getsignal(number) for number in STOPS}
     at_stop(lambda number, _: os._exit(0 if is_run else 128 + number))
+    _open_streams()
+    _check_address_space()
     from evpinn_ros.cli.main import main
 
-    if not is_run:  # the other commands end at signals as commands do
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    main()
+    main(nullcontext() if is_run else interruptible(before))
 
 
 def _open_streams() -> None:

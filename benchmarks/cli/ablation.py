@@ -146,11 +146,12 @@ def ablation(
     """
     keys = output.chosen_cars(data, cars, CARS)
     rows: list[VariantRow] = []
-    with output.json_at_the_end(json_file, lambda: list(map(asdict, rows))):
+    with output.json_as_it_comes(json_file, lambda: list(map(asdict, rows))) as keep:
         read = [read_car(data, key) for key in keys]
         tasks = [(variant, car, range(seeds)) for car in read for variant in VARIANTS]
         for row in output.in_parallel("variants", jobs, score, tasks):
             rows.append(row)
+            keep()
     for key in keys:
         _show([row for row in rows if row.car == key])
 

@@ -6,14 +6,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+import signal
 from typing import Annotated, Any, TypeVar
 
 import typer
 
 from benchmarks.unseen.drives import cars_in
-from evpinn_ros.cli.console import progress_bar, write_json
+from evpinn_ros.cli.console import STDOUT, progress_bar, write_json
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.plain_table import PlainTable
+from evpinn_ros.common.stopping import stopped_by
 
 GradeOption = Annotated[float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")]
 AltitudeOption = Annotated[bool, typer.Option("--altitude", help="With a barometer.")]
@@ -55,10 +57,18 @@ def in_parallel(
 
 
 @contextmanager
-def json_at_the_end(path: Path | None, document: Callable[[], Any]) -> Iterator[None]:
-    """Write what was found so far, also where Ctrl-C or an error ends the block."""
+def json_as_it_comes(
+    path: Path | None, document: Callable[[], Any]
+) -> Iterator[Callable[[], None]]:
+    """Write what was found at each call, and once more when a signal, an error or all ends it."""
+
+    def keep() -> None:
+        if path is not None and str(path) != STDOUT:
+            write_json(path, document())
+
     try:
-        yield
+        with stopped_by(signal.default_int_handler):  # all end it as Ctrl-C does
+            yield keep
     finally:
         if path is not None:
             write_json(path, document())

@@ -28,11 +28,15 @@ def plans(
     tasks = [(data, key) for key in output.chosen_cars(data, cars, CARS)]
     rows: list[Any] = []
     roads: list[Any] = []
-    with output.json_at_the_end(metrics, lambda: [asdict(row) for row in (*rows, *roads)]):
+    with output.json_as_it_comes(
+        metrics, lambda: [asdict(row) for row in (*rows, *roads)]
+    ) as keep:
         for car_scores in output.in_parallel("plans of cars", jobs, plan_scores, tasks):
             rows += car_scores
+            keep()
         for more in output.in_parallel("distance to empty of cars", jobs, empty_scores, tasks):
             roads += more
+            keep()
     show(output.table_of("Plans", rows, PLAN_COLUMNS, left=3), at_least=output.TABLE_WIDTH)
     show(
         output.table_of("Distance to empty", roads, EMPTY_COLUMNS, left=1),

@@ -151,17 +151,19 @@ def settings(
     scores: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     finals: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     chosen: dict[str, list[Variant]] = {}
-    with output.json_at_the_end(metrics, lambda: _found(scores, chosen, finals)):
+    with output.json_as_it_comes(metrics, lambda: _found(scores, chosen, finals)) as keep:
         recorded = list(
             output.in_parallel("cars read", jobs, read_car, [(data, key) for key in keys])
         )
         tasks = [(variant, car) for car in recorded for variant in alternatives()]
         for row in output.in_parallel("alternatives on cars", jobs, score, tasks):
             scores[row.car][row.variant] = row
+            keep()
         chosen |= {key: final_variants(scores, key) for key in keys}
         tasks = [(variant, car) for car in recorded for variant in chosen[car.key]]
         for row in output.in_parallel("chosen constants", jobs, score, tasks):
             finals[row.car][row.variant] = row
+            keep()
         _show_alternatives(scores)
         _show_chosen(chosen, finals)
 

@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import typer
 
-from benchmarks.cli.output import figures_table, json_at_the_end, table_of
+from benchmarks.cli.output import figures_table, json_as_it_comes, table_of
 from benchmarks.processes import resident_mb
 from evpinn_ros.cli.console import progress_bar, show
 from evpinn_ros.cli.options import JsonOption
@@ -125,11 +125,12 @@ def soak(
     """
     limit_blas_threads()
     rows: list[Hour] = []
-    with json_at_the_end(json_file, lambda: {"hours": [row._asdict() for row in rows]}):
+    with json_as_it_comes(json_file, lambda: {"hours": [row._asdict() for row in rows]}) as keep:
         try:
             with progress_bar("driving", total=hours * HOUR) as progress:
                 for hour in drive_hours(hours, time.process_time, progress):
                     rows.append(hour)
+                    keep()
         finally:
             numbered = list(enumerate(rows, start=1))
             show(table_of("One chain, hour by hour", numbered, COLUMNS, left=0))

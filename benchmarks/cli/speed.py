@@ -13,7 +13,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import typer
 
-from benchmarks.cli.output import figures_table, json_at_the_end
+from benchmarks.cli.output import figures_table, json_as_it_comes
 from evpinn_ros.api.recordings import replay
 from evpinn_ros.cli.console import note, progress_bar, show
 from evpinn_ros.cli.options import JsonOption
@@ -144,9 +144,11 @@ def speed(
     """
     limit_blas_threads()
     figures: dict[str, Any] = {"load_average": os.getloadavg()[0]}
-    with json_at_the_end(json_file, lambda: figures):
+    with json_as_it_comes(json_file, lambda: figures) as keep:
         figures["replay"] = _replay(seconds)
+        keep()
         figures["library"] = _library()
+        keep()
         if find_spec("rclpy") is None:
             note("rclpy is not installed: plans over DDS are left out")
         else:

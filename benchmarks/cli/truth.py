@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from benchmarks.cli.output import AltitudeOption, GradeOption, json_at_the_end, table_of
+from benchmarks.cli.output import AltitudeOption, GradeOption, json_as_it_comes, table_of
 from benchmarks.truth import (
     VEHICLES,
     TruthCheck,
@@ -55,7 +55,7 @@ def truth(
     seeds = range(FIRST_SEED, FIRST_SEED + drives)
     figures: dict[str, Any] = {}
     road: dict[str, Any] = {"rms_grade": rms_grade, "altitude": altitude}
-    with json_at_the_end(json_file, lambda: figures):
+    with json_as_it_comes(json_file, lambda: figures):
         _compare(figures, compare(kind, VEHICLES, seeds, from_priors=from_priors, **road), drives)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from benchmarks.cli.output import TABLE_WIDTH, figures_table, json_at_the_end, names_in
+from benchmarks.cli.output import TABLE_WIDTH, figures_table, json_as_it_comes, names_in
 from benchmarks.fastsim_peer import fastsim_version
 from benchmarks.unseen.drives import cars_in
 from benchmarks.unseen.goals import car_table, figures
@@ -75,11 +75,12 @@ def unseen(
     tasks = [Task(data, car, name) for car in chosen for name in names]
     by_car: dict[str, Any] = {}
     with (
-        json_at_the_end(json_file, lambda: {"data": data, "cars": by_car}),
+        json_as_it_comes(json_file, lambda: {"data": data, "cars": by_car}) as keep,
         progress_bar("methods on cars", len(tasks), unit="done") as progress,
     ):
         for number, result in enumerate(run_tasks(tasks, jobs), start=1):
             _add(by_car, result)
+            keep()
             progress(number)
             entry = by_car[result.task.car]
             if len(entry["methods"]) == len(names):

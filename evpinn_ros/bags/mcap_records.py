@@ -39,6 +39,7 @@ from evpinn_ros.common.units import MEBIBYTE
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # opcode, bytes that follow
 FOOTER = struct.Struct("<QQI")  # start of the summary, start of its offsets, its checksum
+MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; data behind it
 INDEX_HEAD, INDEX_ENTRY = 6, 16  # bytes of a message index
 PRIVATE = 0x80  # opcodes from here on are free for any use
 PARSE_ERRORS = (McapError, struct.error, ValueError, LookupError, MemoryError, OverflowError)
@@ -178,7 +179,7 @@ class McapRecords:
                 yield from self._chunk(body, begin, end)
             elif opcode == Opcode.MESSAGE:
                 self.proven = False
-                yield from self._message(body)
+                yield from self._message(body, 0, len(body))
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._define(opcode, body)
             elif opcode == Opcode.METADATA:
@@ -218,22 +219,27 @@ class McapRecords:
         at = 0
         while at + HEAD.size <= len(content):
             opcode, length = HEAD.unpack_from(content, at)
-            record = content[at + HEAD.size : at + HEAD.size + length]
-            if not opcode or len(record) < length:
+            first, behind = at + HEAD.size, at + HEAD.size + length
+            if not opcode or behind > len(content):
                 break
             try:
                 if opcode == Opcode.MESSAGE:
-                    yield from self._message(record)
+                    yield from self._message(content, first, behind)
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._define(opcode, record)
+                    self._define(opcode, content[first:behind])
             except PARSE_ERRORS:
                 break
-            at += HEAD.size + length
+            at = behind
         if cut or at < len(content):
             yield Loss(begin, end, "cut" if cut else "damaged inside", chunk=True)
 
-    def _message(self, body: bytes) -> Iterator[Message]:
-        message = Message.read(ReadDataStream(BytesIO(body)), len(body))
+    def _message(self, content: bytes, first: int, behind: int) -> Iterator[Message]:
+        """The message of these bytes, which are copied once: a message may fill a chunk."""
+        if behind - first < MESSAGE.size:
+            raise ValueError("damaged")
+        channel_id, sequence, log_time, publish_time = MESSAGE.unpack_from(content, first)
+        data = content[first + MESSAGE.size : behind]
+        message = Message(channel_id, log_time, data, publish_time, sequence)
         channel = self.channels.get(message.channel_id)
         # By the specification, schema 0 is that of a channel without one.
         if channel is None or (channel.schema_id and channel.schema_id not in self.schemas):
@@ -266,7 +272,7 @@ class McapRecords:
         data = self._read(start, self.size - start)
         if checksum and zlib.crc32(data[: at + HEAD.size + 16 - start]) != checksum:
             return summary
-        summary.ended = True
+        summary.ended, left = True, MOST_DEFINITIONS
         # A chunk has no business in a summary: it stays packed.
         records = StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records
         with suppress(*PARSE_ERRORS):
@@ -274,13 +280,14 @@ class McapRecords:
                 match record:
                     case Schema():
                         summary.content.schemas.setdefault(record.id, record)
+                        left -= len(record.data)
                     case Channel():
                         summary.content.channels.setdefault(record.id, record)
                     case ChunkIndex():
                         summary.content.chunk_indexes.append(record)
                     case Statistics():
                         summary.content.statistics = record
-        return summary
+        return summary if left >= 0 else McapSummary(ended=True)
 
 
 def _parsed(opcode: int, body: bytes) -> Any:

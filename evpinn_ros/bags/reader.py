@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import zstandard
 
 from evpinn_ros.bags.channel import Channel, RawMessage
-from evpinn_ros.bags.limits import LONGEST_CHUNK, LONGEST_MESSAGE, unpacked
+from evpinn_ros.bags.limits import LONGEST_CHUNK, LONGEST_MESSAGE, unpacked, zstd_reader
 from evpinn_ros.bags.mcap_file import McapFile
 from evpinn_ros.bags.metadata import INFORMATION, METADATA, MOST_METADATA
 from evpinn_ros.bags.names import PACKED
@@ -248,7 +248,7 @@ def _open_packed(packed: Path) -> PlainFile:
 def _unpack(packed: Path, path: Path) -> None:
     left = most_unpacked(check_file(packed))
     with open_file(packed) as source, new_file(path) as target:
-        reader = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
+        reader = zstd_reader(source)
         while piece := reader.read(_PIECE):
             left -= len(piece)
             if left < 0:

@@ -6,16 +6,21 @@ applies a killed recording's journal when it opens a private copy of both to wri
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from contextlib import closing
 from itertools import accumulate
+import math
+import os
 from pathlib import Path
 import re
 import sqlite3
 from tempfile import TemporaryDirectory
+from typing import Any
 from urllib.parse import quote
 
 from evpinn_ros.bags.channel import Channel, RawMessage, parsed_qos
+from evpinn_ros.bags.limits import LONGEST_CHUNK, MOST_DEFINITIONS
+from evpinn_ros.bags.sqlite_pages import SCHEMA, SqlitePages
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.common.opener import check_file, open_file
 from evpinn_ros.common.writer import copy_file
@@ -32,13 +37,13 @@ FREE_STEPS, STEPS_A_BYTE = 1_000_000, 4
 """Steps of SQLite's machine; to look through a bag of small messages takes half a step a byte."""
 PERIOD = 1000  # steps
 DAMAGE = (sqlite3.Error, UnicodeError)  # the latter where SQLite's own message quotes the file
-MOST_ENTRIES = 100  # tables and indices; rosbag2 makes six
+MOST_ENTRIES, MOST_SCHEMA = 100, 100_000  # tables and indices, bytes; rosbag2 makes six in 1 kB
 MOST_TOPICS = 10_000
 # Text, of which no message is, would be read to know its length; of what was cut nothing is left.
 MESSAGE_BYTES = """SELECT total(
     CASE typeof(data) WHEN 'blob' THEN length(data) WHEN 'text' THEN 1e18 ELSE 0 END
 ) FROM messages NOT INDEXED"""
-COMPUTING = re.compile(r"\b(VIRTUAL|GENERATED|AS)\b", re.I)  # in the definition of a table
+COMPUTING = re.compile(r"\b(VIRTUAL|GENERATED|AS|WITHOUT)\b", re.I)  # in the definition of a table
 TOPIC_COLUMNS = ("id", "name", "type", "serialization_format")
 LATER_COLUMNS = ("offered_qos_profiles", "type_description_hash")  # not in bags of old
 
@@ -61,7 +66,7 @@ def _beside(path: Path) -> Iterator[tuple[Path, bool]]:
 
 def merged(path: Path, folder: Path) -> Path:
     """A copy of a database in an empty folder, its journals applied; or InputError."""
-    copy = folder / "merged.db3"
+    copy, whole = folder / "copy.db3", folder / "merged.db3"
     with as_input_error(path):
         _copy_all(path, copy)
     for journal in journals(copy):
@@ -71,12 +76,11 @@ def merged(path: Path, folder: Path) -> Path:
                 raise InputError(f"{path}: its journal names other files")
     with (
         as_input_error(path, *DAMAGE),
-        closing(sqlite3.connect(copy, isolation_level=None)) as database,
+        closing(sqlite3.connect(copy)) as database,
+        closing(sqlite3.connect(whole)) as target,
     ):
-        # Reads the schema, which makes SQLite look at the journals; no view or trigger runs.
-        database.execute("PRAGMA journal_mode = DELETE").fetchall()
-        database.execute("PRAGMA schema_version").fetchall()
-    return copy
+        database.backup(target)  # by pages, without the schema, which was not looked at yet
+    return whole
 
 
 def _copy_all(path: Path, copy: Path) -> None:
@@ -113,15 +117,20 @@ class SqliteFile:
             raise
 
     def _open(self) -> None:
-        source, self._size = self._with_journals(check_file(self.path))
+        check_file(self.path)
+        source = self._with_journals()
         address = f"file:{quote(str(source.resolve()))}?immutable=1"
-        with as_input_error(f"{self.path}: Cannot open database", *DAMAGE):
+        with (
+            as_input_error(f"{self.path}: Cannot open database", *DAMAGE),
+            open_file(source) as file,
+        ):
+            self._size = os.fstat(file.fileno()).st_size
+            pages = SqlitePages(file)
+            self._refuse(_schema_fault, pages)
             self._database = sqlite3.connect(address, uri=True, check_same_thread=False)
             self._database.text_factory = lambda text: text.decode(errors="replace")
             self._begin_steps()
-            fault = _fault(self._database, self._size)
-            if fault is not None:
-                raise InputError(f"{self.path}: no bag: its database {fault}")
+            self._refuse(_fault, self._database, pages, self._size)
             self.channels = self._channels(self._database)  # by channel id
             self._begin_steps()
             self.counts = {
@@ -131,6 +140,14 @@ class SqliteFile:
                 )
                 if id_ in self.channels
             }
+
+    def _refuse(self, fault: Callable[..., str | None], *arguments: Any) -> None:
+        try:
+            reason = fault(*arguments)
+        except ValueError as error:  # of the pages
+            reason = str(error)
+        if reason is not None:
+            raise InputError(f"{self.path}: no bag: its database {reason}")
 
     def _begin_steps(self) -> None:
         """Let the queries from here on take as many steps as a sound file of this size."""
@@ -142,13 +159,16 @@ class SqliteFile:
         definitions: dict[object, str] = {}
         if "encoded_message_definition" in _columns(database, "message_definitions"):
             rows = database.execute(
-                "SELECT topic_type, encoded_message_definition FROM message_definitions"
+                "SELECT topic_type, encoded_message_definition FROM message_definitions "
+                "NOT INDEXED"
             )
             definitions = {name: text for name, text in rows if isinstance(text, str)}
         there = _columns(database, "topics")
         texts = [name if name in there else "''" for name in LATER_COLUMNS]
         columns = ", ".join((*TOPIC_COLUMNS, *texts))
-        rows = database.execute(f"SELECT {columns} FROM topics LIMIT {MOST_TOPICS + 1}")
+        rows = database.execute(
+            f"SELECT {columns} FROM topics NOT INDEXED LIMIT {MOST_TOPICS + 1}"
+        )
         channels: dict[int, Channel] = {}
         for number, (id_, *names, qos, type_hash) in enumerate(rows):
             if id_ in channels or number == MOST_TOPICS:
@@ -170,18 +190,22 @@ class SqliteFile:
         if not ids:
             return
         query = (
-            "SELECT timestamp, topic_id, data FROM messages "
+            "SELECT timestamp, topic_id, CASE WHEN typeof(data) = 'blob' AND length(data) <= "
+            f"{LONGEST_CHUNK} THEN data END FROM messages "
             f"WHERE topic_id IN ({', '.join(map(str, ids))}) ORDER BY timestamp"
         )
-        read = damaged = 0
+        read = damaged = held = 0
         self._begin_steps()
         try:
             for log_time_ns, id_, data in self._database.execute(query):
-                if isinstance(log_time_ns, int) and isinstance(data, bytes):
-                    yield log_time_ns, id_, data
-                    read += 1
-                else:
+                if not isinstance(log_time_ns, int) or data is None:
                     damaged += 1
+                    continue
+                held += len(data)  # an index may hold others than the table, and share them
+                if held > self._size:
+                    raise sqlite3.DatabaseError("an index holds more than the file")
+                yield log_time_ns, id_, data
+                read += 1
         except DAMAGE as error:
             self._note(f"{one_line(error)}; {read} messages were read")
         if damaged:
@@ -193,14 +217,14 @@ class SqliteFile:
             self._database.close()
         self._folder.cleanup()
 
-    def _with_journals(self, size: int) -> tuple[Path, int]:
+    def _with_journals(self) -> Path:
         database = self.path.resolve()  # beside which SQLite writes its journals
         for journal, begins in _beside(database):
             if not begins:
                 self._note(f"{journal.name} beside it has no header, and is not read")
         beside = journals(database)
         if not beside:
-            return self.path, size
+            return self.path
         folder = Path(self._folder.name, "merged")
         folder.mkdir()
         try:
@@ -209,8 +233,8 @@ class SqliteFile:
             names = ", ".join(journal.name for journal in beside)
             reason = str(error).removeprefix(f"{database}: ")
             self._note(f"{names} beside it could not be read ({reason}): messages are missing")
-            return self.path, size
-        return copy, copy.stat().st_size
+            return self.path
+        return copy
 
     def _note(self, text: str) -> None:
         note = f"{self.path}: {text}"
@@ -221,39 +245,50 @@ def _columns(database: sqlite3.Connection, table: str) -> set[str]:
     return {row[1] for row in database.execute(f"PRAGMA table_info({table})")}
 
 
-def _fault(database: sqlite3.Connection, size: int) -> str | None:
+def _schema_fault(pages: SqlitePages) -> str | None:
+    """Why a database has a schema that is none of a bag, or None; SQLite loads all of it."""
+    for number, held in enumerate(accumulate(pages.row_bytes(SCHEMA)), start=1):
+        if number > MOST_ENTRIES:
+            return f"has more than {MOST_ENTRIES} tables and indices"
+        if held > MOST_SCHEMA:
+            return f"describes its tables in more than {MOST_SCHEMA} bytes"
+    return None
+
+
+def _fault(database: sqlite3.Connection, pages: SqlitePages, size: int) -> str | None:
     """Why a database is no bag that can be read within the size of its file, or None.
 
     A view in place of a table, or pages that lead to one another, could run for ever: SQLite
     follows both.
     """
-    query = f"SELECT type, name, sql FROM sqlite_master LIMIT {MOST_ENTRIES + 1}"
-    entries = database.execute(query).fetchall()
-    if len(entries) > MOST_ENTRIES:
-        return f"has more than {MOST_ENTRIES} tables and indices"
-    for kind, _, sql in entries:  # all of them before anything is read
+    entries = database.execute("SELECT type, name, sql, rootpage FROM sqlite_master").fetchall()
+    for kind, _, sql, _ in entries:  # all of them before anything is read
         if kind not in ("table", "index") or COMPUTING.search(str(sql)):
-            return f"has a {kind} that computes"
+            return f"has a {kind} that computes, or no row ids"
+    roots = {
+        name: root for kind, name, _, root in entries if kind == "table" and type(root) is int
+    }
     for table in ("topics", "messages"):
-        if ("table", table) not in {(kind, name) for kind, name, _ in entries}:
+        if table not in roots:
             return f"has no table '{table}'"
-    if any(_holds_more(database, kind, str(name), size) for kind, name, _ in entries):
-        return "holds more than its file"
-    return None
+    for table in ("topics", "message_definitions"):
+        rows = pages.row_bytes(roots.get(table, 0))
+        if any(held > MOST_DEFINITIONS for held in accumulate(rows)):
+            return f"has more than {MOST_DEFINITIONS} bytes of {table}"
+    indices = [str(name) for kind, name, _, _ in entries if kind == "index"]
+    return "holds more than its file" if _holds_more(database, indices, size) else None
 
 
-def _holds_more(database: sqlite3.Connection, kind: str, name: str, size: int) -> bool:
-    """True if a table holds more than so many bytes, or an index or a table does not end."""
-    quoted = '"' + name.replace('"', '""') + '"'
+def _holds_more(database: sqlite3.Connection, indices: Iterable[str], size: int) -> bool:
+    """True if the messages take more than so many bytes, or they or an index do not end."""
     try:
-        if kind == "index":
-            database.execute(f"SELECT count(*) FROM messages INDEXED BY {quoted}").fetchone()
-            return False
-        if name == "messages":  # of a blob its length is known without reading it
-            (held,) = database.execute(MESSAGE_BYTES).fetchone()
-            return bool(held > size)
-        rows = database.execute(f"SELECT * FROM {quoted} NOT INDEXED")
-        sizes = (sum(len(cell) for cell in row if isinstance(cell, str | bytes)) for row in rows)
-        return any(held > size for held in accumulate(sizes))
+        (held,) = database.execute(MESSAGE_BYTES).fetchone()
     except DAMAGE as error:
-        return str(error) == "interrupted"
+        held = math.inf if str(error) == "interrupted" else 0
+    for name in indices:
+        quoted = '"' + name.replace('"', '""') + '"'
+        try:
+            database.execute(f"SELECT count(*) FROM messages INDEXED BY {quoted}").fetchone()
+        except DAMAGE as error:
+            held = math.inf if str(error) == "interrupted" else held
+    return bool(held > size)

@@ -153,7 +153,9 @@ class BusReader:
         """Open the bus now; InputError says what to do if it cannot be."""
         try:
             if self._interface == elm327.NAME:
-                self._bus = elm327.Elm327Bus(str(self._channel), **self._options)
+                self._bus = elm327.Elm327Bus(
+                    str(self._channel), stopped=self._stop.is_set, **self._options
+                )
             else:
                 self._bus = can.Bus(
                     channel=self._channel,

@@ -50,9 +50,10 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         broadcast: Collection[int] | None = None,
         tty_baudrate: int | None = None,
         clock_s: Callable[[], float] = time.time,
+        stopped: Callable[[], bool] = lambda: False,
         **_kwargs: Any,
     ) -> None:
-        """Find the adapter (a port, or `tcp:HOST:PORT`) and prepare it.
+        """Find the adapter (a port, or `tcp:HOST:PORT`) and prepare it, unless `stopped`.
 
         `broadcast`: ids to monitor between questions, None for all; `clock_s` stamps the frames.
         OSError, can.CanInitializationError, ValueError: there is no adapter, or none that can.
@@ -64,7 +65,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         frames = {request: frames_of(request) for request in requests}
         self._requests = {question: request for request, (question, _) in frames.items()}
         self._flow_controls = {flow_control for _, flow_control in frames.values()}
-        self._broadcast, self._clock_s = broadcast, clock_s
+        self._broadcast, self._clock_s, self._stopped = broadcast, clock_s, stopped
         self._questions: deque[RequestRule] = deque()  # append and popleft are atomic
         self._commands: deque[str] = deque()
         self._lines: deque[tuple[float, str]] = deque()
@@ -249,10 +250,12 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
                 self._port.close()
                 raise can.CanInitializationError(f"the adapter does not know {command}: a clone?")
 
-    @staticmethod
-    def _until_prompt(port: Any, seconds: float) -> bytes:
+    def _until_prompt(self, port: Any, seconds: float) -> bytes:
         end, reply = time.monotonic() + seconds, b""
         port.timeout = PAUSE_S
         while not reply.rstrip().endswith(b">") and time.monotonic() < end:
+            if self._stopped():
+                port.close()
+                raise can.CanInitializationError("stopped before the adapter was ready")
             reply += port.read(max(1, getattr(port, "in_waiting", 0)))
         return bytes(reply)

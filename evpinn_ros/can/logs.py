@@ -138,17 +138,22 @@ class LogFile:
 
     def frames(self) -> Iterator[CanFrame]:
         """Every data frame up to the end or the first damage; InputError without any."""
-        apart = self._suffix in APART
-        for frame in self._converted() if apart else self._until_broken(self.path, self._suffix):
+        failed, suffix = None, self._suffix
+        with as_input_error(self.path):
+            if suffix in APART:
+                file, failed, suffix = *self._converted(), ".log"
+            else:
+                file = open_unpacked(self.path)
+        for frame in self._until_broken(file, suffix):
             self.count += 1
             yield frame
+        if failed:
+            self.problem = f"{self.path}: broken after {self.count} frames: {failed}"
         if self.count == 0:
             nothing = self._first_bus.missing or "no CAN frame in it"
             raise InputError(self.problem or f"{self.path}: {nothing}")
 
-    def _until_broken(self, path: Path, suffix: str) -> Iterator[CanFrame]:
-        with as_input_error(self.path):
-            packed = open_unpacked(path)
+    def _until_broken(self, packed: IO[bytes], suffix: str) -> Iterator[CanFrame]:
         with io.TextIOWrapper(packed, encoding="utf-8", errors="replace") as file:
             lines = _Lines(file, suffix)
             # The readers are foreign code over a damaged file: whatever they raise says the same
@@ -163,15 +168,13 @@ class LogFile:
                 if self.count == 0 and lines.line:
                     self.problem = f"{place}: {lines.line[:40]!r} is of none of the {FORMATS}"
 
-    def _converted(self) -> Iterator[CanFrame]:
-        """The frames by way of a candump log that another process makes."""
+    def _converted(self) -> tuple[IO[bytes], str | None]:
+        """A candump log that another process made of this one, and why it ends early, or None."""
         with TemporaryDirectory() as folder:
             path = Path(folder) / "converted.log"
             failed = run_apart(f"{__name__}:{APART[self._suffix]}", self.path, path)
-            if path.exists():
-                yield from self._until_broken(path, ".log")
-        if failed:
-            self.problem = f"{self.path}: broken after {self.count} frames: {failed}"
+            # Once it is open, it can be read without its name.
+            return open_file(path) if path.exists() else io.BytesIO(), failed
 
     def _read(self, lines: _Lines, suffix: str) -> Iterator[CanFrame]:
         for message in _READERS[suffix](lines):

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from io import TextIOWrapper
 import os
-import signal
 import sys
 from typing import ClassVar
 
@@ -67,14 +66,14 @@ def evpinn(
     """
 
 
-def main() -> None:
-    """Run the command; wrong input is one line on stderr and exit code 1."""
+def main(signals: AbstractContextManager[None] = nullcontext()) -> None:  # noqa: B008
+    """Run the command within `signals`; wrong input is one line on stderr and exit code 1."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # not every terminal knows every letter
     try:
         try:
-            with optional_imports():
+            with signals, optional_imports():
                 app()
         finally:
             sys.stdout.flush()  # a full disk shows now, and not after the last line of code
@@ -85,7 +84,6 @@ def main() -> None:
         note("evpinn: out of memory")
         sys.exit(FAILED)
     except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would be a traceback
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
         _drop_output()  # whoever read it has gone, as `head` does; no reader is left

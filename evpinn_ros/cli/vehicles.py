@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +16,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, UnitSystem
 from evpinn_ros.core.vehicle.certified import FRONTAL_AREA, certified_cars
-from evpinn_ros.core.vehicle.files import Vehicle, find_vehicles, load_vehicle, write_vehicle
+from evpinn_ros.core.vehicle.files import Vehicle, find_vehicles, load_vehicle, vehicle_text
 from evpinn_ros.core.vehicle.rated import cycle_energy, rated_cars
 
 ECONOMY = "kwh_per_100_km"
@@ -88,11 +87,8 @@ def show_vehicle(
     Example: evpinn vehicles show "ioniq 5 rwd"
     """
     car = load_vehicle(vehicle)
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"{car.key}.yaml"
-        write_vehicle(path, car)
-        for line in path.read_text(encoding="utf-8").splitlines():
-            say(line)
+    for line in vehicle_text(car, Path(vehicle).parent).splitlines():
+        say(line)
 
 
 def _cell(units: Units, name: str, value: str | float | None) -> str:

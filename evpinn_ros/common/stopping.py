@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 import os
 import signal
 import stat
 from types import FrameType
+from typing import Any
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -41,6 +42,20 @@ def stopped_by(handler: Handler) -> Iterator[None]:
     finally:
         for number, earlier in before.items():
             signal.signal(number, earlier or signal.SIG_DFL)
+
+
+@contextmanager
+def interruptible(handlers: Mapping[signal.Signals, Any]) -> Iterator[None]:
+    """Have other handlers within a block, and ignore Ctrl-C once it is over.
+
+    The process only ends then: an exception would be lost in a finalizer, with a traceback.
+    """
+    try:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def leave_terminal() -> None:

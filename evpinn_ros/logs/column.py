@@ -208,7 +208,7 @@ def check_columns(
 ) -> None:
     """Raise InputError for a table without time, speed or battery; it names the option."""
     quantities = {column.quantity for column in columns}
-    there = f"there are {', '.join(header)[:LONGEST_LIST]}"
+    there = f"there are {', '.join(filter(None, header))[:LONGEST_LIST] or 'none'}"
     if missing := [name for name in ("time", "speed") if name not in quantities]:
         say = " ".join(f"--column {name}=NAME" for name in missing)
         raise InputError(f"no column of {' and '.join(missing)}; {there}; say {say}")

@@ -58,8 +58,8 @@ class Terrain:
         if tiffs:
             with optional_imports():
                 import rasterio  # noqa: F401
-        self._folder = TemporaryDirectory()  # lasts as long as the grids
-        self._grids = [read_geotiff(path, Path(self._folder.name)) for path in tiffs]
+        with TemporaryDirectory() as kept:  # the grids are mapped, and need no name
+            self._grids = [read_geotiff(path, Path(kept)) for path in tiffs]
 
     def heights(self, latitude: FloatArray, longitude: FloatArray) -> FloatArray:
         """Heights at n places in degrees, m, NaN without a tile; InputError if damaged."""
@@ -130,7 +130,7 @@ def read_hgt(path: Path, south: int, west: int) -> HeightGrid:
 
 
 def read_geotiff(path: Path, folder: Path) -> HeightGrid:
-    """Heights of a GeoTIFF, kept in a file of the folder as long as they are used; InputError."""
+    """Heights of a GeoTIFF, mapped from a file that is made in the folder; InputError."""
     heights, place = folder / f"{path.name}.npy", folder / f"{path.name}.place.npy"
     if failed := run_apart(f"{__name__}:write_grid", path, heights):
         raise InputError(f"{path}: {failed}")

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 import csv
 from io import SEEK_END, IncrementalNewlineDecoder
+import os
 from pathlib import Path
 import re
 from tempfile import TemporaryDirectory
@@ -18,7 +19,7 @@ import zlib
 import numpy as np
 
 from evpinn_ros.common.errors import InputError, as_input_error, reason_of
-from evpinn_ros.common.opener import LONGEST_LINE, MOST_COLUMNS, open_unpacked
+from evpinn_ros.common.opener import LONGEST_LINE, MOST_COLUMNS, open_file, open_unpacked
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.sandbox import run_apart
 from evpinn_ros.logs.batch import Batch, Row, batches_of
@@ -240,13 +241,15 @@ class ConvertedTable(TextTable):
         Raises:
             InputError: it cannot be read.
         """
-        folder = TemporaryDirectory()
-        weakref.finalize(self, folder.cleanup)  # it lasts as long as the table
-        content = Path(folder.name, "table.csv")
-        self.broken = run_apart(function, path, content)
-        if not content.exists() or (self.broken and content.stat().st_size == 0):
-            raise InputError(f"{path}: {self.broken or 'no table in it'}")
-        super().__init__(path, content, separator=",")
+        with TemporaryDirectory() as folder:
+            content = Path(folder, "table.csv")
+            self.broken = run_apart(function, path, content)
+            if not content.exists() or (self.broken and content.stat().st_size == 0):
+                raise InputError(f"{path}: {self.broken or 'no table in it'}")
+            with open_file(content) as file:  # as long as it is open, it needs no name
+                kept = os.dup(file.fileno())
+        weakref.finalize(self, os.close, kept)
+        super().__init__(path, Path(f"/proc/self/fd/{kept}"), separator=",")
 
 
 def _says_separator(line: str) -> bool:

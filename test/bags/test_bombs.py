@@ -6,6 +6,8 @@ import gzip
 import heapq
 import sqlite3
 import struct
+import subprocess
+import sys
 from types import SimpleNamespace
 import zlib
 
@@ -20,7 +22,7 @@ import zstandard
 
 from evpinn_ros.bags import limits, mcap_file, mcap_records
 from evpinn_ros.bags.limits import LONGEST_CHUNK
-from evpinn_ros.bags.mcap_records import HEAD, MAGIC
+from evpinn_ros.bags.mcap_records import HEAD, MAGIC, PRIVATE
 from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
@@ -199,6 +201,90 @@ def test_a_packed_file_that_fills_the_disk_is_refused(tmp_path):
         BagReader(tmp_path)
 
 
+MEASURED = """
+import re, sys
+from evpinn_ros.cli.main import main
+try:
+    main()
+finally:
+    print(int(re.search("VmHWM:\\s*(\\d+)", open("/proc/self/status").read())[1]) / 1024)
+"""
+
+
+def one_message(path):
+    """A chunk that one message fills."""
+    body = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(LONGEST_CHUNK - 100))
+    few_types(path, record(PRIVATE, NOISE) + chunk(zstd(body), len(body), "zstd"))
+
+
+def many_messages(path):
+    body = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(500)) * (LONGEST_CHUNK // 540)
+    few_types(path, record(PRIVATE, NOISE) + chunk(zstd(body), len(body), "zstd"))
+
+
+def definitions(path, size=LONGEST_CHUNK // 5 - 100, total=LONGEST_CHUNK):
+    """Types that a chunk defines; one letter makes four bytes of each."""
+    text = ("\N{GRINNING FACE}" + "x" * size).encode()
+    schemas = [
+        record(
+            Opcode.SCHEMA,
+            struct.pack("<HI", 2 + number, 1) + b"a" + struct.pack("<II", 0, len(text)) + text,
+        )
+        for number in range(total // (size + 100))
+    ]
+    channels = [
+        struct.pack("<HHI", 2 + number, 2 + number, 2) + b"/%d" % number + struct.pack("<I", 0)
+        for number in range(len(schemas))
+    ]
+    body = b"".join(
+        [*schemas, *(record(Opcode.CHANNEL, channel + bytes(4)) for channel in channels)]
+    )
+    few_types(path, record(PRIVATE, NOISE) + chunk(zstd(body), len(body), "zstd"))
+
+
+def whole_definitions(path):
+    definitions(path, limits.MOST_DEFINITIONS // 8 - 100, limits.MOST_DEFINITIONS - 1000)
+
+
+NOISE = np.random.default_rng(1).bytes(400_000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["info {}", "recover {} new", "convert {} new --storage mcap"])
+@pytest.mark.parametrize("write", [one_message, many_messages, definitions, whole_definitions])
+def test_a_bag_costs_no_command_200_mb(tmp_path, write, command):
+    """Files of 0.4 MB, by each limit of what a chunk holds; they took up to 570 MB."""
+    write(tmp_path / "a.mcap")
+    assert (tmp_path / "a.mcap").stat().st_size < 700_000
+    ended = subprocess.run(
+        [sys.executable, "-c", MEASURED, *command.format("a.mcap").split()],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert "Traceback" not in ended.stderr
+    assert float(ended.stdout.splitlines()[-1]) < 200.0, ended
+
+
+def test_what_zstd_may_hold_is_bounded(tmp_path):
+    """A window of 128 MiB is held whole; one of 64 MiB is read, by chunk and by file."""
+    for log, refused in ((26, False), (27, True)):
+        window = zstandard.ZstdCompressionParameters(window_log=log, write_content_size=False)
+        pack = zstandard.ZstdCompressor(compression_params=window).compressobj()
+        packed = pack.compress(bytes(1000)) + pack.flush()
+        path = tmp_path / f"{log}.zstd"
+        path.write_bytes(packed)
+        if refused:
+            with pytest.raises(ValueError, match="damaged"):
+                limits.unpacked("zstd", packed, 1000)
+            with pytest.raises(InputError, match=r"27\.zstd: cannot be unpacked"):
+                BagReader(path)
+        else:
+            assert limits.unpacked("zstd", packed, 1000) == bytes(1000)
+            with pytest.raises(InputError, match="not an MCAP"):
+                BagReader(path)
+
+
 def test_metadata_of_aliases_is_not_read(tmp_path):
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]" for i in range(12)]
@@ -251,6 +337,9 @@ COMPUTED = "CREATE TABLE computed(a INTEGER, b BLOB GENERATED ALWAYS AS (zeroblo
             "type_description_hash) SELECT i, i, '', '', '', '' FROM n",
             "over 10000 topics",
         ),
+        ("CREATE TABLE t(a PRIMARY KEY) WITHOUT ROWID", "has a table that computes, or no row"),
+        (f"CREATE TABLE t(a /*{'x' * 100_000}*/)", "describes its tables in more than 100000"),
+        ("UPDATE topics SET name = printf('%.*c', 17000000, 'x')", "8388608 bytes of topics"),
         ("DROP TABLE messages", "has no table 'messages'"),
         ("ALTER TABLE messages RENAME TO m; CREATE VIEW messages AS SELECT * FROM m", "a view"),
     ],
@@ -305,19 +394,41 @@ def test_a_database_whose_pages_lead_to_one_another_is_refused(tmp_path):
         BagReader(path)
 
 
-def test_a_database_whose_messages_share_their_pages_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    "tables", ["CREATE TABLE t{}(a);" * 101, f"CREATE TABLE t(a/*{'x' * 100_000}*/)"]
+)
+def test_a_schema_is_measured_before_sqlite_loads_it(tmp_path, monkeypatch, tables):
+    """Texts that share their pages: 6 MB took 660 MB and 44 s, 27 s before the first query."""
+    path = tmp_path / "a.db3"
+    with closing(sqlite3.connect(path)) as bag, bag:
+        bag.executescript(tables.format(*range(101)))
+    monkeypatch.setattr(sqlite3, "connect", None)
+    with pytest.raises(InputError, match=r"no bag: its database (has more|describes its tables)"):
+        BagReader(path)
+
+
+@pytest.mark.parametrize(
+    ("shared", "said"),
+    [
+        ("messages", "its database holds more than its file"),
+        ("by_time", "an index holds more than the file"),
+    ],
+)
+def test_a_database_whose_messages_share_their_pages_is_refused(tmp_path, shared, said):
     """Rows that state the payload of another: 3 MB became 3.6 GB, in 52 s and 830 MB."""
     path = tmp_path / "a.db3"
     with closing(sqlite3.connect(path)) as bag, bag:
         bag.executescript(
-            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT);"
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format);"
             "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data BLOB);"
+            "CREATE INDEX by_time ON messages(timestamp, topic_id, data);"
+            "INSERT INTO topics VALUES (1, '/a', 'std_msgs/msg/Empty', 'cdr');"
         )
         rows = [(1, 1, bytes(100_000)), (1, 2, bytes(100_000))]
         bag.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
     content = bytearray(path.read_bytes())
     with closing(sqlite3.connect(path)) as bag:
-        ((root,),) = bag.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'")
+        ((root,),) = bag.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (shared,))
         ((size,),) = bag.execute("PRAGMA page_size")
     page = (root - 1) * size
     (first,) = struct.unpack_from(">H", content, page + 8)  # the cell of the first row
@@ -325,8 +436,9 @@ def test_a_database_whose_messages_share_their_pages_is_refused(tmp_path):
     content[page + 3 : page + 5] = struct.pack(">H", count)
     content[page + 8 : page + 8 + 2 * count] = struct.pack(">H", first) * count
     path.write_bytes(content)
-    with pytest.raises(InputError, match="its database holds more than its file"):
-        BagReader(path)
+    with pytest.raises(InputError, match=said), BagReader(path) as reader:
+        assert sum(len(data) for *_, data in reader.stored()) <= len(content)
+        raise InputError(reader.problem)
 
 
 def test_a_topic_without_a_name_costs_the_others_nothing(tmp_path):

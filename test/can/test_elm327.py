@@ -225,6 +225,18 @@ def test_only_the_questions_of_the_profile_leave(adapter):
     assert [word for word in car.heard if word.startswith("22")] == ["220101", "220100"]
 
 
+@pytest.mark.timeout(30)
+@pytest.mark.parametrize("unanswered", ["", "ATZ", "ATE0"])
+def test_an_adapter_without_a_prompt_delays_no_stop(adapter, monkeypatch, unanswered):
+    for patience in ("WAKE_S", "RESET_S", "ANSWER_S"):
+        monkeypatch.setattr(elm327_module, patience, math.inf)
+    car = adapter({unanswered: None})
+    reader = BusReader("elm327", car.place, lambda _frame: None, time.time_ns)
+    with running(reader):
+        wait_until(lambda: unanswered in car.heard)
+    assert reader.status().counters == {}  # it was never opened
+
+
 def test_an_adapter_that_begins_anew_is_prepared_anew(adapter):
     car = adapter({"ATMA": b""})
     reader = BusReader("elm327", car.place, lambda _frame: None, time.time_ns)

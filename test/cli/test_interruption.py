@@ -1,11 +1,17 @@
 """Ctrl-C deferred: what the first and the second do, and whom it leaves alone."""
 
+import os
+from pathlib import Path
 import signal
+import sys
 
 import pytest
 import typer
 
+from evpinn_ros import executables
+from evpinn_ros.cli import main as command
 from evpinn_ros.cli.interruption import INTERRUPTED, Interruption
+from evpinn_ros.common import stopping
 from evpinn_ros.common.errors import InputError
 
 
@@ -82,3 +88,49 @@ def test_where_it_is_ignored_it_stays_ignored():
         ctrl_c()
         assert not interruption.asked
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+ALL_LINES = 98
+
+
+def _interrupted_at(number: int, stderr: Path) -> int:
+    """Exit code of `evpinn --version` in a fork that gets SIGINT at a line of what starts it.
+
+    Lines count from the first handler on; `ALL_LINES` if there are fewer.
+    """
+    files = {module.__file__ for module in (executables, command, stopping)}
+    left = [number]
+
+    def trace(frame, event, _):
+        if frame.f_code.co_filename not in files:
+            return None
+        begun = left[0] < number or signal.getsignal(signal.SIGINT) != signal.default_int_handler
+        if event == "line" and begun:
+            left[0] -= 1
+            if left[0] == 0:
+                signal.raise_signal(signal.SIGINT)
+        return trace
+
+    if (child := os.fork()) == 0:
+        code = 99
+        try:
+            with stderr.open("w") as sys.stderr, Path(os.devnull).open("w") as sys.stdout:
+                sys.argv = ["evpinn", "--version"]
+                sys.settrace(trace)
+                executables.evpinn()
+        except SystemExit as ended:
+            code = ALL_LINES if left[0] > 0 else ended.code or 0
+        finally:
+            os._exit(code)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@pytest.mark.slow
+def test_no_line_of_the_start_and_the_end_shows_a_traceback(tmp_path):
+    """The command ends with 130 until its result is there, and then as it would."""
+    codes = []
+    while not codes or codes[-1] != ALL_LINES:
+        codes.append(_interrupted_at(len(codes) + 1, tmp_path / "stderr"))
+        assert (tmp_path / "stderr").read_text() == ""
+    assert len(codes) > 20 and {*codes[:-1]} == {INTERRUPTED, 0}
+    assert codes[:-1] == sorted(codes[:-1], reverse=True)

@@ -1,15 +1,21 @@
 """No command writes over what it reads, whatever named the file that it reads."""
 
+from datetime import date
 import gzip
+import os
 from pathlib import Path
+from random import Random
 import re
+import shutil
 
 import numpy as np
 import pytest
 
+from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import open_file
 from evpinn_ros.common.writer import replaced, write_file
+from test.opened import opened_to_read
 
 pytestmark = pytest.mark.slow
 
@@ -22,6 +28,10 @@ DRIVE = "time,speed [m/s],voltage [V],current [A],latitude,longitude\n" + "".joi
 
 @pytest.fixture
 def inputs(tmp_path):
+    return _inputs_in(tmp_path)
+
+
+def _inputs_in(tmp_path):
     """A folder of drives, a plan, a tile, a vehicle file, and its profile with its DBC."""
     (tmp_path / "drives").mkdir()
     for name in ("a.csv", "b.csv"):
@@ -67,6 +77,91 @@ def test_no_command_writes_over_what_it_reads(evpinn, inputs, command, victim):
     lines = [line for line in run.stderr.splitlines() if line.startswith("evpinn:")]
     assert len(lines) == 1 and "would be written over the input" in lines[0], run.stderr
     assert {path: path.read_bytes() for path in before} == before
+
+
+COMMANDS = {
+    "replay drives --vehicle car.yaml --whole --params p.yaml": (
+        *("--report", "--metrics", "--out", "--state"),
+    ),
+    "replay drives/a.csv new.log bag --vehicle car.yaml --state s.json": (
+        *("--report", "--metrics", "--out"),
+    ),
+    "compare drives/a.csv drives/b.csv --vehicle car.yaml --elevation tiles --params p.yaml": (
+        *("--report", "--json"),
+    ),
+    "forecast plan.csv drives/a.csv --vehicle car.yaml --elevation tiles": ("--report", "--json"),
+    "forecast plan.csv --state s.json": ("--report", "--json"),
+    "info drives plan.csv new.log bag --can-profile ./tesla_model_3.yaml": ("--json",),
+    "can inspect new.log --can-profile ./tesla_model_3.yaml": ("--json",),
+    "recover bag/bag_0.mcap new": ("--json",),
+    "recover bag": ("",),
+    "convert drives/a.csv --vehicle car.yaml": ("",),
+    "convert new.log --vehicle car.yaml": ("",),
+    "convert bag --storage sqlite3": ("",),
+    "simulate new --duration 60 --vehicle car.yaml": ("--can-log",),
+    "simulate --duration 60 --vehicle car.yaml": ("",),
+    "fleet drives --vehicle car.yaml --out out": ("--report", "--write-vehicle", "--json"),
+    "fleet --manifest fleet.yaml --out out": ("--report", "--write-vehicle", "--json"),
+}
+"""All that write what they are told to, and the options that say where; "" is an argument."""
+
+STATE = "s.json"
+
+
+@pytest.fixture(scope="module")
+def whole_inputs(tmp_path_factory, evpinn):
+    """Beside them a bag, a CAN log, a state, parameters and a manifest."""
+    folder = _inputs_in(tmp_path_factory.mktemp("inputs"))
+    (folder / "p.yaml").write_bytes((ROOT / "config" / "evpinn.param.yaml").read_bytes())
+    (folder / "fleet.yaml").write_text("cars: [{car: a, vehicle: car.yaml, drives: drives}]\n")
+    for command in (
+        f"{SIMULATE} --can-log new.log",
+        "convert drives/a.csv bag --vehicle car.yaml",
+        "replay drives/a.csv --vehicle car.yaml --state s.json",
+    ):
+        assert evpinn(*command.split(), cwd=folder).returncode == 0
+    shutil.rmtree(folder / "new")
+    return folder
+
+
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("attempts", [4, pytest.param(300, marks=pytest.mark.nightly)])
+def test_what_a_command_has_read_stays_whatever_is_named_as_output(
+    whole_inputs, tmp_path, evpinn, monkeypatch, attempts
+):
+    """By its name, by another, by a link."""
+    names = [path.relative_to(whole_inputs) for path in whole_inputs.rglob("*") if path.is_file()]
+    refused = 0
+    for number in range(attempts):
+        day = "day" if attempts < 10 else os.environ.get("EVPINN_NIGHT", date.today().isoformat())
+        chance = Random(f"{day} outputs {number}")
+        folder = Path(shutil.copytree(whole_inputs, tmp_path / str(number)))
+        command = chance.choice([*COMMANDS])
+        option, victim = chance.choice(COMMANDS[command]), folder / chance.choice(sorted(names))
+        given = chance.choice(("name", "dots", "symlink", "hardlink"))
+        output = folder / "other.html" if given.endswith("link") else victim
+        if given == "dots":
+            output = folder / "drives" / ".." / victim.relative_to(folder)
+        elif given == "symlink":
+            output.symlink_to(victim)
+        elif given == "hardlink":
+            output.hardlink_to(victim)
+        before = {path: path.read_bytes() for path in map(folder.joinpath, names)}
+        monkeypatch.setattr(opener, "_inputs", {})  # as in a process of its own
+        with opened_to_read() as read:
+            run = evpinn(*command.split(), *[option] * bool(option), output, cwd=folder)
+        if "fleet" in command:  # in processes of their own
+            read |= {*folder.glob("drives/*")}
+        if "replay" in command and (victim.name != STATE or option == "--state"):
+            read.discard(folder / STATE)  # which is learned on
+        changed = {path for path, content in before.items() if path.read_bytes() != content}
+        case = f"{day} {number}: evpinn {command} {option} {output}: {run.stderr}"
+        assert not {path.resolve() for path in changed} & read, case
+        if victim.resolve() in read:
+            assert run.returncode in (1, 2) and not changed, case
+            refused += run.returncode == 1
+        shutil.rmtree(folder)
+    assert refused >= attempts // 10
 
 
 def test_whatever_was_opened_is_not_written_over(tmp_path):

@@ -77,7 +77,6 @@ BESIDES = {  # what may open by itself, and why
     "evpinn_ros/common/package_data.py": "tables of the package",
     "evpinn_ros/report/html.py": "a script of the package",
     "evpinn_ros/logs/text_table.py": "bytes in memory, of a file that the opener opened",
-    "evpinn_ros/cli/vehicles.py": "comments of a file that the opener has read",
 }
 OPENS = {"open", "fdopen", "read_text", "read_bytes", "ZipFile", "GzipFile", "loadtxt", "memmap"}
 OPENS |= {"read_csv", "read_parquet", "read_excel", "read_json", "read_table", "load_workbook"}

@@ -1,8 +1,13 @@
 """A parser of a foreign library may crash, hang or fill up: it does so apart, in one line."""
 
+import tempfile
+
 import pytest
 
+from evpinn_ros.can.logs import LogFile
 from evpinn_ros.common import sandbox
+from evpinn_ros.logs.sources import open_drive
+from test.damage import seeds
 
 PROGRAM = """
 import os, sys, threading
@@ -71,3 +76,21 @@ def test_what_a_parser_may_take_grows_with_the_file_up_to_what_a_computer_has():
     small, large = sandbox.ParserLimits.of(0), sandbox.ParserLimits.of(1 << 40)
     assert small.memory <= 256 << 20 and small.seconds <= 10
     assert large.memory == sandbox.MOST_MEMORY and large.output == sandbox.MOST_OUTPUT
+
+
+@pytest.mark.slow
+def test_what_was_converted_lasts_without_a_folder(tmp_path, monkeypatch):
+    """Which an end would have to remove, and Ctrl-C could interrupt."""
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "drive.parquet").write_bytes(seeds.parquet_files()[0])
+    (tmp_path / "drive.blf").write_bytes(seeds.can_log(".blf")[0])
+    drive, frames = (
+        open_drive(tmp_path / "drive.parquet"),
+        LogFile(tmp_path / "drive.blf").frames(),
+    )
+    first = next(frames)
+    assert not [*(tmp_path / "temporary").iterdir()]
+    readings = [*drive.readings()]
+    assert first.can_id == 0x18FF0001 and sum(1 for _ in frames) == 39
+    assert len(readings) == len([*drive.readings()]) > 30

@@ -33,7 +33,7 @@ SIZES = (
     (1 << 64) - 1,
 )
 VALUES: tuple[Any, ...] = (
-    *(0, -1, 1, 2**31, 2**63, 2**64, 10**400, -(10**400), 0.0, 1e-320, 1e300, -1e300, 1.7e308),
+    *(0, -1, 1, 2**31, 2**63, 2**64, 10**400, -(10**400), 0.0, 5e-324, 1e300, -1e300, 1.7e308),
     *(True, None, "", "x" * 2000, "\x1b[31m", "\ud7ff\u202e", "nan", "190:20:30", "0x10", "1e3"),
     *([], {}, [[]], [[1.0], [2.0, 3.0]], {"a": {"b": {}}}),
 )
@@ -42,6 +42,7 @@ CELLS = (
     *("0x10", "2025-02-30", "31.12.2024 23:59:60", "1700000000000", "1e18", "=1+1", "\x1b[2J"),
     *("km/h", "mph", "sep=;", "\ufeff", "\u221212", "\u0661\u0662", "\u00a01", "1\u202f000"),
     *("TRUE", "-", "n/a", "7FFFFFFFx", "-1", "0", "  ", "(", "base dec timestamps relative"),
+    "5e-324",
 )
 
 LINES = (
@@ -189,8 +190,40 @@ def mutate_mcap(data: bytes, chance: Random) -> bytes:
     return data[:magic] + b"".join(packed) + data[:magic]
 
 
+SHAPES = (
+    "CREATE VIEW other AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
+    "SELECT i FROM n",
+    "ALTER TABLE {table} ADD other GENERATED ALWAYS AS (zeroblob(1000))",
+    "CREATE TRIGGER other AFTER INSERT ON {table} BEGIN SELECT 1; END",
+    "CREATE VIRTUAL TABLE other USING fts5(a)",
+    "CREATE TABLE other(a PRIMARY KEY, b) WITHOUT ROWID",
+    "CREATE TABLE t AS SELECT * FROM {table}; DROP TABLE {table}; ALTER TABLE t RENAME TO {table}",
+    "ALTER TABLE {table} RENAME TO t; CREATE VIEW {table} AS SELECT * FROM t",
+    "ALTER TABLE {table} RENAME TO t;CREATE TABLE {table} AS SELECT t.* FROM t, t AS u LIMIT 2000",
+    "ALTER TABLE {table} RENAME COLUMN {column} TO other",
+    "CREATE INDEX other ON {table} ({column})",
+    "CREATE INDEX other ON {table} ({column} || zeroblob(1000))",
+    "CREATE UNIQUE INDEX other ON {table} (rowid) WHERE {column} > 1",
+    "WITH RECURSIVE n(i) AS (SELECT 9 UNION ALL SELECT i + 1 FROM n LIMIT 12000) "
+    "INSERT INTO {table}({column}) SELECT i FROM n",
+    "DROP TABLE {table}",
+    "PRAGMA writable_schema = 1; UPDATE sqlite_master SET rootpage = {number} "
+    "WHERE name = '{table}'",
+    "PRAGMA writable_schema = 1; UPDATE sqlite_master SET sql = sql || '{column}'",
+    "PRAGMA writable_schema = 1; UPDATE sqlite_master SET type = 'view' WHERE name = '{table}'",
+    "PRAGMA writable_schema = 1; INSERT INTO sqlite_master SELECT * FROM sqlite_master",
+    "PRAGMA page_size = 512; VACUUM; PRAGMA journal_mode = WAL",
+    "PRAGMA auto_vacuum = 2; VACUUM",
+    "PRAGMA encoding = 'UTF-16'; VACUUM",
+    "DELETE FROM {table} WHERE rowid % 2",
+)
+"""What SQLite itself makes of a table."""
+
+
 def mutate_database(data: bytes, chance: Random) -> bytes:
-    """A sqlite3 file in which SQLite itself changed cells, rows or tables."""
+    """A sqlite3 file of other cells, rows or tables, or whose pages lead elsewhere."""
+    if not chance.randrange(4):
+        return _mutate_pages(data, chance)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "drive.db3"
         path.write_bytes(data)
@@ -202,23 +235,51 @@ def mutate_database(data: bytes, chance: Random) -> bytes:
                 column = chance.choice(columns or ["rowid"])
                 value = chance.choice((*VALUES[:13], *CELLS, bytes(9), chance.randbytes(40)))
                 value = value if not isinstance(value, int) or abs(value) < 2**63 else str(value)
-                statement, values = chance.choice(
-                    (
-                        (f'UPDATE "{table}" SET "{column}" = ?', (value,)),
-                        (f'UPDATE "{table}" SET "{column}" = ? WHERE rowid % 3 = 1', (value,)),
-                        (f'INSERT OR REPLACE INTO "{table}" ("{column}") VALUES (?)', (value,)),
-                        (f'DELETE FROM "{table}" WHERE rowid % 2', ()),
-                        (f'ALTER TABLE "{table}" RENAME COLUMN "{column}" TO other', ()),
-                        (f'CREATE INDEX other ON "{table}" ("{column}")', ()),
-                        (f'CREATE VIEW other AS SELECT * FROM "{table}"', ()),
-                        (f'DROP TABLE "{table}"', ()),
+                if chance.randrange(2):
+                    number = chance.choice((0, 1, 2, 3, 2**40))
+                    shape = chance.choice(SHAPES)
+                    file.executescript(shape.format(table=table, column=column, number=number))
+                else:
+                    statement = chance.choice(
+                        (
+                            f'UPDATE "{table}" SET "{column}" = ?',
+                            f'UPDATE "{table}" SET "{column}" = ? WHERE rowid % 3 = 1',
+                            f'INSERT OR REPLACE INTO "{table}" ("{column}") VALUES (?)',
+                        )
                     )
-                )
-                file.execute(statement, values)
+                    file.execute(statement, (value,))
                 file.commit()
-            except (sqlite3.Error, UnicodeEncodeError, IndexError):
+            except (sqlite3.Error, UnicodeError, IndexError):
                 return flipped(data, chance)
         return path.read_bytes()
+
+
+def _mutate_pages(data: bytes, chance: Random) -> bytes:
+    """Pages in place of others, cells that are one, links to other pages."""
+    (size,) = struct.unpack_from(">H", data.ljust(18, b"\0"), 16)
+    if size < 512 or len(data) < 2 * size:
+        return flipped(data, chance)
+    pages = [bytearray(data[at : at + size]) for at in range(0, len(data), size)]
+    place = chance.randrange(len(pages))
+    page, begin = pages[place], 100 if place == 0 else 0
+    what = chance.randrange(5)
+    if what == 0 and place:
+        pages[place] = chance.choice(pages[1:])
+    elif what == 1:
+        pages += pages[1:] * chance.choice((1, 8))
+    elif what == 2:  # a link of overflow, or to the right
+        at = chance.choice((begin, begin + 8))
+        page[at : at + 4] = struct.pack(">I", chance.randrange(len(pages) + 2))
+    elif what == 3:
+        page[begin] = chance.choice((0, 2, 5, 10, 13))
+    elif what == 4:
+        count = chance.choice((1, 100, size // 2 - 60))
+        first = page[begin + 8 : begin + 10]
+        page[begin + 3 : begin + 5] = struct.pack(">H", count)
+        page[begin + 8 : begin + 8 + 2 * count] = first * count
+    content = bytearray(b"".join(page[:size].ljust(size, b"\0") for page in pages))
+    content[28:32] = struct.pack(">I", len(pages))
+    return bytes(content)
 
 
 def mutate_blf(data: bytes, chance: Random) -> bytes:

@@ -24,6 +24,7 @@ from evpinn_ros.bags.convert import BagReadings
 from evpinn_ros.bags.metadata import METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
+from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.types import decode
 from evpinn_ros.can.bridge import CanBridge
 from evpinn_ros.can.frame import CanFrame
@@ -134,6 +135,16 @@ def _recovered(path: Path) -> None:
             raise AssertionError("what was recovered cannot be read") from error
     if read != saved:
         raise AssertionError(f"{saved} messages saved, {read} read")
+
+
+def _stored_anew(storage: Storage, path: Path) -> None:
+    """Check that a bag in the other storage holds what was said."""
+    with TemporaryDirectory(dir=path.parent) as folder:
+        written = change_storage(path, Path(folder, "new"), storage)
+        with BagReader(Path(folder, "new")) as reader:
+            read = sum(1 for _ in reader.log_times())
+    if read != written:
+        raise AssertionError(f"{written} messages written, {read} read")
 
 
 def _mcap_beside(folder: Path) -> None:
@@ -334,6 +345,14 @@ TARGETS = (
     Target("mcap", "drive.mcap", seeds.mcap_files, _bag, mutate=mutate_mcap),
     Target("recover", "drive.mcap", seeds.mcap_files, _recovered, mutate=mutate_mcap),
     Target("sqlite3", "drive.db3", seeds.database, _bag, mutate=mutate_database),
+    Target(
+        *("to sqlite3", "drive.mcap", seeds.mcap_files, partial(_stored_anew, Storage.SQLITE3)),
+        mutate=mutate_mcap,
+    ),
+    Target(
+        *("to mcap", "drive.db3", seeds.database, partial(_stored_anew, Storage.MCAP)),
+        mutate=mutate_database,
+    ),
     Target("packed", "drive.mcap.zstd", seeds.packed_file, _bag_folder, _packed_beside),
     _settings("metadata", METADATA, seeds.metadata, _bag_folder, _mcap_beside),
     *(_can_log(suffix, mutate_text) for suffix in (".log", ".asc", ".trc", ".csv")),

@@ -2,6 +2,7 @@
 
 import gzip
 import math
+import tempfile
 
 import numpy as np
 import pytest
@@ -108,13 +109,18 @@ def write_geotiff(path, crs, west, north, step, heights):
         file.write(heights.astype("float32"), 1)
 
 
-def test_a_geotiff_has_heights_in_its_middle_of_cells_and_none_where_it_has_no_data(tmp_path):
+def test_a_geotiff_has_heights_in_its_middle_of_cells_and_none_where_it_has_no_data(
+    tmp_path, monkeypatch
+):
     pytest.importorskip("rasterio")
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     north, east = 48.6 - 0.001 * np.arange(600)[:, None], 11.2 + 0.001 * np.arange(400)
     heights = plane(north, east)
     heights[:10] = -9999.0
     write_geotiff(tmp_path / "a.tif", "EPSG:4326", 11.1995, 48.6005, 0.001, heights)
     terrain = Terrain(tmp_path)
+    assert not [*(tmp_path / "temporary").iterdir()]  # that an interrupted end would leave
     latitude, longitude = np.array([48.0103, 48.5]), np.array([11.2107, 11.5])
     assert terrain.heights(latitude, longitude) == pytest.approx(
         plane(latitude, longitude), abs=0.01

@@ -28,7 +28,12 @@ WRONG = [
     (log, "a.gz", b"x", "not a CAN log"),
     (table, "a.csv", None, "No such file"),
     (table, "a.csv", b"", "the file is empty"),
-    (table, "a.csv", b'current;"VALUE";"UNITS";"PID"', "no column of time and speed"),
+    (
+        table,
+        "a.csv",
+        b'current;"VALUE";"UNITS";"PID"',
+        "no column of time and speed; there are none",
+    ),
     (
         table,
         "a.csv",

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from evpinn_ros.common.errors import InputError
+from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.common.writer import write_file
 from evpinn_ros.common.yaml_section import Section, compose
@@ -430,9 +430,23 @@ def write_vehicle(path: Path, vehicle: Vehicle) -> None:
         OSError: it cannot be written.
         InputError: it would not be a valid vehicle file.
     """
+    write_file(path, vehicle_text(vehicle, path.parent))
+    load_vehicle(path)
+
+
+def vehicle_text(vehicle: Vehicle, folder: Path) -> str:
+    """The content of a vehicle file for a folder; a comment names a CAN profile elsewhere."""
     document: dict[str, Any] = {"name": vehicle.name}
-    if vehicle.can_profile is not None:
-        document["can_profile"] = _profile_text(vehicle.can_profile)
+    comment, profile = "", vehicle.can_profile
+    if profile is not None and Path(profile).suffix in (".yaml", ".yml"):
+        whole = Path(profile).resolve()
+        is_beside = whole.is_relative_to(folder.resolve())
+        profile = str(whole.relative_to(folder.resolve())) if is_beside else None
+        comment = (
+            "" if is_beside else f"# Not beside this file: --can-profile {printable(str(whole))}\n"
+        )
+    if profile is not None:
+        document["can_profile"] = profile
     for name in CONSTANTS:
         value = getattr(vehicle, name)
         if math.isfinite(value) and value != OPTIONAL_CONSTANTS.get(name):
@@ -444,14 +458,8 @@ def write_vehicle(path: Path, vehicle: Vehicle) -> None:
             document["correlations"].setdefault(one, {})[other] = value
     if vehicle.paper_start:
         document["paper_start"] = _plain_priors(vehicle.paper_start)
-    write_file(path, yaml.safe_dump(document, sort_keys=False, width=99))
-    load_vehicle(path)
+    return comment + yaml.safe_dump(document, sort_keys=False, width=99)
 
 
 def _plain_priors(priors: Mapping[str, Prior]) -> dict[str, Any]:
     return {name: asdict(priors[name]) for name in PARAMETER_NAMES}
-
-
-def _profile_text(name: str) -> str:
-    """A profile's name; a path is relative to the vehicle file, so from another place absolute."""
-    return str(Path(name).resolve()) if Path(name).suffix in (".yaml", ".yml") else name

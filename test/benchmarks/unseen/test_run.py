@@ -1,10 +1,13 @@
 """`evpinn bench unseen` scores methods that users write."""
 
+import json
 from pathlib import Path
+import signal
 
 import numpy as np
 import pytest
 
+from benchmarks.cli import unseen as command
 from benchmarks.unseen import run
 
 ROOT = Path(__file__).parents[3]
@@ -52,6 +55,27 @@ def test_a_method_of_a_users_file_is_scored(tmp_path):
     ).scores
     assert scores["carried"]["gross_mean_percent"] == pytest.approx(50.0, abs=0.1)
     assert scores["withheld"]["rmse_w"] == pytest.approx(1e4, rel=1e-6)
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_what_was_scored_is_there_before_the_next_car_and_after_a_signal(
+    tmp_path, monkeypatch, end
+):
+    """A kill leaves as much as is read here; a car takes minutes."""
+    (tmp_path / "drive.csv").write_text("")
+    car, scores = f"{tmp_path / 'drive.csv'}=generic", {"true": {"mass": 1800.0}}
+
+    def results(tasks, jobs):
+        yield run.TaskResult(tasks[0], "generic", 3, 1.5, scores)
+        kept.append(json.loads((tmp_path / "out.json").read_text()))
+        signal.raise_signal(end)
+
+    kept = []
+    monkeypatch.setattr(command, "run_tasks", results)
+    with pytest.raises(KeyboardInterrupt):
+        command.unseen(car, methods="prior,core", json_file=tmp_path / "out.json")
+    kept.append(json.loads((tmp_path / "out.json").read_text()))
+    assert [entry["cars"][car]["methods"] for entry in kept] == [{"prior": scores}] * 2
 
 
 @pytest.mark.parametrize("apart", [(0.0, 0.0), (0.3, 0.6), (0.6, 0.3)])

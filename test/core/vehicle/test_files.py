@@ -144,6 +144,21 @@ def test_a_start_of_the_paper_is_not_the_prior(car):
         load_vehicle(car(GOOD + start.replace("  c_d:", "  c_w:")))
 
 
+@pytest.mark.parametrize("folder", ["", "../cars", "below/.."])
+def test_a_written_vehicle_names_its_profile_where_that_is_beside(car, folder):
+    """By a path from the file, for no other is read; else in words."""
+    path = car(GOOD + "can_profile: own.yaml\n")
+    profile, written = path.with_name("own.yaml"), path.parent / folder / "written.yaml"
+    (path.parent / "below").mkdir()
+    write_vehicle(written, load_vehicle(path))
+    elsewhere = folder == "../cars"
+    assert (load_vehicle(written).can_profile is None) == elsewhere
+    if elsewhere:
+        assert written.read_text().startswith(f"# Not beside this file: --can-profile {profile}\n")
+    else:
+        assert Path(load_vehicle(written).can_profile).resolve() == profile
+
+
 CORRELATED = GOOD + "correlations: {source: a sheet, mass: {c_rr: 0.2, c_d: -0.5}}\n"
 
 

@@ -1,0 +1,70 @@
+"""Sizes of the rows of a SQLite file by its pages, before SQLite loads what they hold.
+
+SQLite reads the whole schema before any query, and a whole text to know its length; rows may share
+their overflow pages, and those may lead in a circle. The format is that of "Database File Format"
+(sqlite.org).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import os
+import struct
+from typing import BinaryIO
+
+SCHEMA = 1  # root page of the table of tables
+_HEADER = 100  # bytes before the first page's own
+_SIZE_AT = 16  # of the size of a page; 1 is 65536
+_INTERIOR, _LEAF = 5, 13  # pages of tables, as their first byte says
+_COUNT_AT, _RIGHT_AT = 3, 8
+_LONGEST_NUMBER = 9  # bytes
+
+
+class SqlitePages:
+    """The pages of an open file."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        """Read the size of a page; of a file that is none SQLite says so."""
+        self._file = file
+        header = file.read(_HEADER).ljust(_HEADER, b"\0")
+        (size,) = struct.unpack_from(">H", header, _SIZE_AT)
+        self._size = 65536 if size == 1 else max(size, 512)
+        self._count = os.fstat(file.fileno()).st_size // self._size
+
+    def row_bytes(self, root: int) -> Iterator[int]:
+        """Bytes of each row of a table; damaged pages have none, as for SQLite.
+
+        ValueError if the pages of the table are more than those of the file.
+        """
+        waiting, left = [root], self._count
+        while waiting:
+            if not 0 < (number := waiting.pop()) <= self._count:
+                continue
+            left -= 1
+            if left < 0:
+                raise ValueError("holds more than its file")
+            self._file.seek((number - 1) * self._size)
+            page = self._file.read(self._size)
+            begin = _HEADER if number == SCHEMA else 0
+            try:
+                kind, (count,) = page[begin], struct.unpack_from(">H", page, begin + _COUNT_AT)
+                if kind not in (_INTERIOR, _LEAF):
+                    continue
+                places = begin + (12 if kind == _INTERIOR else 8)
+                cells = struct.unpack_from(f">{count}H", page, places)
+            except (IndexError, struct.error):
+                continue
+            if kind == _LEAF:
+                yield from (_number(page, cell % self._size) for cell in cells)
+                continue
+            links = (begin + _RIGHT_AT, *(cell % self._size for cell in cells))
+            waiting.extend(int.from_bytes(page[at : at + 4], "big") for at in links)
+
+
+def _number(page: bytes, at: int) -> int:
+    number = 0
+    for byte in page[at : at + _LONGEST_NUMBER]:
+        number = number << 7 | byte & 0x7F
+        if byte < 0x80:
+            break
+    return number
