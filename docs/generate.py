@@ -76,8 +76,7 @@ as it was; where there is no such limit, another value of the signal begins anew
 verdict before the evidence rests on what the column *not before* says.
 """
 SINGLE_VALUES = """\
-`payload` is decided once for each stop, and taken back if m/eta comes back by half within 600 s of
-motion. `speed_repeats` is not a fault yet: a speed that leaps when it moves again did hang too,
+`speed_repeats` is not a fault yet: a speed that leaps when it moves again did hang too,
 after 0.35 s already.
 
 ## Checks of single values
@@ -247,6 +246,7 @@ def metrics_page() -> str:
 
 def states_page() -> str:
     """Every state of a car, from the one table of them."""
+    kept = ", ".join(f"{share:.0%} of `{state.name}`" for state, share in DRIVE_KEPT.items())
     lines = [
         MADE,
         "# States",
@@ -255,8 +255,8 @@ def states_page() -> str:
         "physics and the weights of the network have one joint Gaussian distribution",
         "([how it learns](../explanation/architecture.md#learning)). Each state multiplies one",
         "term of the equation (`evpinn_ros/core/estimation/terms.py`). Levels: *car* states",
-        "are saved and drift a little from drive to drive; *drive* states keep",
-        f"{DRIVE_KEPT:.0%} of their value for the next drive; *fast* states decay within minutes.",
+        "are saved and drift a little from drive to drive; the next",
+        f"drive keeps of a *drive* state {kept}; *fast* states decay within minutes.",
         "",
         "| state | unit | level | prior | 1-sigma | source |",
         "|---|---|---|---|---|---|",

@@ -70,11 +70,6 @@ def _unreported(conditions: Conditions, warmth: Warmth) -> dict[State, float]:
     return standing_powers(conditions._replace(load_known=False), warmth)
 
 
-def _unseen(state: CarState, *_: Any) -> CarState:
-    """Learn nothing of what was reported."""
-    return state
-
-
 def _fixed(growth: float) -> dict[ConstantPlace, Any]:
     """Unseen hills of one size, m^2 per m, instead of a learned one."""
     return {ConstantPlace("bands", "GROWTHS"): np.full(3, growth)}
@@ -103,18 +98,14 @@ VARIANTS = (
         "a drive keeps no offset of the last",
         {ConstantPlace("car", "begin_drive"): partial(begin_drive, keep=0.0)},
     ),
+    Variant("intervals count as independent", {ConstantPlace("posterior", "ALIKE"): 1.0}),
+    Variant("no share of a drive", {ConstantPlace("posterior", "LOSS_SHOWN"): NOTHING}),
     Variant("no cold tyres", _without(State.ROLLING_START, State.ROLLING_COLD)),
     Variant("no loss by turning", _without(State.TURNING)),
     Variant("no loss by force squared", _without(State.FORCE_SQUARED)),
     Variant("no heating and cooling", _without(State.COLD, State.HOT, *STARTS)),
     Variant("no start of heating", _without(*STARTS)),
-    Variant(
-        "reported loads ignored",
-        {
-            ConstantPlace("terms", "standing_powers"): _unreported,
-            ConstantPlace("posterior", "see_reported_climate"): _unseen,
-        },
-    ),
+    Variant("reported loads ignored", {ConstantPlace("terms", "standing_powers"): _unreported}),
     Variant(
         "bands not scaled",
         {ConstantPlace("bands", "PRIOR_CASES"): 1e12, ConstantPlace("bands", "PRIOR_SCALE"): 1.0},

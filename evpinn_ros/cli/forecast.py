@@ -146,8 +146,8 @@ def forecast(
     basis = "by its vehicle file alone; --state FILE uses what earlier drives taught"
     car_line = f"{vehicle}, {basis if state is None else f'as learned in {state}'}."
     say(car_line)
-    if (better := forecasts[0].better_expert) is not None:
-        say(better)
+    if (record := forecasts[0].record) is not None:
+        say(record)
     expected = _expected(given, forecasts[0].basis.model.car.celsius, shown)
     say(expected)
     battery = "" if charge is None else _battery(forecasts[0].gauge)

@@ -47,10 +47,10 @@ from evpinn_ros.report.owner_text import (
     SCORES,
     drives_columns,
     drives_rows,
-    expert_note,
     health_line,
     owner_line,
     owner_notes,
+    record_note,
 )
 from evpinn_ros.report.tables import (
     SCORE_COLUMNS,
@@ -175,7 +175,7 @@ def replay(
             show(parameter_table(car.done[-1].metrics))
             say("To see these drives side by side, use evpinn compare.")
         say(health_line(car.chain.account.gauge, [result.drive for result in car.done]))
-        if (line := expert_note(car.done[-1].drive)) is not None:
+        if (line := record_note(car.done[-1].drive)) is not None:
             say(line)
         for line in unreadable:
             note(f"evpinn: not replayed: {line}")

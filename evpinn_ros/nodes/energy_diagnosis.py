@@ -9,7 +9,6 @@ from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.dropout import Reconciled, Verdict
 from evpinn_ros.core.energy.forecast import Air
 from evpinn_ros.core.energy.forecaster import Basis, PlanAnswer, PlanLog
-from evpinn_ros.core.estimation.experts import Expert
 from evpinn_ros.nodes.diagnosis import MISSING_AFTER, Condition, Status, rounded, with_health
 from evpinn_ros.topics.messages import Level
 
@@ -128,9 +127,6 @@ def plan_status(plans: PlanLog, basis: Basis, air: Air) -> Status:
     if basis is Basis.VEHICLE_FILE:
         text = "forecasts rest on the vehicle file: no estimate/model or estimate/identifiable yet"
         return Status("plan", Level.OK, text, values)
-    for expert in (Expert.FILE, Expert.PER_KM):
-        if basis is Basis.of(expert):
-            return Status("plan", Level.WARN, expert.verdict, values)
     return Status("plan", Level.OK, "ready", values)
 
 

@@ -61,9 +61,8 @@ def estimator_phases(status: EstimatorStatus, condition: Condition) -> list[Stat
     phases = [Status("estimate", *_estimator_verdict(status, condition), {})]
     phases.append(Status("valid", Level.OK, f"valid: {', '.join(valid) or 'nothing yet'}", {}))
     if learner.payload_change is not None:
-        change, taken_back = learner.payload_change, learner.payload_changes_withdrawn
+        change = learner.payload_change
         text = f"payload change of {change.delta_mass:+.0f} +- {change.std:.0f} kg"
-        text += f"; {taken_back} of {learner.payload_changes} withdrawn" if taken_back else ""
         phases.append(Status("payload", Level.OK, text, {}))
     return phases
 
@@ -98,8 +97,6 @@ def _detections(report: LearnerReport) -> dict[str, object]:
     """Detections of the car and its signals."""
     values: dict[str, object] = {
         "suspicion": report.suspicion or "none",
-        "payload_changes": report.payload_changes,
-        "payload_changes_withdrawn": report.payload_changes_withdrawn,
     }
     if report.payload_change is not None:
         change = report.payload_change

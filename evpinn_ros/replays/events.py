@@ -71,24 +71,12 @@ def _resets(drive: Drive) -> Iterator[Event]:
 
 
 def _payloads(drive: Drive) -> Iterator[Event]:
-    """Each change of payload as it was reported last, and those that were withdrawn."""
-    last: dict[int, Event] = {}
-    for before, now in zip(drive.detections, drive.detections[1:], strict=False):
-        report, change = now.report, now.report.payload_change
-        if report.payload_changes_withdrawn > before.report.payload_changes_withdrawn:
-            text = "The change of payload reported before was withdrawn: later data took it back."
-            yield Event(now.time, EventKind.PAYLOAD, text)
-        elif change is not None and change != before.report.payload_change:
-            stop = (change.stamp_ns - drive.start_ns) / NANOSECONDS
-            text = (
-                f"{change.delta_mass:+.0f} ± {change.std:.0f} kg at this stop; "
-                f"reported {max(now.time - stop, 0.0):.0f} s later."
-            )
-            reported = last.get(report.payload_changes)
-            if reported is not None:
-                text = text.partition(";")[0] + ";" + reported.text.partition(";")[2]
-            last[report.payload_changes] = Event(stop, EventKind.PAYLOAD, text)
-    yield from last.values()
+    """The change of payload of each drive, as it was reported last."""
+    changes = (detection.report.payload_change for detection in drive.detections)
+    last = {change.stamp_ns: change for change in changes if change is not None}
+    for stamp_ns, change in last.items():
+        text = f"{change.delta_mass:+.0f} ± {change.std:.0f} kg since the drive before."
+        yield Event((stamp_ns - drive.start_ns) / NANOSECONDS, EventKind.PAYLOAD, text)
 
 
 def _signal_faults(detections: tuple[Detection, ...]) -> Iterator[Event]:

@@ -61,7 +61,7 @@ def forecast_outcome(
     except PlanError:
         return None
     driven = Span(float(speed[0, 0]), float(speed[0, 0] + plan.time[-1]))
-    result = forecast_plan(plan, PowerModel.of(known.model), Weather(air_density))
+    result = forecast_plan(plan, PowerModel(known.model), Weather(air_density))
     measured = measured_energy(drive, [driven])
     return ForecastOutcome(span, measured, float(result.energy[-1]), float(result.sigma[-1]))
 
@@ -71,7 +71,7 @@ def known_model(
 ) -> PowerModel:
     """The best model there is: of the learner, of its parameters, of the vehicle file."""
     if car is not None:
-        return PowerModel.of(car)
+        return PowerModel(car)
     if parameters is None:
         return vehicle_model(vehicle)
     return combined_model(parameters.identifiable, parameters.identifiable_std, vehicle)

@@ -37,11 +37,11 @@ from evpinn_ros.report.owner_text import (
     SCORES,
     drives_columns,
     drives_rows,
-    expert_note,
     health_line,
     lone_note,
     owner_notes,
     part_text,
+    record_note,
 )
 from evpinn_ros.report.shapes import trend_intervals
 from evpinn_ros.report.tables import (
@@ -178,7 +178,7 @@ def _drive(
         "name": name,
         "about": f"{reported.vehicle.name}, {_date(drive)}",
         "doubts": [
-            *filter(None, [lone_note(drive, units), expert_note(drive)]),
+            *filter(None, [lone_note(drive, units), record_note(drive)]),
             *owner_notes(reported.vehicle, drive, metrics),
             *drive.reading_notes,
         ],

@@ -13,7 +13,6 @@ from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import UNEVEN, Change, PlannedEnergy, plan_parts
 from evpinn_ros.core.energy.plan import Legs
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
-from evpinn_ros.core.estimation.experts import Expert
 from evpinn_ros.core.estimation.terms import Part
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.report.breakdown_text import least_of
@@ -69,8 +68,8 @@ def _sentence(planned: PlannedEnergy, units: Units) -> str:
         text += f" {uneven}"
     if level := planned.no_heights(units):
         text += f" {level[0].upper()}{level[1:]}."
-    if better := planned.better_expert:
-        text += f" {better}"
+    if record := planned.record:
+        text += f" {record}"
     left, half = (100 * planned.charge[:, -1]).tolist()
     if not np.isfinite(left):
         return text
@@ -126,8 +125,6 @@ def speed_along(
 
 def _parts(planned: PlannedEnergy) -> list[dict[str, Any]]:
     """A row a part, the biggest first, with its 90 % interval in percent of the width."""
-    if planned.basis.model.car.experts.best is Expert.PER_KM:
-        return []
     parts = plan_parts(planned.given, planned.energies, *planned.basis)
     names = [MEANINGS[part.name.lower()] for part in Part] + [UNEVEN]
     rows = [

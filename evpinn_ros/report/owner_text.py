@@ -97,9 +97,9 @@ def owner_notes(vehicle: Vehicle, drive: Drive, metrics: Mapping[str, Any]) -> l
     return [note for note in notes if note]
 
 
-def expert_note(drive: Drive) -> str | None:
-    """Sentence on what forecasts rest on if not on the learned car; else None."""
-    return None if drive.model is None else drive.model.experts.sentence
+def record_note(drive: Drive) -> str | None:
+    """Sentence on how well drives of this car were predicted at their start; else None."""
+    return None if drive.model is None else drive.model.record.sentence
 
 
 def health_line(gauge: ChargeGauge, drives: Iterable[Drive]) -> str:

@@ -1,7 +1,6 @@
 """The topic `estimate/model`: what is sent is what is received, and nothing else is used."""
 
 import dataclasses
-from dataclasses import replace
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,7 +12,6 @@ from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import LONGEST, plan_from_speed_profile
 from evpinn_ros.core.energy.plausible import car_is_possible
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
-from evpinn_ros.core.estimation.experts import Experts
 from evpinn_ros.core.estimation.size import model_of_file
 from evpinn_ros.core.vehicle.files import load_vehicle, vehicle_names
 from evpinn_ros.topics.messages import BadMessage
@@ -56,10 +54,6 @@ def test_what_is_no_model_of_this_car_is_refused(make, reason):
     assert error.value.reason == reason
 
 
-WENT_OVER = [
-    replace(Experts.none(), drives=9.0, odds=odds, energy=9e6, metres=2e4)
-    for odds in np.array([[50.0, 0.0], [0.0, 50.0]])
-]
 hostile = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from([0.0, -1.0, 1e-308])
 PLANS = [
     plan_from_speed_profile(*np.array(points).T)
@@ -74,12 +68,11 @@ PLANS = [
 @settings(max_examples=200, deadline=None)
 def test_whatever_a_model_says_a_plan_has_a_finite_answer(changes, data):
     """A few numbers of a good model are replaced: it is refused, or good for any plan."""
-    experts = data.draw(st.sampled_from((Experts.none(), *WENT_OVER)))
-    message = model_message(new_message, "bmw_i3", replace(MODEL, experts=experts))
+    message = model_message(new_message, "bmw_i3", MODEL)
     for place, value in changes.items():
         message.data[-place % len(message.data)] = value
     try:
-        model = PowerModel.of(read_model(message, CAR))
+        model = PowerModel(read_model(message, CAR))
     except BadMessage:
         return
     outcome = forecast_plan(data.draw(st.sampled_from(PLANS)), model, Weather(1.2), 60.0)

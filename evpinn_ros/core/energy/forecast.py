@@ -202,9 +202,9 @@ class PlannedEnergy(NamedTuple):
         )
 
     @property
-    def better_expert(self) -> str | None:
-        """Sentence on what it rests on in place of the learned car; None where on that."""
-        return self.basis.model.car.experts.sentence
+    def record(self) -> str | None:
+        """Sentence on how well this car's drives were predicted; None where none was."""
+        return self.basis.model.car.record.sentence
 
     @property
     def empty_at(self) -> float | None:

@@ -15,7 +15,6 @@ from evpinn_ros.core.energy.plan import UNNAMED, UNSAID, Plan, PlanConditions, Q
 from evpinn_ros.core.energy.plausible import car_is_possible
 from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, combined_model, vehicle_model
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.experts import Expert
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     PressureReading,
@@ -76,18 +75,11 @@ class PlanLog:
 
 
 class Basis(str, Enum):
-    """Basis of forecasts: a topic, or what predicts better than what the topic holds."""
+    """Basis of forecasts: the vehicle file, or a topic."""
 
     VEHICLE_FILE = "vehicle file"
     COMBINATIONS = "estimate/identifiable"
     MODEL = "estimate/model"
-    FILE_ALONE = Expert.FILE.words  # as `estimate/model` says
-    PER_KM = Expert.PER_KM.words
-
-    @classmethod
-    def of(cls, expert: Expert) -> Basis:
-        """Basis of a model whose forecasts rest on an expert."""
-        return cls.MODEL if expert is Expert.LEARNED else cls(expert.words)
 
 
 class Forecaster:
@@ -118,7 +110,7 @@ class Forecaster:
         Raises:
             ValueError: there is no such car; what was received before stays.
         """
-        if self.basis not in (Basis.VEHICLE_FILE, Basis.COMBINATIONS):
+        if self.basis is Basis.MODEL:
             return
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not possible
             given = combined_model(combined, sigmas, self._vehicle)
@@ -129,7 +121,7 @@ class Forecaster:
 
     def set_model(self, car: CarModel) -> None:
         """Take all that is known of the car's power."""
-        self._model, self.basis = PowerModel.of(car), Basis.of(car.experts.best)
+        self._model, self.basis = PowerModel(car), Basis.MODEL
 
     def set_air(
         self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int

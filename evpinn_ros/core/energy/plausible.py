@@ -42,15 +42,13 @@ def car_is_possible(car: CarModel) -> bool:
     """True if a given car is plausible, so that no sum of its powers leaves all bounds.
 
     Judged by a fast ride and by a stand in the cold: neither mean nor 1-sigma is beyond
-    `MAX_POWER`, nor is the energy per km that a forecast may rest on; and no mass is.
+    `MAX_POWER`; and no mass is.
     """
     if not is_within(car) or not 0.0 < car.mean[State.MASS] <= MOST_MASS:
         return False
     if np.diag(car.covariance).min() < 0.0 or car.unevenness.share > MOST_SHARE:
         return False
     speed, ones = np.array([30.0, 10.0, 0.0]), np.ones(3)
-    if abs(car.experts.energy) * speed[0] > MAX_POWER * car.experts.metres:
-        return False
     ride = even_steps(ones, speed, 0.0 * speed)._replace(kinetic=0.5 * speed)
     rows = PowerModel(car).rows(ride, Weather(1.2, -30.0))
     power = rows @ car.mean

@@ -21,18 +21,17 @@ from evpinn_ros.core.energy.network_table import (
     units_of,
 )
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.experts import PER_KM_SHARE, Expert
 from evpinn_ros.core.estimation.journey import LOAD_TIME, unexplained, wandered
 from evpinn_ros.core.estimation.size import model_of_file
 from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import (
     CREEPING,
     EXPLAINED,
+    HEATING,
     WARM,
     Warmth,
     Wheels,
     coldness,
-    equation_of,
     standing_powers,
 )
 from evpinn_ros.core.estimation.unevenness import UNEVEN_STATES, USUAL_LEG, Runs
@@ -40,14 +39,11 @@ from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import Conditions
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable
-from evpinn_ros.core.vehicle.physics import GRAVITY
 
 SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
 CLIMATE_SHARE = 0.4  # 1-sigma of the heating or cooling of a drive over what is likely (e-208)
 CLIMATE_SHOWN = 300.0  # s of a drive within which a third of that is left
-OF_THE_MOMENT = "seconds", "celsius", "reports", "last_drive", "experts"  # of any car
 LEAST_TRUST = 1e-3  # lower is none that was learned
-CLIMATE_LIKELY = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]
 
 
 class Weather(NamedTuple):
@@ -97,32 +93,9 @@ class PowerModel:
 
     car: CarModel
 
-    @classmethod
-    def of(cls, car: CarModel) -> PowerModel:
-        """The car as its forecasts take it: learned, or what predicted its drives better."""
-        best, vehicle = car.experts.best, car.equation.vehicle
-        if best is Expert.LEARNED:
-            return cls(car)
-        now = {name: getattr(car, name) for name in OF_THE_MOMENT}
-        now["trust"] = car.experts.spread(best).scale
-        if best is Expert.FILE:
-            file = model_of_file(vehicle, car.equation.seed)
-            return cls(replace(file, growth=car.growth, unevenness=car.unevenness, **now))
-        # A car whose tyres alone take energy, without losses, whatever the traffic.
-        whole = {name: replace(vehicle.priors[name], value=1.0) for name in ("eta", "mu")}
-        lossless = replace(vehicle, priors={**vehicle.priors, **whole}, nominal_speed=0.0)
-        mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-        mean[State.ROLLING] = car.experts.cost / GRAVITY
-        covariance[State.ROLLING, State.ROLLING] = (PER_KM_SHARE * mean[State.ROLLING]) ** 2
-        equation = equation_of(lossless, car.equation.seed)
-        return cls(CarModel(equation, mean, covariance, np.zeros(3), 0.0, 0.0, **now))
-
     def rows(self, steps: Steps, weather: Weather) -> np.ndarray:
         """Energy of each step of a trip by each state, J per unit, shape (n, SIZE)."""
-        rows = self.car.equation.rows(steps, *self._surroundings(steps, weather))
-        if self._drive_heats(weather):
-            rows[:, State.CLIMATE_DRIVE] = steps.duration
-        return rows
+        return self.car.equation.rows(steps, *self._surroundings(steps, weather))
 
     def parts(self, steps: Steps, weather: Weather) -> np.ndarray:
         """Energy of all steps of a trip by part and state, J per unit, (COUNT, SIZE)."""
@@ -281,7 +254,7 @@ class PowerModel:
         """
         car, strays = self.car, np.zeros(SIZE)
         share = CLIMATE_SHARE * math.exp(-car.seconds / CLIMATE_SHOWN)
-        strays[CLIMATE_LIKELY] = share * car.mean[CLIMATE_LIKELY]
+        strays[HEATING] = share * car.mean[HEATING]
         return np.asarray(car.covariance + np.outer(strays, strays) / max(car.trust, LEAST_TRUST))
 
     @cached_property
@@ -298,7 +271,7 @@ class PowerModel:
         conditions, warmth = self._surroundings(steps, weather)
         wheels, cold = equation.of_steps(steps, conditions), coldness(conditions.celsius)
         moving = equation.moving_columns(wheels, duration, cold, warmth.tyres)
-        loads = self._loads(weather, conditions, warmth)
+        loads = standing_powers(conditions, warmth)
         return wheels, moving | {state: power * duration for state, power in loads.items()}
 
     def _conditions(self, weather: Weather) -> Conditions:
@@ -311,15 +284,6 @@ class PowerModel:
         """Conditions, and mean coldness of tyres and cabin in each step."""
         start = Warmth.after(self.car.seconds) if weather.start is None else weather.start
         return self._conditions(weather), start.during(steps.duration)
-
-    def _drive_heats(self, weather: Weather) -> bool:
-        """True if heating goes on as it strayed in this drive."""
-        return self.car.reports and weather.heating is None
-
-    def _loads(self, weather: Weather, conditions: Conditions, warmth: Warmth) -> dict[State, Any]:
-        """Standing power by state, W per unit, numbers or of the steps' shape."""
-        drive = {State.CLIMATE_DRIVE: 1.0} if self._drive_heats(weather) else {}
-        return standing_powers(conditions, warmth) | drive
 
 
 def even_steps(duration: Any, distance: Any, climb: Any, wind: float = 0.0) -> Steps:

@@ -107,7 +107,7 @@ def usual_cost(car: CarModel) -> float:
     if metres.sum() < LEAST_METRES:
         return math.nan
     legs = even_steps(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, 0.0 * MIDDLES)
-    model = PowerModel.of(car)
+    model = PowerModel(car)
     rows, _ = model.edge_rows(legs, Weather(car.equation.vehicle.air_density))
     cost = float(metres @ (rows @ model.car.mean / legs.distance) / metres.sum())
     return cost if math.isfinite(cost) and cost > 0.0 else math.nan

@@ -27,6 +27,7 @@ PRIOR_CASES, PRIOR_SCALE = 4.0, 1.5
 CASES_KEPT = 40.0  # remembered
 LEAST_HEIGHTS_METRES = 10e3  # m of known heights, before `Hills` says anything
 HILLS_MEMORY_METRES = 300e3  # m within which what was driven before is forgotten to a third
+KEPT = 1.0 - 1.0 / CASES_KEPT  # of the sums of `TrackRecord`, from drive to drive
 
 
 class PredictedEnergy(NamedTuple):
@@ -68,6 +69,36 @@ class Spread(NamedTuple):
         return Spread(keep * self.cases + 1.0, keep * self.squares + square)
 
 
+class TrackRecord(NamedTuple):
+    """Errors of whole drives that were predicted at their start: sums over the drives so far.
+
+    Attributes:
+        drives: predicted.
+        measured: size of their energy, J.
+        learned: sizes of the errors of what was learned before each drive, J.
+        file: of the vehicle file alone, J.
+    """
+
+    drives: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    measured: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    learned: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    file: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+
+    def after(self, drawn: float, learned: float, file: float) -> TrackRecord:
+        """With one more drive that drew so many J, predicted by both."""
+        more = 1.0, abs(drawn), abs(learned - drawn), abs(file - drawn)
+        return TrackRecord(*(KEPT * sum_ + add for sum_, add in zip(self, more, strict=True)))
+
+    @property
+    def sentence(self) -> str | None:
+        """Sentence on what predicts this car's drives to how many percent; None before any."""
+        if not self.measured:
+            return None
+        learned, file = (100.0 * error / self.measured for error in (self.learned, self.file))
+        text = f"Over {self.drives:.0f} drives, what was learned before each predicts its energy "
+        return f"{text}to {learned:.0f} %, the vehicle file alone to {file:.0f} %."
+
+
 @dataclass(frozen=True, slots=True)
 class Bands:
     """Outcome of the rehearsals.
@@ -76,11 +107,13 @@ class Bands:
         dropout: spread of errors of dropouts within a drive.
         drive: spread of errors of whole drives.
         hills: logarithm of the odds of `GROWTHS`.
+        record: errors of whole drives.
     """
 
     dropout: Spread = field(default_factory=Spread)
     drive: Spread = field(default_factory=Spread)
     hills: tuple[Annotated[float, Range(-1e6, 0.0)], ...] = (0.0,) * len(GROWTHS)
+    record: TrackRecord = field(default_factory=TrackRecord)
 
     def __post_init__(self) -> None:
         """Refuse odds that are not of `GROWTHS`."""
@@ -93,10 +126,14 @@ class Bands:
         odds = np.exp(np.array(self.hills) - max(self.hills))
         return float(odds @ GROWTHS / odds.sum())
 
-    def after_drive(self, energy: PredictedEnergy, drawn: float) -> Bands:
-        """With one more drive, predicted whole, that drew so many J."""
+    def after_drive(self, energy: PredictedEnergy, file: float, drawn: float) -> Bands:
+        """With one more drive that drew so many J, predicted whole; `file`: by that, J."""
         sigma = math.sqrt(energy.with_hills(self.growth))
-        return replace(self, drive=self.drive.after((drawn - energy.mean) / sigma))
+        return replace(
+            self,
+            drive=self.drive.after((drawn - energy.mean) / sigma),
+            record=self.record.after(drawn, energy.mean, file),
+        )
 
     def after_dropout(self, energy: PredictedEnergy, drawn: float, *, long: bool) -> Bands:
         """With one more dropout that did not happen."""

@@ -26,13 +26,13 @@ from evpinn_ros.common.units import JOULES_PER_KWH
 from evpinn_ros.core.estimation.gaussian import Gaussian, at_least_zero
 from evpinn_ros.core.estimation.journey import unseen_of
 from evpinn_ros.core.estimation.posterior import CarState
-from evpinn_ros.core.estimation.states import LASTING, PHYSICS, SIZE, State
+from evpinn_ros.core.estimation.states import LASTING, OFFSETS, PHYSICS, SIZE, State
 from evpinn_ros.core.estimation.terms import COUNT, LOSSES, WHOLE, Equation, Part
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.vehicle.physics import GRAVITY
 
 UNEXPLAINED, REGAINED = "unexplained", "regained"
-OWN = [State.ROLLING_DRIVE, State.LOAD_DRIVE, State.WANDERED, State.LOAD_ENERGY]
+OWN = [*OFFSETS, State.WANDERED, State.LOAD_ENERGY]
 OWN += [State.CLIMBED, State.CLIMB]  # states that are of a drive alone
 # A measured height strays: wind and doors move a barometer by half a metre, for a minute. Of a
 # whole drive it counts at both ends.
@@ -307,7 +307,11 @@ def breakdowns(
     drives = (*ended, now.ended(state))
     mean, covariance = state.mixture()
     rows = np.concatenate([drive.rows for drive in drives])
-    unseen = [float(drive.rows[Part.REGAINED, _TERMS] @ mean[PHYSICS]) for drive in drives]
+    # What of it the load of a drive explains stands in the offset, as far as the car does not.
+    unseen = [
+        float(drive.rows[Part.REGAINED, _TERMS] @ mean[PHYSICS] + drive.offset[Part.REGAINED])
+        for drive in drives
+    ]
     energy = rows @ mean[LASTING] + np.concatenate([drive.offset for drive in drives])
     whole = rows @ covariance[np.ix_(LASTING, LASTING)] @ rows.T
     weight = GRAVITY * equation.eta * float(mean[State.MASS])

@@ -19,7 +19,7 @@ from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.even import Path
 from evpinn_ros.core.estimation.journey import NOWHERE, Journey
 from evpinn_ros.core.estimation.learner import gate_interval
-from evpinn_ros.core.estimation.payload import PayloadDetector
+from evpinn_ros.core.estimation.payload import Payload
 from evpinn_ros.core.estimation.posterior import (
     OUTLIER,
     CarState,
@@ -58,7 +58,7 @@ class LearnedCar:
         ended: the same of drives before it, where they are kept to be compared, and of what was
             driven before a long stop; each with the number of its drive.
         number: of this drive.
-        payload: changes of payload.
+        payload: of this drive against the drive before.
         grade: sign of the reported grade.
         unevenness: what uneven speed takes beyond even, by the drives that ended.
         hills: of their roads.
@@ -77,7 +77,7 @@ class LearnedCar:
     parts: DriveParts = field(default_factory=DriveParts.none)
     ended: tuple[tuple[int, EndedDrive], ...] = ()
     number: int = 0
-    payload: PayloadDetector = field(default_factory=PayloadDetector)
+    payload: Payload = field(default_factory=Payload)
     grade: GradeDetector = field(default_factory=GradeDetector)
     unevenness: Unevenness = field(default_factory=Unevenness.none)
     hills: Hills = field(default_factory=Hills)
@@ -142,7 +142,6 @@ class LearnedCar:
             self,
             state=state,
             rehearsals=replace(self.rehearsals, dropouts={}),
-            payload=self.payload.forget_time(),
             dropout=NOWHERE,
             known_ns=self.end_ns,
             stretches=self.stretches + 1,
@@ -169,6 +168,7 @@ class LearnedCar:
             car,
             state=state,
             driven=self.driven.next_drive(),
+            payload=self.payload.next_drive(self.state, self.equation),
             unevenness=self.uneven(),
             hills=self.hills.next_drive(),
             steps=(),
@@ -215,8 +215,6 @@ class LearnedCar:
         before = replace(before, bands=bands)
         state, learned = learn(before, equation, done)
         driven = self.driven.plus(done)
-        payload = self.payload.after(before, state, learned, equation, driven, done)
-        state = payload.taken or state
         cold = coldness(interval.conditions.celsius)
         parts = equation.split(done.rows, done.wheels, cold, done.warmth.tyres)
         noise = float(state.weights @ state.scale @ done.journey.noise)
@@ -228,7 +226,7 @@ class LearnedCar:
             driven=driven,
             rehearsals=rehearsals,
             parts=self.parts.plus(interval, parts, noise),
-            payload=payload,
+            payload=self.payload.after(state, equation, interval.start_ns),
             grade=self.grade.after(interval, learned.residual, weight),
             dropout=NOWHERE,
             known_ns=interval.end_ns,

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.core.estimation.bands import PredictedEnergy
-from evpinn_ros.core.estimation.experts import Experts
+from evpinn_ros.core.estimation.bands import PredictedEnergy, TrackRecord
 from evpinn_ros.core.estimation.journey import Journey, wandered
 from evpinn_ros.core.estimation.states import SIZE, State
 from evpinn_ros.core.estimation.terms import Equation
@@ -37,10 +36,9 @@ class CarModel:
             was learned in this one, else of dropouts.
         seconds: of this drive so far.
         celsius: temperature outside, the last known, or None.
-        reports: whether the car reports its heating.
         unevenness: what uneven speed takes beyond even.
         last_drive: s of the drive before.
-        experts: whether forecasts rest on something simpler.
+        record: errors of earlier drives, predicted at their start.
     """
 
     equation: Equation
@@ -52,10 +50,9 @@ class CarModel:
     trust: Annotated[float, Range(0.0, MOST_TRUST)]
     seconds: Annotated[float, Range(0.0, MOST_SECONDS)]
     celsius: Annotated[float, Range(*TEMPERATURES)] | None
-    reports: bool
     unevenness: Unevenness = field(default_factory=Unevenness.none)
     last_drive: Annotated[float, Range(0.0, MOST_SECONDS)] = 0.0
-    experts: Experts = field(default_factory=Experts.none)
+    record: TrackRecord = field(default_factory=TrackRecord)
 
     @property
     def weight_over_eta(self) -> float:

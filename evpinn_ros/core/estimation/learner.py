@@ -21,7 +21,7 @@ from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
 REVERSE_STEP = -0.1  # m, the same for a step of an interval
 CHARGING_POWER = -500.0  # W at standstill: below this the battery is being charged
-STATE_VERSION = 10
+STATE_VERSION = 11
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,15 +112,11 @@ class LearnerReport(NamedTuple):
     """Detections of a learner on the car and its signals.
 
     Attributes:
-        payload_change: the last change of payload, None when none was found.
-        payload_changes: changes found.
-        payload_changes_withdrawn: of them, changes that later data took back.
+        payload_change: of this drive against the one before, None when none was found.
         suspicion: name of a fault of the signals that the data suggest, or None.
     """
 
     payload_change: PayloadChange | None = None
-    payload_changes: int = 0
-    payload_changes_withdrawn: int = 0
     suspicion: str | None = None
 
 

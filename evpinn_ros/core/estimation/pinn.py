@@ -44,7 +44,7 @@ from evpinn_ros.core.estimation.learner import (
     joined_predictions,
 )
 from evpinn_ros.core.estimation.parameter_set import TrustHysteresis, deviations, parameter_set
-from evpinn_ros.core.estimation.payload import PayloadDetector, SavedPayload, Stamp
+from evpinn_ros.core.estimation.payload import Payload, Stamp
 from evpinn_ros.core.estimation.posterior import CarState
 from evpinn_ros.core.estimation.published import Driven, evidence_of, published
 from evpinn_ros.core.estimation.rehearsal import Rehearsal, Rehearsals
@@ -75,7 +75,7 @@ class SavedPinn:
 
     car: CarState
     driven: Driven
-    payload: SavedPayload
+    payload: Payload
     grade: GradeDetector
     current_suspicion: SignDetector
     seen_ns: Stamp | None
@@ -302,12 +302,12 @@ class PinnLearner(Saveable[SavedPinn]):
         return evidence_of(self._car.state, self._equation, self._car.driven)
 
     def report(self) -> LearnerReport:
-        """Changes of payload, a current or grade of the wrong sign.
+        """Change of payload, a current or grade of the wrong sign.
 
         Without current no grade can be checked.
         """
-        payload, sign = self._car.payload, self._sign.detected or self._car.grade.detected
-        return LearnerReport(payload.change, payload.found, payload.withdrawn, sign)
+        sign = self._sign.detected or self._car.grade.detected
+        return LearnerReport(self._car.payload.change, sign)
 
     def forget_window(self) -> None:
         """Drop recent samples after a jump of time; keep what was learned."""
@@ -332,7 +332,7 @@ class PinnLearner(Saveable[SavedPinn]):
             uneven=self._car.uneven(),
             hills=self._car.hills.next_drive(),
             driven=self._car.driven,
-            payload=self._car.payload.saved(),
+            payload=self._car.payload,
             grade=self._car.grade,
             current_suspicion=self._sign,
             seen_ns=self._seen_ns,
@@ -348,7 +348,7 @@ class PinnLearner(Saveable[SavedPinn]):
             hills=saved.hills,
             driven=saved.driven.of_this_version(),
             rehearsals=Rehearsals(Rehearsal(state)),
-            payload=PayloadDetector.of(saved.payload),
+            payload=saved.payload,
             grade=saved.grade,
         )
         self._sign = saved.current_suspicion

@@ -26,8 +26,13 @@ from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation import gaussian
 from evpinn_ros.core.estimation.bands import Bands
 from evpinn_ros.core.estimation.car_model import CarModel
-from evpinn_ros.core.estimation.experts import Experts
-from evpinn_ros.core.estimation.gaussian import MOST, Gaussian, Innovation, replace_states
+from evpinn_ros.core.estimation.gaussian import (
+    MOST,
+    Gaussian,
+    Innovation,
+    at_least_zero,
+    replace_states,
+)
 from evpinn_ros.core.estimation.journey import (
     Journey,
     journey_of,
@@ -37,7 +42,7 @@ from evpinn_ros.core.estimation.journey import (
     wandered,
 )
 from evpinn_ros.core.estimation.states import LASTING, NAMES, OFFSETS, SIZE, WEIGHTS, State
-from evpinn_ros.core.estimation.terms import Equation, Warmth, Wheels, climate_powers
+from evpinn_ros.core.estimation.terms import HEATING, Equation, Warmth, Wheels
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.power import BRIDGE_SHARE, TIMING
 from evpinn_ros.core.signals.readings import TEMPERATURES
@@ -55,9 +60,12 @@ OUTLIER = 2.5  # sigmas
 SPARSE = 2.0  # s between speeds, from here on driving between them is not seen
 
 DRIFT = 0.02  # of its prior sigma, by which a state of the car changes from drive to drive
-DRIVE_KEPT = 0.9  # of an offset of a drive that the next still has: the season, a roof box
+# Of an offset that the next drive still has: tyres and rain; who sits in the car; the season.
+DRIVE_KEPT = {State.ROLLING_DRIVE: 0.5, State.MASS_DRIVE: 0.0, State.LOAD_DRIVE: 0.9}
+# Wind, traffic and slopes last longer than an interval: of so many in a row one counts.
+ALIKE = 3.0
+LOSS_SHOWN = 100.0  # s of a drive in which its offsets show a third of `LOSS_DRIVE`
 PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # that the prior of an offset counts as, and at most
-CLIMATE_NOISE, CLIMATE_TIME = 500.0, 600.0  # W and s: reported heating about its mean
 MOST_EVIDENCE = 1e15
 Seconds: TypeAlias = Annotated[float, Range(0.0, 1e9)]
 Celsius: TypeAlias = Annotated[float, Range(*TEMPERATURES)]
@@ -75,11 +83,9 @@ class CarState:
         scale: of the noise, by its kinds, shape (K, 3).
         offset_variance: of `OFFSETS` from drive to drive, shape (len(OFFSETS),).
         bands: how far predicted energies are to be trusted.
-        experts: whether something simpler predicts whole drives better.
         drives: how many `offset_variance` rests on.
         intervals: learned from in this drive.
         seconds: of this drive.
-        reports: whether the car reports its heating.
         celsius: temperature outside, the last known, or None.
         known: whether a drive was learned from before this one.
         last_drive: s of the drive before.
@@ -96,11 +102,9 @@ class CarState:
         np.ndarray, Range(-(MOST**2), MOST**2, shape=(len(OFFSETS),), by_state=True)
     ]
     bands: Bands = field(default_factory=Bands)
-    experts: Experts = field(default_factory=Experts.none)
     drives: Annotated[float, Range(PRIOR_DRIVES, DRIVES_KEPT)] = PRIOR_DRIVES
     intervals: Annotated[int, Range(0, 10**12)] = 0
     seconds: Seconds = 0.0
-    reports: bool = False
     celsius: Celsius | None = None
     known: bool = False
     last_drive: Seconds = 0.0
@@ -128,7 +132,9 @@ class CarState:
 
     def model(self, equation: Equation) -> CarModel:
         """The car as predictions from here on take it."""
-        mean, covariance = self.mixture()
+        whole = self.mixture()
+        mean, covariance = at_least_zero(whole, HEATING), whole.covariance
+        covariance[State.LOSS_DRIVE] *= math.exp(-self.seconds / LOSS_SHOWN)
         return CarModel(
             equation=equation,
             mean=mean,
@@ -139,9 +145,8 @@ class CarState:
             trust=self._trust(),
             seconds=self.seconds,
             celsius=self.celsius,
-            reports=self.reports,
             last_drive=self.last_drive,
-            experts=self.experts,
+            record=self.bands.record,
         )
 
     def _trust(self) -> float:
@@ -212,19 +217,11 @@ def passed(equation: Equation, interval: Interval, seconds: float) -> PassedInte
 def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[CarState, Learned]:
     """The state after an interval whose battery was measured, and its innovation."""
     interval, conditions = done.interval, done.interval.conditions
-    state = replace(
-        advance(state, interval.duration, unseen_of(interval)),
-        celsius=conditions.celsius,
-        reports=state.reports or conditions.load > 0.0,
-    )
+    state = advance(state, interval.duration, unseen_of(interval))
+    state = replace(state, celsius=conditions.celsius)
     if interval.steps.motor_known:
         rows = equation.motor_rows(interval.steps, conditions, done.warmth, done.wheels)
         state = see_motor(state, rows, speed_squared(interval.steps))
-    if state.reports and conditions.load_known:
-        row = np.zeros(SIZE)
-        for load, power in climate_powers(conditions.celsius, done.warmth).items():
-            row[load] = power
-        state = see_reported_climate(state, row, conditions.load, interval.duration)
     return condition(state, done.journey, interval.energy, _sampling_variance(state, done))
 
 
@@ -277,10 +274,11 @@ def condition(
     # The motor's energy holds the climb already, where it is known.
     climbs = 0.0 if journey.noise[2] else 1.0
     row[State.LOAD], row[State.LOAD_ENERGY], row[State.CLIMB] = 0.0, 1.0, climbs
+    row[State.LOSS_DRIVE] = 0.0  # in a drive it is none of the others: it counts for whole ones
     own = state.scale * journey.noise
-    noise = own.sum(1) + sampling
-    state, seen = _see(state, row, energy - state.mean @ row, noise)
-    state = _judge(state, seen, own)
+    noise, residual = own.sum(1) + sampling, energy - state.mean @ row
+    seen = gaussian.innovate(state.gaussian, row, residual, noise)
+    state = _judge(_see(state, row, residual, ALIKE * noise), seen, own)
     weights = state.weights
     mean = float(weights @ seen.residual)
     variance = float(weights @ (seen.variance + (seen.residual - mean) ** 2))
@@ -295,28 +293,15 @@ def see_motor(state: CarState, rows: np.ndarray, square: float) -> CarState:
     base = state.scale[:, 1] * unexplained(0.0, 0.0, square)[1]
     for row, share in zip(rows, (0.03, BRAKING_SHARE), strict=True):
         size = share * np.abs(row[State.MOTOR_DRIVE] - row[State.MOTOR_BRAKE])
-        state, _ = _see(state, row, -(state.mean @ row), base + size**2 + 1.0)
+        state = _see(state, row, -(state.mean @ row), base + size**2 + 1.0)
     return state
 
 
-def see_reported_climate(
-    state: CarState, row: np.ndarray, power: float, seconds: float
-) -> CarState:
-    """Learn from reported heating and cooling, W, how it goes with temperature.
-
-    `row` has `terms.climate_powers`, shape (SIZE,). Of so many seconds few are independent.
-    """
-    row = row.copy()
-    row[State.CLIMATE_DRIVE] = 1.0
-    noise = np.full(len(state.mean), CLIMATE_NOISE**2 * CLIMATE_TIME / seconds)
-    return _see(state, row, power - state.mean @ row, noise)[0]
-
-
-def begin_drive(state: CarState, equation: Equation, *, keep: float = DRIVE_KEPT) -> CarState:
+def begin_drive(state: CarState, equation: Equation, *, keep: float = 1.0) -> CarState:
     """Another drive: other offsets, of which some is as it was; the car has drifted a little.
 
-    `keep` is the share of the offsets that stays. Their variance is learned from the drive that
-    was (expectation maximisation with a prior of `PRIOR_DRIVES` drives).
+    `keep` is the share of `DRIVE_KEPT` that stays of the offsets. Their variance is learned from
+    the drive that was (expectation maximisation with a prior of `PRIOR_DRIVES` drives).
     """
     if not state.intervals:
         return forget_road(replace(state, seconds=0.0))
@@ -324,8 +309,8 @@ def begin_drive(state: CarState, equation: Equation, *, keep: float = DRIVE_KEPT
     squares = whole.mean[OFFSETS] ** 2 + whole.covariance[OFFSETS, OFFSETS]
     variance = (state.drives * state.offset_variance + squares) / (state.drives + 1.0)
     kept, fresh = np.ones(SIZE), np.zeros((len(state.mean), SIZE))
-    kept[OFFSETS] = keep
-    fresh[:, OFFSETS] = (1.0 - keep**2) * variance
+    kept[OFFSETS] = [keep * DRIVE_KEPT[offset] for offset in OFFSETS]
+    fresh[:, OFFSETS] = (1.0 - kept[OFFSETS] ** 2) * variance
     prior = np.repeat(np.diag(equation.covariance)[None], len(state.mean), axis=0)
     prior[:, WEIGHTS] = BANK[:, :1] ** 2
     fresh[:, LASTING] = DRIFT**2 * prior[:, LASTING]
@@ -352,13 +337,11 @@ def forget_present(state: CarState) -> CarState:
     return state.forgetting({State.LOAD_ENERGY: 0.0, State.CLIMB: 0.0})
 
 
-def _see(
-    state: CarState, row: np.ndarray, residual: np.ndarray, noise: np.ndarray
-) -> tuple[CarState, Innovation]:
+def _see(state: CarState, row: np.ndarray, residual: np.ndarray, noise: np.ndarray) -> CarState:
     """Condition every hypothesis on one measurement, beyond `OUTLIER` with a heavy tail."""
     seen = gaussian.innovate(state.gaussian, row, residual, noise)
     extra = gaussian.outlier_variance(seen, noise, OUTLIER)
-    return state.with_gaussian(gaussian.condition(state.gaussian, seen, extra)), seen
+    return state.with_gaussian(gaussian.condition(state.gaussian, seen, extra))
 
 
 def _judge(state: CarState, seen: Innovation, noise: np.ndarray) -> CarState:

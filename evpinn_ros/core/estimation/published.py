@@ -224,15 +224,6 @@ def _prior(state: CarState, equation: Equation) -> Gaussian:
     return replace(initial_state(equation), evidence=state.evidence).mixture()
 
 
-def mass_over_eta(state: CarState, equation: Equation, driven: Driven) -> tuple[float, float]:
-    """Logarithm of the published m / eta, kg, and its 1-sigma, to compare it with itself later."""
-    now = _pushed(state.mixture(), equation, driven, None)
-    direction = np.zeros(6)
-    direction[[MASS, ETA]] = 1.0, -1.0
-    variance = float(direction @ now.covariance @ direction)
-    return float(direction @ now.mean), math.sqrt(max(variance, 0.0))
-
-
 def evidence_of(state: CarState, equation: Equation, driven: Driven) -> Evidence:
     """Likelihood of the published parameters without their prior, in sigmas of the vehicle file.
 
@@ -275,6 +266,7 @@ def _linear(
     prior = equation.mean[State.ROLLING]
     tyres = driven.cold_tyres / max(driven.distance, 1.0)
     theta[1, TYRES] = prior * np.array([coldness(celsius), tyres, 1.0])
+    theta[1:3, State.MASS_DRIVE] = prior / equation.mean[State.MASS], 1.0
     drag, rolling, mass, back = (theta @ mean).tolist()
     drag, rolling, mass = (max(value, 1e-3) for value in (drag, rolling, mass))
     share = driven.braked_share(equation, np.array([drag, rolling, mass]))

@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.core.estimation.bands import Bands, PredictedEnergy
-from evpinn_ros.core.estimation.experts import WholeDrive
 from evpinn_ros.core.estimation.journey import NOWHERE, Journey
 from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.terms import Equation
@@ -73,18 +72,9 @@ class Rehearsals:
         The first one judges nothing that was learned.
         """
         before, journey, way, drawn = self.drive
-        if before.intervals or way < LEAST_DRIVE_METRES:
+        if before.intervals or not before.known or way < LEAST_DRIVE_METRES:
             return state
-        learned = before.model(equation)
-        file = replace(initial_state(equation).model(equation), growth=learned.growth)
-        drive = WholeDrive(
-            way,
-            drawn,
-            learned.predicted(journey) if before.known else None,
-            file.predicted(journey),
-            journey.row * (learned.mean - file.mean),
+        learned, file = (
+            car.model(equation).energy(journey) for car in (before, initial_state(equation))
         )
-        bands = state.bands
-        if before.known:
-            bands = bands.after_drive(learned.energy(journey), drawn)
-        return replace(state, bands=bands, experts=state.experts.after(drive))
+        return replace(state, bands=state.bands.after_drive(learned, file.mean, drawn))

@@ -19,7 +19,6 @@ import numpy as np
 from evpinn_ros.core.estimation.breakdown import Breakdowns
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.estimate import ParameterSet, PowerEstimate
-from evpinn_ros.core.estimation.experts import ENERGIES
 from evpinn_ros.core.estimation.learner import LearnerReport
 from evpinn_ros.core.estimation.posterior import initial_state
 from evpinn_ros.core.estimation.states import SIZE, State
@@ -101,7 +100,7 @@ class Similarity:
             equation=equation_of(self._vehicle, model.equation.seed),
             mean=self._states * model.mean,
             covariance=np.outer(self._states, self._states) * model.covariance,
-            experts=_scaled(model.experts, self.size, *ENERGIES),
+            record=_scaled(model.record, self.size, "measured", "learned", "file"),
         )
 
     def breakdowns(self, breakdowns: Breakdowns) -> Breakdowns:

@@ -53,15 +53,14 @@ MILD_CELSIUS = 20.0  # neither heated nor cooled
 TYRES_WARM, CABIN_WARM = 1200.0, 600.0  # s in which tyres and cabin get their temperature
 # s in which they lose it: before a test a passenger car's tyre stands for three hours (ISO 28580).
 COOLED = 3600.0
-CLIMATE = [
-    State.COLD, State.HOT, State.COLD_START, State.HOT_START,
-    State.REPORTED, State.CLIMATE_DRIVE,
-]  # fmt: skip
+HEATING = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]  # and cooling
+CLIMATE = [*HEATING, State.REPORTED]
 NETWORK_WEIGHTS = range(WEIGHTS.start, WEIGHTS.stop)
 EXPLAINED = [State.FORCE_SQUARED, *NETWORK_WEIGHTS]  # beside eq. 21
 STANDING_LOADS = [State.P_AUX, State.LOAD_DRIVE, State.LOAD]
 TYRES = [State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]  # of rolling
-WHEELS = [*PHYSICS, *TYRES]  # that the motor's energy stands in for
+LOAD = [State.MASS_DRIVE, State.LOSS_DRIVE]  # of one drive
+WHEELS = [*PHYSICS, *TYRES, *LOAD]  # that the motor's energy stands in for
 MOTOR = [State.MOTOR_DRIVE, State.MOTOR_BRAKE, State.MOTOR_RATIO]
 # What moving takes beside eq. 21: every state of the car that is in no other list.
 LISTED = {*WHEELS, *MOTOR, *CLIMATE, *STANDING_LOADS, State.ETA}
@@ -273,13 +272,16 @@ class Equation:
         """
         turns = numbers(wheels.speed > CREEPING, duration) * duration
         columns = dict(zip(PHYSICS, wheels.columns, strict=True))
-        prior = float(self.mean[State.ROLLING]) * columns[State.ROLLING]
+        mass, rolling = self.mean[[State.MASS, State.ROLLING]].tolist()
+        prior = rolling * columns[State.ROLLING]
         return columns | {
             State.FORCE_SQUARED: wheels.force**2 * turns,
             State.TURNING: turns * (0.5 + (0.5 / TURNING_SPEED) * wheels.speed),
             State.ROLLING_COLD: prior * cold,
             State.ROLLING_START: prior * tyres,
             State.ROLLING_DRIVE: prior,
+            State.MASS_DRIVE: columns[State.MASS] + prior * (1.0 / mass),  # tyres carry it too
+            State.LOSS_DRIVE: abs(wheels.energy) * wheels.gain,
         }
 
     def split(self, rows: np.ndarray, wheels: Wheels, cold: float, tyres: Any) -> np.ndarray:
@@ -303,8 +305,10 @@ class Equation:
         by_step[Part.TYRES, :, State.ROLLING_COLD] = rolling * cold
         by_step[Part.TYRES, :, State.ROLLING_START] = rolling * tyres
         by_step[Part.TYRES, :, State.ROLLING_DRIVE] = rolling
-        by_step[Part.SLOPE, :, State.MASS] = wheels.climb
-        by_step[Part.SPEED, :, State.MASS] = wheels.inertia
+        by_step[Part.TYRES, :, State.MASS_DRIVE] = rolling / float(self.mean[State.MASS])
+        for mass in (State.MASS, State.MASS_DRIVE):
+            by_step[Part.SLOPE, :, mass] = wheels.climb
+            by_step[Part.SPEED, :, mass] = wheels.inertia
         prior = np.zeros(SIZE)
         prior[PHYSICS[:3]] = self.mean[PHYSICS[:3]]
         by_step *= self.eta

@@ -109,9 +109,9 @@ BATTERY_REPEATS = Hysteresis(
 ONE_ALTITUDE = Hysteresis(  # even a flat road is not that level to the digit
     ALTITUDE_STUCK, "road since the altitude changed", "m", 1e3, 0.0, 0.0, "", "height is unknown"
 )
-ANOTHER_MASS = Hysteresis(
-    PAYLOAD, "likelihood ratio of another mass after a stop, as sigmas", "sigma",
-    4.8, NEVER, 70.0, "s of motion since the stop", "the other mass is that of the car",
+ANOTHER_LOAD = Hysteresis(
+    PAYLOAD, "difference of the load from that of the drive before", "sigma",
+    3.0, 2.0, 300.0, "s of the drive", "diagnostics report it",
 )  # fmt: skip
 FAR_FROM_PRIOR = Hysteresis(
     PARAMETER, "distance of a parameter from the vehicle file", "prior sigma",
@@ -120,5 +120,5 @@ FAR_FROM_PRIOR = Hysteresis(
 
 TABLE = (
     AGAINST_INERTIA, AGAINST_CHARGE, DRAWN_AT_REST, AGAINST_HILLS, FINE_SPEED, COARSE_SPEED,
-    FINE_DOUBT, COARSE_DOUBT, BATTERY_REPEATS, ONE_ALTITUDE, ANOTHER_MASS, FAR_FROM_PRIOR,
+    FINE_DOUBT, COARSE_DOUBT, BATTERY_REPEATS, ONE_ALTITUDE, ANOTHER_LOAD, FAR_FROM_PRIOR,
 )  # fmt: skip

@@ -1,7 +1,5 @@
 """A car as plans take it, against the posterior that it is made from."""
 
-from dataclasses import replace
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 
 from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import plan_from_speed_profile
-from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
+from evpinn_ros.core.energy.power_model import Weather
 from evpinn_ros.core.estimation.states import TABLE, WEIGHTS, State
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.vehicle.physics import GRAVITY
@@ -60,27 +58,6 @@ def test_the_table_of_the_network_is_as_good_as_the_network(seed):
     car = model.car
     gross = float(np.abs(model.rows(motion, MILD) @ car.mean).sum())
     assert looked_up @ car.mean == pytest.approx(exact @ car.mean, abs=1e-3 * gross)
-
-
-@pytest.mark.parametrize("along", [True, False])
-def test_heating_goes_on_as_in_this_drive_unless_the_planner_gives_it(along):
-    """A car that reports its heating takes 500 W more than its temperature makes likely."""
-    car, time = vehicle_model(CAR).car, np.arange(0.0, 600.0)
-    plan = plan_from_speed_profile(time, None, np.full(600, 15.0))
-    mean = car.mean.copy()
-    mean[State.CLIMATE_DRIVE] += 500.0
-
-    def energy(weather, mean, reports):
-        model = PowerModel(replace(car, mean=mean, reports=reports))
-        return forecast_plan(plan, model, weather, along=along).energy[-1]
-
-    for weather, reports, extra in (
-        (MILD, True, 500.0 * 599.0),
-        (MILD, False, 0.0),
-        (MILD._replace(heating=900.0), True, 0.0),
-    ):
-        more = energy(weather, mean, reports) - energy(weather, car.mean, reports)
-        assert more == pytest.approx(extra, abs=1e-3)
 
 
 def test_a_payload_is_lifted_through_the_losses_of_the_drivetrain():

@@ -55,7 +55,7 @@ def test_what_is_learned_can_be_saved_whatever_came(deviates):
     for deviate in deviates:
         energy = PredictedEnergy(0.0, 1e8, 1e9)
         bands = bands.after_dropout(energy, 1e4 * deviate, long=True).after_drive(
-            energy, 1e4 * deviate
+            energy, 0.0, 1e4 * deviate
         )
     for spread in (bands.dropout, bands.drive):
         assert 0.0 <= spread.cases <= CASES_KEPT and spread.squares >= 0.0
@@ -68,7 +68,7 @@ def test_dropouts_say_nothing_of_drives_nor_these_of_dropouts():
     energy = PredictedEnergy(0.0, 1e8, 0.0)
     dropout, drive = (
         Bands().after_dropout(energy, 1e5, long=True),
-        Bands().after_drive(energy, 1e5),
+        Bands().after_drive(energy, 0.0, 1e5),
     )
     assert dropout.drive == drive.dropout == Spread()
     assert dropout.dropout.cases == drive.drive.cases == 1.0

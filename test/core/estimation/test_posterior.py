@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.estimation import posterior
+from evpinn_ros.core.estimation.gaussian import Gaussian
 from evpinn_ros.core.estimation.journey import NOWHERE, Journey, noise_of, wandered
 from evpinn_ros.core.estimation.posterior import (
     BANK,
@@ -17,10 +18,9 @@ from evpinn_ros.core.estimation.posterior import (
     learn,
     passed,
     see_motor,
-    see_reported_climate,
 )
 from evpinn_ros.core.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
-from evpinn_ros.core.estimation.terms import Warmth, equation_of
+from evpinn_ros.core.estimation.terms import HEATING, Warmth, equation_of
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.physics import GRAVITY
@@ -64,6 +64,7 @@ def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
     start = state
     rows = rng.normal(size=(count, SIZE)) * np.sqrt(np.diag(EQUATION.covariance) + 1.0) * 10.0
     rows[:, State.LOAD :] = 0.0  # states of this moment: the journey puts them in
+    rows[:, State.LOSS_DRIVE] = 0.0  # which no interval shows
     rows[:, WEIGHTS] = rng.normal(size=(count, rows[:, WEIGHTS].shape[1])) * 1e3
     energy, sampling = rng.normal(size=count) * 1e5, 4e6
     for row, drawn in zip(rows, energy, strict=True):
@@ -83,7 +84,7 @@ def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
             load = [part * left for part in load] + shape[0].tolist()
             drawn[-1] += shape[1].tolist()
         parts = np.array([row + [0.0] * (len(drawn[-1]) - len(row)) for row in drawn])
-        covariance = parts @ parts.T + sampling * np.eye(count)
+        covariance = parts @ parts.T + posterior.ALIKE * sampling * np.eye(count)
         prior = start.covariance[k].copy()
         prior[State.LOAD, State.LOAD] = 0.0
         seen = rows @ prior @ rows.T + covariance
@@ -102,7 +103,8 @@ def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
 def test_another_drive_keeps_the_car_and_part_of_the_offsets(known):
     after = begin_drive(known, EQUATION)
     np.testing.assert_array_equal(after.mean[:, LASTING], known.mean[:, LASTING])
-    assert after.mean[:, OFFSETS] == pytest.approx(posterior.DRIVE_KEPT * known.mean[:, OFFSETS])
+    kept = [posterior.DRIVE_KEPT[offset] for offset in OFFSETS]
+    assert after.mean[:, OFFSETS] == pytest.approx(kept * known.mean[:, OFFSETS])
     grown = np.diagonal(after.covariance - known.covariance, axis1=1, axis2=2)[:, LASTING]
     assert (grown >= 0.0).all() and grown.max() > 0.0
     assert (after.seconds, after.intervals, after.last_drive) == (0.0, 0, known.seconds)
@@ -121,14 +123,24 @@ def test_how_drives_differ_is_learned_from_many(known):
     assert learned_std > 1000.0 > math.sqrt(known.offset_variance[index])
 
 
-def test_reported_heating_teaches_how_it_goes_with_temperature():
-    row = np.zeros(SIZE)
-    row[State.COLD] = 25.0  # K below a mild day
-    state = initial_state(EQUATION)
-    for _ in range(360):
-        state = see_reported_climate(state, row, 4000.0, 10.0)
-    mean = state.mixture().mean
-    assert 25.0 * mean[State.COLD] + mean[State.CLIMATE_DRIVE] == pytest.approx(4000.0, rel=0.05)
+def test_whatever_a_winter_taught_heating_is_never_below_zero(known):
+    """The likeliest car that heats: what is known of sums of states stays."""
+    mean, covariance = known.mean.copy(), known.covariance.copy()
+    mean[:, [State.COLD, State.HOT_START]] = -50.0, -10.0
+    covariance[:, State.COLD, State.LOAD_DRIVE] = covariance[:, State.LOAD_DRIVE, State.COLD] = 0.0
+    model = known.with_gaussian(Gaussian(mean, covariance)).model(EQUATION)
+    assert model.mean[HEATING].min() >= 0.0
+    unsure = known.with_gaussian(Gaussian(known.mean, known.covariance)).model(EQUATION)
+    assert unsure.mean[HEATING].min() >= 0.0
+
+
+def test_drives_differ_by_more_than_what_no_drive_showed(known):
+    """The share of a drive is in the 1-sigma of the next whole one, and fades in a drive."""
+    begun = begin_drive(known, EQUATION).model(EQUATION)
+    share = State.LOSS_DRIVE.std
+    assert begun.covariance[State.LOSS_DRIVE, State.LOSS_DRIVE] == pytest.approx(share**2)
+    later = known.model(EQUATION).covariance[State.LOSS_DRIVE, State.LOSS_DRIVE]
+    assert known.seconds > 100.0 and later < 0.4 * share**2
 
 
 def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town, known):

@@ -11,7 +11,6 @@ import pytest
 
 from evpinn_ros.common.saved_fields import StateError, plain, read
 from evpinn_ros.core.estimation.car import LearnedCar
-from evpinn_ros.core.estimation.payload import PayloadChange, SavedPayload
 from evpinn_ros.core.estimation.pinn import PinnLearner
 from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.published import UNNAMED
@@ -71,8 +70,6 @@ def with_states(saved: CarState, order: list[int | None]) -> CarState:
 def assert_same(state: CarState, other: CarState) -> None:
     for field in fields(CarState):
         values = getattr(state, field.name), getattr(other, field.name)
-        if field.name == "experts":
-            values = plain(values[0]), plain(values[1])
         np.testing.assert_equal(*values, err_msg=field.name)
 
 
@@ -88,9 +85,7 @@ def test_every_field_survives_the_file(learned, values):
 OF_THE_PROCESS = (
     *("equation", "dropout", "end_ns", "ended", "gated", "known_ns", "number", "parts"),
     *("rehearsals", "steps", "stretches"),
-    *("payload.trials", "payload.given_up", "payload.taken"),
 )
-OF_A_DRIVE = {f"payload.{name}" for name in ("found", "last_ns", "standing", "withdrawn")}
 
 
 def test_every_field_of_a_learned_car_is_saved_or_ends_with_the_process(learned_car):
@@ -100,14 +95,9 @@ def test_every_field_of_a_learned_car_is_saved_or_ends_with_the_process(learned_
         learner._car = car
         return repr(learner.export())
 
-    stop = {"before": 7.7, "mass": 2000.0, "change": 0.07}
-    change = read(PayloadChange, {"stamp_ns": 1, "delta_mass": 150.0, "std": 30.0})
-    watched = read(SavedPayload, {"chance": {}, "change": None, "found": {"stamp_ns": 1, **stop}})
-    payload = replace(learned_car.payload, change=change, watched=watched.found)
-    learned_car = replace(learned_car, payload=payload)
     before = saved(learned_car)
     kept = changes(learned_car, but=OF_THE_PROCESS)
-    assert {path for path, car in kept if saved(car) == before} == OF_A_DRIVE
+    assert not {path for path, car in kept if saved(car) == before}
 
 
 def test_every_field_of_a_learned_car_counts_in_predictions_or_is_of_learning(learned):

@@ -26,16 +26,6 @@ ACCOUNT = "account"
 WRONG = (1e300, -1e300, 10**400, math.nan, math.inf, "1", None, [], {}, [[1.0], [2.0, 3.0]], True)
 STAMP = 1_700_000_000 * NANOSECONDS
 CHANGE = {"stamp_ns": STAMP, "delta_mass": 150.0, "std": 30.0}
-FOUND = {
-    "stamp_ns": STAMP,
-    "before": 7.7,
-    "odds": 18.0,
-    "mass": 2000.0,
-    "motion": 300.0,
-    "change": 0.07,
-    "significance": 6.0,
-    "rival": False,
-}
 ROUTE = {
     "distance": [0.0, 1e4],
     "energy": [0.0, 6e6],
@@ -87,7 +77,8 @@ def new(vehicle):
 def states(new):
     """A full state of each: also with what is there only at times."""
     full = {mode: deepcopy(new(mode).export()) for mode in (*Mode, ACCOUNT)}
-    full[Mode.HYBRID]["learner"]["payload"].update(change=CHANGE, found=FOUND)
+    payload = {"change": CHANGE, "before": [80.0, 20.0], "begin_ns": STAMP}
+    full[Mode.HYBRID]["learner"]["payload"].update(payload)
     full[Mode.HYBRID]["learner"]["seen_ns"] = STAMP
     account = full[ACCOUNT]
     for gauge, capacity in ((account["charge"], 2e8), (account["battery"]["full_charge"], 5e5)):

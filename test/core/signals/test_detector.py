@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from evpinn_ros.core.estimation.payload import PayloadDetector
+from evpinn_ros.core.estimation.payload import Payload
 from evpinn_ros.core.signals.detector import AGAINST_INERTIA, TABLE, Detector
 from evpinn_ros.core.signals.height import AltitudeDetector
 from evpinn_ros.core.signals.sign_detectors import ChargeDetector, GradeDetector, SignDetector
@@ -32,7 +32,7 @@ def test_a_limit_is_none_of_its_own():
     "detector",
     [
         *(AltitudeDetector(), ChargeDetector(), GradeDetector()),
-        *(PayloadDetector(), SignDetector(), StuckDetector()),
+        *(Payload(), SignDetector(), StuckDetector()),
     ],
 )
 def test_of_nothing_nothing_is_learned(detector: Detector):
