@@ -406,7 +406,7 @@ def plan_parts(
 
 def is_steady(plan: Plan | Legs, steady: bool | None) -> bool:
     """True if the speeds of a plan are commanded: as asked, else as it says."""
-    return isinstance(plan, Plan) and plan.commanded if steady is None else steady
+    return plan.commanded if steady is None else steady
 
 
 def _sums(profiles: Profiles, model: PowerModel, density: float) -> tuple[Any, ...]:

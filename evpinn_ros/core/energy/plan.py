@@ -98,6 +98,7 @@ class Legs:
         duration: s, above 0.
         climb: m from its start to its end; 0 where unknown.
         height_known: True where `climb` is known.
+        commanded: as of a `Plan`.
 
     Raises:
         PlanError: the arrays are no legs.
@@ -107,9 +108,11 @@ class Legs:
     duration: np.ndarray
     climb: np.ndarray
     height_known: np.ndarray
+    commanded: bool = False
 
     def __post_init__(self) -> None:
-        shapes = {getattr(self, name).shape for name in self.__slots__}
+        columns = self.length, self.duration, self.climb, self.height_known
+        shapes = {column.shape for column in columns}
         if len(shapes) != 1 or len(self.length.shape) != 1 or not self.length.size:
             raise PlanError(f"legs need arrays of one length, shapes are {sorted(shapes)}")
         for name in ("length", "duration", "climb"):

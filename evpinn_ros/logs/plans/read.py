@@ -31,7 +31,7 @@ from evpinn_ros.core.signals.readings import (
 )
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.logs.formats import TABLE_SUFFIXES, TEXT_SUFFIXES, suffix_of
-from evpinn_ros.logs.plans.route import legs_of_route
+from evpinn_ros.logs.plans.route import KNOWN, legs_of_route
 from evpinn_ros.logs.plans.table import COLUMNS, table_plan, warn_of_unused
 from evpinn_ros.logs.plans.track import geojson_track, gpx_track, legs_of_track
 from evpinn_ros.logs.plans.way import plausible_heights
@@ -49,10 +49,6 @@ BLANK = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # before the first letter, marks of th
 TEXTS = {*TEXT_SUFFIXES, ".json"}  # whose content says whether they are a plan or a drive
 BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - TEXTS  # and logs of other forms than tables
 DAMAGED = (AttributeError, IndexError, OverflowError, RecursionError, TypeError, ValueError)
-KNOWN = (
-    "JSON of no known kind: known are GeoJSON and the answers of Valhalla, OSRM, GraphHopper and "
-    "openrouteservice, and drives that `evpinn replay` reads"
-)
 
 
 def read_plan(
@@ -124,7 +120,7 @@ def _json_plan(content: bytes) -> Legs:
         if (legs := legs_of_route(data)) is not None:
             return legs
         if "type" not in data:
-            raise PlanError(KNOWN)
+            raise PlanError(f"JSON of no known kind: {KNOWN}")
         return legs_of_track(geojson_track(data))
     except KeyError as error:
         raise PlanError(f"its JSON lacks {error}") from error

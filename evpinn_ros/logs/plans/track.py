@@ -8,14 +8,16 @@ as ISO 8601, s, or ms since 1970, and `speeds`, m/s.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import ParseError, XMLParser
 
 import numpy as np
 
 from evpinn_ros.common.optional import optional_imports
+from evpinn_ros.core.energy.driven import is_trace
 from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, sums
-from evpinn_ros.logs.plans.way import Heights, legs_between, way_length
+from evpinn_ros.logs.plans.way import Heights, legs_between, way_length, without_wander
 
 with optional_imports():
     import polars as pl
@@ -48,7 +50,10 @@ def legs_of_track(track: GeoTrack) -> Legs:
     place, time, speed, part = track
     if len(place) < 2:
         raise PlanError("it has no line of two points or more")
-    steps, timed = np.diff(way_length(*place[:, :2].T)), np.isfinite(time)
+    timed = np.isfinite(time)
+    place = place.copy()
+    place[timed, :2] = without_wander(place[timed, :2], time[timed])
+    steps = np.diff(way_length(*place[:, :2].T))
     apart = np.flatnonzero(np.diff(part))
     if timed.sum() > 1:
         apart, left_out = _pauses(time, apart)
@@ -57,7 +62,8 @@ def legs_of_track(track: GeoTrack) -> Legs:
     along = sums(steps)
     if timed.sum() > 1:
         along = along - along[timed.argmax()]
-        return legs_between(time[timed], along[timed], Heights(along, place[:, 2]))
+        legs = legs_between(time[timed], along[timed], Heights(along, place[:, 2]))
+        return replace(legs, commanded=is_trace(time[timed]))  # it was driven so
     if not np.isfinite(speed).all():
         raise PlanError(NEITHER)
     length, mean = np.diff(along), (speed[1:] + speed[:-1]) / 2
