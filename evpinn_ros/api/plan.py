@@ -19,7 +19,13 @@ from evpinn_ros.core.energy import edges as energy_edges
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, Uncertain
-from evpinn_ros.core.energy.forecast import Change, PlanBasis, PlannedEnergy, forecast_plan
+from evpinn_ros.core.energy.forecast import (
+    Change,
+    Forecast,
+    PlanBasis,
+    PlannedEnergy,
+    forecast_plan,
+)
 from evpinn_ros.core.energy.plan import UNSAID, Legs, Plan, PlanConditions, PlanError, points_of
 from evpinn_ros.core.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.core.estimation.terms import MILD_CELSIUS
@@ -29,6 +35,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TEMPERATURE_STEP = 10.0  # K, of `what_if`
+LONG_ENOUGH, FULL_STEPS = 3.0, 3000  # times the capacity, that empty any battery
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
 
 
@@ -111,7 +118,8 @@ def forecast(
     """
     given = PlanConditions(temperature_c, heating_w, head_wind, payload_kg)
     given = with_state(given, charge_pct, stood_h, prewarmed, steady)
-    _, trip, _, energies, charge, _ = planned_energy(plan, car, given, air_density)
+    planned = planned_energy(plan, car, given, air_density)
+    trip, energies, charge = planned.trip, planned.energies, planned.charge
     columns = {
         "distance_m": trip.distance,
         "speed_mps": trip.speed,
@@ -155,8 +163,21 @@ def planned_energy(
     given = as_plan(plan, vehicle)
     basis = basis_of(model, conditions, air_density)
     energies = forecast_plan(given, *basis)
-    along = battery.along(energies, conditions.charge_from(charge), gauge.capacity)
-    return PlannedEnergy(given, points_of(given), basis, energies, along, gauge)
+    course = battery.along(energies.on_curve, conditions.charge_from(charge), gauge.capacity)
+    full = _when_full(battery, energies, gauge.capacity)
+    return PlannedEnergy(given, points_of(given), basis, energies, course, full, gauge)
+
+
+def _when_full(battery: BatteryModel, energies: Forecast, capacity: Uncertain) -> Uncertain:
+    """Energy, J, that a full battery gives at the mean power of a plan until it is empty."""
+    power = float(energies.energy[-1] / (energies.time[-1] - energies.time[0]))
+    if not capacity.known or not power > 0.0:
+        return capacity
+    energy = np.linspace(0.0, LONG_ENOUGH * capacity.value, FULL_STEPS)
+    steps = Forecast(energy / power, energy, np.full_like(energy, power), np.zeros_like(energy))
+    charge, _ = battery.along(steps, Uncertain(1.0, 0.0), capacity)
+    given = float(np.interp(0.0, charge[::-1], energy[::-1]))
+    return Uncertain(given, capacity.sigma * given / capacity.value)
 
 
 def what_if(

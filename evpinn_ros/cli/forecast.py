@@ -150,7 +150,7 @@ def forecast(
         say(better)
     expected = _expected(given, forecasts[0].basis.model.car.celsius, shown)
     say(expected)
-    battery = "" if charge is None else _battery(forecasts[0].gauge)
+    battery = "" if charge is None else _battery(forecasts[0])
     if battery:
         say(battery)
     else:
@@ -189,15 +189,15 @@ def _expected(given: Any, known_celsius: float | None, units: Units) -> str:
     return f"Expected: {air}, {heating}, {wind}, {load}, {start}{cabin}."
 
 
-def _battery(gauge: Any) -> str:
-    if not gauge.capacity.known:
+def _battery(planned: Any) -> str:
+    if not planned.full.known:
         return (
             "The charge after a plan is unknown, because the capacity of the battery is unknown: "
             "write battery_capacity into the vehicle file, or replay a drive that uses 10 % of "
             "the charge."
         )
-    kwh, sigma = (joules / JOULES_PER_KWH for joules in gauge.capacity)
-    how = "as its drives showed" if gauge.learned else "by its vehicle file"
+    kwh, sigma = (joules / JOULES_PER_KWH for joules in planned.full)
+    how = "as its drives showed" if planned.gauge.learned else "by its vehicle file"
     return f"Battery: {kwh:.1f} +- {sigma:.1f} kWh when full, {how}."
 
 

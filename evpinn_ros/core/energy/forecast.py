@@ -66,11 +66,13 @@ class Curve(NamedTuple):
         time: s since the start.
         distance: m since the start.
         energy: J since the start.
+        sigma: 1-sigma of energy, J; NaN but at the end of a forecast without `along`.
     """
 
     time: np.ndarray
     distance: np.ndarray
     energy: np.ndarray
+    sigma: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +95,16 @@ class Forecast:
     sigma: np.ndarray
     end: PlanEnd = UNKNOWN_END
     curve: Curve | None = None
+
+    @property
+    def on_curve(self) -> Forecast:
+        """The forecast at the points of its curve, which are those of the road, not of a plan."""
+        if self.curve is None:
+            return self
+        time, _, energy, sigma = self.curve
+        power = np.diff(energy) / np.diff(time)
+        power = np.append(power, power[-1])
+        return Forecast(self.time[0] + time, energy, power, sigma, self.end, self.curve)
 
 
 class Air(NamedTuple):
@@ -162,8 +174,9 @@ class PlannedEnergy(NamedTuple):
         trip: its points.
         basis: the car and the conditions of the forecast.
         energies: along it.
-        charge: state of charge at each point, 0..1, and its 1-sigma, shape (2, n); NaN where
-            unknown, below 0 where the battery is empty before.
+        course: state of charge along the curve of these, 0..1, and its 1-sigma, shape (2, m); NaN
+            where unknown, below 0 where the battery is empty before.
+        full: energy that the full battery gives at the mean power of the plan, J.
         gauge: what is known of the battery.
     """
 
@@ -171,8 +184,15 @@ class PlannedEnergy(NamedTuple):
     trip: Plan
     basis: PlanBasis
     energies: Forecast
-    charge: np.ndarray
+    course: np.ndarray
+    full: Uncertain
     gauge: ChargeGauge
+
+    @property
+    def charge(self) -> np.ndarray:
+        """State of charge at each point of the trip, as `course` along it, shape (2, n)."""
+        times, curve = self.energies.time, self.energies.on_curve
+        return np.stack([np.interp(times, curve.time, column) for column in self.course])
 
     @property
     def uneven(self) -> float:
@@ -209,12 +229,12 @@ class PlannedEnergy(NamedTuple):
     @property
     def empty_at(self) -> float | None:
         """Distance at which the battery is empty, m; None if it lasts, or nothing is known."""
-        along, charge = self.trip.distance - self.trip.distance[0], self.charge[0]
-        if not (charge <= 0.0).any():
+        curve, charge = self.energies.curve, self.course[0]
+        if curve is None or not (charge <= 0.0).any():
             return None
         end = int((charge <= 0.0).argmax())
         here = slice(max(end - 1, 0), end + 1)
-        return float(np.interp(0.0, charge[here][::-1], along[here][::-1]))
+        return float(np.interp(0.0, charge[here][::-1], curve.distance[here][::-1]))
 
 
 class Change(NamedTuple):
@@ -331,15 +351,16 @@ def forecast_plan(
         rows = row[None]
     sums_of_row = (column[-len(rows) :] for column in (elapsed, noise, unseen, uneven))
     energy, sigma = model.predicted(rows, *sums_of_row)
-    possible = np.isfinite(sigma).all()
+    possible = bool(np.isfinite(sigma).all())
     if energies is not None:
         energy = np.cumsum(energies + beyond @ model.car.mean[UNEVEN_STATES])
         energy += model.car.mean[State.LOAD] * wandered(elapsed)[1]
         sigma = np.concatenate((np.full(len(energy) - 1, math.nan), sigma))
-    curve = Curve(course.time, course.distance, np.concatenate(([0.0], energy)))
+    energy, sigma = (np.concatenate(([0.0], column)) for column in (energy, sigma))
+    curve = Curve(course.time, course.distance, energy, sigma)
     time = np.append((points.time - points.time[0])[:-1], curve.time[-1])  # equal but for rounding
     energy = np.interp(time, curve.time, curve.energy)
-    sigma = np.interp(time, curve.time, np.concatenate(([0.0], sigma)))
+    sigma = np.interp(time, curve.time, curve.sigma)
     power = np.diff(energy) / np.diff(time)
     power = np.append(power, power[-1])
     if not (possible and np.isfinite(energy + power).all()):
