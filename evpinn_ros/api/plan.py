@@ -104,7 +104,7 @@ def forecast(
             added that is usual there; so it is by default, but for recorded drives, and for paths
             and trajectories that a controller follows. Points on a line between two others, and
             borders between legs of one speed, change nothing.
-        air_density: kg/m^3; if not given, that of the vehicle file, at `temperature_c` if given.
+        air_density: kg/m^3; if not given, that of the vehicle file at the temperature outside.
 
     Returns:
         One row for each point, by `t_s` since the first: the plan; power, W (with the acceleration
@@ -341,7 +341,7 @@ def edge_energies(
         head_wind: head wind on every edge, m/s over ground.
         payload_kg: people and luggage in addition to those when the car was learned, kg.
         steady: True if edges and routes are driven evenly.
-        air_density: kg/m^3; if not given, that of the vehicle file, at `temperature_c` if given.
+        air_density: kg/m^3; if not given, that of the vehicle file at the temperature outside.
 
     Raises:
         InputError: a column is missing, the vehicle does not exist, or an edge is impossible

@@ -141,7 +141,7 @@ class Result:
         """
         rows = [
             (*outcome.span, outcome.measured, outcome.forecast, outcome.sigma, outcome.covered)
-            for outcome in forecast_outcomes(self.replayed.drive, self.vehicle.air_density)
+            for outcome in forecast_outcomes(self.replayed.drive)
         ]
         return pandas().DataFrame(rows, columns=list(FORECAST_COLUMNS))
 

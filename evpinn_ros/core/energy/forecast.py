@@ -28,7 +28,6 @@ from evpinn_ros.core.estimation.states import SIZE, State
 from evpinn_ros.core.estimation.terms import COUNT, LOSSES, WHOLE, Part
 from evpinn_ros.core.estimation.unevenness import UNEVEN_STATES, size_of, sizes_of
 from evpinn_ros.core.signals.interval import Steps
-from evpinn_ros.core.signals.road import density_of_air
 from evpinn_ros.core.vehicle.files import Vehicle
 
 # m within which a trip turns away from where the car now points, and from the wind measured there
@@ -149,16 +148,15 @@ class PlanBasis(NamedTuple):
             model: of the car.
             given: what a planner expects.
             air: measured, for what is not given.
-            density: of the air, kg/m^3; None: by its temperature and pressure.
+            density: of the air, kg/m^3; None: by its temperature and pressure, wherever they come
+                from.
         """
         celsius = air.celsius if given.temperature is None else given.temperature
         head_wind, wind_length = given.head_wind, math.inf
         if head_wind is None:
             head_wind, wind_length = air.head, DIRECTION_LENGTH
         if density is None:
-            reference = model.car.equation.vehicle.air_density
-            outside = (math.nan if value is None else value for value in (celsius, air.pascal))
-            density = float(density_of_air(reference, *outside))
+            density = model.density(celsius, air.pascal)
         start = model.start(given.stood, given.prewarmed or 0.0)
         weather = Weather(density, celsius, given.heating, start)
         loaded = model.with_payload(given.payload or 0.0)
@@ -262,7 +260,7 @@ def forecast(
         profiles: what might be driven.
         vehicle: the car.
         model: what was learned of it, None for the vehicle file alone.
-        air_density: kg/m^3, None for the vehicle's.
+        air_density: kg/m^3, None for that at the temperature which the car knew last.
 
     Raises:
         PlanError: shapes do not fit, time does not rise, speed is negative or a number not finite.
@@ -274,7 +272,7 @@ def forecast(
             "or (batch, n), with n of 2 or more"
         )
     model = vehicle_model(vehicle) if model is None else model
-    density = vehicle.air_density if air_density is None else air_density
+    density = model.density() if air_density is None else air_density
     batch = max(1, min(TOGETHER, POINTS_TOGETHER // speed.shape[1]))
     parts = []
     for begin in range(0, len(speed), batch):
