@@ -51,6 +51,10 @@ class KnownCar(Protocol):
         """The car as it is known now."""
 
     @property
+    def next_model(self) -> PowerModel:
+        """The car as it begins its next drive."""
+
+    @property
     def account(self) -> EnergyAccount:
         """Its energy, with what is known of its battery."""
 
@@ -96,8 +100,9 @@ def forecast(
             makes likely.
         head_wind: head wind, m/s over ground.
         payload_kg: people and luggage in addition to those when the car was learned, kg.
-        stood_h: hours since the last drive, in which tyres and cabin cool down. If not given, they
-            are as at the end of that drive; of a car that was read from a file they are cold.
+        stood_h: hours since the last drive, in which tyres and cabin cool down: the plan is
+            another drive, as of a car that was read from a file. If not given, a `Result` or
+            `Estimator` in a drive goes on with it; others begin cold.
         prewarmed: True if the cabin was heated or cooled before the start, while plugged in.
         steady: True: speed is a straight line between points, and legs are driven evenly. False:
             for lines and legs of some seconds or more, the energy of speeding up and braking is
@@ -156,6 +161,8 @@ def planned_energy(
 ) -> PlannedEnergy:
     """The forecast as a value, with the arguments and errors of `forecast`."""
     vehicle, model, account = known_car(car)
+    if account is not None and conditions.stood is not None:  # it will be another drive
+        model = car.next_model
     battery, gauge = BatteryModel(math.nan), ChargeGauge(vehicle.battery_capacity)
     charge = UNKNOWN
     if account is not None:
