@@ -26,7 +26,15 @@ from evpinn_ros.core.energy.forecast import (
     PlannedEnergy,
     forecast_plan,
 )
-from evpinn_ros.core.energy.plan import UNSAID, Legs, Plan, PlanConditions, PlanError, points_of
+from evpinn_ros.core.energy.plan import (
+    CONDITION_RANGES,
+    UNSAID,
+    Legs,
+    Plan,
+    PlanConditions,
+    PlanError,
+    points_of,
+)
 from evpinn_ros.core.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.core.estimation.terms import MILD_CELSIUS
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
@@ -147,6 +155,10 @@ def with_state(
     steady: bool | None,
 ) -> PlanConditions:
     """Conditions with those of the car and of its driving, in the units of people."""
+    if charge_pct is not None and not 0.0 <= charge_pct <= 100.0:
+        raise PlanError(f"{charge_pct:g} is no state of charge, which is 0 to 100 percent")
+    if stood_h is not None and not 0.0 <= stood_h <= CONDITION_RANGES["stood"][1] / 3600.0:
+        raise PlanError(f"the car cannot have stood for {stood_h:g} h")
     return replace(
         given,
         charge=None if charge_pct is None else charge_pct / 100,

@@ -23,6 +23,7 @@ from evpinn_ros.core.energy.plan import (
     legs_of,
     legs_of_trip,
     plan_from_speed_profile,
+    refuse,
     sums,
 )
 from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of, to_floats
@@ -214,10 +215,11 @@ def _leg_numbers(
         duration = np.where(np.isnan(duration), length / speed, duration)
         length = np.where(np.isnan(length), speed * duration, length)
         apart = np.abs(np.log(length / (speed * duration))) > math.log(UNITS_APART)
-    if (wrong := apart & (length > LEAST_LENGTH)).any():
-        raise PlanError(
-            f"length, duration and speed contradict each other at leg {wrong.argmax()}"
-        )
+    apart &= length > LEAST_LENGTH
+    refuse(apart, "length, duration and speed contradict each other", "leg")
+    untimed = np.isnan(given.get("duration", unknown)) & (length > 0)
+    refuse(untimed & (speed == 0), "speed is 0", "leg")
+    refuse(untimed & (speed < 0), "speed is negative", "leg")
     if "end" in given and "start" in given:
         climb = np.where(np.isnan(climb), given["end"] - given["start"], climb)
     if "grade" in given:

@@ -16,7 +16,7 @@ import numpy as np
 
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.driven import is_trace
-from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, sums
+from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, refuse, sums
 from evpinn_ros.logs.plans.way import Heights, legs_between, way_length, without_wander
 
 with optional_imports():
@@ -67,8 +67,7 @@ def legs_of_track(track: GeoTrack) -> Legs:
     if not np.isfinite(speed).all():
         raise PlanError(NEITHER)
     length, mean = np.diff(along), (speed[1:] + speed[:-1]) / 2
-    if (stuck := (length > 0) & (mean <= 0)).any():
-        raise PlanError(f"it has no times, and its speed is 0 from point {stuck.argmax()} on")
+    refuse((length > 0) & (mean <= 0), "it has no times, and its speed is 0")
     elapsed = sums(length / np.where(length > 0, mean, 1.0))
     return legs_between(elapsed, along, Heights(along, place[:, 2]))
 

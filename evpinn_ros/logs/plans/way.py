@@ -7,7 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.core.energy.driven import road_height
-from evpinn_ros.core.energy.plan import LONGEST, MAX_SPEED, Legs, PlanError, legs_of_trip, sums
+from evpinn_ros.core.energy.plan import (
+    LONGEST,
+    MAX_SPEED,
+    Legs,
+    PlanError,
+    legs_of_trip,
+    refuse,
+    sums,
+)
 from evpinn_ros.core.signals.height import AltitudeDetector
 
 FARTHEST = MAX_SPEED * LONGEST  # m that a trip can be long
@@ -51,8 +59,7 @@ def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None
     steps = np.diff(time)
     if not (np.isfinite(time).all() and (np.abs(distance) <= FARTHEST).all()):
         raise PlanError(f"a time is not finite, or a distance is above {FARTHEST / 1e3:g} km")
-    if (steps < 0).any():
-        raise PlanError(f"time goes back at point {int(np.argmax(steps < 0)) + 1}")
+    refuse(steps < 0, "time goes back", after=1)
     kept = np.flatnonzero(np.concatenate(([True], steps > 0)))
     if len(kept) < 2:
         raise PlanError("it takes no time")

@@ -9,11 +9,17 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+import evpinn_ros as ev
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.core.energy.forecast import Air, PlanBasis, Profiles, forecast, forecast_plan
 from evpinn_ros.core.energy.forecaster import Basis, Forecaster
-from evpinn_ros.core.energy.plan import PlanConditions, Question, plan_from_speed_profile
+from evpinn_ros.core.energy.plan import (
+    PlanConditions,
+    PlanError,
+    Question,
+    plan_from_speed_profile,
+)
 from evpinn_ros.core.energy.power_model import CLIMATE_SHARE, PowerModel, vehicle_model
 from evpinn_ros.core.signals.readings import TemperatureReading, WindReading
 from evpinn_ros.core.vehicle.files import load_vehicle
@@ -201,3 +207,24 @@ def test_conditions_of_one_plan_go_before_those_of_all_and_the_answer_has_both()
     assert own.assumed == usual.assumed | {"heating": 0.0, "charge": 0.5}
     assert own.charge.known and not usual.charge.known
     assert ask().forecast.energy[-1] == usual.forecast.energy[-1] > own.forecast.energy[-1]
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"charge_pct": 180.0}, "180 is no state of charge, which is 0 to 100 percent"),
+        ({"charge_pct": -1.0}, "-1 is no state of charge"),
+        ({"stood_h": -2.0}, "the car cannot have stood for -2 h"),
+    ],
+)
+def test_what_people_give_is_refused_in_their_units(given, reason):
+    with pytest.raises(PlanError, match=reason):
+        ev.forecast({"length_km": [9], "speed_kmh": [50]}, "bmw_i3", **given)
+
+
+def test_a_share_that_is_none_is_named():
+    for name in ("charge", "prewarmed", "steady"):
+        with pytest.raises(PlanError, match=f"{name}: 180 is not a share"):
+            PlanConditions(**{name: 180.0})
+    with pytest.raises(PlanError, match="temperature is 99, not -60 to 60"):
+        PlanConditions(temperature=99.0)

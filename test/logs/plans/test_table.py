@@ -195,8 +195,15 @@ def test_a_leg_without_length_is_a_stop(read):
     ("table", "reason"),
     [
         ("length,duration_s\n1200,150\n", "column 'length' does not say its unit"),
+        ("length_km,speed_kmh\n1,50\n1,0\n", "speed is 0 at leg 2"),
+        ("length_km,speed_kmh\n1,-50\n1,30\n", "speed is negative at leg 1"),
+        (
+            "length_km,speed_kmh\n-1,50\n1,30\n",
+            "(length|duration) is (negative|not above 0) at leg 1",
+        ),
+        ("t_s,speed_mps\n0,0\n5,9\n5,9\n", "time does not rise at point 3"),
         ("length_m,duration_s\n1.2,150\n12,480\n", "lengths in m, durations in s"),
-        ("length_m,duration_s,speed_kmh\n12000,480,900\n", "contradict each other at leg 0"),
+        ("length_m,duration_s,speed_kmh\n12000,480,900\n", "contradict each other at leg 1"),
         (
             "length_m,duration_s\n900,sixty\n",
             "duration_s holds what is no number, 'sixty' in row 1",

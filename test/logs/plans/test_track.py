@@ -116,7 +116,7 @@ def test_with_speeds_no_times_are_needed(read):
         legs = read(track)
         assert legs.length == pytest.approx([400.0, 500.0], abs=0.01)
         assert legs.duration == pytest.approx([20.0, 20.0], abs=0.01)
-    with pytest.raises(PlanError, match="no times, and its speed is 0 from point 2 on"):
+    with pytest.raises(PlanError, match="no times, and its speed is 0 at point 3"):
         read(gpx(times=None, speeds=[10.0, 10.0, 0.0, 0.0, 0.0]))
 
 
@@ -141,7 +141,7 @@ def test_the_track_with_times_is_taken_where_a_route_stands_beside_it(read):
     ("track", "reason"),
     [
         (gpx(times=None), "neither times nor speeds"),
-        (gpx(CLOCK[::-1]), "time goes back at point 1"),
+        (gpx(CLOCK[::-1]), "time goes back at point 2"),
         (gpx(["soon"] * 5), "'soon' is no time of ISO 8601"),
         ('<!DOCTYPE gpx [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><gpx>&b;</gpx>', "DOCTYPE"),
         (geojson(times=SECONDS[1:]), "4 times for 5 points"),
