@@ -11,7 +11,7 @@ import evpinn_ros as ev
 from test.conftest import ROOT
 from test.logs.plans import samples
 from test.logs.plans.test_table import LEGS
-from test.logs.plans.test_track import gpx
+from test.logs.plans.test_track import CLOCK, gpx
 
 CAR = "tesla_model_3_lr"
 URBAN = ROOT / "bags" / "urban"
@@ -62,7 +62,7 @@ def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
     assert [round(row["distance_m"] / 100) for row in document] == [80, 162, 9, 80, 26]
     level = [line for line in ended.stdout.splitlines() if ": no heights" in line]
     named = {name for line in level for name in line.partition(":")[0].split(", ")}
-    names = [str(plan).rpartition("/")[2].partition(".")[0] for plan in plans]
+    names = [str(plan).rpartition("/")[2] for plan in plans]
     rows = zip(names, document, strict=True)
     assert named == {name for name, row in rows if row["without_height_m"]} == {"legs", "urban"}
     conditions = {"temperature_c": -10.0, "head_wind": 5.0, "charge_pct": 60.0}
@@ -136,3 +136,53 @@ def test_units_of_the_us_leave_nothing_metric_and_change_no_number(evpinn, folde
     assert rows["us"] == rows["metric"]
     miles = rows["us"][0]["distance_m"] / 1609.344
     assert f" {miles:.2f} " in ended.stdout and f"{miles:.1f} mi in" in page
+
+
+@pytest.mark.parametrize("speed", ["108km/h", "30 m/s", "108", "67.108mph"])
+def test_how_far_at_a_speed_with_a_charge_is_one_line(evpinn, tmp_path, speed):
+    """Where the battery is empty on a level road, with its band; any unit of speed."""
+    given = ("--vehicle", CAR, "--charge", 60, "--temperature", 0)
+    ended = evpinn("forecast", "--speed", speed, *given, "--json", "f.json", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    (line,) = (text for text in ended.stdout.splitlines() if "of charge last" in text)
+    place, low, high = map(float, re.findall(r"([\d.]+)(?: km:| and|\.$)", line))
+    road = {"length_km": [600.0], "speed_kmh": [108.0]}
+    along = ev.forecast(road, CAR, charge_pct=60.0, temperature_c=0.0, every_m=500.0)
+    charge, sigma = along["charge_pct"], 1.6449 * along["charge_sigma_pct"]
+    for shown, level in ((place, charge), (low, charge - sigma), (high, charge + sigma)):
+        assert shown == pytest.approx(np.interp(0.0, -level, along["distance_m"] / 1e3), abs=0.6)
+    (row,) = json.loads((tmp_path / "f.json").read_text())
+    assert row["distance_m"] == pytest.approx(1e3 * place, abs=600.0)
+    assert 3.6 * row["distance_m"] / row["duration_s"] == pytest.approx(108.0)
+
+
+@pytest.mark.parametrize("wrong", ["fast", "90 furlongs", "-3km/h", "0", "999km/h"])
+def test_a_speed_that_is_none_and_no_plan_at_all_are_refused(evpinn, tmp_path, wrong):
+    assert "say a speed with its unit" in evpinn("forecast", "--speed", wrong, cwd=tmp_path).stderr
+    assert "name a plan, or say --speed" in evpinn("forecast", cwd=tmp_path).stderr
+
+
+def test_a_track_without_times_takes_a_speed(evpinn, tmp_path):
+    """As the reference speed of other planners; times that are there stay."""
+    for name, times in (("bare", None), ("timed", CLOCK)):
+        (tmp_path / f"{name}.gpx").write_text(gpx(times=times))
+    refused = evpinn("forecast", "bare.gpx", cwd=tmp_path)
+    assert refused.returncode == 1 and "say --speed 90km/h" in refused.stderr
+    given = ("--speed", "36km/h", "--json", "f.json")
+    assert evpinn("forecast", "bare.gpx", "timed.gpx", *given, cwd=tmp_path).returncode == 0
+    bare, timed = json.loads((tmp_path / "f.json").read_text())
+    assert (bare["distance_m"], bare["duration_s"]) == pytest.approx((900.0, 90.0), rel=1e-4)
+    assert timed["duration_s"] == 105.0
+    python = ev.forecast(tmp_path / "bare.gpx", speed_kmh=36.0)
+    assert python["energy_j"].iloc[-1] == bare["energy_j"]
+
+
+def test_plans_are_named_with_their_suffix(evpinn, folder):
+    (folder / "t.csv").write_text(SLOW)
+    (folder / "t.gpx").write_text(gpx())
+    (folder / "again").mkdir()
+    (folder / "again" / "t.csv").write_text(SLOW)
+    shown = evpinn("forecast", "t.csv", "t.gpx", cwd=folder).stdout
+    assert re.search(r"^ t\.csv .*\n t\.gpx ", shown, re.M)
+    shown = evpinn("forecast", "t.csv", "again/t.csv", cwd=folder).stdout
+    assert "again/t.csv" in shown

@@ -22,6 +22,7 @@ from evpinn_ros.core.energy.charge import ChargeGauge, Uncertain
 from evpinn_ros.core.energy.course import Course, course_of
 from evpinn_ros.core.energy.plan import COLUMNS, Legs, Plan, PlanConditions, PlanError, points_of
 from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, Weather, vehicle_model
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.estimation.gaussian import Gaussian, at_least_zero, condition, innovate
 from evpinn_ros.core.estimation.journey import standing, wandered
 from evpinn_ros.core.estimation.states import SIZE, State
@@ -187,6 +188,21 @@ class PlannedEnergy(NamedTuple):
     gauge: ChargeGauge
 
     @property
+    def rows(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Times of the points, s, and by name, with its unit, what is known there."""
+        trip, energies, charge = self.trip, self.energies, 100.0 * self.charge
+        return energies.time, {
+            "distance_m": trip.distance,
+            "speed_mps": trip.speed,
+            "elevation_m": trip.elevation,
+            "power_w": energies.power,
+            "energy_j": energies.energy,
+            "sigma_j": energies.sigma,
+            "charge_pct": charge[0],
+            "charge_sigma_pct": charge[1],
+        }
+
+    @property
     def charge(self) -> np.ndarray:
         """State of charge at each point of the trip, as `course` along it, shape (2, n)."""
         times, curve = self.energies.time, self.energies.on_curve
@@ -227,7 +243,16 @@ class PlannedEnergy(NamedTuple):
     @property
     def empty_at(self) -> float | None:
         """Distance at which the battery is empty, m; None if it lasts, or nothing is known."""
-        curve, charge = self.energies.curve, self.course[0]
+        return self._empty(0.0)
+
+    @property
+    def empty_between(self) -> tuple[float | None, float | None]:
+        """The 90 % band of that, m; None for an end at which the battery lasts."""
+        return self._empty(-GAUSSIAN_QUANTILE), self._empty(GAUSSIAN_QUANTILE)
+
+    def _empty(self, sigmas: float) -> float | None:
+        """Distance at which the charge and so many of its sigmas are used up, m."""
+        curve, charge = self.energies.curve, self.course[0] + sigmas * self.course[1]
         if curve is None or not (charge <= 0.0).any():
             return None
         end = int((charge <= 0.0).argmax())

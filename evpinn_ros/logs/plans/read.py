@@ -77,14 +77,14 @@ def _plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan | Legs:
     is_json = suffix_of(path) == ".json"
     if begin == b"{" or (begin == b"[" and is_json):
         try:
-            return _json_plan(_whole(path, MOST_JSON))
+            return _json_plan(_whole(path, MOST_JSON), options.pace)
         except PlanError:
             if is_json:
                 with suppress(InputError):
                     return driven_plan(path, vehicle, options)
             raise
     if begin == b"<":
-        return legs_of_track(gpx_track(_whole(path, MOST_XML)))
+        return legs_of_track(gpx_track(_whole(path, MOST_XML)), options.pace)
     if is_bag(path):
         return planned_in_bag(path, vehicle) or driven_plan(path, vehicle, options)
     if not options.columns and (plan := table_plan(path)) is not None:
@@ -112,7 +112,7 @@ def _whole(path: Path, most: int) -> bytes:
     return content
 
 
-def _json_plan(content: bytes) -> Legs:
+def _json_plan(content: bytes, pace: float | None) -> Legs:
     if sum(map(content.count, (b",", b"[", b"{"))) > MOST_VALUES:
         raise PlanError(f"more than {MOST_VALUES} values, which no plan needs")
     try:
@@ -121,7 +121,7 @@ def _json_plan(content: bytes) -> Legs:
             return legs
         if "type" not in data:
             raise PlanError(f"JSON of no known kind: {KNOWN}")
-        return legs_of_track(geojson_track(data))
+        return legs_of_track(geojson_track(data), pace)
     except KeyError as error:
         raise PlanError(f"its JSON lacks {error}") from error
     except DAMAGED as error:

@@ -31,8 +31,8 @@ PIECE = 1 << 16  # bytes
 LEAST_GAP = 60.0  # s between two segments, as of a recorded drive; less is a loss of reception
 DEEPEST = 100  # elements in each other: the parser keeps each that is open
 NEITHER = (
-    "its points have neither times nor speeds: export it with times, or give the route as the "
-    "JSON of its service or as a table of legs"
+    "its points have neither times nor speeds: say --speed 90km/h (speed_kmh=90), export it with "
+    "times, or give the route as the JSON of its service or as a table of legs"
 )
 
 
@@ -45,8 +45,8 @@ class GeoTrack(NamedTuple):
     part: np.ndarray  # number of the segment or line of each, shape (n,); between two is no road
 
 
-def legs_of_track(track: GeoTrack) -> Legs:
-    """Legs between points with a time, or else by the speeds; PlanError without either."""
+def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
+    """Legs between points with a time, else by the speeds, else at a pace, m/s; or PlanError."""
     place, time, speed, part = track
     if len(place) < 2:
         raise PlanError("it has no line of two points or more")
@@ -59,6 +59,8 @@ def legs_of_track(track: GeoTrack) -> Legs:
         apart, left_out = _pauses(time, apart)
         time = time - left_out
     steps[apart] = 0.0
+    if pace is not None and not (timed.any() or np.isfinite(speed).any()):
+        speed = np.full_like(speed, pace)
     along = sums(steps)
     if timed.sum() > 1:
         along = along - along[timed.argmax()]

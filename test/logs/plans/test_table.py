@@ -242,3 +242,38 @@ def test_a_chosen_unit_holds_for_a_plan_of_our_names_too(tmp_path):
     (tmp_path / "plan.csv").write_text(SPEEDS)
     plan = read_plan(tmp_path / "plan.csv", None, ReadOptions(columns=("speed=speed_mps:km/h",)))
     assert plan.distance[-1] == pytest.approx(8050.0 / 3.6)
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [
+        {"length_km": [400.0], "speed_kmh": [90.0]},
+        {"length_km": [10, 0, 7.3], "duration_min": [9, 5, 8], "climb_m": [90, 0, -50]},
+        {"t_s": [0, 15, 400, 420], "speed_mps": [0, 20, 20, 0], "elevation_m": [0, 0, 60, 60]},
+    ],
+)
+@pytest.mark.parametrize("every", [250.0, 1000.0, 1e6])
+def test_rows_may_be_so_many_metres_apart(plan, every):
+    """Of the road, as a finer plan has them; the last is the end."""
+    rows = ev.forecast(plan, "bmw_i3", charge_pct=90.0, every_m=every)
+    whole = ev.forecast(plan, "bmw_i3", charge_pct=90.0)
+    assert rows.columns.tolist() == whole.columns.tolist()
+    kept = [name for name in rows if name != "power_w"]
+    assert rows[kept].iloc[-1].to_dict() | {"speed_mps": 0.0} == pytest.approx(
+        whole[kept].iloc[-1].to_dict() | {"speed_mps": 0.0}, rel=1e-9
+    )
+    steps = np.diff(rows["distance_m"])
+    assert steps[:-1] == pytest.approx(every) and 0.0 < steps[-1] <= every * (1.0 + 1e-6)
+    assert (np.diff(rows.index) > 0.0).all() and (np.diff(rows["energy_j"]) > -5e5).all()
+    if whole["distance_m"].iloc[-1] == 400e3 and every < 1e4:
+        cut = ev.forecast({"length_km": 40 * [10.0], "speed_kmh": 40 * [90.0]}, "bmw_i3",
+                          charge_pct=90.0)  # fmt: skip
+        at = rows.iloc[np.searchsorted(rows["distance_m"], cut["distance_m"] - 1e-3)]
+        for name in ("energy_j", "sigma_j", "charge_pct", "charge_sigma_pct"):
+            assert at[name].to_numpy() == pytest.approx(cut[name].to_numpy(), rel=1e-8, abs=1e-6)
+
+
+def test_rows_that_are_too_many_are_refused():
+    for every in (0.0, -1.0, 1e-3):
+        with pytest.raises(PlanError, match="at most 50000 rows"):
+            ev.forecast({"length_km": [400.0], "speed_kmh": [90.0]}, every_m=every)
