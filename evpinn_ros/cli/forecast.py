@@ -170,7 +170,7 @@ def forecast(
         say(better)
     expected = _expected(given, forecasts[0].basis.model.car.celsius, shown)
     say(expected)
-    battery = "" if charge is None else _battery(forecasts[0])
+    battery = "" if charge is None else _battery(forecasts[0], vehicle)
     if battery:
         say(battery)
     else:
@@ -258,15 +258,19 @@ def _expected(given: Any, known_celsius: float | None, units: Units) -> str:
     return f"Expected: {air}, {heating}, {wind}, {load}, {start}{cabin}."
 
 
-def _battery(planned: Any) -> str:
+def _battery(planned: Any, vehicle: str) -> str:
+    from evpinn_ros.core.vehicle.certified import certified_cars
+
     if not planned.full.known:
         return (
             "The charge after a plan is unknown, because the capacity of the battery is unknown: "
-            "write battery_capacity into the vehicle file, or replay a drive that uses 10 % of "
-            "the charge."
+            "write battery_capacity into the vehicle file (evpinn vehicles show prints one), or "
+            "replay a drive that uses 10 % of the charge."
         )
     kwh, sigma = (joules / JOULES_PER_KWH for joules in planned.full)
-    how = "as its drives showed" if planned.gauge.learned else "by its vehicle file"
+    certified = certified_cars().get(vehicle)
+    how = f"as {certified.pack_of} has it" if certified else "by its vehicle file"
+    how = "as its drives showed" if planned.gauge.learned else how
     return f"Battery: {kwh:.1f} +- {sigma:.1f} kWh when full, {how}."
 
 
