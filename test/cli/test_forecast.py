@@ -186,3 +186,36 @@ def test_plans_are_named_with_their_suffix(evpinn, folder):
     assert re.search(r"^ t\.csv .*\n t\.gpx ", shown, re.M)
     shown = evpinn("forecast", "t.csv", "again/t.csv", cwd=folder).stdout
     assert "again/t.csv" in shown
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_plan_cut_anywhere_takes_the_same_by_the_command(evpinn, folder, seed):
+    """Legs cut in parts of one speed and slope, and rows added on lines of speed."""
+    rng = np.random.default_rng(seed)
+    legs = rng.uniform((3.0, 40.0, -20.0), (60.0, 120.0, 90.0), (3, 3))
+    shares = [rng.dirichlet(np.ones(count)) for count in rng.integers(1, 25, 3)]
+    fine = [
+        (length * share, speed, climb * share)
+        for (length, speed, climb), cuts in zip(legs, shares, strict=True)
+        for share in cuts
+    ]
+    time = np.concatenate(([0.0], np.cumsum(rng.uniform(60.0, 2000.0, 4))))
+    speed = rng.uniform(0.0, 33.0, 5)
+    times = np.unique(np.concatenate((time, rng.uniform(0.0, time[-1], rng.integers(1, 900)))))
+    lines = (time, speed), (times, np.interp(times, time, speed))
+    plans = {"legs": (legs.tolist(), fine), "lines": [np.transpose(line) for line in lines]}
+    for kind, both in plans.items():
+        header = "length_km,speed_kmh,climb_m" if kind == "legs" else "t_s,speed_mps"
+        for name, rows in zip((f"{kind}.csv", f"cut_{kind}.csv"), both, strict=True):
+            text = [",".join(repr(float(value)) for value in row) for row in rows]
+            (folder / name).write_text("\n".join([header, *text]) + "\n")
+        given = ("--vehicle", CAR, "--state", "car.json", "--charge", 8, "--json", "f.json")
+        ended = evpinn("forecast", f"{kind}.csv", f"cut_{kind}.csv", *given, cwd=folder)
+        assert ended.returncode == 0, ended.stderr
+        whole, cut = json.loads((folder / "f.json").read_text())
+        for name in ("energy_j", "sigma_j", "duration_s", "distance_m", "uneven_j"):
+            assert cut[name] == pytest.approx(whole[name], rel=1e-9)
+        for name in ("charge_pct", "charge_sigma_pct", "empty_at_m"):
+            same = (cut[name], whole[name])
+            assert same == (None, None) or same[0] == pytest.approx(same[1], rel=1e-9, abs=1e-9)
+        assert abs(cut["more_than_first_j"]) < 1e-3
