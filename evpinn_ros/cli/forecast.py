@@ -137,15 +137,15 @@ def forecast(
     else:
         farthest = planned_energy(level_road(pace), car, given)
         name = f"{pace * shown.speeds:.4g} {shown.speed}"
-        trips = {name: level_road(pace, farthest.empty_at or SHOWN_ROAD)}
+        trips = [(name, level_road(pace, farthest.empty_at or SHOWN_ROAD))]
         how_far = _how_far(farthest, shown)
-    forecasts = [planned_energy(plan, car, given) for plan in trips.values()]
+    forecasts = [planned_energy(plan, car, given) for _, plan in trips]
     check_outputs((json_file, report))  # now that every file of the inputs was opened
     rows = [
         _figures(path, planned, forecasts[0])
-        for path, planned in zip(trips, forecasts, strict=True)
+        for (path, _), planned in zip(trips, forecasts, strict=True)
     ]
-    names = _names(paths) or [*trips]
+    names = _names(paths) or [name for name, _ in trips]
     rows[0] |= dict.fromkeys(ENERGIES[2:], math.nan)
     columns = _columns(shown, compared=len(rows) > 1)
     texts = [
@@ -188,15 +188,15 @@ def forecast(
         write_json(json_file, rows)
 
 
-def _read(paths: list[Path], vehicle: Any, options: ReadOptions) -> dict[str, Any]:
-    """The plans in files by their paths; what their readers warn of becomes notes."""
+def _read(paths: list[Path], vehicle: Any, options: ReadOptions) -> list[tuple[str, Any]]:
+    """The plans in files, with their paths; what their readers warn of becomes notes."""
     from evpinn_ros.logs.plans.read import read_plan
 
-    trips = {}
+    trips = []
     for path in paths:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always", UserWarning)
-            trips[str(path)] = read_plan(path, vehicle, options)
+            trips.append((str(path), read_plan(path, vehicle, options)))
         for warning in warned:
             if warning.category is UserWarning:
                 note(f"evpinn: {path}: {warning.message}")
@@ -216,9 +216,9 @@ def _metres_per_second(text: str, units: Units) -> float:
     from evpinn_ros.logs.quantities import QUANTITIES
 
     number, unit = re.findall(r"^\s*([\d.]*)\s*(.*?)\s*$", text)[0]
-    known = QUANTITIES["speed"].units
+    names = QUANTITIES["speed"].units
     with suppress(KeyError, ValueError):
-        factor = known[unit.lower()].factor if unit else 1.0 / units.speeds
+        factor = names[unit.lower()].factor if unit else 1.0 / units.speeds
         if 0.0 < (speed := float(number) * factor) <= MAX_SPEED:
             return speed
     raise typer.BadParameter(f"--speed {text}: say a speed with its unit, as 90km/h or 55mph")

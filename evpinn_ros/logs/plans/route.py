@@ -235,7 +235,7 @@ def _graphhopper(path: Json) -> Legs:
     made = path.get("instructions") or [path]
     environment = details.get("road_environment") or ()
     carriers = [span for span in environment if span[2] in CARRIERS]
-    carriers = carriers or [one["interval"] for one in made if one.get("sign") == FERRY_SIGN]
+    carriers = carriers or [part["interval"] for part in made if part.get("sign") == FERRY_SIGN]
     if line:
         line = line._replace(along=_as_instructed(line.along, made))
     if line and timed:

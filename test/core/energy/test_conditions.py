@@ -68,8 +68,8 @@ def test_one_temperature_gives_one_number_wherever_it_comes_from(celsius, heatin
         (unlike, replace(conditions, temperature=celsius), Air(celsius=-celsius)),
     )
     trips = [
-        forecast_plan(TRIP, *PlanBasis.of(PowerModel(each), said, air))
-        for each, said, air in cases
+        forecast_plan(TRIP, *PlanBasis.of(PowerModel(learned), said, air))
+        for learned, said, air in cases
     ]
     for trip in trips[1:]:
         assert (trip.energy == trips[0].energy).all() and (trip.sigma == trips[0].sigma).all()

@@ -157,7 +157,7 @@ def test_a_trace_takes_the_same_whatever_its_columns_are_called(read, grade, hea
     climb = np.sin(np.arctan(grade)) * way(300)
     assert plan.elevation[-1] - plan.elevation[0] == pytest.approx(climb, abs=5.0)
     exact = replace(plan, elevation=plan.distance * np.sin(np.arctan(grade)))
-    kwh = [ev.forecast(each, "bmw_i3")["energy_j"].iloc[-1] / 3.6e6 for each in (plan, exact)]
+    kwh = [ev.forecast(road, "bmw_i3")["energy_j"].iloc[-1] / 3.6e6 for road in (plan, exact)]
     assert kwh[0] == pytest.approx(kwh[1], abs=0.03)
 
 

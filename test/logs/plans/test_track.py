@@ -179,7 +179,7 @@ def test_a_receiver_that_stands_and_wanders_drives_nowhere(read, sigma, every, s
     drive = np.concatenate((ramp, np.full(600 // stands, 20.0), ramp[::-1]))
     stand = np.zeros(1200 // stands)
     speeds = np.concatenate([drive, *[part for _ in range(stands) for part in (stand, drive)]])
-    wandered, exact = (read(track_of(speeds, each, every)) for each in (sigma, 0.0))
+    wandered, exact = (read(track_of(speeds, noise, every)) for noise in (sigma, 0.0))
     assert exact.length.sum() == pytest.approx(speeds.sum(), rel=1e-3)
     assert wandered.length.sum() == pytest.approx(speeds.sum(), rel=0.012 + 0.002 * stands)
     assert wandered.commanded
