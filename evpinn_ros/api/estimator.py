@@ -179,6 +179,12 @@ class Estimator:
         return known_model(estimator.model(), estimator.parameters(), self.vehicle)
 
     @property
+    def next_model(self) -> PowerModel:
+        """The car as it begins its next drive, as the file has it that `save` writes now."""
+        estimator = self._car.at_next_drive()
+        return known_model(estimator.model(), estimator.parameters(), self.vehicle)
+
+    @property
     def account(self) -> EnergyAccount:
         """Energy counted so far, with what is known of the battery."""
         return self._chain.account

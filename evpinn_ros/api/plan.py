@@ -19,8 +19,25 @@ from evpinn_ros.core.energy import edges as energy_edges
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, Uncertain
-from evpinn_ros.core.energy.forecast import Change, PlanBasis, PlannedEnergy, forecast_plan
-from evpinn_ros.core.energy.plan import UNSAID, Legs, Plan, PlanConditions, PlanError, points_of
+from evpinn_ros.core.energy.forecast import (
+    Change,
+    Forecast,
+    PlanBasis,
+    PlannedEnergy,
+    forecast_plan,
+)
+from evpinn_ros.core.energy.plan import (
+    CONDITION_RANGES,
+    LONGEST,
+    MAX_POINTS,
+    UNSAID,
+    Legs,
+    Plan,
+    PlanConditions,
+    PlanError,
+    legs_of_trip,
+    points_of,
+)
 from evpinn_ros.core.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.core.estimation.terms import MILD_CELSIUS
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
@@ -29,6 +46,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TEMPERATURE_STEP = 10.0  # K, of `what_if`
+LONG_ENOUGH, FULL_STEPS = 3.0, 3000  # times the capacity, that empty any battery
+FARTHEST = 3e6  # m: no car gets farther
+CHARGES = ("charge_pct", "charge_sigma_pct")
+TINY = 1e-9  # of a step: rounding makes no row
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
 
 
@@ -42,6 +63,10 @@ class KnownCar(Protocol):
     @property
     def model(self) -> PowerModel:
         """The car as it is known now."""
+
+    @property
+    def next_model(self) -> PowerModel:
+        """The car as it begins its next drive."""
 
     @property
     def account(self) -> EnergyAccount:
@@ -61,6 +86,8 @@ def forecast(
     prewarmed: bool = False,
     steady: bool | None = None,
     air_density: float | None = None,
+    speed_kmh: float | None = None,
+    every_m: float | None = None,
 ) -> pd.DataFrame:
     """Energy that a plan will take, and the charge along it, each with 1-sigma.
 
@@ -89,15 +116,19 @@ def forecast(
             makes likely.
         head_wind: head wind, m/s over ground.
         payload_kg: people and luggage in addition to those when the car was learned, kg.
-        stood_h: hours since the last drive, in which tyres and cabin cool down. If not given, they
-            are as at the end of that drive; of a car that was read from a file they are cold.
+        stood_h: hours since the last drive, in which tyres and cabin cool down: the plan is
+            another drive, as of a car that was read from a file. If not given, a `Result` or
+            `Estimator` in a drive goes on with it; others begin cold.
         prewarmed: True if the cabin was heated or cooled before the start, while plugged in.
         steady: True: speed is a straight line between points, and legs are driven evenly. False:
             for lines and legs of some seconds or more, the energy of speeding up and braking is
             added that is usual there; so it is by default, but for recorded drives, and for paths
             and trajectories that a controller follows. Points on a line between two others, and
             borders between legs of one speed, change nothing.
-        air_density: kg/m^3; if not given, that of the vehicle file, at `temperature_c` if given.
+        air_density: kg/m^3; if not given, that of the vehicle file at the temperature outside.
+        speed_kmh: of a track in a file that has neither times nor speeds, km/h.
+        every_m: distance between the rows of the result, m; if not given, they are the points of
+            the plan.
 
     Returns:
         One row for each point, by `t_s` since the first: the plan; power, W (with the acceleration
@@ -111,19 +142,39 @@ def forecast(
     """
     given = PlanConditions(temperature_c, heating_w, head_wind, payload_kg)
     given = with_state(given, charge_pct, stood_h, prewarmed, steady)
-    _, trip, _, energies, charge, _ = planned_energy(plan, car, given, air_density)
-    columns = {
-        "distance_m": trip.distance,
-        "speed_mps": trip.speed,
-        "elevation_m": trip.elevation,
-        "power_w": energies.power,
-        "energy_j": energies.energy,
-        "sigma_j": energies.sigma,
-        "charge_pct": 100 * charge[0],
-        "charge_sigma_pct": 100 * charge[1],
-    }
+    plan = as_plan(plan, known_car(car)[0], speed_kmh)
+    planned = planned_energy(plan, car, given, air_density)
+    time, columns = planned.rows if every_m is None else _grid(planned, every_m)
     pd = pandas()
-    return pd.DataFrame(columns, index=pd.Index(energies.time, name="t_s"))
+    return pd.DataFrame(columns, index=pd.Index(time, name="t_s"))
+
+
+def _grid(planned: PlannedEnergy, every: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Times, s, and columns of a forecast at each so many m and at its end."""
+    whole = planned.energies.on_curve
+    if whole.curve is None or not whole.curve.distance[-1] > 0.0:
+        return planned.rows  # it stands
+    along, length = whole.curve.distance, float(whole.curve.distance[-1])
+    if not every > 0.0 or length > every * MAX_POINTS:
+        raise PlanError(f"every {every:g} m of {length:.0f} m: at most {MAX_POINTS} rows")
+    distance = np.append(np.arange(0.0, length - TINY * every, every), length)
+    # Where it stands, the row is of its arrival.
+    first = np.concatenate(([True], np.diff(along) > 0.0))
+    time = np.interp(distance, along[first], whole.time[first])
+    time[-1] = whole.time[-1]
+    points, columns = planned.rows
+    at = {name: np.interp(time, points, column) for name, column in columns.items()}
+    if isinstance(planned.given, Legs):  # whose speeds are means
+        leg = np.clip(np.searchsorted(points, time, "right") - 1, 0, len(points) - 2)
+        at["speed_mps"] = (planned.given.length / planned.given.duration)[leg]
+    at["distance_m"] = distance
+    for name, column in (("energy_j", whole.energy), ("sigma_j", whole.sigma)):
+        at[name] = np.interp(time, whole.time, column)
+    for name, column in zip(CHARGES, planned.course, strict=True):
+        at[name] = np.interp(time, whole.time, 100.0 * column)
+    power = np.diff(at["energy_j"]) / np.diff(time)
+    at["power_w"] = np.append(power, power[-1:])
+    return time, at
 
 
 def with_state(
@@ -134,6 +185,10 @@ def with_state(
     steady: bool | None,
 ) -> PlanConditions:
     """Conditions with those of the car and of its driving, in the units of people."""
+    if charge_pct is not None and not 0.0 <= charge_pct <= 100.0:
+        raise PlanError(f"{charge_pct:g} is no state of charge, which is 0 to 100 percent")
+    if stood_h is not None and not 0.0 <= stood_h <= CONDITION_RANGES["stood"][1] / 3600.0:
+        raise PlanError(f"the car cannot have stood for {stood_h:g} h")
     return replace(
         given,
         charge=None if charge_pct is None else charge_pct / 100,
@@ -148,6 +203,8 @@ def planned_energy(
 ) -> PlannedEnergy:
     """The forecast as a value, with the arguments and errors of `forecast`."""
     vehicle, model, account = known_car(car)
+    if account is not None and conditions.stood is not None:  # it will be another drive
+        model = car.next_model
     battery, gauge = BatteryModel(math.nan), ChargeGauge(vehicle.battery_capacity)
     charge = UNKNOWN
     if account is not None:
@@ -155,8 +212,27 @@ def planned_energy(
     given = as_plan(plan, vehicle)
     basis = basis_of(model, conditions, air_density)
     energies = forecast_plan(given, *basis)
-    along = battery.along(energies, conditions.charge_from(charge), gauge.capacity)
-    return PlannedEnergy(given, points_of(given), basis, energies, along, gauge)
+    course = battery.along(energies.on_curve, conditions.charge_from(charge), gauge.capacity)
+    full = _when_full(battery, energies, gauge.capacity)
+    return PlannedEnergy(given, points_of(given), basis, energies, course, full, gauge)
+
+
+def _when_full(battery: BatteryModel, energies: Forecast, capacity: Uncertain) -> Uncertain:
+    """Energy, J, that a full battery gives at the mean power of a plan until it is empty."""
+    power = float(energies.energy[-1] / (energies.time[-1] - energies.time[0]))
+    if not capacity.known or not power > 0.0:
+        return capacity
+    energy = np.linspace(0.0, LONG_ENOUGH * capacity.value, FULL_STEPS)
+    steps = Forecast(energy / power, energy, np.full_like(energy, power), np.zeros_like(energy))
+    charge, _ = battery.along(steps, Uncertain(1.0, 0.0), capacity)
+    given = float(np.interp(0.0, charge[::-1], energy[::-1]))
+    return Uncertain(given, capacity.sigma * given / capacity.value)
+
+
+def level_road(speed: float, length: float = FARTHEST) -> Legs:
+    """A level road of a length, m, or as long as one trip may last, at a mean speed, m/s."""
+    length = min(length, 0.9 * LONGEST * speed)
+    return legs_of_trip(np.array([length]), np.array([length / speed]))
 
 
 def what_if(
@@ -212,16 +288,18 @@ def basis_of(
     return basis
 
 
-def as_plan(plan: Any, vehicle: Vehicle) -> Plan | Legs:
-    """The plan of an argument `plan` of `forecast`, or its InputError."""
+def as_plan(plan: Any, vehicle: Vehicle, speed_kmh: float | None = None) -> Plan | Legs:
+    """The plan of arguments `plan` and `speed_kmh` of `forecast`, or its InputError."""
     if isinstance(plan, Plan | Legs):
         return plan
     # Here, for polars, which reads tables, takes a quarter of a second to import.
     from evpinn_ros.logs.plans.read import read_plan
     from evpinn_ros.logs.plans.table import plan_of_columns
+    from evpinn_ros.logs.read_options import ReadOptions
 
     if isinstance(plan, str | os.PathLike):
-        return read_plan(Path(plan), vehicle)
+        pace = None if speed_kmh is None else speed_kmh / 3.6
+        return read_plan(Path(plan), vehicle, ReadOptions(pace=pace))
     if _is_frame(plan) and plan.index.name == "t_s":
         plan = plan.reset_index()
     return plan_of_columns(columns_of(plan))
@@ -320,7 +398,7 @@ def edge_energies(
         head_wind: head wind on every edge, m/s over ground.
         payload_kg: people and luggage in addition to those when the car was learned, kg.
         steady: True if edges and routes are driven evenly.
-        air_density: kg/m^3; if not given, that of the vehicle file, at `temperature_c` if given.
+        air_density: kg/m^3; if not given, that of the vehicle file at the temperature outside.
 
     Raises:
         InputError: a column is missing, the vehicle does not exist, or an edge is impossible

@@ -156,8 +156,9 @@ def _opened(
 
 def _result(car: CarReplay, source: Source) -> Result:
     replayed = car.replay(source)
-    learned, account = car.chain.estimator.model(), deepcopy(car.chain.account)
-    return Result(replayed, car.vehicle, car.options, learned, account)
+    learned, rested = car.chain.estimator.model(), car.at_next_drive().model()
+    account = deepcopy(car.chain.account)
+    return Result(replayed, car.vehicle, car.options, learned, rested, account)
 
 
 def _path_of(drive: Any, folder: Path) -> Path:

@@ -45,6 +45,7 @@ class Result:
         vehicle: the vehicle of the drive.
         options: the options of the replay.
         car: the learned car at the end of the drive; None in mode paper.
+        rested: the same as it begins its next drive.
         account: energy counted until the end, with what is known about the battery.
     """
 
@@ -52,6 +53,7 @@ class Result:
     vehicle: Vehicle
     options: ReplayOptions
     car: CarModel | None
+    rested: CarModel | None
     account: EnergyAccount
 
     def __repr__(self) -> str:
@@ -141,7 +143,7 @@ class Result:
         """
         rows = [
             (*outcome.span, outcome.measured, outcome.forecast, outcome.sigma, outcome.covered)
-            for outcome in forecast_outcomes(self.replayed.drive, self.vehicle.air_density)
+            for outcome in forecast_outcomes(self.replayed.drive)
         ]
         return pandas().DataFrame(rows, columns=list(FORECAST_COLUMNS))
 
@@ -149,6 +151,11 @@ class Result:
     def model(self) -> PowerModel:
         """The learned car at the end of the drive, for `evpinn_ros.forecast`."""
         return known_model(self.car, self.replayed.drive.final, self.vehicle)
+
+    @property
+    def next_model(self) -> PowerModel:
+        """The learned car as it begins its next drive, as its state file has it."""
+        return known_model(self.rested, self.replayed.drive.final, self.vehicle)
 
     def write_report(self, path: str | os.PathLike[str]) -> None:
         """Write the report that `evpinn replay --report` writes: one HTML file, for a browser."""

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 import math
 from pathlib import Path
+import re
 from typing import Annotated, Any
 import warnings
 
@@ -20,22 +23,25 @@ from evpinn_ros.cli.options import (
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem, kwh_digits
 from evpinn_ros.common.writer import check_outputs
+from evpinn_ros.core.energy.plan import MAX_SPEED
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 
 MORE = "kWh more than the first"
-WIDE = 100  # characters of a table that compares
+SHOWN_ROAD = 100e3  # m, where nothing tells how far the car gets
+WIDE = 110  # characters of a table that compares
 ENERGIES = ("energy_j", "sigma_j", "more_than_first_j", "more_than_first_sigma_j")
 
 
 @with_read_options
 def forecast(
     plans: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             help="Plans: tables of speed over time or of legs, GPX, GeoJSON, the JSON of "
-            "Valhalla, OSRM, GraphHopper or openrouteservice, or recorded drives."
+            "Valhalla, OSRM, GraphHopper or openrouteservice, or recorded drives. Without any, "
+            "--speed and --charge say how far the car gets."
         ),
-    ],
+    ] = None,
     vehicle: Annotated[
         str | None,
         typer.Option(
@@ -59,6 +65,13 @@ def forecast(
             min=0.0,
             max=20e3,
             help="Power of heating and air conditioning, W; 0 means switched off.",
+        ),
+    ] = None,
+    speed: Annotated[
+        str | None,
+        typer.Option(
+            help="Speed on a track that has neither times nor speeds, as 90km/h or 55mph; without "
+            "a plan, on a level road.",
         ),
     ] = None,
     head_wind: Annotated[
@@ -102,41 +115,48 @@ def forecast(
     """
     # Here, for pandas takes longer to import than all else together.
     from evpinn_ros.api.estimator import Estimator
-    from evpinn_ros.api.plan import planned_energy, what_if, with_state
+    from evpinn_ros.api.plan import level_road, planned_energy, what_if, with_state
     from evpinn_ros.core.energy.plan import PlanConditions
     from evpinn_ros.core.estimation.state_file import vehicle_of
     from evpinn_ros.core.vehicle.files import load_vehicle
-    from evpinn_ros.logs.plans.read import read_plan
 
     if vehicle is None:
         vehicle = (None if state is None else vehicle_of(state)) or "generic"
-    check_outputs((json_file, report), (*plans, state, Path(vehicle)))
+    paths = plans or []
+    shown = units.units
+    pace = None if speed is None else _metres_per_second(speed, shown)
+    check_outputs((json_file, report), (*paths, state, Path(vehicle)))
     car = vehicle if state is None else Estimator(vehicle, state=state)
     given = PlanConditions(temperature, heating, head_wind, payload)
     given = with_state(given, charge, stood, prewarmed, steady)
-    planned_car = load_vehicle(vehicle)
-    shown = units.units
-    forecasts = []
-    for path in plans:
-        with warnings.catch_warnings(record=True) as warned:
-            warnings.simplefilter("always", UserWarning)
-            plan = read_plan(path, planned_car, read_options)
-        for warning in warned:
-            if warning.category is UserWarning:
-                note(f"evpinn: {path}: {warning.message}")
-        forecasts.append(planned_energy(plan, car, given))
+    how_far = ""
+    if paths:
+        trips = _read(paths, load_vehicle(vehicle), replace(read_options, pace=pace))
+    elif pace is None:
+        raise typer.BadParameter("name a plan, or say --speed and --charge")
+    else:
+        farthest = planned_energy(level_road(pace), car, given)
+        name = f"{pace * shown.speeds:.4g} {shown.speed}"
+        trips = [(name, level_road(pace, farthest.empty_at or SHOWN_ROAD))]
+        how_far = _how_far(farthest, shown)
+    forecasts = [planned_energy(plan, car, given) for _, plan in trips]
     check_outputs((json_file, report))  # now that every file of the inputs was opened
     rows = [
         _figures(path, planned, forecasts[0])
-        for path, planned in zip(plans, forecasts, strict=True)
+        for (path, _), planned in zip(trips, forecasts, strict=True)
     ]
+    names = _names(paths) or [name for name, _ in trips]
     rows[0] |= dict.fromkeys(ENERGIES[2:], math.nan)
     columns = _columns(shown, compared=len(rows) > 1)
-    texts = [_texts(row, shown)[: len(columns)] for row in rows]
+    texts = [
+        [name, *_texts(row, shown)][: len(columns)] for name, row in zip(names, rows, strict=True)
+    ]
     table = PlainTable("Forecast", columns, texts)
     show(table, at_least=WIDE if len(rows) > 1 else 0)
+    if how_far:
+        say(how_far)
     level: dict[str, list[str]] = {}
-    for planned, (name, *_) in zip(forecasts, texts, strict=True):
+    for planned, name in zip(forecasts, names, strict=True):
         if uneven := planned.uneven_part:
             say(f"{name}: {uneven}")
         if (text := planned.no_heights(shown)) is not None:
@@ -150,24 +170,73 @@ def forecast(
         say(record)
     expected = _expected(given, forecasts[0].basis.model.car.celsius, shown)
     say(expected)
-    battery = "" if charge is None else _battery(forecasts[0].gauge)
+    battery = "" if charge is None else _battery(forecasts[0], vehicle)
     if battery:
         say(battery)
     else:
         note("evpinn: add --charge PERCENT (at the start) to see the charge at the end")
     if report is not None:
-        from evpinn_ros.replays.drive_names import short_names
         from evpinn_ros.report.forecast_page import PlannedTrip, write_forecasts
 
-        names = short_names(plans)
-        trips = [
+        shown_trips = [
             PlannedTrip(name, planned, what_if(planned.given, car, given, shown))
             for name, planned in zip(names, forecasts, strict=True)
         ]
         assumed = " ".join(filter(None, (car_line, expected, battery)))
-        write_forecasts(report, trips, assumed, command_line(), shown)
+        write_forecasts(report, shown_trips, assumed, command_line(), shown)
     if json_file is not None:
         write_json(json_file, rows)
+
+
+def _read(paths: list[Path], vehicle: Any, options: ReadOptions) -> list[tuple[str, Any]]:
+    """The plans in files, with their paths; what their readers warn of becomes notes."""
+    from evpinn_ros.logs.plans.read import read_plan
+
+    trips = []
+    for path in paths:
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always", UserWarning)
+            trips.append((str(path), read_plan(path, vehicle, options)))
+        for warning in warned:
+            if warning.category is UserWarning:
+                note(f"evpinn: {path}: {warning.message}")
+    return trips
+
+
+def _names(paths: list[Path]) -> list[str]:
+    """Names of files with their suffix, and with folders where two would be alike."""
+    from evpinn_ros.replays.drive_names import short_names
+
+    names = [path.name for path in paths]
+    return names if len(set(names)) == len(names) else [*short_names(paths)]
+
+
+def _metres_per_second(text: str, units: Units) -> float:
+    """A speed with its unit, or in that of people."""
+    from evpinn_ros.logs.quantities import QUANTITIES
+
+    number, unit = re.findall(r"^\s*([\d.]*)\s*(.*?)\s*$", text)[0]
+    names = QUANTITIES["speed"].units
+    with suppress(KeyError, ValueError):
+        factor = names[unit.lower()].factor if unit else 1.0 / units.speeds
+        if 0.0 < (speed := float(number) * factor) <= MAX_SPEED:
+            return speed
+    raise typer.BadParameter(f"--speed {text}: say a speed with its unit, as 90km/h or 55mph")
+
+
+def _how_far(farthest: Any, units: Units) -> str:
+    """Sentence on where the battery is empty on a road that does not end; empty if unknown."""
+    if farthest.empty_at is None:
+        return ""
+    empty, *band = (
+        "unknown" if place is None else f"{place / units.metres:.0f}"
+        for place in (farthest.empty_at, *farthest.empty_between)
+    )
+    charge = 100.0 * farthest.charge[0, 0]
+    return (
+        f"{charge:.0f} % of charge last for {empty} {units.distance}: 9 times in 10 between "
+        f"{band[0]} and {band[1]}."
+    )
 
 
 def _expected(given: Any, known_celsius: float | None, units: Units) -> str:
@@ -189,24 +258,28 @@ def _expected(given: Any, known_celsius: float | None, units: Units) -> str:
     return f"Expected: {air}, {heating}, {wind}, {load}, {start}{cabin}."
 
 
-def _battery(gauge: Any) -> str:
-    if not gauge.capacity.known:
+def _battery(planned: Any, vehicle: str) -> str:
+    from evpinn_ros.core.vehicle.certified import certified_cars
+
+    if not planned.full.known:
         return (
             "The charge after a plan is unknown, because the capacity of the battery is unknown: "
-            "write battery_capacity into the vehicle file, or replay a drive that uses 10 % of "
-            "the charge."
+            "write battery_capacity into the vehicle file (evpinn vehicles show prints one), or "
+            "replay a drive that uses 10 % of the charge."
         )
-    kwh, sigma = (joules / JOULES_PER_KWH for joules in gauge.capacity)
-    how = "as its drives showed" if gauge.learned else "by its vehicle file"
+    kwh, sigma = (joules / JOULES_PER_KWH for joules in planned.full)
+    certified = certified_cars().get(vehicle)
+    how = f"as {certified.pack_of} has it" if certified else "by its vehicle file"
+    how = "as its drives showed" if planned.gauge.learned else how
     return f"Battery: {kwh:.1f} +- {sigma:.1f} kWh when full, {how}."
 
 
-def _figures(path: Path, planned: Any, first: Any) -> dict[str, Any]:
+def _figures(path: str, planned: Any, first: Any) -> dict[str, Any]:
     trip, energies = planned.trip, planned.energies
     more = planned.basis.model.difference(energies.end, first.energies.end)
     charge, charge_sigma = (100 * planned.charge[:, -1]).tolist()
     return {
-        "plan": str(path),
+        "plan": path,
         "distance_m": float(trip.distance[-1]),
         "duration_s": float(trip.time[-1]),
         "energy_j": float(energies.energy[-1]),
@@ -243,7 +316,6 @@ def _texts(row: dict[str, Any], units: Units) -> list[str]:
         charge = f"empty at {row['empty_at_m'] / units.metres:.1f} {units.distance}"
     digits = kwh_digits(kwh, 3)
     return [
-        Path(row["plan"].removesuffix(".gz")).stem,
         f"{distance:.2f}",
         f"{60 * hours:.1f}",
         f"{distance / hours:.0f}",

@@ -47,6 +47,12 @@ APPS = (
             "gnss_longitude": "rad",
         },
     ),
+    # SUMO's trajectories as its `xml2csv.py` writes them ("FCDOutput", sumo.dlr.de).
+    App(
+        ("timestep_time", "vehicle_speed"),
+        {"elevation": "vehicle_z"},
+        {"timestep_time": "s", "vehicle_speed": "m/s", "vehicle_slope": "deg", "vehicle_z": "m"},
+    ),
 )
 
 ANNOTATIONS = ("#group", "#datatype", "#default")  # of InfluxDB's columns, above their names

@@ -70,6 +70,8 @@ _PERCENT = {
     "percent": Unit(1.0),
     "fraction": Unit(100.0),
 }
+_GRADE = {text: Unit(0.01 * unit.factor) for text, unit in _PERCENT.items()}
+_GRADE |= {text: Unit(math.radians(unit.factor)) for text, unit in _DEGREES.items()}
 
 _BATTERY = (
     "battery,batt,bat,pack,hv,ht,traction,dc,total,v b,batterie,batteri,batterij,batería,batteria,"
@@ -147,6 +149,13 @@ QUANTITIES: Mapping[str, ColumnQuantity] = {
         better="v p",
         never="accuracy,error",
     ),
+    "grade": ColumnQuantity(
+        "grade_fraction",
+        "grade,gradient,slope,incline,inclination,steepness,steigung,pente,pendiente,pendenza",
+        _GRADE,
+        better="road",
+        never=_OTHERS + ",battery,accuracy,fuel,id,time,speed,elevation,length",
+    ),
     "latitude": ColumnQuantity("latitude", "latitude,lat", _DEGREES, never=_NO_PLACE),
     "longitude": ColumnQuantity("longitude", "longitude,long,lon,lng", _DEGREES, never=_NO_PLACE),
     "ambient": ColumnQuantity(
@@ -207,6 +216,7 @@ _ENGINE = "engine speed,engine rpm,ice rpm,ice speed,régime moteur,verbrenner d
 PLACES = ("latitude", "longitude")
 NEEDED = frozenset(("time", "speed", "voltage", "current", "power"))  # of these, or most
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
+ANGLES = frozenset(_DEGREES)  # units of a grade that is no tangent
 # In brackets behind a name, but no unit: where the number comes from.
 ONE_WORD = ("speed", "power")  # a name may be its unit alone
 WORSE = 100.0  # what a name that has a worse phrase is behind those without

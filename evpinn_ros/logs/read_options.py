@@ -23,6 +23,7 @@ class ReadOptions:
     car: str | None = None
     terrain: Terrain | None = None  # heights in place of recorded ones, where positions are known
     mounting: Rotation | None = None  # of a bag's IMU, see `topics.readings.grade_reading`
+    pace: float | None = None  # m/s, of a track that has neither times nor speeds
     battery: bool = True  # False for a table that needs no columns of a battery
 
 

@@ -13,6 +13,7 @@ from evpinn_ros.core.signals.readings import (
     AltitudeReading,
     AuxiliaryReading,
     BatteryReading,
+    GradeReading,
     MotorReading,
     Reading,
     SpeedReading,
@@ -164,6 +165,8 @@ class RowBlocks:
         if "elevation" in values:
             places = fields("elevation", "latitude", "longitude")
             yield AltitudeReading, told("elevation", "elevation"), places
+        if "grade" in values:
+            yield GradeReading, told("grade", "grade"), fields("grade")
         if "ambient" in values:
             yield TemperatureReading, told("ambient", "ambient"), fields("ambient")
         if values.keys() & {*LOADS}:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 import math
@@ -39,7 +39,14 @@ from evpinn_ros.logs.column import (
 )
 from evpinn_ros.logs.contradictions import contradictions, doubts
 from evpinn_ros.logs.numbers import filled, is_missing, to_floats
-from evpinn_ros.logs.quantities import NEEDED, PLACES, QUANTITIES, Unit, is_engine_speed
+from evpinn_ros.logs.quantities import (
+    ANGLES,
+    NEEDED,
+    PLACES,
+    QUANTITIES,
+    Unit,
+    is_engine_speed,
+)
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.rows_to_blocks import MOST, HeldSignals, RowBlocks, RowOrder
 from evpinn_ros.logs.signal import LEAST_EVENTS, Signal, last_known
@@ -114,7 +121,7 @@ class TableDrive(Source):
                 self._table = self._long = LongTable(self._table, self._head, places)
                 self._head = find_head(self._table)
             header = self._head.names
-            columns = columns_by_name(header, options.columns)
+            columns = self._named_columns(options)
             check_columns(columns, header, battery=options.battery)
             self._beside = power_beside(header, columns)
             engines = (place for place, name in enumerate(header) if is_engine_speed(name))
@@ -136,7 +143,7 @@ class TableDrive(Source):
             self._table = joined_table(self._table, self._head)
             survey = self._look_through(columns, limit)
         for is_useless in (lambda survey, column: column.place in survey.empty, _is_silent):
-            columns, survey = self._better(columns, survey, options.columns, is_useless, limit)
+            columns, survey = self._better(columns, survey, options, is_useless, limit)
         self._looked_at_all = survey.widths.total() < limit
         self._survey = survey
         self.clock, *clocks = self._clocks(columns, survey)
@@ -254,6 +261,15 @@ class TableDrive(Source):
             nothing = f"{self.path}: no reading in it; dropped: {reasons or 'nothing'}"
             raise InputError(self.first_bad or nothing)
 
+    def _named_columns(self, options: ReadOptions, empty: Collection[int] = ()) -> list[Column]:
+        """The columns of `columns_by_name`; a drive's slopes only where they are asked for."""
+        columns = columns_by_name(self._head.names, options.columns, empty)
+        return [
+            column
+            for column in columns
+            if column.quantity != "grade" or column.why == "as given" or not options.battery
+        ]
+
     def _look_through(self, columns: Sequence[Column], limit: int) -> Survey:
         return look_through(
             self._table,
@@ -271,7 +287,7 @@ class TableDrive(Source):
         self,
         columns: list[Column],
         survey: Survey,
-        chosen: Sequence[str],
+        options: ReadOptions,
         is_useless: Callable[[Survey, Column], bool],
         limit: int,
     ) -> tuple[list[Column], Survey]:
@@ -285,7 +301,7 @@ class TableDrive(Source):
             and is_useless(survey, column)
         }:
             useless |= places
-            others = columns_by_name(self._head.names, chosen, useless)
+            others = self._named_columns(options, useless)
             names = {column.quantity for column in others}
             lost = {column.quantity for column in columns} - names
             if lost & NEEDED and not is_complete(names):
@@ -384,6 +400,8 @@ class TableDrive(Source):
             values = net(values, to_floats(batch.cells(rule.back), self._survey.styles[rule.back]))
         values = np.where(np.abs(values) < MOST, values, math.nan)  # no factor makes it infinite
         values = rule.si(values)
+        if rule.quantity == "grade" and rule.unit not in ANGLES:
+            values = np.arctan(values)
         values[~(np.abs(values) < MOST)] = math.nan
         return values
 

@@ -42,6 +42,7 @@ HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
 BACKWARDS = 0.99  # of the speeds that are not zero
 SELDOM, OVERLAP = 0.02, 0.1  # share of the values, and of the larger of two
 KELVIN = 200.0  # from here on it is K
+STEEPEST, STEEPEST_MEAN = 0.4, 0.12  # fractions of roads and of trips: what has more is in percent
 ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
 RESOLUTIONS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.02, 0.01, 0.001)  # of a bus
 SPANS = sorted(step * 2.0**bits for step in RESOLUTIONS for bits in (16, 32))
@@ -246,7 +247,20 @@ def _temperature_unit(column: Column, values: FloatArray) -> Column:
     return column.in_unit("c", f"as its median is {middle:.3g}").guessed(("f",))
 
 
+def in_fractions(grades: FloatArray) -> bool:
+    """True if grades are fractions and not percent, by the steepest roads and trips."""
+    size = np.abs(grades)
+    return bool(size.max(initial=0.0) <= STEEPEST and size.sum() <= STEEPEST_MEAN * size.size)
+
+
+def _grade_unit(column: Column, values: FloatArray) -> Column:
+    texts = ("fraction", "percent", "deg")
+    text, *others = texts if in_fractions(values) else texts[1:]
+    return column.in_unit(text, "by its values").guessed(others)
+
+
 _BY_VALUES = {
+    "grade": _grade_unit,
     "voltage": _voltage_unit,
     "current": _current_unit,
     "power": _power_unit,

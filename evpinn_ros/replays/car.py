@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 import time
@@ -15,7 +16,7 @@ from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.meter import EnergyMeter
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.estimation.breakdown import EndedDrive
-from evpinn_ros.core.estimation.estimator import Mode, PaperOptimizer
+from evpinn_ros.core.estimation.estimator import Mode, OnlineEstimator, PaperOptimizer
 from evpinn_ros.core.estimation.state_file import Half, read_half, write_halves
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.time_jump import JumpPolicy
@@ -102,14 +103,20 @@ class CarReplay:
         of_all = estimator.breakdown(self._before)
         return breakdown_metrics(of_all, self._mode.value, mass.value)
 
+    def at_next_drive(self) -> OnlineEstimator:
+        """The estimator as it would begin the next drive now; the present drive goes on."""
+        estimator = deepcopy(self.chain.estimator)
+        estimator.begin_next_drive()
+        return estimator
+
     def write_state(self, path: Path) -> None:
-        """Write what was learned, and the account as it begins the next trip."""
+        """Write what was learned, and the account, as they begin the next drive."""
         account = EnergyAccount(
             EnergyMeter(load_rknn()), self.vehicle.key, self.vehicle.battery_capacity
         )
         account.take(self.chain.account.saved())
         account.begin_next_trip()
-        learned = self.chain.estimator.export()
+        learned = self.at_next_drive().export()
         write_halves(path, {Half.LEARNED: learned, Half.ENERGY: account.export()})
 
 

@@ -35,19 +35,16 @@ class ForecastOutcome(NamedTuple):
         return abs(self.forecast - self.measured) <= GAUSSIAN_QUANTILE * self.sigma
 
 
-def forecast_outcomes(drive: Drive, air_density: float) -> list[ForecastOutcome]:
+def forecast_outcomes(drive: Drive) -> list[ForecastOutcome]:
     """The drive from model to model, each part forecast by the model of its begin."""
     ends = [*(known.time for known in drive.models), drive.duration][1:]
     outcomes = (
-        forecast_outcome(drive, known, end, air_density)
-        for known, end in zip(drive.models, ends, strict=False)
+        forecast_outcome(drive, known, end) for known, end in zip(drive.models, ends, strict=False)
     )
     return [outcome for outcome in outcomes if outcome is not None]
 
 
-def forecast_outcome(
-    drive: Drive, known: KnownModel, end: float, air_density: float
-) -> ForecastOutcome | None:
+def forecast_outcome(drive: Drive, known: KnownModel, end: float) -> ForecastOutcome | None:
     """The drive up to `end`, s, forecast as a plan; None if short, charged or with gaps."""
     span = Span(known.time, end)
     speed = _inside(drive.speed, span)
@@ -61,7 +58,8 @@ def forecast_outcome(
     except PlanError:
         return None
     driven = Span(float(speed[0, 0]), float(speed[0, 0] + plan.time[-1]))
-    result = forecast_plan(plan, PowerModel(known.model), Weather(air_density))
+    model = PowerModel(known.model)
+    result = forecast_plan(plan, model, Weather(model.density()))
     measured = measured_energy(drive, [driven])
     return ForecastOutcome(span, measured, float(result.energy[-1]), float(result.sigma[-1]))
 

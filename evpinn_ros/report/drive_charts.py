@@ -173,7 +173,7 @@ def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units
     last = max([*((i + 1) * width for i in shown), SHOWN_SPEED * units.speeds])
     grid = np.arange(width, last + 1.0)
     car = known_model(drive.model, drive.final, vehicle)
-    middle, sigma = _steady_power(car, grid / units.speeds, vehicle.air_density)
+    middle, sigma = _steady_power(car, grid / units.speeds)
     middle, half = (joules / JOULES_PER_WH / (grid / 3600.0) for joules in (middle, sigma))
     half *= GAUSSIAN_QUANTILE
     return {
@@ -209,12 +209,10 @@ def running_totals(
     }
 
 
-def _steady_power(
-    car: PowerModel, speed: np.ndarray, air_density: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _steady_power(car: PowerModel, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Power on a flat road without wind and its 1-sigma, W, as of dropouts, shape (n,)."""
     steps = even_steps(np.ones_like(speed), speed, 0.0 * speed)
-    rows = car.rows(steps, Weather(air_density, start=WARM))
+    rows = car.rows(steps, Weather(car.density(), start=WARM))
     variance = car.car.trust * ((rows @ car.car.covariance) * rows).sum(-1)
     return rows @ car.car.mean, np.sqrt(variance)
 

@@ -167,7 +167,7 @@ def _drive(
     drive, metrics = reported.drive, reported.metrics
     events = drive_events(drive, reported.withheld_from)
     steps = travelled(drive), measured_steps(drive)
-    parts = forecast_outcomes(drive, reported.vehicle.air_density)
+    parts = forecast_outcomes(drive)
     moments = drive_maps.moments(drive)
     charts = dict(_curves(reported, steps[1], points, units))
     charts |= dict(_maps(reported, moments, units))

@@ -82,32 +82,36 @@ def _sentence(planned: PlannedEnergy, units: Units) -> str:
 
 
 def _curves(planned: PlannedEnergy, units: Units) -> Any:
-    trip, energies = planned.trip, planned.energies
+    trip = planned.trip
     shown = np.unique(np.linspace(0, len(trip.time) - 1, POINTS).round().astype(int))
     along = (trip.distance - trip.distance[0])[shown] / units.metres
-    charge, charge_sigma = 100 * planned.charge[:, shown]
-    energy, sigma = energies.energy[shown] / JOULES_PER_KWH, energies.sigma[shown] / JOULES_PER_KWH
-    has_charge = np.isfinite(charge).any()
-    lines = [
-        ("Charge of the battery, %", along, charge, charge_sigma, False)
-        if has_charge
-        else ("Energy since the start, kWh", along, energy, sigma, True),
-        (f"Speed, {units.speed}", *speed_along(planned, shown, units), None, True),
-        (
-            f"Height, {units.height}",
-            along,
-            trip.elevation[shown] / units.height_metres,
-            None,
-            False,
-        ),
-    ]
-    for title, where, values, spread, from_zero in lines:
-        if title.startswith("Height") and not np.ptp(values):
-            continue
-        half = None if spread is None else GAUSSIAN_QUANTILE * spread
-        drawn = curve(title, [Curve(where, values, half)], from_zero=from_zero)
-        if drawn is not None:
+    speed = Curve(*speed_along(planned, shown, units))
+    height = Curve(along, trip.elevation[shown] / units.height_metres)
+    lines = [_battery_along(planned, units), (f"Speed, {units.speed}", speed, True)]
+    if np.ptp(height.up):
+        lines.append((f"Height, {units.height}", height, False))
+    for title, line, from_zero in lines:
+        if (drawn := curve(title, [line], from_zero=from_zero)) is not None:
             yield drawn
+
+
+def _battery_along(planned: PlannedEnergy, units: Units) -> tuple[str, Curve, bool]:
+    """Charge of the battery along the way, or energy where it is unknown, as `_curves` has it."""
+    energies = planned.energies
+    course = energies.on_curve
+    shown = np.unique(np.linspace(0, len(course.time) - 1, POINTS).round().astype(int))
+    distance = planned.trip.distance if energies.curve is None else energies.curve.distance
+    along = (distance - distance[0])[shown] / units.metres
+    charge, half = 100 * planned.course[:, shown]
+    if np.isfinite(charge).any():
+        line = Curve(along, charge, GAUSSIAN_QUANTILE * half, (0.0, 100.0))
+        return "Charge of the battery, %", line, False
+    half = GAUSSIAN_QUANTILE * course.sigma[shown] / JOULES_PER_KWH
+    return (
+        "Energy since the start, kWh",
+        Curve(along, course.energy[shown] / JOULES_PER_KWH, half),
+        True,
+    )
 
 
 def speed_along(

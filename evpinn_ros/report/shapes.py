@@ -15,17 +15,25 @@ MOST_TICKS = 6
 
 
 class Curve(NamedTuple):
-    """A line, and half the height of the band around it, or None; shape (n,) each."""
+    """A line, and half the height of the band around it, or None; shape (n,) each.
+
+    Both end at `limits`.
+    """
 
     across: np.ndarray
     up: np.ndarray
     half: np.ndarray | None = None
+    limits: tuple[float, float] = (-math.inf, math.inf)
+
+    def at(self, sign: float) -> np.ndarray:
+        """The line (0), or the upper (1) or lower (-1) edge of its band."""
+        away = 0.0 if self.half is None else sign * self.half
+        return np.clip(self.up + away, *self.limits)
 
 
 def curve(title: str, lines: Sequence[Curve], *, from_zero: bool) -> dict[str, Any] | None:
     """Lines for the macro `curve`, or None; NaN is unknown, `from_zero`: the axis holds zero."""
-    spans = [line.up + sign * (0.0 if line.half is None else line.half)
-             for line in lines for sign in (-1.0, 1.0)]  # fmt: skip
+    spans = [line.at(sign) for line in lines for sign in (-1.0, 1.0)]
     finite = np.concatenate([span[np.isfinite(span)] for span in spans])
     if not len(finite):
         return None
@@ -34,7 +42,7 @@ def curve(title: str, lines: Sequence[Curve], *, from_zero: bool) -> dict[str, A
     up = ticks(min(0.0, low) if from_zero else low, high)
     return {
         "title": title,
-        "lines": [_points(line.across, line.up, across, up) for line in lines],
+        "lines": [_points(line.across, line.at(0.0), across, up) for line in lines],
         "bands": [_band(line, across, up) for line in lines],
         "across": [(f"{tick:g}", round(100 * _share(tick, across), 2)) for tick in across],
         "up": [(f"{tick:g}", round(100 * _share(tick, up), 2)) for tick in up],
@@ -57,8 +65,8 @@ def ticks(low: float, high: float) -> list[float]:
 def _band(line: Curve, across: Sequence[float], up: Sequence[float]) -> str:
     if line.half is None:
         return ""
-    there = _points(line.across, line.up + line.half, across, up)
-    back = _points(line.across[::-1], (line.up - line.half)[::-1], across, up)
+    there = _points(line.across, line.at(1.0), across, up)
+    back = _points(line.across[::-1], line.at(-1.0)[::-1], across, up)
     return f"{there} {back}"
 
 

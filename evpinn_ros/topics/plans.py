@@ -145,7 +145,7 @@ def speed_profile_plan(message: Any) -> Plan:
 
     def column(field: str, joint: str) -> np.ndarray:
         index, rows = names.index(joint), [getattr(point, field) for point in points]
-        for number, row in enumerate(rows):
+        for number, row in enumerate(rows, start=1):
             if len(row) <= index:
                 raise PlanError(f"{field} are missing at point {number}")
         return np.array([row[index] for row in rows])

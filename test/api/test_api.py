@@ -141,6 +141,29 @@ def test_samples_one_by_one_give_what_a_replay_gives(table, learned, tmp_path):
     assert again.parameters.loc["mass", "value"] == car.parameters.loc["mass", "value"]
 
 
+@pytest.mark.parametrize("seconds", [140, 187])
+def test_a_live_car_and_its_file_give_one_energy_and_one_sigma(tmp_path, seconds):
+    """Of another drive; the file is of the car with all that it was given, not of before."""
+    live = ev.Estimator("bmw_i3")
+    for second in range(seconds):
+        speed = 14.0 + 8.0 * np.sin(second / 4)
+        watts = 12e3 + 3000.0 * speed * np.cos(second / 4)
+        live.add(second, speed, 350.0, watts / 350.0, ambient_c=-5.0)
+    live.save(tmp_path / "car.json")
+    saved = ev.Estimator("bmw_i3", state=tmp_path / "car.json")
+    plan = {"length_km": [50.0], "speed_kmh": [90.0]}
+    conditions = ({}, {"temperature_c": -5.0}, {"heating_w": 500.0})
+    for given in conditions:
+        rested = [ev.forecast(plan, car, stood_h=2.0, **given) for car in (live, saved)]
+        pd.testing.assert_frame_equal(*rested, check_exact=True)
+        in_drive = ev.forecast(plan, live, **given)
+        assert in_drive["sigma_j"].iloc[-1] != rested[0]["sigma_j"].iloc[-1]
+    live.begin_next_drive()
+    for given in conditions:
+        both = (ev.forecast(plan, car, **given) for car in (live, saved))
+        pd.testing.assert_frame_equal(*both, check_exact=True)
+
+
 def test_a_state_that_is_not_there_is_an_error_and_no_new_car():
     """A name with a slip of the pen would begin at the vehicle's priors, and say nothing."""
     with pytest.raises(ev.InputError, match=r"typo\.json: no such file"):

@@ -11,7 +11,7 @@ import evpinn_ros as ev
 from test.conftest import ROOT
 from test.logs.plans import samples
 from test.logs.plans.test_table import LEGS
-from test.logs.plans.test_track import gpx
+from test.logs.plans.test_track import CLOCK, gpx
 
 CAR = "tesla_model_3_lr"
 URBAN = ROOT / "bags" / "urban"
@@ -62,9 +62,11 @@ def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
     assert [round(row["distance_m"] / 100) for row in document] == [80, 162, 9, 80, 26]
     level = [line for line in ended.stdout.splitlines() if ": no heights" in line]
     named = {name for line in level for name in line.partition(":")[0].split(", ")}
-    names = [str(plan).rpartition("/")[2].partition(".")[0] for plan in plans]
+    names = [str(plan).rpartition("/")[2] for plan in plans]
     rows = zip(names, document, strict=True)
-    assert named == {name for name, row in rows if row["without_height_m"]} == {"legs", "urban"}
+    assert (
+        named == {name for name, row in rows if row["without_height_m"]} == {"legs.csv", "urban"}
+    )
     conditions = {"temperature_c": -10.0, "head_wind": 5.0, "charge_pct": 60.0}
     for row in document:
         end = ev.forecast(folder / row["plan"], CAR, **conditions).iloc[-1]
@@ -75,7 +77,10 @@ def test_plans_of_every_kind_stand_in_one_table(evpinn, folder):
 
 def test_a_battery_that_does_not_last_is_told_with_its_place(evpinn, folder):
     ended = evpinn("forecast", "slow.csv", "--vehicle", CAR, "--charge", 1, cwd=folder)
-    along = ev.forecast(folder / "slow.csv", CAR, charge_pct=1.0)
+    time = np.arange(421.0)  # with a point each second its lines are the same
+    lines = pd.read_csv(folder / "slow.csv").set_index("t_s")
+    fine = {name: np.interp(time, lines.index, column) for name, column in lines.items()}
+    along = ev.forecast({"t_s": time, **fine}, CAR, charge_pct=1.0)
     place = np.interp(0.0, -along["charge_pct"], along["distance_m"]) / 1e3
     assert 1.0 < place < 7.0 and f"empty at {place:.1f} km" in ended.stdout
     assert "by its vehicle file alone" in ended.stdout
@@ -98,7 +103,8 @@ def test_the_battery_is_that_of_the_state_once_drives_have_shown_it(evpinn, tmp_
     assert evpinn(
         "forecast", "slow.csv", "--vehicle", "bmw_i3", *given[2:], cwd=tmp_path
     ).returncode
-    assert f"Battery: {held:.1f} +- " in ended.stdout and "as its drives showed" in ended.stdout
+    (full,) = re.findall(r"Battery: ([\d.]+) \+- .* when full, as its drives", ended.stdout)
+    assert float(full) == pytest.approx(held, rel=0.01)  # at the power of this plan
     unknown = evpinn("forecast", "slow.csv", "--vehicle", "generic", "--charge", 80, cwd=tmp_path)
     assert "the capacity of the battery" in unknown.stdout
 
@@ -132,3 +138,88 @@ def test_units_of_the_us_leave_nothing_metric_and_change_no_number(evpinn, folde
     assert rows["us"] == rows["metric"]
     miles = rows["us"][0]["distance_m"] / 1609.344
     assert f" {miles:.2f} " in ended.stdout and f"{miles:.1f} mi in" in page
+
+
+@pytest.mark.parametrize("speed", ["108km/h", "30 m/s", "108", "67.108mph"])
+def test_how_far_at_a_speed_with_a_charge_is_one_line(evpinn, tmp_path, speed):
+    """Where the battery is empty on a level road, with its band; any unit of speed."""
+    given = ("--vehicle", CAR, "--charge", 60, "--temperature", 0)
+    ended = evpinn("forecast", "--speed", speed, *given, "--json", "f.json", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    (line,) = (text for text in ended.stdout.splitlines() if "of charge last" in text)
+    place, low, high = map(float, re.findall(r"([\d.]+)(?: km:| and|\.$)", line))
+    road = {"length_km": [600.0], "speed_kmh": [108.0]}
+    along = ev.forecast(road, CAR, charge_pct=60.0, temperature_c=0.0, every_m=500.0)
+    charge, sigma = along["charge_pct"], 1.6449 * along["charge_sigma_pct"]
+    for shown, level in ((place, charge), (low, charge - sigma), (high, charge + sigma)):
+        assert shown == pytest.approx(np.interp(0.0, -level, along["distance_m"] / 1e3), abs=0.6)
+    (row,) = json.loads((tmp_path / "f.json").read_text())
+    assert row["distance_m"] == pytest.approx(1e3 * place, abs=600.0)
+    assert 3.6 * row["distance_m"] / row["duration_s"] == pytest.approx(108.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("wrong", ["fast", "90 furlongs", "-3km/h", "0", "999km/h"])
+def test_a_speed_that_is_none_and_no_plan_at_all_are_refused(evpinn, tmp_path, wrong):
+    assert "say a speed with its unit" in evpinn("forecast", "--speed", wrong, cwd=tmp_path).stderr
+    assert "name a plan, or say --speed" in evpinn("forecast", cwd=tmp_path).stderr
+
+
+def test_a_track_without_times_takes_a_speed(evpinn, tmp_path):
+    """As the reference speed of other planners; times that are there stay."""
+    for name, times in (("bare", None), ("timed", CLOCK)):
+        (tmp_path / f"{name}.gpx").write_text(gpx(times=times))
+    refused = evpinn("forecast", "bare.gpx", cwd=tmp_path)
+    assert refused.returncode == 1 and "say --speed 90km/h" in refused.stderr
+    given = ("--speed", "36km/h", "--json", "f.json")
+    assert evpinn("forecast", "bare.gpx", "timed.gpx", *given, cwd=tmp_path).returncode == 0
+    bare, timed = json.loads((tmp_path / "f.json").read_text())
+    assert (bare["distance_m"], bare["duration_s"]) == pytest.approx((900.0, 90.0), rel=1e-4)
+    assert timed["duration_s"] == 105.0
+    python = ev.forecast(tmp_path / "bare.gpx", speed_kmh=36.0)
+    assert python["energy_j"].iloc[-1] == bare["energy_j"]
+
+
+def test_plans_are_named_with_their_suffix(evpinn, folder):
+    (folder / "t.csv").write_text(SLOW)
+    (folder / "t.gpx").write_text(gpx())
+    (folder / "again").mkdir()
+    (folder / "again" / "t.csv").write_text(SLOW)
+    shown = evpinn("forecast", "t.csv", "t.gpx", cwd=folder).stdout
+    assert re.search(r"^ t\.csv .*\n t\.gpx ", shown, re.M)
+    shown = evpinn("forecast", "t.csv", "again/t.csv", cwd=folder).stdout
+    assert "again/t.csv" in shown
+    twice = evpinn("forecast", "t.csv", "t.csv", "--json", "f.json", cwd=folder)
+    assert twice.returncode == 0 and len(json.loads((folder / "f.json").read_text())) == 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_plan_cut_anywhere_takes_the_same_by_the_command(evpinn, folder, seed):
+    """Legs cut in parts of one speed and slope, and rows added on lines of speed."""
+    rng = np.random.default_rng(seed)
+    legs = rng.uniform((3.0, 40.0, -20.0), (60.0, 120.0, 90.0), (3, 3))
+    shares = [rng.dirichlet(np.ones(count)) for count in rng.integers(1, 25, 3)]
+    fine = [
+        (length * share, speed, climb * share)
+        for (length, speed, climb), cuts in zip(legs, shares, strict=True)
+        for share in cuts
+    ]
+    time = np.concatenate(([0.0], np.cumsum(rng.uniform(60.0, 2000.0, 4))))
+    speed = rng.uniform(0.0, 33.0, 5)
+    times = np.unique(np.concatenate((time, rng.uniform(0.0, time[-1], rng.integers(1, 900)))))
+    lines = (time, speed), (times, np.interp(times, time, speed))
+    plans = {"legs": (legs.tolist(), fine), "lines": [np.transpose(line) for line in lines]}
+    for kind, both in plans.items():
+        header = "length_km,speed_kmh,climb_m" if kind == "legs" else "t_s,speed_mps"
+        for name, rows in zip((f"{kind}.csv", f"cut_{kind}.csv"), both, strict=True):
+            text = [",".join(repr(float(value)) for value in row) for row in rows]
+            (folder / name).write_text("\n".join([header, *text]) + "\n")
+        given = ("--vehicle", CAR, "--state", "car.json", "--charge", 8, "--json", "f.json")
+        ended = evpinn("forecast", f"{kind}.csv", f"cut_{kind}.csv", *given, cwd=folder)
+        assert ended.returncode == 0, ended.stderr
+        whole, cut = json.loads((folder / "f.json").read_text())
+        for name in ("energy_j", "sigma_j", "duration_s", "distance_m", "uneven_j"):
+            assert cut[name] == pytest.approx(whole[name], rel=1e-9)
+        for name in ("charge_pct", "charge_sigma_pct", "empty_at_m"):
+            same = (cut[name], whole[name])
+            assert same == (None, None) or same[0] == pytest.approx(same[1], rel=1e-9, abs=1e-9)
+        assert abs(cut["more_than_first_j"]) < 1e-3

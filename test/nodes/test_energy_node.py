@@ -213,7 +213,7 @@ def no_speed():
 
 REFUSED = (
     (topics.SPEED_PROFILE, no_distance(), "no joint 'distance' in this profile"),
-    (topics.SPEED_PROFILE, no_speed(), "velocities are missing at point 2"),
+    (topics.SPEED_PROFILE, no_speed(), "velocities are missing at point 3"),
     (topics.SPEED_PROFILE, profile(), "needs at least two points"),
     (topics.PLAN, path((0.0, 0.0, 0.0), (math.inf, 0.0, 0.0)), "x is not finite"),
 )

@@ -25,16 +25,14 @@ def drive(readings, vehicle):
     return history.drive()
 
 
-def test_each_part_is_forecast_by_the_model_of_its_begin(drive, vehicle):
+def test_each_part_is_forecast_by_the_model_of_its_begin(drive):
     first = drive.models[0].model
     halved = replace(first, mean=0.5 * first.mean)
     half = drive.duration / 2
     models = (drive.models[0], KnownModel(half, halved))
-    parts = forecast_outcomes(replace(drive, models=models), vehicle.air_density)
-    whole = forecast_outcomes(replace(drive, models=(drive.models[0],)), vehicle.air_density)
-    again = forecast_outcomes(
-        replace(drive, models=(drive.models[0], KnownModel(half, first))), vehicle.air_density
-    )
+    parts = forecast_outcomes(replace(drive, models=models))
+    whole = forecast_outcomes(replace(drive, models=(drive.models[0],)))
+    again = forecast_outcomes(replace(drive, models=(drive.models[0], KnownModel(half, first))))
     assert [part.span.begin for part in parts] == [0.0, half]
     assert parts[0] == again[0]
     assert parts[1].forecast == pytest.approx(again[1].forecast / 2)
@@ -43,20 +41,20 @@ def test_each_part_is_forecast_by_the_model_of_its_begin(drive, vehicle):
 
 
 @pytest.mark.parametrize("series", ["speed", "measured"])
-def test_a_part_with_a_gap_is_not_compared(drive, vehicle, series):
+def test_a_part_with_a_gap_is_not_compared(drive, series):
     rows = getattr(drive, series)
     gappy = replace(drive, **{series: rows[np.abs(rows[:, 0] - 50.0) > 2.0]})
-    assert forecast_outcomes(gappy, vehicle.air_density) == []
+    assert forecast_outcomes(gappy) == []
 
 
-def test_slow_readings_have_no_gap_and_a_charger_is_in_no_plan(drive, vehicle):
+def test_slow_readings_have_no_gap_and_a_charger_is_in_no_plan(drive):
     """A row every four seconds, as an app logs; then the same with the car plugged in."""
     slow = replace(drive, speed=drive.speed[::40], measured=drive.measured[::40])
-    (part,) = forecast_outcomes(slow, vehicle.air_density)
+    (part,) = forecast_outcomes(slow)
     assert part.covered
     speed, power = slow.speed.copy(), slow.measured.copy()
     speed[-5:, 1], power[-5:, 1] = 0.0, -7000.0
-    assert forecast_outcomes(replace(slow, speed=speed, measured=power), vehicle.air_density) == []
+    assert forecast_outcomes(replace(slow, speed=speed, measured=power)) == []
 
 
 def test_a_plan_climbs_as_its_altitudes_do():

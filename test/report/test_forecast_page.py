@@ -1,17 +1,25 @@
 """The page of `evpinn forecast --report`, and what its figures are made of."""
 
 from dataclasses import replace
+from functools import cache
+import math
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+import evpinn_ros as ev
 from evpinn_ros.api.plan import planned_energy, what_if
 from evpinn_ros.common.units import METRIC
+from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import forecast_plan, plan_parts
+from evpinn_ros.core.energy.forecaster import Forecaster
 from evpinn_ros.core.energy.plan import Legs, PlanConditions, legs_of_trip, plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.terms import WHOLE, Part
-from evpinn_ros.report.forecast_page import _sentence
+from evpinn_ros.core.vehicle.files import load_vehicle
+from evpinn_ros.report.forecast_page import _curves, _sentence
 
 TIME = np.arange(0.0, 601.0, 2.0)
 SPEED = np.minimum(20.0, np.minimum(TIME, 600.0 - TIME)) * (1.0 + 0.1 * np.sin(TIME / 20.0))
@@ -86,13 +94,82 @@ def test_faster_takes_more_and_less_time_and_colder_takes_more():
 @pytest.mark.parametrize("charge", [0.05, 0.03, 0.01])
 def test_the_battery_is_empty_where_its_energy_is_used_up_and_the_page_says_it(charge):
     """Wherever the points lie."""
-    given = PlanConditions(charge=charge)
     coarse = legs_of_trip(np.array([40e3, 10e3]), np.array([1800.0, 600.0]))
-    planned = planned_energy(coarse, "bmw_i3", given)
-    energy, distance = planned.energies.energy, planned.trip.distance
-    where = float(np.interp(charge * planned.gauge.capacity.value, energy, distance))
+    planned = planned_energy(coarse, "bmw_i3", PlanConditions(charge=charge))
+    curve = planned.energies.curve
+    where = float(np.interp(charge * planned.gauge.capacity.value, curve.energy, curve.distance))
     assert 0.0 < where < 40e3 and planned.empty_at == pytest.approx(where)
     assert f"empty after {where / 1e3:.1f} km" in _sentence(planned, METRIC)
     assert planned_energy(coarse, "bmw_i3", PlanConditions(charge=0.0)).empty_at == 0.0
     assert planned_energy(coarse, "bmw_i3", PlanConditions(charge=1.0)).empty_at is None
     assert planned_energy(coarse, "bmw_i3").empty_at is None
+
+
+@cache
+def drained_car():
+    """A car whose battery learned its voltage and capacity from 95 % down by a seventh."""
+    car = ev.Estimator("bmw_i3")
+    charge = 0.95
+    for second in range(500):
+        current = 70.0 + 60.0 * math.sin(second / 17.0)
+        voltage = 372.0 + 55.0 * (charge - 0.5) - 0.17 * current
+        car.add(float(second), 15.0, voltage, current, soc_pct=100.0 * charge)
+        charge -= current / (62.0 * 3600.0)
+    assert car.account.battery.known and car.account.gauge.learned
+    return car
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(1, 60),
+    st.floats(0.03, 1.0),
+    st.sampled_from([0.0, 0.01, -0.004]),
+    st.booleans(),
+)
+def test_charge_and_where_the_battery_is_empty_are_of_the_road_not_of_the_points(
+    parts, charge, slope, learned
+):
+    """A capacity of energy, or a curved charge whose percents take less the emptier it is."""
+    car = drained_car() if learned else "bmw_i3"
+    legs = [
+        legs_of_trip(np.full(n, 400e3 / n), np.full(n, 16e3 / n), np.full(n, 400e3 / n * slope))
+        for n in (1, parts)
+    ]
+    trips = [planned_energy(plan, car, PlanConditions(charge=charge)) for plan in legs]
+    whole, cut = ([trip.empty_at, *trip.charge[:, -1]] for trip in trips)
+    assert cut == pytest.approx(whole, rel=1e-9)
+    assert 0.0 < whole[0] < 400e3
+
+
+@pytest.mark.parametrize("kmh", [50.0, 90.0, 130.0])
+def test_a_full_battery_gives_what_is_used_when_it_is_empty(kmh):
+    """The energy when full that the command names is that at which the way ends."""
+    legs = legs_of_trip(np.array([600e3]), np.array([600e3 / kmh * 3.6]))
+    planned = planned_energy(legs, drained_car(), PlanConditions(charge=1.0))
+    curve = planned.energies.curve
+    used = np.interp(planned.empty_at, curve.distance, curve.energy)
+    assert used == pytest.approx(planned.full.value, rel=0.01)
+
+
+def test_the_charge_on_the_page_ends_at_zero():
+    legs = legs_of_trip(np.array([400e3]), np.array([16e3]))
+    planned = planned_energy(legs, "bmw_i3", PlanConditions(charge=0.8))
+    charge, *_ = _curves(planned, METRIC)
+    ticks = [float(text) for text, _ in charge["up"]]
+    assert charge["title"].startswith("Charge") and (min(ticks), max(ticks)) == (0.0, 100.0)
+    heights = [float(pair.split(",")[1]) for pair in charge["lines"][0].split()]
+    assert min(heights) >= 0.0 and max(heights) == 1000.0
+
+
+def test_the_node_s_battery_at_the_end_is_of_the_road_too():
+    """Charge and voltage that it publishes, of a plan with few points and with many."""
+    ends = []
+    for count in (2, 7, 900):
+        time = np.linspace(0.0, 3600.0, count)
+        plan = plan_from_speed_profile(time, None, np.linspace(15.0, 35.0, count))
+        forecaster = Forecaster(load_vehicle("bmw_i3"))
+        battery, charge = drained_car().account.battery, Uncertain(0.9, 0.003)
+        answer = forecaster.answer(plan, charge, charge, 0, battery)
+        ends.append([*answer.charge, answer.voltage])
+    assert ends[1] == pytest.approx(ends[0], rel=1e-9) == ends[2]
+    assert 0.05 < ends[0][0] < 0.8 and 300.0 < ends[0][2] < 390.0

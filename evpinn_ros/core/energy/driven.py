@@ -26,7 +26,7 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
         altitude: time, s, and m, shape (m, 2); empty for a flat road.
     """
     time, speeds = speed[:, 0] - speed[0, 0], speed[:, 1]
-    rough = float(np.median(np.diff(time))) > COARSE
+    rough = not is_trace(time)
     # The last step is longer or shorter by half at the most, so that the plan ends as the drive.
     steps = np.arange(0.0, time[-1] - PLAN_STEP / 2, PLAN_STEP)
     grid = time if rough else np.append(steps, time[-1])
@@ -36,6 +36,11 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
         seen = np.interp(altitude[:, 0] - speed[0, 0], time, travelled(time, speeds))
         height = road_height(seen, altitude[:, 1], travelled(grid, at))
     return replace(plan_from_speed_profile(grid, None, at, height), commanded=not rough)
+
+
+def is_trace(time: np.ndarray) -> bool:
+    """True if recorded times, s, rising, are so close that what was driven is known."""
+    return float(np.median(np.diff(time))) <= COARSE
 
 
 def road_height(along: np.ndarray, height: np.ndarray, distance: np.ndarray) -> np.ndarray:

@@ -22,13 +22,13 @@ from evpinn_ros.core.energy.charge import ChargeGauge, Uncertain
 from evpinn_ros.core.energy.course import Course, course_of
 from evpinn_ros.core.energy.plan import COLUMNS, Legs, Plan, PlanConditions, PlanError, points_of
 from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, Weather, vehicle_model
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.estimation.gaussian import Gaussian, at_least_zero, condition, innovate
 from evpinn_ros.core.estimation.journey import standing, wandered
 from evpinn_ros.core.estimation.states import SIZE, State
 from evpinn_ros.core.estimation.terms import COUNT, LOSSES, WHOLE, Part
 from evpinn_ros.core.estimation.unevenness import UNEVEN_STATES, size_of, sizes_of
 from evpinn_ros.core.signals.interval import Steps
-from evpinn_ros.core.signals.road import density_of_air
 from evpinn_ros.core.vehicle.files import Vehicle
 
 # m within which a trip turns away from where the car now points, and from the wind measured there
@@ -66,11 +66,13 @@ class Curve(NamedTuple):
         time: s since the start.
         distance: m since the start.
         energy: J since the start.
+        sigma: 1-sigma of energy, J; NaN but at the end of a forecast without `along`.
     """
 
     time: np.ndarray
     distance: np.ndarray
     energy: np.ndarray
+    sigma: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +95,16 @@ class Forecast:
     sigma: np.ndarray
     end: PlanEnd = UNKNOWN_END
     curve: Curve | None = None
+
+    @property
+    def on_curve(self) -> Forecast:
+        """The forecast at the points of its curve, which are those of the road, not of a plan."""
+        if self.curve is None:
+            return self
+        time, _, energy, sigma = self.curve
+        power = np.diff(energy) / np.diff(time)
+        power = np.append(power, power[-1])
+        return Forecast(self.time[0] + time, energy, power, sigma, self.end, self.curve)
 
 
 class Air(NamedTuple):
@@ -137,16 +149,15 @@ class PlanBasis(NamedTuple):
             model: of the car.
             given: what a planner expects.
             air: measured, for what is not given.
-            density: of the air, kg/m^3; None: by its temperature and pressure.
+            density: of the air, kg/m^3; None: by its temperature and pressure, wherever they come
+                from.
         """
         celsius = air.celsius if given.temperature is None else given.temperature
         head_wind, wind_length = given.head_wind, math.inf
         if head_wind is None:
             head_wind, wind_length = air.head, DIRECTION_LENGTH
         if density is None:
-            reference = model.car.equation.vehicle.air_density
-            outside = (math.nan if value is None else value for value in (celsius, air.pascal))
-            density = float(density_of_air(reference, *outside))
+            density = model.density(celsius, air.pascal)
         start = model.start(given.stood, given.prewarmed or 0.0)
         weather = Weather(density, celsius, given.heating, start)
         loaded = model.with_payload(given.payload or 0.0)
@@ -162,8 +173,9 @@ class PlannedEnergy(NamedTuple):
         trip: its points.
         basis: the car and the conditions of the forecast.
         energies: along it.
-        charge: state of charge at each point, 0..1, and its 1-sigma, shape (2, n); NaN where
-            unknown, below 0 where the battery is empty before.
+        course: state of charge along the curve of these, 0..1, and its 1-sigma, shape (2, m); NaN
+            where unknown, below 0 where the battery is empty before.
+        full: energy that the full battery gives at the mean power of the plan, J.
         gauge: what is known of the battery.
     """
 
@@ -171,8 +183,30 @@ class PlannedEnergy(NamedTuple):
     trip: Plan
     basis: PlanBasis
     energies: Forecast
-    charge: np.ndarray
+    course: np.ndarray
+    full: Uncertain
     gauge: ChargeGauge
+
+    @property
+    def rows(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Times of the points, s, and by name, with its unit, what is known there."""
+        trip, energies, charge = self.trip, self.energies, 100.0 * self.charge
+        return energies.time, {
+            "distance_m": trip.distance,
+            "speed_mps": trip.speed,
+            "elevation_m": trip.elevation,
+            "power_w": energies.power,
+            "energy_j": energies.energy,
+            "sigma_j": energies.sigma,
+            "charge_pct": charge[0],
+            "charge_sigma_pct": charge[1],
+        }
+
+    @property
+    def charge(self) -> np.ndarray:
+        """State of charge at each point of the trip, as `course` along it, shape (2, n)."""
+        times, curve = self.energies.time, self.energies.on_curve
+        return np.stack([np.interp(times, curve.time, column) for column in self.course])
 
     @property
     def uneven(self) -> float:
@@ -209,12 +243,21 @@ class PlannedEnergy(NamedTuple):
     @property
     def empty_at(self) -> float | None:
         """Distance at which the battery is empty, m; None if it lasts, or nothing is known."""
-        along, charge = self.trip.distance - self.trip.distance[0], self.charge[0]
-        if not (charge <= 0.0).any():
+        return self._empty(0.0)
+
+    @property
+    def empty_between(self) -> tuple[float | None, float | None]:
+        """The 90 % band of that, m; None for an end at which the battery lasts."""
+        return self._empty(-GAUSSIAN_QUANTILE), self._empty(GAUSSIAN_QUANTILE)
+
+    def _empty(self, sigmas: float) -> float | None:
+        """Distance at which the charge and so many of its sigmas are used up, m."""
+        curve, charge = self.energies.curve, self.course[0] + sigmas * self.course[1]
+        if curve is None or not (charge <= 0.0).any():
             return None
         end = int((charge <= 0.0).argmax())
         here = slice(max(end - 1, 0), end + 1)
-        return float(np.interp(0.0, charge[here][::-1], along[here][::-1]))
+        return float(np.interp(0.0, charge[here][::-1], curve.distance[here][::-1]))
 
 
 class Change(NamedTuple):
@@ -242,7 +285,7 @@ def forecast(
         profiles: what might be driven.
         vehicle: the car.
         model: what was learned of it, None for the vehicle file alone.
-        air_density: kg/m^3, None for the vehicle's.
+        air_density: kg/m^3, None for that at the temperature which the car knew last.
 
     Raises:
         PlanError: shapes do not fit, time does not rise, speed is negative or a number not finite.
@@ -254,7 +297,7 @@ def forecast(
             "or (batch, n), with n of 2 or more"
         )
     model = vehicle_model(vehicle) if model is None else model
-    density = vehicle.air_density if air_density is None else air_density
+    density = model.density() if air_density is None else air_density
     batch = max(1, min(TOGETHER, POINTS_TOGETHER // speed.shape[1]))
     parts = []
     for begin in range(0, len(speed), batch):
@@ -331,15 +374,16 @@ def forecast_plan(
         rows = row[None]
     sums_of_row = (column[-len(rows) :] for column in (elapsed, noise, unseen, uneven))
     energy, sigma = model.predicted(rows, *sums_of_row)
-    possible = np.isfinite(sigma).all()
+    possible = bool(np.isfinite(sigma).all())
     if energies is not None:
         energy = np.cumsum(energies + beyond @ model.car.mean[UNEVEN_STATES])
         energy += model.car.mean[State.LOAD] * wandered(elapsed)[1]
         sigma = np.concatenate((np.full(len(energy) - 1, math.nan), sigma))
-    curve = Curve(course.time, course.distance, np.concatenate(([0.0], energy)))
+    energy, sigma = (np.concatenate(([0.0], column)) for column in (energy, sigma))
+    curve = Curve(course.time, course.distance, energy, sigma)
     time = np.append((points.time - points.time[0])[:-1], curve.time[-1])  # equal but for rounding
     energy = np.interp(time, curve.time, curve.energy)
-    sigma = np.interp(time, curve.time, np.concatenate(([0.0], sigma)))
+    sigma = np.interp(time, curve.time, curve.sigma)
     power = np.diff(energy) / np.diff(time)
     power = np.append(power, power[-1])
     if not (possible and np.isfinite(energy + power).all()):
@@ -406,7 +450,7 @@ def plan_parts(
 
 def is_steady(plan: Plan | Legs, steady: bool | None) -> bool:
     """True if the speeds of a plan are commanded: as asked, else as it says."""
-    return isinstance(plan, Plan) and plan.commanded if steady is None else steady
+    return plan.commanded if steady is None else steady
 
 
 def _sums(profiles: Profiles, model: PowerModel, density: float) -> tuple[Any, ...]:

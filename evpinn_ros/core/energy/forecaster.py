@@ -183,7 +183,7 @@ class Forecaster:
             "steady": float(is_steady(plan, basis.steady)),
         }
         assumed = {name: value for name, value in taken.items() if value is not None}
-        end = battery.after(result, charge, capacity)
+        end = battery.after(result.on_curve, charge, capacity)
         return PlanAnswer(result, *end, differences, given.given, assumed)
 
     def _compare(

@@ -67,16 +67,17 @@ def plan_from_path(
     if time is not None and np.ptp(time) == 0:
         time = None
     farthest = MAX_LEG if time is None else MAX_SPEED * LONGEST
-    refuse(legs > farthest, f"jumps farther than {farthest / 1e3:g} km")
+    refuse(legs > farthest, f"jumps farther than {farthest / 1e3:g} km", after=1)
     distance = sums(legs)
     if time is None:
         return _nominal_plan(distance, points, nominal_speed)
     duration = np.diff(time)
-    refuse(duration < 0, "time goes back")
+    refuse(duration < 0, "time goes back", after=1)
     # A point given twice is one; so is one that is apart by less than rounding of the distance.
     kept = np.concatenate(([True], (duration > 0) | (np.diff(distance) > 0)))
     time, distance, elevation = time[kept] - time[0], distance[kept], points["z"][kept]
-    refuse(np.diff(distance) > MAX_SPEED * np.diff(time), f"faster than {MAX_SPEED:g} m/s")
+    too_fast = np.diff(distance) > MAX_SPEED * np.diff(time)
+    refuse(too_fast, f"faster than {MAX_SPEED:g} m/s", after=1)
     return _stamped_plan(time, distance, elevation)
 
 

@@ -68,13 +68,14 @@ class Plan:
         check_arrays({name: getattr(self, name) for name in COLUMNS})
         length, climb = np.diff(self.distance), np.diff(self.elevation)
         duration = np.diff(self.time)
-        refuse(duration <= 0, "time does not rise")
+        refuse(duration <= 0, "time does not rise", after=1)
         refuse(self.time - self.time[..., :1] > LONGEST, f"later than {LONGEST / 86_400:g} days")
         refuse(self.speed < 0, "speed is negative")
         refuse(self.speed > MAX_SPEED, f"speed is above {MAX_SPEED:g} m/s")
-        refuse(length < 0, "distance goes back")
-        refuse(length > MAX_SPEED * duration, f"faster than {MAX_SPEED:g} m/s")
-        refuse(np.abs(climb) > length + CLIMB_TOLERANCE, "climbs more than it travels")
+        refuse(length < 0, "distance goes back", after=1)
+        refuse(length > MAX_SPEED * duration, f"faster than {MAX_SPEED:g} m/s", after=1)
+        climbs = np.abs(climb) > length + CLIMB_TOLERANCE
+        refuse(climbs, "climbs more than it travels", after=1)
 
     def quicker(self, factor: float) -> Plan:
         """Plan along this road with all speeds times a factor; it stands as long as before.
@@ -98,6 +99,7 @@ class Legs:
         duration: s, above 0.
         climb: m from its start to its end; 0 where unknown.
         height_known: True where `climb` is known.
+        commanded: as of a `Plan`.
 
     Raises:
         PlanError: the arrays are no legs.
@@ -107,9 +109,11 @@ class Legs:
     duration: np.ndarray
     climb: np.ndarray
     height_known: np.ndarray
+    commanded: bool = False
 
     def __post_init__(self) -> None:
-        shapes = {getattr(self, name).shape for name in self.__slots__}
+        columns = self.length, self.duration, self.climb, self.height_known
+        shapes = {column.shape for column in columns}
         if len(shapes) != 1 or len(self.length.shape) != 1 or not self.length.size:
             raise PlanError(f"legs need arrays of one length, shapes are {sorted(shapes)}")
         for name in ("length", "duration", "climb"):
@@ -163,6 +167,8 @@ class PlanConditions:
         for name, (least, most) in CONDITION_RANGES.items():
             value = getattr(self, name)
             if value is not None and not least <= value <= most:
+                if most == 1.0:
+                    raise PlanError(f"{name}: {value:g} is not a share, which is 0 to 1")
                 raise PlanError(f"{name} is {value:g}, not {least:g} to {most:g}")
 
     @property
@@ -309,8 +315,12 @@ def check_arrays(named: dict[str, np.ndarray]) -> None:
         refuse(~np.isfinite(array), f"{name} is not finite")
 
 
-def refuse(wrong: np.ndarray, reason: str, what: str = "point") -> None:
-    """Refuse a plan where anything is wrong, and name the first place."""
+def refuse(wrong: np.ndarray, reason: str, what: str = "point", *, after: int = 0) -> None:
+    """Refuse a plan where anything is wrong, and name the first place, counted from 1.
+
+    `after`: 1 for what is wrong between a point and the next, which is named.
+    """
     if wrong.any():
-        where = np.argwhere(wrong)[0]
-        raise PlanError(f"{reason} at {what} {', '.join(str(int(i)) for i in where)}")
+        *trip, place = (1 + np.argwhere(wrong)[0]).tolist()
+        where = f"{what} {place + after}"
+        raise PlanError(f"{reason} at {where}{''.join(f' of trip {number}' for number in trip)}")

@@ -36,7 +36,7 @@ from evpinn_ros.core.estimation.terms import (
 )
 from evpinn_ros.core.estimation.unevenness import UNEVEN_STATES, USUAL_LEG, Runs
 from evpinn_ros.core.signals.interval import Steps
-from evpinn_ros.core.signals.road import Conditions
+from evpinn_ros.core.signals.road import Conditions, density_of_air
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable
 
@@ -228,17 +228,26 @@ class PowerModel:
         variance += (car.unevenness.share * (end.uneven - other.uneven)) ** 2
         return Uncertain(float(row @ car.mean), math.sqrt(variance))
 
+    def density(self, celsius: float | None = None, pascal: float | None = None) -> float:
+        """Density of the air, kg/m^3, at a temperature, degrees Celsius, and a pressure, Pa.
+
+        None: the temperature that the car knew last, and the pressure of the vehicle file.
+        """
+        celsius = self.car.celsius if celsius is None else celsius
+        outside = (math.nan if value is None else value for value in (celsius, pascal))
+        return float(density_of_air(self.car.equation.vehicle.air_density, *outside))
+
     def start(self, stood: float | None, prewarmed: float) -> Warmth:
         """Coldness at the start of a trip.
 
         Args:
             stood: s that the car stands before it; None: as the car is now, at the start of a
-                drive cold.
+                drive cold. Of a last drive that is not known the car was warm.
             prewarmed: share of the cabin's warmth that the charger gave.
         """
         warmth = Warmth.after(self.car.seconds)
         if stood is not None:
-            warmth = Warmth.after(self.car.seconds or self.car.last_drive).stood(stood)
+            warmth = Warmth.after(self.car.seconds or self.car.last_drive or math.inf).stood(stood)
         return warmth._replace(cabin=warmth.cabin * (1.0 - prewarmed))
 
     def with_payload(self, payload: float) -> PowerModel:

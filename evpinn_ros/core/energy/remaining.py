@@ -108,7 +108,7 @@ def usual_cost(car: CarModel) -> float:
         return math.nan
     legs = even_steps(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, 0.0 * MIDDLES)
     model = PowerModel(car)
-    rows, _ = model.edge_rows(legs, Weather(car.equation.vehicle.air_density))
+    rows, _ = model.edge_rows(legs, Weather(model.density()))
     cost = float(metres @ (rows @ model.car.mean / legs.distance) / metres.sum())
     return cost if math.isfinite(cost) and cost > 0.0 else math.nan
 

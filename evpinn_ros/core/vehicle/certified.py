@@ -71,6 +71,7 @@ class CertifiedCar:
     loads: tuple[RoadLoad, ...]  # at least one
     udds: float  # at the wall, Wh/km; NaN where it is not known
     highway: float  # at the wall, Wh/km; NaN where it is not known
+    pack_of: str  # key of a car that has the same battery; empty where none is known
 
     @property
     def priors(self) -> Mapping[str, Prior]:
@@ -110,6 +111,7 @@ def certified_cars() -> Mapping[str, CertifiedCar]:
             tuple(_load(row) for row in own),
             _mean(own, "udds_wh_per_km"),
             _mean(own, "highway_wh_per_km"),
+            own[0]["pack_of"],
         )
     return cars
 

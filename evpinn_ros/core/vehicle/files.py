@@ -323,7 +323,7 @@ def _certified(key: str) -> Vehicle:
         beta=-0.045,  # EV-PINN paper, eq. 20
         nominal_voltage=360.0,  # 96 cells of 3.75 V
         rotating_mass_factor=1.03,  # wheels and rotor, typical of single-speed electric cars
-        battery_capacity=math.nan,
+        battery_capacity=load_vehicle(car.pack_of).battery_capacity if car.pack_of else math.nan,
         motor_ratio=math.nan,
         priors=car.priors,
     )

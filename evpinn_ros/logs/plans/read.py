@@ -8,6 +8,7 @@ from dataclasses import replace
 import json
 import math
 from pathlib import Path
+import warnings
 import zlib
 
 import numpy as np
@@ -30,11 +31,13 @@ from evpinn_ros.core.signals.readings import (
 )
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.logs.formats import TABLE_SUFFIXES, TEXT_SUFFIXES, suffix_of
-from evpinn_ros.logs.plans.route import legs_of_route
-from evpinn_ros.logs.plans.table import COLUMNS, table_plan
+from evpinn_ros.logs.plans.route import KNOWN, legs_of_route
+from evpinn_ros.logs.plans.table import COLUMNS, table_plan, warn_of_unused
 from evpinn_ros.logs.plans.track import geojson_track, gpx_track, legs_of_track
 from evpinn_ros.logs.plans.way import plausible_heights
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
+from evpinn_ros.logs.rows_to_blocks import BATTERY
+from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.sources import open_source
 from evpinn_ros.topics import FRAME_TYPE, SPEEDS
 from evpinn_ros.topics.plans import PLAN_TYPES, plan_of_message
@@ -46,10 +49,6 @@ BLANK = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # before the first letter, marks of th
 TEXTS = {*TEXT_SUFFIXES, ".json"}  # whose content says whether they are a plan or a drive
 BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - TEXTS  # and logs of other forms than tables
 DAMAGED = (AttributeError, IndexError, OverflowError, RecursionError, TypeError, ValueError)
-KNOWN = (
-    "JSON of no known kind: known are GeoJSON and the answers of Valhalla, OSRM, GraphHopper and "
-    "openrouteservice, and drives that `evpinn replay` reads"
-)
 
 
 def read_plan(
@@ -78,17 +77,17 @@ def _plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan | Legs:
     is_json = suffix_of(path) == ".json"
     if begin == b"{" or (begin == b"[" and is_json):
         try:
-            return _json_plan(_whole(path, MOST_JSON))
+            return _json_plan(_whole(path, MOST_JSON), options.pace)
         except PlanError:
             if is_json:
                 with suppress(InputError):
                     return driven_plan(path, vehicle, options)
             raise
     if begin == b"<":
-        return legs_of_track(gpx_track(_whole(path, MOST_XML)))
+        return legs_of_track(gpx_track(_whole(path, MOST_XML)), options.pace)
     if is_bag(path):
         return planned_in_bag(path, vehicle) or driven_plan(path, vehicle, options)
-    if (plan := table_plan(path)) is not None:
+    if not options.columns and (plan := table_plan(path)) is not None:
         return plan
     try:
         return driven_plan(path, vehicle, options)
@@ -113,7 +112,7 @@ def _whole(path: Path, most: int) -> bytes:
     return content
 
 
-def _json_plan(content: bytes) -> Legs:
+def _json_plan(content: bytes, pace: float | None) -> Legs:
     if sum(map(content.count, (b",", b"[", b"{"))) > MOST_VALUES:
         raise PlanError(f"more than {MOST_VALUES} values, which no plan needs")
     try:
@@ -121,8 +120,8 @@ def _json_plan(content: bytes) -> Legs:
         if (legs := legs_of_route(data)) is not None:
             return legs
         if "type" not in data:
-            raise PlanError(KNOWN)
-        return legs_of_track(geojson_track(data))
+            raise PlanError(f"JSON of no known kind: {KNOWN}")
+        return legs_of_track(geojson_track(data), pace)
     except KeyError as error:
         raise PlanError(f"its JSON lacks {error}") from error
     except DAMAGED as error:
@@ -130,6 +129,7 @@ def _json_plan(content: bytes) -> Legs:
 
 
 FIELDS = {SpeedReading: "speed", AltitudeReading: "altitude", GradeReading: "grade"}
+ROAD = {"time", "speed", "elevation", "grade", "latitude", "longitude"}  # columns of a plan
 LEAST_GAP = 60.0  # s between two speeds
 GAP_STEPS = 10.0  # mean steps, which a gap exceeds as well: some plans have few rows
 LONG_GAP = 600.0  # s, after which the log is of another drive
@@ -148,7 +148,24 @@ def driven_plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan:
     mixed = not source.in_order and not source.dated  # how long legs take may stand there
     if mixed or source.dropped["time_not_increasing"] > len(readings):
         raise PlanError("its times do not rise, so they are no times")
+    _warn_of_choices(source)
     return plan_of_readings(readings)
+
+
+def _warn_of_choices(source: Source) -> None:
+    """Warn of the columns of a table that were found by their names and values."""
+    if any(rule.why for rule in source.rules):
+        chosen = "; ".join(
+            f"{rule.quantity} {rule.name!r}{f', {rule.unit}' * bool(rule.unit)} ({rule.basis})"
+            for rule in source.rules
+            if rule.quantity in ROAD
+        )
+        warnings.warn(f"read as a drive by the columns {chosen}", stacklevel=2)
+    for assumed in source.assumptions:
+        if assumed.partition(":")[0] in ROAD:
+            warnings.warn(assumed, stacklevel=2)
+    others = (rule.name for rule in source.rules if rule.quantity not in {*ROAD, *BATTERY})
+    warn_of_unused((*source.ignored, *others))
 
 
 def plan_of_readings(readings: Iterable[Reading]) -> Plan:
@@ -164,7 +181,7 @@ def plan_of_readings(readings: Iterable[Reading]) -> Plan:
     time = _driven(speed)
     for series in (altitude, grade, speed):
         series[:, 0] = np.interp(series[:, 0], speed[:, 0], time)
-    if len(altitude):
+    if len(altitude) and (np.ptp(altitude[:, 1]) or not len(grade)):
         along = np.interp(altitude[:, 0], time, travelled(time, speed[:, 1]))
         altitude[:, 1] = plausible_heights(along, altitude[:, 1])
     elif len(grade):

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 import math
 from typing import Any, NamedTuple, TypeAlias
+import warnings
 
 import numpy as np
 
@@ -28,14 +29,24 @@ NO_HEIGHT = 32768.0  # in Valhalla's elevations
 SETTLED = 60.0  # s that a leg lasts at least
 OSRM_ROUTES = ("routes", "matchings", "trips")  # of its services route, match and trip
 LONGEST = 16 * MAX_POINTS  # characters; a point takes four to twelve
+# What carries the car: modes of OSRM, uses of Valhalla's edges, environments of GraphHopper.
+CARRIERS = {"ferry", "train", "rail", "rail-ferry", "rail_ferry", "shuttle train", "shuttle_train"}
+FERRY_MANEUVER, FERRY_SIGN = 28, 9  # types of Valhalla and GraphHopper
+FERRY_CATEGORY, FERRY_WAY = 8, 9  # openrouteservice: a bit of `waycategory`, one of `waytypes`
+LOST = 500.0  # m of a ferry that no part of a route shows
+KNOWN = (
+    "known are GeoJSON and the answers of Valhalla, OSRM, GraphHopper and openrouteservice, and "
+    "drives that `evpinn replay` reads"
+)
 MOST_CHUNKS = 7  # characters of a number: 35 bits, of which places need 29
 
 
 class RoutePart(NamedTuple):
-    """A part of a route: length, m, and duration, s."""
+    """A part of a route: length, m, and duration, s; and whether something carries the car."""
 
     length: float
     duration: float
+    carried: bool = False
 
 
 def legs_of_route(data: Json) -> Legs | None:
@@ -53,7 +64,10 @@ def legs_of_route(data: Json) -> Legs | None:
     if routes and "segments" in routes[0]:
         return _openrouteservice(routes[0], routes[0].get("geometry"), data)
     if routes:
-        return _legs([part for leg in routes[0]["legs"] for part in _osrm_parts(leg)])
+        legs = routes[0].get("legs") or [{}]
+        if not all(isinstance(leg.get("distance"), int | float) for leg in legs):
+            raise PlanError(f"an answer of no known route service (Google's is none): {KNOWN}")
+        return _legs([part for leg in legs for part in _osrm_parts(leg)])
     if reason := data.get("error") or data.get("message") or data.get("code"):
         text = reason.get("message", reason) if isinstance(reason, Mapping) else reason
         if text == "Ok":  # of another service, as OSRM's table
@@ -65,11 +79,55 @@ def legs_of_route(data: Json) -> Legs | None:
 def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
     if not parts:
         raise PlanError("its route has no parts")
-    length, duration = _lasting(np.array(parts, float)).T
+    rows = np.array(parts, float)
+    if (carried := rows[:, 2] > 0).any():
+        rows, heights = _driven(rows, carried, heights)
+    length, duration = _lasting(rows[:, :2]).T
     if heights is not None and np.isfinite(heights.height).any():  # taken once in `SETTLED`
         pieces = np.maximum(duration // SETTLED, 1).astype(int)
         length, duration = (np.repeat(column / pieces, pieces) for column in (length, duration))
     return legs_between(sums(duration), sums(length), heights)
+
+
+def _driven(
+    rows: np.ndarray, carried: np.ndarray, heights: Heights | None
+) -> tuple[np.ndarray, Heights | None]:
+    """Parts that the car drives, and the heights along them; warns of what is left out."""
+    metres, seconds, _ = rows[carried].sum(0)
+    warnings.warn(
+        f"{metres / 1e3:.1f} km and {seconds / 60:.0f} min on a ferry or a train are left out",
+        stacklevel=4,
+    )
+    if carried.all():
+        raise PlanError("nothing of it is driven")
+    if heights is not None:
+        ends, driven = sums(rows[:, 0]), sums(np.where(carried, 0.0, rows[:, 0]))
+        part = np.clip(np.searchsorted(ends, heights.along, "right") - 1, 0, len(rows) - 1)
+        ashore = ~carried[part]
+        along = np.interp(heights.along, ends, driven)
+        heights = Heights(along[ashore], heights.height[ashore])
+    return rows[~carried], heights
+
+
+def _carried(
+    spans: Sequence[Sequence[int]], carriers: Sequence[Sequence[int]], along: np.ndarray
+) -> list[bool]:
+    """Whether each span of points is most of all on what carries the car.
+
+    `along` are distances of the points, m; PlanError where a span hides a ferry.
+    """
+
+    def shared(span: Sequence[int]) -> float:
+        ends = ((max(span[0], begin), min(span[1], end)) for begin, end, *_ in carriers)
+        return sum(float(along[end] - along[begin]) for begin, end in ends if begin < end)
+
+    on_it = [shared(span) for span in spans]
+    length = [float(along[span[1]] - along[span[0]]) for span in spans]
+    are = [part > 0.5 * whole for part, whole in zip(on_it, length, strict=True)]
+    told = sum(whole for whole, carried in zip(length, are, strict=True) if carried)
+    if abs(sum(float(along[end] - along[begin]) for begin, end, *_ in carriers) - told) > LOST:
+        raise PlanError("a ferry or a train is within one of its parts; ask for finer ones")
+    return are
 
 
 def _lasting(parts: np.ndarray) -> np.ndarray:
@@ -103,7 +161,14 @@ def _valhalla_route(trip: Json) -> Legs:
     end = 0.0
     for leg in trip["legs"]:
         made = leg.get("maneuvers") or [leg["summary"]]
-        parts += [RoutePart(maneuver["length"] * metres, maneuver["time"]) for maneuver in made]
+        parts += [
+            RoutePart(
+                maneuver["length"] * metres,
+                maneuver["time"],
+                bool(maneuver.get("ferry")) or maneuver.get("type") == FERRY_MANEUVER,
+            )
+            for maneuver in made
+        ]
         begin, end = end, end + sum(maneuver["length"] for maneuver in made) * metres
         if leg.get("elevation"):
             up = np.array(leg["elevation"], float) * metres_up
@@ -124,9 +189,9 @@ def _valhalla_edges(data: Json) -> Legs:
         duration = np.diff(np.array(ends, float), prepend=0.0)
     middle = np.array([edge.get("mean_elevation", NO_HEIGHT) for edge in edges], float)
     height = np.where(middle == NO_HEIGHT, np.nan, middle * metres_up)
-    return _legs(
-        [*map(RoutePart, length, duration)], Heights(np.cumsum(length) - length / 2, height)
-    )
+    carried = [edge.get("use") in CARRIERS for edge in edges]
+    parts = [*map(RoutePart, length, duration, carried)]
+    return _legs(parts, Heights(np.cumsum(length) - length / 2, height))
 
 
 def _units(answer: Json) -> tuple[float, float]:
@@ -138,16 +203,28 @@ def _units(answer: Json) -> tuple[float, float]:
 def _osrm_parts(leg: Json) -> Iterator[RoutePart]:
     """Segments of the annotation with the leg's duration, which has that of turns; or steps."""
     given = leg.get("annotation") or {}
+    steps = [
+        RoutePart(step["distance"], step["duration"], step.get("mode") in CARRIERS)
+        for step in leg.get("steps") or [leg]
+    ]
     if "distance" in given and ("duration" in given or "speed" in given):
         length = np.array(given["distance"], float)
         if "duration" in given:
             duration = np.array(given["duration"], float)
         else:
             duration = length / np.array(given["speed"], float)
-        yield from map(RoutePart, length, _scaled(duration, float(leg["duration"])))
+        if not any(step.carried for step in steps):
+            yield from map(RoutePart, length, _scaled(duration, float(leg["duration"])))
+            return
+        rows = np.array(steps, float)
+        ends = np.cumsum(_scaled(length, rows[:, 0].sum()))
+        step = np.searchsorted(np.cumsum(rows[:, 0]), ends - np.diff(ends, prepend=0.0) / 2)
+        for number in np.unique(step):
+            scaled = _scaled(duration[step == number], rows[number, 1])
+            for metres, seconds in zip(length[step == number], scaled, strict=True):
+                yield RoutePart(metres, seconds, steps[number].carried)
     else:
-        for part in leg.get("steps") or [leg]:
-            yield RoutePart(part["distance"], part["duration"])
+        yield from steps
 
 
 def _graphhopper(path: Json) -> Legs:
@@ -155,16 +232,37 @@ def _graphhopper(path: Json) -> Legs:
     total, details = float(path["distance"]), path.get("details") or {}
     line = _line(path.get("points"), total, path.get("points_encoded_multiplier", 1e5))
     timed = next((name for name in ("time", "average_speed") if name in details), "")
+    made = path.get("instructions") or [path]
+    environment = details.get("road_environment") or ()
+    carriers = [span for span in environment if span[2] in CARRIERS]
+    carriers = carriers or [part["interval"] for part in made if part.get("sign") == FERRY_SIGN]
+    if line:
+        line = line._replace(along=_as_instructed(line.along, made))
     if line and timed:
         rows = [(line.along[end] - line.along[begin], value)
                 for begin, end, value in details[timed]]  # fmt: skip
+        spans = details[timed]
     else:
-        made = path.get("instructions") or [path]
         rows = [(instruction["distance"], instruction["time"]) for instruction in made]
+        spans = [instruction.get("interval", (0, -1)) for instruction in made]
+    along = line.along if line else np.arange(1 + max((span[1] for span in spans), default=0))
+    carried = _carried(spans, carriers, along) if carriers else [False] * len(rows)
     lengths, values = np.array(rows, float).T
     by_speed = line and timed == "average_speed"
     seconds = _scaled(lengths / values if by_speed else values, path["time"] / 1000)
-    return _legs([*map(RoutePart, lengths, seconds)], line)
+    return _legs([*map(RoutePart, lengths, seconds, carried)], line)
+
+
+def _as_instructed(along: np.ndarray, instructions: Sequence[Json]) -> np.ndarray:
+    """Distances of the points of a line, m, so that each instruction is as long as it says."""
+    steps = np.diff(along)
+    for begin, end, length in (
+        (*instruction["interval"], instruction["distance"])
+        for instruction in instructions
+        if "interval" in instruction
+    ):
+        steps[begin:end] = _scaled(steps[begin:end], float(length))
+    return sums(steps)
 
 
 def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
@@ -172,11 +270,24 @@ def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
     query = (data.get("metadata") or {}).get("query") or {}
     metres = METRES[query.get("units", "m")]
     parts: list[RoutePart] = []
+    spans: list[Sequence[int]] = []
     for segment in route["segments"]:
         made = segment.get("steps") or [segment]
         lengths = _scaled([step["distance"] for step in made], segment["distance"] * metres)
         parts += map(RoutePart, lengths, [step["duration"] for step in made])
-    return _legs(parts, _line(geometry, sum(part.length for part in parts), 1e5))
+        spans += (step.get("way_points", (0, 0)) for step in made)
+    line = _line(geometry, sum(part.length for part in parts), 1e5)
+    extras = route.get("extras") or {}
+    if "waycategory" in extras:
+        values = extras["waycategory"]["values"]
+        carriers = [span for span in values if int(span[2]) & FERRY_CATEGORY]
+    else:
+        values = extras.get("waytypes", {}).get("values", ())
+        carriers = [span for span in values if span[2] == FERRY_WAY]
+    if carriers and line:
+        carried = _carried(spans, carriers, line.along)
+        parts = [part._replace(carried=are) for part, are in zip(parts, carried, strict=True)]
+    return _legs(parts, line)
 
 
 def _line(line: Any, total: float, scale: float) -> Heights | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice
 import math
@@ -23,12 +23,14 @@ from evpinn_ros.core.energy.plan import (
     legs_of,
     legs_of_trip,
     plan_from_speed_profile,
+    refuse,
     sums,
 )
 from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of, to_floats
-from evpinn_ros.logs.quantities import score, unit_of, words_of
+from evpinn_ros.logs.quantities import ANGLES, score, unit_of, words_of
 from evpinn_ros.logs.survey import data_rows, find_head
 from evpinn_ros.logs.text_table import TextTable
+from evpinn_ros.logs.values import in_fractions
 
 COLUMNS = "columns t_s and speed_mps, or those of legs, length_m and duration_s or speed_kmh"
 FEW = 8  # names that an error lists
@@ -36,13 +38,11 @@ NEEDED = ("t_s", "speed_mps")
 BATTERY = ({"voltage_v", "current_a"}, {"power_w"})  # of a drive; a forecast has a distance too
 Kinds: TypeAlias = Mapping[str, tuple[tuple[str, ...], str]]
 """Columns by what they hold: words before the unit, and a quantity of the same units."""
-GRADE = ("grade", "road grade", "gradient", "slope", "cyc grade"), "charge"
 PROFILE_COLUMNS: Kinds = {  # "cyc" as FASTSim has it: cycSecs, cycMps, cycGrade
     "time": (("t", "time", "cyc"), "time"),
     "speed": (("speed", "cyc", ""), "speed"),
     "distance": (("distance", "length"), "odometer"),
     "elevation": (("elevation", "height", "altitude"), "elevation"),
-    "grade": GRADE,
 }
 LEG_COLUMNS: Kinds = {
     "length": (("length", "distance"), "odometer"),
@@ -51,10 +51,13 @@ LEG_COLUMNS: Kinds = {
     "climb": (("climb", "rise"), "elevation"),
     "start": (("start elevation", "start height"), "elevation"),
     "end": (("end elevation", "end height", "elevation", "height"), "elevation"),
-    "grade": GRADE,
 }
-HEIGHTS = {"elevation", "climb", "end"}  # beside which a grade is not needed
-STEEPEST, STEEPEST_MEAN = 0.4, 0.12  # fractions of roads and of trips: what has more is in percent
+HEIGHTS = {"elevation", "climb", "end"}  # beside which a slope is not needed
+SLOPES = {"grade", "incline"}
+CYCLE = (
+    "a slope beside each speed is that of a driving cycle, which is taken as driven; --expected "
+    "adds what drivers do between its points"
+)
 
 
 def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
@@ -64,17 +67,18 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
     """
     names = [*map(str, given)]
     if columns := profile_columns(names):
-        _warn_of_unused(names, columns)
+        warn_of_unused(names, (name for name, _ in columns.values()))
         profile = _in_si(columns, given)
         time, speed, distance = profile["time"], profile["speed"], profile.get("distance")
         plan = plan_from_speed_profile(time, distance, speed, profile.get("elevation"))
         if "grade" in profile:
             length = np.diff(plan.distance)
             grade = (profile["grade"][1:] + profile["grade"][:-1]) / 2.0
-            plan = replace(plan, elevation=sums(_climb(length, grade)))
+            warnings.warn(CYCLE, stacklevel=3)
+            plan = replace(plan, elevation=sums(_climb(length, grade)), commanded=True)
         return plan
     if columns := leg_columns(names):
-        _warn_of_unused(names, columns)
+        warn_of_unused(names, (name for name, _ in columns.values()))
         legs = _in_si(columns, given)
         if "end" in legs and "start" not in legs:
             legs["start"] = np.concatenate(([np.nan], legs["end"][:-1]))
@@ -98,12 +102,12 @@ def table_plan(path: Path) -> Plan | Legs | None:
     names = {*head.names}
     recorded = "distance_m" not in names and any(columns <= names for columns in BATTERY)
     columns = {} if recorded else profile_columns(head.names)
-    if not {*NEEDED} <= names and ("grade" not in columns or _has_battery(head.names)):
+    if not {*NEEDED} <= names and (not SLOPES & columns.keys() or _has_battery(head.names)):
         columns = {} if recorded else leg_columns(head.names)
     if not columns:
         return None
-    _warn_of_unused(head.names, columns)
     used = {name for name, _ in columns.values()}
+    warn_of_unused(head.names, used)
     places = {name: place for place, name in enumerate(head.names) if name in used}
     cells: dict[str, list[str]] = {name: [] for name in places}  # the others may be thousands
     for _, row in islice(data_rows(table, head), MAX_POINTS + 1):
@@ -118,8 +122,9 @@ def _has_battery(names: Sequence[str]) -> bool:
     return any(score(what, name) > 0 for what in ("voltage", "current", "power") for name in names)
 
 
-def _warn_of_unused(names: Sequence[str], columns: Mapping[str, tuple[str, float]]) -> None:
-    used = {name for name, _ in columns.values()}
+def warn_of_unused(names: Iterable[str], used: Iterable[str] = ()) -> None:
+    """Warn of the names of columns that a plan does not use, if any."""
+    used = {*used}
     if unused := [name for name in names if name.strip() and name not in used]:
         more = f" and {len(unused) - FEW} more" if len(unused) > FEW else ""
         text = f"columns of the plan that are not used: {', '.join(unused[:FEW])}{more}"
@@ -157,22 +162,27 @@ def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
 def _known_columns(
     names: Sequence[str], kinds: Kinds
 ) -> tuple[dict[str, tuple[str, float]], dict[str, str]]:
-    """Columns with SI value per unit (NaN: a grade without unit), and those that say none."""
+    """Columns with SI value per unit (NaN: a grade without unit), and those that say none.
+
+    A grade that is an angle is named an incline.
+    """
     columns: dict[str, tuple[str, float]] = {}
     bare: dict[str, str] = {}
     for name in map(str, names):
+        if score("grade", name) > 0.0 and not columns.keys() & SLOPES:
+            text, unit = unit_of("grade", name)
+            what = "incline" if text in ANGLES else "grade"
+            columns[what] = name, unit.factor if unit else math.nan
+            continue
         for what, (phrases, quantity) in kinds.items():
             text, unit = unit_of(quantity, name)
-            words = words_of(name)[0].strip()
+            words = words_of(name)[0].replace(" per ", " ").strip()
             if unit is None and words in phrases:
-                if what == "grade":
-                    columns[what] = name, math.nan
-                else:
-                    bare[what] = name
+                bare[what] = name
             elif unit and words.removesuffix(text.replace("/", " ")).strip() in phrases:
-                columns[what] = name, unit.factor * (0.01 if what == "grade" else 1.0)
+                columns[what] = name, unit.factor
     if columns.keys() & HEIGHTS:
-        columns.pop("grade", None)
+        columns = {what: column for what, column in columns.items() if what not in SLOPES}
     return columns, bare
 
 
@@ -185,6 +195,8 @@ def _in_si(
     }
     if "grade" in columns and math.isnan(columns["grade"][1]):
         numbers["grade"] *= _grade_unit(columns["grade"][0], numbers["grade"])
+    if "incline" in numbers:
+        numbers["grade"] = np.tan(numbers.pop("incline"))
     if len({len(column) for column in numbers.values()}) > 1:
         lengths = ", ".join(f"{name} {len(numbers[what])}" for what, (name, _) in columns.items())
         raise InputError(f"the columns have different numbers of rows: {lengths}")
@@ -203,10 +215,11 @@ def _leg_numbers(
         duration = np.where(np.isnan(duration), length / speed, duration)
         length = np.where(np.isnan(length), speed * duration, length)
         apart = np.abs(np.log(length / (speed * duration))) > math.log(UNITS_APART)
-    if (wrong := apart & (length > LEAST_LENGTH)).any():
-        raise PlanError(
-            f"length, duration and speed contradict each other at leg {wrong.argmax()}"
-        )
+    apart &= length > LEAST_LENGTH
+    refuse(apart, "length, duration and speed contradict each other", "leg")
+    untimed = np.isnan(given.get("duration", unknown)) & (length > 0)
+    refuse(untimed & (speed == 0), "speed is 0", "leg")
+    refuse(untimed & (speed < 0), "speed is negative", "leg")
     if "end" in given and "start" in given:
         climb = np.where(np.isnan(climb), given["end"] - given["start"], climb)
     if "grade" in given:
@@ -216,10 +229,10 @@ def _leg_numbers(
 
 def _grade_unit(name: str, grade: np.ndarray) -> float:
     """1 of fractions, 0.01 of percent, by the steepest roads and trips; warns of what it took."""
-    size = np.abs(grade[np.isfinite(grade)])
-    if not size.any():
+    grade = grade[np.isfinite(grade)]
+    if not grade.any():
         return 1.0
-    fractions = size.max() <= STEEPEST and size.mean() <= STEEPEST_MEAN
+    fractions = in_fractions(grade)
     assumed, other = ("fractions", "percent") if fractions else ("percent", "fractions")
     text = f"{name!r} is assumed to be in {assumed}; if it is in {other}, name the column"
     warnings.warn(f"{text} {'grade_percent' if fractions else 'grade_fraction'}", stacklevel=5)

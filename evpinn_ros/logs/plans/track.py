@@ -8,14 +8,16 @@ as ISO 8601, s, or ms since 1970, and `speeds`, m/s.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import ParseError, XMLParser
 
 import numpy as np
 
 from evpinn_ros.common.optional import optional_imports
-from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, sums
-from evpinn_ros.logs.plans.way import Heights, legs_between, way_length
+from evpinn_ros.core.energy.driven import is_trace
+from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, refuse, sums
+from evpinn_ros.logs.plans.way import Heights, legs_between, way_length, without_wander
 
 with optional_imports():
     import polars as pl
@@ -29,8 +31,8 @@ PIECE = 1 << 16  # bytes
 LEAST_GAP = 60.0  # s between two segments, as of a recorded drive; less is a loss of reception
 DEEPEST = 100  # elements in each other: the parser keeps each that is open
 NEITHER = (
-    "its points have neither times nor speeds: export it with times, or give the route as the "
-    "JSON of its service or as a table of legs"
+    "its points have neither times nor speeds: say --speed 90km/h (speed_kmh=90), export it with "
+    "times, or give the route as the JSON of its service or as a table of legs"
 )
 
 
@@ -43,26 +45,31 @@ class GeoTrack(NamedTuple):
     part: np.ndarray  # number of the segment or line of each, shape (n,); between two is no road
 
 
-def legs_of_track(track: GeoTrack) -> Legs:
-    """Legs between points with a time, or else by the speeds; PlanError without either."""
+def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
+    """Legs between points with a time, else by the speeds, else at a pace, m/s; or PlanError."""
     place, time, speed, part = track
     if len(place) < 2:
         raise PlanError("it has no line of two points or more")
-    steps, timed = np.diff(way_length(*place[:, :2].T)), np.isfinite(time)
+    timed = np.isfinite(time)
+    place = place.copy()
+    place[timed, :2] = without_wander(place[timed, :2], time[timed])
+    steps = np.diff(way_length(*place[:, :2].T))
     apart = np.flatnonzero(np.diff(part))
     if timed.sum() > 1:
         apart, left_out = _pauses(time, apart)
         time = time - left_out
     steps[apart] = 0.0
+    if pace is not None and not (timed.any() or np.isfinite(speed).any()):
+        speed = np.full_like(speed, pace)
     along = sums(steps)
     if timed.sum() > 1:
         along = along - along[timed.argmax()]
-        return legs_between(time[timed], along[timed], Heights(along, place[:, 2]))
+        legs = legs_between(time[timed], along[timed], Heights(along, place[:, 2]))
+        return replace(legs, commanded=is_trace(time[timed]))  # it was driven so
     if not np.isfinite(speed).all():
         raise PlanError(NEITHER)
     length, mean = np.diff(along), (speed[1:] + speed[:-1]) / 2
-    if (stuck := (length > 0) & (mean <= 0)).any():
-        raise PlanError(f"it has no times, and its speed is 0 from point {stuck.argmax()} on")
+    refuse((length > 0) & (mean <= 0), "it has no times, and its speed is 0")
     elapsed = sums(length / np.where(length > 0, mean, 1.0))
     return legs_between(elapsed, along, Heights(along, place[:, 2]))
 

@@ -7,10 +7,22 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.core.energy.driven import road_height
-from evpinn_ros.core.energy.plan import LONGEST, MAX_SPEED, Legs, PlanError, legs_of_trip, sums
+from evpinn_ros.core.energy.plan import (
+    LONGEST,
+    MAX_SPEED,
+    Legs,
+    PlanError,
+    legs_of_trip,
+    refuse,
+    sums,
+)
 from evpinn_ros.core.signals.height import AltitudeDetector
 
 FARTHEST = MAX_SPEED * LONGEST  # m that a trip can be long
+# A receiver that stands wanders: where the means of its places over `AROUND` s before and after a
+# moment are less than `WANDER` m apart, it does not drive, unless it gets farther in the end.
+AROUND, WANDER, STAYED = 10.0, 10.0, 25.0
+LEAST_AROUND = 4  # places before and after
 EARTH_RADIUS = 6_371_008.8  # m, the mean of WGS 84
 
 
@@ -47,8 +59,7 @@ def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None
     steps = np.diff(time)
     if not (np.isfinite(time).all() and (np.abs(distance) <= FARTHEST).all()):
         raise PlanError(f"a time is not finite, or a distance is above {FARTHEST / 1e3:g} km")
-    if (steps < 0).any():
-        raise PlanError(f"time goes back at point {int(np.argmax(steps < 0)) + 1}")
+    refuse(steps < 0, "time goes back", after=1)
     kept = np.flatnonzero(np.concatenate(([True], steps > 0)))
     if len(kept) < 2:
         raise PlanError("it takes no time")
@@ -56,6 +67,33 @@ def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None
     distance = distance[kept]
     climb = heights.climbs(distance) if heights else None
     return legs_of_trip(np.diff(distance), np.diff(time[kept]), climb)
+
+
+def without_wander(place: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Longitudes and latitudes, degrees, shape (n, 2), those of each stand moved to their mean.
+
+    Args:
+        place: of n points.
+        time: of these, s; where it falls nothing is moved.
+    """
+    if len(place) < 2 * LEAST_AROUND or (np.diff(time) < 0.0).any():
+        return place
+    scale = np.radians(EARTH_RADIUS) * np.array([np.cos(np.radians(place[0, 1])), 1.0])
+    totals = np.concatenate((np.zeros((1, 2)), np.cumsum(place * scale, axis=0)))
+    here = np.arange(1, len(place) + 1)
+    begin, end = (np.searchsorted(time, time + away, "right") for away in (-AROUND, AROUND))
+    enough = np.minimum(here - begin, end - here) >= LEAST_AROUND
+    before, after = (
+        (totals[last] - totals[first]) / np.maximum(last - first, 1)[:, None]
+        for first, last in ((begin, here), (here, end))
+    )
+    stands = enough & (np.hypot(*(after - before).T) < WANDER)
+    moved = place.copy()
+    edges = np.flatnonzero(np.diff(stands, prepend=False, append=False)).reshape(-1, 2)
+    for first, last in edges.tolist():
+        if np.hypot(*(after[last - 1] - before[first])) < STAYED:
+            moved[first:last] = place[first:last].mean(0)
+    return moved
 
 
 def way_length(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:

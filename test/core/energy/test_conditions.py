@@ -4,19 +4,28 @@ from dataclasses import replace
 import math
 from types import SimpleNamespace
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+import evpinn_ros as ev
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
+from evpinn_ros.core.energy.forecast import Air, PlanBasis, Profiles, forecast, forecast_plan
 from evpinn_ros.core.energy.forecaster import Basis, Forecaster
-from evpinn_ros.core.energy.plan import PlanConditions, Question, plan_from_speed_profile
-from evpinn_ros.core.energy.power_model import CLIMATE_SHARE, vehicle_model
+from evpinn_ros.core.energy.plan import (
+    PlanConditions,
+    PlanError,
+    Question,
+    plan_from_speed_profile,
+)
+from evpinn_ros.core.energy.power_model import CLIMATE_SHARE, PowerModel, vehicle_model
 from evpinn_ros.core.signals.readings import TemperatureReading, WindReading
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.topics.messages import BadMessage
 from evpinn_ros.topics.plans import read_conditions
-from test.core.energy.cars import COMBINED, SIGMAS
+from test.core.energy.cars import COMBINED, SIGMAS, taught
 
 CAR = load_vehicle("bmw_i3")
 TIME = np.arange(0.0, 601.0, 10.0)
@@ -44,6 +53,44 @@ def test_cold_wind_and_payload_cost_and_a_tail_wind_gives():
     assert energy(heating=4000.0) > energy(heating=0.0) + 0.99 * 600 * 4000.0
     assert energy(head_wind=10.0) > plain > energy(head_wind=-10.0)
     assert energy(payload=300.0) > plain
+
+
+@given(st.floats(-25.0, 40.0), st.sampled_from([0.0, 3000.0, None]), st.sampled_from([0.0, 1e4]))
+@settings(max_examples=20, deadline=None)
+def test_one_temperature_gives_one_number_wherever_it_comes_from(celsius, heating, stood):
+    """As last measured by the car, by a reading just now, or as a planner says."""
+    car = replace(taught().car, celsius=celsius)
+    unlike = replace(car, celsius=11.0 - celsius)
+    conditions = PlanConditions(heating=heating, stood=stood)
+    cases = (
+        (car, conditions, Air()),
+        (unlike, conditions, Air(celsius=celsius)),
+        (unlike, replace(conditions, temperature=celsius), Air(celsius=-celsius)),
+    )
+    trips = [
+        forecast_plan(TRIP, *PlanBasis.of(PowerModel(learned), said, air))
+        for learned, said, air in cases
+    ]
+    for trip in trips[1:]:
+        assert (trip.energy == trips[0].energy).all() and (trip.sigma == trips[0].sigma).all()
+    profiles = Profiles(TRIP.time, TRIP.speed[None])
+    same = forecast(
+        profiles, CAR, PowerModel(car), air_density=PowerModel(unlike).density(celsius)
+    )
+    assert forecast(profiles, CAR, PowerModel(car)).energy[0] == same.energy[0]
+
+
+@pytest.mark.parametrize("learned", [False, True])
+def test_hours_since_the_last_drive_cool_the_car_also_when_nothing_was_learned(learned):
+    model = taught() if learned else vehicle_model(CAR)
+    energies = [
+        forecast_plan(TRIP, *PlanBasis.of(model, PlanConditions(temperature=-5.0, stood=stood)))
+        for stood in (0.0, 1800.0, 1e8)
+    ]
+    warm, cooler, cold = (float(trip.energy[-1]) for trip in energies)
+    assert warm < cooler < cold
+    if not learned:
+        assert cold == energy(temperature=-5.0)
 
 
 @pytest.mark.parametrize("points", [50, 20_000])
@@ -160,3 +207,24 @@ def test_conditions_of_one_plan_go_before_those_of_all_and_the_answer_has_both()
     assert own.assumed == usual.assumed | {"heating": 0.0, "charge": 0.5}
     assert own.charge.known and not usual.charge.known
     assert ask().forecast.energy[-1] == usual.forecast.energy[-1] > own.forecast.energy[-1]
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"charge_pct": 180.0}, "180 is no state of charge, which is 0 to 100 percent"),
+        ({"charge_pct": -1.0}, "-1 is no state of charge"),
+        ({"stood_h": -2.0}, "the car cannot have stood for -2 h"),
+    ],
+)
+def test_what_people_give_is_refused_in_their_units(given, reason):
+    with pytest.raises(PlanError, match=reason):
+        ev.forecast({"length_km": [9], "speed_kmh": [50]}, "bmw_i3", **given)
+
+
+def test_a_share_that_is_none_is_named():
+    for name in ("charge", "prewarmed", "steady"):
+        with pytest.raises(PlanError, match=f"{name}: 180 is not a share"):
+            PlanConditions(**{name: 180.0})
+    with pytest.raises(PlanError, match="temperature is 99, not -60 to 60"):
+        PlanConditions(temperature=99.0)

@@ -10,7 +10,7 @@ import pytest
 from evpinn_ros.core.energy.edges import edge_energies
 from evpinn_ros.core.energy.forecast import PlanBasis, forecast_plan
 from evpinn_ros.core.energy.plan import PlanConditions, legs_of, legs_of_trip
-from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
+from evpinn_ros.core.energy.power_model import PowerModel, vehicle_model
 from evpinn_ros.core.energy.remaining import usual_cost
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import WARM
@@ -72,12 +72,15 @@ def test_an_edge_at_even_speed_is_a_leg_within_a_long_road_of_its_kind(name, row
         assert edges.energy[edge] == pytest.approx(energy[2] - energy[1], rel=1e-6, abs=1.0)
 
 
+@pytest.mark.parametrize("celsius", [None, -15.0, 30.0])
 @pytest.mark.parametrize("name", ["bmw_i3", "taught"])
-def test_the_usual_cost_of_range_is_that_of_edges(name):
-    warm = replace(car(name).car, seconds=1e6)
+def test_the_usual_cost_of_range_is_that_of_edges(name, celsius):
+    """In the air of now."""
+    warm = replace(car(name).car, seconds=1e6, celsius=celsius)
     metres = 1000.0 * np.arange(1.0, len(MIDDLES) + 1.0)
     model = PowerModel(replace(warm, unevenness=replace(Unevenness.none(), metres=metres)))
     legs = legs_of(MIDDLES * USUAL_LEG, np.full_like(MIDDLES, USUAL_LEG), np.zeros_like(MIDDLES))
-    edges = edge_energies(legs, model, Weather(warm.equation.vehicle.air_density))
+    weather = PlanBasis.of(model, PlanConditions(temperature=celsius)).weather
+    edges = edge_energies(legs, model, weather)
     cost = np.average(edges.energy / legs.length, weights=metres)
     assert usual_cost(model.car) == pytest.approx(cost, rel=1e-9)

@@ -1,6 +1,7 @@
 """Certified cars: their table, what is made of it, and how they are found."""
 
 import csv
+import math
 from pathlib import Path
 
 import numpy as np
@@ -123,3 +124,14 @@ def test_names_of_several_cars_and_of_none():
     e_208 = find_vehicles("e-208")
     assert len(e_208) == 2
     assert all(find_vehicles(text) == e_208 for text in ("e208", "E 208", "peugeot E208"))
+
+
+def test_a_battery_that_another_car_of_ours_has_is_known():
+    """Of a third of the certified cars; these weigh about as much, and get about as far."""
+    packs = {key: car.pack_of for key, car in CARS.items() if car.pack_of}
+    assert len(packs) > len(CARS) / 4
+    for key, other in packs.items():
+        car, same = load_vehicle(key), load_vehicle(other)
+        assert car.battery_capacity == same.battery_capacity > 20 * 3.6e6
+        assert car.priors["mass"].value == pytest.approx(same.priors["mass"].value, rel=0.25)
+    assert math.isnan(load_vehicle("nissan_leaf_2022").battery_capacity)  # 40 or 62 kWh

@@ -112,6 +112,68 @@ def test_a_part_without_duration_belongs_to_the_next(read):
     assert legs.duration == pytest.approx(samples.DURATIONS)
 
 
+SPANS = [[0, 40, 0], [40, 60, 1], [60, 80, 0]]  # points of the third part's line
+
+
+def spans(road, ferry):
+    return {"values": [[begin, end, (road, ferry)[is_]] for begin, end, is_ in SPANS]}
+
+
+def with_third_part(answer, place, name, value):
+    """The answer with the third of the parts at a place named so."""
+    parts = answer
+    for step in place:
+        parts = parts[step]
+    parts[2][name] = value
+    return answer
+
+
+OSRM = "routes", 0, "legs", 0, "steps"
+VALHALLA = "trip", "legs", 0, "maneuvers"
+FERRIES = {
+    "osrm": with_third_part(samples.osrm(annotated=False), OSRM, "mode", "ferry"),
+    "osrm annotated": with_third_part(samples.osrm(), OSRM, "mode", "train"),
+    "valhalla": with_third_part(samples.valhalla(), VALHALLA, "ferry", True),
+    "valhalla by type, miles": with_third_part(samples.valhalla("miles"), VALHALLA, "type", 28),
+    "valhalla's edges": with_third_part(samples.valhalla_edges(), ["edges"], "use", "ferry"),
+    "train": with_third_part(samples.valhalla_edges(timed=False), ["edges"], "use", "rail-ferry"),
+    "graphhopper by sign": with_third_part(
+        samples.graphhopper(), ("paths", 0, "instructions"), "sign", 9
+    ),
+}
+for form in (["time"], ["average_speed"], []):
+    answer = samples.graphhopper(form)
+    answer["paths"][0]["details"]["road_environment"] = spans("road", "ferry")["values"]
+    FERRIES[f"graphhopper {form}"] = answer
+for name, ferry in (("waycategory", 8), ("waycategory", 9), ("waytypes", 9)):
+    answer = samples.openrouteservice()
+    answer["routes"][0]["extras"] = {name: spans(1, ferry)}
+    FERRIES[f"openrouteservice {name} {ferry}"] = answer
+
+
+@pytest.mark.parametrize("answer", FERRIES.values(), ids=FERRIES)
+def test_what_a_ferry_or_a_train_carries_is_not_driven(read, answer):
+    with pytest.warns(UserWarning, match="5.0 km and 3 min on a ferry or a train are left out"):
+        legs = joined(read(answer))
+    assert legs.length == pytest.approx([400.0, 800.0, 1800.0], abs=1.0)
+    assert legs.duration == pytest.approx([70.0, 64.0, 120.0])
+    assert legs.climb[legs.height_known] == pytest.approx(
+        np.array([4.0, -4.0, -10.0])[legs.height_known], abs=5.0
+    )
+
+
+def test_a_ferry_that_is_hidden_in_a_part_is_refused(read):
+    answer = samples.openrouteservice()
+    answer["routes"][0]["extras"] = {"waycategory": {"values": [[0, 40, 1], [40, 50, 8]]}}
+    with pytest.raises(PlanError, match="a ferry or a train is within one of its parts"):
+        read(answer)
+    whole = samples.osrm(annotated=False)
+    for step in whole["routes"][0]["legs"][0]["steps"]:
+        step["mode"] = "ferry"
+    with pytest.warns(UserWarning), pytest.raises(PlanError, match="nothing of it is driven"):
+        read(whole)
+
+
 def test_legs_of_several_waypoints_follow_each_other(read):
     answer = samples.valhalla()
     (leg,) = answer["trip"]["legs"]
@@ -130,6 +192,14 @@ def test_legs_of_several_waypoints_follow_each_other(read):
         ({"message": "Cannot find point 2", "hints": []}, "no route: Cannot find point 2"),
         ({"routes": [], "code": "Ok"}, "there is no route in this answer"),
         ({"vehicle": "bmw_i3"}, "known are GeoJSON and the answers of Valhalla"),
+        *(
+            ({"routes": [route], "status": "OK"}, "Google's is none.: known are GeoJSON")
+            for route in (
+                {"legs": [{"distance": {"text": "12 km", "value": 12000}, "duration": {}}]},
+                {"legs": [{"distanceMeters": 12000, "duration": "600s"}], "polyline": {}},
+                {"sections": [{"summary": {"length": 12000}}]},
+            )
+        ),
         ({"routes": [{"legs": [{"distance": 9e3, "duration": 2}]}]}, "lengths in m, durations"),
     ],
 )

@@ -1,5 +1,7 @@
 """Tables of plans: speed over time, and legs by the names and units of their columns."""
 
+from dataclasses import replace
+import math
 import warnings
 
 import numpy as np
@@ -9,6 +11,8 @@ import pytest
 import evpinn_ros as ev
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.plan import Plan, PlanError
+from evpinn_ros.logs.plans import read_plan
+from evpinn_ros.logs.read_options import ReadOptions
 
 SPEEDS = "t_s,speed_mps,elevation_m\n0,0,0\n15,20,0\n400,20,60\n420,0,60\n"
 LEGS = "length_m,duration_s,climb_m\n1200,150,10\n12000,480,100\n3000,240,\n"
@@ -106,15 +110,73 @@ def test_grades_are_climbs(read, header, row, percent, grade):
     assert climb / length == pytest.approx(np.sin(np.arctan(grade)))
 
 
-def test_a_grade_beside_heights_is_not_used_nor_is_a_drive_with_one_a_plan(read):
+def test_a_grade_beside_heights_is_not_used_but_that_of_a_drive_is(read):
     with pytest.warns(UserWarning, match="not used: grade, wind"):
         plan = read(
             "t_s,speed_mps,elevation_m,grade,wind\n0,0,0,9,1\n400,20,60,9,1\n420,0,60,9,1\n"
         )
     assert plan.elevation.tolist() == [0, 60, 60]
     rows = [(t, 20, 350, 10, 0.05) for t in range(100)]
-    drive = read(uphill("time_s,speed_mps,voltage (V),current (A),grade", rows), "drive.csv")
-    assert not np.ptp(drive.elevation)
+    with pytest.warns(UserWarning, match="'grade' is assumed to be in fraction, and could be in"):
+        drive = read(uphill("time_s,speed_mps,voltage (V),current (A),grade", rows), "drive.csv")
+    assert drive.elevation[-1] == pytest.approx(99 * 20 * 0.05, rel=0.07)
+
+
+TRACE = [(t, min(t, 20.0, 0.5 * (300 - t))) for t in range(301)]  # s and m/s: 5.6 km
+SUMO = ("timestep_time", "vehicle_id", "vehicle_pos", "vehicle_slope", "vehicle_speed")
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("t_s,speed_mps,grade", lambda t, v, g: (t, v, g)),
+        ("cycSecs,cycMps,cycGrade,cycRoadType", lambda t, v, g: (t, v, g, 0)),
+        ("time_seconds,speed_meters_per_second,grade", lambda t, v, g: (t, v, g)),
+        ("time [min],Speed (mph),Slope [%]", lambda t, v, g: (t / 60, v / 0.44704, 100 * g)),
+        ("t_s,speed_mps,slope_deg", lambda t, v, g: (t, v, math.degrees(math.atan(g)))),
+        ("time,Vehicle Speed (km/h),Slope (%)", lambda t, v, g: (t, 3.6 * v, 100 * g)),
+        ("Elapsed time (s),velocity (m/s),Road gradient (rad)",
+         lambda t, v, g: (t, v, math.atan(g))),
+        (";".join(SUMO), lambda t, v, g: (t, "car", 0, math.degrees(math.atan(g)), v)),
+        (";".join((*SUMO, "vehicle_z")),
+         lambda t, v, g: (t, "car", 0, 0, v, 300 + g / math.hypot(1, g) * way(t))),
+        ("Time (s),Speed (km/h),voltage (V),current (A),grade_percent",
+         lambda t, v, g: (t, 3.6 * v, 350 - t % 7, t % 11, 100 * g)),
+        ("Time (s),Speed (km/h),Altitude (ft)",
+         lambda t, v, g: (t, 3.6 * v, (300 + g / math.hypot(1, g) * way(t)) / 0.3048)),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("grade", [0.05, -0.03])
+def test_a_trace_takes_the_same_whatever_its_columns_are_called(read, grade, header, row):
+    """Slopes in percent, fractions and angles, heights in feet, speeds in mph: one road."""
+    rows = [row(t, v, grade) for t, v in TRACE]
+    table = uphill(header, rows)
+    plan = read(table.replace(",", ";") if ";" in header else table, "trace.csv")
+    assert plan.commanded
+    assert plan.distance[-1] == pytest.approx(way(300), rel=1e-3)
+    climb = np.sin(np.arctan(grade)) * way(300)
+    assert plan.elevation[-1] - plan.elevation[0] == pytest.approx(climb, abs=5.0)
+    exact = replace(plan, elevation=plan.distance * np.sin(np.arctan(grade)))
+    kwh = [ev.forecast(road, "bmw_i3")["energy_j"].iloc[-1] / 3.6e6 for road in (plan, exact)]
+    assert kwh[0] == pytest.approx(kwh[1], abs=0.03)
+
+
+def way(time):
+    """Distance of `TRACE` after so many seconds, m."""
+    at, speed = np.array(TRACE, float).T
+    return float(np.interp(time, at, np.concatenate(([0], np.cumsum(speed[1:] + speed[:-1]) / 2))))
+
+
+def test_what_a_drive_s_columns_are_taken_for_is_said(read):
+    """Speeds to 45 without a unit might be m/s, km/h or mph; heights m or feet."""
+    rows = [(t, 2.237 * v, 300 + 3 * t, 5) for t, v in TRACE]
+    with pytest.warns(UserWarning) as warned:
+        read(uphill("time,speed,altitude,wind", rows), "drive.csv")
+    texts = [str(warning.message) for warning in warned]
+    assert any("speed 'speed', m/s (assumed)" in text for text in texts)
+    assert any("speed=speed:" in text and "could be in km/h or mph" in text for text in texts)
+    assert any("'altitude' is assumed to be in m, and could be in ft" in text for text in texts)
+    assert any(text.endswith("not used: wind") for text in texts)
 
 
 def test_columns_that_are_not_used_are_named():
@@ -133,8 +195,15 @@ def test_a_leg_without_length_is_a_stop(read):
     ("table", "reason"),
     [
         ("length,duration_s\n1200,150\n", "column 'length' does not say its unit"),
+        ("length_km,speed_kmh\n1,50\n1,0\n", "speed is 0 at leg 2"),
+        ("length_km,speed_kmh\n1,-50\n1,30\n", "speed is negative at leg 1"),
+        (
+            "length_km,speed_kmh\n-1,50\n1,30\n",
+            "(length|duration) is (negative|not above 0) at leg 1",
+        ),
+        ("t_s,speed_mps\n0,0\n5,9\n5,9\n", "time does not rise at point 3"),
         ("length_m,duration_s\n1.2,150\n12,480\n", "lengths in m, durations in s"),
-        ("length_m,duration_s,speed_kmh\n12000,480,900\n", "contradict each other at leg 0"),
+        ("length_m,duration_s,speed_kmh\n12000,480,900\n", "contradict each other at leg 1"),
         (
             "length_m,duration_s\n900,sixty\n",
             "duration_s holds what is no number, 'sixty' in row 1",
@@ -167,3 +236,44 @@ def test_air_is_denser_when_it_is_cold():
     )
     assert thin < warm < cold
     assert warm == ev.forecast(legs, "bmw_i3")["energy_j"].iloc[-1]
+
+
+def test_a_chosen_unit_holds_for_a_plan_of_our_names_too(tmp_path):
+    (tmp_path / "plan.csv").write_text(SPEEDS)
+    plan = read_plan(tmp_path / "plan.csv", None, ReadOptions(columns=("speed=speed_mps:km/h",)))
+    assert plan.distance[-1] == pytest.approx(8050.0 / 3.6)
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [
+        {"length_km": [400.0], "speed_kmh": [90.0]},
+        {"length_km": [10, 0, 7.3], "duration_min": [9, 5, 8], "climb_m": [90, 0, -50]},
+        {"t_s": [0, 15, 400, 420], "speed_mps": [0, 20, 20, 0], "elevation_m": [0, 0, 60, 60]},
+    ],
+)
+@pytest.mark.parametrize("every", [250.0, 1000.0, 1e6])
+def test_rows_may_be_so_many_metres_apart(plan, every):
+    """Of the road, as a finer plan has them; the last is the end."""
+    rows = ev.forecast(plan, "bmw_i3", charge_pct=90.0, every_m=every)
+    whole = ev.forecast(plan, "bmw_i3", charge_pct=90.0)
+    assert rows.columns.tolist() == whole.columns.tolist()
+    kept = [name for name in rows if name != "power_w"]
+    assert rows[kept].iloc[-1].to_dict() | {"speed_mps": 0.0} == pytest.approx(
+        whole[kept].iloc[-1].to_dict() | {"speed_mps": 0.0}, rel=1e-9
+    )
+    steps = np.diff(rows["distance_m"])
+    assert steps[:-1] == pytest.approx(every) and 0.0 < steps[-1] <= every * (1.0 + 1e-6)
+    assert (np.diff(rows.index) > 0.0).all() and (np.diff(rows["energy_j"]) > -5e5).all()
+    if whole["distance_m"].iloc[-1] == 400e3 and every < 1e4:
+        cut = ev.forecast({"length_km": 40 * [10.0], "speed_kmh": 40 * [90.0]}, "bmw_i3",
+                          charge_pct=90.0)  # fmt: skip
+        at = rows.iloc[np.searchsorted(rows["distance_m"], cut["distance_m"] - 1e-3)]
+        for name in ("energy_j", "sigma_j", "charge_pct", "charge_sigma_pct"):
+            assert at[name].to_numpy() == pytest.approx(cut[name].to_numpy(), rel=1e-8, abs=1e-6)
+
+
+def test_rows_that_are_too_many_are_refused():
+    for every in (0.0, -1.0, 1e-3):
+        with pytest.raises(PlanError, match="at most 50000 rows"):
+            ev.forecast({"length_km": [400.0], "speed_kmh": [90.0]}, every_m=every)

@@ -5,7 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from evpinn_ros.core.energy.forecast import forecast_plan
 from evpinn_ros.core.energy.plan import PlanError
+from evpinn_ros.core.energy.power_model import Weather, vehicle_model
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.plans.way import way_length
 
 DEGREE = math.radians(1.0) * 6_371_008.8  # m of a meridian
@@ -113,7 +116,7 @@ def test_with_speeds_no_times_are_needed(read):
         legs = read(track)
         assert legs.length == pytest.approx([400.0, 500.0], abs=0.01)
         assert legs.duration == pytest.approx([20.0, 20.0], abs=0.01)
-    with pytest.raises(PlanError, match="no times, and its speed is 0 from point 2 on"):
+    with pytest.raises(PlanError, match="no times, and its speed is 0 at point 3"):
         read(gpx(times=None, speeds=[10.0, 10.0, 0.0, 0.0, 0.0]))
 
 
@@ -138,7 +141,7 @@ def test_the_track_with_times_is_taken_where_a_route_stands_beside_it(read):
     ("track", "reason"),
     [
         (gpx(times=None), "neither times nor speeds"),
-        (gpx(CLOCK[::-1]), "time goes back at point 1"),
+        (gpx(CLOCK[::-1]), "time goes back at point 2"),
         (gpx(["soon"] * 5), "'soon' is no time of ISO 8601"),
         ('<!DOCTYPE gpx [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><gpx>&b;</gpx>', "DOCTYPE"),
         (geojson(times=SECONDS[1:]), "4 times for 5 points"),
@@ -153,3 +156,41 @@ def test_what_is_no_track_is_refused_with_the_reason(read, track, reason):
 def test_a_degree_is_as_long_as_on_earth():
     along = way_length(np.array([0.0, 1.0, 1.0]), np.array([60.0, 60.0, 61.0]))
     assert np.diff(along) == pytest.approx([DEGREE / 2, DEGREE], rel=1e-4)
+
+
+def track_of(speeds, sigma=0.0, every=1):
+    """GeoJSON to the east of speeds, m/s, a second apart; places wander where the car stands."""
+    still = np.concatenate(([True], speeds == 0.0))
+    noise = np.random.default_rng(7).normal(0.0, sigma, (2, len(still))) * still
+    east, north = np.concatenate(([0.0], np.cumsum(speeds))) + noise[0], noise[1]
+    x, y = 9.0 + east / DEGREE / math.cos(math.radians(48.0)), 48.0 + north / DEGREE
+    line = np.stack((x, y), axis=1)[::every].tolist()
+    times = np.arange(0.0, len(still), every).tolist()
+    return {"type": "Feature", "properties": {"coordTimes": times},
+            "geometry": {"type": "LineString", "coordinates": line}}  # fmt: skip
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("every", [1, 2])
+@pytest.mark.parametrize("stands", [1, 4])
+def test_a_receiver_that_stands_and_wanders_drives_nowhere(read, sigma, every, stands):
+    """12 km with 20 minutes of standing: 13 to 21 km along its places."""
+    ramp = np.arange(0.5, 15.0) * 4 / 3
+    drive = np.concatenate((ramp, np.full(600 // stands, 20.0), ramp[::-1]))
+    stand = np.zeros(1200 // stands)
+    speeds = np.concatenate([drive, *[part for _ in range(stands) for part in (stand, drive)]])
+    wandered, exact = (read(track_of(speeds, noise, every)) for noise in (sigma, 0.0))
+    assert exact.length.sum() == pytest.approx(speeds.sum(), rel=1e-3)
+    assert wandered.length.sum() == pytest.approx(speeds.sum(), rel=0.012 + 0.002 * stands)
+    assert wandered.commanded
+    joules = [
+        float(forecast_plan(legs, vehicle_model(load_vehicle("bmw_i3")), Weather(1.2)).energy[-1])
+        for legs in (wandered, exact)
+    ]
+    assert joules[0] == pytest.approx(joules[1], rel=0.05)
+
+
+@pytest.mark.parametrize("speed", [0.7, 1.5, 5.0])
+def test_who_creeps_does_not_stand(read, speed):
+    creeping = np.concatenate((np.full(60, 10.0), np.full(300, speed), np.zeros(60)))
+    assert read(track_of(creeping)).length.sum() == pytest.approx(creeping.sum(), rel=1e-3)
