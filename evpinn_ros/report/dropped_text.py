@@ -10,6 +10,7 @@ from evpinn_ros.core.signals.time_jump import SECOND_PUBLISHER
 NO_LOSS = ("battery_unmeasured",)
 WORDS = {
     "acceleration_impossible": "speeds that change faster than tyres allow",
+    "all_stand_still": "rows or readings in which all values stand still while the car moves",
     "battery_beyond_car": "battery readings beyond what this car can give",
     "battery_doubled": "battery readings with the same time as another",
     "current_stands_still": "currents that stand still while the car does not",
