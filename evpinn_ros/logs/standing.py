@@ -1,8 +1,8 @@
 """Values that stand still while the car does not, and zeros in place of measurements.
 
 A value is contradicted by the other signal, by the mass that both show elsewhere, and by the way
-between positions or that of the odometer. Where all values stand still together while the car
-moves, as when an adapter is lost, none of them was measured.
+between positions or that of the odometer. Where speed and battery stand still together while
+the car moves, as when an adapter is lost, neither was measured.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Standing:
             inside = (time > stand.begin) & (time <= stand.begin + stand.seconds)
             for column in values.values():
                 column[rows[inside]] = np.nan
-            self._dropped["all_stand_still"] += int(inside.sum())
+            self._dropped["both_stand_still"] += int(inside.sum())
             self._lost.append(stand)
         signals = _signals(time, values, rows)
         leapt = leaps(*signals["speed"].points())
@@ -143,8 +143,9 @@ class Standing:
         if self._lost:
             lost, *again = self._lost
             yield (
-                f"all values stand still from {lost.begin:.0f} s on for {lost.seconds:.0f} s"
-                f"{_more(again)} while the car moves, so nothing is measured there"
+                f"speed and battery stand still from {lost.begin:.0f} s on for "
+                f"{lost.seconds:.0f} s{_more(again)} while the car moves, so nothing is measured "
+                "there"
             )
         for name, zeros in self._zeros.items():
             share = 100.0 * zeros / self._readings[name]
@@ -268,15 +269,14 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
 
 
 def _lost(signals: Signals) -> list[Stand]:
-    """Stretches in which all signals stand still while the car moves, unless that is usual."""
-    names = [name for name in ("speed", "voltage", *DRAWN) if name in signals]
+    """Stretches in which speed and battery stand still while the car moves, if that is unusual."""
+    pair = ("voltage", "current")
+    names = ["speed", *(pair if signals.keys() >= set(pair) else signals.keys() & {"power"})]
     time, speed = signals["speed"].points()
     points = [signals[name].points() for name in names]
     if len(names) < 2 or min(at.size for at, _ in points) < LEAST_REPEATS:
         return []
-    changes = [
-        at[1:][np.diff(value) != 0.0] for at, value in (s.points() for s in signals.values())
-    ]
+    changes = [at[1:][np.diff(value) != 0.0] for at, value in points]
     edges = np.unique(np.concatenate([time[:1], *changes, [np.nextafter(time[-1], np.inf)]]))
     stands: dict[tuple[float, ...], list[Stand]] = {}
     for at in np.flatnonzero(np.diff(edges) >= LEAST_STAND).tolist():

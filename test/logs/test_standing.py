@@ -132,7 +132,7 @@ def test_nothing_is_measured_where_all_signals_stand_still(tmp_path, kind, stret
     ]
     lost = sum(stretch.stop - stretch.start - 1 for stretch in LOST[stretches])
     assert stamps == pytest.approx([DRIVE.time.size - lost] * 2, abs=2)
-    assert f"all values stand still from {LOST[stretches][0].start} s on" in source.notes[0]
+    assert f"speed and battery stand still from {LOST[stretches][0].start} s on" in source.notes[0]
 
 
 COARSE = {
@@ -151,7 +151,7 @@ def test_values_that_stand_still_time_and_again_are_measured(tmp_path, kind, val
             getattr(drive, name)[600:640] = getattr(drive, name)[200]
     source = kind(drive, tmp_path)
     list(source.readings())
-    assert "all values stand still" not in " ".join(source.notes)
+    assert "speed and battery stand still" not in " ".join(source.notes)
 
 
 @pytest.mark.parametrize("kind", KINDS)
