@@ -38,8 +38,8 @@ _ENERGY = (
     (
         "measured_j",
         "J",
-        f"voltage x current, charging too, integrated where gaps are up to {MAX_MEASURED_STEP} s "
-        f"or {GAP_STEPS:.0f} usual steps",
+        "voltage x current without a charger, integrated where gaps are up to "
+        f"{MAX_MEASURED_STEP} s or {GAP_STEPS:.0f} usual steps",
     ),
     ("predicted_j", "J", "predicted power, integrated over the same stretches"),
     ("rknn_j", "J", "the same by the Runge-Kutta network"),

@@ -11,12 +11,14 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from evpinn_ros.api.result import Result
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.state_file import StateClaim
 from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.logs.formats import files_of
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.terrain import Terrain
-from evpinn_ros.logs.trips import split
+from evpinn_ros.logs.trips import joined, split
 from evpinn_ros.replays.car import CarReplay, mode_of
 from evpinn_ros.replays.run import WARM_UP, ReplayOptions
 
@@ -86,8 +88,10 @@ def replay(
         columns=columns,
         car=car,
         elevation=elevation,
-    ) as (car_replay, source):
-        ((whole,), _) = split(source, whole=True)
+    ) as (car_replay, logs):
+        if len(logs) > 1:
+            raise InputError(f"{drive}: {len(logs)} recordings, for ev.replay_trips")
+        ((whole,), _) = split(logs[0], whole=True)
         return _result(car_replay, whole)
 
 
@@ -99,7 +103,7 @@ def replay_trips(
     warm_up: float = WARM_UP,
     **options: Any,
 ) -> list[Result]:
-    """Replay each trip of a log; each begins with what the trips before it taught.
+    """Replay each trip of a log or a folder of logs; each begins with what those before taught.
 
     A trip ends where the car is parked for ten minutes or charged.
 
@@ -109,7 +113,7 @@ def replay_trips(
         ...     print(trip)
 
     Args:
-        drive: as `replay` takes it.
+        drive: as `replay` takes it, or a folder, whose logs follow in the order of their names.
         vehicle: the same.
         withhold_battery_after: s of each trip from which on the battery is hidden.
         warm_up: s at the start of each trip that are not scored.
@@ -120,8 +124,10 @@ def replay_trips(
         InputError: the drive, the vehicle or a file cannot be used; the text says why.
     """
     scored = ReplayOptions(withhold_battery_after, warm_up)
-    with _opened(drive, vehicle, scored, **options) as (car_replay, source):
-        return [_result(car_replay, trip) for trip in split(source)[0]]
+    with _opened(drive, vehicle, scored, **options) as (car_replay, logs):
+        drives = joined(logs)
+        trips = (split(log, ahead=len(drives) == 1)[0] for log in drives)
+        return [_result(car_replay, trip) for of_log in trips for trip in of_log]
 
 
 @contextmanager
@@ -135,8 +141,8 @@ def _opened(
     state: str | os.PathLike[str] | None = None,
     elevation: str | os.PathLike[str] | None = None,
     **reading: Any,
-) -> Iterator[tuple[CarReplay, Source]]:
-    """The car and its drive, `reading` of `ReadOptions`; then writes what was learned."""
+) -> Iterator[tuple[CarReplay, list[Source]]]:
+    """The car and its logs, `reading` of `ReadOptions`; then writes what was learned."""
     written = None if state is None else Path(state)
     terrain = None if elevation is None else Terrain(Path(elevation))
     with StateClaim(written):
@@ -149,7 +155,8 @@ def _opened(
         )
         read_options = ReadOptions(terrain=terrain, **reading)
         with TemporaryDirectory() as folder:
-            yield car_replay, car_replay.open(_path_of(drive, Path(folder)), read_options)
+            paths = files_of(_path_of(drive, Path(folder)))
+            yield car_replay, [car_replay.open(path, read_options) for path in paths]
         if written is not None:
             car_replay.write_state(written)
 

@@ -82,6 +82,7 @@ LAST_ID, LAST_EXTENDED_ID, LONGEST_DATA = 0x7FF, 0x1FFFFFFF, 64
 LAST_TIME = 2.0**33  # s since 1970: the year 2242
 END = 64 << 10  # bytes at either end of a log that tell how long it is
 MICROSECOND = 1e-6
+COUNTER = 2**32  # microseconds after which some adapters count anew
 APART = {MF4: "convert_mf4", ".blf": "convert_blf"}  # functions that another process runs
 NO_FRAME = 1 << 30  # no id, so it is counted where the converted log is read
 
@@ -342,14 +343,21 @@ def gvret_messages(lines: Iterable[str]) -> Iterator[can.Message]:
     reader = csv.reader(lines)
     names = [name.strip("\ufeff ") for name in next(reader)]
     first = names.index("LEN") + 1
+    before, added = 0, 0
     for row in filter(any, reader):
         cells = dict(zip(names, row, strict=False))
         length = int(cells["LEN"])
         data = bytes(int(cell, 16) for cell in row[first : first + length])
         if len(data) < length:
             raise ValueError(f"{len(data)} of {length} bytes")
+        micros = int(cells["Time Stamp"])
+        if before == 0 and micros < 0:  # from an overflow: it tells no date
+            added = -micros
+        elif 0 <= micros < before - COUNTER // 2 and before < COUNTER:
+            added += COUNTER
+        before = micros
         yield can.Message(
-            timestamp=int(cells["Time Stamp"]) * MICROSECOND,
+            timestamp=(micros + added) * MICROSECOND,
             arbitration_id=int(cells["ID"], 16),
             is_extended_id=cells["Extended"].strip().lower() in ("true", "1"),
             is_rx=cells.get("Dir", "").strip().lower() != "tx",

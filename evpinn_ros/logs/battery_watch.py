@@ -70,12 +70,16 @@ class BatteryWatch:
                     values[name][order] = -column if name == "current" else column
         self._standing.drop(stamps, values, np.argsort(stamps, kind="stable"))
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
+        moves = ~np.isnan(values["speed"][speeds.order]) | np.isnan(speeds.values[0])
+        chosen: dict[type[Reading], np.ndarray] = {SpeedReading: moves}
         if len(battery.order):
             fields = battery.values.copy()
             fields[1, np.isnan(values["current"][battery.order])] = np.nan
+            chosen[BatteryReading] = ~(
+                np.isnan(values["voltage"][battery.order]) & np.isfinite(fields[0])
+            )
             block = block.with_rows(BatteryReading, battery._replace(values=fields))
-        moves = ~np.isnan(values["speed"][speeds.order]) | np.isnan(speeds.values[0])
-        block = block.only({SpeedReading: moves})
+        block = block.only(chosen)
         if sum(map(len, self._kept)) < MOST_KEPT:
             self._kept.append(block)
         self._flows_back |= bool((_possible(block, BatteryReading).values[1] > 0.0).any())

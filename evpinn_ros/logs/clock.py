@@ -24,6 +24,7 @@ with optional_imports():
 NONE = np.iinfo(np.int64).min  # where there is no time
 LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
 BACK_NS = 10 * NANOSECONDS  # to where it began, about: a clock that begins anew with each drive
+HALF_DAY_NS, HALF_DAY_PAUSE_NS = DAY_NS // 2, 600 * NANOSECONDS
 PAUSE_NS = 3600 * NANOSECONDS  # between such drives; it is not known, but a drive has ended
 
 # With the signs beside them, for a month may be part of another word.
@@ -69,14 +70,17 @@ class Clock:
     style: Style = POINT  # of numbers
     daily: bool = False  # numbers begin anew at midnight
     as_written: bool = False  # the format is a person's, for cells as they stand
+    half_days: bool = False  # its hours begin anew at one o'clock, without an AM or PM
     drives_from_ns: int | None = None  # time that each drive begins at; None if there is one
     order: Order = Order.OLDEST_FIRST  # of the rows
     spread: RowSpread | None = None  # None where each row has a stamp of its own
 
     @property
     def period_ns(self) -> int:
-        """Time after which it begins anew, a day; 0 where it runs on."""
-        return DAY_NS if self.kind == "time of day" or self.daily else 0
+        """Time after which it begins anew, a day or half of it; 0 where it runs on."""
+        if self.kind != "time of day" and not self.daily:
+            return 0
+        return HALF_DAY_NS if self.half_days else DAY_NS
 
     @property
     def begins_anew(self) -> bool:
@@ -87,7 +91,10 @@ class Clock:
         """Counter that lets its times run on where it begins anew."""
         is_local = self.kind == "date" and not self.zoned
         spread = self.spread if self.spread is not None and self.spread.rows else None
-        return RunningClock(self.period_ns, self.drives_from_ns, spread, is_local=is_local)
+        dated_halves = self.half_days and self.kind == "date"
+        return RunningClock(
+            self.period_ns, self.drives_from_ns, spread, is_local=is_local, halves=dated_halves
+        )
 
     @property
     def dated(self) -> bool:
@@ -121,9 +128,10 @@ class RunningClock:
         spread: RowSpread | None = None,
         *,
         is_local: bool = False,
+        halves: bool = False,
     ) -> None:
         self._period, self._first, self._spread = period_ns, drives_from_ns, spread
-        self._is_local = is_local
+        self._is_local, self._halves = is_local, halves
         self._added = 0
         self._before: NDArray[np.int64] | None = None  # the last two times
         self._shared = (NONE, 0)  # the last stamp, and how many rows had it
@@ -137,7 +145,7 @@ class RunningClock:
         if self._spread is not None:
             stamps = stamps.copy()
             stamps[there] = times = self._spread_out(times, self._spread)
-        if not (self._period or self._first is not None or self._is_local):
+        if not (self._period or self._first is not None or self._is_local or self._halves):
             return stamps
         before = times[[0, 0]] if self._before is None else self._before
         steps = np.diff(times, prepend=before[1])
@@ -150,6 +158,10 @@ class RunningClock:
     def _turns(
         self, times: NDArray[np.int64], before: NDArray[np.int64], steps: NDArray[np.int64]
     ) -> NDArray[np.int64]:
+        if self._halves:  # one o'clock in the afternoon, and midnight, when it is twelve
+            return HALF_DAY_NS * (
+                1 * half_day_back(steps) - 2 * half_day_back(steps - 3 * HALF_DAY_NS)
+            )
         if self._is_local:
             turned: NDArray[np.int64] = -_HOUR_NS * _set_forward(times - steps, times)
             return turned
@@ -196,6 +208,11 @@ def _set_forward(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray
     forward &= before % _HOUR_NS >= _HOUR_NS - _MINUTE_NS
     hours: NDArray[np.int64] = np.where(forward, 1, np.where(back, -1, 0))
     return hours
+
+
+def half_day_back(steps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """True where rows are half a day behind the ones before, as at one of a clock of 12 hours."""
+    return np.asarray((steps >= -HALF_DAY_NS) & (steps <= HALF_DAY_PAUSE_NS - HALF_DAY_NS))
 
 
 def begin_drives(

@@ -23,12 +23,13 @@ from evpinn_ros.logs.clock import (
     Order,
     RowSpread,
     begin_drives,
+    half_day_back,
     joined_cells,
     parsed_times,
 )
 from evpinn_ros.logs.column import Column
 from evpinn_ros.logs.numbers import Style, filled, to_floats
-from evpinn_ros.logs.quantities import score
+from evpinn_ros.logs.quantities import QUANTITIES, score
 from evpinn_ros.logs.source import STRAGGLING_NS
 from evpinn_ros.logs.survey import Survey
 
@@ -44,6 +45,10 @@ SHARED = 0.3  # of the rows have the stamp of the one before, where stamps are c
 LEAST_SHARED = 3  # stamps that rows share, to tell how far apart they are
 LEAST_SECONDS = 20  # of a minute that tell a clock without colons from a number
 CHANGED = 0.1  # of these have another value than the one before
+LONG_STEP, SLOW = 25.0, 3e-3  # s between rows, and m/s^2 of a mean change of speed: too slow
+SMOOTH = 0.1  # of the span of a speed that it changes by from row to row: it is followed
+USUAL_CHANGE = (0.01, 2.0)  # m/s^2, of a drive in the mean
+IMPOSSIBLE = 20.0  # m/s^2
 ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
 
 # Orders of a date, the likeliest first among equals: ISO, then day first as most of the world has
@@ -53,6 +58,8 @@ _DATES = {
     "day, month, year": ("%d-%m-%Y", "%d-%m-%y", "%d-%b-%Y", "%d-%b-%y"),
     "month, day, year": ("%m-%d-%Y", "%m-%d-%y", "%b-%d-%Y"),
 }
+ASSUMED_UNIT = "assumed, for no car changes its speed as the unit in the name says"
+UNITS_OF_SPEED = QUANTITIES["speed"].units
 _CLOCKS_24 = ("%H:%M:%S%.f", "%H:%M")
 _CLOCKS_12 = ("%I:%M:%S%.f %p", "%I:%M %p")
 _ZONES = ("", "%z")
@@ -67,7 +74,12 @@ def clocks_of(used: Sequence[Column], survey: Survey, days: Collection[int] = ()
     """
     columns = [column for column in used if column.quantity == "time"]
     names = {column.place: column.name for column in columns}
-    clocks = [clock for column in columns if (clock := _clock(column, survey, days))]
+    speed = next((column for column in used if column.quantity == "speed"), None)
+    clocks = [
+        clock if speed is None else _in_possible_unit(clock, speed, survey)
+        for column in columns
+        if (clock := _clock(column, survey, days))
+    ]
     by_place = {clock.columns[0]: clock for clock in clocks}
     stamps_of = {clock: clock.stamps(survey.cells) for clock in clocks}
     for date, time in permutations(clocks, 2):
@@ -81,6 +93,7 @@ def clocks_of(used: Sequence[Column], survey: Survey, days: Collection[int] = ()
     for clock in by_place.values():
         stamps = stamps_of[clock]
         if not _is_day_alone(clock, stamps):
+            clock = replace(clock, half_days=_is_of_half_days(clock, stamps))
             clock = _in_its_order(clock, stamps, survey, names)
             clock = replace(clock, spread=_spread_of(clock, stamps, survey, names))
             merits[clock] = _merit(clock, stamps, names[clock.columns[0]])
@@ -234,6 +247,41 @@ def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
         for date, clock, zone in product(_DATES[order], clocks, _ZONES)
     ]
     return dated + [(order, date) for order in orders for date in _DATES[order]]
+
+
+def _in_possible_unit(clock: Clock, speed: Column, survey: Survey) -> Clock:
+    """The clock; in another unit where no car changes its speed as its name says."""
+    if clock.kind != "number" or clock.why != "by its name":
+        return clock
+    values = to_floats(survey.cells[speed.place], survey.styles[speed.place])
+    values = values * (speed.factor if speed.has_unit else UNITS_OF_SPEED["km/h"].factor)
+    times = clock.stamps(survey.cells)
+    there = np.isfinite(values) & (times != NONE)
+    steps = np.abs(np.diff(times[there])) / NANOSECONDS
+    changes = np.abs(np.diff(values[there]))
+    if steps.size < LEAST_SECONDS or not steps.sum() or not changes.sum():
+        return clock
+    mean, step = float(changes.sum() / steps.sum()), float(np.median(steps)) / survey.stride
+    is_followed = changes.mean() < SMOOTH * float(np.ptp(values[there]))
+    too_slow = (step > LONG_STEP or mean < SLOW) and is_followed
+    if not too_slow and mean < IMPOSSIBLE:
+        return clock
+    now = UNITS_NS[clock.unit]
+    for name in ("ms", "s", "us", "min"):
+        factor = UNITS_NS[name] / now
+        if (factor < 1.0) == too_slow and USUAL_CHANGE[0] < mean / factor < USUAL_CHANGE[1]:
+            return replace(clock, unit=name, why=ASSUMED_UNIT)
+    return clock
+
+
+def _is_of_half_days(clock: Clock, stamps: NDArray[np.int64]) -> bool:
+    """True if 12:59 is followed by 1:00, and no hour is one of 24."""
+    times = stamps[stamps != NONE]
+    if clock.kind == "number" or "%p" in clock.formats or not times.size:
+        return False
+    hours = times % DAY_NS // (3600 * NANOSECONDS)
+    is_back = half_day_back(np.diff(_forward(times))).any()
+    return bool(is_back and hours.min() >= 1 and hours.max() <= 12)
 
 
 def _in_its_order(

@@ -23,6 +23,7 @@ class Source(ABC):
     dated: str | None = None  # tells a table's day: `log`, `name` of the file, "" for nothing
     zoned = True  # the clock is UTC or names its zone
     in_order = True  # False: rows of a table were sorted by time
+    stops_s = 0.0  # s between its first and last reading that are no part of the drive
 
     def __init__(self, path: Path, log: Source | None = None) -> None:
         """Nothing was dropped yet; columns and clock are those of the log that it is made of."""

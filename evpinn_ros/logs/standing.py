@@ -1,13 +1,14 @@
 """Values that stand still while the car does not, and zeros in place of measurements.
 
 A value is contradicted by the other signal, by the mass that both show elsewhere, and by the way
-between positions or that of the odometer.
+between positions or that of the odometer. Where speed and battery stand still together while
+the car moves, as when an adapter is lost, neither was measured.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +52,7 @@ SLOWEST_UNIT = 1.0 / 3.6  # m/s: of a speed, knots and mph are faster
 MOST_ASKED = 1000  # values that tell a resolution
 LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and the share of the hardest moments in them
 LEAST_LEAPS, MOST_LEAPS = 6, 0.1  # to zero and back, and of all steps
+MOST_LOST, USUALLY = 2, 0.5  # stretches, and readings that moves: a log that repeats all values
 
 Signals = dict[str, Signal]
 
@@ -81,6 +83,7 @@ class Standing:
         self._readings, self._zeros = Counter[str](), Counter[str]()
         self._ways: list[float] = []  # by the odometer over that by the speed
         self._steps = self._leaps = 0
+        self._lost: list[Stand] = []
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -106,6 +109,12 @@ class Standing:
                 values[name][rows[zeros]] = np.nan
                 self._zeros[name] += int(zeros.sum())
                 self._dropped[f"{name}_sentinel_0"] += int(zeros.sum())
+        for stand in _lost(_signals(time, values, rows)):
+            inside = (time > stand.begin) & (time <= stand.begin + stand.seconds)
+            for column in values.values():
+                column[rows[inside]] = np.nan
+            self._dropped["both_stand_still"] += int(inside.sum())
+            self._lost.append(stand)
         signals = _signals(time, values, rows)
         leapt = leaps(*signals["speed"].points())
         self._steps, self._leaps = self._steps + leapt.size, self._leaps + int(leapt.sum())
@@ -131,6 +140,13 @@ class Standing:
                 "car does, so doubt all totals: are there rows of several cars, or is it in "
                 "another unit?"
             )
+        if self._lost:
+            lost, *again = self._lost
+            yield (
+                f"speed and battery stand still from {lost.begin:.0f} s on for "
+                f"{lost.seconds:.0f} s{_more(again)} while the car moves, so nothing is measured "
+                "there"
+            )
         for name, zeros in self._zeros.items():
             share = 100.0 * zeros / self._readings[name]
             yield (
@@ -145,11 +161,14 @@ class Standing:
             if count == self._readings[name] and not others:
                 yield f"{name} is always {value} while {why}, so it is not used"
                 continue
-            again = f", and {len(others)} times more" if others else ""
             yield (
                 f"{name} stands still at {value} from {stand.begin:.0f} s on for "
-                f"{stand.seconds:.0f} s{again} while {why}, so it is not used there"
+                f"{stand.seconds:.0f} s{_more(others)} while {why}, so it is not used there"
             )
+
+
+def _more(others: Sequence[object]) -> str:
+    return f", and {len(others)} times more" if others else ""
 
 
 def _signals(
@@ -247,6 +266,37 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
             for stand in _stands(signals[name]):
                 if _needs_power(stand, seen, signals[name], mass / unit):
                     yield name, stand, "the car speeds up and slows down"
+
+
+def _lost(signals: Signals) -> list[Stand]:
+    """Stretches in which speed and battery stand still while the car moves, if that is unusual."""
+    pair = ("voltage", "current")
+    names = ["speed", *(pair if signals.keys() >= set(pair) else signals.keys() & {"power"})]
+    time, speed = signals["speed"].points()
+    points = [signals[name].points() for name in names]
+    if len(names) < 2 or min(at.size for at, _ in points) < LEAST_REPEATS:
+        return []
+    changes = [at[1:][np.diff(value) != 0.0] for at, value in points]
+    edges = np.unique(np.concatenate([time[:1], *changes, [np.nextafter(time[-1], np.inf)]]))
+    stands: dict[tuple[float, ...], list[Stand]] = {}
+    for at in np.flatnonzero(np.diff(edges) >= LEAST_STAND).tolist():
+        begin, end = edges[at], edges[at + 1]
+        firsts, lasts = zip(*(of.searchsorted((begin, end)) for of, _ in points), strict=True)
+        inside = time[firsts[0] : lasts[0]]
+        if min(np.subtract(lasts, firsts)) >= LEAST_REPEATS and (
+            np.diff(inside).max() <= LONGEST_STEP and speed[firsts[0]] != 0.0
+        ):
+            key = tuple(
+                float(value[first]) for first, (_, value) in zip(firsts, points, strict=True)
+            )
+            stand = Stand(firsts[0], lasts[0] - 1, begin, inside[-1] - begin, key[0])
+            stands.setdefault(key, []).append(stand)
+    # Values that come back to the last digit are those of a car that is simulated.
+    lost = [alike[0] for alike in stands.values() if len(alike) == 1]
+    moving = np.count_nonzero(speed)
+    still = sum(stand.last + 1 - stand.first for of_key in stands.values() for stand in of_key)
+    usual = len(lost) > MOST_LOST and still > USUALLY * moving
+    return [] if usual or moving - still < LEAST_EVENTS else lost
 
 
 def _stands(signal: Signal) -> Iterator[Stand]:

@@ -21,7 +21,7 @@ from evpinn_ros.core.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.logs.batch import Batch, regrouped
 from evpinn_ros.logs.cars import table_of_car
 from evpinn_ros.logs.clock import LAST_TIME_NS, NONE, Clock, Order
-from evpinn_ros.logs.clock_choice import RELATIVE_BELOW_S, clocks_of
+from evpinn_ros.logs.clock_choice import ASSUMED_UNIT, RELATIVE_BELOW_S, clocks_of
 from evpinn_ros.logs.clock_start import (
     day_of_name,
     days_of_name,
@@ -220,16 +220,7 @@ class TableDrive(Source):
         if self._held:
             names = " and ".join(sorted(self._held))
             notes.append(f"{names}: cells that repeat the last value are not used")
-        as_written, spread = self.clock.as_written, self.clock.spread
-        if self.clock.formats == "%H:%M" and not as_written and spread is None:
-            name = self._head.names[self.clock.columns[0]]
-            notes.append(
-                f"time: {name!r} is assumed to be hours and minutes; if it is minutes and "
-                f"seconds, use --column 'time={name}:%M:%S'"
-            )
-        if spread is not None:
-            every = spread.resolution_ns / NANOSECONDS
-            notes.append(f"time: stamps are {every:g} s apart; rows are spread evenly within them")
+        notes += self._notes_on_time()
         if self._not_traction:
             notes.append(f"voltage is {self._not_traction}, so it is not used")
         notes += self._standing.notes
@@ -239,6 +230,25 @@ class TableDrive(Source):
                 f"assumed to be the nominal {self._nominal_voltage:g} V"
             )
         return (*notes, self.first_bad) if self.first_bad else tuple(notes)
+
+    def _notes_on_time(self) -> Iterator[str]:
+        clock, spread = self.clock, self.clock.spread
+        name = self._head.names[clock.columns[0]]
+        if clock.why == ASSUMED_UNIT:
+            yield (
+                f"time: {name!r} is assumed to be in {clock.unit}, because no car changes its "
+                f"speed as its name says; --column 'time={name}:UNIT' gives another unit"
+            )
+        if clock.half_days:
+            yield f"time: {name!r} is assumed to be of 12 hours without AM and PM"
+        if clock.formats == "%H:%M" and not clock.as_written and spread is None:
+            yield (
+                f"time: {name!r} is assumed to be hours and minutes; if it is minutes and "
+                f"seconds, use --column 'time={name}:%M:%S'"
+            )
+        if spread is not None:
+            every = spread.resolution_ns / NANOSECONDS
+            yield f"time: stamps are {every:g} s apart; rows are spread evenly within them"
 
     @property
     def doubts(self) -> tuple[str, ...]:

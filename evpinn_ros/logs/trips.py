@@ -2,14 +2,15 @@
 
 A file that begins within `LONGEST_PAUSE` of the end of another continues it. A trip ends where no
 speed comes or the car stands for so long, and where it charges: stands for `LEAST_CHARGING` and
-takes over `CHARGING_POWER`.
+takes over `CHARGING_POWER`. Drives shorter than `LEAST_DISTANCE` that follow each other make one
+trip; where they are shorter together, they belong to the trip before or after them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from itertools import pairwise
+from itertools import groupby, pairwise
 import math
 from typing import NamedTuple
 
@@ -36,18 +37,57 @@ LEAST_DISTANCE = 500.0  # m; shorter ones are manoeuvres
 MANOEUVRE = 50.0  # m, of a log without a drive
 
 
-class Trip(NamedTuple):
-    """Begin and end of a trip, ns, and its length, m."""
+class Span(NamedTuple):
+    """Begin and end of a drive between two stops, ns, and its length, m."""
 
     begin_ns: float
     end_ns: float
     distance: float
 
 
+class Trip(NamedTuple):
+    """Drives of a trip: one of at least `LEAST_DISTANCE`, or several short ones."""
+
+    spans: tuple[Span, ...]
+
+    @property
+    def distance(self) -> float:
+        """Length of all drives, m."""
+        return sum(span.distance for span in self.spans)
+
+    @property
+    def note(self) -> str:
+        """Sentence for a person on short drives that are one trip; empty if it is one drive."""
+        if max(span.distance for span in self.spans) >= LEAST_DISTANCE:
+            return ""
+        return (
+            f"{len(self.spans)} drives of less than {LEAST_DISTANCE:.0f} m, "
+            f"{self.distance / 1e3:.1f} km together, are one trip"
+        )
+
+
+class Axis(NamedTuple):
+    """Time that runs on where the stamps of a log go back: a clock was set, or counts anew.
+
+    Attributes:
+        begins: places of the readings before which stamps go back, shape (n,).
+        offsets: ns to add to stamps before the first of them, and from each on, shape (n + 1,).
+    """
+
+    begins: np.ndarray
+    offsets: np.ndarray
+
+    def moments(self, block: Block, first: int) -> np.ndarray:
+        """Stamps that run on, ns, of a block whose first reading has this place in the log."""
+        parts = np.searchsorted(self.begins, first + np.arange(block.length), side="right")
+        return np.asarray(block.stamps() + self.offsets[parts])
+
+
 class Trips(NamedTuple):
     """Trips of a log, in order."""
 
-    trips: tuple[Trip, ...]  # of at least `LEAST_DISTANCE`
+    trips: tuple[Trip, ...]
+    axis: Axis  # of the times of their spans
     charged: float = 0.0  # energy that the battery was charged with outside of them, J
     distance: float = 0.0  # of all the log, m
 
@@ -119,17 +159,19 @@ def _span(log: Source) -> tuple[int, int] | None:
 class TripSource(Source):
     """One trip of a log that holds several."""
 
-    def __init__(self, log: Source, number: int, trips: Sequence[Trip]) -> None:
+    def __init__(self, log: Source, number: int, trips: Trips) -> None:
         name = f"{log.path.name.partition('.')[0]}:{number}"
         super().__init__(log.path.with_name(name), log)
-        self._log, self._trip = log, trips[number - 1]
-        self._last = number == len(trips)
+        self._log, self._trip, self._axis = log, trips.trips[number - 1], trips.axis
+        self._last = number == len(trips.trips)
+        stops = (after.begin_ns - span.end_ns for span, after in pairwise(self._trip.spans))
+        self.stops_s = sum(stops) / NANOSECONDS
 
     @property
     def seconds(self) -> float | None:
-        """Length of the trip, s."""
-        span = self._trip.end_ns - self._trip.begin_ns
-        return span / NANOSECONDS if math.isfinite(span) else None
+        """Length of its drives, without the stops between them, s."""
+        length_ns = sum(span.end_ns - span.begin_ns for span in self._trip.spans)
+        return length_ns / NANOSECONDS if math.isfinite(length_ns) else None
 
     @property
     def problem(self) -> str | None:
@@ -138,8 +180,9 @@ class TripSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on how the log was read; the last trip has them, for then it was read whole."""
-        return self._log.notes if self._last else ()
+        """Notes on short drives; the last trip has those of the log, which then was read whole."""
+        of_log = self._log.notes if self._last else ()
+        return (self._trip.note, *of_log) if self._trip.note else of_log
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -148,16 +191,18 @@ class TripSource(Source):
 
     def read(self) -> Iterator[Block]:
         """Readings of the trip in recorded order; what the log lost counts with its last trip."""
-        begin, end = self._trip.begin_ns, self._trip.end_ns
-        until = math.inf if self._last else end + STRAGGLING_NS
+        until = math.inf if self._last else self._trip.spans[-1].end_ns + STRAGGLING_NS
+        first = 0
         for block in self._log.blocks():
-            beyond = block.stamps() > until
+            moments = self._axis.moments(block, first)
+            first += block.length
+            beyond = moments > until
             read = int(beyond.argmax()) if beyond.any() else block.length
             part = block.part(0, read)
-            inside = {
-                kind: (rows.stamps >= begin) & (rows.stamps <= end)
-                for kind, rows in part.rows.items()
-            }
+            held = np.zeros(read, dtype=bool)
+            for begin_ns, end_ns, _ in self._trip.spans:
+                held |= (moments[:read] >= begin_ns) & (moments[:read] <= end_ns)
+            inside = {kind: held[rows.order] for kind, rows in part.rows.items()}
             if len(trip := part.only(inside)):
                 yield trip
             if read < block.length:
@@ -180,40 +225,76 @@ def split(
     if whole or len(trips.trips) < 2:
         return [log], 0.0
     count = len(trips.trips)
-    return [TripSource(log, 1 + i, trips.trips) for i in range(count)], trips.charged
+    return [TripSource(log, 1 + i, trips) for i in range(count)], trips.charged
 
 
 def trips_of(blocks: Iterable[Block]) -> Trips:
     """Find the trips among readings in recorded order."""
     whole = joined_blocks(list(blocks))
+    axis = _axis_of(whole)
+    moments = axis.moments(whole, 0)
     speeds, battery = whole.of_kind(SpeedReading), whole.of_kind(BatteryReading)
     speeds = speeds.where(np.isfinite(speeds.values[0]))
     if len(speeds.stamps) < 2:
-        return Trips(())
-    start_ns = int(speeds.stamps[0])
-    time, fast = _series(speeds.stamps - start_ns, np.abs(speeds.values[0]))
+        return Trips((), axis)
+    start_ns = int(moments[speeds.order[0]])
+    time, fast = _series(moments[speeds.order] - start_ns, np.abs(speeds.values[0]))
     voltage, current = battery.values[:2]
-    drawn = _series(battery.stamps - start_ns, drawn_power(last_known(voltage), current))
+    power = drawn_power(last_known(voltage), current)
+    breaks, charged = _breaks(time, fast, *_series(moments[battery.order] - start_ns, power))
+    way = np.concatenate(([0.0], np.cumsum((fast[1:] + fast[:-1]) / 2 * _steps(time))))
+    spans = []
+    for (_, begin), (end, _) in pairwise(breaks):
+        inside = (time >= begin) & (time <= end)
+        if (fast[inside] >= STANDING).any():
+            far = float(np.interp(end, time, way) - np.interp(begin, time, way))
+            begin_ns, end_ns = (start_ns + seconds * NANOSECONDS for seconds in (begin, end))
+            spans.append(Span(begin_ns, end_ns, far))
+    return Trips(tuple(_joined_spans(spans)), axis, charged, float(way[-1]))
+
+
+def _axis_of(whole: Block) -> Axis:
+    """The axis of a log, whose stamps go back where two speeds lie behind the two before them."""
+    order, stamps, _ = whole.of_kind(SpeedReading)
+    before = np.minimum(stamps[:-1], np.append(stamps[:1], stamps)[:-2])
+    following = np.maximum(stamps, np.append(stamps[1:], stamps[-1:]))[1:]
+    back = np.flatnonzero(following < before - STRAGGLING_NS) + 1
+    steps = stamps[back - 1] - stamps[back] + STRAGGLING_NS
+    return Axis(order[back], np.concatenate(([0], np.cumsum(steps))))
+
+
+def _breaks(
+    time: np.ndarray, fast: np.ndarray, battery_time: np.ndarray, power: np.ndarray
+) -> tuple[list[tuple[float, float]], float]:
+    """Times in which no trip is, s, and J that the battery was charged with in them."""
     breaks, charged = [(-math.inf, -math.inf)], 0.0
     pauses = np.flatnonzero(np.diff(time) > LONGEST_PAUSE)
-    spans = zip(time[pauses].tolist(), time[pauses + 1].tolist(), strict=True)
-    for begin, end in sorted([*spans, *stands(time, fast)]):
-        taken = _charged(*drawn, begin, end)
+    stops = zip(time[pauses].tolist(), time[pauses + 1].tolist(), strict=True)
+    for begin, end in sorted([*stops, *stands(time, fast)]):
+        taken = _charged(battery_time, power, begin, end)
         if taken > CHARGING_POWER * (end - begin) and end - begin >= LEAST_CHARGING:
             charged += taken
         elif end - begin < LONGEST_PAUSE:
             continue
         edge = min(EDGE, (end - begin) / 2)
         breaks.append((begin + edge, end - edge))
-    breaks.append((math.inf, math.inf))
-    way = np.concatenate(([0.0], np.cumsum((fast[1:] + fast[:-1]) / 2 * _steps(time))))
-    trips = []
-    for (_, begin), (end, _) in pairwise(breaks):
-        far = float(np.interp(end, time, way) - np.interp(begin, time, way))
-        if far >= LEAST_DISTANCE:
-            begin_ns, end_ns = (start_ns + seconds * NANOSECONDS for seconds in (begin, end))
-            trips.append(Trip(begin_ns, end_ns, far))
-    return Trips(tuple(trips), charged, float(way[-1]))
+    return [*breaks, (math.inf, math.inf)], charged
+
+
+def _joined_spans(spans: Iterable[Span]) -> list[Trip]:
+    """Trips that hold all drives, each of `LEAST_DISTANCE` if any drives are so long together."""
+    trips: list[Trip] = []
+    waiting: tuple[Span, ...] = ()  # for a trip to belong to
+    for is_short, group in groupby(spans, lambda span: span.distance < LEAST_DISTANCE):
+        for drives in (tuple(group),) if is_short else ((span,) for span in group):
+            if sum(span.distance for span in drives) >= LEAST_DISTANCE:
+                trips.append(Trip((*waiting, *drives)))
+                waiting = ()
+            elif trips:
+                trips[-1] = Trip((*trips[-1].spans, *drives))
+            else:
+                waiting = drives
+    return trips
 
 
 def _series(after_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -148,6 +148,7 @@ class Drive:
     zoned: bool = True  # whether its times are UTC; else they are local ones
     reading_notes: tuple[str, ...] = ()  # assumptions on reading the log
     doubts: tuple[str, ...] = ()  # why the totals that the log gives are not certain
+    stops_s: float = 0.0  # s of the duration between short drives that are one trip
     altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))  # time and m
     # time, latitude and longitude, degrees, shape (n, 3)
     position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
@@ -168,6 +169,11 @@ class Drive:
     breakdown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     # which of `measured` leap away from those beside them, shape (n,); or empty
     lone: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
+
+    @property
+    def driven_s(self) -> float:
+        """Duration without the stops between short drives, s."""
+        return self.duration - self.stops_s
 
     @property
     def dated(self) -> bool:

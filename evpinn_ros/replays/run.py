@@ -132,6 +132,7 @@ def replay(
         zoned=source.zoned,
         reading_notes=tuple(dict.fromkeys((*source.assumptions, *source.notes))),
         doubts=source.doubts,
+        stops_s=source.stops_s,
     )
     where = "" if options.start == 0 and options.duration is None else " in that span"
     if len(drive.speed) == 0:

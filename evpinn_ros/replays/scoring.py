@@ -13,6 +13,8 @@ from evpinn_ros.core.estimation.breakdown import Breakdown
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.estimation.estimate import ParameterSet, Trust
 from evpinn_ros.core.estimation.estimator import EstimatorStatus, Mode
+from evpinn_ros.core.estimation.learner import CHARGING_POWER
+from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.history import Drive, PowerSeries
 
@@ -65,14 +67,21 @@ def scored(drive: Drive, series: PowerSeries, span: Span) -> np.ndarray:
 
 
 def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
-    """Measured, predicted and RKNN energy over the same part of the drive, J."""
+    """Measured, predicted and RKNN energy over the same part of the drive, J.
+
+    Without the time in which a charger gives it: no speed predicts that.
+    """
     inside = span.holds(drive.energy[:, 0])
     keys = ("measured_j", "predicted_j", "rknn_j", "error_percent", "rknn_error_percent")
     if inside.sum() < 2:
         return dict.fromkeys(keys)
     rows = drive.energy[inside]
     stretches = whole_stretches(rows[:, 0])
-    measured_spans = whole_stretches(drive.measured[span.holds(drive.measured[:, 0]), 0])
+    time, power = drive.measured.T
+    in_order = np.argsort(drive.speed[:, 0], kind="stable")
+    speed, is_known = known_at(drive.speed[in_order], time)
+    charges = is_known & (np.abs(speed) < STANDSTILL_SPEED) & (power < CHARGING_POWER)
+    measured_spans = whole_stretches(time[span.holds(time) & ~charges])
     common = common_stretches(stretches, measured_spans) or stretches
     predicted, rknn = (_increase(rows[:, 0], column, common) for column in rows.T[1:3])
     measured = (

@@ -52,12 +52,12 @@ def owner_line(drive: Drive, metrics: Mapping[str, Any], units: Units = METRIC) 
     if kwh.startswith("-") and how != "predicted":  # more came back downhill than was drawn
         kwh, how = kwh[1:], "back into the battery"
     read = total.seconds if how == "predicted" else total.measured
-    if read < NEARLY_WHOLE * drive.duration:
-        how += f" in the {part_text(read, drive.duration)} that could be read"
+    if read < NEARLY_WHOLE * drive.driven_s:
+        how += f" in the {part_text(read, drive.driven_s)} that could be read"
     per_distance = f", {consumption} {units.economy}" if consumption != "-" else ""
     if per_distance and 0.0 < total.known < NEARLY_WHOLE * total.distance:
         per_distance += f" over the {total.known / units.metres:.1f} {units.distance} measured"
-    time, charged = duration_text(drive.duration), total.charged / JOULES_PER_KWH
+    time, charged = duration_text(drive.driven_s), total.charged / JOULES_PER_KWH
     line = f"{far} {units.distance} in {time}: {kwh} kWh {how}{per_distance}."
     line += f" {lone}" if (lone := lone_note(drive, units)) else ""
     line += f" Doubtful: {drive.doubts[0]}." if drive.doubts else ""
@@ -206,7 +206,7 @@ def _figures(drive: Drive, total: Counted, metrics: Mapping[str, Any]) -> Figure
         metres, joules = total.distance, metrics["energy"]["predicted_j"]
     if joules is None:
         metres, joules = 0.0, math.nan
-    return Figures(total.distance, drive.duration, joules, metres)
+    return Figures(total.distance, drive.driven_s, joules, metres)
 
 
 def _texts(figures: Figures, units: Units) -> tuple[str, str, str, str]:

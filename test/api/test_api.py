@@ -232,6 +232,14 @@ def test_trips_of_a_day_are_results_that_learn_from_each_other(table, tmp_path):
     begins = [result.learning["mass", "value"].iloc[0] for result in (first, second)]
     assert begins[0] != begins[1], "the second begins with what the first taught"
     assert first.account is not second.account
+    for name, rows in (("first", trip), ("second", later)):
+        rows.to_csv(tmp_path / f"{name}.csv", index=False)
+    of_folder = ev.replay_trips(tmp_path, warm_up=10.0)
+    assert [
+        r.parameters.equals(t.parameters) for r, t in zip(of_folder, (first, second), strict=True)
+    ] == [*(True, True)]
+    with pytest.raises(ev.InputError, match="2 recordings"):
+        ev.replay(tmp_path)
     with pytest.raises(ev.InputError):
         ev.replay_trips(table, mode="none")
 

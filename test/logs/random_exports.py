@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import datetime, timedelta
 import math
 import random
@@ -47,7 +47,10 @@ DECOYS = {
 }
 # Names of what is drawn and of what flows back, in columns of their own.
 ONE_WAY = "Battery discharge current", "Battery charge current"
-FAULTS = ("lost signs", "clipped", "speed 0", "constant voltage", "backwards", "one way", "whole")
+FAULTS = (
+    *("lost signs", "clipped", "speed 0", "constant voltage", "backwards", "one way", "whole"),
+    "frozen",
+)
 DOUBTED = FAULTS[:4]  # by which the log alone does not tell what is right
 SHORTEST_TOLD = 240.0  # s of a car's battery that tell driving from standing
 SLOWEST_TOLD = 2.0  # s between rows, up to which lone signs are told from hills
@@ -56,9 +59,9 @@ Clock = Callable[[float], str]
 Rows = list[list[str]]
 
 
-def _date(pattern: str) -> Clock:
+def _date(pattern: str, hours: float = 0.0) -> Clock:
     def written(seconds: float) -> str:
-        moment = START + timedelta(seconds=seconds)
+        moment = START + timedelta(hours=hours, seconds=seconds)
         return moment.strftime(pattern).replace("%L", f"{moment.microsecond // 1000:03d}")
 
     return written
@@ -72,10 +75,13 @@ CLOCKS: dict[str, tuple[str, Clock]] = {
     "seconds only": ("", _date("%Y-%m-%d %H:%M:%S")),
     "minutes only": ("", _date("%Y-%m-%d %H:%M")),
     "time of day": ("", _date("%H:%M:%S.%L")),
+    "12 hours": ("", _date("%I:%M:%S.%L", 3.85)),
+    "12 hours, dated": ("", _date("%Y-%m-%d %I:%M:%S.%L", 3.85)),
     "since 1970": ("", lambda seconds: f"{EPOCH + seconds:.2f}"),
     "since 1970, ms": ("", lambda seconds: f"{1000 * (EPOCH + seconds):.0f}"),
     "since start": ("s", lambda seconds: f"{seconds:.2f}"),
     "since start, ms": ("ms", lambda seconds: f"{1000 * seconds:.0f}"),
+    "since start, ms under s": ("s", lambda seconds: f"{1000 * seconds:.0f}"),
     "since start, min": ("min", lambda seconds: f"{seconds / 60:.6f}"),
 }
 MISSING = ("", "NaN", "N/A", "null", "-")
@@ -112,6 +118,8 @@ def random_export(seed: int) -> Export:
     clock = chance.choice(sorted(CLOCKS))
     if clock == "seconds only" and step > 1.0:
         clock = "iso"
+    if clock == "since start, ms under s" and step > SLOWEST_TOLD:
+        clock = "iso"
     if clock == "minutes only" and drive.time[-1] < 240.0:
         clock = "iso"
     language = chance.choice(sorted(LANGUAGES))
@@ -121,6 +129,8 @@ def random_export(seed: int) -> Export:
         fault = ""
     export.doubtful = fault in DOUBTED
     logged = _logged(drive, fault, seed)
+    if fault == "frozen":  # what the log has of the drive
+        export.drive = _until(drive, _freezes(drive))
     columns = _columns(chance, logged, fault, LANGUAGES[language].split(","), CLOCKS[clock], clock)
     export.kind = {
         "seed": seed, "step": step, "light": light, "separator": separator, "comma": comma,
@@ -165,9 +175,25 @@ def _logged(drive: Drive, fault: str, seed: int) -> Drive:
         return replace(drive, voltage=np.full(current.size, volts))
     if fault == "backwards":
         return replace(drive, speed=-drive.speed)
+    if fault == "frozen":
+        last, there = np.arange(current.size), _freezes(drive)
+        rows = np.minimum(last, there)
+        names = ("speed", "voltage", "current", "odometer", "charge")
+        return replace(drive, **{name: getattr(drive, name)[rows] for name in names})
     if fault == "whole":
         return replace(drive, speed=np.rint(3.6 * drive.speed) / 3.6)
     return drive
+
+
+def _freezes(drive: Drive) -> int:
+    """The last row before an adapter is lost while the car moves, in the second half."""
+    half = drive.time.size // 2
+    return half + int(np.argmax(drive.speed[half:] > 5.0))
+
+
+def _until(drive: Drive, row: int) -> Drive:
+    """The drive up to a row."""
+    return Drive(*(getattr(drive, field.name)[: row + 1] for field in fields(Drive)))
 
 
 def _polled(

@@ -289,6 +289,21 @@ def test_savvycan(tmp_path):
     assert (second.can_id, second.extended, second.data) == (0x18DAF110, True, b"\x01\xff")
 
 
+@pytest.mark.parametrize("first", [4_294_000_000, 2**33 + 4_294_000_000, -1_769_872_318_259_854])
+def test_the_counter_of_savvycan_runs_on(tmp_path, first):
+    """It wraps at 32 bits in some adapters, and is negative after an overflow."""
+    path = tmp_path / "bus.csv"
+    wraps = 2**32 if first == 4_294_000_000 else 2**63
+    rows = (
+        f"{(first + 500_000 * i) % wraps if first > 0 else first + 500_000 * i}" for i in range(9)
+    )
+    lines = "".join(f"{stamp},000005EB,false,Rx,0,1,E8,\n" for stamp in rows)
+    path.write_text("Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n" + lines)
+    stamps = [frame.stamp_ns for frame in LogFile(path).frames()]
+    assert [stamp - stamps[0] for stamp in stamps] == [500_000_000 * i for i in range(9)]
+    assert stamps[0] >= 0
+
+
 def small(folder, header, *rows):
     (folder / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
     return open_drive(folder / "drive.csv")

@@ -104,6 +104,56 @@ def test_a_signal_that_stands_still_is_not_used_there(tmp_path, kind, signal, va
     assert f"from {BEGIN} s on for" in note
 
 
+def frozen(*stretches: slice, digits: int = 4, drive: Drive = DRIVE) -> Drive:
+    """A drive in which all signals keep their values in some stretches of time."""
+    names = ("speed", "voltage", "current", "odometer", "charge")
+    signals = {name: getattr(drive, name).round(digits) for name in names}
+    for values in signals.values():
+        for stretch in stretches:
+            values[stretch] = values[stretch.start]
+    return replace(drive, **signals)
+
+
+LOST = {
+    "at the end": [slice(600, 900)],
+    "for two minutes": [slice(302, 422)],
+    "for twenty seconds": [slice(400, 420)],
+    "four times": [slice(begin, begin + 30) for begin in (100, 300, 540, 820)],
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("stretches", LOST)
+def test_nothing_is_measured_where_all_signals_stand_still(tmp_path, kind, stretches):
+    source = kind(frozen(*LOST[stretches]), tmp_path)
+    stamps = [
+        sum(isinstance(reading, kind) for reading in source.readings())
+        for kind in (SpeedReading, BatteryReading)
+    ]
+    lost = sum(stretch.stop - stretch.start - 1 for stretch in LOST[stretches])
+    assert stamps == pytest.approx([DRIVE.time.size - lost] * 2, abs=2)
+    assert f"speed and battery stand still from {LOST[stretches][0].start} s on" in source.notes[0]
+
+
+COARSE = {
+    "whole numbers": frozen(digits=0),
+    "a cruise of equal values, twice": frozen(slice(200, 240), slice(600, 640)),
+    "values that are polled every 12 s": frozen(*(slice(i, i + 12) for i in range(0, 900, 12))),
+}
+
+
+@pytest.mark.parametrize("kind", [of_table, of_bag])
+@pytest.mark.parametrize("values", COARSE)
+def test_values_that_stand_still_time_and_again_are_measured(tmp_path, kind, values):
+    drive = COARSE[values]
+    if "twice" in values:
+        for name in ("speed", "voltage", "current"):
+            getattr(drive, name)[600:640] = getattr(drive, name)[200]
+    source = kind(drive, tmp_path)
+    list(source.readings())
+    assert "speed and battery stand still" not in " ".join(source.notes)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("signal", ["speed", "current"])
 @pytest.mark.parametrize("count", [3, 5])

@@ -7,9 +7,25 @@ import pytest
 
 import evpinn_ros as ev
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import SpeedReading
+from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.sources import open_drive
 from evpinn_ros.logs.trips import joined, split, trips_of
+
+
+class Recorded(Source):
+    """A log of given readings."""
+
+    seconds = problem = None
+
+    def __init__(self, readings) -> None:
+        super().__init__(Path("log"))
+        self._readings = readings
+
+    def read(self):
+        yield from Block.of(self._readings()).parts(300)
+
 
 HEADER = "t_s,speed_mps,voltage_v,current_a\n"
 
@@ -103,3 +119,70 @@ def test_a_log_of_charging_alone_is_no_drive(tmp_path: Path) -> None:
             split(open_drive(path), whole=whole)
     with pytest.raises(InputError, match=why):
         ev.replay(path, vehicle="bmw_i3")
+
+
+def day(folder: Path, *drives: float, pause: float = 900.0) -> Path:
+    """A log of drives of these s at 10 m/s, with stops between them."""
+    text, begin = HEADER, 0.0
+    for seconds in drives:
+        text += rows(begin, int(seconds), 10.0, 20.0)
+        text += rows(begin + seconds, int(pause), 0.0, 0.0)
+        begin += seconds + pause
+    path = folder / "day.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+SHORT_DRIVES = {
+    "between two long ones": ([200, *[40] * 12, 200], [2000, 4800, 2000], [0, 11, 0]),
+    "after a long one": ([200, *[45] * 4], [2000, 1800], [0, 3]),
+    "before a long one": ([30, 30, 200], [600, 2000], [1, 0]),
+    "one of them, which belongs to the trip before it": ([200, 30, 200], [2300, 2000], [1, 0]),
+    "one of them, at the start": ([30, 200, 200], [2300, 2000], [1, 0]),
+}
+
+
+@pytest.mark.parametrize("where", SHORT_DRIVES)
+def test_short_drives_count(tmp_path: Path, where: str) -> None:
+    drives, distances, stops = SHORT_DRIVES[where]
+    trips, _ = split(open_drive(day(tmp_path, *drives)))
+    speeds = [[r.speed for r in trip.readings() if isinstance(r, SpeedReading)] for trip in trips]
+    assert [sum(of_trip) for of_trip in speeds] == distances
+    pauses = [trip.stops_s / (900.0 - 60.0) for trip in trips]
+    assert pauses == pytest.approx(stops, abs=0.02)
+
+
+def test_short_drives_are_told(tmp_path: Path) -> None:
+    trips, _ = split(open_drive(day(tmp_path, 200, *[40] * 12, 200)))
+    notes = [" ".join(trip.notes) for trip in trips]
+    assert [note.startswith("12 drives of less than 500 m") for note in notes] == [
+        *(False, True, False)
+    ]
+
+
+@pytest.mark.parametrize("back", [700.0, 4000.0, 86_400.0])
+@pytest.mark.parametrize("long", [False, True])
+def test_a_clock_that_goes_back_ends_no_trip(tmp_path: Path, back: float, long: bool) -> None:
+    """Readings in recorded order: a bag that was stamped anew, a counter that wraps."""
+
+    def readings():
+        for second in range(3000 if long else 1000):
+            stops = long and 1000 <= second < 2000
+            stamp = second - (back if second > 500 else 0.0)
+            yield SpeedReading(round(1e9 * (1e6 + stamp)), 0.0 if stops else 10.0)
+
+    log = Recorded(readings)
+    trips, _ = split(log)
+    if not long:
+        assert trips == [log]
+    speeds = [[r.speed for r in trip.readings()] for trip in trips]
+    assert [sum(of_trip) for of_trip in speeds] == ([10_000.0] * 2 if long else [10_000.0])
+
+
+def test_a_reading_of_the_future_ends_no_trip() -> None:
+    def readings():
+        for second in range(1000):
+            ahead = 5000 if second == 400 else 0
+            yield SpeedReading((second + ahead) * 1_000_000_000, 10.0)
+
+    assert not len(trips_of([Block.of(readings())]).axis.begins)

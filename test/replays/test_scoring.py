@@ -87,6 +87,21 @@ def test_a_hole_in_the_battery_is_left_out_of_both_energies():
     assert score["error_percent"] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("charged_w", [-3000.0, -50_000.0])
+@pytest.mark.parametrize("standing_w", [0.0, 400.0])
+def test_what_a_charger_gives_is_no_error_of_a_prediction(charged_w, standing_w):
+    """1000 W for 6 s, then a charger, beside what is predicted for a car that stands."""
+    rates = [1000.0] * 6 + [standing_w] * 20
+    energy = [[float(t), sum(rates[:t]), sum(rates[:t])] for t in range(26)]
+    charging = drive([1000] * 6 + [charged_w] * 20, [0], energy=energy)
+    speed = np.column_stack((np.arange(26.0), np.repeat([9.0, 0.0], [6, 20])))
+    score = energy_score(replace(charging, speed=speed), WHOLE)
+    assert score["measured_j"] == pytest.approx(5000.0)
+    assert score["error_percent"] == pytest.approx(0.0, abs=1e-9)
+    moving = replace(charging, speed=np.column_stack((np.arange(26.0), np.full(26, 9.0))))
+    assert energy_score(moving, WHOLE)["measured_j"] < 0.0  # downhill
+
+
 def test_the_floor_is_what_no_function_of_speed_explains():
     rng = np.random.default_rng(1)
     speed = rng.uniform(0.0, 30.0, 20_000)

@@ -100,7 +100,10 @@ COARSE_SPEED = FINE_SPEED._replace(
     evidence="change of power while a coarser speed repeats", on=60e3, least=5.0
 )
 FINE_DOUBT = FINE_SPEED._replace(fault=SPEED_REPEATS, on=20e3, off=20e3, least=1.0)
-COARSE_DOUBT = COARSE_SPEED._replace(fault=SPEED_REPEATS, on=20e3, off=20e3, least=2.0)
+COARSE_DOUBT = COARSE_SPEED._replace(
+    evidence="change of power while a coarser speed repeats, ten times or more",
+    fault=SPEED_REPEATS, on=20e3, off=20e3, least=2.0,
+)  # fmt: skip
 BATTERY_REPEATS = Hysteresis(
     BATTERY_STUCK,
     "change of speed while voltage and current repeat, or 0 A; below 5 kW its rise alone",

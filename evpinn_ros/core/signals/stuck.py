@@ -215,14 +215,13 @@ class StuckDetector:
     def _after_speed(self, reading: SpeedReading) -> StuckDetector:
         repetition = self.speed.repeated(reading.stamp_ns, reading.speed)
         if abs(reading.speed) > MOVING:
-            stuck, doubt = FINE_SPEED, FINE_DOUBT
-            if self.step >= FINE:
-                stuck, doubt = COARSE_SPEED, COARSE_DOUBT
+            is_coarse = self.step >= FINE
             swing = repetition.high - repetition.low
-            repetition = repetition.judged(stuck, swing)
-            repetition = repetition._replace(
-                doubted=doubt.judge(repetition.doubted, swing, repetition.seconds)
-            )
+            repetition = repetition.judged(COARSE_SPEED if is_coarse else FINE_SPEED, swing)
+            if repetition.times >= OFTEN or not is_coarse:
+                doubt = COARSE_DOUBT if is_coarse else FINE_DOUBT
+                doubted = doubt.judge(repetition.doubted, swing, repetition.seconds)
+                repetition = repetition._replace(doubted=doubted)
         battery = self.battery.beside(reading.stamp_ns, reading.speed)
         return StuckDetector(repetition, battery, self.step, self.spoilt)
 

@@ -86,6 +86,22 @@ def test_a_speed_in_whole_kilometres_per_hour_repeats_by_itself():
     assert held(0.05) == SPEED_STUCK
 
 
+@pytest.mark.parametrize(
+    ("unit", "period", "wave"), [(1 / 3.6, 1.0, 11.0), (0.44704, 1.0, 11.0), (0.44704, 5.2, 40.0)]
+)
+def test_a_cruise_in_whole_numbers_on_a_hilly_road_spoils_nothing(unit, period, wave):
+    """The norm of OBD: a value repeats for some readings while power swings by 40 kW."""
+    detector = StuckDetector()
+    for step in range(round(900 / period)):
+        now = step * period
+        speed = 30.0 + 4.0 * math.sin(now / wave)
+        stamp_ns = round(now * NANOSECONDS)
+        current = -70.0 - 60.0 * math.sin(now / 2.5)
+        detector = detector.after(BatteryReading(stamp_ns, 350.0, current))
+        detector = detector.after(SpeedReading(stamp_ns, round(speed / unit) * unit))
+        assert not detector.spoilt
+
+
 def _held_after_braking(t):
     """Exactly 13 m/s after a strong deceleration, as a simulator's driver or a cruise control."""
     return max(13.0, 30.0 - 4.0 * max(0.0, t - 5.0)) if t < 40.0 else 13.0 - 2.0 * (t - 40.0)
