@@ -12,10 +12,14 @@ from benchmarks.unseen.kalman import FiveStateFilter
 from benchmarks.unseen.method import Estimate, Factory, Prediction
 from benchmarks.unseen.steps import DrivingStep, StepStream
 from benchmarks.unseen.weak_form import WeakFormLeastSquares
-from evpinn_ros.core.signals.readings import Reading
+from evpinn_ros.core.estimation.journey import NOWHERE, Journey, standing, unexplained
+from evpinn_ros.core.estimation.size import model_of_file
+from evpinn_ros.core.estimation.terms import Warmth
+from evpinn_ros.core.signals.interval import Steps
+from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
+from evpinn_ros.core.signals.road import Conditions
 from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.vehicle.files import Vehicle
-from evpinn_ros.core.vehicle.identifiable import combined_power, identifiable
 
 LEAST_DISTANCE = 1000.0  # m, before which the prior tells better what a kilometre costs
 MOVING = 0.3  # m/s, below which acceleration is of no use
@@ -55,32 +59,43 @@ class StepMethod(ABC):
 
 
 class PriorAlone(StepMethod):
-    """Physics at the priors of the vehicle file."""
+    """The vehicle file alone: a new car of our own model, with temperature and reported loads."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
-        self._combined = identifiable(vehicle.initial, vehicle.frontal_area)
-        self._rotating_mass_factor = vehicle.rotating_mass_factor
+        self._model, self._begin_ns, self._unmeasured = model_of_file(vehicle), 0, NOWHERE
+
+    def begin_next_drive(self) -> None:
+        """The car is cold again, as ours is."""
+        super().begin_next_drive()
+        self._begin_ns, self._unmeasured = 0, NOWHERE
 
     def learn(self, step: DrivingStep) -> None:
         """Keep the prior."""
+        self._unmeasured = NOWHERE
 
     def predict(self, step: DrivingStep) -> Prediction:
-        """Power of the prior car, W."""
-        return Prediction(step.middle_ns, self.power(step))
+        """Power of the prior car, W, and the 1-sigma of its energy."""
+        journey = self._journey(step)
+        self._unmeasured = self._unmeasured.plus(journey)
+        _, sigma = self._model.predicted(self._unmeasured)
+        return Prediction(step.middle_ns, self.power(step, journey), energy_sigma=float(sigma))
 
-    def power(self, step: DrivingStep) -> float:
+    def power(self, step: DrivingStep, journey: Journey | None = None) -> float:
         """Power of the prior car over a step, W."""
-        sample = _sample(step)
-        power = combined_power(
-            sample.speed,
-            sample.acceleration,
-            self._combined,
-            air_density=sample.air_density,
-            grade=sample.grade,
-            rotating_mass_factor=self._rotating_mass_factor,
-        )
-        return float(power) + sample.known_auxiliary
+        return float((journey or self._journey(step)).row @ self._model.mean) / step.dt
+
+    def _journey(self, step: DrivingStep) -> Journey:
+        self._begin_ns = self._begin_ns or step.begin_ns
+        dt, way = step.dt, step.speed * step.dt
+        moved = dt, way, step.cube * dt, step.kinetic * dt, step.climb * dt
+        conditions = Conditions(step.density, 0.0, step.celsius, step.known, step.known > 0.0)
+        warmth = Warmth.after((step.middle_ns - self._begin_ns) / NANOSECONDS)
+        steps = Steps(*np.array(moved)[:, None])
+        row = self._model.equation.rows(steps, conditions, warmth)[0]
+        stood, square = standing(dt, way), way**2 / dt
+        unseen = 0.0 if step.grade else abs(way)
+        return Journey(row, dt, np.array((*unexplained(dt, stood, square), 0.0)), unseen)
 
 
 class EnergyPerKilometre(PriorAlone):
@@ -94,19 +109,19 @@ class EnergyPerKilometre(PriorAlone):
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
         self._drives: list[tuple[float, float]] = []
-        self._now, self._unmeasured = np.zeros(2), 0.0
+        self._now, self._alone = np.zeros(2), 0.0
 
     def begin_next_drive(self) -> None:
         """Keep the drive's sum."""
         super().begin_next_drive()
         if self._now[1] > 0:
             self._drives.append((float(self._now[0]), float(self._now[1])))
-        self._now, self._unmeasured = np.zeros(2), 0.0
+        self._now, self._alone = np.zeros(2), 0.0
 
     def learn(self, step: DrivingStep) -> None:
         """Add energy and distance."""
         self._now += np.array((step.power, abs(step.speed))) * step.dt
-        self._unmeasured = 0.0
+        self._alone = 0.0
 
     def predict(self, step: DrivingStep) -> Prediction:
         """Consumption times speed, W."""
@@ -114,11 +129,11 @@ class EnergyPerKilometre(PriorAlone):
         energy, distance = sums.sum(axis=0)
         known = distance >= LEAST_DISTANCE
         power = energy / distance * abs(step.speed) if known else self.power(step)
-        self._unmeasured += power * step.dt
+        self._alone += power * step.dt
         shares = [e * distance / (d * energy) - 1 for e, d in self._drives if d > 0 and energy]
         squares = self.WEIGHT * self.START**2 + sum(part**2 for part in shares)
         share = math.sqrt(squares / (self.WEIGHT + len(shares)))
-        sigma = share * abs(self._unmeasured)
+        sigma = share * abs(self._alone)
         return Prediction(step.middle_ns, float(power), energy_sigma=sigma)
 
 

@@ -146,7 +146,7 @@ FOLDERS = {
     "i3": Folder("bmw_i3/*.csv.gz", "bmw_i3"),
     "i3_speed": Folder("bmw_i3/*.csv.gz", "bmw_i3", hidden=ALL_BUT_SPEED),
     "i3_torque": Folder("bmw_i3/*.csv.gz", "bmw_i3", hidden=()),
-    "e208": Folder("peugeot_e208_car_scanner/*.csv.gz", "generic"),
+    "e208": Folder("peugeot_e208_car_scanner/*.csv.gz", "peugeot_e_208_50_kwh_2020"),
     "changchun": Folder("changchun_sedan/trip_*.csv.gz", "generic", truth=CHANGCHUN),
     # The same car on rollers: its road load is known there, and there is neither wind nor slope.
     "changchun_rollers": Folder("changchun_sedan/dyno_*.csv.gz", "generic", truth=CHANGCHUN),
