@@ -19,7 +19,7 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
     TemperatureReading,
 )
-from evpinn_ros.logs.signal import FloatArray
+from evpinn_ros.logs.signal import FloatArray, last_known
 from evpinn_ros.logs.source import STRAGGLING_NS
 
 AMBIENT_C = (-60.0, 70.0)  # what lies outside is no weather but a sensor that says nothing
@@ -113,6 +113,7 @@ class RowBlocks:
         self._nominal_voltage = nominal_voltage
         self._dropped = dropped
         self._last_ns: dict[str, int] = {}
+        self._last_volts = np.nan
 
     def block(
         self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
@@ -203,18 +204,21 @@ class RowBlocks:
         power: FloatArray,
         charge: FloatArray,
     ) -> tuple[NDArray[np.bool_], tuple[FloatArray, ...]]:
-        """Voltage and current; where one is missing, power by the voltage, measured or nominal."""
+        """Voltage and current; where one is missing, power by the last voltage, or the nominal."""
         from_power = np.isfinite(power) & np.isnan(volts + amperes)
-        unknown = from_power & np.isnan(volts)
+        measured = np.isfinite(volts)
+        held = last_known(np.append(self._last_volts, volts))
+        self._last_volts = float(held[-1])
+        unknown = from_power & np.isnan(held[1:])
         self.at_nominal_voltage += int(unknown.sum())
+        volts = np.where(from_power & ~measured, held[1:], volts)
         volts = np.where(unknown, self._nominal_voltage, volts)
         amperes = np.where(from_power, power / volts, amperes)
         told = np.ones(stamps.size, dtype=bool)
-        columns = {"voltage": volts, "current": amperes, "charge": charge}
-        for name, column in columns.items():
-            there = told & np.isfinite(column)
-            told &= ~there | self._new(name, stamps, there)
-        told &= np.isfinite(list(columns.values())).any(axis=0)
+        columns = {"voltage": measured, "current": np.isfinite(amperes)}
+        for name, there in (columns | {"charge": np.isfinite(charge)}).items():
+            told &= ~(told & there) | self._new(name, stamps, told & there)
+        told &= np.isfinite([volts, amperes, charge]).any(axis=0)
         return told, (volts, -amperes, charge / 100.0, np.full(stamps.size, np.nan))
 
     def _new(

@@ -52,6 +52,7 @@ FAULTS = (
     "frozen",
 )
 DOUBTED = FAULTS[:4]  # by which the log alone does not tell what is right
+SHORTEST_FROZEN = 15.0  # s
 SHORTEST_TOLD = 240.0  # s of a car's battery that tell driving from standing
 SLOWEST_TOLD = 2.0  # s between rows, up to which lone signs are told from hills
 START = datetime(2024, 3, 5, 9, 8, 9)
@@ -125,6 +126,8 @@ def random_export(seed: int) -> Export:
     language = chance.choice(sorted(LANGUAGES))
     fault = chance.choice(["", "", *FAULTS])
     is_short = light or drive.time[-1] < SHORTEST_TOLD
+    if fault == "frozen" and drive.time[-1] - drive.time[_freezes(drive)] < SHORTEST_FROZEN:
+        fault = ""
     if (fault == "lost signs" and step > SLOWEST_TOLD) or (fault == "speed 0" and is_short):
         fault = ""
     export.doubtful = fault in DOUBTED

@@ -71,13 +71,13 @@ def test_each_row_takes_what_it_has(tmp_path):
         tmp_path,
         "t_s,speed_mps,voltage_v,current_a,power_w\n"
         "0,1,400,50,\n"  # both
-        "1,1,,,7000\n"  # power alone
-        "2,1,400,,8000\n"  # the measured voltage is better than the nominal one
+        "1,1,,,7000\n"  # power alone: the last measured voltage is better than the nominal one
+        "2,1,400,,8000\n"
         "3,1,400,,\n4,1,,50,\n"  # no pair
         "5,1,0,0,\n"  # a sensor that is off
         "6,1,,,\n",
     )
-    pairs = [(400.0, -50.0), (350.0, -20.0), (400.0, -20.0), (400.0, math.nan), (math.nan, -50.0)]
+    pairs = [(400.0, -50.0), (400.0, -17.5), (400.0, -20.0), (400.0, math.nan), (math.nan, -50.0)]
     assert list(map(repr, batteries(drive))) == list(map(repr, pairs))
     assert drive.dropped == {"voltage_not_positive": 1} and (drive.rows, drive.used) == (7, 7)
 

@@ -200,3 +200,18 @@ def test_a_current_without_a_value_is_told(tmp_path):
     header = "time (s),speed (km/h),battery voltage (V),battery current (A)"
     text = table(header, DRIVE, lambda t, v, *_: f"{t:.0f},{3.6 * v:.1f},12.4,")
     assert "current" in " ".join(opened(tmp_path, text).notes)
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.2])
+@pytest.mark.parametrize("first", ["voltage", "power"])
+def test_a_power_and_a_voltage_in_rows_of_their_own_are_both_used(tmp_path, apart, first):
+    """Half of the powers were lost, as not later than their voltage."""
+
+    def line(t, v, u, i, *_):
+        rows = {"voltage": f"{3.6 * v:.2f},{u:.2f},", "power": f",,{u * i:.1f}"}
+        other = "power" if first == "voltage" else "voltage"
+        return f"{t:.1f},{rows[first]}\n{t + apart:.1f},{rows[other]}"
+
+    header = "time (s),Speed (km/h),Open circuit voltage (V),Battery power (W)"
+    source = opened(tmp_path, table(header, DRIVE, line))
+    assert measured(source) == RIGHT and not source.dropped
