@@ -52,6 +52,8 @@ SLOWEST_UNIT = 1.0 / 3.6  # m/s: of a speed, knots and mph are faster
 MOST_ASKED = 1000  # values that tell a resolution
 LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and the share of the hardest moments in them
 LEAST_LEAPS, MOST_LEAPS = 6, 0.1  # to zero and back, and of all steps
+LEAST_LOST = 15.0  # s: an even road under cruise control looks the same for less
+ALIVE = ("odometer", "elevation", "charge", *PLACES)  # which change while the car is measured
 MOST_LOST, USUALLY = 2, 0.5  # stretches, and readings that moves: a log that repeats all values
 
 Signals = dict[str, Signal]
@@ -276,10 +278,11 @@ def _lost(signals: Signals) -> list[Stand]:
     points = [signals[name].points() for name in names]
     if len(names) < 2 or min(at.size for at, _ in points) < LEAST_REPEATS:
         return []
-    changes = [at[1:][np.diff(value) != 0.0] for at, value in points]
+    alive = (signals[name].points() for name in ALIVE if name in signals)
+    changes = [at[1:][np.diff(value) != 0.0] for at, value in (*points, *alive)]
     edges = np.unique(np.concatenate([time[:1], *changes, [np.nextafter(time[-1], np.inf)]]))
     stands: dict[tuple[float, ...], list[Stand]] = {}
-    for at in np.flatnonzero(np.diff(edges) >= LEAST_STAND).tolist():
+    for at in np.flatnonzero(np.diff(edges) >= LEAST_LOST).tolist():
         begin, end = edges[at], edges[at + 1]
         firsts, lasts = zip(*(of.searchsorted((begin, end)) for of, _ in points), strict=True)
         inside = time[firsts[0] : lasts[0]]

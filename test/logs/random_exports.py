@@ -52,7 +52,7 @@ FAULTS = (
     "frozen",
 )
 DOUBTED = FAULTS[:4]  # by which the log alone does not tell what is right
-SHORTEST_FROZEN = 15.0  # s
+SHORTEST_FROZEN = 20.0  # s
 SHORTEST_TOLD = 240.0  # s of a car's battery that tell driving from standing
 SLOWEST_TOLD = 2.0  # s between rows, up to which lone signs are told from hills
 START = datetime(2024, 3, 5, 9, 8, 9)

@@ -142,6 +142,18 @@ COARSE = {
 }
 
 
+@pytest.mark.parametrize("name", ["Odometer (km)", "SOC (%)", "Altitude (m)", "Latitude"])
+def test_a_steady_cruise_is_measured_where_another_signal_changes(tmp_path, name):
+    drive = frozen(slice(302, 362))
+
+    def line(t, v, u, i, *_):
+        return f"{t:.0f},{v:.3f},{u:.2f},{i:.2f},{40.0 + 0.01 * t:.2f}"
+
+    source = opened(tmp_path, table(f"t_s,speed_mps,voltage_v,current_a,{name}", drive, line))
+    list(source.readings())
+    assert source.dropped["both_stand_still"] == 0
+
+
 @pytest.mark.parametrize("kind", [of_table, of_bag])
 @pytest.mark.parametrize("values", COARSE)
 def test_values_that_stand_still_time_and_again_are_measured(tmp_path, kind, values):
