@@ -241,27 +241,28 @@ class LagLearner:
 
     def _end_block(self) -> None:
         period = max(self._speed.period(self._due), self._current.period(self._due))
-        smooth = max(SMOOTH, period)
+        smooth, begin = max(SMOOTH, period), self._start
+        # Before the step may change: of rates that alternate each block ends later than the last.
+        self._start += BLOCK * self._step
         if math.isfinite(period) and not 0.5 < smooth / self._smooth < 2.0:
             # Signals of another rate, as those of a polled log are known to be now.
             self._smooth, self._step = smooth, max(STEP, round(period / STEPS_A_READING, 2))
             self.lag = None
             self._blocks.clear()
             return
-        block = self._block() if math.isfinite(period) else None
-        self._start += BLOCK * self._step
+        block = self._block(begin) if math.isfinite(period) else None
         if block is not None:
             self._blocks.append(block)
             lag = lag_of(self._blocks, self._step)
             if lag is not None:
                 self.lag = replace(lag, least=LEAST_SHARE * self._smooth)
 
-    def _block(self) -> LagBlock | None:
-        """The block that is complete; None where it has gaps or tells nothing."""
+    def _block(self, begin: float) -> LagBlock | None:
+        """The complete block from a moment on; None where it has gaps or tells nothing."""
         smooth, length = self._smooth, BLOCK * self._step
-        start = self._start + MOST * self._step + smooth
+        start = begin + MOST * self._step + smooth
         end = start + length
-        speed = self._speed.rows(self._start, end + start - self._start)
+        speed = self._speed.rows(begin, end + start - begin)
         current = self._current.rows(start - smooth, end + smooth)
         voltage = self._voltage.rows(start - smooth, end + smooth)
         if speed is None or current is None or voltage is None:

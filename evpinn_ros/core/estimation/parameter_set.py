@@ -77,6 +77,7 @@ def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
         if index == MU and not source.regenerates:
             share, std = 1.0, max(std, value * math.sqrt(before))
         possible = _possible(name, value, hills_seen=source.hills_seen)
+        possible = possible and bounds.lower < value < bounds.upper  # else the bound is told
         possible = possible and (index == P_AUX or std <= MOST_UNSURE * value)  # which may be 0
         parameters[name] = ParameterEstimate(
             value=float(np.clip(value, bounds.lower, bounds.upper)),

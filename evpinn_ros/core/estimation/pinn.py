@@ -156,7 +156,7 @@ class PinnLearner(Saveable[SavedPinn]):
         predicted = slice(count + passed)
         ages = np.maximum(samples.stamp_ns[predicted] - learned_ns[index], 0) / NANOSECONDS
         given, unsure = trim.predict(rows[predicted], ages, index)
-        powers = power[predicted] + given
+        powers = self._possible(power[predicted] + given)
         both = np.stack((powers, np.hypot(sigma[predicted], unsure)), axis=1)
         energies = self._energies(span, given[smoothed], passed_ns / NANOSECONDS)
         if passed:
@@ -168,7 +168,11 @@ class PinnLearner(Saveable[SavedPinn]):
         power, sigma = self._car_power(samples)
         ages = np.maximum(samples.stamp_ns - self._trim_ns, 0) / NANOSECONDS
         given, unsure = self._trim.predict(trim_rows(samples), ages)
-        return power + given, np.hypot(sigma, unsure)
+        return self._possible(power + given), np.hypot(sigma, unsure)
+
+    def _possible(self, power: np.ndarray) -> np.ndarray:
+        """Power, W: none flows into a battery that braking was never seen to charge."""
+        return power if self._regenerates else np.maximum(power, 0.0)
 
     def _car_power(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
         """Power of the car without the trim, and its 1-sigma, W, shape (n,) each."""
@@ -358,6 +362,7 @@ class PinnLearner(Saveable[SavedPinn]):
     def _use(self, car: LearnedCar) -> None:
         """Use this car from now on."""
         self._car, self._model = car, car.model()
+        self._regenerates = car.driven.regenerates(self._equation)
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
         self._judged = self._together = None
 

@@ -6,13 +6,14 @@ from functools import cache
 from itertools import islice
 from operator import attrgetter
 
+import numpy as np
 import pytest
 
 from evpinn_ros.common.saved_fields import plain
 from evpinn_ros.core.estimation.estimate import Trust
 from evpinn_ros.core.estimation.estimator import OnlineEstimator
 from evpinn_ros.core.estimation.lag import Aligner, Lag, LagLearner
-from evpinn_ros.core.signals.block import Block
+from evpinn_ros.core.signals.block import Block, Rows
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.signals.reorder import in_order
 from evpinn_ros.replays.simulation.sensors import BATTERY_LAG, SPEED_LAG
@@ -121,3 +122,18 @@ def test_another_logger_has_another_lag(drive):
     *_, (_, known) = aligner.learn(block)
     assert known.doubtful and known.lag.seconds == pytest.approx(OWN, abs=0.05)
     assert Aligner(aligner.saved).shift_ns == 0
+
+
+def test_a_log_whose_rate_changes_back_and_forth_ends():
+    """Once, each change of the step began the same block again, for ever."""
+    learner = LagLearner()
+    for begin in range(0, 20_000, 1000):
+        step = 10 if begin % 2000 else 1
+        seconds = np.arange(begin, begin + 1000, step)
+        stamps = seconds * NANOSECONDS
+        count = len(stamps)
+        speeds, battery = (
+            Rows(np.arange(count), stamps, np.full((fields, count), 10.0)) for fields in (2, 4)
+        )
+        list(learner.extend(speeds, battery))
+    assert learner._start > 19_000

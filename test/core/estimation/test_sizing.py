@@ -9,6 +9,7 @@ import pytest
 
 from evpinn_ros.core.estimation.estimate import PowerEstimate
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
+from evpinn_ros.core.estimation.pinn import PinnLearner
 from evpinn_ros.core.estimation.sizing import Intervals, Sizing, _intervals, size_of
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.block import Block
@@ -98,6 +99,22 @@ def test_nothing_is_known_of_too_little_or_of_stamps_that_leap():
     sizing = Sizing()
     assert sizing.due_ns(Block.of([drive[0]])) == LATER
     assert sizing.due_ns(Block.of([later])) != LATER
+
+
+def test_of_a_vehicle_that_gives_nothing_back_no_power_is_predicted_to_come(monkeypatch):
+    drive, known_ns = [*readings("eco")], DRIVE_START_NS + 400 * NANOSECONDS
+
+    def least() -> float:
+        estimator = OnlineEstimator(
+            load_vehicle("generic"), EstimatorSettings(), InlineWorker(lambda: 0.0)
+        )
+        outputs = estimator.add_readings(drive)
+        powers = [output for output in outputs if isinstance(output, PowerEstimate)]
+        return min(power.power for power in powers if power.stamp_ns > known_ns)
+
+    assert least() >= 0.0
+    monkeypatch.setattr(PinnLearner, "_possible", lambda _, power: power)
+    assert least() < 0.0
 
 
 @pytest.mark.slow
