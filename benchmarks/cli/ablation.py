@@ -98,7 +98,6 @@ VARIANTS = (
         "a drive keeps no offset of the last",
         {ConstantPlace("car", "begin_drive"): partial(begin_drive, keep=0.0)},
     ),
-    Variant("intervals count as independent", {ConstantPlace("posterior", "ALIKE"): 1.0}),
     Variant("no share of a drive", {ConstantPlace("posterior", "LOSS_SHOWN"): NOTHING}),
     Variant("no cold tyres", _without(State.ROLLING_START, State.ROLLING_COLD)),
     Variant("no loss by turning", _without(State.TURNING)),

@@ -58,7 +58,6 @@ SETTINGS = (
     _posterior("LARGE_NETWORK_ODDS", 0.0, 7.0),
     _posterior("SCALE_INTERVALS", 10.0, 30.0, 100.0),
     _posterior("LEAST_SCALE", 0.05, 1.0),
-    _posterior("ALIKE", 1.0, 3.0, 5.0),
     _posterior("DRIFT", 0.0, 0.02, 0.05),
     Setting(ConstantPlace("bands", "PRIOR_CASES"), (2.0, 4.0, 8.0)),
     Setting(ConstantPlace("bands", "PRIOR_SCALE"), (1.0, 1.5, 2.0)),

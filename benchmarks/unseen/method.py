@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol, TypeAlias
 import numpy as np
 
 from evpinn_ros.core.estimation.estimator import EstimatorSettings
+from evpinn_ros.core.estimation.outputs import Outputs
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading
@@ -44,8 +45,9 @@ class Method(Protocol):
     """Method that is scored.
 
     One that also has `add_readings(readings)`, which gives the predictions of several readings,
-    gets many at once. One that has `pairs = True` joins voltage and current of different stamps by
-    itself; for the others each battery reading has both.
+    gets many at once; one that has `finish()` gives the rest of a drive. One that has
+    `pairs = True` joins voltage and current of different stamps by itself; for the others each
+    battery reading has both.
     """
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction] | None:
@@ -82,15 +84,23 @@ class OnlineChain:
                 self._chain.jump()
                 continue
             self._hear(block)
-            by_ns, stamps, power, sigma, energy, energy_sigma = self._chain.read(block).smoothed
+            outputs = self._chain.read(block)
             self._chain.account.count()
-            known_ns = self._known(by_ns)
-            age = (stamps - known_ns) / NANOSECONDS
-            no_dropout = (known_ns > 0) & ((age <= 0.0) | np.isnan(energy))
-            energy = np.where(no_dropout, power * age, energy)
-            energy_sigma = np.where(no_dropout, 0.0, energy_sigma)
-            columns = stamps, power, sigma, energy, energy_sigma
-            yield from map(Prediction, *(column.tolist() for column in columns))
+            yield from self._predictions(outputs)
+
+    def finish(self) -> Iterator[Prediction]:
+        """What waits for more of a drive that is over."""
+        return self._predictions(self._chain.read_rest())
+
+    def _predictions(self, outputs: Outputs) -> Iterator[Prediction]:
+        by_ns, stamps, power, sigma, energy, energy_sigma = outputs.smoothed
+        known_ns = self._known(by_ns)
+        age = (stamps - known_ns) / NANOSECONDS
+        no_dropout = (known_ns > 0) & ((age <= 0.0) | np.isnan(energy))
+        energy = np.where(no_dropout, power * age, energy)
+        energy_sigma = np.where(no_dropout, 0.0, energy_sigma)
+        columns = stamps, power, sigma, energy, energy_sigma
+        yield from map(Prediction, *(column.tolist() for column in columns))
 
     def _hear(self, block: Block) -> None:
         """Note when voltage and current are told."""

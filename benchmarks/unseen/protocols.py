@@ -114,6 +114,7 @@ def _through(
         part = "long" if cut.length == LONG_DROPOUT else "withheld"
         yield part, ScoredPart(drive.name, cut.span, score_part(drive, track, cut.span))
     rows.extend(_predictions(method, readings[first:]))
+    rows.extend(_rest(method))
     if drive.duration > WARM_UP:
         span = DrivePart(WARM_UP, drive.duration)
         yield "online", ScoredPart(drive.name, span, score_part(drive, Track(drive, rows), span))
@@ -137,7 +138,14 @@ def predicted(
         if not isinstance(reading, BatteryReading):
             given.append(reading)
     rows.extend(_predictions(method, given))
+    rows.extend(_rest(method))
     return Track(drive, rows)
+
+
+def _rest(method: Method) -> Iterator[Prediction]:
+    """What a method that waits for late readings, and has `finish`, predicts when none comes."""
+    finish = getattr(method, "finish", None)
+    return iter(()) if finish is None else finish()
 
 
 def _predictions(method: Method, readings: Sequence[Reading]) -> Iterator[Prediction]:

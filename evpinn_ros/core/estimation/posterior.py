@@ -60,10 +60,8 @@ OUTLIER = 2.5  # sigmas
 SPARSE = 2.0  # s between speeds, from here on driving between them is not seen
 
 DRIFT = 0.02  # of its prior sigma, by which a state of the car changes from drive to drive
-# Of an offset that the next drive still has: tyres and rain; who sits in the car; the season.
-DRIVE_KEPT = {State.ROLLING_DRIVE: 0.5, State.MASS_DRIVE: 0.0, State.LOAD_DRIVE: 0.9}
-# Wind, traffic and slopes last longer than an interval: of so many in a row one counts.
-ALIKE = 3.0
+# Of an offset that the next drive still has: the season, a roof box; who sits in the car.
+DRIVE_KEPT = {State.ROLLING_DRIVE: 0.9, State.MASS_DRIVE: 0.0, State.LOAD_DRIVE: 0.9}
 LOSS_SHOWN = 100.0  # s of a drive in which its offsets show a third of `LOSS_DRIVE`
 PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # that the prior of an offset counts as, and at most
 MOST_EVIDENCE = 1e15
@@ -276,9 +274,8 @@ def condition(
     row[State.LOAD], row[State.LOAD_ENERGY], row[State.CLIMB] = 0.0, 1.0, climbs
     row[State.LOSS_DRIVE] = 0.0  # in a drive it is none of the others: it counts for whole ones
     own = state.scale * journey.noise
-    noise, residual = own.sum(1) + sampling, energy - state.mean @ row
-    seen = gaussian.innovate(state.gaussian, row, residual, noise)
-    state = _judge(_see(state, row, residual, ALIKE * noise), seen, own)
+    state, seen = _see(state, row, energy - state.mean @ row, own.sum(1) + sampling)
+    state = _judge(state, seen, own)
     weights = state.weights
     mean = float(weights @ seen.residual)
     variance = float(weights @ (seen.variance + (seen.residual - mean) ** 2))
@@ -293,7 +290,7 @@ def see_motor(state: CarState, rows: np.ndarray, square: float) -> CarState:
     base = state.scale[:, 1] * unexplained(0.0, 0.0, square)[1]
     for row, share in zip(rows, (0.03, BRAKING_SHARE), strict=True):
         size = share * np.abs(row[State.MOTOR_DRIVE] - row[State.MOTOR_BRAKE])
-        state = _see(state, row, -(state.mean @ row), base + size**2 + 1.0)
+        state, _ = _see(state, row, -(state.mean @ row), base + size**2 + 1.0)
     return state
 
 
@@ -337,11 +334,13 @@ def forget_present(state: CarState) -> CarState:
     return state.forgetting({State.LOAD_ENERGY: 0.0, State.CLIMB: 0.0})
 
 
-def _see(state: CarState, row: np.ndarray, residual: np.ndarray, noise: np.ndarray) -> CarState:
+def _see(
+    state: CarState, row: np.ndarray, residual: np.ndarray, noise: np.ndarray
+) -> tuple[CarState, Innovation]:
     """Condition every hypothesis on one measurement, beyond `OUTLIER` with a heavy tail."""
     seen = gaussian.innovate(state.gaussian, row, residual, noise)
     extra = gaussian.outlier_variance(seen, noise, OUTLIER)
-    return state.with_gaussian(gaussian.condition(state.gaussian, seen, extra))
+    return state.with_gaussian(gaussian.condition(state.gaussian, seen, extra)), seen
 
 
 def _judge(state: CarState, seen: Innovation, noise: np.ndarray) -> CarState:

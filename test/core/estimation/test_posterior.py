@@ -84,7 +84,7 @@ def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
             load = [part * left for part in load] + shape[0].tolist()
             drawn[-1] += shape[1].tolist()
         parts = np.array([row + [0.0] * (len(drawn[-1]) - len(row)) for row in drawn])
-        covariance = parts @ parts.T + posterior.ALIKE * sampling * np.eye(count)
+        covariance = parts @ parts.T + sampling * np.eye(count)
         prior = start.covariance[k].copy()
         prior[State.LOAD, State.LOAD] = 0.0
         seen = rows @ prior @ rows.T + covariance
