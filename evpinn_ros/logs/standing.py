@@ -291,8 +291,6 @@ def _lost(signals: Signals) -> list[Stand]:
     stands: dict[tuple[float, ...], list[Stand]] = {}
     for at in np.flatnonzero(np.diff(edges) >= LEAST_LOST).tolist():
         begin, end = edges[at], edges[at + 1]
-        if max(_run(of, begin) for of in of_each) > ALONE * (end - begin):
-            continue
         firsts, lasts = zip(*(of.searchsorted((begin, end)) for of, _ in points), strict=True)
         inside = time[firsts[0] : lasts[0]]
         if min(np.subtract(lasts, firsts)) >= LEAST_REPEATS and speed[firsts[0]] != 0.0:
@@ -302,7 +300,12 @@ def _lost(signals: Signals) -> list[Stand]:
             stand = Stand(firsts[0], lasts[0] - 1, begin, inside[-1] - begin, key[0])
             stands.setdefault(key, []).append(stand)
     # Values that come back to the last digit are those of a car that is simulated.
-    lost = [alike[0] for alike in stands.values() if len(alike) == 1]
+    once = [alike[0] for alike in stands.values() if len(alike) == 1]
+    lost = [
+        stand
+        for stand in once
+        if max(_run(of, stand.begin) for of in of_each) <= ALONE * stand.seconds
+    ]
     moving = np.count_nonzero(speed)
     still = sum(stand.last + 1 - stand.first for of_key in stands.values() for stand in of_key)
     usual = len(lost) > MOST_LOST and still > USUALLY * moving
