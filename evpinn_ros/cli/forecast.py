@@ -6,7 +6,6 @@ from contextlib import suppress
 from dataclasses import replace
 import math
 from pathlib import Path
-import re
 from typing import Annotated, Any
 import warnings
 
@@ -215,7 +214,8 @@ def _metres_per_second(text: str, units: Units) -> float:
     """A speed with its unit, or in that of people."""
     from evpinn_ros.logs.quantities import QUANTITIES
 
-    number, unit = re.findall(r"^\s*([\d.]*)\s*(.*?)\s*$", text)[0]
+    unit = text.strip().lstrip("0123456789.")
+    number, unit = text.strip().removesuffix(unit), unit.strip()
     names = QUANTITIES["speed"].units
     with suppress(KeyError, ValueError):
         factor = names[unit.lower()].factor if unit else 1.0 / units.speeds

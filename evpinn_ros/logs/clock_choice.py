@@ -47,8 +47,9 @@ LEAST_SECONDS = 20  # of a minute that tell a clock without colons from a number
 CHANGED = 0.1  # of these have another value than the one before
 LONG_STEP, SLOW = 25.0, 3e-3  # s between rows, and m/s^2 of a mean change of speed: too slow
 SMOOTH = 0.1  # of the span of a speed that it changes by from row to row: it is followed
-USUAL_CHANGE = (0.01, 2.0)  # m/s^2, of a drive in the mean
+USUAL_CHANGE = (0.01, 2.0)  # m/s^2, of a car that moves, in the mean
 IMPOSSIBLE = 20.0  # m/s^2
+PAUSE = 10.0  # usual steps
 ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
 
 # Orders of a date, the likeliest first among equals: ISO, then day first as most of the world has
@@ -250,19 +251,22 @@ def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
 
 
 def _in_possible_unit(clock: Clock, speed: Column, survey: Survey) -> Clock:
-    """The clock; in another unit where no car changes its speed as its name says."""
+    """The clock; in another unit where no car that moves changes its speed as its name says."""
     if clock.kind != "number" or clock.why != "by its name":
         return clock
     values = to_floats(survey.cells[speed.place], survey.styles[speed.place])
     values = values * (speed.factor if speed.has_unit else UNITS_OF_SPEED["km/h"].factor)
     times = clock.stamps(survey.cells)
     there = np.isfinite(values) & (times != NONE)
-    steps = np.abs(np.diff(times[there])) / NANOSECONDS
-    changes = np.abs(np.diff(values[there]))
+    times, values = times[there], values[there]
+    steps, changes = np.abs(np.diff(times)) / NANOSECONDS, np.abs(np.diff(values))
+    usual = np.median(steps[steps > 0.0]) if steps.any() else 0.0
+    moves = ((values[1:] != 0.0) | (values[:-1] != 0.0)) & (steps <= PAUSE * usual)
+    steps, changes = steps[moves], changes[moves]
     if steps.size < LEAST_SECONDS or not steps.sum() or not changes.sum():
         return clock
     mean, step = float(changes.sum() / steps.sum()), float(np.median(steps)) / survey.stride
-    is_followed = changes.mean() < SMOOTH * float(np.ptp(values[there]))
+    is_followed = changes.mean() < SMOOTH * float(np.ptp(values))
     too_slow = (step > LONG_STEP or mean < SLOW) and is_followed
     if not too_slow and mean < IMPOSSIBLE:
         return clock

@@ -53,6 +53,7 @@ MOST_ASKED = 1000  # values that tell a resolution
 LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and the share of the hardest moments in them
 LEAST_LEAPS, MOST_LEAPS = 6, 0.1  # to zero and back, and of all steps
 LEAST_LOST = 15.0  # s: an even road under cruise control looks the same for less
+ALONE = 2.0  # times that, speed or battery stand still without the other
 ALIVE = ("odometer", "elevation", "charge", *PLACES)  # which change while the car is measured
 MOST_LOST, USUALLY = 2, 0.5  # stretches, and readings that moves: a log that repeats all values
 
@@ -280,26 +281,41 @@ def _lost(signals: Signals) -> list[Stand]:
         return []
     alive = (signals[name].points() for name in ALIVE if name in signals)
     changes = [at[1:][np.diff(value) != 0.0] for at, value in (*points, *alive)]
-    edges = np.unique(np.concatenate([time[:1], *changes, [np.nextafter(time[-1], np.inf)]]))
+    gaps = np.flatnonzero(np.diff(time, append=np.inf) > LONGEST_STEP)
+    ends = (time[:1], np.nextafter(time[gaps], np.inf), time[gaps[:-1] + 1])
+    edges = np.unique(np.concatenate((*ends, *changes)))
+    of_each = [
+        np.unique(np.concatenate((edges[[0, -1]], *ends, *of)))
+        for of in (changes[:1], changes[1 : len(names)])
+    ]
     stands: dict[tuple[float, ...], list[Stand]] = {}
     for at in np.flatnonzero(np.diff(edges) >= LEAST_LOST).tolist():
         begin, end = edges[at], edges[at + 1]
         firsts, lasts = zip(*(of.searchsorted((begin, end)) for of, _ in points), strict=True)
         inside = time[firsts[0] : lasts[0]]
-        if min(np.subtract(lasts, firsts)) >= LEAST_REPEATS and (
-            np.diff(inside).max() <= LONGEST_STEP and speed[firsts[0]] != 0.0
-        ):
+        if min(np.subtract(lasts, firsts)) >= LEAST_REPEATS and speed[firsts[0]] != 0.0:
             key = tuple(
                 float(value[first]) for first, (_, value) in zip(firsts, points, strict=True)
             )
             stand = Stand(firsts[0], lasts[0] - 1, begin, inside[-1] - begin, key[0])
             stands.setdefault(key, []).append(stand)
     # Values that come back to the last digit are those of a car that is simulated.
-    lost = [alike[0] for alike in stands.values() if len(alike) == 1]
+    once = [alike[0] for alike in stands.values() if len(alike) == 1]
+    lost = [
+        stand
+        for stand in once
+        if max(_run(of, stand.begin) for of in of_each) <= ALONE * stand.seconds
+    ]
     moving = np.count_nonzero(speed)
     still = sum(stand.last + 1 - stand.first for of_key in stands.values() for stand in of_key)
     usual = len(lost) > MOST_LOST and still > USUALLY * moving
     return [] if usual or moving - still < LEAST_EVENTS else lost
+
+
+def _run(changes: FloatArray, begin: float) -> float:
+    """Length of the stretch without a change that holds a moment, s."""
+    after = int(changes.searchsorted(begin, side="right"))
+    return float(changes[after] - changes[after - 1])
 
 
 def _stands(signal: Signal) -> Iterator[Stand]:

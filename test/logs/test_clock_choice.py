@@ -4,6 +4,7 @@ from datetime import timedelta
 from pathlib import Path
 import sys
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -84,3 +85,26 @@ def test_a_unit_that_cars_can_drive_is_believed(tmp_path, unit, factor, step):
     )
     seconds = [r.stamp_ns / 1e9 for r in source.readings() if isinstance(r, SpeedReading)]
     assert seconds[-1] - seconds[0] == pytest.approx(drive.time[-1], rel=1e-5)
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "min"])
+@pytest.mark.parametrize("rows_while_parked", [0, 1000, 30_000])
+def test_a_car_that_stands_or_a_log_that_pauses_is_no_other_unit(
+    tmp_path, unit, rows_while_parked
+):
+    """Twenty days between two drives of 15 minutes, with and without rows of a car that stands."""
+    later = 20 * 86_400.0
+    factor = {"s": 1.0, "ms": 1e3, "min": 1 / 60}[unit]
+
+    def rows(begin):
+        signals = zip(DRIVE.time, DRIVE.speed, DRIVE.voltage, DRIVE.current, strict=True)
+        return [
+            f"{factor * (begin + t):.6f},{3.6 * v:.2f},{u:.2f},{i:.2f}" for t, v, u, i in signals
+        ]
+
+    parked = np.linspace(900.0, later, rows_while_parked, endpoint=False)
+    lines = [*rows(0.0), *(f"{factor * t:.6f},0.00,360.00,1.00" for t in parked), *rows(later)]
+    header = f"Time ({unit}),Speed (km/h),Pack volts (V),Pack amps (A)"
+    source = opened(tmp_path, "\n".join([header, *lines]))
+    seconds = [r.stamp_ns / 1e9 for r in source.readings() if isinstance(r, SpeedReading)]
+    assert seconds[-1] - seconds[0] == pytest.approx(later + DRIVE.time[-1], rel=1e-5)
