@@ -24,8 +24,9 @@ LONGEST_LINE = 1_000_000
 200, a row of a wide table 10 000."""
 MOST_COLUMNS = 10_000  # of a table
 RATIO, FREE_BYTES = 200, 1 << 20
-_inputs: dict[tuple[int, int], Path | None] = {}
-"""Every file opened in this process by device and number, under its name; None: written here."""
+_files: dict[tuple[int, int], tuple[Path, bool]] = {}
+"""Name of every file that this process opened or wrote, by device and number; whether it wrote it.
+"""
 
 
 def most_unpacked(size: int) -> int:
@@ -69,24 +70,32 @@ def input_at(path: Path) -> Path | None:
     """The name of the input that a path leads to, if this process has opened it, or None."""
     with suppress(OSError, ValueError):
         status = path.stat()
-        name = _inputs.get((status.st_dev, status.st_ino))
-        # The number of a file that is gone is given to another one.
-        if name is not None and name.samefile(path):
-            return name
+        if (named := _named(status)) is not None and not named[1]:
+            return named[0]
     return None
 
 
 def note_own(path: Path) -> None:
     """Remember that this process wrote a file, which is no input then."""
     status = path.stat()
-    _inputs[status.st_dev, status.st_ino] = None
+    _files[status.st_dev, status.st_ino] = path.absolute(), True
+
+
+def _named(status: os.stat_result) -> tuple[Path, bool] | None:
+    """What is known of a file; the number of one that is gone is given to another."""
+    named = _files.get((status.st_dev, status.st_ino))
+    with suppress(OSError):
+        if named is not None and os.path.samestat(named[0].stat(), status):
+            return named
+    return None
 
 
 def _open(path: str, flags: int) -> int:
     descriptor = os.open(path, flags | os.O_NONBLOCK)  # a pipe without a writer opens at once
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode):
-        _inputs.setdefault((status.st_dev, status.st_ino), Path(path).absolute())
+        if _named(status) is None:
+            _files[status.st_dev, status.st_ino] = Path(path).absolute(), False
         return descriptor
     if stat.S_ISDIR(status.st_mode):  # of which Python says it better
         return descriptor

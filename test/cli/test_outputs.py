@@ -178,6 +178,22 @@ def test_whatever_was_opened_is_not_written_over(tmp_path):
     assert (path.read_text(), link.read_text()) == ("state", "measured")
 
 
+def test_an_input_that_has_the_number_of_a_file_of_ours_that_is_gone_is_an_input(tmp_path):
+    numbers = set()
+    for turn in range(50):  # until the file system gives a number again
+        own, path = tmp_path / f"own{turn}", tmp_path / f"input{turn}"
+        write_file(own, "mine")
+        numbers.add(own.stat().st_ino)
+        own.unlink()
+        path.write_text("measured")
+        if path.stat().st_ino in numbers:
+            open_file(path).close()
+            with pytest.raises(InputError, match="over the input"):
+                write_file(path, "new")
+            return
+    pytest.skip("this file system gives no number again")
+
+
 def test_what_this_process_wrote_and_read_it_writes_again(tmp_path):
     for content in ("first", "second"):
         write_file(tmp_path / "own", content)

@@ -206,7 +206,15 @@ class Bench:
     def diagnosis(self, node: GuardedNode) -> dict[str, Any]:
         """Diagnostics of a node now: (level, text, values) by the name of the part."""
         reported: list[tuple[Topic, Any]] = []
-        with mock.patch.object(node, "publish", reported.extend):
+        publish = node.publish
+
+        def take(messages: Iterable[tuple[Topic, Any]]) -> None:
+            """Keep the report; what a thread of the node publishes meanwhile goes its way."""
+            pairs = list(messages)
+            reported.extend(pair for pair in pairs if pair[0] is DIAGNOSTICS)
+            publish(pair for pair in pairs if pair[0] is not DIAGNOSTICS)
+
+        with mock.patch.object(node, "publish", take):
             node.report()
         return {
             status.name.rpartition(" ")[2]: (
