@@ -254,8 +254,13 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._stream = SampleStream(settings, vehicle.air_density, motor_ratio)
         self._bands = {k: BandCalibration() for k in (PowerKind.PREDICTED, PowerKind.SMOOTHED)}
         self._seen = OperatingRange()
-        self._aligner = Aligner()
+        self._align(None)
         self._begin_time()
+
+    def _align(self, lag: Lag | None) -> None:
+        """Have a drive with the clock of speed, by the lag that earlier ones showed."""
+        self._aligner = Aligner(lag)
+        self._buffer.shift_battery(self._aligner.shift_ns)
 
     def _begin_time(self) -> None:
         """Join nothing to the readings before."""
@@ -300,7 +305,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Begin another drive of this car; the same holds for the stamps."""
         self.finish()
         self.handle_time_jump()
-        self._aligner = Aligner(self._aligner.saved)
+        self._align(self._aligner.saved)
         self._learner.end_drive()
 
     def clear_counters(self) -> None:
@@ -701,7 +706,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         learner.gated = self._learner.gated
         learner.restore(saved.learner)
         self.handle_time_jump()
-        self._learner, self._aligner = learner, Aligner(saved.lag)
+        self._learner = learner
+        self._align(saved.lag)
         self._vehicle, self._similarity = vehicle, Similarity(vehicle)
         self._bands[PowerKind.PREDICTED].take(saved.bands.predicted)
         self._bands[PowerKind.SMOOTHED].take(saved.bands.smoothed)

@@ -67,7 +67,8 @@ class ReorderBuffer:
     def __init__(self, allowed_lateness: float, most_waiting: int = MOST_WAITING) -> None:
         """Wait `allowed_lateness`, s, for a reading that is late."""
         self._most_waiting = most_waiting
-        self._late_ns = max(0, int(allowed_lateness * NANOSECONDS) - LAG_TOLERANCE_NS)
+        self._allowed_ns = max(0, int(allowed_lateness * NANOSECONDS) - LAG_TOLERANCE_NS)
+        self.shift_battery(0)
         self.dropped: Counter[str] = Counter()
         self.reset()
 
@@ -76,6 +77,11 @@ class ReorderBuffer:
         self.watermark_ns = self._moved_ns = NEVER // CELL_NS * CELL_NS
         self._waiting: dict[type[Reading], Rows] = {}
         self._new: list[Reading] = []  # that came one by one, and wait too
+
+    def shift_battery(self, shift_ns: int) -> None:
+        """Expect stamps of the battery moved by so many ns: back it comes late, forward early."""
+        self._late_ns = self._allowed_ns + max(0, -shift_ns)
+        self._silent_ns = SILENT_NS + max(0, shift_ns)
 
     def add_reading(self, reading: Reading) -> tuple[bool, Block | None]:
         """Take one reading as it comes.
@@ -94,7 +100,7 @@ class ReorderBuffer:
         if kind is SpeedReading:
             moved_ns = stamp_ns - self._late_ns
         elif kind is BatteryReading:
-            moved_ns = stamp_ns - self._late_ns - SILENT_NS
+            moved_ns = stamp_ns - self._late_ns - self._silent_ns
         self._moved_ns = max(self._moved_ns, moved_ns)
         watermark_ns = self._moved_ns // CELL_NS * CELL_NS
         if watermark_ns <= self.watermark_ns:
@@ -160,7 +166,7 @@ class ReorderBuffer:
             rows.get(kind, NO_ROWS[kind]) for kind in (SpeedReading, BatteryReading)
         )
         order = np.concatenate((speeds.order, battery.order))
-        moves = np.concatenate((speeds.stamps, battery.stamps - SILENT_NS)) - self._late_ns
+        moves = np.concatenate((speeds.stamps, battery.stamps - self._silent_ns)) - self._late_ns
         sequence = order.argsort()
         moved = np.maximum.accumulate(np.append(self._moved_ns, moves[sequence]))
         self._moved_ns = int(moved[-1])

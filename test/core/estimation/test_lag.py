@@ -99,6 +99,12 @@ def test_a_drive_has_one_clock_and_the_next_one_that_of_its_lag(drives_of, new_e
     assert drives_of(0.0).status().shift == 0.0
 
 
+@pytest.mark.parametrize("lag", LAGS)
+def test_a_battery_whose_stamps_are_moved_back_is_not_late(drives_of, lag):
+    status = drives_of(lag).status()
+    assert abs(status.shift) > 0.4 and not status.dropped
+
+
 def test_the_lag_is_kept_with_the_car(drives_of, new_estimator, drive):
     estimator, saved = new_estimator(), drives_of(1.0).export()
     estimator.restore(saved)
