@@ -148,7 +148,7 @@ def test_what_a_command_has_read_stays_whatever_is_named_as_output(
         elif given == "hardlink":
             output.hardlink_to(victim)
         before = {path: path.read_bytes() for path in map(folder.joinpath, names)}
-        monkeypatch.setattr(opener, "_inputs", {})  # as in a process of its own
+        monkeypatch.setattr(opener, "_files", {})  # as in a process of its own
         with opened_to_read() as read:
             run = evpinn(*command.split(), *[option] * bool(option), output, cwd=folder)
         if "fleet" in command:  # in processes of their own

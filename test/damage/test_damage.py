@@ -37,7 +37,7 @@ def folder(target, tmp_path_factory):
 
 def test_a_seed_is_sound_and_read_by_way_of_the_opener(target, seeds, folder, monkeypatch):
     """Else no attempt would come behind the first check."""
-    monkeypatch.setattr(opener, "_inputs", {})
+    monkeypatch.setattr(opener, "_files", {})
     for seed in seeds:
         path = folder / target.file_name
         path.write_bytes(seed)
