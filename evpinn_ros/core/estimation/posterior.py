@@ -132,7 +132,7 @@ class CarState:
         """The car as predictions from here on take it."""
         whole = self.mixture()
         mean, covariance = at_least_zero(whole, HEATING), whole.covariance
-        covariance[State.LOSS_DRIVE] *= math.exp(-self.seconds / LOSS_SHOWN)
+        covariance[State.LOSS_DRIVE, State.LOSS_DRIVE] *= math.exp(-self.seconds / LOSS_SHOWN)
         return CarModel(
             equation=equation,
             mean=mean,

@@ -350,7 +350,8 @@ class Equation:
         cold, apart = coldness(conditions.celsius), np.zeros((len(steps.duration), SIZE))
         moving = self.moving_columns(wheels, steps.duration, cold, warmth.tyres)
         for state in WHEELS:
-            apart[:, state] = moving[state]
+            if state is not State.LOSS_DRIVE:  # which no drive learns
+                apart[:, state] = moving[state]
         for state, column in self._motor_columns(steps).items():
             apart[:, state] = -column
         # A climb that no height shows is work of the wheels too, all along the way.

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.truth import PROFILE
 from evpinn_ros.core.estimation import posterior
 from evpinn_ros.core.estimation.gaussian import Gaussian
 from evpinn_ros.core.estimation.journey import NOWHERE, Journey, noise_of, wandered
@@ -21,10 +22,14 @@ from evpinn_ros.core.estimation.posterior import (
 )
 from evpinn_ros.core.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import HEATING, Warmth, equation_of
+from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.interval import Steps
+from evpinn_ros.core.signals.reorder import in_order
+from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.physics import GRAVITY
 from evpinn_ros.replays.simulation.drive import DriveKind
+from evpinn_ros.replays.simulation.simulate import simulate
 from test.core.estimation.conftest import measured
 
 CAR = load_vehicle("tesla_model_3_lr")
@@ -132,6 +137,23 @@ def test_whatever_a_winter_taught_heating_is_never_below_zero(known):
     assert model.mean[HEATING].min() >= 0.0
     unsure = known.with_gaussian(Gaussian(known.mean, known.covariance)).model(EQUATION)
     assert unsure.mean[HEATING].min() >= 0.0
+
+
+def test_neither_battery_nor_motor_teaches_what_drives_differ_by():
+    """So it goes with no other state, and its variance alone fades."""
+    drive = simulate(DriveKind.URBAN, CAR, 300.0, 4, motor_torque=True, can_profile=PROFILE)
+    stream = SampleStream(StreamSettings(), CAR.air_density, CAR.motor_ratio)
+    state, told = initial_state(EQUATION), 0
+    for _, interval in stream.add(in_order(Block.of(drive.readings))).intervals:
+        if math.isnan(interval.energy):
+            continue
+        told += interval.steps.motor_known
+        state, _ = learn(state, EQUATION, passed(EQUATION, interval, state.seconds))
+    model = state.model(EQUATION)
+    assert told > 10 and model.mean[State.LOSS_DRIVE] == 0.0
+    others = np.delete(model.covariance[State.LOSS_DRIVE], State.LOSS_DRIVE)
+    assert not others.any()
+    np.testing.assert_allclose(model.covariance, model.covariance.T, rtol=1e-6, atol=1e-6)
 
 
 def test_drives_differ_by_more_than_what_no_drive_showed(known):
